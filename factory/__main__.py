@@ -1,0 +1,10 @@
+"""`python -m factory`: plan and render datasets, look at them, and keep the assets they are made of."""
+
+import sys
+
+from manifests.command_line import main
+
+COMMANDS = ("plan", "render", "status", "verify", "preview", "materials", "shapes", "lights")
+
+if __name__ == "__main__":
+    sys.exit(main("factory", __doc__.split(": ", 1)[1], COMMANDS))

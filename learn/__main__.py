@@ -1,0 +1,10 @@
+"""`python -m learn`: check the two renderers against each other, and learn from records."""
+
+import sys
+
+from manifests.command_line import main
+
+COMMANDS = ("agree",)
+
+if __name__ == "__main__":
+    sys.exit(main("learn", __doc__.split(": ", 1)[1], COMMANDS))

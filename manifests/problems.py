@@ -1,0 +1,29 @@
+"""What is wrong with something a user gave, said in one line: where, what was expected, what was found, the remedy."""
+
+import difflib
+
+
+class Problem(ValueError):
+    """An error in data or arguments from outside. The command line prints it as one line; `--debug` shows the trace.
+
+    where     the file, record or argument
+    expected  what should stand there
+    found     what stands there
+    remedy    what to do about it
+    """
+
+    def __init__(self, where, expected, found, remedy):
+        self.where, self.expected, self.found, self.remedy = str(where), expected, found, remedy
+        super().__init__(f"{where}: {expected} expected, found {found}; {remedy}")
+
+    def __reduce__(self):  # crosses process borders whole
+        return Problem, (self.where, self.expected, self.found, self.remedy)
+
+
+def closest(name, names, count=3):
+    """The known names nearest to one that is not known, as text: 'did you mean chair, hair?', or the first few there are."""
+    near = difflib.get_close_matches(str(name), [str(n) for n in names], n=count, cutoff=0.5)
+    if near:
+        return f"did you mean {', '.join(near)}?"
+    listed = sorted(map(str, names))
+    return f"known: {', '.join(listed[:8])}{' …' if len(listed) > 8 else ''}"

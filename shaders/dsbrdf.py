@@ -1,0 +1,62 @@
+"""The directional-statistics BRDF: the material label, three lobes of hemispherical exponential power distributions.
+
+m      (..., 3, 3, 2, 6): channel k, lobe s, (κ, γ), spline control values over θ_d; the paper's 108 numbers
+label  the same shape, natural logarithms of m: what is stored, fitted and predicted; κ, γ > 0 by construction
+c      h·n, cosine between half vector and normal
+f      (..., 3) BRDF in 1/sr, no cosine:  f_k = Σ_s exp(κ_ks(θ_d) c^γ_ks(θ_d)) − 1
+
+Source: supplement, "Material"; Nishino 2009 writes 1 − exp(κ c^γ) with κ < 0; here, as in the paper, κ ≥ 0.
+"""
+
+import numpy as np
+
+from shaders.arrays import namespace
+from shaders.spline import CONTROL_VALUES, basis
+
+SHAPE = (3, 3, 2, CONTROL_VALUES)
+SIZE = int(np.prod(SHAPE))  # 108
+MAX_EXPONENT = 50.0  # expm1(88.7) is the last finite float32; a BRDF of e^50 is far beyond any measured one
+
+
+def coefficients(m, theta_d):
+    """κ and γ at the angles given.
+
+    m        (..., 3, 3, 2, 6), or (..., 108) flat
+    theta_d  (P,) radians
+    Returns  kappa, gamma, each (..., P, 3, 3): channel, lobe
+    """
+    if m.shape[-1] == SIZE:
+        m = m.reshape(*m.shape[:-1], *SHAPE)
+    curves = namespace(m).einsum("...kstb,pb->...pkst", m, basis(theta_d))
+    return curves[..., 0], curves[..., 1]
+
+
+def evaluate(m, cos_h, theta_d):
+    """BRDF values of one material.
+
+    m        (3, 3, 2, 6) or (108,): κ and γ control values, not logarithms
+    cos_h    (P,) h·n; ≤ 0 gives the limit 0 of c^γ
+    theta_d  (P,) radians, half the angle between light and view
+    Returns  f (P, 3) in 1/sr
+    """
+    xp = namespace(m, cos_h)
+    kappa, gamma = coefficients(m, theta_d)
+    lit = cos_h > 0
+    log_c = xp.log(xp.where(lit, cos_h, 0 * cos_h + 1))[..., None, None]
+    power = xp.where(lit[..., None, None], xp.exp(gamma * log_c), 0 * gamma)
+    return xp.expm1(xp.clip(kappa * power, 0.0, MAX_EXPONENT)).sum(-1)
+
+
+def half_angles(w_i, w_o):
+    """Half vector and difference angle.
+
+    w_i, w_o  (..., 3) unit vectors of one frame, towards the light and towards the viewer
+    Returns   h (..., 3) unit, 0 where w_i = −w_o; theta_d (...) in [0, π/2], by arctan2 so that its slope is finite at 0
+    """
+    xp = namespace(w_i, w_o)
+    s, d = w_i + w_o, w_i - w_o
+    length_s = xp.sqrt((s * s).sum(-1))
+    length_d = xp.sqrt((d * d).sum(-1))
+    opposite = length_s < 1e-6
+    h = s / xp.where(opposite, 0 * length_s + 1, length_s)[..., None]
+    return xp.where(opposite[..., None], 0 * s, h), xp.arctan2(length_d, length_s)

@@ -1,0 +1,85 @@
+"""Environment maps: where a texel points, how much of the sphere it covers, turning and shrinking without losing energy.
+
+L      (height, width, 3) linear Rec.709 radiance; row 0 at the zenith, columns around the vertical
+w      unit directions, light frame (x right, y up, z towards the viewer; shaders.frames)
+θ      polar angle from the zenith, π (row + ½) / height
+φ      2π (column + ½) / width, from +x (right) through +z (towards the viewer)
+
+Source: supplement, "Illumination". Deviates: φ spans 2π, texel centres, exact solid angles (tests/test_misprints.py).
+"""
+
+import numpy as np
+
+from shaders.arrays import namespace
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
+
+
+def directions(height, width):
+    """Unit directions and solid angles of an environment map's texels.
+
+    Returns  w (height, width, 3), light frame; solid_angle (height, width) in sr, sums to 4π
+    """
+    theta = np.pi * (np.arange(height) + 0.5) / height
+    phi = 2 * np.pi * (np.arange(width) + 0.5) / width
+    theta, phi = np.meshgrid(theta, phi, indexing="ij")
+    w = np.stack([np.cos(phi) * np.sin(theta), np.cos(theta), np.sin(phi) * np.sin(theta)], axis=-1)
+    return w, np.repeat(row_solid_angles(height, width)[:, None], width, axis=1)
+
+
+def row_solid_angles(height, width):
+    """Solid angle (height,) in sr of one texel in each row: (2π/W)(cos θ_top − cos θ_bottom)."""
+    edges = np.cos(np.pi * np.arange(height + 1) / height)
+    return (edges[:-1] - edges[1:]) * (2 * np.pi / width)
+
+
+def texel(w, height, width):
+    """Row and column (integers) of the texel that holds each direction w (..., 3), light frame."""
+    theta = np.arctan2(np.hypot(w[..., 0], w[..., 2]), w[..., 1])
+    phi = np.arctan2(w[..., 2], w[..., 0])
+    row = np.clip(np.floor(theta / np.pi * height), 0, height - 1).astype(int)
+    column = np.floor(phi / (2 * np.pi) * width).astype(int) % width
+    return row, column
+
+
+def roll(L, texels):
+    """The map turned by whole texels: column j of the result is column j − texels of L; L (..., height, width, 3)."""
+    xp = namespace(L)
+    return xp.roll(L, texels, -2) if xp is not np else np.roll(L, texels, axis=-2)
+
+
+def mean_radiance(L):
+    """Solid-angle mean (3,) of L (height, width, 3)."""
+    weight = row_solid_angles(*L.shape[:2])[:, None, None] / (4 * np.pi)
+    return (np.asarray(L, dtype=np.float64) * weight).sum((0, 1))
+
+
+def unit_mean(L):
+    """L scaled to a solid-angle mean luminance of 1, and the scale: L = scaled × scale.
+
+    Raises  ValueError if L has no positive mean luminance
+    """
+    scale = float(mean_radiance(L) @ LUMINANCE)
+    if not (np.isfinite(scale) and scale > 0):
+        raise ValueError(f"light: positive finite mean luminance expected, found {scale:g}; check the file's pixels")
+    return np.asarray(L / scale, dtype=np.float32), scale
+
+
+def _overlaps(edges_from, edges_to):
+    """(to, from): the part of each source interval that lies in each target interval."""
+    low = np.maximum(edges_to[:-1, None], edges_from[None, :-1])
+    high = np.minimum(edges_to[1:, None], edges_from[None, 1:])
+    return np.maximum(high - low, 0.0)
+
+
+def resize(L, height, width):
+    """The map averaged by solid angle into another size: energy in each region of the sphere is kept, up or down.
+
+    L        (any height, any width, 3)
+    Returns  (height, width, 3) float64
+    """
+    rows = _overlaps(-np.cos(np.pi * np.linspace(0, 1, L.shape[0] + 1)), -np.cos(np.pi * np.linspace(0, 1, height + 1)))
+    columns = _overlaps(np.linspace(0, 1, L.shape[1] + 1), np.linspace(0, 1, width + 1))
+    rows /= rows.sum(1, keepdims=True)
+    columns /= columns.sum(1, keepdims=True)
+    return np.einsum("ri,ijc,kj->rkc", rows, np.asarray(L, dtype=np.float64), columns, optimize=True)

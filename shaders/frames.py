@@ -1,0 +1,62 @@
+"""The three frames, and how one leads to another.
+
+world   Blender's: x forward (the object's front), y left, z up; metres
+light   gravity-aligned, turned with the camera's azimuth: x right, y up, z horizontally towards the viewer.
+        The paper's frame for environment maps: w = (cos φ sin θ, cos θ, sin φ sin θ)
+camera  x right in the picture, y up in the picture, z towards the viewer. Normals live here
+
+A matrix is named by where it leads and where it starts: `n_camera = camera_from_world @ n_world`.
+azimuth    radians about world z, 0 in front of the object (the camera on +x), counter-clockwise seen from above
+elevation  radians above the horizon; fixed over a dataset, so that camera_from_light is one constant
+"""
+
+import numpy as np
+
+ELEVATION = np.radians(20.0)  # our choice: the paper says "fixed elevation" and gives no number
+
+
+def world_from_light(azimuth):
+    """Rotation (3, 3) that takes light-frame vectors to the world, for a camera at `azimuth`."""
+    s, c = np.sin(azimuth), np.cos(azimuth)
+    right, up, towards_viewer = (-s, c, 0.0), (0.0, 0.0, 1.0), (c, s, 0.0)
+    return np.stack([right, up, towards_viewer], axis=-1)
+
+
+def camera_from_light(elevation=ELEVATION):
+    """Rotation (3, 3) about x that takes light-frame vectors to the camera frame, for a camera at `elevation`.
+
+    The camera looks down by `elevation`: the light frame's (0, sin e, cos e) is the camera's +z.
+    """
+    s, c = np.sin(elevation), np.cos(elevation)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def camera_from_world(azimuth, elevation=ELEVATION):
+    """Rotation (3, 3) that takes world vectors to the camera frame."""
+    return camera_from_light(elevation) @ world_from_light(azimuth).T
+
+
+def pixel_grid(height, width):
+    """Picture-plane coordinates of pixel centres: x (height, width) rightwards, y upwards, both in [-1, 1] over the longer side."""
+    longer = max(height, width)
+    x = (2.0 * np.arange(width) + 1.0 - width) / longer
+    y = (height - 1.0 - 2.0 * np.arange(height)) / longer
+    return np.broadcast_to(x, (height, width)), np.broadcast_to(y[:, None], (height, width))
+
+
+def view_vectors(height, width, fov=None, focus=(0.0, 0.0)):
+    """Unit vectors from the surface to the camera, one a pixel, camera frame.
+
+    height, width  pixels
+    fov            radians across the longer side; None: orthographic, (0, 0, 1) everywhere
+    focus          (x, y) of the optical axis in the coordinates of `pixel_grid`
+    Returns        (height, width, 3)
+    """
+    v = np.zeros((height, width, 3))
+    v[..., 2] = 1.0
+    if fov is not None:
+        x, y = pixel_grid(height, width)
+        v[..., 0] = -(x - focus[0]) * np.tan(fov / 2)
+        v[..., 1] = -(y - focus[1]) * np.tan(fov / 2)
+        v /= np.linalg.norm(v, axis=-1, keepdims=True)
+    return v

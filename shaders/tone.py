@@ -1,0 +1,42 @@
+"""The display curve, and the paper's distance between pictures.
+
+radiance  linear Rec.709, any scale; exposure brings it to [0, 1]
+display   values in [0, 255] after clipping and the sRGB curve (IEC 61966-2-1)
+"""
+
+import numpy as np
+
+from shaders.arrays import namespace
+from shaders.envmap import LUMINANCE
+
+
+def srgb(linear):
+    """The sRGB curve of values in [0, 1]; values outside are clipped."""
+    xp = namespace(linear)
+    x = xp.clip(linear, 0.0, 1.0)
+    safe = xp.clip(x, 0.0031308, 1.0)  # the power's slope is infinite at 0, where the straight part is used
+    return xp.where(x <= 0.0031308, 12.92 * x, 1.055 * safe ** (1 / 2.4) - 0.055)
+
+
+def display(radiance, exposure):
+    """Display values in [0, 255] of linear radiance times exposure."""
+    return 255.0 * srgb(radiance * exposure)
+
+
+def auto_exposure(radiance, mask, percentile=99.0):
+    """The factor that brings the mask's `percentile` of luminance to 1.
+
+    radiance (height, width, 3), mask (height, width) bool. Returns 1.0 for an empty mask or a black picture.
+    """
+    luminance = np.asarray(radiance, dtype=np.float64)[np.asarray(mask, dtype=bool)] @ LUMINANCE
+    level = np.percentile(luminance, percentile) if luminance.size else 0.0
+    return float(1.0 / level) if level > 0 else 1.0
+
+
+def display_l2(a, b, exposure, mask=None):
+    """The paper's L2: mean over pixels of the mean over channels of the squared difference of display values.
+
+    a, b  (height, width, 3) linear radiance; mask (height, width) bool, None: the full frame
+    """
+    squared = ((display(a, exposure) - display(b, exposure)) ** 2).mean(-1)
+    return squared.mean() if mask is None else squared[mask].mean()
