@@ -1,0 +1,1 @@
+"""Shapes: procedural families, primitives and mesh files, all through one door; numpy, scipy and trimesh only."""

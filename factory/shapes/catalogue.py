@@ -1,0 +1,61 @@
+"""Every shape by its spec, in text: "chair:17" a family and a seed, "sphere" a primitive, "file:PATH" or a plain path a mesh file."""
+
+from importlib import import_module
+
+from manifests.problems import Problem, closest
+
+FAMILIES = ("car", "chair", "sofa", "monitor")
+PAPER_COUNTS = {"car": 130, "chair": 50, "sofa": 50, "monitor": 50}  # the paper's numbers of models
+PRIMITIVES = ("sphere", "cube", "torus", "disc", "blob")
+
+
+def load(spec, **options):
+    """The Mesh that a spec names.
+
+    spec     "chair:17" | "sphere" | "sphere:4" (level) | "blob:3" (seed) | "file:PATH" | PATH
+    options  for files only: up=, front=, crease_deg=, category=, name=, maximum_triangles= (see factory.shapes.door.open_mesh)
+    Raises   Problem: an unknown name, a seed that is no number, or anything wrong with the file
+    """
+    spec = str(spec)
+    family, colon, rest = spec.partition(":")
+    if family == "file" and colon:
+        return _file(rest, options)
+    if family in FAMILIES:
+        build = import_module(f"factory.shapes.{family}").build
+        return build(_number(spec, rest if colon else "0"))
+    if family in PRIMITIVES:
+        build = getattr(import_module("factory.shapes.primitives"), family)
+        if not colon:
+            return build()
+        if family in ("sphere", "blob"):
+            return build(_number(spec, rest, 8 if family == "sphere" else None))
+        raise Problem(spec, f"'{family}' alone", f"'{spec}'", "only sphere (level) and blob (seed) take a number")
+    if _looks_like_a_path(spec):
+        return _file(spec, options)
+    raise Problem(
+        spec, "a shape", "an unknown name", f"{closest(family, FAMILIES + PRIMITIVES)} (FAMILY:SEED, a primitive, or a mesh file)"
+    )
+
+
+def specs(family, count=None, first=0):
+    """The specs of `count` seeds of a family, the paper's count by default."""
+    if family not in FAMILIES:
+        raise Problem(family, "a family", f"'{family}'", closest(family, FAMILIES))
+    return [f"{family}:{seed}" for seed in range(first, first + (PAPER_COUNTS[family] if count is None else count))]
+
+
+def _file(path, options):
+    from factory.shapes.door import open_mesh
+
+    return open_mesh(path, **options)
+
+
+def _looks_like_a_path(spec):
+    return any(mark in spec for mark in "/\\.")
+
+
+def _number(spec, text, limit=None):
+    if not (text.isascii() and text.isdigit()) or (limit is not None and int(text) > limit):
+        span = "a whole number ≥ 0" if limit is None else f"a whole number from 0 to {limit}"
+        raise Problem(spec, f"{span} after the colon", f"'{text}'", f"write {spec.split(':')[0]}:3")
+    return int(text)
