@@ -40,6 +40,29 @@ def basis(theta_d):
     return xp.stack([b0, b1, inner(x), inner(x - 1), b4, b5], -1)
 
 
+def basis_slope(theta_d):
+    """Derivatives of `basis` by θ_d, per radian; at the clamped ends the slope from inside.
+
+    theta_d  (...), radians in [0, π/2]; values outside are held at the ends
+    Returns  (..., 6); they sum to 0
+    """
+    xp = namespace(theta_d)
+    x = xp.clip(theta_d * (2 * INTERVALS / np.pi), 0.0, float(INTERVALS))
+
+    def edge(x):
+        first = xp.where(x < 1, 2 * x - 2, 0 * x)
+        second = xp.where(x < 1, 2 - 3 * x, xp.where(x < 2, x - 2, 0 * x))
+        return first, second
+
+    def inner(x):
+        slope = xp.where(x < 1, x, xp.where(x < 2, 3 - 2 * x, x - 3))
+        return xp.where((x > 0) & (x < 3), slope, 0 * x)
+
+    b0, b1 = edge(x)
+    b5, b4 = edge(INTERVALS - x)
+    return xp.stack([b0, b1, inner(x), inner(x - 1), -b4, -b5], -1) * (2 * INTERVALS / np.pi)
+
+
 def greville():
     """Angles (6,) at which each control value has its say: the averages of neighbouring inner knots."""
     knots = np.concatenate([[0, 0, 0], np.arange(1, INTERVALS), [INTERVALS] * 3]) / INTERVALS * (np.pi / 2)

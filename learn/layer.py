@@ -1,0 +1,53 @@
+"""The paper's rendering layer: pictures from normals, materials and light, differentiable in each.
+
+n         (B, H, W, 3) normals, camera frame, unit length inside the mask; 0 in the background
+material  (B, 108), or (B, S, 108) with `segments`: κ and γ control values (shaders.dsbrdf), not their logarithms
+light     (B, Hl, Wl, 3) linear radiance, light frame (shaders.frames), any size
+view      (B, H, W, 3) towards the viewer, camera frame; None: orthographic, (0, 0, 1) for every pixel
+segments  (B, H, W) integers 1 … S, 0 in the background
+
+    I_k(p) = Σ_i f_k(w_i, w_o, m) L_k(i) max(0, n_p·w_i) Ω_i          supplement, Eq. 8, with exact solid angles Ω_i
+
+Gradients in n and view are tangential: a normal is scaled to unit length before use, and derivatives pass through that.
+Pixels whose normal does not face the viewer (n·v ≤ learn.methods.HORIZON) come out black, with zero gradient.
+"""
+
+import torch
+
+from learn import methods
+from learn.layer_inputs import checked, compact
+from shaders.frames import ELEVATION
+
+
+def render(n, material, light, view=None, segments=None, mask=None, method="auto", tolerance=1e-2, elevation=ELEVATION):
+    """Outgoing radiance (B, H, W, 3) towards the viewer; zeros outside the mask.
+
+    n, material, light, view, segments   as above; one dtype and device (half precisions are summed in float32)
+    mask       (B, H, W) bool; None: where n is not 0. What lies outside is never read
+    method     "auto", or a name of learn.methods.NAMES
+    tolerance  relative error that "auto" may spend; methods with a knob of their own set it by this too
+    elevation  radians from the light frame to the camera frame about x (shaders.frames.camera_from_light);
+               0 if your light map is given in the camera's own frame
+    Raises     ValueError that names the argument, the rule and what was found
+    Source     supplement, "Details of Rendering Layer"
+    """
+    inputs = checked(n, material, light, view, segments, mask, tolerance, elevation)
+    batch, index = compact(inputs)
+    name = methods.choose(batch, tolerance) if method == "auto" else method
+    radiance = methods.load(name).radiance(batch, tolerance)
+    picture = radiance.new_zeros(inputs.mask.numel(), 3).index_copy(0, index, radiance)
+    return picture.reshape(n.shape).to(n.dtype)
+
+
+class RenderLayer(torch.nn.Module):
+    """`render` as a module without parameters, for use inside a network."""
+
+    def __init__(self, method="auto", tolerance=1e-2, elevation=ELEVATION):
+        super().__init__()
+        self.method, self.tolerance, self.elevation = method, tolerance, elevation
+
+    def forward(self, n, material, light, view=None, segments=None, mask=None):
+        return render(n, material, light, view, segments, mask, self.method, self.tolerance, self.elevation)
+
+    def extra_repr(self):
+        return f"method={self.method!r}, tolerance={self.tolerance:g}, elevation={self.elevation:.4f}"

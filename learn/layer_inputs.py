@@ -1,0 +1,144 @@
+"""What the rendering layer accepts: checked at the border, then compacted to the pixels that are seen.
+
+Each rule raises a ValueError that names the argument, the rule and what was found. Letters as in learn/layer.py.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from learn.methods import HORIZON, Batch
+from shaders.dsbrdf import SHAPE, SIZE
+from shaders.frames import camera_from_light
+
+LENGTH_TOLERANCE = 1e-2  # of unit vectors: half-float files are within 1e-3; an unnormalised network output is far outside
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The layer's arguments in the dtype they are summed in: m (B, S, 108), mask (B, H, W) bool, segments (B, H, W) or None."""
+
+    n: torch.Tensor
+    m: torch.Tensor
+    light: torch.Tensor
+    view: torch.Tensor | None
+    segments: torch.Tensor | None
+    mask: torch.Tensor
+    elevation: float
+
+
+def refuse(argument, rule, found):
+    raise ValueError(f"{argument}: {rule} expected, found {found}")
+
+
+def require_shape(argument, tensor, rule, right):
+    if not right:
+        refuse(argument, rule, tuple(tensor.shape))
+
+
+def require_alike(tensors):
+    """One floating dtype and one device over all the arguments given."""
+    for argument, tensor in tensors.items():
+        if not isinstance(tensor, torch.Tensor):
+            refuse(argument, "a torch tensor", type(tensor).__name__)
+        if not tensor.is_floating_point():
+            refuse(argument, "a floating dtype", tensor.dtype)
+        for what in ("dtype", "device"):
+            first = getattr(tensors["n"], what)
+            if getattr(tensor, what) != first:
+                refuse(argument, f"the {what} of n, {first},", getattr(tensor, what))
+
+
+def require_values(argument, values, rule, right):
+    """`right` marks the values (any shape) that keep the rule; NaN keeps none. The message shows the worst one's value."""
+    if not bool(right.all()):
+        wrong = values.detach()[~right]
+        refuse(argument, rule, f"{wrong[0].item():g} ({wrong.numel()} of {values.numel()} values)")
+
+
+def checked(n, material, light, view, segments, mask, tolerance, elevation):
+    """The arguments of `render` as `Inputs`, or a ValueError."""
+    require_alike({"n": n, "material": material, "light": light} | ({} if view is None else {"view": view}))
+    require_shape("n", n, "shape (B, H, W, 3)", n.ndim == 4 and n.shape[3] == 3)
+    images, picture = n.shape[0], n.shape[:3]
+    layers = material.ndim - 1
+    rule = f"shape ({images}, {SIZE}), or ({images}, S, {SIZE}) with segments,"
+    require_shape("material", material, rule, layers in (1, 2) and material.shape[0] == images and material.shape[-1] == SIZE)
+    right = light.ndim == 4 and light.shape[0] == images and light.shape[3] == 3 and min(light.shape[1:3]) > 0
+    require_shape("light", light, f"shape ({images}, Hl, Wl, 3)", right)
+    if view is not None:
+        require_shape("view", view, f"the shape of n, {tuple(n.shape)},", view.shape == n.shape)
+    if mask is not None:
+        require_shape("mask", mask, f"shape {tuple(picture)}", mask.shape == picture)
+        if mask.dtype != torch.bool:
+            refuse("mask", "dtype torch.bool", mask.dtype)
+    if layers == 2 and material.shape[1] != 1 and segments is None:
+        refuse("segments", f"ids (B, H, W) for the {material.shape[1]} materials of each image", None)
+    if segments is not None:
+        check_segments(segments, picture, material.shape[1] if layers == 2 else 1)
+    for argument, value, right in (
+        ("tolerance", tolerance, lambda x: 0 < x < math.inf),
+        ("elevation", elevation, lambda x: abs(x) <= math.pi / 2),
+    ):
+        if not right(value):
+            refuse(argument, "a positive number" if argument == "tolerance" else "radians in [-π/2, π/2]", value)
+    mask = (n.detach() != 0).any(-1) if mask is None else mask
+    mask = mask if segments is None else mask & (segments > 0)
+    check_values(n.detach()[mask], material.detach(), light.detach(), None if view is None else view.detach()[mask])
+    dtype = torch.promote_types(n.dtype, torch.float32)
+    m = material.reshape(images, -1, SIZE).to(dtype)
+    return Inputs(n.to(dtype), m, light.to(dtype), None if view is None else view.to(dtype), segments, mask, elevation)
+
+
+def check_segments(segments, picture, materials):
+    require_shape("segments", segments, f"shape {tuple(picture)}", segments.shape == picture)
+    if segments.is_floating_point() or segments.dtype == torch.bool:
+        refuse("segments", "an integer dtype", segments.dtype)
+    if segments.numel():
+        low, high = segments.min().item(), segments.max().item()
+        if low < 0 or high > materials:
+            refuse("segments", f"ids 0 (background) … {materials} (the materials given)", f"{low} … {high}")
+
+
+def check_values(n, material, light, view):
+    """n, view: (P, 3) inside the mask."""
+    for argument, vectors in (("n", n), ("view", view)):
+        if vectors is not None:
+            length = vectors.float().norm(dim=-1)
+            require_values(
+                argument, length, f"unit vectors inside the mask (length 1 ± {LENGTH_TOLERANCE})", (length - 1).abs() <= LENGTH_TOLERANCE
+            )
+    require_values("light", light, "finite radiance ≥ 0", (light >= 0) & light.isfinite())
+    kappa, gamma = material.reshape(*material.shape[:-1], *SHAPE).unbind(-2)
+    require_values("material", kappa, "finite κ ≥ 0 (control values, not logarithms)", (kappa >= 0) & kappa.isfinite())
+    require_values("material", gamma, "finite γ > 0 (control values, not logarithms)", (gamma > 0) & gamma.isfinite())
+
+
+def compact(inputs):
+    """The pixels inside the mask that face the viewer, sorted by image and segment.
+
+    Returns  a learn.methods.Batch of P pixels; index (P,) of each among the B·H·W pixels
+    """
+    index = inputs.mask.reshape(-1).nonzero().squeeze(-1)
+    n, view = (None if x is None else torch.nn.functional.normalize(x.reshape(-1, 3)[index], dim=-1) for x in (inputs.n, inputs.view))
+    facing = (n[:, 2] if view is None else (n * view).sum(-1)) > HORIZON
+    pixels = inputs.mask[0].numel()
+    segments = inputs.m.shape[1]
+    group = index // pixels * segments
+    if inputs.segments is not None:
+        group = group + inputs.segments.reshape(-1)[index] - 1
+    order = facing.nonzero().squeeze(-1)
+    if segments > 1:
+        order = order[torch.argsort(group[order], stable=True)]
+    present, counts = torch.unique_consecutive(group[order], return_counts=True)
+    batch = Batch(
+        n=n[order],
+        view=None if view is None else view[order],
+        m=inputs.m.reshape(-1, *SHAPE)[present],
+        light=inputs.light,
+        counts=tuple(counts.tolist()),
+        light_of=tuple((present // segments).tolist()),
+        camera_from_light=torch.as_tensor(camera_from_light(inputs.elevation), dtype=n.dtype, device=n.device),
+    )
+    return batch, index[order]

@@ -1,0 +1,174 @@
+"""The paper's sum itself, every texel for every pixel: the reference that all other methods are measured against.
+
+    I_k(p) = Σ_t f_k(p, t) E_tk μ_pt        E = L Ω, μ = max(0, n·w)        supplement, Eq. 8
+    f_k    = Σ_s expm1(x_ks),   x = min(κ c^γ, MAX_EXPONENT),   c = h·n
+
+p pixel, t texel, k channel, s lobe, b spline control value. Arrays of one chunk are (p, t, k, s); what depends on the texel alone
+(h, θ_d, κ and γ, when the viewer is distant) has a leading 1 in place of p, so that both cameras run through the same lines.
+
+The backward pass is derived by hand and computes each chunk again instead of storing it, so that memory stays bounded. With g = ∂loss/∂I:
+
+    ∂E_tk = Σ_p g f μ              ∂μ_pt = Σ_k g E f             A = g E μ exp(x)
+    ∂κ = A c^γ                     ∂γ = A x ln c                 ∂ln c = Σ_ks A x γ,   ∂c/∂n = h
+    ∂h/∂v = (1 − h hᵀ)/|w + v|     ∂θ_d/∂v = −(|w + v| d + |w − v| h)/4,   d = (w − v)/|w − v|
+
+The factor h of ∂c/∂n is missing in print, and ln c is needed only where c > 0 (tests/test_misprints.py).
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch.autograd.function import once_differentiable
+
+from learn.methods import Batch, Card, by_group
+from shaders.dsbrdf import MAX_EXPONENT, half_angles
+from shaders.envmap import directions
+from shaders.spline import basis, basis_slope
+
+CARD = Card(
+    name="exact",
+    approximates="nothing: the paper's sum, texel by texel",
+    error=0.0,
+    cost="pixels × texels",
+    memory="below 64 MiB at any size: chunks of 32,768 pixel–texel pairs, computed again in the backward pass",
+)
+TEXELS, PAIRS = 2048, 32768  # of one chunk; the largest temporary is 9 × PAIRS numbers, 2.4 MB in float64
+
+
+def texels(light, camera_from_light):
+    """w (T, 3) unit, camera frame, and E (T, 3) = radiance × solid angle of each texel of light (Hl, Wl, 3)."""
+    w, solid_angle = directions(*light.shape[:2])
+    w = torch.as_tensor(w, dtype=light.dtype, device=light.device).reshape(-1, 3) @ camera_from_light.T
+    solid_angle = torch.as_tensor(solid_angle, dtype=light.dtype, device=light.device)
+    return w, (light * solid_angle[..., None]).reshape(-1, 3)
+
+
+def radiance(batch: Batch, tolerance):
+    def one_group(n, view, m, light):
+        w, E = texels(light, batch.camera_from_light)
+        return ExactSum.apply(n, view, m, E, w)
+
+    return by_group(batch, one_group)
+
+
+class Half(NamedTuple):
+    """What the half vector decides: h, s = w + v and d = w − v (p|1, t, 3), B (p|1, t, 6), θ_d (p|1, t), κ and γ (p|1, t, 3, 3)."""
+
+    h: torch.Tensor
+    s: torch.Tensor
+    d: torch.Tensor
+    theta_d: torch.Tensor
+    B: torch.Tensor
+    kappa: torch.Tensor
+    gamma: torch.Tensor
+
+
+def half(v, w, m):
+    """v (p, 1, 3) or (1, 1, 3), w (t, 3), m (3, 3, 2, 6)."""
+    h, theta_d = half_angles(w[None], v)
+    B = basis(theta_d)
+    curves = torch.einsum("ptb,ksjb->jptks", B, m)
+    return Half(h, w + v, w - v, theta_d, B, curves[0], curves[1])
+
+
+class Lobes(NamedTuple):
+    """f's parts: μ, c, ln c (p, t); power c^γ, exponent κ c^γ before its bound (p, t, 3, 3); f (p, t, 3)."""
+
+    mu: torch.Tensor
+    c: torch.Tensor
+    log_c: torch.Tensor
+    power: torch.Tensor
+    exponent: torch.Tensor
+    f: torch.Tensor
+
+
+def lobes(n, w, at):
+    """The BRDF of each pixel and texel; where the texel lies below the horizon, μ is 0 and c is set to 1.
+
+    n (p, 3), w (t, 3), at: Half
+    """
+    mu = (n @ w.T).clamp(min=0)
+    c = torch.where(mu > 0, (at.h * n[:, None]).sum(-1), 1.0)
+    # at a sharp lobe's peak 1 − c cancels: take it from |h − n|² there
+    gap = 0.5 * ((at.h - n[:, None]) ** 2).sum(-1)
+    near = torch.where((mu > 0) & (c > 0.5), gap, 0.0)
+    log_c = torch.where(c > 0.5, torch.log1p(-near), torch.log(c))
+    power = torch.exp2(at.gamma * (log_c / math.log(2))[..., None, None])  # torch.exp is slow where it underflows
+    exponent = at.kappa * power
+    f = torch.expm1(exponent.clamp(max=MAX_EXPONENT)).sum(-1)
+    return Lobes(mu, c, log_c, power, exponent, f)
+
+
+def chunks(pixels, total):
+    """Slices (of texels, of pixels) that cover all pairs, PAIRS at most at a time."""
+    step = max(1, PAIRS // min(TEXELS, max(total, 1)))
+    for t in range(0, total, TEXELS):
+        for p in range(0, pixels, step):
+            yield slice(t, t + TEXELS), slice(p, p + step)
+
+
+class ExactSum(torch.autograd.Function):
+    """n (P, 3), view (P, 3) or None, m (3, 3, 2, 6), E (T, 3), w (T, 3) constant → radiance (P, 3)."""
+
+    @staticmethod
+    def forward(ctx, n, view, m, E, w):
+        ctx.save_for_backward(n, view, m, E, w)
+        out = torch.zeros_like(n)
+        for t, p, at in walk(view, m, w, len(n)):
+            part = lobes(n[p], w[t], at)
+            out[p] += torch.einsum("ptk,pt,tk->pk", part.f, part.mu, E[t])
+        return out
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, g):
+        n, view, m, E, w = ctx.saved_tensors
+        grad_n, grad_m, grad_E = torch.zeros_like(n), torch.zeros_like(m), torch.zeros_like(E)
+        grad_view = None if view is None else torch.zeros_like(view)
+        for t, p, at in walk(view, m, w, len(n)):
+            part = lobes(n[p], w[t], at)
+            grad_E[t] += torch.einsum("pk,ptk,pt->tk", g[p], part.f, part.mu)
+            by_mu = torch.einsum("pk,tk,ptk->pt", g[p], E[t], part.f) * (part.mu > 0)
+            bounded = part.exponent < MAX_EXPONENT
+            A = (g[p][:, None] * E[t] * part.mu[..., None])[..., None] * torch.where(bounded, torch.exp(part.exponent), 0.0)
+            by_c = (A * part.exponent * at.gamma).sum((-1, -2)) / part.c
+            by_kappa = A * part.power
+            by_gamma = A * part.exponent * part.log_c[..., None, None]
+            grad_n[p] += by_mu @ w[t] + (by_c[..., None] * at.h).sum(1)
+            if view is not None:
+                by_theta = slopes(by_kappa, by_gamma, at, m)
+                grad_view[p] += view_gradient(by_c, by_theta, n[p], part.c, at)
+            curves = torch.stack([by_kappa.sum_to_size(at.kappa.shape), by_gamma.sum_to_size(at.gamma.shape)])
+            grad_m += torch.einsum("jptks,ptb->ksjb", curves, at.B)
+        return grad_n, grad_view, grad_m, grad_E, None
+
+
+def walk(view, m, w, pixels):
+    """Each chunk's texels, pixels and Half; a distant viewer's Half is computed once for all pixels."""
+    distant = w.new_tensor([[[0.0, 0.0, 1.0]]])
+    seen, at = None, None
+    for t, p in chunks(pixels, len(w)):
+        if view is not None:
+            at = half(view[p][:, None], w[t], m)
+        elif seen != t:
+            seen, at = t, half(distant, w[t], m)
+        yield t, p, at
+
+
+def slopes(by_kappa, by_gamma, at, m):
+    """∂loss/∂θ_d (p, t) through κ(θ_d) and γ(θ_d)."""
+    kappa_slope, gamma_slope = torch.einsum("ptb,ksjb->jptks", basis_slope(at.theta_d), m)
+    return (by_kappa * kappa_slope + by_gamma * gamma_slope).sum((-1, -2))
+
+
+def view_gradient(by_c, by_theta, n, c, at):
+    """∂loss/∂v (p, 3) of a chunk, through h and θ_d.
+
+    Where w = v the direction of d is undefined and θ_d has a corner: 0 is taken. Where w = −v nothing is lit.
+    """
+    length_s, length_d = at.s.norm(dim=-1), at.d.norm(dim=-1)
+    unit_d = at.d / length_d.clamp(min=1e-12)[..., None]
+    through_h = (n[:, None] - c[..., None] * at.h) * (by_c / length_s.clamp(min=1e-6))[..., None]
+    through_theta = (length_s[..., None] * unit_d + length_d[..., None] * at.h) * (-0.25 * by_theta)[..., None]
+    return (through_h + through_theta).sum(1)
