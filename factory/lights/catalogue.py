@@ -1,0 +1,63 @@
+"""Lights by name: the eight CC0 maps inside the Blender wheel, computed families, a user's library folder, or a path."""
+
+import hashlib
+import importlib.util
+from pathlib import Path
+
+from factory.lights import files, procedural
+from factory.lights.light import from_pixels
+from factory.lights.library import entry
+from manifests.problems import Problem, closest
+
+WHEEL_LICENCE = "CC0"
+WHEEL_SOURCE = "Greg Zaal, Poly Haven; shipped with Blender as"
+
+
+def load(name_or_path, library=None):
+    """The Light of a name (`city`, `softboxes-7`, one in the `library` folder) or of an .hdr or .exr file.
+
+    Raises  Problem for an unknown name (with the closest ones) or a file that holds no usable light
+    """
+    text = str(name_or_path)
+    if files.is_light_path(text):
+        return _from_file(Path(text), Path(text).stem, "unknown", text)
+    if library is not None and (found := library_maps(library).get(text)):
+        known = entry(library, text)
+        return _from_file(found, text, known.get("licence", "unknown"), known.get("source", found.name))
+    if (wheel := wheel_maps()) and text in wheel:
+        return _from_file(wheel[text], text, WHEEL_LICENCE, f"{WHEEL_SOURCE} {wheel[text].name}")
+    if parsed := procedural.parse(text):
+        digest = hashlib.sha256(f"{parsed[0]}-{parsed[1]} version {procedural.VERSION}".encode()).hexdigest()
+        return from_pixels(procedural.pixels(*parsed), text, digest, "Apache-2.0", f"computed by factory.lights.procedural, {text}")
+    remedy = closest(text, names(library)) + "; `python -m factory lights list` shows all"
+    raise Problem(f"light {text!r}", "a known name or an .hdr or .exr file", "neither", remedy)
+
+
+def names(library=None):
+    """Every name that `load` knows, in a stable order: the wheel's, the computed families', the library's."""
+    own = library_maps(library) if library is not None else {}
+    return [*wheel_maps(), *procedural.FAMILIES, *(n for n in own if n not in wheel_maps() and n not in procedural.FAMILIES)]
+
+
+def wheel_maps():
+    """{name: path} of the maps inside the bpy wheel, found without importing it; empty where it is not installed."""
+    spec = importlib.util.find_spec("bpy")
+    if spec is None or spec.origin is None:
+        return {}
+    return {path.stem: path for path in sorted(Path(spec.origin).parent.glob("*/datafiles/studiolights/world/*.exr"))}
+
+
+def library_maps(folder):
+    """{name: path} of the .hdr and .exr files in a folder, not below it."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise Problem(folder, "a folder of .hdr or .exr files", "nothing there" if not folder.exists() else "a file", "check the path")
+    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in files.SUFFIXES}
+
+
+def _from_file(path, name, licence, source):
+    pixels, digest = files.read(path)
+    try:
+        return from_pixels(pixels, name, digest, licence, source)
+    except Problem as problem:  # values are judged under the credit's name; the user knows the file by its path
+        raise Problem(path, problem.expected, problem.found, problem.remedy) from None

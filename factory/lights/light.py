@@ -1,0 +1,81 @@
+"""One light: an environment map in our convention, at its own size and at the layer's 64×128.
+
+pixels  (height, width, 3) linear Rec.709 radiance as a file stores them: row 0 at the zenith, the picture's centre column where
+        Blender and most programs look for world +x (u = ½ − atan2(y, x) / 2π, at rotation 0)
+L       the same in the light frame of a camera at azimuth 0 (shaders.envmap): u_file = u + ¼, so our column j is the file's
+        column j + width/4. A file whose width is no multiple of 4 is first averaged by solid angle to the next one that is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifests.problems import Problem
+from shaders import envmap
+
+LAYER_SIZE = (64, 128)  # the paper's map
+RIPPLE = 0.05  # negative radiance up to this share of the mean is lossy compression's ripple, set to 0; Blender's night map has 1.0 %
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light ready for both renderers.
+
+    L64      (64, 128, 3) float32, solid-angle mean luminance 1, light frame at azimuth 0: what the layer sees
+    L_full   (H, W, 3) float32, the same light at its own size, divided by the same scale; W is a multiple of 4
+    scale    the file's mean luminance: file = L × scale
+    hash     SHA-256 (hex) of the file's bytes, or of a computed light's name and version
+    licence, source  as credits need them
+    """
+
+    name: str
+    L64: np.ndarray
+    L_full: np.ndarray
+    scale: float
+    hash: str
+    licence: str
+    source: str
+
+
+def from_pixels(pixels, name, digest, licence, source):
+    """The Light of a map as a file stores it; (H, W, 3) any scale, checked here. Raises Problem."""
+    pixels = checked(pixels, source)
+    height, width = pixels.shape[:2]
+    if width % 4:
+        width += 4 - width % 4
+        pixels = envmap.resize(pixels, height, width)
+    full, scale = envmap.unit_mean(envmap.roll(pixels, -(width // 4)))
+    L64 = envmap.resize(full, *LAYER_SIZE).astype(np.float32)
+    return Light(name, L64, full, scale, digest, licence, source)
+
+
+def checked(pixels, where):
+    """The map as non-negative float32, or a Problem that says what is wrong with its values."""
+    pixels = np.asarray(pixels, dtype=np.float32)
+    broken = int((~np.isfinite(pixels)).any(-1).sum())
+    if broken:
+        raise Problem(where, "finite radiance", f"NaN or infinity in {broken} texels", "paint them out or export the map again")
+    mean = float(envmap.mean_radiance(pixels) @ envmap.LUMINANCE)
+    if not pixels.any():
+        raise Problem(where, "a map that holds some light", "black everywhere", "choose another map")
+    lowest = float(pixels.min())
+    if lowest < -RIPPLE * mean or mean <= 0:
+        found = f"{int((pixels < 0).any(-1).sum())} negative texels, the lowest {lowest:.3g} beside a mean of {mean:.3g}"
+        raise Problem(where, "radiance of 0 or more", found, "clamp the map at 0 and save it again")
+    if looks_like_eight_bits(pixels):
+        found = "at most 256 levels a channel and none above 1, as in an 8-bit picture"
+        raise Problem(where, "high-dynamic-range radiance", found, "use the original .hdr or .exr, not a picture converted from PNG or JPG")
+    return np.maximum(pixels, 0.0)
+
+
+def looks_like_eight_bits(pixels):
+    """True if a map has the levels of an 8-bit picture: 17 to 256 a channel (fewer: a drawn test map), none above 1."""
+    if pixels.size < 3 * 4096 or pixels.max() > 1.0:
+        return False
+    levels = [np.unique(pixels[..., k]).size for k in range(3)]
+    return max(levels) <= 256 and max(levels) > 16
+
+
+def to_file_columns(L):
+    """A light-frame map (H, W, 3) with the columns a file has: what an image viewer or Blender expects at rotation 0."""
+    return envmap.roll(L, L.shape[1] // 4)

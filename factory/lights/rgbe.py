@@ -1,0 +1,134 @@
+"""Radiance's .hdr pictures: four bytes a pixel, a shared exponent e: value = (mantissa + ½) · 2^(e − 136), 0 where e = 0.
+
+A scanline is flat, old-style (a pixel 1 1 1 n repeats the one before n times, successive ones shift n by 8 bits), or new-style
+(2 2 and the width in two bytes, then each of the four components by itself: a count above 128 repeats one byte count − 128
+times, another is followed by that many bytes).
+Source: Greg Ward, "Real Pixels", Graphics Gems II; the ½ as in Radiance's colr_color and in Blender.
+"""
+
+import re
+
+import numpy as np
+
+from manifests.problems import Problem
+
+MAX_HEADER = 64 * 1024  # bytes; real headers hold a few hundred
+REMEDY = "export the map again as Radiance .hdr or OpenEXR"
+
+
+def read(path, check_size):
+    """Pixels (H, W, 3) float32 of a Radiance file.
+
+    check_size(height, width, bytes_needed) raises Problem before memory is taken for a picture too large
+    Raises  Problem
+    """
+    data = path.read_bytes()
+    start, height, width, exposure = _header(data, path)
+    check_size(height, width, height * width * 12)
+    fewest = 4 + 8 * -(-width // 127) if 8 <= width < 32768 else 8
+    if len(data) - start < height * min(fewest, 4 * width):
+        raise _truncated(path, f"{len(data)} bytes for {width}×{height} pixels")
+    bytes_ = np.empty((height, width, 4), dtype=np.uint8)
+    for row in range(height):
+        start = _scanline(data, start, bytes_[row], path, row)
+    scale = np.ldexp(np.float32(1.0), bytes_[..., 3].astype(np.int32) - 136)
+    scale[bytes_[..., 3] == 0] = 0.0
+    return (bytes_[..., :3] + np.float32(0.5)) * scale[..., None] / np.float32(exposure)
+
+
+def _header(data, path):
+    """Where the pixels start, height, width, and the product of EXPOSURE lines, by which the pixels were multiplied."""
+    end = data.find(b"\n\n", 0, MAX_HEADER)
+    line_end = data.find(b"\n", end + 2, end + 2 + 100)
+    if end < 0 or line_end < 0:
+        raise _truncated(path, "no end of the header")
+    lines = data[:end].decode("latin-1").splitlines()
+    wrong = [line for line in lines if line.startswith("FORMAT=") and line.strip() != "FORMAT=32-bit_rle_rgbe"]
+    if wrong:
+        raise Problem(path, "FORMAT=32-bit_rle_rgbe", wrong[0].strip(), REMEDY)
+    size = re.fullmatch(rb"-Y (\d{1,9}) \+X (\d{1,9})\s*", data[end + 2 : line_end])
+    if not size or not int(size[1]) or not int(size[2]):
+        found = data[end + 2 : line_end].decode("latin-1").strip()
+        raise Problem(path, "the size as '-Y height +X width'", repr(found), REMEDY)
+    exposure = 1.0
+    for line in lines:
+        if line.startswith("EXPOSURE="):
+            exposure *= _positive(line.partition("=")[2], path)
+    return line_end + 1, int(size[1]), int(size[2]), exposure
+
+
+def _positive(text, path):
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 1e-30 < value < 1e30:
+        raise Problem(path, "EXPOSURE= with a positive number", repr(text.strip()), REMEDY)
+    return value
+
+
+def _truncated(path, found):
+    return Problem(path, "a whole Radiance picture", f"the file ends early ({found})", "download or export it again")
+
+
+def _scanline(data, start, row, path, number):
+    """Fills row (width, 4) from the bytes at `start`; returns where the next scanline starts."""
+    width = row.shape[0]
+    head = data[start : start + 4]
+    new = 8 <= width < 32768 and head[:2] == b"\x02\x02" and len(head) == 4 and head[2] < 128
+    if new and head[2] * 256 + head[3] != width:
+        raise Problem(path, f"scanline {number} of {width} pixels", f"one of {head[2] * 256 + head[3]}", REMEDY)
+    try:
+        return _new_style(data, start + 4, row) if new else _old_style(data, start, row)
+    except IndexError:
+        raise _truncated(path, f"within scanline {number} of {width} pixels") from None
+    except OverflowError:
+        raise Problem(path, f"scanline {number} of {width} pixels", "a run that is longer", REMEDY) from None
+
+
+def _new_style(data, start, row):
+    width = row.shape[0]
+    for component in range(4):
+        line = bytearray()
+        while len(line) < width:
+            count = data[start]
+            if count > 128:
+                line += data[start + 1 : start + 2] * (count - 128)
+                start += 2
+            else:
+                if count == 0:
+                    raise OverflowError
+                line += data[start + 1 : start + 1 + count]
+                start += 1 + count
+            if start > len(data):
+                raise IndexError
+        if len(line) > width:
+            raise OverflowError
+        row[:, component] = np.frombuffer(line, dtype=np.uint8)
+    return start
+
+
+def _old_style(data, start, row):
+    width = row.shape[0]
+    flat = data[start : start + 4 * width]
+    if len(flat) == 4 * width and b"\x01\x01\x01" not in flat:
+        row[:] = np.frombuffer(flat, dtype=np.uint8).reshape(width, 4)
+        return start + 4 * width
+    column, shift = 0, 0
+    while column < width:
+        pixel = data[start : start + 4]
+        if len(pixel) < 4:
+            raise IndexError
+        start += 4
+        if pixel[:3] == b"\x01\x01\x01":
+            count = pixel[3] << shift
+            if column == 0 or column + count > width:
+                raise OverflowError
+            row[column : column + count] = row[column - 1]
+            column, shift = column + count, shift + 8
+            if shift > 24:
+                raise OverflowError
+        else:
+            row[column] = np.frombuffer(pixel, dtype=np.uint8)
+            column, shift = column + 1, 0
+    return start
