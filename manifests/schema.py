@@ -1,18 +1,29 @@
 """The contract on disk as types: what a job asks for, what a record says, what a dataset is.
 
-Written and read by msgspec: unknown keys and wrong types are refused with the key's path, and the JSON Schema comes from these types.
-Angles are degrees here, as in every file, and the key says so. Paths are relative to the dataset's folder and stay inside it.
+Written and read by msgspec (manifests.reading): unknown keys and wrong types are refused with the key's path, and the JSON Schema in
+manifests/json-schema comes from these types. Angles are degrees here, as in every file, and the key says so. Paths are relative to the
+dataset's folder and stay inside it.
 """
 
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 VERSION = 1
 
 Tier = Literal["direct", "shadow", "full"]
 LightResolution = Literal["64x128", "full"]
-Split = Literal["train", "test"]
+Side = Literal["train", "test"]
+Split = Literal["train", "test", "mixed"]  # mixed: shape and materials stand on different sides; neither for training nor for testing
+Counts = Literal["hash", "paper", "multi-material"]
+Role = Literal["pretrain", "finetune", "train", "test"]
+
+Count = Annotated[int, Meta(ge=1, le=1_000_000)]
+Pixels = Annotated[int, Meta(ge=4, le=8192)]
+View = Annotated[int, Meta(ge=0, le=23)]
+Texels = Annotated[int, Meta(ge=0, le=127)]
+Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Name = Annotated[str, Meta(min_length=1, max_length=1000)]
 
 
 class Camera(Struct, frozen=True, forbid_unknown_fields=True):
@@ -21,10 +32,50 @@ class Camera(Struct, frozen=True, forbid_unknown_fields=True):
     The object lies in the unit sphere; the frame's longer side spans 2 × half_extent at the object's centre.
     """
 
-    size: tuple[int, int] = (256, 256)
-    fov_deg: float | None = None
-    elevation_deg: float = 20.0
-    half_extent: float = 1.02
+    size: tuple[Pixels, Pixels] = (256, 256)
+    fov_deg: Annotated[float, Meta(ge=1, le=120)] | None = None
+    elevation_deg: Annotated[float, Meta(ge=-89, le=89)] = 20.0
+    half_extent: Annotated[float, Meta(gt=0, le=100)] = 1.02
+
+
+class Draw(Struct, frozen=True, forbid_unknown_fields=True):
+    """`{"random": 5}`: that many different ones, drawn anew for each shape, material and light."""
+
+    random: Count
+
+
+class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What to render, as a person writes it. Every shape meets every material under every light, in every view.
+
+    shapes             "chair:17" a family and its number, "chair:0-39" a range, "sphere", "meshes/stool.obj" or a folder of mesh files
+                       (relative to the job's file, or to --assets)
+    materials          names, or sets of them: "merl", "merl/train", "merl/test", "merl/paper-train"
+    lights             names of bundled maps, or .hdr and .exr files; one named twice is drawn twice, with rotations of its own
+    views              numbers 0–23 (azimuth 15° each; manifests/viewpoints.json), or {"random": 5}
+    rotations          texels 0–127 the light is turned by, as the camera sees it, or {"random": 1}
+    repeats            pictures of each shot that differ in nothing but the seed: two show the noise
+    segment_materials  None: one material over the whole shape; a number: so many draws of a material for each segment, a shape and light
+    split, roles       which rule says what is for training and what for testing (manifests/splits.json), and which roles to keep
+    mixed              keep shots whose shape is for training and whose material is for testing, or the reverse
+    """
+
+    version: Literal[1] = 1
+    name: Name = "job"
+    shapes: Annotated[tuple[Name, ...], Meta(min_length=1)]
+    materials: Annotated[tuple[Name, ...], Meta(min_length=1)]
+    lights: Annotated[tuple[Name, ...], Meta(min_length=1)]
+    views: Annotated[tuple[View, ...], Meta(min_length=1)] | Draw = (0,)
+    rotations: Annotated[tuple[Texels, ...], Meta(min_length=1)] | Draw = (0,)
+    tiers: Annotated[tuple[Tier, ...], Meta(min_length=1)] = ("full",)
+    light_resolutions: Annotated[tuple[LightResolution, ...], Meta(min_length=1)] = ("64x128",)
+    samples: Annotated[int, Meta(ge=1, le=1_048_576)] = 64
+    repeats: Annotated[int, Meta(ge=1, le=1000)] = 1
+    camera: Camera = Camera()
+    seed: Seed = 0
+    segment_materials: Count | None = None
+    split: Counts = "hash"
+    roles: tuple[Role, ...] = ()
+    mixed: bool = True
 
 
 class Statistics(Struct, frozen=True, forbid_unknown_fields=True):
@@ -35,13 +86,14 @@ class Statistics(Struct, frozen=True, forbid_unknown_fields=True):
     max: float
 
 
-class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=False):
     """One picture and all that determines it.
 
     id               hash of all that determines the pixels
     materials        one name a segment, in the order of segment ids 1, 2, …; labels stand in the dataset's materials.json
     rotation_texels  the light as the camera sees it is the stored 64×128 map rolled by this many columns
     image            linear Rec.709 radiance under the unit-mean light, half EXR; geometry: normals (camera frame), depth, segments
+    split            train or test where shape and materials agree, else mixed
     """
 
     id: str
@@ -66,3 +118,70 @@ class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     split: Split
     statistics: Statistics
     seconds: float
+
+
+class ShapeEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A shape of a dataset: what it is, and on which side of the split its hash stands. parts: segment id − 1 → names in it."""
+
+    hash: str
+    category: str
+    side: Side
+    role: Role
+    segments: int
+    licence: str
+    report: str = ""
+
+
+class LightEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A light of a dataset: its stored 64×128 map (npz: `L` (64, 128, 3) float32 of unit mean luminance, `scale`)."""
+
+    hash: str
+    file: str
+    scale: float
+    licence: str
+    source: str = ""
+
+
+class MaterialEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A material of a dataset; its label stands in materials.json. hash: of label and closures together."""
+
+    hash: str
+    side: Side
+    licence: str
+    source: str = ""
+
+
+class Order(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A job that was begun in this folder, whole, and how many shots it means."""
+
+    job: Job
+    shots: int
+    begun: str
+
+
+class Dataset(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """dataset.json: what the folder is, what was asked for, with which settings and assets it was made.
+
+    settings  by render version: every Cycles setting that alters pixels, as it was in force
+    """
+
+    version: int = VERSION
+    orders: tuple[Order, ...] = ()
+    settings: dict[str, dict[str, Any]] = {}
+    versions: dict[str, str] = {}
+    shapes: dict[str, ShapeEntry] = {}
+    materials: dict[str, MaterialEntry] = {}
+    lights: dict[str, LightEntry] = {}
+
+
+class Failure(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A shot that did not come out, twice: why, and what it was."""
+
+    id: str
+    shape: str
+    materials: tuple[str, ...]
+    light: str
+    viewpoint: int
+    tier: Tier
+    reason: str
+    when: str

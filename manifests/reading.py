@@ -1,0 +1,121 @@
+"""JSON from outside into the types of manifests.schema, or one line that says what is wrong and where.
+
+path  the key's place as msgspec gives it, "$.camera.size[0]"; a user sees "camera.size[0]"
+"""
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from manifests.problems import Problem, closest
+
+MAXIMUM_BYTES = 64 << 20  # a job is a page of text, dataset.json some MiB; what is far larger is another file under this name
+
+
+def read(path, type_, maximum_bytes=MAXIMUM_BYTES):
+    """The file as a `type_`.
+
+    Raises  Problem: missing, too large, malformed, unknown key (with the closest one), wrong type
+    """
+    path = Path(path)
+    try:
+        size = path.stat().st_size
+    except FileNotFoundError:
+        near = closest(path.name, [p.name for p in path.parent.glob("*.json")]) if path.parent.is_dir() else "the folder is missing too"
+        raise Problem(path, "a JSON file", "nothing", near) from None
+    if path.is_dir():
+        raise Problem(path, "a JSON file", "a folder", "name the file")
+    if size > maximum_bytes:
+        raise Problem(path, f"at most {maximum_bytes >> 20} MiB", f"{size >> 20} MiB", "check that this is the right file")
+    return decode(path.read_bytes(), type_, path)
+
+
+def decode(data, type_, where):
+    """JSON bytes as a `type_`; `where` names their origin in a Problem."""
+    try:
+        return msgspec.json.decode(data, type=type_)
+    except msgspec.ValidationError as error:
+        reason = str(error)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        found = str(error).removeprefix("JSON is malformed: ") or "nesting beyond measure"
+        raise Problem(where, "JSON", found, "check commas, quotes and brackets there") from None
+    try:
+        problem = _explained(reason, data, type_, where)
+    except (msgspec.DecodeError, RecursionError):  # right so far as the types went, broken behind
+        problem = Problem(where, "JSON", reason.split(" - at ")[0], "check commas, quotes and brackets there")
+    raise problem
+
+
+def _explained(message, data, type_, where):
+    """The Problem behind msgspec's message."""
+    message, _, path = message.partition(" - at ")
+    path = path.strip("`")
+    place = f"{where}: {path.removeprefix('$').removeprefix('.')}" if path not in ("", "$") else str(where)
+    if unknown := re.search(r"unknown field `(.*)`", message):
+        known = sorted(_keys(type_, path))
+        return Problem(place, "a known key", f"'{unknown[1]}'", closest(unknown[1], known) if known else "leave it out")
+    if missing := re.search(r"missing required field `(.*)`", message):
+        return Problem(place, f"the key '{missing[1]}'", "none", "add it")
+    if choice := re.search(r"Invalid enum value (.*)", message):
+        names = [str(c) for c in _choices(type_, path)]
+        return Problem(place, f"one of {', '.join(names)}" if names else "a known value", choice[1], closest(choice[1].strip("'"), names))
+    expected = re.sub(r"^Expected |, got .*$|`", "", message)
+    return Problem(place, expected, _shown(_at(data, path)), "see manifests/json-schema for what may stand there")
+
+
+def _steps(path):
+    """Keys and indices of a path."""
+    return [key if key else int(index) if index.isdigit() else ... for key, index in re.findall(r"\.(\w+)|\[([^\]]*)\]", path)]
+
+
+def _at(data, path):
+    """The raw value at a path; itself where a step is not named."""
+    value = msgspec.json.decode(data)
+    for step in _steps(path):
+        if step is ...:
+            break
+        value = value[step]
+    return value
+
+
+def _shown(value):
+    text = msgspec.json.encode(value).decode()
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def _types(type_, path):
+    """The types that may stand at a path: unions are followed on every branch."""
+    found = _branches(type_)
+    for step in _steps(path):
+        inner = []
+        for branch in found:
+            if isinstance(step, str) and isinstance(branch, type) and issubclass(branch, msgspec.Struct):
+                inner += [f.type for f in msgspec.structs.fields(branch) if f.encode_name == step]
+            elif not isinstance(step, str):
+                inner += [a for a in get_args(branch) if a is not ...][-1:]
+        found = [b for t in inner for b in _branches(t)]
+    return found
+
+
+def _branches(type_):
+    """A union's members, Annotated taken off."""
+    if hasattr(type_, "__metadata__"):
+        return _branches(type_.__origin__)
+    if type(type_).__name__ in ("UnionType", "_UnionGenericAlias"):
+        return [b for t in get_args(type_) for b in _branches(t)]
+    return [type_]
+
+
+def _keys(type_, path):
+    return {
+        f.encode_name
+        for t in _types(type_, path)
+        if isinstance(t, type) and issubclass(t, msgspec.Struct)
+        for f in msgspec.structs.fields(t)
+    }
+
+
+def _choices(type_, path):
+    return [c for t in _types(type_, path) if type(t).__name__ == "_LiteralGenericAlias" for c in get_args(t)]

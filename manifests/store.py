@@ -1,0 +1,209 @@
+"""A dataset's folder: the only place that knows where things lie in it, and how they get there without half a file ever being seen.
+
+    dataset.json  materials.json   what was asked for, with which assets; the labels of the materials used
+    images/ab/ID.exr  geometry/ab/ID.exr  lights/NAME-HASH.npz
+    records/worker-NN.jsonl        one line a picture, appended after its files are in place; one writer a file
+    failures.jsonl                 what did not come out, and why (failures-SHARD.jsonl in job arrays)
+    partial/                       files being written; whatever lies there after a run is rubbish
+    .lock*                         held by a run while it writes
+
+A kill at any moment loses at most the shot in flight: a file is written under partial/ and renamed, a torn last line is passed over by
+readers and cut off by the next writer.
+"""
+
+import errno
+import hashlib
+import os
+import re
+from pathlib import Path, PurePosixPath
+
+import msgspec
+
+from manifests.problems import Problem
+from manifests.reading import decode, read
+from manifests.schema import VERSION, Dataset, Failure, Record
+
+NAME = re.compile(r"[^A-Za-z0-9._-]+")
+
+
+class _Id(msgspec.Struct, gc=False):
+    id: str
+
+
+class _Version(msgspec.Struct):
+    version: int
+
+
+def image_path(id_):
+    """Where a record's picture lies, relative to the folder: sharded by the id's first two digits."""
+    return f"images/{id_[:2]}/{id_}.exr"
+
+
+def geometry_path(id_):
+    """Where a shape's normals, depth and segments from one view lie."""
+    return f"geometry/{id_[:2]}/{id_}.exr"
+
+
+def light_path(name, hash_):
+    """Where a light's stored 64×128 map lies."""
+    return f"lights/{NAME.sub('-', name).strip('-.')[:60] or 'light'}-{hash_[:12]}.npz"
+
+
+def file_hash(path):
+    """sha256 (hex) of a file's bytes."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def inside(folder, relative):
+    """The path of a file that a manifest names.
+
+    Raises  Problem if it is absolute, climbs out by "..", or leads out of the folder through a link
+    """
+    pure = PurePosixPath(relative)
+    target = Path(folder) / pure
+    escapes = pure.is_absolute() or ".." in pure.parts or "\\" in relative or "\0" in relative or not pure.parts
+    if escapes or not target.resolve().is_relative_to(Path(folder).resolve()):
+        raise Problem(f"{folder}: '{relative}'", "a path inside the dataset's folder", "one that leaves it", "do not trust this manifest")
+    return target
+
+
+class Store:
+    """A dataset on disk. Reading needs nothing but the folder; writing goes through a Writer, one a worker."""
+
+    def __init__(self, folder):
+        self.folder = Path(folder)
+
+    def dataset(self):
+        """dataset.json as a Dataset. Raises Problem if it is missing, damaged or of another schema version."""
+        path = self.folder / "dataset.json"
+        if not path.exists():
+            raise Problem(self.folder, "a dataset (dataset.json)", "none", "make one with: python -m factory render JOB --out DIR")
+        version = read(path, _Version).version
+        if version != VERSION:
+            raise Problem(path, f"schema version {VERSION}", str(version), "read it with the program version that wrote it")
+        return read(path, Dataset)
+
+    def materials(self):
+        """materials.json: for each material used, its entry of the catalogue, the label included."""
+        return read(self.folder / "materials.json", dict)
+
+    def record_files(self):
+        """The record files, one a worker, in order of name."""
+        return sorted((self.folder / "records").glob("*.jsonl"))
+
+    def records(self, keep=None):
+        """Each Record, file after file; keep(record) filters. Raises Problem at a line that no writer can have left."""
+        decoder = msgspec.json.Decoder(Record)
+        for record in self._decoded(decoder, Record):
+            if keep is None or keep(record):
+                yield record
+
+    def ids(self):
+        """The set of ids of all records: what a run that continues leaves out. Reads nothing else of a line."""
+        return {line.id for line in self._decoded(msgspec.json.Decoder(_Id), _Id)}
+
+    def failures(self):
+        """Every Failure written down."""
+        for path in sorted(self.folder.glob("failures*.jsonl")):
+            with open(path, "rb") as lines:
+                for number, line in enumerate(lines, 1):
+                    if line.endswith(b"\n"):
+                        yield decode(line, Failure, f"{path}:{number}")
+
+    def _decoded(self, decoder, type_):
+        for path in self.record_files():
+            with open(path, "rb") as lines:
+                for number, line in enumerate(lines, 1):
+                    if not line.endswith(b"\n"):
+                        break  # torn by a kill: its shot counts as not made
+                    try:
+                        record = decoder.decode(line)
+                    except (msgspec.DecodeError, UnicodeDecodeError):
+                        record = decode(line, type_, f"{path}:{number}")  # raises, with the reason in one line
+                    yield record
+
+    def write_json(self, name, value, worker="main"):
+        """Write a small JSON file by way of partial/."""
+        text = msgspec.json.format(msgspec.json.encode(value, order="deterministic"), indent=1)
+        self.place(name, lambda path: path.write_bytes(text + b"\n"), worker)
+
+    def place(self, relative, write, worker, keep_first=False):
+        """Put a file in place whole, and return its sha256.
+
+        write       called with a temporary path of the same suffix
+        worker      who writes: temporary names of two workers never meet
+        keep_first  a file that is already there stays (two workers made the same geometry): its hash is returned
+        """
+        target = self.folder / relative
+        temporary = self.folder / "partial" / f"{worker}-{target.name}"
+        temporary.parent.mkdir(parents=True, exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            write(temporary)
+            digest = file_hash(temporary)
+            if keep_first and not _link(temporary, target):
+                return file_hash(target)
+            if not keep_first:
+                os.replace(temporary, target)
+            return digest
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    def sweep(self, prefix=""):
+        """Remove what killed runs left half-written; `prefix` of the workers' names confines it to one shard's."""
+        partial = self.folder / "partial"
+        for path in partial.glob(f"{prefix}*") if partial.is_dir() else ():
+            path.unlink(missing_ok=True)
+
+
+def _link(temporary, target):
+    """Give the file its final name unless that is taken; False if it is."""
+    try:
+        os.link(temporary, target)
+    except FileExistsError:
+        return False
+    except OSError:  # a file system without hard links
+        if target.exists():
+            return False
+        os.replace(temporary, target)
+    return True
+
+
+class Lines:
+    """An append-only file of JSON lines with one writer. Opening cuts off a torn last line; a line is written whole or not at all."""
+
+    def __init__(self, path):
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self.path = path
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        self._length = self._end_of_last_line()
+        os.ftruncate(self._descriptor, self._length)
+
+    def append(self, value):
+        """Write one value as a line. Raises OSError (full disk) with nothing of the line left behind."""
+        line = msgspec.json.encode(value) + b"\n"
+        try:
+            written = os.write(self._descriptor, line)
+            if written < len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+        except OSError as error:
+            os.ftruncate(self._descriptor, self._length)
+            raise OSError(error.errno, error.strerror, str(self.path)) from None
+        self._length += len(line)
+
+    def close(self):
+        """Give the file back."""
+        os.close(self._descriptor)
+
+    def _end_of_last_line(self):
+        """Where the last whole line ends."""
+        end = os.fstat(self._descriptor).st_size
+        while end:
+            start = max(0, end - 65536)
+            newline = os.pread(self._descriptor, end - start, start).rfind(b"\n")
+            if newline >= 0:
+                return start + newline + 1
+            end = start
+        return 0
