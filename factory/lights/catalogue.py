@@ -5,8 +5,8 @@ import importlib.util
 from pathlib import Path
 
 from factory.lights import files, procedural
-from factory.lights.light import from_pixels
 from factory.lights.library import entry
+from factory.lights.light import from_pixels
 from manifests.problems import Problem, closest
 
 WHEEL_LICENCE = "CC0"

@@ -35,7 +35,7 @@ def one_texel(rng, height, width):
 
 
 def sun_and_sky(rng, height, width):
-    """A clear sky, brighter at the horizon and around the sun, over a dull ground; the sun's disc carries a fifth to two thirds of the light."""
+    """A clear sky, over a dull ground; the sun's disc carries a fifth to two thirds of the light."""
     w, _ = envmap.directions(height, width)
     elevation, azimuth = np.radians(rng.uniform(10, 70)), rng.uniform(0, 2 * np.pi)
     sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(elevation), np.sin(azimuth) * np.cos(elevation)])

@@ -1,9 +1,10 @@
-"""Radiance's .hdr pictures: four bytes a pixel, a shared exponent e: value = (mantissa + ½) · 2^(e − 136), 0 where e = 0.
+"""Radiance's .hdr pictures: four bytes a pixel, a shared exponent e: value = mantissa · 2^(e − 136), 0 where e = 0.
 
 A scanline is flat, old-style (a pixel 1 1 1 n repeats the one before n times, successive ones shift n by 8 bits), or new-style
 (2 2 and the width in two bytes, then each of the four components by itself: a count above 128 repeats one byte count − 128
 times, another is followed by that many bytes).
-Source: Greg Ward, "Real Pixels", Graphics Gems II; the ½ as in Radiance's colr_color and in Blender.
+Source: Greg Ward, "Real Pixels", Graphics Gems II. Radiance itself adds ½ to the mantissa; Blender, whose picture this must be, does not
+(a test asks it).
 """
 
 import re
@@ -25,15 +26,14 @@ def read(path, check_size):
     data = path.read_bytes()
     start, height, width, exposure = _header(data, path)
     check_size(height, width, height * width * 12)
-    fewest = 4 + 8 * -(-width // 127) if 8 <= width < 32768 else 8
-    if len(data) - start < height * min(fewest, 4 * width):
+    if len(data) - start < height * min(8, 4 * width):  # a pixel and its repeats: the shortest scanline there is
         raise _truncated(path, f"{len(data)} bytes for {width}×{height} pixels")
     bytes_ = np.empty((height, width, 4), dtype=np.uint8)
     for row in range(height):
         start = _scanline(data, start, bytes_[row], path, row)
     scale = np.ldexp(np.float32(1.0), bytes_[..., 3].astype(np.int32) - 136)
     scale[bytes_[..., 3] == 0] = 0.0
-    return (bytes_[..., :3] + np.float32(0.5)) * scale[..., None] / np.float32(exposure)
+    return bytes_[..., :3] * scale[..., None] / np.float32(exposure)
 
 
 def _header(data, path):

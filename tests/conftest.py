@@ -1,0 +1,43 @@
+"""What every test may ask for. Tests import from the working tree and run in any order."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(autouse=True)
+def strict_floating_point(request):
+    """In the maths tests every overflow, underflow to NaN and division by zero of numpy is an error.
+
+    Underflow itself stays allowed: exp(−800) = 0 is the right answer for a lobe's far tail.
+    """
+    if "shaders" in request.path.parts or request.path.name == "test_misprints.py":
+        with np.errstate(divide="raise", over="raise", invalid="raise", under="ignore"):
+            yield
+    else:
+        yield
+
+
+@pytest.fixture
+def rng():
+    """A generator of fixed seed, fresh for each test."""
+    return np.random.default_rng(20170801)
+
+
+@pytest.fixture(scope="session")
+def root():
+    """The repository's folder."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def shared_data():
+    """The folder of lent development data beside the repository; tests that need it skip without it."""
+    folder = Path(os.environ.get("BRDFACTORY_SHARED_DATA", ROOT.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"needs the development data in {folder.name}/ beside the repository (BRDFACTORY_SHARED_DATA)")
+    return folder
