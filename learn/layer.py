@@ -33,8 +33,13 @@ def render(n, material, light, view=None, segments=None, mask=None, method="auto
     """
     inputs = checked(n, material, light, view, segments, mask, tolerance, elevation)
     batch, index = compact(inputs)
-    name = methods.choose(batch, tolerance) if method == "auto" else method
-    radiance = methods.load(name).radiance(batch, tolerance)
+    if method != "auto":
+        methods.load(method)  # a misspelt name is refused even where nothing is to be rendered
+    if batch.counts:
+        name = methods.choose(batch, tolerance) if method == "auto" else method
+        radiance = methods.load(name).radiance(batch, tolerance)
+    else:  # nothing to render, yet every argument keeps its place in the graph and gets a zero gradient
+        radiance = batch.n + 0 * (batch.m.sum() + batch.light.sum() + (0 if view is None else batch.view.sum()))
     picture = radiance.new_zeros(inputs.mask.numel(), 3).index_copy(0, index, radiance)
     return picture.reshape(n.shape).to(n.dtype)
 

@@ -15,7 +15,7 @@ import torch
 
 from manifests.problems import closest
 
-NAMES = ("exact", "quadrature")  # modules of this folder; what they need is imported when they are first used
+NAMES = ("exact",)  # modules of this folder; what they need is imported when they are first used
 HORIZON = 1e-4  # pixels with n·v below it are not rendered: c = h·n then stays above half of it (facts: slope of c^γ at 0)
 
 
@@ -41,7 +41,7 @@ class Card:
 
 @dataclass(frozen=True)
 class Batch:
-    """Pixels to render, checked and compacted: what a method is given.
+    """Pixels to render, checked and compacted: what a method is given. There is at least one pixel, and no empty group.
 
     n                  (P, 3) unit normals, camera frame, n·v > HORIZON
     view               (P, 3) unit vectors to the viewer, camera frame, or None: (0, 0, 1) for every pixel
@@ -77,5 +77,4 @@ def by_group(batch, function):
     """Radiance (P, 3) by a function of one group: function(n (p, 3), view (p, 3) or None, m (3, 3, 2, 6), light (Hl, Wl, 3)) → (p, 3)."""
     n = batch.n.split(batch.counts)
     view = batch.view.split(batch.counts) if batch.view is not None else [None] * len(n)
-    parts = [function(n[g], view[g], batch.m[g], batch.light[batch.light_of[g]]) for g in range(len(n))]
-    return torch.cat(parts) if parts else batch.n.new_zeros(0, 3)
+    return torch.cat([function(n[g], view[g], batch.m[g], batch.light[batch.light_of[g]]) for g in range(len(n))])

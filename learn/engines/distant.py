@@ -1,0 +1,180 @@
+"""Kernels for a distant viewer: every pixel sees from (0, 0, 1), so h, θ_d and the 18 spline values belong to the light.
+
+P pixels, blocks of 16 lights (LANES); all arrays float32, flat, C order.
+n         (P, 3) unit normals, camera frame
+geometry  (blocks, 9, 16): w (3 rows), h (3 rows), and what rounding took off h (3 rows)
+energy    (blocks, 3, 16): radiance × solid angle, E_k
+lobes     (blocks, 3 lobes, 3 channels, 2, 16): γ, κ log2 e
+least     (blocks, 3 lobes): smallest γ, to bound a whole block
+cut       (blocks,): a lobe with log2 c^γ below it everywhere in a block is left out (learn.engines.lights)
+scratch   per call: room for TILE pixels' sums, (TILE, 3, 16)
+
+    I_k = Σ_i F_k max(0, n·w) E_k,   F_k = Σ_s expm1(κ c^γ),   c = n·h = 1 − ½‖h − n‖²
+
+‖h − n‖² instead of n·h keeps the precision of 1 − c at the peak of sharp lobes; h's second half matters there too (γ = 1e5).
+Sums run over blocks in order, so a pixel's bits depend on nothing but its own inputs.
+"""
+
+from numba import njit, types
+
+from learn.engines.exponentials import exp2, exp2m1, log2
+from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, select, splat, store
+
+TILE = 32  # pixels that share a block of lights in the first-level cache
+CHUNKS = 16  # of lights, in the backward pass: the most threads it can use
+LEAST_COSINE = 1e-12  # of h·n in lanes whose light is behind the horizon; seen ones have c > HORIZON / 2
+LN2 = 0.6931471805599453
+
+FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 8)
+BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 11)
+
+
+@njit(forceinline=True)
+def half_offset(geometry, o, nx, ny, nz):
+    """h − n (3 values)."""
+    x = (load(geometry, o + 48) - nx) + load(geometry, o + 96)
+    y = (load(geometry, o + 64) - ny) + load(geometry, o + 112)
+    z = (load(geometry, o + 80) - nz) + load(geometry, o + 128)
+    return x, y, z
+
+
+@njit(forceinline=True)
+def cosine(geometry, o, nx, ny, nz):
+    """n·w."""
+    return fma(load(geometry, o), nx, fma(load(geometry, o + 16), ny, load(geometry, o + 32) * nz))
+
+
+@njit(forceinline=True)
+def peak_cosine(x, y, z):
+    """c and log2 c from h − n."""
+    one_minus_c = fma(x, x, fma(y, y, z * z)) * 0.5
+    c = maximum(1.0 - one_minus_c, LEAST_COSINE)
+    return c, log2(c, one_minus_c)
+
+
+@njit(forceinline=True)
+def lobe(lobes, o, log_c):
+    """expm1(κ c^γ) of the lobe and channel at offset o."""
+    return exp2m1(load(lobes, o + 16) * exp2(load(lobes, o) * log_c))
+
+
+@njit(forceinline=True)
+def add_to(pointer, o, value):
+    store(pointer, o, load(pointer, o) + value)
+
+
+def forward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut, scratch, radiance):
+    """Radiance (P, 3) of pixel tiles first … last − 1."""
+    for tile in range(first, last):
+        start = tile * TILE
+        count = min(TILE, pixels - start)
+        for i in range(3 * count):
+            store(scratch, 16 * i, splat(0.0))
+        for block in range(blocks):
+            g, e = 144 * block, 48 * block
+            for j in range(count):
+                p = 3 * (start + j)
+                nx, ny, nz = n[p], n[p + 1], n[p + 2]
+                n_w = cosine(geometry, g, nx, ny, nz)
+                if not anywhere(n_w > 0.0):
+                    continue
+                x, y, z = half_offset(geometry, g, nx, ny, nz)
+                log_c = peak_cosine(x, y, z)[1]
+                nearest = lane_max(log_c)
+                f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+                seen = False
+                for s in range(3):
+                    if nearest * least[3 * block + s] > cut[block]:
+                        o = 288 * block + 96 * s
+                        seen = True
+                        f0 = f0 + lobe(lobes, o, log_c)
+                        f1 = f1 + lobe(lobes, o + 32, log_c)
+                        f2 = f2 + lobe(lobes, o + 64, log_c)
+                if seen:
+                    n_w = maximum(n_w, 0.0)
+                    a = 48 * j
+                    add_to(scratch, a, f0 * n_w * load(energy, e))
+                    add_to(scratch, a + 16, f1 * n_w * load(energy, e + 16))
+                    add_to(scratch, a + 32, f2 * n_w * load(energy, e + 32))
+        for i in range(3 * count):
+            radiance[3 * start + i] = lane_sum(load(scratch, 16 * i))
+
+
+@njit(forceinline=True)
+def lobe_backward(lobes, o, log_c, weight, lobe_sums, f, slope):
+    """Adds one lobe and channel: its two sums over pixels, f + expm1(κ c^γ), slope + x κ c^γ γ log2 e, where x = exp(κ c^γ)."""
+    gamma = load(lobes, o)
+    power = exp2(gamma * log_c)
+    exponent = load(lobes, o + 16) * power
+    value = exp2m1(exponent)
+    x = value + 1.0
+    q = weight * (x * power)
+    store(lobe_sums, o, load(lobe_sums, o) + q)
+    store(lobe_sums, o + 16, fma(q, log_c, load(lobe_sums, o + 16)))
+    return f + value, fma(x * exponent, gamma, slope)
+
+
+def backward(
+    first, last, pixels, blocks, n, geometry, energy, lobes, least, cut, scratch, g, n_part, energy_sums, lobe_sums
+):
+    """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew is computed again.
+
+    g            (P, 3) derivative by radiance
+    n_part       (CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to n
+    energy_sums  (blocks, 3, 16) out: Σ_p g F max(0, n·w), the derivative by energy
+    lobe_sums    (blocks, 3, 3, 2, 16) out: Σ_p g max(0, n·w) x c^γ, and the same times log2 c
+    A block belongs to one chunk, and chunks do not depend on the number of threads: no atomics, the same bits every time.
+    Off the sphere the derivative by n is free; c is taken as 1 − ½‖h − n‖² with its radial part left out, so that the small
+    tangential part of a sharp lobe does not drown in the radial one.
+    """
+    for chunk in range(first, last):
+        block_first, block_last = chunk * blocks // CHUNKS, (chunk + 1) * blocks // CHUNKS
+        for i in range(18 * block_first, 18 * block_last):
+            store(lobe_sums, 16 * i, splat(0.0))
+        for i in range(3 * block_first, 3 * block_last):
+            store(energy_sums, 16 * i, splat(0.0))
+        sums = 48 * TILE * chunk
+        for start in range(0, pixels, TILE):
+            count = min(TILE, pixels - start)
+            for i in range(3 * count):
+                store(scratch, sums + 16 * i, splat(0.0))
+            for block in range(block_first, block_last):
+                o, e = 144 * block, 48 * block
+                for j in range(count):
+                    p = 3 * (start + j)
+                    nx, ny, nz = n[p], n[p + 1], n[p + 2]
+                    n_w = cosine(geometry, o, nx, ny, nz)
+                    visible = n_w > 0.0
+                    if not anywhere(visible):
+                        continue
+                    x, y, z = half_offset(geometry, o, nx, ny, nz)
+                    c, log_c = peak_cosine(x, y, z)
+                    nearest = lane_max(log_c)
+                    n_w = maximum(n_w, 0.0)
+                    g0, g1, g2 = g[p], g[p + 1], g[p + 2]
+                    w0, w1, w2 = n_w * g0, n_w * g1, n_w * g2
+                    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+                    d0, d1, d2 = splat(0.0), splat(0.0), splat(0.0)
+                    seen = False
+                    for s in range(3):
+                        if nearest * least[3 * block + s] > cut[block]:
+                            t = 288 * block + 96 * s
+                            seen = True
+                            f0, d0 = lobe_backward(lobes, t, log_c, w0, lobe_sums, f0, d0)
+                            f1, d1 = lobe_backward(lobes, t + 32, log_c, w1, lobe_sums, f1, d1)
+                            f2, d2 = lobe_backward(lobes, t + 64, log_c, w2, lobe_sums, f2, d2)
+                    if not seen:
+                        continue
+                    add_to(energy_sums, e, f0 * w0)
+                    add_to(energy_sums, e + 16, f1 * w1)
+                    add_to(energy_sums, e + 32, f2 * w2)
+                    e0, e1, e2 = load(energy, e), load(energy, e + 16), load(energy, e + 32)
+                    by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
+                    by_w = select(visible, by_w, 0.0)
+                    by_c = fma(d0 * w0, e0, fma(d1 * w1, e1, d2 * w2 * e2)) * LN2 / c
+                    a = sums + 48 * j
+                    add_to(scratch, a, fma(by_w, load(geometry, o), by_c * x))
+                    add_to(scratch, a + 16, fma(by_w, load(geometry, o + 16), by_c * y))
+                    add_to(scratch, a + 32, fma(by_w, load(geometry, o + 32), by_c * z))
+            for i in range(3 * count):
+                n_part[3 * (chunk * pixels + start) + i] = lane_sum(load(scratch, sums + 16 * i))

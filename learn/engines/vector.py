@@ -1,0 +1,216 @@
+"""Sixteen floats at once: a numba value type that LLVM knows as <16 x float>, and the few operations the kernels need.
+
+LLVM splits the vector for the machine at hand: one register on AVX-512, two on AVX2, four on SSE or NEON. No instruction set is
+named. Each function below becomes a single LLVM instruction or intrinsic (`lane_sum` four additions).
+
+Wide    sixteen float32, "lanes"; numbers that meet a Wide in + − × ÷ or in a function are spread over the lanes
+Mask    sixteen truth values, from `a > b`
+
+FLAGS let LLVM fuse a×b+c and assume finite numbers. `reassoc` is left out on purpose: it would fold (x + M) − M in
+learn.engines.exponentials, and two_sum here.
+"""
+
+import operator
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+
+LANES = 16
+FLAGS = ("contract", "nsz", "nnan", "ninf", "arcp", "afn")
+FLOAT, INT = ir.FloatType(), ir.IntType(32)
+FLOATS, INTS = ir.VectorType(FLOAT, LANES), ir.VectorType(INT, LANES)
+BITS = ir.VectorType(ir.IntType(1), LANES)
+FLOAT_POINTER = types.CPointer(types.float32)
+
+
+class WideType(types.Type):
+    def __init__(self):
+        super().__init__(name="Wide")
+
+
+class MaskType(types.Type):
+    def __init__(self):
+        super().__init__(name="Mask")
+
+
+wide, mask = WideType(), MaskType()
+
+
+@register_model(WideType)
+class _WideModel(models.PrimitiveModel):
+    def __init__(self, data_model, kind):
+        super().__init__(data_model, kind, FLOATS)
+
+
+@register_model(MaskType)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, data_model, kind):
+        super().__init__(data_model, kind, BITS)
+
+
+# --- LLVM pieces ---------------------------------------------------------------------------------------------------------------
+
+
+def constant(value):
+    """A Wide constant (or, for an int, sixteen 32-bit integers)."""
+    return ir.Constant(INTS if isinstance(value, int) else FLOATS, [value] * LANES)
+
+
+def spread(context, builder, value, numba_type):
+    """A Wide as it is; a number in every lane."""
+    if numba_type == wide:
+        return value
+    number = context.cast(builder, value, numba_type, types.float32)
+    undefined = ir.Constant(FLOATS, ir.Undefined)
+    first = builder.insert_element(undefined, number, ir.Constant(INT, 0))
+    return builder.shuffle_vector(first, undefined, ir.Constant(INTS, [0] * LANES))
+
+
+def call(builder, name, result, *arguments):
+    """A call of an LLVM intrinsic, declared on first use."""
+    function = builder.module.globals.get(name)
+    if function is None:
+        function = ir.Function(builder.module, ir.FunctionType(result, [a.type for a in arguments]), name)
+    return builder.call(function, arguments, fastmath=FLAGS)
+
+
+def fused(builder, a, b, c):
+    """a × b + c."""
+    return call(builder, f"llvm.fmuladd.v{LANES}f32", FLOATS, a, b, c)
+
+
+def is_widenable(*numba_types):
+    return all(t == wide or isinstance(t, types.Number) for t in numba_types)
+
+
+# --- operators -----------------------------------------------------------------------------------------------------------------
+
+
+def _operator(function, result, build):
+    """Teach numba `function` (of the operator module) for Wide with Wide or a number: build(builder, x, y) → value."""
+
+    @type_callable(function)
+    def typing(context):
+        def typer(x, y):
+            if wide in (x, y) and is_widenable(x, y):
+                return result
+
+        return typer
+
+    def lower(context, builder, signature, arguments):
+        return build(builder, *(spread(context, builder, a, t) for a, t in zip(arguments, signature.args, strict=True)))
+
+    for pair in ((wide, wide), (wide, types.Number), (types.Number, wide)):
+        lower_builtin(function, *pair)(lower)
+
+
+_operator(operator.add, wide, lambda b, x, y: b.fadd(x, y, flags=FLAGS))
+_operator(operator.sub, wide, lambda b, x, y: b.fsub(x, y, flags=FLAGS))
+_operator(operator.mul, wide, lambda b, x, y: b.fmul(x, y, flags=FLAGS))
+_operator(operator.truediv, wide, lambda b, x, y: b.fdiv(x, y, flags=FLAGS))
+_operator(operator.gt, mask, lambda b, x, y: b.fcmp_ordered(">", x, y))
+
+
+# --- functions -----------------------------------------------------------------------------------------------------------------
+
+
+def _unary(build, result=wide):
+    """A numba function of one Wide (or number): build(builder, x) → value."""
+
+    @intrinsic
+    def function(typing, x):
+        def generate(context, builder, signature, arguments):
+            return build(builder, spread(context, builder, arguments[0], signature.args[0]))
+
+        return result(x), generate
+
+    return function
+
+
+def _binary(build):
+    @intrinsic
+    def function(typing, x, y):
+        def generate(context, builder, signature, arguments):
+            return build(builder, *(spread(context, builder, a, t) for a, t in zip(arguments, signature.args, strict=True)))
+
+        return wide(x, y), generate
+
+    return function
+
+
+def _sum(builder, x):
+    """Pairwise in a fixed order, so that every machine adds the same way."""
+    half = LANES // 2
+    while half:
+        undefined, lanes = ir.Constant(x.type, ir.Undefined), ir.VectorType(INT, half)
+        low = builder.shuffle_vector(x, undefined, ir.Constant(lanes, list(range(half))))
+        high = builder.shuffle_vector(x, undefined, ir.Constant(lanes, list(range(half, 2 * half))))
+        x, half = builder.fadd(low, high), half // 2
+    return builder.extract_element(x, ir.Constant(INT, 0))
+
+
+splat = _unary(lambda b, x: x)
+sqrt = _unary(lambda b, x: call(b, f"llvm.sqrt.v{LANES}f32", FLOATS, x))
+lane_sum = _unary(_sum, types.float32)
+lane_max = _unary(lambda b, x: call(b, f"llvm.vector.reduce.fmax.v{LANES}f32", FLOAT, x), types.float32)
+maximum = _binary(lambda b, x, y: call(b, f"llvm.maxnum.v{LANES}f32", FLOATS, x, y))
+minimum = _binary(lambda b, x, y: call(b, f"llvm.minnum.v{LANES}f32", FLOATS, x, y))
+
+
+@intrinsic
+def fma(typing, a, b, c):
+    """a × b + c, rounded once where the machine can."""
+
+    def generate(context, builder, signature, arguments):
+        return fused(builder, *(spread(context, builder, v, t) for v, t in zip(arguments, signature.args, strict=True)))
+
+    return wide(a, b, c), generate
+
+
+@intrinsic
+def select(typing, condition, yes, no):
+    """`yes` in the lanes where the Mask holds, `no` in the others."""
+
+    def generate(context, builder, signature, arguments):
+        yes, no = (spread(context, builder, arguments[i], signature.args[i]) for i in (1, 2))
+        return builder.select(arguments[0], yes, no)
+
+    return wide(condition, yes, no), generate
+
+
+@intrinsic
+def anywhere(typing, condition):
+    """Whether the Mask holds in any lane."""
+
+    def generate(context, builder, signature, arguments):
+        packed = builder.bitcast(arguments[0], ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", packed, ir.Constant(packed.type, 0))
+
+    return types.boolean(condition), generate
+
+
+def _address(context, builder, pointer, index, index_type):
+    offset = context.cast(builder, index, index_type, types.intp)
+    return builder.bitcast(builder.gep(pointer, [offset]), FLOATS.as_pointer())
+
+
+@intrinsic
+def load(typing, pointer, index):
+    """Sixteen consecutive floats from pointer[index] on."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.load(_address(context, builder, *arguments, signature.args[1]), align=4)
+
+    return wide(pointer, index), generate
+
+
+@intrinsic
+def store(typing, pointer, index, value):
+    """Write sixteen consecutive floats from pointer[index] on."""
+
+    def generate(context, builder, signature, arguments):
+        builder.store(arguments[2], _address(context, builder, *arguments[:2], signature.args[1]), align=4)
+        return context.get_dummy_value()
+
+    return types.void(pointer, index, value), generate
