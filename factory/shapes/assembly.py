@@ -5,8 +5,6 @@ import numpy as np
 from factory.shapes.mesh import finish
 from factory.shapes.surfaces import Surface
 
-LEFT_AND_RIGHT = (1.0, -1.0)
-
 
 class Assembly:
     """Surfaces added part by part; each face remembers its part's name and its segment (1, 2, …)."""

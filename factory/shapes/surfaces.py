@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+LEFT_RIGHT = (1.0, -1.0)  # signs of y
+
 
 class Surface(NamedTuple):
     """vertices (V, 3), faces (F, 3), counter-clockwise seen from outside."""
