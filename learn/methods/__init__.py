@@ -15,7 +15,7 @@ import torch
 
 from manifests.problems import closest
 
-NAMES = ("exact",)  # modules of this folder; what they need is imported when they are first used
+NAMES = ("exact", "quadrature")  # modules of this folder; what they need is imported when they are first used
 HORIZON = 1e-4  # pixels with n·v below it are not rendered: c = h·n then stays above half of it (facts: slope of c^γ at 0)
 
 
