@@ -1,0 +1,92 @@
+"""Pictures and geometry as OpenEXR files: whole or not there at all.
+
+picture   channels R, G, B; half; linear Rec.709 radiance, row 0 at the top
+geometry  normal.X, normal.Y, normal.Z (float, camera frame) and depth.Z (float): half would turn a normal by .03°, a tenth of chrome's
+          lobe; segment (uint32; 0: background, so the mask is segment > 0)
+"""
+
+import os
+
+import numpy as np
+import OpenEXR
+
+from factory.quiet import silenced
+from manifests.problems import Problem
+
+MAX_PIXELS = 1 << 26  # 8192²: a header may ask for more than there is memory
+LARGEST_HALF = 65504.0  # a sun seen in a mirror may exceed it; it is far above any exposure's white
+
+
+def write(path, channels):
+    """Writes channels, name → (height, width) array of float16, float32 or uint32, to a temporary name, then renames it to `path`."""
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    temporary = f"{path}.{os.getpid()}.part"  # the process's own: two workers never write one file's draft
+    try:
+        with OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}) as file:
+            file.write(temporary)
+        os.replace(temporary, path)
+    except BaseException:
+        if os.path.exists(temporary):
+            os.unlink(temporary)
+        raise
+
+
+def read(path):
+    """Channels of a file, name → (height, width) array of the file's own type.
+
+    Raises  Problem for a file that is missing, truncated, no EXR, or larger than MAX_PIXELS
+    """
+    if not os.path.isfile(path):
+        raise Problem(path, "an OpenEXR file", "none", "render or copy it again")
+    try:
+        with silenced(2):  # the library prints each error besides raising it
+            height, width = _size(path)
+            if not 1 <= height * width <= MAX_PIXELS:
+                raise Problem(path, f"a picture of 1 to {MAX_PIXELS} pixels", f"{width} × {height}", "check the file's header")
+            with OpenEXR.File(str(path), separate_channels=True) as file:
+                return {name: channel.pixels for name, channel in file.channels().items()}
+    except Problem:
+        raise
+    except Exception as error:  # OpenEXR raises bare RuntimeErrors and others, by version
+        raise Problem(path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again") from None
+
+
+def _size(path):
+    """Height and width by the file's header; (0, 0) if it is turned inside out."""
+    with OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
+        low, high = (np.asarray(corner, np.int64) for corner in file.header()["dataWindow"])
+    width, height = np.maximum(high - low + 1, 0).tolist()
+    return height, width
+
+
+def _stacked(path, channels, names):
+    missing = [name for name in names if name not in channels]
+    if missing:
+        raise Problem(path, f"channels {', '.join(names)}", f"only {', '.join(sorted(channels))}", "render or copy it again")
+    return np.stack([channels[name] for name in names], axis=-1)
+
+
+def write_picture(path, radiance):
+    """radiance (height, width, 3); stored as half, values above 65504 held there."""
+    half = np.clip(radiance, 0.0, LARGEST_HALF).astype(np.float16)
+    write(path, {name: half[..., k] for k, name in enumerate("RGB")})
+
+
+def read_picture(path):
+    """Radiance (height, width, 3) float32."""
+    return _stacked(path, read(path), ("R", "G", "B")).astype(np.float32)
+
+
+def write_geometry(path, geometry):
+    """geometry: anything with normals (height, width, 3), depth (height, width) and segments (height, width), as studio.Geometry has."""
+    channels = {f"normal.{axis}": geometry.normals[..., k].astype(np.float32) for k, axis in enumerate("XYZ")}
+    channels |= {"depth.Z": geometry.depth.astype(np.float32), "segment": geometry.segments.astype(np.uint32)}
+    write(path, channels)
+
+
+def read_geometry(path):
+    """normals (height, width, 3) float32, mask (height, width) bool, depth (height, width) float32, segments (height, width) uint8."""
+    channels = read(path)
+    normals = _stacked(path, channels, ("normal.X", "normal.Y", "normal.Z")).astype(np.float32)
+    depth, segments = (_stacked(path, channels, (name,))[..., 0] for name in ("depth.Z", "segment"))
+    return normals, segments > 0, depth.astype(np.float32), segments.astype(np.uint8)

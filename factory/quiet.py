@@ -1,0 +1,31 @@
+"""Prints of C libraries kept off the terminal: they pass sys.stdout and sys.stderr by, so the file descriptors themselves are turned away."""
+
+import contextlib
+import os
+import sys
+import threading
+
+
+_TURNING = {1: threading.Lock(), 2: threading.Lock()}  # two threads that turn the same descriptor would restore each other's nowhere
+
+
+@contextlib.contextmanager
+def silenced(*descriptors):
+    """Everything written to these file descriptors (1: stdout, 2: stderr) inside the block, from C or Python, is dropped."""
+    for descriptor in descriptors:
+        _TURNING[descriptor].acquire()
+    sys.stdout.flush()
+    kept = [os.dup(descriptor) for descriptor in descriptors]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for descriptor in descriptors:
+            os.dup2(nowhere, descriptor)
+        yield
+    finally:
+        sys.stdout.flush()
+        for descriptor, copy in zip(descriptors, kept, strict=True):
+            os.dup2(copy, descriptor)
+            os.close(copy)
+        os.close(nowhere)
+        for descriptor in descriptors:
+            _TURNING[descriptor].release()

@@ -1,0 +1,57 @@
+"""What is wrong with a shot, found by looking at its pixels: Cycles fails silently.
+
+Each function returns a list of lines, each saying what was expected and what was found; an empty list is a good shot.
+"""
+
+import numpy as np
+
+UNIT_TOLERANCE = 1e-3  # of |n|: ten times float16's rounding of a unit vector's parts
+
+
+def picture(radiance, coverage_expected=None, alpha=None):
+    """Finite, not negative, not Cycles' magenta for a missing texture, not all black, covering what the geometry covers.
+
+    radiance           (height, width, 3); alpha (height, width) or None
+    coverage_expected  share of the frame that the geometry's mask covers, or None
+    """
+    found = []
+    if not np.isfinite(radiance).all():
+        found.append(f"finite radiance expected, found {np.count_nonzero(~np.isfinite(radiance))} other values")
+    elif radiance.min() < 0:
+        found.append(f"radiance ≥ 0 expected, found {radiance.min():g}")
+    elif magenta(radiance):
+        found.append("the light's colours expected, found magenta: Cycles has no light map")
+    if alpha is not None and coverage_expected is not None:
+        coverage = float(alpha.mean())
+        # a silhouette pixel is in the mask or not, in the picture it is a share: half a pixel along a boundary of ≤ 8 frame widths
+        if abs(coverage - coverage_expected) > 4.0 / min(alpha.shape):
+            found.append(f"coverage {coverage_expected:.4f} expected as in the geometry, found {coverage:.4f}")
+    return found
+
+
+def magenta(radiance):
+    """True if what is lit is lit by magenta (1, 0, 1) alone: no green anywhere, red and blue equal."""
+    lit = radiance[radiance.max(-1) > 0]
+    return bool(len(lit)) and bool((lit[:, 1] == 0).all()) and bool(np.allclose(lit[:, 0].mean(), lit[:, 2].mean(), rtol=0.02))
+
+
+def geometry(shot, segments):
+    """Unit normals that face the viewer, segments 1 … segments, something in the frame.
+
+    shot      Geometry
+    segments  how many the shape has
+    """
+    found = []
+    if not shot.mask.any():
+        return ["the object in the frame expected, found an empty mask"]
+    if not np.isfinite(shot.normals).all() or not np.isfinite(shot.depth).all():
+        found.append("finite normals and depth expected, found others")
+    lengths = np.linalg.norm(shot.normals[shot.mask], axis=-1)
+    if np.abs(lengths - 1).max() > UNIT_TOLERANCE:
+        found.append(f"unit normals expected, found lengths {lengths.min():.4f}–{lengths.max():.4f}")
+    seen = np.unique(shot.segments[shot.mask])
+    if seen.min() < 1 or seen.max() > segments:
+        found.append(f"segments 1 to {segments} expected, found {seen.tolist()}")
+    if shot.segments[~shot.mask].any():
+        found.append("segment 0 outside the mask expected, found others")
+    return found

@@ -1,0 +1,41 @@
+"""Which processor Cycles renders on: the CPU, or a GPU of one of Cycles' back ends."""
+
+import bpy
+
+from manifests.problems import Problem
+
+BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")  # fastest first: the order in which `auto` tries them
+NAMES = ("auto", "cpu", *(name.lower() for name in BACKENDS))
+
+
+def choose(device):
+    """Makes Cycles ready for a device and says which it is.
+
+    device   one of NAMES; auto: the first back end that has a GPU, else the CPU
+    Returns  ("CPU" or "GPU", back end or "CPU", names of the processors)
+    Raises   Problem for a back end without a GPU
+    """
+    if device not in NAMES:
+        raise Problem("--device", f"one of {', '.join(NAMES)}", device, "name one of these")
+    wanted = BACKENDS if device == "auto" else () if device == "cpu" else (device.upper(),)
+    preferences = bpy.context.preferences.addons["cycles"].preferences
+    for backend in wanted:
+        gpus = _gpus(preferences, backend)
+        if gpus:
+            for processor in preferences.devices:
+                processor.use = processor.type == backend
+            return "GPU", backend, tuple(gpu.name for gpu in gpus)
+    if wanted and device != "auto":
+        raise Problem("--device", f"a GPU that Cycles can use through {device}", "none", "take --device cpu or auto, or check the driver")
+    preferences.compute_device_type = "NONE"
+    return "CPU", "CPU", ()
+
+
+def _gpus(preferences, backend):
+    """The GPUs of one back end; Blender refuses the name of a back end that it was built without."""
+    try:
+        preferences.compute_device_type = backend
+    except TypeError:
+        return []
+    preferences.refresh_devices()
+    return [processor for processor in preferences.devices if processor.type == backend]

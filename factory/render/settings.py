@@ -1,0 +1,135 @@
+"""Every Cycles setting that alters pixels: its value, the reason, and the one setter that may change it.
+
+Cycles accepts `scene.cycles.<typo> = x` in silence, and clamps what lies outside a property's range: `assign` refuses both.
+A setting is named by the path from its scene: `cycles.samples`, `render.film_transparent`, `world.cycles.sampling_method`.
+"""
+
+import difflib
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One property of a Blender scene, by path, and why it has that value."""
+
+    path: str
+    value: object
+    reason: str
+
+
+ALWAYS = (
+    Setting("render.engine", "CYCLES", "the renderer that the closed forms describe"),
+    Setting("render.resolution_percentage", 100, "sizes are in whole pixels"),
+    Setting("render.pixel_aspect_x", 1.0, "square pixels"),
+    Setting("render.pixel_aspect_y", 1.0, "square pixels"),
+    Setting("render.use_border", False, "whole frames"),
+    Setting("render.film_transparent", True, "the background is black and never part of the picture"),
+    Setting("render.use_persistent_data", True, "the next view, light or material of a shape needs no new scene"),
+    Setting("render.use_compositing", False, "nothing between the film and the file"),
+    Setting("render.use_sequencer", False, "nothing between the film and the file"),
+    Setting("render.use_motion_blur", False, "nothing moves"),
+    Setting("render.use_simplify", False, "shapes as they are"),
+    Setting("render.dither_intensity", 0.0, "the default 1 adds noise"),
+    Setting("view_settings.view_transform", "Raw", "the default AgX is no radiance; pixels are read before it, this is a second lock"),
+    Setting("view_settings.exposure", 0.0, "radiance as it is"),
+    Setting("view_settings.gamma", 1.0, "radiance as it is"),
+    Setting("cycles.shading_system", False, "SVM: the closed forms are its closures"),
+    Setting("cycles.feature_set", "SUPPORTED", "no experimental feature"),
+    Setting("cycles.use_animated_seed", False, "seeds come from the job"),
+    Setting("cycles.sample_offset", 0, "all samples of the sequence"),
+    Setting("cycles.use_sample_subset", False, "all samples of the sequence"),
+    Setting("cycles.time_limit", 0.0, "samples decide, never the clock"),
+    Setting("cycles.use_adaptive_sampling", False, "the default stops early where noise seems low: a bias"),
+    Setting("cycles.use_denoising", False, "the default paints over noise: a bias, and it needs 0.4 s"),
+    Setting("cycles.sampling_pattern", "TABULATED_SOBOL", "AUTOMATIC may dither seeds between pixels; noise must be independent"),
+    Setting("cycles.scrambling_distance", 1.0, "no correlation between pixels"),
+    Setting("cycles.auto_scrambling_distance", False, "no correlation between pixels"),
+    Setting("cycles.use_light_tree", False, "one light, the world: a tree over the mesh costs 5 ms a view and finds nothing"),
+    Setting("cycles.light_sampling_threshold", 0.0, "the default .01 drops dim light by chance: noise for nothing"),
+    Setting("cycles.direct_light_sampling_type", "MULTIPLE_IMPORTANCE_SAMPLING", "narrow lobes and small suns both"),
+    Setting("cycles.use_guiding", False, "learns while it renders: results depend on order"),
+    Setting("cycles.sample_clamp_direct", 0.0, "clamping removes energy"),
+    Setting("cycles.sample_clamp_indirect", 0.0, "the default 10 removes energy"),
+    Setting("cycles.blur_glossy", 0.0, "the default 1 widens lobes after the first bounce"),
+    Setting("cycles.caustics_reflective", True, "metal lights its neighbour: that is interreflection"),
+    Setting("cycles.caustics_refractive", False, "nothing transmits"),
+    Setting("cycles.use_fast_gi", False, "interreflection is traced"),
+    Setting("cycles.transmission_bounces", 0, "nothing transmits"),
+    Setting("cycles.volume_bounces", 0, "no volumes"),
+    Setting("cycles.transparent_max_bounces", 0, "nothing is transparent"),
+    Setting("cycles.min_light_bounces", 0, "Russian roulette from the first bounce: unbiased"),
+    Setting("cycles.film_exposure", 1.0, "radiance as it is"),
+    Setting("cycles.use_auto_tile", False, "one tile: no seams, no files on disk between"),
+    Setting("cycles.texture_limit_render", "OFF", "light maps as they are"),
+    Setting("cycles.debug_use_spatial_splits", False, "building costs more than it saves at these sizes"),
+)
+
+PICTURE = (
+    Setting("cycles.pixel_filter_type", "BOX", "a pixel is the mean over its own square, as a camera's is"),
+    Setting("cycles.filter_width", 1.0, "the default 1.5 reaches into neighbours"),
+)
+
+GEOMETRY = (
+    Setting("cycles.pixel_filter_type", "BOX", "with the least width: a ray through the pixel's centre"),
+    Setting("cycles.filter_width", 0.01, "wider would mix two surfaces' normals at a silhouette"),
+    Setting("cycles.samples", 1, "un-antialiased: more would average normals, depths and segments"),
+    Setting("cycles.seed", 0, "the ray goes through the pixel's centre, to .005 px, whatever the seed"),
+    Setting("cycles.max_bounces", 0, "surfaces glow with their segment's number: no light is followed"),
+)
+
+# Light transport: what each tier follows. `visible_*` belong to the object (factory.render.studio): without them light passes through it.
+TIERS = {
+    "direct": {"unoccluded": True, "bounces": 0, "reason": "what the layer computes: neither shadow nor interreflection"},
+    "shadow": {"unoccluded": False, "bounces": 0, "reason": "the object shades itself"},
+    "full": {"unoccluded": False, "bounces": 6, "reason": "and lights itself: the seventh bounce carries under 1 % at albedo .5"},
+}
+
+
+def _owner(root, path):
+    *owners, name = path.split(".")
+    for step in owners:
+        root = getattr(root, step)
+    return root, name
+
+
+def assign(root, path, value):
+    """Sets one property and reads it back.
+
+    root     a Blender object, mostly a scene
+    path     dotted, from root
+    Returns  the value as Blender holds it
+    Raises   AttributeError for a name that Blender does not know, ValueError for a value that it does not take
+    """
+    owner, name = _owner(root, path)
+    known = owner.bl_rna.properties
+    if name not in known:
+        near = difflib.get_close_matches(name, known.keys(), n=3)
+        raise AttributeError(
+            f"{type(owner).__name__}.{name}: a property of this Blender expected; did you mean {', '.join(near) or 'nothing near'}?"
+        )
+    try:
+        setattr(owner, name, value)
+    except TypeError as error:  # an enum item or a type that Blender does not have
+        raise ValueError(f"{path}: {value!r} is not accepted; {error}") from None
+    held = getattr(owner, name)
+    same = abs(held - value) <= 1e-6 * max(1.0, abs(value)) if isinstance(value, float) else held == value
+    if not same:
+        raise ValueError(f"{path}: {value!r} expected, Blender holds {held!r}; the value lies outside the property's range")
+    return held
+
+
+def apply(root, settings):
+    """Sets each Setting on a scene."""
+    for setting in settings:
+        assign(root, setting.path, setting.value)
+
+
+def effective(root, settings):
+    """path → {value, reason} as Blender holds them now, for dataset.json."""
+
+    def held(path):
+        owner, name = _owner(root, path)
+        value = getattr(owner, name)
+        return round(value, 6) if isinstance(value, float) else value
+
+    return {s.path: {"value": held(s.path), "reason": s.reason} for s in settings}
