@@ -39,7 +39,7 @@ def read(path):
     if not os.path.isfile(path):
         raise Problem(path, "an OpenEXR file", "none", "render or copy it again")
     try:
-        with silenced(2):  # the library prints each error besides raising it
+        with silenced(1, 2):  # the library prints each error besides raising it
             height, width = _size(path)
             if not 1 <= height * width <= MAX_PIXELS:
                 raise Problem(path, f"a picture of 1 to {MAX_PIXELS} pixels", f"{width} × {height}", "check the file's header")

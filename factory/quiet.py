@@ -1,10 +1,9 @@
-"""Prints of C libraries kept off the terminal: they pass sys.stdout and sys.stderr by, so the file descriptors themselves are turned away."""
+"""Prints of C libraries kept off the terminal: they pass sys.stdout by, so the file descriptors themselves are turned away."""
 
 import contextlib
 import os
 import sys
 import threading
-
 
 _TURNING = {1: threading.Lock(), 2: threading.Lock()}  # two threads that turn the same descriptor would restore each other's nowhere
 
