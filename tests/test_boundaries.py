@@ -1,0 +1,120 @@
+"""Which package may import what: factory → {manifests, shaders} ← learn, enforced by imports in fresh interpreters and by ruff."""
+
+import ast
+import importlib.util
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# package → what a machine that runs it need not have
+ABSENT = {
+    "factory": ("torch", "learn"),
+    "learn": ("bpy", "factory"),
+    "shaders": ("torch", "bpy", "factory", "learn", "manifests"),
+    "manifests": ("torch", "bpy", "factory", "learn"),
+}
+
+# Imports every module below a package with some names made absent; prints the first failure.
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+package, absent = sys.argv[1], set(sys.argv[2].split(","))
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in absent:
+            raise ModuleNotFoundError(f"{name} is absent", name=name)
+sys.meta_path.insert(0, Absent())
+root = importlib.import_module(package)
+for module in pkgutil.walk_packages(root.__path__, package + "."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+"""
+
+
+def import_all(package, absent):
+    """The error text of importing everything in a package without the absent ones; '' if all went well."""
+    done = subprocess.run([sys.executable, "-c", IMPORT_ALL, package, ",".join(absent)], capture_output=True, text=True, cwd=ROOT)
+    return "" if done.returncode == 0 else done.stderr.strip().splitlines()[-1]
+
+
+@pytest.mark.parametrize("package", ABSENT)
+def test_each_package_imports_without_what_it_must_not_need(package):
+    if package == "learn" and importlib.util.find_spec("torch") is None:
+        pytest.skip("learn needs torch, which is not installed")
+    assert import_all(package, ABSENT[package]) == ""
+
+
+def test_the_probe_sees_a_forbidden_import():
+    assert "numpy is absent" in import_all("shaders", ("numpy",))
+
+
+def test_importing_a_package_starts_neither_blender_nor_torch():
+    code = "import sys, factory, manifests, shaders, learn; sys.exit(bool({'bpy', 'torch'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+def test_the_factory_imported_is_ours_and_not_factory_boys(root):
+    """factory_boy on PyPI installs a package called `factory` too."""
+    spec = importlib.util.find_spec("factory")
+    assert spec.origin == str(root / "factory" / "__init__.py")
+    assert importlib.util.find_spec("factory.declarations") is None
+
+
+@pytest.mark.parametrize(("program", "light"), [("factory", ("numpy", "bpy", "trimesh")), ("learn", ("numpy", "torch"))])
+def test_help_loads_no_heavy_library(program, light):
+    code = (
+        f"import sys, runpy; sys.argv = ['{program}', '--help']\n"
+        f"try: runpy.run_module('{program}', run_name='__main__')\n"
+        f"except SystemExit as end: assert not end.code\n"
+        f"assert not set({light}) & set(sys.modules), set({light}) & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert "usage: python -m" in done.stdout
+
+
+def banned(root, package):
+    settings = tomllib.loads((root / package / "ruff.toml").read_text())
+    return set(settings["lint"]["flake8-tidy-imports"]["banned-api"])
+
+
+@pytest.mark.parametrize("package", ABSENT)
+def test_ruff_refuses_each_forbidden_import_in_its_folder(root, package):
+    pytest.importorskip("ruff", reason="ruff is not installed")
+    names = banned(root, package)
+    assert names >= set(ABSENT[package]) - {"manifests"}
+    for name in sorted(names):
+        command = [sys.executable, "-m", "ruff", "check", "--no-cache", "--output-format", "concise", "--select", "TID251"]
+        offending = f"import {name}\n\nprint({name})\n"
+        done = subprocess.run(
+            [*command, "--stdin-filename", f"{package}/new_module.py", "-"], input=offending, capture_output=True, text=True, cwd=root
+        )
+        assert done.returncode == 1 and f"`{name}` is banned" in done.stdout, (name, done.stdout, done.stderr)
+
+
+def imports(path):
+    """(line, top-level name) of every import statement in a file."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name.partition(".")[0]) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield node.lineno, node.module.partition(".")[0]
+
+
+@pytest.mark.parametrize("package", ABSENT)
+def test_no_module_names_a_forbidden_import_even_inside_a_function(root, package):
+    """A lazy import would pass the fresh interpreter above and fail a user later."""
+    forbidden = set(ABSENT[package])
+    found = [
+        f"{path}:{line}: {name}" for path in sorted((root / package).rglob("*.py")) for line, name in imports(path) if name in forbidden
+    ]
+    assert not found
+
+
+def test_only_the_rendering_modules_import_blender(root):
+    found = {path.relative_to(root).parts[:2] for path in (root / "factory").rglob("*.py") for _, name in imports(path) if name == "bpy"}
+    assert found <= {("factory", "render")}
