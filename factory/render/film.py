@@ -44,6 +44,7 @@ def expose(scene):
 
     Raises  RuntimeError if Cycles left nothing
     """
+    scene.update_tag()  # of a scene that is not the window's, persistent data misses new samples, seeds and bounces otherwise
     _passes.clear()
     with silenced(1):
         outcome = bpy.ops.render.render(scene=scene.name)
