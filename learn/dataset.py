@@ -1,0 +1,177 @@
+"""A dataset's records as tensors: what networks learn from and what the layer re-renders.
+
+H, W picture, S segments; letters as in learn/layer.py. Everything is float32 on the CPU.
+
+image     (H, W, 3) linear Rec.709 radiance, as Cycles rendered it
+n         (H, W, 3) unit normals, camera frame, 0 in the background
+segments  (H, W) int64, 1 … S, 0 in the background
+label     (S, 108) natural logarithms of κ and γ control values; material = exp(label) is what the layer takes
+light     (64, 128, 3) linear radiance of unit mean luminance, light frame of this view: the stored map rolled by rotation_texels
+view      (H, W, 3) unit vectors to the viewer, camera frame; None for an orthographic camera
+"""
+
+import zipfile
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import OpenEXR
+import torch
+
+from manifests.materials import Entry, material
+from manifests.problems import Problem
+from manifests.schema import Record
+from manifests.store import Store, inside
+from shaders.dsbrdf import SIZE
+from shaders.envmap import roll
+from shaders.frames import view_vectors
+
+MAX_PIXELS = 1 << 26  # 8192²: a header may ask for more than there is memory
+PICTURE, NORMAL, DEPTH, SEGMENT = ("R", "G", "B"), ("normal.X", "normal.Y", "normal.Z"), ("depth.Z",), ("segment",)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One record's tensors; see the module for shapes and frames. depth (H, W), 0 in the background."""
+
+    record: Record
+    image: torch.Tensor
+    n: torch.Tensor
+    depth: torch.Tensor
+    segments: torch.Tensor
+    label: torch.Tensor
+    light: torch.Tensor
+    view: torch.Tensor | None
+
+    @property
+    def mask(self):
+        """(H, W) bool: what the object covers."""
+        return self.segments > 0
+
+    @property
+    def material(self):
+        """(S, 108) κ and γ control values."""
+        return self.label.exp()
+
+    @property
+    def elevation(self):
+        """Of the camera, radians: the layer's argument of this name."""
+        return float(np.radians(self.record.camera.elevation_deg))
+
+    def for_layer(self):
+        """render's arguments, as a batch of one."""
+        return {
+            "n": self.n[None],
+            "material": self.material[None],
+            "light": self.light[None],
+            "view": None if self.view is None else self.view[None],
+            "segments": self.segments[None],
+            "elevation": self.elevation,
+        }
+
+
+class Records(torch.utils.data.Dataset):
+    """A dataset's folder as a sequence of samples, in order of record id: an index means the same picture on every machine."""
+
+    def __init__(self, folder, keep=None):
+        """keep: a function of a Record that says whether it is wanted; None: all.
+
+        Raises  Problem if the folder holds no dataset
+        """
+        self.store = Store(folder)
+        self.folder = Path(folder)
+        self.dataset = self.store.dataset()
+        self.materials = self.store.materials()
+        self.records = sorted(self.store.records(keep), key=lambda record: record.id)
+
+    def __len__(self):
+        return len(self.records)
+
+    def __getitem__(self, index):
+        return self.load(self.records[index])
+
+    def load(self, record):
+        """The Sample of a record. Raises Problem for a file that is missing, damaged or of another size."""
+        normals, depth, segments = self.geometry(record)
+        fov = None if record.camera.fov_deg is None else np.radians(record.camera.fov_deg)
+        view = None if fov is None else torch.from_numpy(view_vectors(*record.camera.size, fov=fov).astype(np.float32))
+        light = roll(self.light(record.light), record.rotation_texels)
+        label = np.stack([self.label(name) for name in record.materials])
+        tensors = (torch.from_numpy(np.ascontiguousarray(array)) for array in (self.image(record), normals, depth, segments, label, light))
+        return Sample(record, *tensors, view)
+
+    def image(self, record):
+        """Radiance (H, W, 3) float32 of a record."""
+        (radiance,) = self._channels(record, record.image, PICTURE)
+        return radiance
+
+    def geometry(self, record):
+        """normals (H, W, 3) float32, depth (H, W) float32, segments (H, W) int64 of a record."""
+        normals, depth, segments = self._channels(record, record.geometry, NORMAL, DEPTH, SEGMENT)
+        if segments.max(initial=0) > len(record.materials):
+            found = f"segment {int(segments.max())}"
+            raise Problem(inside(self.folder, record.geometry), f"at most {len(record.materials)} segments", found, "render it again")
+        return normals, depth[..., 0], segments[..., 0].astype(np.int64)
+
+    def _channels(self, record, relative, *groups):
+        path = inside(self.folder, relative)
+        channels = read_channels(path)
+        names = [name for group in groups for name in group]
+        missing = [name for name in names if name not in channels]
+        sizes = {channels[name].shape for name in names if name in channels}
+        if missing or sizes != {record.camera.size}:
+            found = f"no {', '.join(missing)}" if missing else f"{sizes}"
+            expected = f"channels {', '.join(names)} of {record.camera.size[0]} × {record.camera.size[1]} pixels"
+            raise Problem(path, expected, found, "render or copy it again")
+        return [np.stack([channels[name].astype(np.float32) for name in group], -1) for group in groups]
+
+    @cache  # noqa: B019 -- one dataset lives as long as its program
+    def material(self, name):
+        """The manifests.materials.Material of this dataset under that name: label, mixture, fit errors."""
+        where, entry = self.folder / "materials.json", self.materials.get(name)
+        if entry is None:
+            raise Problem(where, f"an entry for '{name}', which a record names,", "none", "copy the dataset again")
+        try:
+            return material(msgspec.convert(entry, Entry), where)
+        except msgspec.ValidationError as error:
+            raise Problem(where, f"an entry of the catalogue for '{name}'", str(error), "copy the dataset again") from None
+
+    def label(self, name):
+        """The label (108,) float32 of a material of this dataset: natural logarithms."""
+        return self.material(name).label.reshape(SIZE).astype(np.float32)
+
+    @cache  # noqa: B019 -- a map takes 100 KB
+    def light(self, name):
+        """The stored map (64, 128, 3) float32 of a light of this dataset, as the camera sees it at rotation 0."""
+        entry = self.dataset.lights.get(name)
+        if entry is None:
+            raise Problem(self.folder / "dataset.json", f"a light '{name}', which a record names,", "none", "copy the dataset again")
+        path = inside(self.folder, entry.file)
+        try:
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
+                L = arrays["L"]
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise Problem(path, "a stored light map", str(error) or "none", "render or copy the dataset again") from None
+        if L.shape != (64, 128, 3) or not (np.isfinite(L).all() and L.min() >= 0):
+            raise Problem(path, "finite radiance ≥ 0 of shape (64, 128, 3)", f"{L.shape}", "render or copy the dataset again")
+        return L.astype(np.float32)
+
+
+def read_channels(path):
+    """Channels of an EXR file, name → (height, width) array.
+
+    Raises  Problem for a file that is missing, truncated, no EXR, or larger than MAX_PIXELS
+    """
+    try:
+        with OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
+            low, high = (np.asarray(corner, np.int64) for corner in file.header()["dataWindow"])
+        if (high - low < 0).any() or np.prod(high - low + 1) > MAX_PIXELS:
+            raise Problem(path, f"a picture of at most {MAX_PIXELS} pixels", f"{high - low + 1}", "check the file's header")
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            return {name: channel.pixels for name, channel in file.channels().items()}
+    except Problem:
+        raise
+    except Exception as error:  # OpenEXR raises bare RuntimeErrors and others, by version
+        raise Problem(path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again") from None

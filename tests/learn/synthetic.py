@@ -1,0 +1,120 @@
+"""Small datasets whose pictures are computed here instead of in Cycles: a sphere, known materials, known light, known noise."""
+
+import io
+
+import msgspec
+import numpy as np
+import OpenEXR
+import torch
+
+from learn.layer import render
+from manifests import materials as catalogue
+from manifests.schema import Camera, Dataset, LightEntry, Record, Statistics
+from manifests.store import Lines, Store, geometry_path, image_path, light_path
+from shaders import envmap, frames
+from shaders.mixture import Mixture
+
+ALBEDO = 0.4
+
+
+def matte(name="matte", albedo=ALBEDO):
+    """A material whose label and mixture are the same Lambert surface: c^γ = 1 for γ → 0, f = expm1(κ) = albedo/π."""
+    m = np.full((3, 3, 2, 6), 1e-9)
+    m[:, 0, 0] = np.log1p(albedo / np.pi)
+    return entry(name, m, Mixture.lambert([albedo] * 3))
+
+
+def entry(name, m, mixture):
+    distance = catalogue.Distance(l1=(0.0,) * 6, display_l2=(0.0, 0.0, 0.0))
+    return catalogue.Entry(
+        name=name,
+        family="test",
+        source="computed",
+        licence="CC0",
+        split="train",
+        hash=name,
+        errors=catalogue.Errors(nodes_vs_label=distance, nodes_vs_source=distance, label_vs_source=distance),
+        label=tuple(np.log(m).reshape(-1).tolist()),
+        mixture=msgspec.convert(mixture.to_json(digits=12), catalogue.MixtureData),
+    )
+
+
+def sphere(camera):
+    """normals (H, W, 3) and mask (H, W) of the unit sphere seen from far away."""
+    x, y = (axis * camera.half_extent for axis in frames.pixel_grid(*camera.size))
+    inside = x * x + y * y < 1
+    z = np.sqrt(np.where(inside, 1 - x * x - y * y, 0))
+    return np.where(inside[..., None], np.stack([x, y, z], -1), 0).astype(np.float32), inside
+
+
+def write_exr(path, channels):
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {name: np.ascontiguousarray(array) for name, array in channels.items()}) as file:
+        file.write(str(path))
+
+
+def write_dataset(folder, materials, rng, size=24, seeds=2, noise=0.02, rotations=(0, 5), fov_deg=None, tiers=("direct",), method="exact"):
+    """A dataset in `folder`: every material under one random light at each rotation; pictures by the layer, times noise.
+
+    noise    relative standard deviation of a pixel's value
+    Returns  the folder's Store
+    """
+    store, camera = Store(folder), Camera(size=(size, size), fov_deg=fov_deg)
+    L, scale = envmap.unit_mean(np.exp(rng.standard_normal((64, 128, 3))))
+    buffer = io.BytesIO()
+    np.savez(buffer, L=L, scale=np.float64(scale))
+    store.place(light_path("sky", "a" * 64), lambda path: path.write_bytes(buffer.getvalue()), "test")
+    lights = {"sky": LightEntry(hash="a" * 64, file=light_path("sky", "a" * 64), scale=scale, licence="CC0")}
+    store.write_json("dataset.json", Dataset(lights=lights))
+    store.write_json("materials.json", {each.name: msgspec.to_builtins(each) for each in materials})
+    normals, mask = sphere(camera)
+    view = None if fov_deg is None else frames.view_vectors(size, size, np.radians(fov_deg)).astype(np.float32)
+    if view is not None:
+        mask = mask & ((normals * view).sum(-1) > 1e-3)
+        normals = np.where(mask[..., None], normals, 0)
+    geometry = {f"normal.{axis}": normals[..., k] for k, axis in enumerate("XYZ")}
+    geometry |= {"depth.Z": normals[..., 2], "segment": mask.astype(np.uint32)}
+    store.place(geometry_path("geometry"), lambda path: write_exr(path, geometry), "test")
+    lines = Lines(store.folder / "records" / "worker-00.jsonl")
+    for each in materials:
+        for turn in rotations:
+            arrays = (normals, np.exp(np.asarray(each.label)), envmap.roll(L, turn))
+            tensors = [torch.from_numpy(np.asarray(array, np.float32))[None] for array in arrays]
+            seen = None if view is None else torch.from_numpy(view)[None]
+            picture = render(*tensors, seen, method=method, tolerance=1e-3)[0].numpy()
+            for tier in tiers:
+                for seed in range(seeds):
+                    noisy = picture * (1 + noise * rng.standard_normal(picture.shape))
+                    lines.append(write_record(store, each.name, turn, tier, seed, noisy, mask, camera))
+    lines.close()
+    return store
+
+
+def write_record(store, material, turn, tier, seed, picture, mask, camera):
+    id_ = f"{material}-{turn:03d}-{tier}-{seed}"
+    channels = {name: picture[..., k].astype(np.float16) for k, name in enumerate("RGB")}
+    digest = store.place(image_path(id_), lambda path: write_exr(path, channels), "test")
+    return Record(
+        id=id_,
+        shape="sphere",
+        shape_hash="s" * 64,
+        category="primitive",
+        viewpoint=0,
+        azimuth_deg=0.0,
+        camera=camera,
+        materials=(material,),
+        light="sky",
+        light_hash="a" * 64,
+        rotation_texels=turn,
+        tier=tier,
+        light_resolution="64x128",
+        samples=1,
+        seed=seed,
+        image=image_path(id_),
+        image_hash=digest,
+        geometry=geometry_path("geometry"),
+        geometry_hash="g" * 64,
+        split="train",
+        statistics=Statistics(coverage=float(mask.mean()), mean=float(picture[mask].mean()), max=float(picture[mask].max())),
+        seconds=0.0,
+    )

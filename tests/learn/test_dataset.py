@@ -1,0 +1,77 @@
+"""Records become tensors in the layer's conventions, and damaged datasets are named in one line."""
+
+import numpy as np
+import pytest
+import synthetic
+import torch
+
+from learn.dataset import Records
+from learn.layer import render
+from manifests.problems import Problem
+
+
+@pytest.fixture
+def folder(tmp_path, rng):
+    synthetic.write_dataset(tmp_path, [synthetic.matte()], rng, noise=0.0)
+    return tmp_path
+
+
+def test_a_record_rendered_by_the_layer_is_its_own_picture(folder):
+    records = Records(folder)
+    assert len(records) == 4
+    for sample in records:
+        seen = render(**sample.for_layer(), method="exact")[0]
+        # the file holds halves: 2^-11 of each value
+        torch.testing.assert_close(sample.image, seen, rtol=6e-4, atol=0)
+
+
+def test_the_light_is_rolled_by_the_records_rotation(folder):
+    straight, turned = Records(folder, lambda r: r.rotation_texels == 0)[0], Records(folder, lambda r: r.rotation_texels == 5)[0]
+    torch.testing.assert_close(turned.light[:, 5], straight.light[:, 0], rtol=0, atol=0)
+
+
+def test_a_perspective_record_has_view_vectors(tmp_path, rng):
+    synthetic.write_dataset(tmp_path, [synthetic.matte()], rng, fov_deg=40.0, noise=0.0)
+    sample = Records(tmp_path)[0]
+    np.testing.assert_allclose(sample.view.norm(dim=-1), 1, atol=1e-6)
+    assert sample.view[12, 0, 0] > 0.1  # left of the axis the viewer lies to the right
+    torch.testing.assert_close(sample.image, render(**sample.for_layer(), method="exact")[0], rtol=6e-4, atol=0)
+
+
+def test_records_come_in_the_same_order_whatever_wrote_them(folder):
+    lines = folder / "records" / "worker-00.jsonl"
+    before = [record.id for record in Records(folder).records]
+    lines.write_text("".join(reversed(lines.read_text().splitlines(keepends=True))))
+    assert [record.id for record in Records(folder).records] == before
+
+
+def damage(folder, what):
+    if what == "truncated picture":
+        path = next(folder.glob("images/*/*.exr"))
+        path.write_bytes(path.read_bytes()[:300])
+    elif what == "missing geometry":
+        next(folder.glob("geometry/*/*.exr")).unlink()
+    elif what == "truncated light":
+        path = next(folder.glob("lights/*.npz"))
+        path.write_bytes(path.read_bytes()[:300])
+    elif what == "no materials":
+        (folder / "materials.json").write_text("{}")
+    elif what == "no dataset":
+        (folder / "dataset.json").unlink()
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ("truncated picture", "a whole OpenEXR file expected"),
+        ("missing geometry", "a whole OpenEXR file expected"),
+        ("truncated light", "a stored light map expected"),
+        ("no materials", "an entry for 'matte', which a record names, expected, found none"),
+        ("no dataset", r"a dataset \(dataset.json\) expected, found none"),
+    ],
+)
+def test_a_damaged_dataset_is_named_in_one_line(folder, what, message):
+    damage(folder, what)
+    with pytest.raises(Problem, match=message) as caught:
+        [Records(folder)[i] for i in range(4)]
+    assert "\n" not in str(caught.value)
