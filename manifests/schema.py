@@ -137,6 +137,7 @@ class LightEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     hash: str
     file: str
+    file_hash: str
     scale: float
     licence: str
     source: str = ""

@@ -1,0 +1,66 @@
+"""A job from a file, from a preset's name, or from the command line's --mesh, --material and --light."""
+
+from pathlib import Path
+
+from manifests.problems import Problem, closest
+from manifests.reading import read
+from manifests.schema import Camera, Draw, Job
+
+PRESETS = Path(__file__).resolve().parent.parent / "manifests" / "jobs"
+MAXIMUM_BYTES = 1 << 20
+
+
+def presets():
+    """{name: path} of the jobs that come with the program."""
+    return {path.stem: path for path in sorted(PRESETS.glob("*.json"))}
+
+
+def load(name_or_path):
+    """The Job of a file or of a preset, and the folder in which its relative paths start.
+
+    Raises  Problem: no such file or preset, or anything wrong in it
+    """
+    path = Path(name_or_path)
+    if not path.exists() and path.suffix != ".json" and len(path.parts) == 1:
+        known = presets()
+        if path.name not in known:
+            raise Problem(f"job '{path}'", "a file or a preset", "neither", closest(path.name, known))
+        path = known[path.name]
+    return read(path, Job, MAXIMUM_BYTES), path.parent
+
+
+def from_options(options):
+    """The Job that `render --mesh … --material … --light …` means; options as argparse leaves them."""
+    height, width = size(options.size)
+    return Job(
+        name="command line",
+        shapes=tuple(options.mesh),
+        materials=tuple(options.material),
+        lights=tuple(options.light),
+        views=numbers(options.views, "--views", 23),
+        rotations=numbers(options.rotations, "--rotations", 127),
+        tiers=tuple(options.tier or ["full"]),
+        light_resolutions=tuple(options.light_resolution or ["64x128"]),
+        samples=options.samples,
+        camera=Camera(size=(height, width), fov_deg=options.fov),
+        seed=options.seed,
+    )
+
+
+def numbers(text, option, most):
+    """ "0,6" as (0, 6); "random:5" as a Draw. Raises Problem for anything else."""
+    word, colon, count = text.partition(":")
+    if word == "random" and colon and count.isascii() and count.isdigit() and 1 <= int(count) <= most + 1:
+        return Draw(random=int(count))
+    parts = text.split(",")
+    if not all(p.isascii() and p.isdigit() and int(p) <= most for p in parts):
+        raise Problem(option, f"numbers from 0 to {most}", f"'{text}'", f"write {option} 0,6 or {option} random:5")
+    return tuple(int(p) for p in parts)
+
+
+def size(text):
+    """ "128" as (128, 128), "128x256" as height and width. Raises Problem."""
+    parts = text.lower().split("x")
+    if len(parts) > 2 or not all(p.isascii() and p.isdigit() and 4 <= int(p) <= 8192 for p in parts):
+        raise Problem("--size", "pixels from 4 to 8192", f"'{text}'", "write --size 128, or --size 128x256 for height and width")
+    return int(parts[0]), int(parts[-1])

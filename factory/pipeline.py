@@ -1,0 +1,187 @@
+"""One worker's work: shots in, records out. It holds a studio, and what the studio shows, so that nothing is set up twice.
+
+studio    factory.render.studio.Studio, or anything with its methods
+geometry  of a shape from a view is rendered once a dataset: it is read back if another worker, or an earlier run, made it
+light     stored map and rotation; a whole map is averaged to a width of which 128 is a divisor, as rotations are whole texels
+"""
+
+import time
+from collections import OrderedDict
+
+import msgspec
+import numpy as np
+
+from factory import exr
+from factory.plan import TEXELS, Shot
+from factory.render import checks
+from manifests.schema import Job, Record, Statistics
+from manifests.store import file_hash, geometry_path, image_path
+from manifests.viewpoints import azimuths_deg
+from shaders import envmap
+from shaders.envmap import LUMINANCE
+
+HELD = 48  # geometries whose masks stay in memory: two shapes' 24 views
+
+
+class Assignment(msgspec.Struct, frozen=True, kw_only=True):
+    """What a worker needs to know besides its shots: the job's common part, and where shapes and lights come from."""
+
+    job: Job
+    shapes: dict[str, dict]  # name → {source, hash, category, named}
+    lights: dict[str, dict]  # name → {source, hash}
+    library: str | None = None
+
+
+class BadShot(RuntimeError):
+    """A shot whose pixels, normals or light are not what they should be."""
+
+
+class _Geometry(msgspec.Struct, frozen=True):
+    path: str
+    hash: str
+    mask: np.ndarray
+    coverage: float
+
+
+class Pipeline:
+    """Makes shots of one assignment and puts them in place.
+
+    store, worker  manifests.store.Store and this worker's name
+    append         called with each finished Record
+    mixtures       material name → shaders.mixture.Mixture
+    """
+
+    def __init__(self, studio, assignment, store, worker, append, mixtures):
+        self.studio, self.assignment, self.store, self.worker = studio, assignment, store, worker
+        self._append, self._mixtures = append, mixtures
+        self._shape = self._view = self._light = self._materials = None
+        self._light_map = (None, None)
+        self._segments = 0
+        self._geometries = OrderedDict()
+        studio.set_camera(assignment.job.camera)
+
+    def make(self, shot: Shot):
+        """Render one shot, check it, write it, append its record, return the record.
+
+        Raises  BadShot; OSError if it cannot be written
+        """
+        start = time.perf_counter()
+        self._show(shot)
+        geometry = self._geometry(shot)
+        radiance, alpha = self.studio.picture(self.assignment.job.samples, shot.seed, shot.tier)
+        if faults := checks.picture(radiance, geometry.coverage, alpha):
+            raise BadShot("; ".join(faults))
+        image = image_path(shot.id)
+        image_hash = self.store.place(image, lambda path: exr.write_picture(path, radiance), self.worker)
+        record = self._record(shot, geometry, image, image_hash, _statistics(radiance, geometry), time.perf_counter() - start)
+        self._append(record)
+        return record
+
+    def _show(self, shot):
+        """Give the studio shape, light, materials and view, each only if it is another."""
+        if shot.shape != self._shape:
+            mesh = load_shape(self.assignment.shapes[shot.shape])
+            self.studio.set_shape(mesh)
+            self._shape, self._segments = shot.shape, mesh.segments
+            self._view = self._materials = None
+        light = (shot.light, shot.light_resolution, shot.rotation_texels)
+        if light != self._light:
+            self.studio.set_light(self._map(shot.light, shot.light_resolution), shot.rotation_texels, shot.light_resolution)
+            self._light = light
+        if shot.materials != self._materials:
+            self.studio.set_materials([self._mixtures[name] for name in shot.materials])
+            self._materials = shot.materials
+        if shot.viewpoint != self._view:
+            self.studio.set_view(np.radians(azimuths_deg()[shot.viewpoint]))
+            self._view = shot.viewpoint
+
+    def _map(self, name, resolution):
+        """The stored map of a light, kept until another is asked for."""
+        if self._light_map[0] != (name, resolution):
+            entry = self.assignment.lights[name]
+            light = load_light(entry, self.assignment.library)
+            L = light.L64
+            if resolution == "full":
+                L = light.L_full
+                height, width = L.shape[:2]
+                if width % TEXELS:
+                    L = envmap.resize(L, height, width + TEXELS - width % TEXELS).astype(np.float32)
+            self._light_map = ((name, resolution), L)
+        return self._light_map[1]
+
+    def _geometry(self, shot):
+        """Geometry of the shot's shape and view: from memory, from the folder, or rendered."""
+        if shot.geometry in self._geometries:
+            self._geometries.move_to_end(shot.geometry)
+            return self._geometries[shot.geometry]
+        path = geometry_path(shot.geometry)
+        if (self.store.folder / path).exists():
+            mask = exr.read_geometry(self.store.folder / path)[1]
+            digest = file_hash(self.store.folder / path)
+        else:
+            seen = self.studio.geometry()
+            mask = seen.mask
+            if faults := checks.geometry(seen, self._segments):
+                raise BadShot("; ".join(faults))
+            digest = self.store.place(path, lambda temporary: exr.write_geometry(temporary, seen), self.worker, keep_first=True)
+        held = _Geometry(path, digest, mask, float(mask.mean()))
+        self._geometries[shot.geometry] = held
+        if len(self._geometries) > HELD:
+            self._geometries.popitem(last=False)
+        return held
+
+    def _record(self, shot, geometry, image, image_hash, statistics, seconds):
+        job, shape = self.assignment.job, self.assignment.shapes[shot.shape]
+        return Record(
+            id=shot.id,
+            shape=shot.shape,
+            shape_hash=shape["hash"],
+            category=shape["category"],
+            viewpoint=shot.viewpoint,
+            azimuth_deg=azimuths_deg()[shot.viewpoint],
+            camera=job.camera,
+            materials=shot.materials,
+            light=shot.light,
+            light_hash=self.assignment.lights[shot.light]["hash"],
+            rotation_texels=shot.rotation_texels,
+            tier=shot.tier,
+            light_resolution=shot.light_resolution,
+            samples=job.samples,
+            seed=shot.seed,
+            image=image,
+            image_hash=image_hash,
+            geometry=geometry.path,
+            geometry_hash=geometry.hash,
+            split=shot.split,
+            statistics=statistics,
+            seconds=round(seconds, 4),
+        )
+
+
+def load_shape(entry):
+    """The Mesh of an assignment's shape. Raises BadShot if the file has changed since the plan was made."""
+    from factory.shapes.catalogue import load
+
+    mesh = load(entry["source"], name=entry["name"]) if entry["named"] else load(entry["source"])
+    if mesh.hash != entry["hash"]:
+        raise BadShot(f"{entry['source']}: the mesh with hash {entry['hash'][:12]} expected, found {mesh.hash[:12]}: it changed meanwhile")
+    return mesh
+
+
+def load_light(entry, library):
+    """The Light of an assignment's light. Raises BadShot if the file has changed since the plan was made."""
+    from factory.lights import load
+
+    light = load(entry["source"], library)
+    if light.hash != entry["hash"]:
+        raise BadShot(f"{entry['source']}: the map with hash {entry['hash'][:12]} expected, found {light.hash[:12]}: it changed meanwhile")
+    return light
+
+
+def _statistics(radiance, geometry):
+    inside = radiance[geometry.mask]
+    return Statistics(
+        coverage=round(geometry.coverage, 6),
+        mean=round(float((inside @ LUMINANCE).mean()), 6),
+        max=round(float(inside.max()), 6),
+    )

@@ -1,0 +1,170 @@
+"""A job as shots: pure data, made one after another and never all held, so that 720,000 of them need no memory.
+
+shot      one picture to make; its id is the hash of all that determines its pixels (inputs, never pixels: two runs differ by 2e-6)
+draw      what a job leaves to chance comes from SeedSequence(job.seed, spawn_key=(shape, materials, light, occurrence)), each a hash
+          of what it is: adding a shape, a material or a light to a job alters nobody else's draws
+order     shape, light, light resolution, tier, rotation, materials, view: what is dear to change changes least (persistent data pays)
+"""
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import msgspec
+import numpy as np
+
+from manifests.schema import Camera, Draw, Job, LightResolution, Tier
+from manifests.splits import split_of
+from manifests.viewpoints import COUNT, azimuths_deg
+
+TEXELS = 128
+ID_DIGITS = 24  # 96 bits: two of a million shots meet by chance once in 1e17 datasets
+
+
+class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    """One picture to make. Shape, materials (one a segment) and light are names in the plan's assets; geometry is a geometry file's id."""
+
+    id: str
+    geometry: str
+    shape: str
+    materials: tuple[str, ...]
+    light: str
+    viewpoint: int
+    rotation_texels: int
+    tier: Tier
+    light_resolution: LightResolution
+    seed: int
+    split: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A job whose names are resolved.
+
+    assets  factory.assets.Assets: shapes, materials and lights of the job, hashed
+    render  fingerprint of the settings in force (factory.fingerprint)
+    """
+
+    job: Job
+    assets: object
+    render: str
+
+    def __len__(self):
+        return sum(len(self.choices(shape)) for shape in self.assets.shapes) * len(self.job.lights) * self.each
+
+    @property
+    def each(self):
+        """Shots of one shape, one choice of materials and one light."""
+        job = self.job
+        views = job.views.random if isinstance(job.views, Draw) else len(job.views)
+        rotations = job.rotations.random if isinstance(job.rotations, Draw) else len(job.rotations)
+        return views * rotations * len(job.tiers) * len(job.light_resolutions) * job.repeats
+
+    def choices(self, shape):
+        """What a shape may be made of: (materials, one a segment; or a number, of a draw not yet made)."""
+        if self.job.segment_materials:
+            return range(self.job.segment_materials)
+        kept = [m for m in self.assets.materials if self.job.mixed or m.side == shape.side]
+        return [(m,) * shape.segments for m in kept]
+
+    def __iter__(self):
+        """Every shot, in the order in which they are best made."""
+        for shape in self.assets.shapes:
+            for light, occurrence in self.lights:
+                yield from sorted(self._under(shape, light, occurrence), key=_order)
+
+    @cached_property
+    def lights(self):
+        """(light, occurrence) of each name in the job: a light named twice, or under two names, occurs as 0 and 1."""
+        found, seen = [], {}
+        for name in self.job.lights:
+            light = self.assets.lights[name]
+            occurrence = seen[light.hash] = seen.get(light.hash, -1) + 1
+            found.append((light, occurrence))
+        return found
+
+    def _under(self, shape, light, occurrence):
+        """The shots of one shape under one light, unordered."""
+        for choice in self.choices(shape):
+            materials = self._drawn_materials(shape, light, occurrence, choice) if isinstance(choice, int) else choice
+            key = (_word(shape.hash), *(_word(m.hash) for m in materials), _word(light.hash), occurrence)
+            if isinstance(choice, int):
+                key = (*key, choice)
+            yield from self._shots(shape, materials, light, key)
+
+    def _drawn_materials(self, shape, light, occurrence, draw):
+        """One material a segment, different ones while there are enough, all of the shape's own side while there is one."""
+        pool = [m for m in self.assets.materials if m.side == shape.side] or list(self.assets.materials)
+        key = (0x5E6, _word(shape.hash), _word(light.hash), occurrence, draw)
+        rng = np.random.default_rng(np.random.SeedSequence(self.job.seed, spawn_key=key))
+        return tuple(pool[i] for i in rng.choice(len(pool), shape.segments, replace=shape.segments > len(pool)))
+
+    def _shots(self, shape, materials, light, key):
+        """The shots of one shape, one choice of materials and one light."""
+        job, names = self.job, tuple(m.name for m in materials)
+        rng = np.random.default_rng(np.random.SeedSequence(job.seed, spawn_key=key))
+        views = np.sort(rng.permutation(COUNT)[: job.views.random]).tolist() if isinstance(job.views, Draw) else job.views
+        split = split_of(shape.side, [m.side for m in materials])
+        start = _digest(b"brdfactory shot 1", self.render, shape.hash, *(m.hash for m in materials), light.hash, self._camera, job.samples)
+        geometry = {view: geometry_id(shape.hash, self._camera, view, self.render) for view in views}
+        for view in views:
+            turns = rng.permutation(TEXELS)[: job.rotations.random].tolist() if isinstance(job.rotations, Draw) else job.rotations
+            for turn in turns:
+                for tier in job.tiers:
+                    for resolution in job.light_resolutions:
+                        for repeat in range(job.repeats):
+                            spawn = (*key, view, turn, TIER_WORDS[tier], RESOLUTION_WORDS[resolution], repeat)
+                            seed = int(np.random.SeedSequence(job.seed, spawn_key=spawn).generate_state(1)[0] >> 1)
+                            digest = start.copy()
+                            digest.update(f"{azimuths_deg()[view]:g} {turn} {tier} {resolution} {seed}".encode())
+                            yield Shot(
+                                id=digest.hexdigest()[:ID_DIGITS],
+                                geometry=geometry[view],
+                                shape=shape.name,
+                                materials=names,
+                                light=light.name,
+                                viewpoint=view,
+                                rotation_texels=turn,
+                                tier=tier,
+                                light_resolution=resolution,
+                                seed=seed,
+                                split=split,
+                            )
+
+    @cached_property
+    def _camera(self):
+        return camera_words(self.job.camera)
+
+
+TIER_WORDS = {"direct": 0, "shadow": 1, "full": 2}
+RESOLUTION_WORDS = {"64x128": 0, "full": 1}
+
+
+def camera_words(camera: Camera):
+    """The camera as text that hashes alike wherever it comes from (20 and 20.0 are one elevation)."""
+    height, width = camera.size
+    fov = "orthographic" if camera.fov_deg is None else f"{float(camera.fov_deg)!r}"
+    return f"{height} {width} {fov} {float(camera.elevation_deg)!r} {float(camera.half_extent)!r}"
+
+
+def geometry_id(shape_hash, camera, viewpoint, render):
+    """Id of the geometry of a shape from a viewpoint; camera as words."""
+    return _digest(b"brdfactory geometry 1", render, shape_hash, camera, f"{azimuths_deg()[viewpoint]:g}").hexdigest()[:ID_DIGITS]
+
+
+def _order(shot):
+    """Sort key of shots under one shape and light."""
+    return (shot.light_resolution, shot.tier, shot.rotation_texels, shot.materials, shot.viewpoint, shot.seed)
+
+
+def _digest(start, *parts):
+    digest = hashlib.sha256(start)
+    for part in parts:
+        digest.update(b"\n" + str(part).encode())
+    digest.update(b"\n")
+    return digest
+
+
+def _word(hash_):
+    """32 bits of a hash, for a spawn key."""
+    return int(hash_[:8], 16)

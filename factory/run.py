@@ -1,0 +1,248 @@
+"""A job carried out: its folder opened, what is there left out, the rest made, until nothing is owed."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import islice
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from factory.fingerprint import render_fingerprint
+from factory.pipeline import Assignment
+from factory.plan import Plan
+from factory.pool import Pool, setup_for
+from factory.worker import STUDIO
+from manifests import lock
+from manifests.materials import Catalogue, read_catalogue, write
+from manifests.problems import Problem
+from manifests.schema import Dataset, Failure, LightEntry, MaterialEntry, Order, ShapeEntry
+from manifests.store import Lines, Store, file_hash, light_path
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run came to: pictures made, failures in this run, shots that were there before."""
+
+    made: int
+    failed: int
+    found: int
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How to carry a job out, none of which alters a pixel beyond Cycles' repeatability.
+
+    workers  processes; threads: CPU threads of each, None: the machine's, shared out
+    shard    None, or (i, n): only part i of n, 1 ≤ i ≤ n
+    limit    at most so many pictures in this run, None: all
+    library  a folder of light maps, or None
+    studio   module:class, for tests without Blender
+    """
+
+    workers: int = 1
+    threads: int | None = None
+    device: str = "auto"
+    shard: tuple[int, int] | None = None
+    limit: int | None = None
+    library: str | None = None
+    studio: str = STUDIO
+
+
+def carry_out(plan: Plan, folder, manner: Manner, watch=None):
+    """Make every shot of a plan that the folder does not hold yet.
+
+    watch    called with (event, value): "total" shots of this run, "found" one that was there, "made" a Reply, "failed" a Failure
+    Returns  Outcome
+    Raises   Problem; OSError (full disk) with everything that was written before intact
+    """
+    watch = watch or (lambda event, value: None)
+    store, prefix = Store(folder), "worker-" if manner.shard is None else f"worker-{manner.shard[0]}of{manner.shard[1]}-"
+    with lock.writing(folder, manner.shard) as descriptors:
+        store.sweep(prefix if manner.shard else "")
+        with lock.changing(folder):
+            register(store, plan)
+        return _made(plan, store, manner, prefix, descriptors, watch)
+
+
+def _made(plan, store, manner, prefix, descriptors, watch):
+    done = store.ids()
+    shots = _part(plan, manner.shard)
+    watch("total", _part_length(plan, manner.shard))
+    counts = {"found": 0, "made": 0, "failed": 0}
+
+    def owed():
+        for shot in shots:
+            if shot.id in done:
+                counts["found"] += 1
+                watch("found", 1)
+            else:
+                yield shot
+
+    assignment = assign(plan, manner.library)
+    threads = manner.threads or (None if manner.workers == 1 else max(1, _processors() // manner.workers))
+    pool = Pool(
+        manner.workers,
+        lambda number: setup_for(store.folder, f"{prefix}{number:02d}", manner.device, threads, assignment, manner.studio),
+        descriptors,
+        store.folder / "partial",
+    )
+    failures = None
+    for shot, reply in pool.run(islice(owed(), manner.limit)):
+        if reply.settings:
+            with lock.changing(store.folder):
+                _note_settings(store, plan, reply)
+        if reply.made:
+            counts["made"] += 1
+            watch("made", reply)
+            continue
+        failure = _failure(shot, reply.reason)
+        failures = failures or Lines(store.folder / f"failures{prefix.removeprefix('worker').rstrip('-')}.jsonl")
+        failures.append(failure)
+        counts["failed"] += 1
+        watch("failed", failure)
+    return Outcome(**counts)
+
+
+def assign(plan, library=None):
+    """What the plan's workers need to know."""
+    return Assignment(
+        job=plan.job,
+        shapes={
+            s.name: {"name": s.name, "source": s.source, "hash": s.hash, "category": s.category, "named": s.named}
+            for s in plan.assets.shapes
+        },
+        lights={light.name: {"source": light.source, "hash": light.hash} for light in plan.assets.lights.values()},
+        library=library,
+    )
+
+
+def register(store, plan):
+    """Write down, in dataset.json, materials.json and lights/, what a plan brings to the folder.
+
+    Raises  Problem if the folder knows another thing by a name of the plan's, or has it on the other side of the split
+    """
+    held = store.dataset() if (store.folder / "dataset.json").exists() else Dataset()
+    assets = plan.assets
+    shapes = {
+        s.name: ShapeEntry(
+            hash=s.hash, category=s.category, side=s.side, role=s.role, segments=s.segments, licence=s.licence, report=s.report
+        )
+        for s in assets.shapes
+    }
+    materials = {m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source) for m in assets.materials}
+    lights = {light.name: _light_entry(store, light, plan) for light in assets.lights.values()}
+    for kind, known, brought in (("shape", held.shapes, shapes), ("material", held.materials, materials), ("light", held.lights, lights)):
+        _agree(store, kind, known, brought)
+    _write_materials(store, assets.materials)
+    orders = held.orders
+    if plan.job not in [order.job for order in orders]:
+        orders = (*orders, Order(job=plan.job, shots=len(plan), begun=datetime.now(UTC).isoformat(timespec="seconds")))
+    store.write_json(
+        "dataset.json",
+        msgspec.structs.replace(
+            held,
+            orders=orders,
+            shapes={**held.shapes, **shapes},
+            materials={**held.materials, **materials},
+            lights={**held.lights, **lights},
+        ),
+    )
+
+
+def _agree(store, kind, known, brought):
+    """Names mean one thing, and things stand on one side."""
+    sides = {entry.hash: (entry.side, name) for name, entry in known.items() if kind != "light"}
+    for name, entry in brought.items():
+        if name in known and known[name].hash != entry.hash:
+            remedy = "rename the new one, or render into another folder"
+            raise Problem(f"{store.folder}: {kind} '{name}'", f"the one already there ({known[name].hash[:12]})", entry.hash[:12], remedy)
+        if kind != "light" and (held := sides.get(entry.hash)) and held[0] != entry.side:
+            remedy = "use the split rule of the folder's first job, or another folder"
+            raise Problem(f"{store.folder}: {kind} '{name}'", f"side {held[0]}, as '{held[1]}' there", entry.side, remedy)
+
+
+def _light_entry(store, light, plan):
+    """The entry of a light, its stored map put in place unless it is there."""
+    file = light_path(light.name, light.hash)
+    if not (store.folder / file).exists():
+        store.place(file, lambda path: _save_map(path, light.L64, light.scale), "main", keep_first=True)
+    return LightEntry(
+        hash=light.hash, file=file, file_hash=file_hash(store.folder / file), scale=light.scale, licence=light.licence, source=light.origin
+    )
+
+
+def _save_map(path, L, scale):
+    with open(path, "wb") as file:
+        np.savez_compressed(file, L=np.asarray(L, np.float32), scale=np.float64(scale))
+
+
+def _write_materials(store, materials):
+    """materials.json: the catalogue's lines of all materials that the folder's jobs name."""
+    path = store.folder / "materials.json"
+    held = read_catalogue(path).materials if path.exists() else ()
+    entries = {entry.name: entry for entry in (*held, *(m.entry for m in materials))}
+    if len(entries) == len(held):
+        return
+    catalogue = Catalogue(
+        title="The materials of this dataset", credit="each entry names its source and licence", materials=tuple(entries.values())
+    )
+    store.place("materials.json", lambda temporary: write(catalogue, temporary), "main")
+
+
+def _note_settings(store, plan, reply):
+    held = store.dataset()
+    settings = {**held.settings, plan.render: reply.settings}
+    store.write_json("dataset.json", msgspec.structs.replace(held, settings=settings, versions={**held.versions, **(reply.versions or {})}))
+
+
+def _part_length(plan, shard):
+    first, end = _bounds(len(plan), shard)
+    return end - first
+
+
+def _part(plan, shard):
+    return islice(plan, *_bounds(len(plan), shard))
+
+
+def _bounds(total, shard):
+    """First and end of a part: neighbours stay together, so that persistent data pays."""
+    i, n = shard or (1, 1)
+    return total * (i - 1) // n, total * i // n
+
+
+def _processors():
+    import os
+
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+
+
+def _failure(shot, reason):
+    return Failure(
+        id=shot.id,
+        shape=shot.shape,
+        materials=shot.materials,
+        light=shot.light,
+        viewpoint=shot.viewpoint,
+        tier=shot.tier,
+        reason=reason,
+        when=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+
+
+def planned(job, assets):
+    """The Plan of a job under the settings in force."""
+    return Plan(job, assets, render_fingerprint())
+
+
+def parsed_shard(text):
+    """ "3/8" as (3, 8). Raises Problem."""
+    i, slash, n = text.partition("/")
+    if not (slash and i.isdigit() and n.isdigit() and 1 <= int(i) <= int(n)):
+        raise Problem("--shard", "I/N with 1 ≤ I ≤ N", f"'{text}'", "write --shard 1/8 for the first of eight parts")
+    return int(i), int(n)
+
+
+def base_folder(job_path, assets):
+    """Where a job file's relative paths start."""
+    return Path(assets) if assets else Path(job_path).parent

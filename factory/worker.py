@@ -1,0 +1,118 @@
+"""A worker: one process, one Blender, many shots. Started by factory.pool as `python -m factory.worker`.
+
+It reads messages, a JSON line each, from its standard input, and answers on what was its standard output; Blender's own prints go nowhere,
+its complaints to standard error. It ends when its input ends, and then by os._exit: some Blenders crash while they clean up.
+
+in   Setup, then any number of Chunk
+out  Reply: `made` or `bad` a shot (a bad one ends the chunk), or `fatal`: what no other shot would survive
+"""
+
+import importlib
+import os
+import signal
+import sys
+
+import msgspec
+
+from factory.pipeline import Assignment, BadShot, Pipeline
+from factory.plan import Shot
+from manifests.materials import load_catalogue
+from manifests.problems import Problem
+from manifests.store import Lines, Store
+
+STUDIO = "factory.render.studio:Studio"
+
+
+class Setup(msgspec.Struct, frozen=True, kw_only=True):
+    """Where to write, under which name, and with what; studio: module:class of the studio, called with (device, threads)."""
+
+    folder: str
+    worker: str
+    parent: int
+    device: str
+    threads: int | None
+    studio: str
+    assignment: Assignment
+
+
+class Chunk(msgspec.Struct, frozen=True):
+    """Shots to make, in this order."""
+
+    shots: list[Shot]
+
+
+class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """made, bad: a shot's id; settings and versions come with the first picture; bytes: what the picture takes on disk."""
+
+    made: str = ""
+    bad: str = ""
+    fatal: bool = False
+    problem: tuple[str, str, str, str] | None = None
+    reason: str = ""
+    seconds: float = 0.0
+    bytes: int = 0
+    settings: dict | None = None
+    versions: dict[str, str] | None = None
+
+
+def main():
+    """Serve until the input ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, who decides
+    answers = os.fdopen(os.dup(1), "wb", buffering=0)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+
+    def answer(**reply):
+        try:
+            answers.write(msgspec.json.encode(Reply(**reply)) + b"\n")
+        except BrokenPipeError:
+            os._exit(0)
+
+    try:
+        setup = msgspec.json.decode(sys.stdin.buffer.readline(), type=Setup)
+        _serve(setup, answer)
+    except Problem as problem:
+        answer(fatal=True, problem=(problem.where, problem.expected, problem.found, problem.remedy))
+    except OSError as error:
+        answer(fatal=True, reason=str(error))
+    except Exception as error:  # whatever else it is, the parent says it in one line
+        answer(fatal=True, reason=f"worker {type(error).__name__}: {error}".replace("\n", " "))
+    sys.stderr.flush()
+    os._exit(0)
+
+
+def _serve(setup, answer):
+    store = Store(setup.folder)
+    lines = Lines(store.folder / "records" / f"{setup.worker}.jsonl")
+    mixtures = {name: m.mixture for name, m in load_catalogue(store.folder / "materials.json").items()}
+    studio = _studio(setup)
+
+    def append(record):
+        if os.getppid() != setup.parent:  # the run was killed; another may have begun
+            os._exit(0)
+        lines.append(record)
+
+    pipeline = Pipeline(studio, setup.assignment, store, setup.worker, append, mixtures)
+    first = True
+    chunks = msgspec.json.Decoder(Chunk)
+    for message in sys.stdin.buffer:
+        for shot in chunks.decode(message).shots:
+            try:
+                record = pipeline.make(shot)
+            except OSError:
+                raise
+            except (BadShot, Problem, RuntimeError, ValueError) as error:
+                answer(bad=shot.id, reason=str(error).replace("\n", " "))
+                break
+            extra = {"settings": msgspec.to_builtins(studio.settings), "versions": studio.versions} if first else {}
+            first = False
+            answer(made=shot.id, seconds=record.seconds, bytes=(store.folder / record.image).stat().st_size, **extra)
+
+
+def _studio(setup):
+    module, name = setup.studio.split(":")
+    return getattr(importlib.import_module(module), name)(setup.device, setup.threads)
+
+
+if __name__ == "__main__":
+    main()

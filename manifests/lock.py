@@ -1,0 +1,79 @@
+"""Who may write into a dataset's folder: one plain run, or any number of the parts of one job array, each part once.
+
+A lock is the kernel's (flock): it ends with the processes that hold it, however they end, so nothing is ever left locked. A run hands
+its lock on to its workers: while one still finishes its shot after the run was killed, nobody else starts.
+"""
+
+import fcntl
+import os
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+from manifests.problems import Problem
+
+
+@contextmanager
+def writing(folder, shard=None, patience=20.0):
+    """Hold the right to write; yields the descriptors to hand on to workers.
+
+    shard     None, or (i, n): part i of n, 1 ≤ i ≤ n; parts run side by side
+    patience  seconds to wait for a killed run's last worker
+    Raises    Problem if another run holds it
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    wanted = [(".lock", fcntl.LOCK_EX if shard is None else fcntl.LOCK_SH)]
+    if shard is not None:  # parts of different divisions overlap: i/n excludes i/m
+        wanted += [(f".lock-of-{shard[1]}", fcntl.LOCK_SH), (f".lock-{shard[0]}-of-{shard[1]}", fcntl.LOCK_EX)]
+        _refuse_other_divisions(folder, shard[1])
+    held = []
+    try:
+        for name, kind in wanted:
+            held.append(_locked(folder / name, kind, folder, patience))
+        yield held
+    finally:
+        for descriptor in held:
+            os.close(descriptor)
+
+
+@contextmanager
+def changing(folder):
+    """Hold dataset.json for a read, a change and a write: parts of a job array take turns."""
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(Path(folder) / ".lock-dataset", os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _locked(path, kind, folder, patience):
+    """A descriptor that holds the lock."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    end = time.monotonic() + patience
+    while True:
+        try:
+            fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+            return descriptor
+        except BlockingIOError:
+            if time.monotonic() >= end:
+                os.close(descriptor)
+                remedy = "wait for it to end, or use another --out"
+                raise Problem(folder, "a folder that no other run writes to", "one in use", remedy) from None
+            time.sleep(0.1)
+
+
+def _refuse_other_divisions(folder, parts):
+    for path in folder.glob(".lock-of-*"):
+        if path.name == f".lock-of-{parts}":
+            continue
+        descriptor = os.open(path, os.O_RDWR)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            found = f"one of {path.name.removeprefix('.lock-of-')} running"
+            raise Problem(folder, f"parts of {parts}, like this one", found, "divide the job the same way everywhere") from None
+        finally:
+            os.close(descriptor)

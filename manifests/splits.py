@@ -1,0 +1,93 @@
+"""Which shapes and materials are for training and which for testing: decided by what they are, never by the order they come in.
+
+role   pretrain, finetune, train or test; side: train or test (every role but test is for training)
+rule   "hash": a fifth of all shapes, by their hash. "paper", "multi-material": counts by number (manifests/splits.json)
+twins  one mesh or fit under two names, found by hash: both take one side, and that is test if either was for testing
+"""
+
+import hashlib
+import re
+from collections import defaultdict
+from functools import cache
+from pathlib import Path
+
+from manifests.reading import read
+
+NUMBERED = re.compile(r"^(\w+):(\d+)$")  # "chair:17"
+SIDES = {"pretrain": "train", "finetune": "train", "train": "train", "test": "test"}
+PRECEDENCE = ("test", "pretrain", "finetune", "train")  # what twins take, the first that one of them has
+
+
+@cache
+def rules():
+    """manifests/splits.json."""
+    return read(Path(__file__).parent / "splits.json", dict)
+
+
+def shape_roles(shapes, rule):
+    """The role of each shape.
+
+    shapes   [(name, category, hash)], each name once
+    rule     "hash", "paper" or "multi-material"
+    Returns  {name: role}
+    """
+    ranges = rules()[rule]["shapes"]
+    rank = _ranks(shapes)
+    roles = {}
+    for name, category, hash_ in shapes:
+        place = rank[category, hash_] if (number := _number(name, category)) is None else number
+        roles[name] = _by_number(place, ranges.get(category, {})) or _by_hash(hash_)
+    return _twins_together(roles, {name: hash_ for name, _, hash_ in shapes})
+
+
+def numbered_role(name, rule):
+    """The role of "chair:17" by its number alone, or None where the rule has no range that holds it (then its hash decides)."""
+    number = NUMBERED.match(name)
+    return _by_number(int(number[2]), rules()[rule]["shapes"].get(number[1], {})) if number else None
+
+
+def material_sides(materials):
+    """The side of each material: [(name, its catalogue's split, hash)] to {name: side}; twins together."""
+    return _twins_together({name: split for name, split, _ in materials}, {name: hash_ for name, _, hash_ in materials})
+
+
+def paper_training(names):
+    """The paper's 60 of the materials for training: those whose names' hashes are least, so that nobody's taste chooses."""
+    order = sorted(names, key=lambda name: hashlib.sha256(f"paper {name}".encode()).digest())
+    return set(order[: rules()["paper"]["train_materials"]])
+
+
+def split_of(shape_side, material_sides_):
+    """A record's split: the side that shape and all materials share, or mixed."""
+    return shape_side if all(side == shape_side for side in material_sides_) else "mixed"
+
+
+def _ranks(shapes):
+    """(category, hash) → rank of the hash among the category's mesh files: twins share one."""
+    hashes = defaultdict(set)
+    for name, category, hash_ in shapes:
+        if _number(name, category) is None:
+            hashes[category].add(hash_)
+    return {(category, hash_): rank for category, found in hashes.items() for rank, hash_ in enumerate(sorted(found))}
+
+
+def _number(name, category):
+    """17 of "chair:17" if it is a chair, else None."""
+    number = NUMBERED.match(name)
+    return int(number[2]) if number and number[1] == category else None
+
+
+def _by_number(number, ranges):
+    return next((role for role, (first, end) in ranges.items() if first <= number < end), None)
+
+
+def _by_hash(hash_):
+    share = int(hash_[:8], 16) / 2**32
+    return "test" if share < rules()["test_share"] else "train"
+
+
+def _twins_together(roles, hashes):
+    groups = defaultdict(list)
+    for name, hash_ in hashes.items():
+        groups[hash_].append(name)
+    return {name: min((roles[twin] for twin in twins), key=PRECEDENCE.index) for twins in groups.values() for name in twins}
