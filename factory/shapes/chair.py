@@ -88,7 +88,7 @@ def windsor(a, rng):
     """Turned, splayed legs, a saddle seat, and a bow with spindles."""
     w, d, h = rng.uniform(0.42, 0.52), rng.uniform(0.40, 0.46), rng.uniform(0.42, 0.46)
     top, lean = h + rng.uniform(0.42, 0.66), rng.uniform(0.08, 0.16)
-    stretchers(a, rng, four_legs(a, rng, w * 0.86, d * 0.86, h, 0.85))
+    stretchers(a, rng, four_legs(a, rng, w * 0.86, d * 0.86, h, 0.85, ("round", "tapered", "turned")))
     a.add("seat", slab(seat_outline(w, d, 0.85, rng.uniform(2.3, 3.2)), 0.04, 0.9, -0.012, steps=4).moved(z=h), SOFT)
 
     def at(z, share):
@@ -231,7 +231,7 @@ def bentwood(a, rng):
         if kind == "two":
             a.add("inner hoop", tube(hoop_path(at, h, h + (top - h) * 0.5, 0.26, 33, 0.6), size * 0.65, around=10), SOFT)
     elif kind == "cane":
-        between(a, "back", at, h + 0.1, top - 0.06, 0.01, 0.9, 0.0, SOFT, 0.03)
+        between(a, "back", at, h + 0.1, top - 0.12, 0.012, 0.86, 0.0, SOFT, 0.07)
     else:
         upright_bars(a, "slat", at, h, top - 0.03, 3, np.array([0.02, 0.006]), 0.5, square=4.0)
 

@@ -16,9 +16,9 @@ def seat_outline(w, d, rear, square, around=48):
     return np.stack([x * d / 2, y * w / 2 * (1 + rear + (1 - rear) * x) / 2], 1)
 
 
-def four_legs(a, rng, w, d, h, rear=1.0):
-    """Four legs at the corners, straight, tapered, splayed, square or turned. Returns their tops and feet: {(±1 front, ±1 left): (top, foot)}."""
-    kind = rng.choice(["square", "round", "tapered", "turned"])
+def four_legs(a, rng, w, d, h, rear=1.0, kinds=("square", "round", "tapered", "turned")):
+    """Four legs at the corners, of one of the kinds. Returns their tops and feet: {(±1 front, ±1 left): (top, foot)}."""
+    kind = rng.choice(kinds)
     size, splay, inset = rng.uniform(0.015, 0.025), rng.uniform(0.0, 0.07), rng.uniform(0.03, 0.05)
     if kind == "turned":
         splay += 0.03

@@ -1,0 +1,178 @@
+"""Cars: eight bodies, and proportions drawn per seed. Segments: 1 painted body; 2 wheels, glass, lights and trim.
+
+Sizes are those of real cars, in metres: 3.5–5.6 long, 1.6–2.0 wide, 1.2–2.0 high.
+"""
+
+import numpy as np
+
+from factory.shapes.assembly import Assembly
+from factory.shapes.car_body import Form, cabin, lower_body
+from factory.shapes.car_details import DARK, PAINT, front, lights, mirrors_and_handles, roof_things, seams, wheels
+
+FAMILY_KEY = 1
+
+# Ranges per kind: length, width, height, clearance, nose, cowl − nose, tail; then shares of the length from the nose:
+# foot of the windscreen, roof's front, roof's rear, foot of the rear window; wheel radius; tumblehome
+RANGES = {
+    "sedan": (
+        (4.4, 5.0),
+        (1.76, 1.90),
+        (1.40, 1.50),
+        (0.16, 0.20),
+        (0.72, 0.82),
+        (0.16, 0.24),
+        (0.96, 1.06),
+        (0.26, 0.31),
+        (0.40, 0.45),
+        (0.64, 0.70),
+        (0.80, 0.86),
+        (0.31, 0.35),
+        (0.10, 0.17),
+    ),
+    "hatch": (
+        (3.6, 4.3),
+        (1.66, 1.80),
+        (1.44, 1.56),
+        (0.15, 0.19),
+        (0.74, 0.84),
+        (0.16, 0.24),
+        (0.92, 1.02),
+        (0.22, 0.28),
+        (0.37, 0.43),
+        (0.80, 0.88),
+        (0.93, 0.965),
+        (0.29, 0.33),
+        (0.08, 0.15),
+    ),
+    "wagon": (
+        (4.5, 4.95),
+        (1.76, 1.88),
+        (1.44, 1.54),
+        (0.16, 0.21),
+        (0.74, 0.84),
+        (0.16, 0.22),
+        (0.96, 1.04),
+        (0.26, 0.30),
+        (0.39, 0.44),
+        (0.84, 0.90),
+        (0.94, 0.97),
+        (0.31, 0.35),
+        (0.09, 0.15),
+    ),
+    "suv": (
+        (4.2, 4.95),
+        (1.82, 2.00),
+        (1.64, 1.86),
+        (0.21, 0.28),
+        (0.90, 1.05),
+        (0.12, 0.20),
+        (1.06, 1.18),
+        (0.24, 0.29),
+        (0.35, 0.41),
+        (0.82, 0.90),
+        (0.93, 0.97),
+        (0.36, 0.41),
+        (0.09, 0.16),
+    ),
+    "coupe": (
+        (4.2, 4.65),
+        (1.80, 1.95),
+        (1.22, 1.34),
+        (0.12, 0.15),
+        (0.62, 0.72),
+        (0.16, 0.24),
+        (0.88, 0.98),
+        (0.30, 0.38),
+        (0.45, 0.51),
+        (0.58, 0.66),
+        (0.82, 0.93),
+        (0.32, 0.35),
+        (0.14, 0.22),
+    ),
+    "pickup": (
+        (5.1, 5.6),
+        (1.84, 2.00),
+        (1.74, 1.90),
+        (0.24, 0.32),
+        (0.98, 1.10),
+        (0.08, 0.14),
+        (1.08, 1.18),
+        (0.24, 0.28),
+        (0.33, 0.37),
+        (0.49, 0.58),
+        (0.53, 0.61),
+        (0.37, 0.42),
+        (0.10, 0.16),
+    ),
+    "van": (
+        (4.3, 5.0),
+        (1.78, 1.95),
+        (1.78, 2.02),
+        (0.17, 0.22),
+        (0.90, 1.02),
+        (0.10, 0.18),
+        (1.00, 1.10),
+        (0.11, 0.17),
+        (0.27, 0.34),
+        (0.90, 0.95),
+        (0.955, 0.975),
+        (0.31, 0.35),
+        (0.08, 0.14),
+    ),
+    "retro": (
+        (3.3, 4.1),
+        (1.55, 1.70),
+        (1.42, 1.54),
+        (0.17, 0.22),
+        (0.72, 0.84),
+        (0.12, 0.20),
+        (0.80, 0.92),
+        (0.28, 0.34),
+        (0.38, 0.44),
+        (0.60, 0.70),
+        (0.80, 0.92),
+        (0.29, 0.33),
+        (0.12, 0.2),
+    ),
+}
+KINDS = tuple(RANGES)
+WEIGHTS = np.array([0.19, 0.17, 0.11, 0.17, 0.12, 0.09, 0.08, 0.07])
+
+
+def build(seed):
+    """The car of a seed, a Mesh of category "car"."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAMILY_KEY,)))
+    kind = KINDS[int(rng.choice(len(KINDS), p=WEIGHTS))]
+    form = draw_form(rng, kind)
+    a = Assembly()
+    a.add("body", lower_body(form), PAINT)
+    glasshouse, glass = cabin(form)
+    a.add("cabin", glasshouse, np.where(glass, DARK, PAINT))
+    wheels(a, rng, form)
+    lights(a, rng, form)
+    front(a, rng, form)
+    mirrors_and_handles(a, rng, form)
+    seams(a, form)
+    roof_things(a, rng, form, kind)
+    return a.finish(f"car:{seed}", "car")
+
+
+def draw_form(rng, kind):
+    """Numbers for one car of a kind."""
+    length, width, height, clearance, nose, rise, tail, cowl, roof_front, roof_rear, glass_rear, wheel, tumblehome = (
+        rng.uniform(*span) for span in RANGES[kind]
+    )
+    ahead = rng.uniform(0.155, 0.195) if kind != "van" else rng.uniform(0.17, 0.2)
+    behind = rng.uniform(0.77, 0.82) if kind != "pickup" else rng.uniform(0.74, 0.78)
+
+    def place(share):
+        return length * (0.5 - share)
+
+    corner = {"retro": rng.uniform(3.2, 4.2), "suv": rng.uniform(5, 9), "pickup": rng.uniform(7, 11), "van": rng.uniform(6, 10)}.get(
+        kind, rng.uniform(4.2, 6.5)
+    )
+    bed = (place(0.972), place(glass_rear + 0.022)) if kind == "pickup" else None
+    return Form(
+        length, width, height, clearance, nose, nose + rise, tail, place(cowl), place(roof_front), place(roof_rear), place(glass_rear),
+        (place(ahead), place(behind)), wheel, corner, rng.uniform(2.6, 3.0) if kind == "retro" else rng.uniform(3.2, 5.5), tumblehome, rng.uniform(0.08, 0.2), bed,
+    )  # fmt: skip

@@ -1,0 +1,239 @@
+"""What is fixed to a car's body: wheels, lights, grille, mirrors, handles, bumpers, roof rails. Metres, car axes (see car_body).
+
+Segment PAINT is the body, DARK wheels, glass, lights and trim.
+"""
+
+import numpy as np
+
+from factory.shapes.surfaces import LEFT_RIGHT, closed, ellipsoid, grid_faces, revolve, rod, rounded_box, rounded_path, tube
+
+PAINT, DARK = 1, 2
+
+
+def wheel(rng_kind, spokes, radius, width):
+    """A wheel about the y axis, its outer side to +y: tyre, rim and spokes as [(part, Surface)]."""
+    rim, half = radius * 0.68, width / 2
+    tyre = [[rim - 0.02, -half * 0.7], [rim, -half * 0.9], [radius * 0.9, -half], [radius * 0.975, -half * 0.82], [radius, -half * 0.5]]
+    profile = np.array(tyre + [[r, -z] for r, z in tyre[::-1]] + [[rim - 0.02, -half * 0.7]])
+    angle = np.linspace(0, 2 * np.pi, 36, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    rings = profile[:-1, :1, None] * circle + profile[:-1, 1:, None] * np.array([0, 0, 1.0])
+    solid = closed(rings.reshape(-1, 3), grid_faces(len(rings), 36, True, True))
+    dish = half * 0.15
+    lip = revolve(
+        [
+            [0, -half * 0.6],
+            [rim - 0.015, -half * 0.6],
+            [rim - 0.012, half * 0.82],
+            [rim - 0.03, half * 0.86],
+            [rim - 0.045, half * 0.8],
+            [rim - 0.05, dish - 0.03],
+            [0, dish - 0.03],
+        ],
+        44,
+    )
+    pieces = [
+        ("tyre", solid),
+        ("rim", lip),
+        ("hub", revolve([[0, dish - 0.03], [0.055, dish - 0.03], [0.05, dish + 0.03], [0.03, dish + 0.04], [0, dish + 0.04]], 20)),
+    ]
+    if rng_kind == "disc":
+        pieces.append(
+            (
+                "hub cap",
+                revolve(
+                    [
+                        [0, dish - 0.02],
+                        [rim - 0.05, dish - 0.02],
+                        [rim - 0.06, dish + 0.02],
+                        [rim * 0.5, dish + 0.035],
+                        [rim * 0.3, dish + 0.02],
+                        [0, dish + 0.045],
+                    ],
+                    36,
+                ),
+            )
+        )
+    for k in range(spokes if rng_kind != "disc" else 0):
+        offsets = (-0.09, 0.09) if rng_kind == "double" else (0.0,)
+        for offset in offsets:
+            size = (0.5 if rng_kind == "double" else 1.0) * min(0.045, 0.19 / spokes)
+            arm = rod(
+                [0.03, 0, dish + 0.012], [rim - 0.035, offset * rim, half * 0.66], [size, 0.014], [size * 1.25, 0.012], around=6, square=4.0
+            )
+            pieces.append(("spoke", arm.turned("z", 2 * np.pi * k / spokes)))
+    return [(part, piece.turned("x", -np.pi / 2)) for part, piece in pieces]
+
+
+def wheels(a, rng, form):
+    """Four wheels, their arches' lips, and the dark underbody between them."""
+    kind = rng.choice(["spokes", "spokes", "double", "disc"])
+    spokes = int(rng.integers(5, 11 if kind == "spokes" else 7))
+    width = rng.uniform(0.19, 0.24)
+    cladding = DARK if form.clearance > 0.2 and rng.random() < 0.5 else PAINT
+    for axle in form.axles:
+        offset = form.side(axle, form.wheel) - 0.015
+        for part, piece in wheel(kind, spokes, form.wheel, width):
+            a.pair(part, piece.moved(axle, offset - width / 2, form.wheel), DARK)
+        angle = np.linspace(0.04, np.pi - 0.04, 23)
+        x, z = axle + form.arch * np.cos(angle), form.wheel + form.arch * np.sin(angle)
+        y = np.array([form.side(*place) for place in zip(x, z, strict=True)]) - 0.006
+        lip = 0.035 if cladding == DARK else 0.016
+        a.pair("arch", tube(np.stack([x, y, z], 1), np.array([0.022, lip]), around=8, square=2.5), cladding)
+    low, high = form.clearance + 0.03, form.wheel + form.arch + 0.05
+    box = rounded_box([form.axles[0] - form.axles[1] + 2.3 * form.arch, form.width - 2 * width - 0.2, high - low], 0.05, edge=1)
+    a.add("underbody", box.moved(sum(form.axles) / 2, 0, (low + high) / 2), DARK)
+
+
+def patch(form, psi, theta, lift, count=9):
+    """A pillow that follows the body's left skin between two psi and two theta, standing out by `lift`: a closed Surface."""
+    grid_psi, grid_theta = np.meshgrid(np.linspace(*psi, count), np.linspace(*theta, count), indexing="ij")
+    skin = form.skin(grid_psi, grid_theta, cut=False)
+    normal = np.cross(np.gradient(skin, axis=0), np.gradient(skin, axis=1))
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    normal *= np.sign((normal[..., 1:2] * 1.0).sum())
+    s = np.linspace(-1, 1, count)
+    dome = ((1 - s[:, None] ** 6) * (1 - s[None, :] ** 6)) ** 0.5
+    outer = skin + normal * (lift * dome - 0.004)[..., None]
+    inner = skin - normal * 0.03
+    faces = grid_faces(count, count)
+    rim = np.concatenate(
+        [
+            np.arange(count - 1),
+            np.arange(count - 1) * count + count - 1,
+            count * count - 1 - np.arange(count - 1),
+            (np.arange(count - 1, 0, -1)) * count,
+        ]
+    )
+    ahead, size = np.roll(rim, -1), count * count
+    wall = np.concatenate([np.stack([rim, ahead, ahead + size], 1), np.stack([rim, ahead + size, rim + size], 1)])
+    return closed(np.concatenate([outer.reshape(-1, 3), inner.reshape(-1, 3)]), np.concatenate([faces, (faces + size)[:, ::-1], wall]))
+
+
+def lights(a, rng, form):
+    """Head and tail lights: wrapped round the corner, round, or upright."""
+    kind = rng.choice(["wrapped", "slim", "round", "upright"])
+    half = form.length / 2
+    if kind == "round":
+        size = rng.uniform(0.17, 0.22)
+        y = form.width / 2 * rng.uniform(0.66, 0.74)
+        x = _nose_x(form, y)
+        z = form.nose - rng.uniform(0.11, 0.16)
+        a.pair("head light", ellipsoid([0.12, size, size], 2.0, 24).moved(x - 0.02, y, z), DARK)
+        ring = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+        a.pair(
+            "light ring",
+            tube(np.stack([0 * ring + x + 0.0, y + size * 0.52 * np.cos(ring), z + size * 0.52 * np.sin(ring)], 1), 0.014, 10, ring=True),
+            PAINT,
+        )
+    else:
+        low = {"wrapped": 0.28, "slim": 0.42, "upright": 0.12}[kind]
+        high = {"wrapped": 0.66, "slim": 0.66, "upright": 0.66}[kind]
+        psi = (rng.uniform(0.6, 0.72), rng.uniform(1.0, 1.16)) if kind != "upright" else (0.78, 1.0)
+        a.pair("head light", patch(form, psi, (low, high), 0.012), DARK)
+    if kind == "round" and form.tail < 1.2:
+        z = form.tail - rng.uniform(0.17, 0.22)
+        y = form.width / 2 * 0.72
+        a.pair("tail light", ellipsoid([0.1, 0.16, 0.16]).moved(-_nose_x(form, y) + 0.02, y, z), DARK)
+    else:
+        psi = (-rng.uniform(0.95, 1.2), -rng.uniform(0.62, 0.75))
+        a.pair("tail light", patch(form, psi, (0.1, 0.62) if kind == "upright" else (rng.uniform(0.2, 0.35), 0.66), 0.012), DARK)
+    a.add("number plate", rounded_box([0.02, 0.5, 0.11], 0.008, edge=2).moved(-half + 0.005, 0, form.lower(-half) + 0.33), DARK)
+
+
+def _nose_x(form, y):
+    """x of the nose at |y|, from the plan."""
+    share = min(abs(y) / (form.width / 2 * 0.955), 0.999)
+    return form.length / 2 * (1 - share**form.corner) ** (1 / form.corner)
+
+
+def front(a, rng, form):
+    """Grille, lower intake, and bumpers where they stand out."""
+    half, bottom = form.length / 2, form.lower(form.length / 2)
+    height = form.nose - bottom
+    kind, middle = rng.choice(["bars", "plain", "twin", "tall", "none"]), bottom + height * 0.66
+    wide, high = form.width * rng.uniform(0.36, 0.5), height * rng.uniform(0.14, 0.26)
+    if kind in ("bars", "plain", "tall"):
+        if kind == "tall":
+            wide, high, middle = wide * 0.8, height * 0.46, bottom + height * 0.52
+        a.add("grille", rounded_box([0.05, wide, high], 0.02, edge=2).moved(half - 0.022, 0, middle), DARK)
+        for z in np.linspace(-0.4, 0.4, int(rng.integers(3, 6))) if kind != "plain" else ():
+            a.add(
+                "grille bar",
+                rod([half + 0.004, -wide * 0.46, middle + z * high], [half + 0.004, wide * 0.46, middle + z * high], 0.008, around=8),
+                PAINT,
+            )
+    elif kind == "twin":
+        a.pair("grille", rounded_box([0.05, wide * 0.42, high], 0.03).moved(half - 0.022, wide * 0.26, middle), DARK)
+    a.add(
+        "intake",
+        rounded_box([0.06, form.width * rng.uniform(0.45, 0.62), height * rng.uniform(0.12, 0.2)], 0.025, edge=2).moved(
+            half - 0.03, 0, bottom + height * 0.2
+        ),
+        DARK,
+    )
+    if rng.random() < (0.75 if form.bed else 0.3):
+        for end in (1, -1):
+            axle = form.axles[0 if end > 0 else 1]
+            start = max(0.55, abs(float(form.psi_at(axle + end * (form.arch + 0.06)))))
+            psi = end * np.linspace(start, np.pi - start, 33)
+            t, plan = form.plan(psi)
+            z = form.lower(half) + height * 0.38
+            path = np.stack([t * half + end * 0.012, plan * form.width / 2 * 0.97, np.full(33, z)], 1)
+            a.add("bumper", tube(path, np.array([0.035, 0.065]), around=14, square=3.5, bevel=0.9), DARK if rng.random() < 0.5 else PAINT)
+
+
+def mirrors_and_handles(a, rng, form):
+    """Door mirrors on the belt and one or two handles a side."""
+    z = float(form.upper(form.cowl_at)) + 0.06
+    x, y = form.cowl_at - rng.uniform(0.32, 0.42), form.width / 2 + rng.uniform(-0.02, 0.02)
+    size = rng.uniform(0.9, 1.15)
+    a.pair("mirror", ellipsoid([0.12 * size, 0.19 * size, 0.13 * size], 2.8, 16).moved(x, y + 0.02, z + 0.03), PAINT)
+    a.pair("mirror arm", rod([x - 0.01, y - 0.14, z - 0.02], [x, y + 0.02, z + 0.01], 0.022, around=10), DARK)
+    doors = 1 if form.roof_front_at - form.roof_rear_at < 1.25 else 2
+    for k in range(doors):
+        x = form.roof_front_at - 0.55 - 0.92 * k
+        z = float(form.upper(x)) - 0.16
+        a.pair("handle", ellipsoid([0.2, 0.045, 0.035], 3.0, 14).moved(x, form.side(x, z) + 0.006, z), PAINT)
+
+
+def seams(a, form):
+    """The gaps of the doors and of the bonnet, as thin dark lines on the skin."""
+    doors = 1 if form.roof_front_at - form.roof_rear_at < 1.25 else 2
+    start = min(form.cowl_at + 0.02, form.axles[0] - form.arch - 0.04)
+    stop = max(form.axles[1] + form.arch * 0.75, start - (1.25 if doors == 1 else 2.2))
+    for x in np.linspace(start, stop, doors + 1):
+        skin = form.skin(form.psi_at(x), np.linspace(-0.75, 1.1, 16))
+        a.pair("seam", tube(skin, 0.007, around=5), DARK)
+    theta = np.linspace(0.9, np.pi / 2, 9)[:-1]
+    across = form.skin(form.psi_at(form.length / 2 - 0.2), theta)
+    a.add("seam", tube(np.concatenate([across, (across * [1, -1, 1])[::-1]]), 0.007, around=5), DARK)
+
+
+def roof_things(a, rng, form, kind):
+    """Rails, a spoiler, or a fin."""
+    if kind in ("suv", "wagon", "van") and rng.random() < 0.6:
+        y, z = form.width / 2 - 0.16 - form.tumblehome, form.height - 0.02
+        ends = form.roof_front_at - 0.3, form.roof_rear_at + 0.35
+        path = rounded_path(
+            [[ends[0], y, z - 0.03], [ends[0] - 0.15, y, z + 0.045], [ends[1] + 0.15, y, z + 0.04], [ends[1], y, z - 0.05]], 0.15
+        )
+        a.pair("rail", tube(path, 0.018, around=10), DARK)
+    if kind in ("hatch", "suv", "wagon") and rng.random() < 0.6:
+        wide = 1.7 * (form.width / 2 - 0.085 - form.tumblehome)
+        wing = rounded_box([0.3, wide, 0.04], 0.018, (0.12, 0, 0), inner=4).turned("y", -0.07)
+        a.add("spoiler", wing.moved(form.roof_rear_at + 0.03, 0, form.height - 0.075), PAINT)
+    if kind in ("coupe", "sedan") and rng.random() < 0.25:
+        x, z = -form.length / 2 + 0.3, form.tail + rng.uniform(0.06, 0.13)
+        a.add("wing", rounded_box([0.2, form.width * 0.76, 0.03], 0.014).turned("y", 0.08).moved(x, 0, z), PAINT)
+        a.pair("wing post", rod([x, form.width * 0.26, form.tail - 0.06], [x, form.width * 0.26, z], [0.012, 0.05]), PAINT)
+    if rng.random() < 0.3:
+        for k in LEFT_RIGHT:
+            pipe = rod(
+                [-form.length / 2 + 0.2, k * 0.5, form.lower(-form.length / 2) + 0.06],
+                [-form.length / 2 - 0.03, k * 0.5, form.lower(-form.length / 2) + 0.06],
+                0.036,
+                around=14,
+                bevel=0.1,
+            )
+            a.add("exhaust", pipe, DARK)
