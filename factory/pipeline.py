@@ -7,6 +7,7 @@ light     stored map and rotation; a whole map is averaged to a width of which 1
 
 import time
 from collections import OrderedDict
+from contextlib import contextmanager
 
 import msgspec
 import numpy as np
@@ -58,6 +59,7 @@ class Pipeline:
         self._light_map = (None, None)
         self._segments = 0
         self._geometries = OrderedDict()
+        self.spent = {}
         studio.set_camera(assignment.job.camera)
 
     def make(self, shot: Shot):
@@ -65,31 +67,44 @@ class Pipeline:
 
         Raises  BadShot; OSError if it cannot be written
         """
-        start = time.perf_counter()
+        start, self.spent = time.perf_counter(), {}
         self._show(shot)
         geometry = self._geometry(shot)
-        radiance, alpha = self.studio.picture(self.assignment.job.samples, shot.seed, shot.tier)
+        with self._timed("picture"):
+            radiance, alpha = self.studio.picture(self.assignment.job.samples, shot.seed, shot.tier)
         if faults := checks.picture(radiance, geometry.coverage, alpha):
             raise BadShot("; ".join(faults))
         image = image_path(shot.id)
-        image_hash = self.store.place(image, lambda path: exr.write_picture(path, radiance), self.worker)
+        with self._timed("writing"):
+            image_hash = self.store.place(image, lambda path: exr.write_picture(path, radiance), self.worker)
         record = self._record(shot, geometry, image, image_hash, _statistics(radiance, geometry), time.perf_counter() - start)
         self._append(record)
         return record
 
+    @contextmanager
+    def _timed(self, what):
+        """Add the block's seconds to `spent`: what a forecast is made of."""
+        start = time.perf_counter()
+        yield
+        self.spent[what] = self.spent.get(what, 0.0) + time.perf_counter() - start
+
     def _show(self, shot):
         """Give the studio shape, light, materials and view, each only if it is another."""
         if shot.shape != self._shape:
-            mesh = load_shape(self.assignment.shapes[shot.shape])
-            self.studio.set_shape(mesh)
+            with self._timed("shape"):
+                mesh = load_shape(self.assignment.shapes[shot.shape])
+                self.studio.set_shape(mesh)
             self._shape, self._segments = shot.shape, mesh.segments
             self._view = self._materials = None
         light = (shot.light, shot.light_resolution, shot.rotation_texels)
         if light != self._light:
-            self.studio.set_light(self._map(shot.light, shot.light_resolution), shot.rotation_texels, shot.light_resolution)
+            L = self._map(shot.light, shot.light_resolution)
+            with self._timed("light"):
+                self.studio.set_light(L, shot.rotation_texels, shot.light_resolution)
             self._light = light
         if shot.materials != self._materials:
-            self.studio.set_materials([self._mixtures[name] for name in shot.materials])
+            with self._timed("materials"):
+                self.studio.set_materials([self._mixtures[name] for name in shot.materials])
             self._materials = shot.materials
         if shot.viewpoint != self._view:
             self.studio.set_view(np.radians(azimuths_deg()[shot.viewpoint]))
@@ -119,11 +134,12 @@ class Pipeline:
             mask = exr.read_geometry(self.store.folder / path)[1]
             digest = file_hash(self.store.folder / path)
         else:
-            seen = self.studio.geometry()
-            mask = seen.mask
-            if faults := checks.geometry(seen, self._segments):
-                raise BadShot("; ".join(faults))
-            digest = self.store.place(path, lambda temporary: exr.write_geometry(temporary, seen), self.worker, keep_first=True)
+            with self._timed("geometry"):
+                seen = self.studio.geometry()
+                mask = seen.mask
+                if faults := checks.geometry(seen, self._segments):
+                    raise BadShot("; ".join(faults))
+                digest = self.store.place(path, lambda temporary: exr.write_geometry(temporary, seen), self.worker, keep_first=True)
         held = _Geometry(path, digest, mask, float(mask.mean()))
         self._geometries[shot.geometry] = held
         if len(self._geometries) > HELD:

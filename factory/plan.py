@@ -71,7 +71,11 @@ class Plan:
         """Every shot, in the order in which they are best made."""
         for shape in self.assets.shapes:
             for light, occurrence in self.lights:
-                yield from sorted(self._under(shape, light, occurrence), key=_order)
+                yield from self.group(shape, light, occurrence)
+
+    def group(self, shape, light, occurrence=0):
+        """The shots of one shape under one light, in order."""
+        return sorted(self._under(shape, light, occurrence), key=_order)
 
     @cached_property
     def lights(self):

@@ -1,5 +1,6 @@
 """A job carried out: its folder opened, what is there left out, the rest made, until nothing is owed."""
 
+import os
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
@@ -80,7 +81,7 @@ def _made(plan, store, manner, prefix, descriptors, watch):
                 yield shot
 
     assignment = assign(plan, manner.library)
-    threads = manner.threads or (None if manner.workers == 1 else max(1, _processors() // manner.workers))
+    threads = manner.threads or (None if manner.workers == 1 else max(1, processors() // manner.workers))
     pool = Pool(
         manner.workers,
         lambda number: setup_for(store.folder, f"{prefix}{number:02d}", manner.device, threads, assignment, manner.studio),
@@ -211,9 +212,8 @@ def _bounds(total, shard):
     return total * (i - 1) // n, total * i // n
 
 
-def _processors():
-    import os
-
+def processors():
+    """CPUs that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 

@@ -42,7 +42,10 @@ class Chunk(msgspec.Struct, frozen=True):
 
 
 class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """made, bad: a shot's id; settings and versions come with the first picture; bytes: what the picture takes on disk."""
+    """made, bad: a shot's id; settings and versions come with the first picture.
+
+    bytes: what the picture takes on disk; spent: seconds by kind.
+    """
 
     made: str = ""
     bad: str = ""
@@ -51,6 +54,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     reason: str = ""
     seconds: float = 0.0
     bytes: int = 0
+    spent: dict[str, float] | None = None
     settings: dict | None = None
     versions: dict[str, str] | None = None
 
@@ -106,7 +110,8 @@ def _serve(setup, answer):
                 break
             extra = {"settings": msgspec.to_builtins(studio.settings), "versions": studio.versions} if first else {}
             first = False
-            answer(made=shot.id, seconds=record.seconds, bytes=(store.folder / record.image).stat().st_size, **extra)
+            size = (store.folder / record.image).stat().st_size
+            answer(made=shot.id, seconds=record.seconds, bytes=size, spent=pipeline.spent, **extra)
 
 
 def _studio(setup):

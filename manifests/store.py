@@ -151,10 +151,13 @@ class Store:
             temporary.unlink(missing_ok=True)
 
     def sweep(self, prefix=""):
-        """Remove what killed runs left half-written; `prefix` of the workers' names confines it to one shard's."""
+        """Remove what killed runs left half-written, files and lines; `prefix` of the workers' names confines it to one shard's."""
         partial = self.folder / "partial"
         for path in partial.glob(f"{prefix}*") if partial.is_dir() else ():
             path.unlink(missing_ok=True)
+        for path in self.record_files():
+            if path.name.startswith(prefix):
+                Lines(path).close()
 
 
 def _link(temporary, target):

@@ -1,0 +1,133 @@
+"""`plan JOB`: what a job means, before it starts: how many pictures, for training and for testing, how long, how large."""
+
+import sys
+
+EPILOG = """examples
+  python -m factory plan demo
+  python -m factory plan my-job.json --workers 2
+  python -m factory plan pretrain --no-probe
+  python -m factory plan --presets            the jobs that come with the program"""
+
+
+def register(subparsers):
+    """Add the parser of `plan`."""
+    import argparse
+
+    from factory.commands.render import add_making, add_naming
+
+    parser = subparsers.add_parser(
+        "plan",
+        help="counts, splits, time and disk of a job, before it starts",
+        description="Counts, splits, and a forecast of time and disk from three shots rendered for real. Writes nothing.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("job", nargs="?", help="a job file (JSON), or a preset's name")
+    parser.add_argument("--presets", action="store_true", help="list the jobs that come with the program")
+    parser.add_argument(
+        "--probe", action=argparse.BooleanOptionalAction, default=True, help="render three shots for the forecast (default)"
+    )
+    parser.add_argument("--schema", action="store_true", help="print the JSON Schema of a job")
+    add_making(parser)
+    add_naming(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options):
+    """Print the plan; 0."""
+    from factory import jobs
+    from factory.run import planned
+    from manifests.problems import Problem
+
+    if options.presets or options.schema:
+        print(_presets(jobs) if options.presets else _schema())
+        return 0
+    if not options.job:
+        raise Problem("plan", "a job", "none", "name a file or a preset; plan --presets lists them")
+    from factory.commands.render import found
+
+    job, folder = jobs.load(options.job)
+    plan = planned(job, found(job, options.assets or folder, options))
+    for note in plan.assets.notes:
+        print(f"factory: {note}", file=sys.stderr)
+    for line in described(plan):
+        print(line)
+    if options.probe:
+        print(_forecast(plan, options))
+    return 0
+
+
+def described(plan):
+    """Counts and splits of a plan, a line each."""
+    from collections import Counter
+
+    job, assets = plan.job, plan.assets
+    categories = Counter((s.category, s.role) for s in assets.shapes)
+    views = f"{job.views.random} random" if hasattr(job.views, "random") else f"{len(job.views)}"
+    turns = f"{job.rotations.random} random" if hasattr(job.rotations, "random") else f"{len(job.rotations)}"
+    height, width = job.camera.size
+    lens = "orthographic" if job.camera.fov_deg is None else f"{job.camera.fov_deg:g}° wide"
+    yield f"job {job.name}: {len(plan)} pictures of {height}×{width}, {job.samples} samples, {lens}"
+    yield "  shapes     " + ", ".join(f"{count} {category} ({role})" for (category, role), count in sorted(categories.items()))
+    sides = Counter(m.side for m in assets.materials)
+    yield f"  materials  {len(assets.materials)}: " + ", ".join(f"{count} {side}" for side, count in sorted(sides.items()))
+    yield f"  lights     {len(job.lights)}: " + ", ".join(dict.fromkeys(job.lights))
+    kinds = f"{'/'.join(job.tiers)} × {'/'.join(job.light_resolutions)}"
+    yield f"  each       {views} views × {turns} rotations × {kinds} × {job.repeats} seeds"
+    yield "  split      " + ", ".join(f"{count} {split}" for split, count in split_counts(plan).items())
+
+
+def split_counts(plan):
+    """How many pictures are for training, for testing and mixed: from the sides alone, without making the shots."""
+    from collections import Counter
+
+    from manifests.splits import split_of
+
+    counts = Counter()
+    each = plan.each * len(plan.lights)
+    for shape in plan.assets.shapes:
+        for choice in plan.choices(shape):
+            split = shape.side if isinstance(choice, int) else split_of(shape.side, [m.side for m in choice])
+            counts[split] += each
+    return dict(sorted(counts.items(), reverse=True))
+
+
+def _forecast(plan, options):
+    from factory.forecast import probed
+    from factory.run import Manner
+
+    forecast = probed(plan, Manner(workers=options.workers, device=options.device, library=options.lights))
+    whole = sum(forecast.seconds.values()) or 1.0
+    parts = ", ".join(f"{kind} {seconds / whole:.0%}" for kind, seconds in sorted(forecast.seconds.items(), key=lambda item: -item[1]))
+    files = ", ".join(f"{kind} {_bytes(size)}" for kind, size in forecast.bytes.items())
+    return (
+        f"  time       about {_time(forecast.hours)} with {forecast.workers} worker{'s' * (forecast.workers > 1)} ({parts})\n"
+        f"  disk       about {_bytes(sum(forecast.bytes.values()))} ({files})"
+    )
+
+
+def _time(hours):
+    minutes = hours * 60
+    if minutes < 2:
+        return f"{minutes * 60:.0f} s"
+    return f"{minutes:.0f} min" if minutes < 120 else f"{hours:.1f} h" if hours < 72 else f"{hours / 24:.1f} days"
+
+
+def _bytes(size):
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
+
+
+def _presets(jobs):
+    lines = []
+    for name, path in jobs.presets().items():
+        job, _ = jobs.load(path)
+        lines.append(
+            f"{name:<16} {len(job.shapes)} shape entries, {job.camera.size[0]}×{job.camera.size[1]}, {'/'.join(job.tiers)}; {job.name}"
+        )
+    return "\n".join(lines)
+
+
+def _schema():
+    from manifests.publish import documents
+
+    return documents()["job.schema.json"].rstrip()

@@ -1,0 +1,64 @@
+"""`status DIR`: how far a dataset is, what it holds, what failed."""
+
+
+def register(subparsers):
+    """Add the parser of `status`."""
+    parser = subparsers.add_parser(
+        "status", help="how far a dataset is, and what it holds", description="Counts of a dataset, and what failed. Opens no picture."
+    )
+    parser.add_argument("folder", metavar="DIR", help="the dataset's folder")
+    parser.add_argument("--json", action="store_true", help="as JSON")
+    parser.set_defaults(run=run)
+
+
+def run(options):
+    """Print the counts; 0 always, a folder that is no dataset is a Problem."""
+    import json
+
+    report = counted(options.folder)
+    if options.json:
+        print(json.dumps(report, indent=1))
+        return 0
+    print(f"{options.folder}: {report['records']} of {report['planned']} pictures, {report['failed']} failed")
+    for job in report["jobs"]:
+        print(f"  job {job['name']}: {job['shots']} pictures, begun {job['begun']}")
+    for key in ("split", "category", "tier", "light_resolution", "light"):
+        print(f"  {key.replace('_', ' '):<16} " + ", ".join(f"{name} {count}" for name, count in report[key].items()))
+    print(f"  {'materials':<16} {report['materials']};  shapes {report['shapes']};  rendering time {report['hours']:.2f} worker-hours")
+    for failure in report["failures"][:10]:
+        print(f"  failed {failure['id']}: {failure['shape']}, {', '.join(failure['materials'])}, {failure['light']}: {failure['reason']}")
+    return 0
+
+
+def counted(folder):
+    """The counts, as a dictionary."""
+    from collections import Counter
+
+    import msgspec
+
+    from manifests.store import Store
+
+    store = Store(folder)
+    dataset = store.dataset()
+    kinds = ("split", "category", "tier", "light_resolution", "light")
+    counts = {kind: Counter() for kind in kinds}
+    shapes, materials, done, seconds = set(), set(), set(), 0.0
+    for record in store.records():
+        for kind in kinds:
+            counts[kind][getattr(record, kind)] += 1
+        shapes.add(record.shape)
+        materials.update(record.materials)
+        done.add(record.id)
+        seconds += record.seconds
+    failures = {f.id: f for f in store.failures() if f.id not in done}
+    return {
+        "records": len(done),
+        "planned": sum(order.shots for order in dataset.orders),
+        "failed": len(failures),
+        "jobs": [{"name": o.job.name, "shots": o.shots, "begun": o.begun} for o in dataset.orders],
+        **{kind: dict(sorted(count.items())) for kind, count in counts.items()},
+        "shapes": len(shapes),
+        "materials": len(materials),
+        "hours": seconds / 3600,
+        "failures": [msgspec.to_builtins(f) for f in failures.values()],
+    }
