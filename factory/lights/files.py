@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from factory.lights import rgbe
+from factory.quiet import silenced
 from manifests.problems import Problem
 
 SUFFIXES = (".hdr", ".exr")
@@ -70,7 +71,7 @@ def _read_exr(path, check_size):
 
     broken = Problem(path, "a whole OpenEXR picture", "a damaged or truncated file", "download or export it again")
     try:
-        with OpenEXR.File(str(path), header_only=True) as file:
+        with silenced(1, 2), OpenEXR.File(str(path), header_only=True) as file:  # the library prints each error besides raising it
             header = file.header()
             low, high, count = *header["dataWindow"], len(header["channels"])
     except Exception as error:  # the library's own errors are RuntimeError, ValueError and others
@@ -78,7 +79,7 @@ def _read_exr(path, check_size):
     width, height = (int(high[k]) - int(low[k]) + 1 for k in (0, 1))
     check_size(height, width, 4 * count * height * width)
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
+        with silenced(1, 2), OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: channel.pixels for name, channel in file.channels().items()}
     except Exception as error:
         raise broken from error

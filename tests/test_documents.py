@@ -1,0 +1,97 @@
+"""What the documents say is true: their code runs, their commands run, the names they give exist.
+
+Commands run in an empty folder, in the order of the page, at a smaller size: SMALLER lists every substitution, and nothing else is changed.
+`make` lines are checked without being carried out; `.ci/run` carries them out.
+"""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+DOCUMENTS = ("README.md", "docs/conventions.md")
+SMALLER = [
+    (r"^(python -m factory render .*)$", r"\1 --limit 2"),  # two pictures show that the command works
+    (r"--size \d+", "--size 24"),
+    (r"--samples \d+", "--samples 4"),
+    (r"--workers \d+", "--workers 1"),
+    (r"^(python -m learn agree .*)$", r"\1 --limit 2"),
+]
+USERS_FILES = {"my-chair.obj": "manifests/jobs/meshes/vase.obj"}  # what a reader has and we do not
+
+
+def blocks(root, document, language):
+    text = (root / document).read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.M | re.S)
+
+
+def commands(root):
+    """Every command line of the documents, with its document."""
+    for document in DOCUMENTS:
+        for block in blocks(root, document, "sh"):
+            for line in re.sub(r"\\\n\s*", "", block).splitlines():
+                line = line.partition("  #")[0].strip()
+                if line and not line.startswith("#"):
+                    yield document, line
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_python_blocks_of_a_document_run_from_top_to_bottom(root, document, tmp_path, monkeypatch):
+    code = blocks(root, document, "python")
+    if document.startswith("docs/"):
+        assert code, "no code found: has the fence changed?"
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for block in code:
+        exec(compile(block, document, "exec"), names)
+
+
+@pytest.mark.blender
+def test_every_command_of_the_documents_runs(root, tmp_path):
+    for module in ("bpy", "torch"):
+        pytest.importorskip(module)
+    for name, source in USERS_FILES.items():
+        shutil.copy(root / source, tmp_path / name)
+    Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(tmp_path / "not-a-map.png")
+    environment = {**os.environ, "PYTHONPATH": str(root), "PATH": f"{os.path.dirname(sys.executable)}{os.pathsep}{os.environ['PATH']}"}
+    ran = 0
+    for document, command in commands(root):
+        if command.startswith("make "):
+            done = subprocess.run([*shlex.split(command), "--dry-run"], cwd=root, capture_output=True, text=True, timeout=60)
+        else:
+            assert re.match(r"python -m (factory|learn) ", command), f"{document}: how is '{command}' to be run?"
+            for pattern, smaller in SMALLER:
+                command = re.sub(pattern, smaller, command)
+            arguments = [sys.executable, *shlex.split(command)[1:]]
+            done = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+            ran += 1
+        assert done.returncode == 0, f"{document}: {command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+    assert ran >= 5
+
+
+def test_every_file_that_a_document_names_exists(root):
+    missing = []
+    for document in (*DOCUMENTS, "CHANGELOG.md", "docs/log.md"):
+        text = re.sub(r"^```.*?^```", "", (root / document).read_text(encoding="utf-8"), flags=re.M | re.S)
+        named = re.findall(r"`((?:docs|factory|learn|manifests|shaders|tests)/[\w./-]*)`", text) + re.findall(r"\]\(((?!https?:)[^)#]+)\)", text)
+        base = (root / document).parent
+        missing += [f"{document}: {name}" for name in named if not ((root / name).exists() or (base / name).exists())]
+    assert not missing
+
+
+def test_the_makefile_helps_with_every_target_it_offers(root):
+    text = (root / "Makefile").read_text()
+    targets = re.search(r"^\.PHONY: (.*)$", text, flags=re.M)[1].split()
+    shown = subprocess.run(["make", "help"], cwd=root, capture_output=True, text=True, check=True).stdout
+    assert {t for t in targets if t != "help" and f"make {t} " not in shown} == set()
+
+
+def test_constraints_pin_versions_and_name_no_address(root):
+    lines = [line for line in (root / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")]
+    assert lines and all(re.fullmatch(r"[\w.-]+==[\w.!]+", line) for line in lines)  # no '+cpu', no address, no range
