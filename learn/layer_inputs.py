@@ -139,6 +139,6 @@ def compact(inputs):
         light=inputs.light,
         counts=tuple(counts.tolist()),
         light_of=tuple((present // segments).tolist()),
-        camera_from_light=torch.as_tensor(camera_from_light(inputs.elevation), dtype=n.dtype, device=n.device),
+        camera_from_light=torch.as_tensor(camera_from_light(inputs.elevation)),
     )
     return batch, index[order]

@@ -114,9 +114,7 @@ def lobe_backward(lobes, o, log_c, weight, lobe_sums, f, slope):
     return f + value, fma(x * exponent, gamma, slope)
 
 
-def backward(
-    first, last, pixels, blocks, n, geometry, energy, lobes, least, cut, scratch, g, n_part, energy_sums, lobe_sums
-):
+def backward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut, scratch, g, n_part, energy_sums, lobe_sums):
     """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew is computed again.
 
     g            (P, 3) derivative by radiance

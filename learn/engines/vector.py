@@ -4,7 +4,7 @@ LLVM splits the vector for the machine at hand: one register on AVX-512, two on 
 named. Each function below becomes a single LLVM instruction or intrinsic (`lane_sum` four additions).
 
 Wide    sixteen float32, "lanes"; numbers that meet a Wide in + − × ÷ or in a function are spread over the lanes
-Mask    sixteen truth values, from `a > b`
+Mask    sixteen truth values, from `a > b` or `a < b`
 
 FLAGS let LLVM fuse a×b+c and assume finite numbers. `reassoc` is left out on purpose: it would fold (x + M) − M in
 learn.engines.exponentials, and two_sum here.
@@ -109,6 +109,7 @@ _operator(operator.add, wide, lambda b, x, y: b.fadd(x, y, flags=FLAGS))
 _operator(operator.sub, wide, lambda b, x, y: b.fsub(x, y, flags=FLAGS))
 _operator(operator.mul, wide, lambda b, x, y: b.fmul(x, y, flags=FLAGS))
 _operator(operator.truediv, wide, lambda b, x, y: b.fdiv(x, y, flags=FLAGS))
+_operator(operator.lt, mask, lambda b, x, y: b.fcmp_ordered("<", x, y))
 _operator(operator.gt, mask, lambda b, x, y: b.fcmp_ordered(">", x, y))
 
 

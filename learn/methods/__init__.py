@@ -49,7 +49,7 @@ class Batch:
     light              (B, Hl, Wl, 3) linear radiance, light frame
     counts             pixels of each group; they lie one group after the other and sum to P
     light_of           index into `light` of each group
-    camera_from_light  (3, 3) rotation, constant
+    camera_from_light  (3, 3) rotation, constant, float64 on the CPU whatever the rest is
     """
 
     n: torch.Tensor

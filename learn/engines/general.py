@@ -1,0 +1,215 @@
+"""Kernels for a view vector per pixel: h, θ_d and the spline values belong to each pixel and light.
+
+P pixels, blocks of 16 lights (LANES); all arrays float32, flat, C order.
+n, v      (P, 3) unit normals, and unit vectors to the viewer, camera frame
+geometry  (blocks, 6, 16): w (3 rows), and what rounding took off w (3 rows)
+energy    (blocks, 3, 16): radiance × solid angle, E_k
+m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
+least     (3 lobes,): smallest γ, to bound a whole block
+cut       (blocks,): a lobe with log2 c^γ below it everywhere in a block is left out (learn.engines.lights)
+
+    s = w + v, t = w − v, h = s/‖s‖, θ_d = arctan(‖t‖/‖s‖), c = n·h = 1 − ½‖h − n‖²;   the sum as in learn.engines.distant
+
+s is kept as a float and its rounding error, and v's length is set right, so that h − n is right to its own size: a lobe of
+γ = 1e5 needs it.
+"""
+
+from numba import float32, float64, njit, types
+
+from learn.engines.distant import CHUNKS, LN2, add_to, peak_cosine
+from learn.engines.exponentials import angle, exp2, exp2m1
+from learn.engines.splines import ANGLE_TO_X, add_curve, basis, curve, slope, tents
+from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, select, splat, sqrt, store
+
+TILE = 32  # pixels of a thread's piece of work
+SCRATCH = 2 * 48 * TILE + 16 * 108  # floats: sums by n, by v, by m
+LEAST_SQUARE = 1e-9  # of ‖s‖: where the light is in front of the horizon it is above HORIZON²
+
+FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 8)
+BACKWARD = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 14)
+
+
+@njit(forceinline=True)
+def two_sum(a, b):
+    """a + b and what its rounding took off."""
+    total = a + b
+    part = total - a
+    return total, (a - (total - part)) + (b - part)
+
+
+@njit(forceinline=True)
+def lengths(wx, wy, wz, vx, vy, vz):
+    """‖w − v‖², ‖w + v‖²."""
+    tx, ty, tz = wx - vx, wy - vy, wz - vz
+    sx, sy, sz = wx + vx, wy + vy, wz + vz
+    return fma(tx, tx, fma(ty, ty, tz * tz)), maximum(fma(sx, sx, fma(sy, sy, sz * sz)), LEAST_SQUARE)
+
+
+@njit(forceinline=True)
+def shortfall(x, y, z):
+    """1/‖v‖ − 1 of a vector that was scaled to unit length in float32."""
+    x, y, z = float64(x), float64(y), float64(z)
+    return float32(0.5 * (1.0 - (x * x + y * y + z * z)))
+
+
+@njit(forceinline=True)
+def offset(w, w_rest, v, v_short, n, inverse):
+    """One component of h − n, inverse = 1/‖s‖."""
+    s, rest = two_sum(w, v)
+    return fma(fma(v, v_short, rest + w_rest), inverse, fma(s, inverse, 0.0 - n))
+
+
+@njit(forceinline=True)
+def half_offset(geometry, o, wx, wy, wz, nx, ny, nz, vx, vy, vz, v_short, inverse):
+    """h − n (3 values)."""
+    x = offset(wx, load(geometry, o + 48), vx, v_short, nx, inverse)
+    y = offset(wy, load(geometry, o + 64), vy, v_short, ny, inverse)
+    z = offset(wz, load(geometry, o + 80), vz, v_short, nz, inverse)
+    return x, y, z
+
+
+@njit(forceinline=True)
+def lobe(m, o, log_c, b):
+    """expm1(κ c^γ) of the lobe and channel at offset o."""
+    return exp2m1(curve(m, o + 6, b) * exp2(curve(m, o, b) * log_c))
+
+
+def forward(first, last, pixels, blocks, n, v, geometry, energy, m, least, cut, radiance):
+    """Radiance (P, 3) of pixel tiles first … last − 1."""
+    for p in range(first * TILE, min(last * TILE, pixels)):
+        nx, ny, nz = splat(n[3 * p]), splat(n[3 * p + 1]), splat(n[3 * p + 2])
+        vx, vy, vz = splat(v[3 * p]), splat(v[3 * p + 1]), splat(v[3 * p + 2])
+        v_short = shortfall(v[3 * p], v[3 * p + 1], v[3 * p + 2])
+        i0, i1, i2 = splat(0.0), splat(0.0), splat(0.0)
+        for block in range(blocks):
+            o, e = 96 * block, 48 * block
+            wx, wy, wz = load(geometry, o), load(geometry, o + 16), load(geometry, o + 32)
+            n_w = fma(wx, nx, fma(wy, ny, wz * nz))
+            if not anywhere(n_w > 0.0):
+                continue
+            t_square, s_square = lengths(wx, wy, wz, vx, vy, vz)
+            inverse = 1.0 / sqrt(s_square)
+            x, y, z = half_offset(geometry, o, wx, wy, wz, nx, ny, nz, vx, vy, vz, v_short, inverse)
+            log_c = peak_cosine(x, y, z)[1]
+            nearest = lane_max(log_c)
+            if not (nearest * min(least[0], least[1], least[2]) > cut[block]):
+                continue
+            b = basis(angle(t_square, s_square))
+            f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+            for s in range(3):
+                if nearest * least[s] > cut[block]:
+                    f0 = f0 + lobe(m, 36 * s, log_c, b)
+                    f1 = f1 + lobe(m, 36 * s + 12, log_c, b)
+                    f2 = f2 + lobe(m, 36 * s + 24, log_c, b)
+            n_w = maximum(n_w, 0.0)
+            i0 = fma(f0 * n_w, load(energy, e), i0)
+            i1 = fma(f1 * n_w, load(energy, e + 16), i1)
+            i2 = fma(f2 * n_w, load(energy, e + 32), i2)
+        radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = lane_sum(i0), lane_sum(i1), lane_sum(i2)
+
+
+@njit(forceinline=True)
+def lobe_backward(m, steps, o, log_c, b, tent, weight, m_sums, at, with_view):
+    """One lobe and channel: F, dF/dc · c log2 e, dF/dx of the spline's x; adds its derivatives by m, × weight, from m_sums[at] on."""
+    gamma, kappa = curve(m, o, b), curve(m, o + 6, b)
+    power = exp2(gamma * log_c)
+    exponent = kappa * power
+    value = exp2m1(exponent)
+    x = value + 1.0
+    by_kappa = x * power
+    by_gamma = x * exponent * log_c
+    add_curve(m_sums, at + 16 * o, weight * by_gamma, b)
+    add_curve(m_sums, at + 16 * o + 96, weight * by_kappa, b)
+    by_x = splat(0.0)
+    if with_view:
+        i = o // 6 * 5
+        by_x = fma(by_gamma, slope(steps, i, tent), by_kappa * slope(steps, i + 5, tent))
+    return value, x * exponent * gamma, by_x
+
+
+def backward(
+    first, last, pixels, blocks, with_view,
+    n, v, geometry, energy, m, steps, least, cut, scratch, g, n_part, v_part, energy_sums, m_sums,
+):  # fmt: skip
+    """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew is computed again.
+
+    with_view    0: v_part is not written
+    steps        (3 lobes, 3 channels, 2, 5): slopes of the splines of γ ln² 2 and of κ (learn.engines.lights.spline_steps)
+    scratch      (CHUNKS, SCRATCH): room for a tile's sums
+    g            (P, 3) derivative by radiance
+    n_part       (CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to n
+    v_part       (CHUNKS, P, 3) out: the same by v
+    energy_sums  (blocks, 3, 16) out: Σ_p g F max(0, n·w), the derivative by energy
+    m_sums       (CHUNKS, tiles, 108) out, like m: derivatives by γ ln² 2 and by κ, each tile's and chunk's share
+    Chunks as in learn.engines.distant.
+    """
+    tiles = (pixels + TILE - 1) // TILE
+    for chunk in range(first, last):
+        block_first, block_last = chunk * blocks // CHUNKS, (chunk + 1) * blocks // CHUNKS
+        for i in range(3 * block_first, 3 * block_last):
+            store(energy_sums, 16 * i, splat(0.0))
+        n_sums = SCRATCH * chunk
+        v_sums = n_sums + 48 * TILE
+        for tile in range(tiles):
+            start = tile * TILE
+            count = min(TILE, pixels - start)
+            for i in range(SCRATCH // 16):
+                store(scratch, n_sums + 16 * i, splat(0.0))
+            for block in range(block_first, block_last):
+                o, e = 96 * block, 48 * block
+                wx, wy, wz = load(geometry, o), load(geometry, o + 16), load(geometry, o + 32)
+                for j in range(count):
+                    p = 3 * (start + j)
+                    nx, ny, nz = n[p], n[p + 1], n[p + 2]
+                    n_w = fma(wx, nx, fma(wy, ny, wz * nz))
+                    visible = n_w > 0.0
+                    if not anywhere(visible):
+                        continue
+                    vx, vy, vz = splat(v[p]), splat(v[p + 1]), splat(v[p + 2])
+                    t_square, s_square = lengths(wx, wy, wz, vx, vy, vz)
+                    inverse = 1.0 / sqrt(s_square)
+                    v_short = shortfall(v[p], v[p + 1], v[p + 2])
+                    x, y, z = half_offset(geometry, o, wx, wy, wz, nx, ny, nz, vx, vy, vz, v_short, inverse)
+                    c, log_c = peak_cosine(x, y, z)
+                    nearest = lane_max(log_c)
+                    if not (nearest * min(least[0], least[1], least[2]) > cut[block]):
+                        continue
+                    theta_d = angle(t_square, s_square)
+                    b, tent = basis(theta_d), tents(theta_d)
+                    n_w = maximum(n_w, 0.0)
+                    by_w, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
+                    for k in range(3):
+                        energy_k = load(energy, e + 16 * k)
+                        weight = n_w * g[p + k] * energy_k
+                        f, d_c, d_x = splat(0.0), splat(0.0), splat(0.0)
+                        for s in range(3):
+                            if nearest * least[s] > cut[block]:
+                                lobe_f, lobe_c, lobe_x = lobe_backward(
+                                    m, steps, 36 * s + 12 * k, log_c, b, tent, weight, scratch, v_sums + 48 * TILE, with_view
+                                )
+                                f, d_c, d_x = f + lobe_f, d_c + lobe_c, d_x + lobe_x
+                        add_to(energy_sums, e + 16 * k, f * n_w * g[p + k])
+                        by_w = fma(f * g[p + k], energy_k, by_w)
+                        by_c = fma(d_c, weight, by_c)
+                        by_x = fma(d_x, weight, by_x)
+                    by_w = select(visible, by_w, 0.0)
+                    by_c = by_c * LN2 / c
+                    a = n_sums + 48 * j
+                    add_to(scratch, a, fma(by_w, wx, by_c * x))
+                    add_to(scratch, a + 16, fma(by_w, wy, by_c * y))
+                    add_to(scratch, a + 32, fma(by_w, wz, by_c * z))
+                    if with_view:
+                        # ∂c/∂v = (n − c h)/‖s‖ where n − c h = (1 − c) h − (h − n);  ∂θ_d/∂v = −t/(‖t‖ ‖s‖)
+                        by_c = by_c * inverse
+                        near = by_c * fma(x, x, fma(y, y, z * z)) * 0.5  # 1 − c itself has lost its digits
+                        by_t = by_x * ANGLE_TO_X * inverse / sqrt(maximum(t_square, LEAST_SQUARE))
+                        a = v_sums + 48 * j
+                        add_to(scratch, a, fma(near, x + nx, 0.0 - by_c * x) - by_t * (wx - vx))
+                        add_to(scratch, a + 16, fma(near, y + ny, 0.0 - by_c * y) - by_t * (wy - vy))
+                        add_to(scratch, a + 32, fma(near, z + nz, 0.0 - by_c * z) - by_t * (wz - vz))
+            for i in range(3 * count):
+                n_part[3 * (chunk * pixels + start) + i] = lane_sum(load(scratch, n_sums + 16 * i))
+                if with_view:
+                    v_part[3 * (chunk * pixels + start) + i] = lane_sum(load(scratch, v_sums + 16 * i))
+            for i in range(108):
+                m_sums[108 * (chunk * tiles + tile) + i] = lane_sum(load(scratch, v_sums + 48 * TILE + 16 * i))

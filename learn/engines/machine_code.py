@@ -1,0 +1,164 @@
+"""The kernels as machine code: compiled by numba on first use, kept on disk, loaded without numba afterwards.
+
+A kernel is a numba function of integers and float pointers that never fails and calls nothing. Its machine code is stored in the
+user's cache folder under the hash of everything it depends on: the sources of the kernel modules, the versions of numba and
+llvmlite, the processor. numba's own cache knows only the file of the outermost function and went stale when an imported one changed.
+Compiling takes one to two seconds and says so on stderr; loading takes milliseconds and needs llvmlite alone.
+
+The functions are called through ctypes, which releases Python's lock: threads run them side by side.
+"""
+
+import ctypes
+import functools
+import hashlib
+import importlib.metadata
+import importlib.util
+import os
+import re
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+DIGEST = hashlib.sha256().digest_size
+_lock = threading.Lock()
+_loaded = {}  # name → (address, what must stay alive)
+
+
+def _renew_lock():
+    global _lock
+    _lock = threading.Lock()
+
+
+os.register_at_fork(after_in_child=_renew_lock)
+
+
+@functools.cache
+def is_available():
+    """Whether kernels can be made here: numba (which brings llvmlite) is installed."""
+    return importlib.util.find_spec("numba") is not None
+
+
+def call(name, *arguments):
+    """Run a kernel, "module.function" of this folder, on integers and C-contiguous arrays (or None)."""
+    unused = ctypes.c_void_p(), ctypes.c_void_p()  # where numba puts the result (None) and would put an exception
+    kinds, values = [ctypes.c_void_p, ctypes.c_void_p], [ctypes.addressof(u) for u in unused]
+    for argument in arguments:
+        if isinstance(argument, int):
+            kinds.append(ctypes.c_int64)
+            values.append(argument)
+        else:
+            kinds.append(ctypes.c_void_p)
+            values.append(None if argument is None else argument.ctypes.data)
+    ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(_address(name))(*values)
+
+
+def _address(name):
+    if name not in _loaded:
+        with _lock:
+            if name not in _loaded:
+                _loaded[name] = _load(name, _machine_code(name))
+    return _loaded[name][0]
+
+
+def _load(name, code):
+    """Address of the kernel in its machine code, and the engine that owns the memory."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    empty = llvm.parse_assembly("", context=llvm.create_context())
+    engine = llvm.create_mcjit_compiler(empty, _target_machine(llvm))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    return engine.get_function_address(_symbol(name)), engine
+
+
+def _machine_code(name):
+    """From the cache folder, or compiled and put there."""
+    path = _cache_folder() / f"{name}-{_key(name.split('.')[0])}.o"
+    try:
+        digest, code = (stored := path.read_bytes())[:DIGEST], stored[DIGEST:]
+        if hashlib.sha256(code).digest() == digest:
+            return code
+    except OSError:
+        pass
+    print(f"brdfactory: compiling the kernel {name} for this machine, about 2 s, once (kept in {path.parent})", file=sys.stderr)
+    code = _compile(name)
+    try:
+        _write(path, hashlib.sha256(code).digest() + code)
+    except OSError as error:
+        print(f"brdfactory: cannot keep it ({error}); set BRDFACTORY_CACHE to a folder that can be written", file=sys.stderr)
+    return code
+
+
+def _compile(name):
+    import llvmlite.binding as llvm
+    import numba
+    from numba.core.compiler_lock import global_compiler_lock
+
+    module_name, function_name = name.split(".")
+    with global_compiler_lock:
+        module = importlib.import_module(f"learn.engines.{module_name}")
+        compiled = numba.cfunc(getattr(module, function_name.upper()))(getattr(module, function_name))
+        llvm_module = llvm.parse_assembly(compiled.inspect_llvm(), context=llvm.create_context())
+        # Keep the function itself; drop the wrapper that would report a Python error.
+        for function in llvm_module.functions:
+            if not function.is_declaration:
+                if function.name.startswith("cfunc."):
+                    function.linkage = "internal"
+                else:
+                    function.name = _symbol(name)
+        machine = _target_machine(llvm)
+        passes = llvm.create_new_module_pass_manager()
+        passes.add_global_dead_code_eliminate_pass()
+        passes.run(llvm_module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+        return machine.emit_object(llvm_module)
+
+
+def _target_machine(llvm):
+    features = llvm.get_host_cpu_features().flatten()
+    return llvm.Target.from_default_triple().create_target_machine(llvm.get_host_cpu_name(), features, opt=3, reloc="pic")
+
+
+def _symbol(name):
+    return "brdfactory_" + name.replace(".", "_")
+
+
+def sources(module):
+    """The names of a kernel's module and of all modules of this folder that it imports, directly or not; and this one's."""
+    found, open_ = {"machine_code"}, [module]
+    while open_:
+        name = open_.pop()
+        if name not in found:
+            found.add(name)
+            open_ += re.findall(r"^from learn\.engines\.(\w+) import", (Path(__file__).parent / f"{name}.py").read_text(), re.MULTILINE)
+    return sorted(found)
+
+
+@functools.cache
+def _key(module):
+    import llvmlite.binding as llvm
+
+    parts = [(Path(__file__).parent / f"{name}.py").read_bytes() for name in sources(module)]
+    parts += [importlib.metadata.version(name).encode() for name in ("numba", "llvmlite")]
+    parts += [llvm.get_host_cpu_name().encode(), llvm.get_host_cpu_features().flatten().encode()]
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()[:20]
+
+
+def _cache_folder():
+    named = os.environ.get("BRDFACTORY_CACHE")
+    base = Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "brdfactory"
+    return base / "kernels"
+
+
+def _write(path, content):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.replace(temporary, path)
+    except OSError:
+        Path(temporary).unlink(missing_ok=True)
+        raise
