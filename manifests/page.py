@@ -1,0 +1,124 @@
+"""`python -m manifests.page`: one web page over what the commands left on disk: contact sheet, agreement table, charts.
+
+It reads report.json of `python -m learn agree` and links to pictures where they lie, so that the page is small.
+"""
+
+import argparse
+import html
+import json
+import os
+import sys
+from pathlib import Path
+
+from manifests.problems import Problem
+
+COLUMNS = {
+    "pictures": ("pictures", "{:d}"),
+    "l2": ("L2", "{:.3g}"),
+    "noise": ("noise", "{:.3g}"),
+    "net": ("L2 − noise", "{:.3g}"),
+    "ssim": ("SSIM", "{:.4f}"),
+    "signed": ("mean error", "{:+.2%}"),
+    "absolute": ("absolute error", "{:.2%}"),
+    "node_fit": ("node fit L2", "{:.3g}"),
+}
+SHOWN = ("tier and light resolution", "material", "light", "category")  # breakdowns on this page; the report itself has all of them
+STYLE = """
+:root{color-scheme:light dark;--ink:#1f2933;--soft:#5b6b79;--line:#dfe5ea;--back:#fbfcfd;--card:#fff;--accent:#2f6f9f}
+@media(prefers-color-scheme:dark){:root{--ink:#e6ebef;--soft:#98a7b3;--line:#33414c;--back:#141a1f;--card:#1b232a;--accent:#7db7de}}
+body{font:15px/1.55 system-ui,sans-serif;color:var(--ink);background:var(--back);max-width:1180px;margin:0 auto;padding:2rem 1.2rem}
+h1{font-size:1.7rem;margin:0}
+h2{font-size:1.15rem;margin:2.4rem 0 .6rem}
+p{max-width:72ch}
+a{color:var(--accent)}
+.soft{color:var(--soft)}
+.scroll{overflow-x:auto}
+.sheet{width:100%;background:#202428;border-radius:10px}
+.charts{display:grid;grid-template-columns:repeat(auto-fit,minmax(330px,1fr));gap:1rem}
+.charts img{width:100%;background:#fff;border:1px solid var(--line);border-radius:10px}
+table{border-collapse:collapse;font-size:.88rem;font-variant-numeric:tabular-nums;margin-bottom:1.2rem}
+th,td{padding:.28rem .75rem;text-align:right;border-bottom:1px solid var(--line);white-space:nowrap}
+th:first-child,td:first-child{text-align:left}
+th{color:var(--soft);font-weight:600}
+"""
+
+
+def read(path, command):
+    """JSON of a file that `command` writes. Raises Problem if it is not there or damaged."""
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise Problem(path, "a file", "none", f"run `{command}` first") from None
+    except ValueError as error:
+        raise Problem(path, "JSON", str(error), f"run `{command}` again") from None
+
+
+def table(name, groups):
+    """A breakdown {value: figures} as an HTML table, with the columns that hold figures."""
+    held = [key for key in COLUMNS if any(cell.get(key) is not None for cell in groups.values())]
+    head = "".join(f"<th>{COLUMNS[key][0]}</th>" for key in held)
+    rows = []
+    for value, cell in groups.items():
+        cells = "".join(f"<td>{'–' if cell.get(key) is None else COLUMNS[key][1].format(cell[key])}</td>" for key in held)
+        rows.append(f"<tr><td>{html.escape(str(value))}</td>{cells}</tr>")
+    return f"<div class=scroll><table><tr><th>{html.escape(name)}</th>{head}</tr>{''.join(rows)}</table></div>"
+
+
+def verdict(direct):
+    """The report's headline in words."""
+    if direct.get("net") is None or direct.get("node_fit") is None:
+        return "The noise or the materials' fit is unknown, so the direct tier cannot be judged."
+    kept = "within" if direct.get("holds") else "beyond"
+    return (
+        f"In the direct tier, the light transport that the layer models, the two renderers' pictures differ by a display L2 of "
+        f"{direct['net']:.2f} once noise is taken off (black and white differ by 65,025). The materials' two forms, label and nodes, "
+        f"differ by {direct['node_fit']:.2f} by themselves; the limit is {direct['limit']:g} times that: {kept} it."
+    )
+
+
+def page(out, sheets, agreement, title):
+    """The page's text. sheets: paths of pictures; agreement: folder of the report; links are relative to out's folder."""
+    report = read(agreement / "report.json", "python -m learn agree DIR --out DIR2")
+    summary, about = report["summary"], report["about"]
+
+    def link(path):
+        return html.escape(Path(os.path.relpath(path, out.parent)).as_posix(), quote=True)
+
+    parts = ["<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'>"]
+    parts += [f"<title>{html.escape(title)}</title><style>{STYLE}</style><h1>{html.escape(title)}</h1>"]
+    parts += ["<p class=soft>" + " · ".join(html.escape(str(value)) for value in about.values()) + "</p>"]
+    parts += [f"<p>{html.escape(verdict(summary['direct']))} <a href='{link(agreement / 'index.html')}'>The whole report</a>.</p>"]
+    parts += ["<h2>What was rendered</h2>"]
+    parts += [f"<p><a href='{link(sheet)}'><img class=sheet src='{link(sheet)}' alt='contact sheet'></a></p>" for sheet in sheets]
+    parts += ["<h2>How far Cycles and the layer are apart</h2>"]
+    parts += [table(name, summary["breakdowns"][name]) for name in SHOWN if summary["breakdowns"].get(name)]
+    charts = sorted(agreement.glob("*.png"))
+    parts += ["<h2>Why</h2><div class=charts>"] if charts else []
+    parts += [f"<a href='{link(chart)}'><img src='{link(chart)}' alt='{html.escape(chart.stem)}'></a>" for chart in charts]
+    return "\n".join(parts) + ("</div>" if charts else "") + "</html>\n"
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(prog="python -m manifests.page", description=__doc__.split(": ", 1)[1])
+    parser.add_argument("--sheet", action="append", type=Path, default=[], metavar="PNG", help="a contact sheet; repeatable")
+    parser.add_argument("--agreement", required=True, type=Path, metavar="DIR", help="what `python -m learn agree` wrote")
+    parser.add_argument("--title", default="brdfactory", help="the page's heading (default: %(default)s)")
+    parser.add_argument("--out", required=True, type=Path, metavar="HTML", help="the page to write")
+    options = parser.parse_args(arguments)
+    try:
+        absent = [sheet for sheet in options.sheet if not sheet.is_file()]
+        if absent:
+            raise Problem(absent[0], "a picture", "none", "run `python -m factory preview DIR` first")
+        text = page(options.out, options.sheet, options.agreement, options.title)
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        unfinished = options.out.with_name(options.out.name + ".part")
+        unfinished.write_text(text, encoding="utf-8")
+        os.replace(unfinished, options.out)
+    except (Problem, OSError) as problem:
+        print(f"manifests.page: {problem}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
