@@ -167,14 +167,15 @@ def back_cushions(a, rng, p, kind, count):
 
 def throw_pillows(a, rng, p):
     """None to three loose pillows."""
-    for _ in range(int(rng.choice([0, 0, 1, 2, 3]))):
+    count = min(int(rng.choice([0, 0, 1, 2, 3])), p.seats)
+    for k in range(count):
         size = rng.uniform(0.36, 0.46)
         pillow = (
             ellipsoid([0.16, size, size * rng.choice([1.0, 0.7])], 3.2, 20)
             .turned("y", -rng.uniform(0.25, 0.45))
             .turned("z", rng.uniform(-0.3, 0.3))
         )
-        y = rng.uniform(-1, 1) * (p.width / 2 - size / 2)
+        y = ((k + rng.uniform(0.2, 0.8)) / count * 2 - 1) * (p.width / 2 - size / 2)
         a.add("pillow", pillow.moved(-p.depth / 2 + 0.27, y, p.height + size * 0.42), SOFT)
 
 
@@ -191,7 +192,7 @@ def feet(a, rng, p, half, kind):
         )
         return
     size = rng.uniform(0.02, 0.035)
-    places = [(x, side * (half - 0.07), side) for x in (x_front, x_rear) for side in LEFT_RIGHT] + (
+    places = [(x, side * (min(half, p.width / 2 + 0.05) - 0.07), side) for x in (x_front, x_rear) for side in LEFT_RIGHT] + (
         [(x_front, 0.0, 0), (x_rear, 0.0, 0)] if p.seats > 2 else []
     )
     if kind == "sled":

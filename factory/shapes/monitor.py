@@ -1,0 +1,409 @@
+"""Screens: desk monitors flat and curved, two on an arm, all-in-ones, televisions, laptops, tubes. Segments: 1 screen; 2 casing and stand.
+
+The screen looks to +x. Sizes are those of real ones, in metres: 0.30–1.2 wide, 4:3 to 32:9.
+"""
+
+import numpy as np
+
+from factory.shapes.assembly import Assembly
+from factory.shapes.surfaces import (
+    LEFT_RIGHT,
+    Surface,
+    closed,
+    loft,
+    revolve,
+    rod,
+    rounded_box,
+    rounded_path,
+    slab,
+    smooth_path,
+    superellipse,
+    tube,
+)
+
+FAMILY_KEY = 4
+SCREEN, CASE = 1, 2
+ASPECTS = (4 / 3, 5 / 4, 16 / 10, 16 / 9, 16 / 9, 21 / 9, 32 / 9)
+
+
+def build(seed):
+    """The monitor of a seed, a Mesh of category "monitor"."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAMILY_KEY,)))
+    styles = (desk, curved, dual, all_in_one, television, laptop, tube_monitor, tube_television)
+    style = styles[int(rng.choice(len(styles), p=[0.32, 0.12, 0.09, 0.09, 0.11, 0.11, 0.10, 0.06]))]
+    a = Assembly()
+    style(a, rng)
+    return a.finish(f"monitor:{seed}", "monitor")
+
+
+def rounded_rectangle(wide, high, radius, steps=6, along=12):
+    """Outline (N, 2) of a rectangle with rounded corners, in the y–z plane; straight runs are subdivided so that they can be bent."""
+    points = []
+    radius = min(radius, 0.49 * min(wide, high))
+    for k, (sy, sz) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        angle = np.linspace(k * np.pi / 2, (k + 1) * np.pi / 2, steps + 1)
+        arc = np.stack([sy * (wide / 2 - radius) + radius * np.cos(angle), sz * (high / 2 - radius) + radius * np.sin(angle)], 1)
+        if points:
+            points += list(points[-1] + np.linspace(0, 1, along + 1)[1:-1, None] * (arc[0] - points[-1]))
+        points += list(arc)
+    return np.array(points + list(points[-1] + np.linspace(0, 1, along + 1)[1:-1, None] * (points[0] - points[-1])))
+
+
+def panel(wide, high, *, thick, bezel, chin=0.0, radius=0.01, bulge=0.0, recess=0.003, crown=0.0):
+    """A casing with its screen let into the front: [(Surface, segment)], its front at x = 0, centred on the whole casing.
+
+    chin  how much wider the lower bezel is;  bulge  m that the middle of the back stands out;  crown  m that a tube's screen bulges
+    """
+    full, inner = (
+        rounded_rectangle(wide, high, radius),
+        rounded_rectangle(wide - 2 * bezel, high - 2 * bezel - chin, max(radius - bezel, 0.003)),
+    )
+    inner[:, 1] += chin / 2
+    bevel = min(0.35 * thick, 0.006)
+
+    def ring(outline, share, x, centre=(0.0, 0.0)):
+        flat = np.asarray(centre) + (outline - centre) * share
+        return np.column_stack([np.full(len(flat), x), flat])
+
+    def inset(outline, d):
+        return outline * (1 - 2 * d / np.array([wide, high]))
+
+    rings = [ring(inset(full, bevel * (1 - np.sin(t))), 1.0, -thick + bevel * (1 - np.cos(t))) for t in np.linspace(0, np.pi / 2, 4)]
+    back = (
+        [ring(full, share, -thick - bulge * (1 - share**4) ** 0.7) for share in (0.05, 0.35, 0.6, 0.8, 0.93)]
+        if bulge
+        else [ring(full, 0.3, -thick), ring(full, 0.7, -thick)]
+    )
+    front = [ring(inset(full, bevel * (1 - np.cos(t))), 1.0, -bevel * (1 - np.sin(t))) for t in np.linspace(0, np.pi / 2, 4)]
+    floor = recess + min(0.4 * thick, 0.008)
+    face = [ring(inner, 1.0, 0.0), ring(inner, 1.0, -floor)]
+    shares = (1.0, 0.86, 0.7, 0.5, 0.3, 0.12)
+    middle = inner.mean(0)
+    lowered = [ring(inner, s, -floor, middle) for s in shares[1:]]
+    case = loft(np.array(back + rings + front + face + lowered))
+
+    def plate(share, x, rise):
+        """One ring of the screen; a tube's screen is a dome over both its width and its height."""
+        points = ring(inner, share * 0.999, x, middle)
+        across = (points[:, 1:] - middle) / np.ptp(inner, axis=0) * 2
+        points[:, 0] += rise * np.prod(1 - across**2, axis=1)
+        return points
+
+    # The screen: a thin plate in the recess, its edge hidden in the casing
+    glass = [plate(s, -floor + 0.001, 0.0) for s in shares[::-1]] + [plate(s, -recess, crown) for s in shares]
+    return [(case, CASE), (loft(np.array(glass)), SCREEN)]
+
+
+def add_panel(a, pieces, place):
+    """Add a panel's casing and screen, each through the function `place`."""
+    for surface, segment in pieces:
+        a.add("screen" if segment == SCREEN else "casing", place(surface), segment)
+
+
+def bend(surface, radius):
+    """Bend about a vertical axis `radius` m in front: a curved monitor."""
+    x, y, z = surface.vertices.T
+    angle, reach = y / radius, radius - x
+    return Surface(np.stack([radius - reach * np.cos(angle), reach * np.sin(angle), z], 1), surface.faces)
+
+
+def draw_panel(rng, diagonal, aspect, **fixed):
+    """Width, height and a panel of a diagonal and an aspect."""
+    wide, high = diagonal * aspect / np.hypot(aspect, 1), diagonal / np.hypot(aspect, 1)
+    thin = rng.random() < 0.5
+    options = dict(
+        thick=rng.uniform(0.012, 0.022) if thin else rng.uniform(0.03, 0.055),
+        bezel=rng.uniform(0.005, 0.012) if thin else rng.uniform(0.014, 0.032),
+        chin=rng.choice([0.0, rng.uniform(0.008, 0.03)]),
+        radius=rng.uniform(0.004, 0.022),
+        bulge=rng.choice([0.0, rng.uniform(0.015, 0.04)]),
+    )
+    return wide, high, panel(wide, high, **{**options, **fixed})
+
+
+def stand(a, rng, kind, lift, wide, behind=-0.03):
+    """What carries a panel whose middle is `lift` above the desk."""
+    column = behind - rng.uniform(0.03, 0.06)
+    size = rng.uniform(0.018, 0.035)
+    if kind == "v":
+        for s in LEFT_RIGHT:
+            path = rounded_path([[0.12, s * 0.2 * wide * 2, 0.008], [column, s * 0.05, 0.05], [column, s * 0.02, lift]], 0.05)
+            a.add("stand", tube(path, np.array([0.016, 0.009]), around=14, square=4.0), CASE)
+        return
+    if kind == "feet":
+        for s in LEFT_RIGHT:
+            y = s * wide * 0.36
+            for x in (0.11, -0.13):
+                a.add("foot", rod([-0.012, y, lift * 0.55], [x, y + s * 0.02, 0.006], [0.012, 0.008], around=14, square=4.0), CASE)
+        return
+    if kind == "tripod":
+        for angle in (0.75, -0.75, np.pi):
+            foot = [column + 0.02 + 0.24 * np.cos(angle), 0.24 * np.sin(angle), 0.006]
+            a.add(
+                "leg",
+                tube(
+                    smooth_path([[column, 0, 0.06], [(column + foot[0]) / 2, foot[1] / 2, 0.035], foot], 9),
+                    np.linspace([0.016, 0.012], [0.01, 0.006], 9),
+                    around=14,
+                    square=3.0,
+                ),
+                CASE,
+            )
+        a.add("column", rod([column, 0, 0.03], [column, 0, lift + 0.02], size * 0.8, size * 0.6), CASE)
+    elif kind == "loop":
+        w = rng.uniform(0.08, 0.16)
+        path = rounded_path(
+            [
+                [0.13, w, 0.008],
+                [column, w, 0.008],
+                [column, w * 0.8, lift],
+                [column, -w * 0.8, lift],
+                [column, -w, 0.008],
+                [0.13, -w, 0.008],
+            ],
+            0.05,
+            6,
+        )
+        a.add("stand", tube(path, 0.008, around=12), CASE)
+    else:
+        depth, reach = rng.uniform(0.17, 0.26), rng.uniform(0.2, 0.34)
+        if kind == "disc":
+            outline = superellipse(48) * [depth / 2, depth / 2]
+        elif kind == "arc":
+            angle = np.linspace(-1.2, 1.2, 25)
+            path = np.stack([column - 0.05 + 0.2 * np.cos(angle) - 0.02, 0.2 * np.sin(angle) * reach / 0.24, np.full(25, 0.009)], 1)
+            a.add("foot", tube(path, np.array([0.03, 0.009]), around=16, square=5.0), CASE)
+            outline = superellipse(32, 4.0) * [0.09, 0.045]
+        else:
+            outline = superellipse(48, rng.uniform(3, 9)) * [depth / 2, reach / 2]
+        a.add(
+            "foot",
+            slab(outline, rng.uniform(0.01, 0.018), 0.8, rng.choice([0.0, 0.008])).moved(0.0 if kind != "arc" else column + 0.06, 0, 0.008),
+            CASE,
+        )
+        lean = rng.uniform(-0.02, 0.05)
+        flat = rng.choice([True, False])
+        path = smooth_path([[column + lean, 0, 0.01], [column + lean * 0.3, 0, lift * 0.5], [column, 0, lift + 0.03]], 12)
+        a.add(
+            "neck",
+            tube(path, np.array([size * (1.6 if flat else 0.8), size * (0.5 if flat else 0.8)]), around=18, square=rng.choice([2.5, 6.0])),
+            CASE,
+        )
+    a.add("mount", rounded_box([0.016 - column, 0.1, 0.1], 0.012, edge=2).moved((column - 0.004) / 2, 0, lift), CASE)
+
+
+def desk(a, rng):
+    """A flat monitor on a stand; upright now and then; a sound bar below."""
+    aspect = float(rng.choice(ASPECTS[:6]))
+    if rng.random() < 0.14:
+        aspect = 1 / aspect
+    wide, high, pieces = draw_panel(rng, rng.uniform(0.43, 0.7), aspect)
+    lift = high / 2 + rng.uniform(0.05, 0.15)
+    tilt = rng.uniform(0.0, 0.14)
+    add_panel(a, pieces, lambda s: s.turned("y", -tilt).moved(0.02, 0, lift))
+    stand(a, rng, rng.choice(["plate", "disc", "v", "loop", "tripod", "arc"], p=[0.3, 0.18, 0.14, 0.14, 0.1, 0.14]), lift, wide)
+    if rng.random() < 0.15 and high > 0.2:
+        a.add("sound bar", rounded_box([0.04, wide * 0.7, 0.035], 0.012, edge=2).moved(0.01, 0, lift - high / 2 - 0.018), CASE)
+
+
+def curved(a, rng):
+    """A wide panel bent towards the viewer."""
+    wide, high, pieces = draw_panel(rng, rng.uniform(0.75, 1.2), float(rng.choice([16 / 9, 21 / 9, 32 / 9])), thick=rng.uniform(0.02, 0.04))
+    lift, radius = high / 2 + rng.uniform(0.06, 0.14), rng.uniform(0.75, 1.6)
+    add_panel(a, pieces, lambda s: bend(s, radius).moved(0.03, 0, lift))
+    stand(a, rng, rng.choice(["plate", "v", "tripod", "disc", "arc"]), lift, wide * 0.7)
+
+
+def dual(a, rng):
+    """Two panels side by side, or one above the other, on one column."""
+    aspect = float(rng.choice([16 / 10, 16 / 9, 5 / 4, 3 / 4]))
+    wide, high, pieces = draw_panel(rng, rng.uniform(0.45, 0.6), aspect)
+    if rng.random() < 0.7:
+        lift, turn = high / 2 + rng.uniform(0.06, 0.14), rng.uniform(0.05, 0.35)
+        for s in LEFT_RIGHT:
+            add_panel(a, pieces, lambda p, s=s: p.moved(0, s * (wide / 2 + 0.006), 0).turned("z", -s * turn).moved(0.04, 0, lift))
+            path = rounded_path(
+                [[-0.09, 0, lift], [-0.1, s * wide * 0.25, lift], [-0.01 + 0.5 * wide * np.sin(turn), s * wide * 0.5 * np.cos(turn), lift]],
+                0.04,
+            )
+            a.add("arm", tube(path, np.array([0.022, 0.012]), around=14, square=3.0, side=(0, 0, 1.0)), CASE)
+    else:
+        lift = high + rng.uniform(0.05, 0.1)
+        tilt = rng.uniform(0.0, 0.12)
+        for s in LEFT_RIGHT:
+            add_panel(a, pieces, lambda p, s=s: p.turned("y", s * tilt).moved(0.03, 0, lift + s * (high / 2 + 0.01)))
+            a.add("arm", rounded_box([0.1, 0.08, 0.08], 0.012, edge=2).moved(-0.05, 0, lift + s * high / 2), CASE)
+    a.add("column", rod([-0.1, 0, 0.01], [-0.1, 0, lift + high * 0.55], 0.018, around=18), CASE)
+    a.add("foot", slab(superellipse(48, rng.choice([2.0, 5.0])) * [0.13, rng.uniform(0.14, 0.22)], 0.016, 0.8).moved(-0.04, 0, 0.008), CASE)
+
+
+def all_in_one(a, rng):
+    """A panel with a deep chin on a bent metal foot, or a tablet that leans on its stand."""
+    if rng.random() < 0.6:
+        _, high, pieces = draw_panel(
+            rng,
+            rng.uniform(0.55, 0.72),
+            1.5,
+            chin=rng.uniform(0.05, 0.09),
+            thick=0.02,
+            bulge=rng.uniform(0.02, 0.05),
+            bezel=rng.uniform(0.015, 0.03),
+        )
+        lift = high / 2 + rng.uniform(0.08, 0.12)
+        add_panel(a, pieces, lambda s: s.turned("y", -0.06).moved(0.05, 0, lift))
+        path = rounded_path([[0.12, 0, 0.006], [-0.12, 0, 0.006], [-0.02, 0, lift]], rng.uniform(0.03, 0.1), 8)
+        a.add("stand", tube(path, np.array([rng.uniform(0.07, 0.11), 0.005]), around=20, square=7.0), CASE)
+    else:
+        aspect = float(rng.choice([4 / 3, 1.6, 0.75, 0.62]))
+        _, high, pieces = draw_panel(
+            rng, rng.uniform(0.24, 0.34), aspect, thick=0.009, bezel=rng.uniform(0.008, 0.016), chin=0.0, bulge=0.0, radius=0.014
+        )
+        lean = rng.uniform(0.2, 0.45)
+        rise = high / 2 * np.cos(lean) + 0.018
+        add_panel(a, pieces, lambda s: s.turned("y", -lean).moved(0.0, 0, rise))
+        a.add("foot", slab(superellipse(40, 5.0) * [0.08, 0.07], 0.012, 0.8).moved(0.0, 0, 0.006), CASE)
+        path = smooth_path([[-0.07, 0, 0.008], [-0.08, 0, rise * 0.6], [-0.012, 0, rise]], 10)
+        a.add("stand", tube(path, np.array([0.03, 0.006]), around=16, square=5.0), CASE)
+        a.add("ledge", rounded_box([0.03, 0.14, 0.014], 0.006, edge=2).moved(high / 2 * np.sin(lean) + 0.004, 0, 0.016), CASE)
+
+
+def television(a, rng):
+    """A wide screen on feet or a plate, or on a low cabinet."""
+    wide, high, pieces = draw_panel(rng, rng.uniform(0.9, 1.3), 16 / 9, chin=rng.choice([0.0, 0.02, 0.05]))
+    lift = high / 2 + rng.uniform(0.04, 0.1)
+    ground = 0.0
+    if rng.random() < 0.4:
+        ground = rng.uniform(0.3, 0.45)
+        size = [0.36, wide * rng.uniform(0.9, 1.3), ground - 0.1]
+        a.add("cabinet", rounded_box(size, 0.012, edge=2, inner=4).moved(-0.02, 0, 0.1 + size[2] / 2), CASE)
+        for x in (0.1, -0.14):
+            for s in LEFT_RIGHT:
+                a.add("leg", rod([x, s * size[1] * 0.42, 0.12], [x * 1.15, s * size[1] * 0.45, 0], 0.018, 0.012), CASE)
+        for y in np.linspace(-0.5, 0.5, 2 * int(rng.integers(1, 3)) + 1)[1::2] * size[1] * 0.96:
+            a.add(
+                "door",
+                rounded_box([0.02, size[1] * 0.44 / (1 + (abs(y) < size[1] * 0.3)), size[2] * 0.86], 0.006, edge=2).moved(
+                    0.16, y, 0.1 + size[2] / 2
+                ),
+                CASE,
+            )
+    b = Assembly()
+    add_panel(a, pieces, lambda s: s.moved(0.02, 0, lift + ground))
+    stand(b, rng, rng.choice(["feet", "plate", "disc", "arc"]), lift, wide)
+    a.add("stand", b.surface().moved(z=ground), CASE)
+
+
+def laptop(a, rng):
+    """Keyboard half, lid open by 95–135 degrees."""
+    wide = rng.uniform(0.28, 0.38)
+    deep, thick = wide / rng.uniform(1.35, 1.55), rng.uniform(0.012, 0.024)
+    corner = rng.uniform(5, 14)
+    a.add("base", slab(superellipse(64, corner) * [deep / 2, wide / 2], thick, 0.7).moved(z=thick / 2), CASE)
+    rows, columns = 5, 13
+    for r in range(rows):
+        for k in range(columns):
+            if r == 0 and 3 < k < 9:
+                continue
+            y, x = (k - (columns - 1) / 2) / columns * wide * 0.88, -deep * 0.38 + (rows - 1 - r) * deep * 0.098
+            a.add("key", rounded_box([deep * 0.08, wide * 0.055, 0.004], 0.0015, edge=1, inner=1).moved(x, y, thick + 0.001), CASE)
+    a.add(
+        "space bar",
+        rounded_box([deep * 0.08, wide * 0.33, 0.004], 0.0015, edge=1, inner=1).moved(-deep * 0.38 + 4 * deep * 0.098, 0, thick + 0.001),
+        CASE,
+    )
+    a.add(
+        "touch pad",
+        rounded_box([deep * 0.26, wide * rng.uniform(0.26, 0.4), 0.003], 0.001, edge=1, inner=1).moved(deep * 0.28, 0, thick),
+        CASE,
+    )
+    pieces = panel(
+        wide, deep * 0.98, thick=rng.uniform(0.006, 0.01), bezel=rng.uniform(0.006, 0.018), chin=rng.uniform(0.0, 0.015), radius=0.012
+    )
+    lean = np.radians(rng.uniform(5, 42))
+    add_panel(a, pieces, lambda s: s.moved(0, 0, deep * 0.49).turned("y", -lean).moved(-deep / 2 + 0.004, 0, thick))
+    a.add("hinge", rod([-deep / 2 + 0.004, -wide * 0.36, thick], [-deep / 2 + 0.004, wide * 0.36, thick], 0.007, around=14), CASE)
+
+
+def tube_body(wide, high, depth, rear, sink):
+    """The back of a tube's casing: it narrows from the front to a box of `rear` of the size, its top falling by `sink`."""
+    rings = []
+    for t in (0.0, 0.12, 0.25, 0.4, 0.55, 0.7, 0.85, 0.96, 1.0):
+        ease = np.clip((t - 0.12) / 0.7, 0, 1)
+        ease = ease * ease * (3 - 2 * ease)
+        share = 1 - (1 - rear) * ease - (0.06 if t == 1.0 else 0.0)
+        outline = superellipse(56, 8.0 - 3 * ease) * [wide / 2 * share, high / 2 * share]
+        rings.append(np.column_stack([np.full(56, -t * depth), outline[:, 0], outline[:, 1] - sink * ease]))
+    return loft(np.array(rings))
+
+
+def tube_monitor(a, rng):
+    """A cathode-ray monitor: bulged screen, deep casing, swivel foot."""
+    wide = rng.uniform(0.34, 0.46)
+    high, depth = wide * rng.uniform(0.82, 0.92), wide * rng.uniform(0.85, 1.05)
+    lift = high / 2 + rng.uniform(0.05, 0.08)
+    pieces = panel(
+        wide,
+        high,
+        thick=0.06,
+        bezel=rng.uniform(0.028, 0.045),
+        chin=rng.uniform(0.0, 0.04),
+        radius=rng.uniform(0.012, 0.035),
+        recess=0.012,
+        crown=rng.uniform(0.006, 0.016),
+    )
+    tilt = rng.uniform(0.0, 0.1)
+    add_panel(a, pieces, lambda s: s.turned("y", -tilt).moved(depth / 2, 0, lift))
+    body = tube_body(wide * 0.97, high * 0.97, depth - 0.05, rng.uniform(0.5, 0.7), rng.uniform(0.0, 0.05))
+    a.add("casing", body.moved(-0.05, 0, 0).turned("y", -tilt).moved(depth / 2, 0, lift), CASE)
+    foot = rng.uniform(0.11, 0.15)
+    a.add(
+        "foot",
+        revolve([[0, 0], [foot, 0], [foot, 0.012], [foot * 0.75, 0.022], [foot * 0.55, 0.05], [foot * 0.6, 0.1], [0, 0.11]], 40).moved(
+            0.03, 0, 0
+        ),
+        CASE,
+    )
+    for k in range(int(rng.integers(1, 6))):
+        button = rod(
+            [depth / 2 - 0.01, wide * 0.4 - 0.03 * k, lift - high * 0.455],
+            [depth / 2 + 0.004, wide * 0.4 - 0.03 * k, lift - high * 0.455],
+            0.006,
+            around=12,
+        )
+        a.add("button", button.turned("y", 0.0), CASE)
+
+
+def tube_television(a, rng):
+    """An old television: a wooden box on splayed legs, knobs and a grille beside the screen, perhaps an aerial."""
+    wide, high, deep = rng.uniform(0.5, 0.68), rng.uniform(0.4, 0.48), rng.uniform(0.3, 0.4)
+    legs = rng.choice([0.0, rng.uniform(0.15, 0.45)])
+    lift = legs + high / 2 + 0.012
+    a.add("box", rounded_box([deep, wide, high], rng.uniform(0.015, 0.06), (0.0, 0.02, 0.02), 4, 6).moved(0, 0, lift), CASE)
+    a.add("casing", tube_body(wide * 0.7, high * 0.75, 0.14, 0.6, 0.0).moved(-deep / 2 + 0.01, 0, lift), CASE)
+    tube_wide = wide * rng.uniform(0.6, 0.68)
+    shift = -(wide - tube_wide) / 2 + 0.035
+    pieces = panel(tube_wide, high * 0.84, thick=0.05, bezel=0.02, radius=rng.uniform(0.04, 0.09), recess=0.008, crown=0.022)
+    add_panel(a, pieces, lambda s: closed(s.vertices, s.faces).moved(deep / 2 + 0.016, shift, lift))
+    y = wide / 2 - (wide - tube_wide) / 2 + 0.012
+    for k in range(2):
+        knob = revolve([[0, 0], [0.03, 0], [0.027, 0.03], [0, 0.032]], 24).turned("y", np.pi / 2)
+        a.add("knob", knob.moved(deep / 2 - 0.004, y, lift + high * (0.3 - 0.2 * k)), CASE)
+    for z in np.linspace(-0.36, -0.04, 7) * high:
+        a.add("grille", rod([deep / 2 + 0.004, y - 0.045, lift + z], [deep / 2 + 0.004, y + 0.045, lift + z], 0.005, around=10), CASE)
+    for x in (1, -1):
+        for s in LEFT_RIGHT:
+            top = [x * deep * 0.36, s * wide * 0.4, lift - high / 2 + 0.015]
+            a.add("leg", rod(top, [x * (deep * 0.36 + 0.15 * legs), s * (wide * 0.4 + 0.15 * legs), 0], 0.018, 0.011), CASE)
+    if rng.random() < 0.5:
+        for s in LEFT_RIGHT:
+            a.add(
+                "aerial",
+                rod(
+                    [-0.03, s * 0.02, lift + high / 2 - 0.005],
+                    [-0.05, s * rng.uniform(0.18, 0.3), lift + high / 2 + 0.36],
+                    0.005,
+                    0.003,
+                    around=10,
+                ),
+                CASE,
+            )
