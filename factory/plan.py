@@ -2,13 +2,14 @@
 
 shot      one picture to make; its id is the hash of all that determines its pixels (inputs, never pixels: two runs differ by 2e-6)
 draw      what a job leaves to chance comes from SeedSequence(job.seed, spawn_key=(shape, materials, light, occurrence)), each a hash
-          of what it is: adding a shape, a material or a light to a job alters nobody else's draws
+          of what it is: adding a shape, a material, a light or a view to a job alters nobody else's draws
 order     shape, light, light resolution, tier, rotation, materials, view: what is dear to change changes least (persistent data pays)
 """
 
 import hashlib
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import product
 
 import msgspec
 import numpy as np
@@ -106,42 +107,48 @@ class Plan:
     def _shots(self, shape, materials, light, key):
         """The shots of one shape, one choice of materials and one light."""
         job, names = self.job, tuple(m.name for m in materials)
-        rng = np.random.default_rng(np.random.SeedSequence(job.seed, spawn_key=key))
+        sequence = np.random.SeedSequence(job.seed, spawn_key=key)
+        rng, word = np.random.default_rng(sequence), sequence.generate_state(1)[0].item()
         views = np.sort(rng.permutation(COUNT)[: job.views.random]).tolist() if isinstance(job.views, Draw) else job.views
+        turns = _turns(job.rotations, len(views), rng)
         split = split_of(shape.side, [m.side for m in materials])
         start = _digest(b"brdfactory shot 1", self.render, shape.hash, *(m.hash for m in materials), light.hash, self._camera, job.samples)
-        geometry = {view: geometry_id(shape.hash, self._camera, view, self.render) for view in views}
-        for view in views:
-            turns = rng.permutation(TEXELS)[: job.rotations.random].tolist() if isinstance(job.rotations, Draw) else job.rotations
-            for turn in turns:
-                for tier in job.tiers:
-                    for resolution in job.light_resolutions:
-                        for repeat in range(job.repeats):
-                            spawn = (*key, view, turn, TIER_WORDS[tier], RESOLUTION_WORDS[resolution], repeat)
-                            seed = int(np.random.SeedSequence(job.seed, spawn_key=spawn).generate_state(1)[0] >> 1)
-                            digest = start.copy()
-                            digest.update(f"{azimuths_deg()[view]:g} {turn} {tier} {resolution} {seed}".encode())
-                            yield Shot(
-                                id=digest.hexdigest()[:ID_DIGITS],
-                                geometry=geometry[view],
-                                shape=shape.name,
-                                materials=names,
-                                light=light.name,
-                                viewpoint=view,
-                                rotation_texels=turn,
-                                tier=tier,
-                                light_resolution=resolution,
-                                seed=seed,
-                                split=split,
-                            )
+        for view, rotations in zip(views, turns, strict=True):
+            geometry, azimuth = geometry_id(shape.hash, self._camera, view, self.render), azimuths_deg()[view]
+            for turn, tier, resolution, repeat in product(rotations, job.tiers, job.light_resolutions, range(job.repeats)):
+                seed = shot_seed(word, f"{view} {turn} {tier} {resolution} {repeat}")
+                digest = start.copy()
+                digest.update(f"{azimuth} {turn} {tier} {resolution} {seed}".encode())
+                yield Shot(
+                    id=digest.hexdigest()[:ID_DIGITS],
+                    geometry=geometry,
+                    shape=shape.name,
+                    materials=names,
+                    light=light.name,
+                    viewpoint=view,
+                    rotation_texels=turn,
+                    tier=tier,
+                    light_resolution=resolution,
+                    seed=seed,
+                    split=split,
+                )
 
     @cached_property
     def _camera(self):
         return camera_words(self.job.camera)
 
 
-TIER_WORDS = {"direct": 0, "shadow": 1, "full": 2}
-RESOLUTION_WORDS = {"64x128": 0, "full": 1}
+def _turns(rotations, views, rng):
+    """The rotations of each view: the job's, or different ones drawn for each view."""
+    if not isinstance(rotations, Draw):
+        return (rotations,) * views
+    every = np.broadcast_to(np.arange(TEXELS), (views, TEXELS))
+    return rng.permuted(every, axis=1)[:, : rotations.random].tolist()
+
+
+def shot_seed(word, place):
+    """31 bits for Cycles: a hash of the word that a combination's SeedSequence gives, and of the shot's place within it."""
+    return int.from_bytes(hashlib.blake2b(f"{word} {place}".encode(), digest_size=4).digest(), "big") >> 1
 
 
 def camera_words(camera: Camera):
@@ -151,9 +158,10 @@ def camera_words(camera: Camera):
     return f"{height} {width} {fov} {float(camera.elevation_deg)!r} {float(camera.half_extent)!r}"
 
 
+@lru_cache(maxsize=4096)
 def geometry_id(shape_hash, camera, viewpoint, render):
     """Id of the geometry of a shape from a viewpoint; camera as words."""
-    return _digest(b"brdfactory geometry 1", render, shape_hash, camera, f"{azimuths_deg()[viewpoint]:g}").hexdigest()[:ID_DIGITS]
+    return _digest(b"brdfactory geometry 1", render, shape_hash, camera, azimuths_deg()[viewpoint]).hexdigest()[:ID_DIGITS]
 
 
 def _order(shot):

@@ -1,0 +1,64 @@
+"""Assets and runs without Blender."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_catalogue import write_catalogue
+
+from factory.assets import resolve
+from factory.run import Manner, carry_out, planned
+from manifests.schema import Camera, Job
+
+HERE = Path(__file__).resolve().parent
+FAKE = "fake_studio:Studio"
+
+
+@pytest.fixture(scope="session")
+def catalogue(tmp_path_factory):
+    """A catalogue of three materials; its set is called "small"."""
+    return write_catalogue(tmp_path_factory.mktemp("catalogue") / "small.json")
+
+
+@pytest.fixture(scope="session")
+def light_file(tmp_path_factory):
+    """A small .exr map."""
+    import OpenEXR
+
+    path = tmp_path_factory.mktemp("light") / "lamp.exr"
+    ramp = np.linspace(0.1, 2.0, 16 * 32, dtype=np.float32).reshape(16, 32)
+    with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, {c: ramp * (k + 1) for k, c in enumerate("RGB")}) as file:
+        file.write(str(path))
+    return path
+
+
+@pytest.fixture
+def small_job(light_file):
+    """Two shapes, three materials, one light, two views: 12 shots of 16 × 16."""
+    return Job(
+        shapes=("cube", "disc"), materials=("small",), lights=(str(light_file),), views=(0, 6), samples=1, camera=Camera(size=(16, 16))
+    )
+
+
+@pytest.fixture
+def plan_of(catalogue):
+    """A function of a Job: its Plan."""
+    return lambda job: planned(job, resolve(job, catalogues=[catalogue]))
+
+
+@pytest.fixture
+def render(plan_of, monkeypatch):
+    """A function (job, folder, **manner): render with the fake studio; returns the Outcome."""
+    monkeypatch.setenv("PYTHONPATH", str(HERE))
+
+    def run(job, folder, watch=None, **manner):
+        return carry_out(plan_of(job), folder, Manner(studio=FAKE, **manner), watch)
+
+    return run
+
+
+@pytest.fixture
+def hash_of():
+    """A stand-in hash of a name."""
+    return lambda name: hashlib.sha256(name.encode()).hexdigest()

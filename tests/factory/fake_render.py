@@ -1,0 +1,12 @@
+"""`python fake_render.py JOB OUT CATALOGUE`: carry a job out with the fake studio, as a process that can be killed."""
+
+import sys
+
+from factory import jobs
+from factory.assets import resolve
+from factory.run import Manner, carry_out, planned
+
+if __name__ == "__main__":
+    job, folder = jobs.load(sys.argv[1])
+    assets = resolve(job, folder, catalogues=[sys.argv[3]])
+    carry_out(planned(job, assets), sys.argv[2], Manner(workers=2, studio="fake_studio:Studio"))

@@ -1,0 +1,153 @@
+"""Runs that stop, continue, share their work and meet bad shots; with a studio that needs no Blender."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from factory.commands.verify import geometry_faults
+from manifests import lock
+from manifests.problems import Problem
+from manifests.store import Store
+from manifests.verification import faults_in_files, faults_in_records
+
+HERE = Path(__file__).resolve().parent
+SLOW = {"FAKE_STUDIO": "slow", "PYTHONPATH": f"{HERE}{os.pathsep}{HERE.parent.parent}"}
+
+
+def faults(folder):
+    store = Store(folder)
+    return [f.text for f in faults_in_records(store)] + [f.text for f in faults_in_files(store, store.records(), geometry_faults)]
+
+
+def ids(folder):
+    return [record.id for record in Store(folder).records()]
+
+
+def test_a_run_makes_every_shot_once_and_its_folder_verifies(render, small_job, tmp_path):
+    outcome = render(small_job, tmp_path)
+    assert (outcome.made, outcome.failed, outcome.found) == (12, 0, 0)
+    assert len(ids(tmp_path)) == len(set(ids(tmp_path))) == 12
+    assert faults(tmp_path) == []
+
+
+def test_a_second_run_makes_nothing_and_a_larger_job_adds_only_what_is_new(render, small_job, tmp_path):
+    render(small_job, tmp_path)
+    assert render(small_job, tmp_path).made == 0
+    outcome = render(msgspec.structs.replace(small_job, views=(0, 6, 12)), tmp_path)
+    assert (outcome.made, outcome.found) == (6, 12)
+    assert len(Store(tmp_path).dataset().orders) == 2
+    assert faults(tmp_path) == []
+
+
+def test_limit_stops_early_and_the_same_command_goes_on(render, small_job, tmp_path):
+    assert render(small_job, tmp_path, limit=5).made == 5
+    assert render(small_job, tmp_path, limit=5).made == 5
+    assert render(small_job, tmp_path).made == 2
+    assert faults(tmp_path) == []
+
+
+def test_shards_divide_the_shots_without_gap_or_overlap(render, small_job, tmp_path):
+    made = [render(small_job, tmp_path, shard=(i, 5)).made for i in range(1, 6)]
+    assert sum(made) == 12 and max(made) - min(made) <= 1
+    assert len(set(ids(tmp_path))) == 12
+    assert render(small_job, tmp_path).found == 12
+    assert faults(tmp_path) == []
+
+
+def test_two_workers_write_two_files_and_one_dataset(render, small_job, tmp_path, monkeypatch):
+    monkeypatch.setattr("factory.pool.CHUNK", 2)
+    monkeypatch.setenv("FAKE_STUDIO", "slow")
+    render(small_job, tmp_path, workers=2)
+    assert len(Store(tmp_path).record_files()) == 2
+    assert len(set(ids(tmp_path))) == 12
+    assert faults(tmp_path) == []
+
+
+def test_a_shot_that_stays_bad_goes_to_failures_and_the_others_are_made(render, small_job, tmp_path, monkeypatch):
+    monkeypatch.setenv("FAKE_STUDIO", "nan:disc")
+    outcome = render(small_job, tmp_path)
+    assert (outcome.made, outcome.failed) == (6, 6)
+    failures = list(Store(tmp_path).failures())
+    assert {f.shape for f in failures} == {"disc"}
+    assert all("finite radiance" in f.reason for f in failures)
+    monkeypatch.setenv("FAKE_STUDIO", "")
+    assert render(small_job, tmp_path).made == 6  # failures are tried again
+    assert faults(tmp_path) == []
+
+
+def test_a_crashing_worker_is_replaced_and_its_shot_tried_again(render, small_job, tmp_path, monkeypatch):
+    monkeypatch.setenv("FAKE_STUDIO", "once:disc")
+    monkeypatch.setenv("FAKE_STUDIO_MARK", str(tmp_path / "mark"))
+    outcome = render(small_job, tmp_path / "data")
+    assert (outcome.made, outcome.failed) == (12, 0)
+    assert faults(tmp_path / "data") == []
+
+
+def test_a_shot_that_always_crashes_is_given_up_with_the_signal_named(render, small_job, tmp_path, monkeypatch):
+    monkeypatch.setenv("FAKE_STUDIO", "crash:disc")
+    job = msgspec.structs.replace(small_job, materials=("small/matte",), views=(0,))
+    outcome = render(job, tmp_path)
+    assert (outcome.made, outcome.failed) == (1, 1)
+    assert "signal 11" in next(iter(Store(tmp_path).failures())).reason
+
+
+def test_two_runs_into_one_folder_do_not_meet(render, small_job, tmp_path):
+    with lock.writing(tmp_path), pytest.raises(Problem, match="no other run writes to"), lock.writing(tmp_path, patience=0):
+        pass
+    with lock.writing(tmp_path, (1, 4)), lock.writing(tmp_path, (2, 4)):
+        with pytest.raises(Problem, match="no other run"), lock.writing(tmp_path, (2, 4), patience=0):
+            pass
+        with pytest.raises(Problem, match="parts of 3"), lock.writing(tmp_path, (1, 3), patience=0):
+            pass
+        with pytest.raises(Problem, match="no other run"), lock.writing(tmp_path, patience=0):
+            pass
+
+
+def test_a_name_keeps_meaning_one_thing_in_a_folder(render, plan_of, small_job, tmp_path):
+    render(msgspec.structs.replace(small_job, shapes=("cube",)), tmp_path)
+    dataset = Store(tmp_path).dataset()
+    altered = {"cube": msgspec.structs.replace(dataset.shapes["cube"], hash="0" * 64)}
+    Store(tmp_path).write_json("dataset.json", msgspec.structs.replace(dataset, shapes=altered))
+    with pytest.raises(Problem, match=r"shape 'cube'.*rename the new one"):
+        render(small_job, tmp_path)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_kills_at_random_moments_lose_nothing_and_repeat_nothing(render, small_job, tmp_path, catalogue, seed):
+    """Four kills here; tests/endurance/kill_and_resume.py does twenty with Cycles."""
+    sys.path.insert(0, str(HERE.parent / "endurance"))
+    from kill_and_resume import compared, disturbed
+
+    job = msgspec.structs.replace(small_job, views=tuple(range(24)), shapes=("cube", "disc", "torus"))
+    (tmp_path / "job.json").write_bytes(msgspec.json.encode(msgspec.structs.replace(job, lights=("lamp.exr",))))
+    (tmp_path / "lamp.exr").write_bytes(Path(job.lights[0]).read_bytes())
+    command = [sys.executable, str(HERE / "fake_render.py"), str(tmp_path / "job.json"), str(tmp_path / "killed"), str(catalogue)]
+    kills = disturbed(command, tmp_path / "killed", kills=4, window=(0.2, 2.5), seed=seed, environment=SLOW)
+    assert kills >= 1
+    render(job, tmp_path / "whole")
+    assert compared(tmp_path / "whole", tmp_path / "killed") == []
+    assert faults(tmp_path / "killed") == []
+
+
+def test_a_worker_whose_run_was_killed_appends_nothing_more(small_job, tmp_path, catalogue, light_file):
+    (tmp_path / "job.json").write_bytes(
+        msgspec.json.encode(msgspec.structs.replace(small_job, views=tuple(range(24)), lights=("lamp.exr",)))
+    )
+    (tmp_path / "lamp.exr").write_bytes(light_file.read_bytes())
+    command = [sys.executable, str(HERE / "fake_render.py"), str(tmp_path / "job.json"), str(tmp_path / "data"), str(catalogue)]
+    process = subprocess.Popen(command, env={**os.environ, **SLOW}, start_new_session=True, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while not any(path.stat().st_size for path in Store(tmp_path / "data").record_files()) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)  # the parent alone; its worker lives on
+    process.wait()
+    with lock.writing(tmp_path / "data"):  # waits until the worker has noticed
+        count = len(ids(tmp_path / "data"))
+        time.sleep(0.3)
+        assert len(ids(tmp_path / "data")) == count < 144
