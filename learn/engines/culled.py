@@ -1,0 +1,215 @@
+"""Kernels for a distant viewer that skip what cannot matter: for each tile of like normals, only the blocks of lights near its lobes.
+
+Letters, arrays and formulas as in learn.engines.distant; pixels are sorted so that a tile's normals are close together. Besides:
+cones     (wide blocks, CONE_ROWS, 16), one lane a block of lights: the cones that hold its w and its h (axis, cos and sin of the half
+          angle), its energy in the brightest channel, and of each lobe the least γ and the largest κ log2 e
+tiles     (T, 5): axis, cos and sin of the half angle of the cone that holds a tile's normals
+budget    (1,) radiance that may be left out of any pixel
+room      entries that the list of one tile may have; one for each block of lights is always enough
+lengths   (T,) int32: how many entries a tile has
+entries   (T, room) int32: block numbers
+cuts      (T, room, 3): log2 c at or below which a lobe is left out of a block
+
+For a block, Σ_s expm1(κ c^γ) max(0, n·w) E ≤ its value at the largest c and n·w that the two cones allow. What is skipped sums to at
+most `budget` a pixel and channel: a threshold on that bound is halved until it does. What a list still holds is tested again pixel
+by pixel, against the log2 c at which the bound meets the threshold.
+"""
+
+from numba import njit, types
+
+from learn.engines.distant import LN2, add_to, cosine, half_offset, peak_cosine
+from learn.engines.exponentials import exp2, exp2m1, log2
+from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, minimum, select as choose, splat, sqrt, store
+
+TILE = 64  # pixels of one list
+CHUNKS = 8  # of tiles, in the backward pass: the most threads it can use
+CONE_ROWS = 17
+LARGEST = 72.13475  # MAX_EXPONENT log2 e
+FLOOR = -64.0  # log2 of c^γ: products with smaller powers would be denormal, and slow
+NEVER, ALWAYS = 1.0, -1e30  # as a cut: above and below any log2 c
+SLACK = 2e-6  # on cosines, for rounding
+INT_POINTER = types.CPointer(types.int32)
+
+SELECT = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 5, *[INT_POINTER] * 2)
+FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 7, *[INT_POINTER] * 2)
+BACKWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 10, *[INT_POINTER] * 2)
+
+
+@njit(forceinline=True)
+def nearest_cosine(axis, cos_a, sin_a, cos_b, sin_b):
+    """Largest cosine between a vector of one cone and one of the other, whose axes have the cosine `axis`."""
+    cos_sum, sin_sum = cos_a * cos_b - sin_a * sin_b, sin_a * cos_b + cos_a * sin_b
+    apart = fma(axis, cos_sum, sqrt(maximum(1.0 - axis * axis, 0.0)) * sin_sum)
+    return choose(axis > cos_sum, 1.0, minimum(apart + SLACK, 1.0))
+
+
+@njit(forceinline=True)
+def lobe(lobes, o, log_c):
+    """expm1(κ c^γ) of the lobe and channel at offset o."""
+    return exp2m1(load(lobes, o + 16) * exp2(maximum(load(lobes, o) * log_c, FLOOR)))
+
+
+@njit(forceinline=True)
+def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
+    """As learn.engines.distant.lobe_backward, with the sums at an offset of their own."""
+    gamma = load(lobes, o)
+    power = exp2(maximum(gamma * log_c, FLOOR))
+    exponent = load(lobes, o + 16) * power
+    value = exp2m1(exponent)
+    x = value + 1.0
+    q = weight * (x * power)
+    store(lobe_sums, to, load(lobe_sums, to) + q)
+    store(lobe_sums, to + 16, fma(q, log_c, load(lobe_sums, to + 16)))
+    return f + value, fma(x * exponent, gamma, slope)
+
+
+def select(first, last, wide_blocks, room, budget, tiles, cones, scratch, cuts, lengths, entries):
+    """The list of each tile first … last − 1; scratch holds 6 · wide_blocks · 16 floats."""
+    for tile in range(first, last):
+        t = 5 * tile
+        nx, ny, nz, cos_n, sin_n = tiles[t], tiles[t + 1], tiles[t + 2], tiles[t + 3], tiles[t + 4]
+        for wide_block in range(wide_blocks):
+            o = 16 * CONE_ROWS * wide_block
+            axis = fma(load(cones, o), nx, fma(load(cones, o + 16), ny, load(cones, o + 32) * nz))
+            n_w = nearest_cosine(axis, load(cones, o + 48), load(cones, o + 64), cos_n, sin_n)
+            axis = fma(load(cones, o + 80), nx, fma(load(cones, o + 96), ny, load(cones, o + 112) * nz))
+            c = maximum(nearest_cosine(axis, load(cones, o + 128), load(cones, o + 144), cos_n, sin_n), 1e-12)
+            log_c = log2(c, 1.0 - c)
+            weight = maximum(n_w, 0.0) * load(cones, o + 160)
+            for s in range(3):
+                exponent = load(cones, o + 224 + 16 * s) * exp2(maximum(load(cones, o + 176 + 16 * s) * log_c, FLOOR))
+                store(scratch, 16 * (6 * wide_block + s), weight * exp2m1(minimum(exponent, LARGEST)))
+                store(scratch, 16 * (6 * wide_block + 3 + s), weight)
+        threshold = budget[0]
+        for _ in range(24):
+            skipped = splat(0.0)
+            for wide_block in range(wide_blocks):
+                for s in range(3):
+                    skipped = skipped + minimum(load(scratch, 16 * (6 * wide_block + s)), threshold)
+            if lane_sum(skipped) <= budget[0]:
+                break
+            threshold *= 0.5
+        count = 0
+        for wide_block in range(wide_blocks):
+            o = 16 * CONE_ROWS * wide_block
+            for s in range(3):  # the log2 c at which weight · (2^(κ c^γ) − 1) meets the threshold
+                share = threshold / maximum(load(scratch, 16 * (6 * wide_block + 3 + s)), 1e-30)
+                height = minimum(log2(1.0 + share, 0.0 - share) / maximum(load(cones, o + 224 + 16 * s), 1e-30), 1.0)
+                cut = log2(maximum(height, 1e-30), 1.0 - height) / load(cones, o + 176 + 16 * s)
+                cut = choose(threshold * splat(1.0) > 0.0, cut, ALWAYS)
+                wanted = load(scratch, 16 * (6 * wide_block + s)) > threshold
+                store(scratch, 16 * (6 * wide_block + 3 + s), choose(wanted, cut, NEVER))
+            for lane in range(16):
+                block, q = 16 * wide_block + lane, 96 * wide_block + 48 + lane
+                if block < room and (scratch[q] < NEVER or scratch[q + 16] < NEVER or scratch[q + 32] < NEVER):
+                    entry = room * tile + count
+                    entries[entry] = block
+                    cuts[3 * entry] = scratch[q]
+                    cuts[3 * entry + 1] = scratch[q + 16]
+                    cuts[3 * entry + 2] = scratch[q + 32]
+                    count += 1
+        lengths[tile] = count
+
+
+def forward(first, last, pixels, room, n, geometry, energy, lobes, scratch, radiance, cuts, lengths, entries):
+    """Radiance (P, 3) of pixel tiles first … last − 1; scratch holds (TILE, 3, 16)."""
+    for tile in range(first, last):
+        start = tile * TILE
+        count = min(TILE, pixels - start)
+        for i in range(3 * count):
+            store(scratch, 16 * i, splat(0.0))
+        for i in range(room * tile, room * tile + lengths[tile]):
+            block = entries[i]
+            g, e = 144 * block, 48 * block
+            for j in range(count):
+                p = 3 * (start + j)
+                nx, ny, nz = n[p], n[p + 1], n[p + 2]
+                n_w = cosine(geometry, g, nx, ny, nz)
+                if not anywhere(n_w > 0.0):
+                    continue
+                x, y, z = half_offset(geometry, g, nx, ny, nz)
+                log_c = peak_cosine(x, y, z)[1]
+                nearest, seen = lane_max(log_c), False
+                f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+                for s in range(3):
+                    if nearest > cuts[3 * i + s]:
+                        seen = True
+                        o = 288 * block + 96 * s
+                        f0 = f0 + lobe(lobes, o, log_c)
+                        f1 = f1 + lobe(lobes, o + 32, log_c)
+                        f2 = f2 + lobe(lobes, o + 64, log_c)
+                if not seen:
+                    continue
+                n_w = maximum(n_w, 0.0)
+                a = 48 * j
+                add_to(scratch, a, f0 * n_w * load(energy, e))
+                add_to(scratch, a + 16, f1 * n_w * load(energy, e + 16))
+                add_to(scratch, a + 32, f2 * n_w * load(energy, e + 32))
+        for i in range(3 * count):
+            radiance[3 * start + i] = lane_sum(load(scratch, 16 * i))
+
+
+def backward(
+    first, last, pixels, tiles, blocks, room, n, geometry, energy, lobes, scratch, g, by_n, energy_sums, lobe_sums, cuts, lengths, entries
+):
+    """Derivatives of Σ g·I from the pixels of tile chunks first … last − 1; what the forward pass knew is computed again.
+
+    scratch      (CHUNKS, TILE, 3, 16)
+    by_n         (P, 3) out, tangential up to a radial part
+    energy_sums  (CHUNKS, blocks, 3, 16) out: Σ_p g F max(0, n·w)
+    lobe_sums    (CHUNKS, blocks, 3, 3, 2, 16) out: Σ_p g max(0, n·w) x c^γ, and the same times log2 c
+    """
+    for chunk in range(first, last):
+        base_e, base_l, sums = 48 * blocks * chunk, 288 * blocks * chunk, 48 * TILE * chunk
+        for i in range(3 * blocks):
+            store(energy_sums, base_e + 16 * i, splat(0.0))
+        for i in range(18 * blocks):
+            store(lobe_sums, base_l + 16 * i, splat(0.0))
+        for tile in range(chunk * tiles // CHUNKS, (chunk + 1) * tiles // CHUNKS):
+            start = tile * TILE
+            count = min(TILE, pixels - start)
+            for i in range(3 * count):
+                store(scratch, sums + 16 * i, splat(0.0))
+            for i in range(room * tile, room * tile + lengths[tile]):
+                block = entries[i]
+                o = 144 * block
+                for j in range(count):
+                    p = 3 * (start + j)
+                    nx, ny, nz = n[p], n[p + 1], n[p + 2]
+                    n_w = cosine(geometry, o, nx, ny, nz)
+                    visible = n_w > 0.0
+                    if not anywhere(visible):
+                        continue
+                    x, y, z = half_offset(geometry, o, nx, ny, nz)
+                    c, log_c = peak_cosine(x, y, z)
+                    nearest, seen = lane_max(log_c), False
+                    n_w = maximum(n_w, 0.0)
+                    g0, g1, g2 = g[p], g[p + 1], g[p + 2]
+                    w0, w1, w2 = n_w * g0, n_w * g1, n_w * g2
+                    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+                    d0, d1, d2 = splat(0.0), splat(0.0), splat(0.0)
+                    for s in range(3):
+                        if nearest > cuts[3 * i + s]:
+                            seen = True
+                            t = 288 * block + 96 * s
+                            q = base_l + t
+                            f0, d0 = lobe_backward(lobes, t, log_c, w0, lobe_sums, q, f0, d0)
+                            f1, d1 = lobe_backward(lobes, t + 32, log_c, w1, lobe_sums, q + 32, f1, d1)
+                            f2, d2 = lobe_backward(lobes, t + 64, log_c, w2, lobe_sums, q + 64, f2, d2)
+                    if not seen:
+                        continue
+                    e = base_e + 48 * block
+                    add_to(energy_sums, e, f0 * w0)
+                    add_to(energy_sums, e + 16, f1 * w1)
+                    add_to(energy_sums, e + 32, f2 * w2)
+                    e = 48 * block
+                    e0, e1, e2 = load(energy, e), load(energy, e + 16), load(energy, e + 32)
+                    by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
+                    by_w = choose(visible, by_w, 0.0)
+                    by_c = fma(d0 * w0, e0, fma(d1 * w1, e1, d2 * w2 * e2)) * LN2 / c
+                    a = sums + 48 * j
+                    add_to(scratch, a, fma(by_w, load(geometry, o), by_c * x))
+                    add_to(scratch, a + 16, fma(by_w, load(geometry, o + 16), by_c * y))
+                    add_to(scratch, a + 32, fma(by_w, load(geometry, o + 32), by_c * z))
+            for i in range(3 * count):
+                by_n[3 * start + i] = lane_sum(load(scratch, sums + 16 * i))

@@ -1,0 +1,232 @@
+"""Sums over any set of directional lights, each method's inner work: by the compiled kernels where they apply, else by exact.ExactSum.
+
+T lights, P pixels, one material.
+w         (T, 3) unit, camera frame, constant
+E         (T, 3) radiance × solid angle
+left_out  radiance that may be missing from a pixel in a channel: blocks of lights are skipped up to that
+
+The kernels (learn.engines.culled) serve float32 on the CPU with a distant viewer. There a normal may also look away from the viewer
+(nodes of a reflectance map just beyond the silhouette): c = h·n is held above 0, so values and derivatives stay finite.
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch.autograd.function import once_differentiable
+
+from learn.engines import culled, machine_code, threads
+from learn.engines.lights import LANES, LN2, LOG2_E, blocked, lobe_first, unblocked
+from learn.methods.exact import ExactSum
+from shaders.dsbrdf import MAX_EXPONENT, half_angles
+from shaders.envmap import directions
+from shaders.spline import basis
+
+PASS = 65536  # pixels whose lists are held at a time
+VIEWER = np.array([0.0, 0.0, 1.0])
+SLACK = 1e-5  # radians by which cones are widened against rounding
+
+
+@dataclass(frozen=True)
+class Lights:
+    """Directions of lights in blocks of 16 neighbours, with what the kernels need to know of them.
+
+    w         (T, 3) float64
+    geometry  (blocks, 9, 16) float32: w, h, and what rounding took off h; the last block is filled up with its last light
+    cones     (blocks, 10) float64: axis, cos and sin of the half angle of the cone about w, then about h
+    basis     (16 · blocks, 6) float64: the spline's basis at each light's θ_d
+    """
+
+    w: np.ndarray
+    geometry: np.ndarray
+    cones: np.ndarray
+    basis: np.ndarray
+
+    @property
+    def blocks(self):
+        return len(self.geometry)
+
+
+def lights_at(w):
+    """The `Lights` of directions (T, 3), numpy; neighbours in the order given should be neighbours on the sphere."""
+    filled = np.concatenate([w, np.broadcast_to(w[-1], (-len(w) % LANES, 3))])
+    h, theta_d = half_angles(filled, VIEWER)
+    rest = h.T - h.T.astype(np.float32)
+    cones = np.concatenate([cone(filled.reshape(-1, LANES, 3)), cone(h.reshape(-1, LANES, 3))], -1)
+    return Lights(w, blocked(np.concatenate([filled.T, h.T, rest])), cones, basis(theta_d))
+
+
+def cone(vectors):
+    """Axis, cos and sin of the half angle (…, 5) of a cone that holds vectors (…, K, 3); the whole sphere where one is 0."""
+    axis = vectors.sum(-2)
+    length = np.linalg.norm(axis, axis=-1, keepdims=True)
+    axis = np.where(length > 1e-6, axis / np.maximum(length, 1e-6), VIEWER)
+    cosine = np.clip((vectors * axis[..., None, :]).sum(-1).min(-1), -1.0, 1.0)
+    whole = (np.abs(vectors).max(-1) == 0).any(-1)
+    angle = np.where(whole, np.pi, np.minimum(np.arccos(cosine) + SLACK, np.pi))
+    return np.concatenate([axis, np.cos(angle)[..., None], np.sin(angle)[..., None]], -1)
+
+
+@functools.lru_cache(maxsize=8)
+def map_lights(height, width, camera_from_light):
+    """The `Lights` of a map's texels in 4×4 tiles, and their places (T,) in the flattened map; camera_from_light as nine numbers."""
+    row, column = np.divmod(np.arange(height * width), width)
+    order = np.lexsort((column, row, column // 4, row // 4))
+    rotation = np.array(camera_from_light).reshape(3, 3)
+    return lights_at(directions(height, width)[0].reshape(-1, 3)[order] @ rotation.T), torch.as_tensor(order)
+
+
+def of_map(light, camera_from_light):
+    """`Lights` and E (T, 3), differentiable in light (height, width, 3)."""
+    height, width = light.shape[:2]
+    lights, order = map_lights(height, width, tuple(camera_from_light.double().flatten().tolist()))
+    solid_angle = torch.as_tensor(directions(height, width)[1], dtype=light.dtype, device=light.device)
+    return lights, (light * solid_angle[..., None]).reshape(-1, 3)[order.to(light.device)]
+
+
+def radiance(n, view, m, E, lights, left_out=0.0):
+    """(P, 3) of one material m (3, 3, 2, 6) under lights E; differentiable in n, view, m and E."""
+    if view is None and n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available():
+        return ListedSum.apply(n, m, E, lights, float(left_out))
+    return ExactSum.apply(n, view, m, E, torch.as_tensor(lights.w, dtype=n.dtype, device=n.device))
+
+
+def scale(n, view, m, E, lights, pixels=32):
+    """Mean radiance of evenly chosen pixels: what errors are measured against."""
+    with torch.no_grad():
+        pick = sample(len(n), pixels, n.device)
+        return radiance(n[pick], None if view is None else view[pick], m, E, lights).mean().item()
+
+
+def sample(count, pixels, device=None):
+    """Indices (pixels,) spread evenly over range(count), the same every time; steps of the golden ratio fall into no pattern."""
+    places = (torch.arange(min(pixels, count), dtype=torch.float64) * ((math.sqrt(5) - 1) / 2) + 0.5) % 1.0
+    return (places * count).long().unique().to(device)
+
+
+class ListedSum(torch.autograd.Function):
+    """n (P, 3), m (3, 3, 2, 6), E (T, 3), Lights, left_out → radiance (P, 3) by learn.engines.culled."""
+
+    @staticmethod
+    def forward(ctx, n, m, E, lights, left_out):
+        order = by_place(n.numpy())
+        sorted_n = np.ascontiguousarray(n.numpy()[order])
+        tables = Tables(m.double().numpy(), E.numpy(), lights)
+        out, lists = np.empty_like(sorted_n), []
+        for start in range(0, len(order), PASS):
+            part = sorted_n[start : start + PASS]
+            lists.append(select(part, tables, left_out))
+            run_forward(part, tables, lists[-1], out[start : start + PASS])
+        ctx.lists, ctx.tables, ctx.order, ctx.sorted_n = lists, tables, order, sorted_n
+        radiance = np.empty_like(out)
+        radiance[order] = out
+        return torch.from_numpy(radiance)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, g):
+        tables, order = ctx.tables, ctx.order
+        g = np.ascontiguousarray(g.numpy()[order])
+        by_sorted_n, by_m, by_E = np.empty_like(g), np.zeros((3, 3, 2, 6)), 0
+        for start, lists in zip(range(0, len(order), PASS), ctx.lists, strict=True):
+            part = slice(start, start + PASS)
+            energy_sums, lobe_sums = run_backward(ctx.sorted_n[part], tables, lists, g[part], by_sorted_n[part])
+            by_m += tables.material_gradient(lobe_sums)
+            by_E = by_E + unblocked(energy_sums)[:, : len(tables.lights.w)].T
+        by_n = np.empty_like(by_sorted_n)
+        by_n[order] = by_sorted_n
+        return torch.from_numpy(by_n), torch.from_numpy(by_m).float(), torch.from_numpy(by_E).float(), None, None
+
+
+class Tables:
+    """A material at each light: lobes (blocks, 3, 3, 2, 16) and energy (blocks, 3, 16) as in learn.engines.distant; cones for selection."""
+
+    def __init__(self, m, E, lights):
+        self.lights = lights
+        rows = np.zeros((3, 16 * lights.blocks))
+        rows[:, : len(E)] = E.T
+        self.energy = blocked(rows)
+        curves = lobe_first(m).reshape(18, 6) @ lights.basis.T
+        self.gamma = curves[0::2]
+        self.bounded = curves[1::2] > MAX_EXPONENT
+        curves[1::2] = np.minimum(curves[1::2], MAX_EXPONENT)
+        self.kappa = curves[1::2].copy()
+        curves[1::2] *= LOG2_E
+        self.lobes = blocked(curves)
+
+    def cones(self):
+        """(wide blocks, CONE_ROWS, 16) float32: what learn.engines.culled.select knows of each block."""
+        blocks = self.lights.blocks
+        by_lobe = (3, 3, blocks, LANES)
+        rows = np.zeros((culled.CONE_ROWS, -(-blocks // LANES) * LANES))
+        rows[:10, :blocks] = self.lights.cones.T
+        rows[10, :blocks] = self.energy.sum(-1).max(-1)
+        rows[11:14, :blocks] = self.gamma.reshape(by_lobe).min((1, 3))
+        rows[14:17, :blocks] = LOG2_E * self.kappa.reshape(by_lobe).max((1, 3))
+        return np.ascontiguousarray(rows.reshape(culled.CONE_ROWS, -1, LANES).transpose(1, 0, 2), dtype=np.float32)
+
+    def material_gradient(self, lobe_sums):
+        """(3, 3, 2, 6) by m, from the sums of learn.engines.culled.backward, chunks added up."""
+        sums = unblocked(lobe_sums.reshape(-1, 18, LANES)).reshape(3, 3, 2, -1) * unblocked(self.energy).astype(np.float64)[:, None]
+        by_lobe = (3, 3, -1)
+        by_kappa = np.where(self.bounded.reshape(by_lobe), 0.0, sums[:, :, 0])
+        by_gamma = sums[:, :, 1] * self.kappa.reshape(by_lobe) * LN2
+        return lobe_first(np.stack([by_gamma, by_kappa], 2) @ self.lights.basis)
+
+
+def by_place(n):
+    """An order (P,) of pixels in which neighbours have like normals: along a Morton curve over the normals' x and y."""
+    grid = np.clip((n[:, :2] + 1.0) * 128.0, 0, 255).astype(np.uint16)
+    for shift, bits in ((4, 0x0F0F), (2, 0x3333), (1, 0x5555)):  # spread eight bits over the even places of sixteen
+        grid = (grid | (grid << shift)) & bits
+    return np.argsort(grid[:, 0] | (grid[:, 1] << 1), kind="stable")
+
+
+def select(n, tables, left_out):
+    """Each tile's list, as learn.engines.culled has it: cuts, lengths, entries."""
+    tiles = -(-len(n) // culled.TILE)
+    padded = np.concatenate([n, np.broadcast_to(n[-1], (tiles * culled.TILE - len(n), 3))]).reshape(tiles, culled.TILE, 3)
+    around = np.ascontiguousarray(cone(padded.astype(np.float64)), dtype=np.float32)
+    cones = tables.cones()
+    room, budget = tables.lights.blocks, np.array([left_out], np.float32)
+    cuts, lengths, entries = np.empty((tiles, room, 3), np.float32), np.empty(tiles, np.int32), np.empty((tiles, room), np.int32)
+
+    def kernel(first, last):
+        scratch = np.empty(cones.shape[0] * 6 * LANES, np.float32)
+        machine_code.call("culled.select", first, last, len(cones), room, budget, around, cones, scratch, cuts, lengths, entries)
+
+    workers = torch.get_num_threads()
+    threads.run(kernel, threads.split(tiles, workers), workers)
+    return cuts, lengths, entries
+
+
+def run_forward(n, tables, lists, out):
+    cuts, lengths, entries = lists
+
+    def kernel(first, last):
+        scratch = np.empty(culled.TILE * 48, np.float32)
+        sizes = first, last, len(n), tables.lights.blocks
+        arrays = n, tables.lights.geometry, tables.energy, tables.lobes, scratch, out
+        machine_code.call("culled.forward", *sizes, *arrays, cuts, lengths, entries)
+
+    workers = torch.get_num_threads()
+    threads.run(kernel, threads.split(len(lengths), 8 * workers), workers)
+
+
+def run_backward(n, tables, lists, g, by_n):
+    """Energy sums (blocks, 3, 16) and lobe sums (blocks, 3, 3, 2, 16); by_n is written."""
+    cuts, lengths, entries = lists
+    blocks, chunks = tables.lights.blocks, culled.CHUNKS
+    energy_sums, lobe_sums = np.empty((chunks, blocks, 3, LANES), np.float32), np.empty((chunks, blocks, 3, 3, 2, LANES), np.float32)
+    scratch = np.empty(chunks * culled.TILE * 48, np.float32)
+
+    def kernel(first, last):
+        sizes = first, last, len(n), len(lengths), blocks, blocks
+        arrays = n, tables.lights.geometry, tables.energy, tables.lobes, scratch, g, by_n, energy_sums, lobe_sums
+        machine_code.call("culled.backward", *sizes, *arrays, cuts, lengths, entries)
+
+    workers = torch.get_num_threads()
+    threads.run(kernel, threads.split(chunks, chunks), workers)
+    return energy_sums.sum(0), lobe_sums.sum(0)
