@@ -1,0 +1,160 @@
+"""The dataset's folder: whole files or none, lines that survive a kill and a full disk, paths that stay inside."""
+
+import os
+import resource
+import subprocess
+import sys
+
+import msgspec
+import pytest
+
+from manifests.problems import Problem
+from manifests.schema import Record
+from manifests.store import Lines, Store, file_hash, geometry_path, image_path, inside, light_path
+
+
+def test_files_are_sharded_by_the_first_two_digits_of_their_id():
+    assert image_path("abcdef") == "images/ab/abcdef.exr"
+    assert geometry_path("00ff") == "geometry/00/00ff.exr"
+    assert light_path("my map/../x", "0123456789abcdef") == "lights/my-map-..-x-0123456789ab.npz"
+
+
+@pytest.mark.parametrize("path", ["../x", "/etc/passwd", "images/../../x", "a\\..\\b", "", "link/x", "a\0b"])
+def test_a_path_that_leaves_the_folder_is_refused(tmp_path, path):
+    folder = tmp_path / "data"
+    folder.mkdir()
+    (folder / "link").symlink_to(tmp_path)
+    with pytest.raises(Problem, match="inside the dataset's folder"):
+        inside(folder, path)
+
+
+def test_a_path_inside_is_given_back(tmp_path):
+    assert inside(tmp_path, "images/ab/x.exr") == tmp_path / "images/ab/x.exr"
+
+
+def test_a_file_that_fails_half_way_leaves_no_trace_and_keeps_the_old_one(tmp_path):
+    store = Store(tmp_path)
+    store.place("images/ab/x.exr", lambda path: path.write_bytes(b"old"), "w")
+
+    def fails(path):
+        path.write_bytes(b"ne")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space"):
+        store.place("images/ab/x.exr", fails, "w")
+    assert (tmp_path / "images/ab/x.exr").read_bytes() == b"old"
+    assert list((tmp_path / "partial").iterdir()) == []
+
+
+def test_of_two_workers_the_first_geometry_stays(tmp_path):
+    store = Store(tmp_path)
+    first = store.place("geometry/ab/x.exr", lambda path: path.write_bytes(b"first"), "w0", keep_first=True)
+    second = store.place("geometry/ab/x.exr", lambda path: path.write_bytes(b"second"), "w1", keep_first=True)
+    assert first == second == file_hash(tmp_path / "geometry/ab/x.exr")
+    assert (tmp_path / "geometry/ab/x.exr").read_bytes() == b"first"
+
+
+def test_a_torn_last_line_is_passed_over_by_readers_and_cut_by_the_next_writer(a_dataset, a_record):
+    path = a_dataset.record_files()[0]
+    whole = path.read_bytes()
+    line = msgspec.json.encode(a_record("f" * 24))
+    for torn in (line[:1], line[:-1], line):
+        path.write_bytes(whole + torn)
+        assert len(a_dataset.ids()) == 3 and len(list(a_dataset.records())) == 3
+    lines = Lines(path)
+    lines.append(a_record("e" * 24))
+    lines.close()
+    assert path.read_bytes()[: len(whole)] == whole
+    assert "e" * 24 in a_dataset.ids() and "f" * 24 not in a_dataset.ids()
+
+
+def test_a_file_of_one_endless_torn_line_is_emptied(tmp_path):
+    path = tmp_path / "records" / "worker-00.jsonl"
+    path.parent.mkdir()
+    path.write_bytes(b"x" * 200_000)
+    Lines(path).close()
+    assert path.read_bytes() == b""
+
+
+def test_a_damaged_line_in_the_middle_is_named_by_file_and_line(a_dataset):
+    path = a_dataset.record_files()[0]
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(lines[0] + b'{"id": 5}\n' + lines[1])
+    with pytest.raises(Problem, match=r"worker-00\.jsonl:2: id: str expected, found 5"):
+        list(a_dataset.records())
+
+
+def test_another_schema_version_and_a_missing_dataset_are_refused(a_dataset, tmp_path):
+    path = a_dataset.folder / "dataset.json"
+    path.write_text(path.read_text().replace('"version": 1', '"version": 2'))
+    with pytest.raises(Problem, match=r"schema version 1 expected, found 2"):
+        a_dataset.dataset()
+    with pytest.raises(Problem, match=r"a dataset .* expected, found none"):
+        Store(tmp_path / "nowhere").dataset()
+
+
+def test_records_can_be_filtered(a_dataset):
+    assert [r.id for r in a_dataset.records(lambda record: record.id.endswith("1"))] == [f"{1:024x}"]
+
+
+def test_a_line_on_a_full_disk_is_written_whole_or_not_at_all(tmp_path, a_record):
+    """RLIMIT_FSIZE cuts a write short just as a full disk does; in a child, since the limit cannot be raised again."""
+    path = tmp_path / "records" / "worker-00.jsonl"
+    size = len(msgspec.json.encode(a_record("0" * 24))) + 1
+    code = f"""
+import resource, signal, msgspec
+from manifests.schema import Record
+from manifests.store import Lines
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, ({2 * size + size // 2},) * 2)
+record = msgspec.json.decode({msgspec.json.encode(a_record("0" * 24))!r}, type=Record)
+lines = Lines({str(path)!r})
+for k in range(5):
+    try:
+        lines.append(record)
+    except OSError as error:
+        print(k, error.filename)
+        break
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.split() == ["2", str(path)], done.stderr
+    assert path.stat().st_size == 2 * size
+    assert len(list(Store(tmp_path).records())) == 2
+
+
+@pytest.fixture
+def tiny_disk(tmp_path):
+    """A file system of 256 KiB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(folder)], capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip(f"needs the right to mount a small file system: {done.stderr.strip()}")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_on_a_full_disk_what_was_written_stays_and_the_error_names_the_cause(tiny_disk):
+    store = Store(tiny_disk)
+    written = {}
+    with pytest.raises(OSError, match="No space left on device"):
+        for k in range(100):
+            name = f"images/ab/{k}.exr"
+            written[name] = store.place(name, lambda path: path.write_bytes(os.urandom(20_000)), "w")
+    assert len(written) >= 5
+    assert all(file_hash(tiny_disk / name) == digest for name, digest in written.items())
+    assert list((tiny_disk / "partial").iterdir()) == []
+
+
+def test_ids_of_many_records_come_in_a_flash(tmp_path, a_record):
+    """720,000 must take seconds (docs/results/manifest-scale.md has the figure); here 20,000, with room for a slow machine."""
+    import time
+
+    lines = Lines(tmp_path / "records" / "worker-00.jsonl")
+    for k in range(20_000):
+        lines.append(a_record(f"{k:024x}"))
+    lines.close()
+    start = resource.getrusage(resource.RUSAGE_SELF).ru_utime, time.perf_counter()
+    assert len(Store(tmp_path).ids()) == 20_000
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - start[0] < 0.6  # measured 0.03 s; 720,000 in proportion 1 s
+    assert all(isinstance(record, Record) for record in Store(tmp_path).records())
