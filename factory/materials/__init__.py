@@ -1,0 +1,1 @@
+"""Materials: measured BRDFs in, labels and the closure mixtures that render them out."""

@@ -1,0 +1,145 @@
+"""Fits many materials, keeps each as it is done, and gathers them into a catalogue.
+
+Beside the catalogue FILE a folder FILE.fits/ holds one entry a material, named by a hash of all that determines its fit: the
+measurement, the recipe, the light maps and this program's fitting code. A second call takes them from there; another recipe makes others.
+"""
+
+import concurrent.futures
+import hashlib
+import os
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from tqdm import tqdm
+
+from factory.materials import errors, recipe
+from factory.materials.samples import held_out
+from factory.materials.sphere import Sphere
+from manifests import materials as catalogue
+from manifests.materials import Distance, Entry, Errors, MixtureData, Neighbour
+
+CODE = ("recipe", "joint_fit", "label_fit", "label_model", "node_model", "nnls", "errors", "samples", "sphere")
+PROBE = np.linspace(0.01, 0.999, 64)[:, None], np.linspace(0.05, 0.999, 16)  # cos_h, cos_d at which a measurement is hashed
+
+_WORKER = {}  # what each worker process holds: sources, recipe, sphere
+
+
+def key(source, recipe_, maps):
+    """Names the fit of one source by one recipe, these light maps and this version of the fitting code."""
+    digest = hashlib.sha256(repr(recipe_).encode() + source.name.encode() + source.measured(*PROBE).tobytes())
+    for name, L in maps.items():
+        digest.update(name.encode() + np.asarray(L, np.float32).tobytes())
+    for module in CODE:
+        digest.update((Path(__file__).parent / f"{module}.py").read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def fit_all(sources, recipe_, maps, out, workers=1):
+    """Entries of all sources, in their order; each is kept under OUT.fits as soon as it is done.
+
+    sources  {name: Source};  maps {name: (height, width, 3)} light maps for the display errors, may be empty
+    """
+    folder = Path(f"{out}.fits")
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {name: folder / f"{name}.{key(source, recipe_, maps)}.json" for name, source in sources.items()}
+    todo = [name for name, file in files.items() if not file.exists()]
+    _WORKER.update(sources=sources, recipe=recipe_, files=files, sphere=None)
+    bar = tqdm(total=len(files), initial=len(files) - len(todo), unit="material", desc="fitting materials", dynamic_ncols=True)
+    with bar:
+        if todo and maps:
+            bar.set_postfix_str("gathering the light of the maps")
+            _WORKER["sphere"] = Sphere(maps, np.random.default_rng(0))  # forked workers share it
+        for name in _each(todo, workers):
+            bar.set_postfix_str(name)
+            bar.update()
+    return [msgspec.json.decode(files[name].read_bytes(), type=Entry) for name in sources]
+
+
+def _each(names, workers):
+    """Fits the names, in this process or in a pool of forked ones; yields each as it is done."""
+    if workers <= 1:
+        for name in names:
+            yield _fit_one(name)
+        return
+    with concurrent.futures.ProcessPoolExecutor(workers, mp_context=_fork()) as pool:
+        for future in concurrent.futures.as_completed([pool.submit(_fit_one, name) for name in names]):
+            yield future.result()
+
+
+def _fork():
+    import multiprocessing
+
+    return multiprocessing.get_context("fork")
+
+
+def _fit_one(name):
+    source, sphere = _WORKER["sources"][name], _WORKER["sphere"]
+    result = recipe.rounded(recipe.fit(source.measured, _WORKER["recipe"], sphere), source.measured)
+    write_entry(entry(source, result, sphere), _WORKER["files"][name])
+    return name
+
+
+def write_entry(entry_, path):
+    """One entry as JSON, under a temporary name first."""
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.writing")
+    temporary.write_bytes(msgspec.json.encode(entry_))
+    temporary.replace(path)
+
+
+def entry(source, fit, sphere=None):
+    """The catalogue's entry of a source and its fit; display errors if there is a sphere to draw."""
+    shown = recipe.display(fit, source.measured, sphere) if sphere else ((), (), ())
+    distances = [
+        Distance(_short(l1), _short(l2))
+        for l1, l2 in zip((fit.nodes_vs_label, fit.nodes_vs_source, fit.label_vs_source), shown, strict=True)
+    ]
+    mixture = MixtureData(**fit.mixture.to_json(recipe.DIGITS))
+    label = tuple(map(float, fit.label.ravel()))
+    digest = hashlib.sha256(msgspec.json.encode([label, mixture])).hexdigest()[:16]
+    return Entry(
+        name=source.name,
+        family=source.family,
+        source=source.source,
+        licence=source.licence,
+        split=source.split,
+        hash=digest,
+        errors=Errors(*distances),
+        label=label,
+        mixture=mixture,
+    )
+
+
+def _short(values):
+    return tuple(float(f"{v:.4g}") for v in values)
+
+
+def with_neighbours(entries):
+    """The entries, each test one with the nearest training one: relative L1 of their labels' f · cos, mean over the held-out views."""
+    samples = held_out()
+    f = {e.name: errors.label_values(np.reshape(e.label, (3, 3, 2, 6)), samples) for e in entries}
+    train = [e.name for e in entries if e.split == "train"]
+
+    def nearest(e):
+        if e.split == "train" or not train:
+            return None
+        distance = {name: errors.relative_l1(f[name], f[e.name], samples).mean() for name in train}
+        name = min(distance, key=distance.get)
+        return Neighbour(name, float(f"{distance[name]:.4g}"))
+
+    return [msgspec.structs.replace(e, nearest_train=nearest(e)) for e in entries]
+
+
+def twins(entries):
+    """Groups of names that share a hash: the same fit under several names."""
+    groups = {}
+    for e in entries:
+        groups.setdefault(e.hash, []).append(e.name)
+    return [names for names in groups.values() if len(names) > 1]
+
+
+def write_catalogue(entries, path, title, credit, light_maps):
+    """The catalogue of these entries, nearest training materials found, written to `path`."""
+    catalogue.write(
+        catalogue.Catalogue(title=title, credit=credit, light_maps=tuple(light_maps), materials=tuple(with_neighbours(entries))), path
+    )

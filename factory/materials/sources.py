@@ -1,0 +1,60 @@
+"""Where measured materials come from: what a path holds, and what to write beside each name.
+
+An npz of Neural-BRDF weights (MERL's hundred or EPFL's fifty-one, told apart by their names) or a folder of MERL `.binary` files.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from factory.materials import families, nbrdf
+from manifests.problems import Problem, closest
+
+MERL_CREDIT = (
+    "MERL BRDF database (Matusik, Pfister, Brand, McMillan, SIGGRAPH 2003), through the neural fits of Sztrajman, Rainer, Ritschel, Weyrich"
+    " (Neural BRDF Representation and Importance Sampling, CGF 2021)"
+)
+RGL_CREDIT = "EPFL RGL material database (Dupuy, Jakob, SIGGRAPH Asia 2018), through the neural fits of Sztrajman, Rainer, Ritschel, Weyrich (CGF 2021)"
+MERL_LICENCE = "measurements CC-BY-SA-4.0 (MERL), neural fits MIT; numbers fitted here CC-BY-SA-4.0"
+RGL_LICENCE = "neural fits MIT; numbers fitted here MIT"
+
+
+@dataclass(frozen=True)
+class Source:
+    """measured: callable (cos_h, cos_d) → f (…, 3); the rest as a catalogue entry has it."""
+
+    name: str
+    measured: Any
+    family: str
+    source: str
+    licence: str
+    split: str
+
+
+def load(path, only=()):
+    """{name: Source} of an npz or a folder; only: names to keep, all if empty.
+
+    Raises  Problem for what is neither, and for a name that is not there
+    """
+    path = Path(path)
+    if path.is_dir():
+        from factory.materials import merl_binary
+
+        found = {
+            name: Source(name, measured, families.family(name), "MERL .binary", MERL_LICENCE, families.split(name))
+            for name, measured in merl_binary.folder(path, only).items()
+        }
+    else:
+        found = {name: _of_network(name, network) for name, network in nbrdf.load(path).items()}
+    for name in only:
+        if name not in found:
+            raise Problem(path, f"a material named {name!r}", "none of that name", closest(name, found))
+    return {name: found[name] for name in sorted(found) if not only or name in only}
+
+
+def _of_network(name, network):
+    if name.endswith("_rgb"):  # EPFL's names end so in Neural-BRDF's archive
+        name = name.removesuffix("_rgb")
+        side = families.rgl_split(name)
+        return Source(name, network, families.rgl_family(name), "EPFL RGL through Neural-BRDF", RGL_LICENCE, side)
+    return Source(name, network, families.family(name), "MERL through Neural-BRDF", MERL_LICENCE, families.split(name))

@@ -1,0 +1,175 @@
+"""The materials: labels, the mixtures that render them, how well they agree, where they come from and who may learn from them.
+
+label    (3, 3, 2, 6) natural logarithms: channel, lobe (ascending mean log γ), (κ, γ), spline control values; 108 numbers
+mixture  shaders.mixture.Mixture: what Cycles renders
+errors   on view angles that no fit saw (0.5, 15, 30, 45, 60, 75°): relative L1 of f · cos, and the display L2 of a sphere under
+         three light maps (mean squared difference of values in [0, 255], exposure from the 99th percentile)
+
+A catalogue is one JSON file, a material a line. `materials.json` holds MERL's hundred, `materials-rgl.json` EPFL's isotropic ones.
+"""
+
+import functools
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from manifests import reading
+from manifests.problems import Problem, closest
+from shaders import dsbrdf
+from shaders.mixture import Mixture
+
+VERSION = 1
+FOLDER = Path(__file__).parent
+BUILT_IN = (FOLDER / "materials.json", FOLDER / "materials-rgl.json")
+
+
+class Distance(Struct, frozen=True, forbid_unknown_fields=True):
+    """l1: at 0.5, 15, 30, 45, 60, 75° (fractions of the reference); display_l2: a value a light map."""
+
+    l1: tuple[float, ...]
+    display_l2: tuple[float, ...] = ()
+
+    @property
+    def mean(self):
+        """L1 over the six views."""
+        return float(np.mean(self.l1))
+
+    @property
+    def worst(self):
+        """L1 at the worst view."""
+        return max(self.l1)
+
+
+class Errors(Struct, frozen=True, forbid_unknown_fields=True):
+    """What stands apart by how much: the reference is named last."""
+
+    nodes_vs_label: Distance
+    nodes_vs_source: Distance
+    label_vs_source: Distance
+
+
+class Neighbour(Struct, frozen=True, forbid_unknown_fields=True):
+    """The training material nearest to a test one; distance: relative L1 of their labels' f · cos, mean of the six views."""
+
+    name: str
+    distance: float
+
+
+class MixtureData(Struct, frozen=True, forbid_unknown_fields=True):
+    """shaders.mixture.Mixture as plain lists."""
+
+    kinds: tuple[str, ...]
+    stops: tuple[float, ...]
+    log_alpha: tuple[tuple[float, ...], ...]
+    tilt: tuple[tuple[float, ...], ...]
+    weights: tuple[tuple[tuple[float, float, float], ...], ...]
+
+
+class Entry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One material as it is written.
+
+    family       metal, metallic paint, paint, plastic, phenolic, rubber, fabric, wood, …
+    split        train or test; which 60 of the training ones the `paper` preset keeps is said by manifests.splits
+    hash         of label and mixture: twins share it
+    """
+
+    name: str
+    family: str
+    source: str
+    licence: str
+    split: Literal["train", "test"]
+    hash: str
+    errors: Errors
+    nearest_train: Neighbour | None = None
+    label: tuple[float, ...]
+    mixture: MixtureData
+
+
+class Catalogue(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A file of materials; light_maps name those under which display_l2 was measured."""
+
+    version: int = VERSION
+    title: str
+    credit: str
+    light_maps: tuple[str, ...] = ()
+    materials: tuple[Entry, ...]
+
+
+@dataclass(frozen=True)
+class Material:
+    """An entry ready for use: label (3, 3, 2, 6) float64 logarithms, mixture a Mixture; the rest as in Entry."""
+
+    name: str
+    family: str
+    source: str
+    licence: str
+    split: str
+    hash: str
+    errors: Errors
+    nearest_train: Neighbour | None
+    label: np.ndarray
+    mixture: Mixture
+
+    @property
+    def m(self):
+        """κ and γ control values (3, 3, 2, 6): exp(label), what shaders.dsbrdf evaluates."""
+        return np.exp(self.label)
+
+
+def material(entry, where):
+    """The entry ready for use. Raises Problem if its numbers do not fit together; `where` names the file."""
+    label = np.asarray(entry.label)
+    if label.size != dsbrdf.SIZE or not np.isfinite(label).all():
+        raise Problem(f"{where}: {entry.name}", f"a label of {dsbrdf.SIZE} finite numbers", f"{label.size}", "fit the material again")
+    try:
+        mixture = Mixture(**{f: getattr(entry.mixture, f) for f in entry.mixture.__struct_fields__})
+    except ValueError as error:
+        raise Problem(f"{where}: {entry.name}", "a mixture that Cycles can render", str(error), "fit the material again") from None
+    fields = {f: getattr(entry, f) for f in entry.__struct_fields__ if f not in ("label", "mixture")}
+    return Material(**fields, label=label.reshape(dsbrdf.SHAPE), mixture=mixture)
+
+
+def read_catalogue(path):
+    """The catalogue file at `path`, checked against its type. Raises Problem, one line."""
+    catalogue = reading.read(path, Catalogue)
+    if catalogue.version != VERSION:
+        raise Problem(path, f"version {VERSION}", str(catalogue.version), "fit the materials again with this program")
+    return catalogue
+
+
+def write(catalogue, path):
+    """Writes the file, a material a line, under a temporary name first; keys in the order of the type."""
+    path = Path(path)
+    head = msgspec.to_builtins(catalogue)
+    entries = head.pop("materials")
+    lines = ",\n".join(json.dumps(entry, separators=(",", ":")) for entry in entries)
+    text = json.dumps(head, indent=1)[:-2] + ',\n "materials": [\n' + lines + "\n]}\n"
+    temporary = path.with_name(path.name + ".writing")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(path)
+
+
+@functools.cache
+def _loaded(path, _stamp):
+    return {entry.name: material(entry, path.name) for entry in read_catalogue(path).materials}
+
+
+def load_catalogue(*paths):
+    """{name: Material} of the files given, or of the built-in ones; a later file's material takes the place of an earlier one's name."""
+    materials = {}
+    for path in map(Path, paths or [p for p in BUILT_IN if p.exists()]):
+        materials.update(_loaded(path, path.stat().st_mtime_ns))
+    return materials
+
+
+def find(name, materials=None):
+    """The material of that name. Raises Problem that lists the closest names."""
+    materials = load_catalogue() if materials is None else materials
+    if name not in materials:
+        raise Problem(f"material {name!r}", "a name in the catalogue", "none of that name", closest(name, materials))
+    return materials[name]
