@@ -17,7 +17,7 @@ from manifests.store import inside
 from shaders import frames, tone
 from shaders.envmap import roll
 
-COLUMNS = ("image", "normals", "mask", "light", "label", "difference × 4")
+COLUMNS = ("image", "normals", "mask", "light", "label", "difference x 4")
 GAIN = 4.0
 SHADED = 56  # pixels a side at which the label is shaded
 MARGIN, TEXT = 4, 26

@@ -52,8 +52,8 @@ def run(options):
 
 
 def spread(store, options):
-    """Records that fit, spread evenly over shapes, materials and lights, at most --count."""
+    """Records that fit, at most --count: one of each of so many equal strata of their order, at the golden ratio's places within it."""
     fits = [r for r in store.records() if options.material in (None, *r.materials) and options.tier in (None, r.tier)]
     fits.sort(key=lambda r: (r.shape, r.materials, r.light, r.tier, r.light_resolution, r.viewpoint, r.id))
     count = min(options.count, len(fits))
-    return [fits[(2 * k + 1) * len(fits) // (2 * count)] for k in range(count)]
+    return [fits[int((k + 0.618034 * k % 1) * len(fits) / count)] for k in range(count)]
