@@ -63,8 +63,9 @@ def write_dataset(folder, materials, rng, size=24, seeds=2, noise=0.02, rotation
     L, scale = envmap.unit_mean(np.exp(rng.standard_normal((64, 128, 3))))
     buffer = io.BytesIO()
     np.savez(buffer, L=L, scale=np.float64(scale))
-    store.place(light_path("sky", "a" * 64), lambda path: path.write_bytes(buffer.getvalue()), "test")
-    lights = {"sky": LightEntry(hash="a" * 64, file=light_path("sky", "a" * 64), scale=scale, licence="CC0")}
+    stored = light_path("sky", "a" * 64)
+    digest = store.place(stored, lambda path: path.write_bytes(buffer.getvalue()), "test")
+    lights = {"sky": LightEntry(hash="a" * 64, file=stored, file_hash=digest, scale=scale, licence="CC0")}
     store.write_json("dataset.json", Dataset(lights=lights))
     store.write_json("materials.json", {each.name: msgspec.to_builtins(each) for each in materials})
     normals, mask = sphere(camera)

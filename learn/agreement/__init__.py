@@ -1,0 +1,1 @@
+"""How far Cycles and the layer are apart on a dataset's records, and why."""

@@ -1,0 +1,140 @@
+"""The whole comparison: every scene of a dataset, then the files that tell of it."""
+
+import heapq
+import json
+import os
+import platform
+import subprocess
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from learn.agreement import causes, page, plots
+from learn.agreement.measure import measure, rendered
+from learn.agreement.scenes import scenes
+from learn.agreement.summary import summarise
+from learn.dataset import Records
+from manifests.problems import Problem
+
+PANELS = 9  # pictures shown, the worst of the direct tier first
+
+
+@dataclass(frozen=True)
+class Options:
+    """folder of the dataset; out; limit: pictures at most, None: all; tolerance of the converged integral."""
+
+    folder: Path
+    out: Path
+    limit: int | None = None
+    tolerance: float = 1e-2
+
+
+class Worst:
+    """The PANELS largest of what is offered; the rest is let go."""
+
+    def __init__(self):
+        self.heap, self.order = [], count()
+
+    def offer(self, value, caption, pictures):
+        item = (value, next(self.order), caption, [p.astype(np.float32) for p in pictures])
+        (heapq.heappushpop if len(self.heap) >= PANELS else heapq.heappush)(self.heap, item)
+
+    def panels(self):
+        return [(caption, *pictures) for _, _, caption, pictures in sorted(self.heap, reverse=True)]
+
+
+def limited(groups, limit):
+    """Whole scenes, spread over the dataset, of at most `limit` pictures (at least one scene)."""
+    if limit is None:
+        return groups
+    order = np.random.default_rng(0).permutation(len(groups))
+    taken, total = [], 0
+    for index in order:
+        size = sum(len(condition.records) for condition in groups[index])
+        if taken and total + size > limit:
+            continue
+        taken.append(index)
+        total += size
+    return [groups[index] for index in sorted(taken)]
+
+
+def compare(options):
+    """Rows of every condition and the panels to show. Raises Problem for a dataset without records, or a damaged file."""
+    records = Records(options.folder)
+    if not len(records):
+        raise Problem(options.folder, "a dataset with records", "none", "render some with: python -m factory render JOB --out DIR")
+    groups = limited(scenes(records.records), options.limit)
+    rows, worst = [], Worst()
+    total = sum(len(condition.records) for group in groups for condition in group)
+    with tqdm(total=total, unit="picture", desc="agree") as bar:
+        for group in groups:
+            sample = records.load(group[0].records[0])
+            if not sample.mask.any():
+                bar.update(sum(len(condition.records) for condition in group))
+                continue
+            layer = rendered(sample, options.tolerance)
+            entries = [records.material(name) for name in group[0].records[0].materials]
+            for condition in group:
+                row, shown = compare_condition(condition, records, sample, layer, entries)
+                rows.append(row)
+                caption = f"{row.shape}, {' + '.join(dict.fromkeys(row.materials))}, {row.light} turned {row.rotation_texels}, {row.tier}"
+                l2 = f"L2 {row.l2:.3g}" + ("" if row.net is None else f", net {row.net:.3g}")
+                worst.offer((condition.direct, row.net if row.net is not None else row.l2), f"{caption}: {l2}, SSIM {row.ssim:.3f}", shown)
+                bar.update(len(condition.records))
+    return rows, worst.panels()
+
+
+def compare_condition(condition, records, sample, layer, entries):
+    """The Row of a condition, causes included where the layer claims to model it, and its display pictures."""
+    pictures = np.stack([records.image(record) for record in condition.records])
+    row, shown = measure(condition, pictures, layer, entries)
+    if condition.direct:
+        row.causes = causes.take_apart(sample, pictures, layer, [entry.mixture for entry in entries], row.exposure)
+    return row, shown
+
+
+def about(options):
+    """What made the report: command, commit, machine, date."""
+    here = Path(__file__).parent
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=here, check=False).stdout.strip()
+    limit = "" if options.limit is None else f" --limit {options.limit}"
+    return {
+        "command": f"python -m learn agree {options.folder.name} --out {options.out.name}{limit} --tolerance {options.tolerance:g}",
+        "commit": commit or "unknown",
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}",
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+    }
+
+
+def write(out, name, text):
+    """A text file by way of a temporary name."""
+    temporary = out / f".{name}.part"
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(out / name)
+
+
+def make(options):
+    """Compare, and write report.json, report.md, index.html and the charts to options.out. Returns the summary."""
+    rows, panels = compare(options)
+    summary, origin = summarise(rows), about(options)
+    options.out.mkdir(parents=True, exist_ok=True)
+    drawn = plots.draw(options.out, summary, rows)
+    report = {"about": origin, "summary": summary, "conditions": [row.to_json() for row in rows]}
+    write(options.out, "report.json", json.dumps(finite(report), indent=1, allow_nan=False))
+    write(options.out, "report.md", page.markdown(summary, origin))
+    write(options.out, "index.html", page.web(summary, origin, {options.out / name: caption for name, caption in drawn.items()}, panels))
+    return summary
+
+
+def finite(value):
+    """The same with NaN as null: a figure that does not exist for a picture, such as SSIM of a tiny one."""
+    if isinstance(value, dict):
+        return {key: finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(inner) for inner in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,46 @@
+"""`learn agree`: the layer re-renders each record of a dataset; how far it stands from Cycles, and why."""
+
+from pathlib import Path
+
+
+def register(subparsers):
+    parser = subparsers.add_parser(
+        "agree",
+        help="compare Cycles' pictures with the layer's, and say why they differ",
+        description="Renders every record of a dataset again with the differentiable layer, from its label, normals and light, "
+        "and compares. Writes index.html (open it first), report.md, report.json and charts. Pictures rendered twice with different seeds "
+        "(a job's repeats = 2) let it tell noise from disagreement.",
+    )
+    parser.add_argument("dataset", type=Path, metavar="DIR", help="a folder that `python -m factory render` wrote")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the report goes")
+    parser.add_argument("--limit", type=positive, metavar="N", help="compare about N pictures, spread over the dataset, instead of all")
+    parser.add_argument(
+        "--tolerance",
+        type=fraction,
+        default=1e-2,
+        metavar="X",
+        help="relative error allowed to the layer's integral (default 0.01; less is slower)",
+    )
+    parser.set_defaults(run=run)
+
+
+def positive(text):
+    value = int(text)
+    if value < 1:
+        raise ValueError(text)
+    return value
+
+
+def fraction(text):
+    value = float(text)
+    if not 0 < value < 1:
+        raise ValueError(text)
+    return value
+
+
+def run(options):
+    from learn.agreement import page, report
+
+    summary = report.make(report.Options(options.dataset, options.out, options.limit, options.tolerance))
+    print(page.verdict(summary["direct"]))
+    print(f"See {options.out / 'index.html'}")
