@@ -1,15 +1,15 @@
 """Half-vector quadrature: the converged integral over the piecewise-constant map, right for lobes narrower than a texel.
 
-The paper's sum evaluates a lobe once a texel, and is wrong by a factor where the lobe is narrower. Here each lobe goes the way that suits it:
-broad ones (exponent ≤ BROAD at 64 rows) through the exact sum, narrow ones through taps placed around the pixel's normal in half-vector space,
+The paper's sum evaluates a lobe once a texel, and is wrong by a factor where the lobe is narrower. Here each lobe goes its own way:
+broad ones (exponent ≤ BROAD at 64 rows) through the exact sum, narrow ones through taps about the pixel's normal in half-vector space,
 
     h_i = cos θ_i n + sin θ_i (cos φ_i t₁ + sin φ_i t₂),   w_i = 2 (v·h) h − v,   dω_i = 4 (v·h) dω_h
 
 on a spiral φ_i = i · golden angle whose radii θ_i follow the lobes (equal shares of their energy), so that no lobe is too narrow.
 L is looked up in the texel that holds w_i, as a renderer with nearest look-up does.
 
-Taps are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is differentiated with w_i and dω_i held, which estimates the true
-derivative ∫ ∂(f μ) L dω; moving the taps with n instead would lose the jumps of L between texels.
+Taps are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is differentiated with w_i and dω_i held, which
+estimates the true derivative ∫ ∂(f μ) L dω; moving the taps with n instead would lose the jumps of L between texels.
 
 N taps, p pixel, i tap, k channel, s lobe; shapes (p, i, k, s).
 """
@@ -87,14 +87,20 @@ def tap_radii(m, taps):
     return edges[1::2], 2 * np.pi * np.diff(-np.cos(edges[::2]))
 
 
+def spiral(m, taps):
+    """Half vectors (N, 3) about the z axis that follow the lobes of m (3, 3, 2, 6), and the solid angle (N,) that each stands for."""
+    theta, solid_angle = tap_radii(m, taps)
+    phi = GOLDEN_ANGLE * np.arange(taps)
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1), solid_angle
+
+
 def over_taps(n, view, m, light, camera_from_light, taps):
     """Radiance (p, 3) of one group."""
-    if not bool((m[..., 0, :] > 0).any()):
-        return n * 0 + 0 * (m.sum() + light.sum())
-    theta, solid_angle = tap_radii(m.detach(), taps)
-    phi = GOLDEN_ANGLE * np.arange(taps)
-    around = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
-    around, solid_angle = (torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in (around, solid_angle))
+    used = (m.detach()[..., 0, :] > 0).any(-1).any(0)
+    if not used.any():
+        return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
+    m = m[:, used]
+    around, solid_angle = (torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in spiral(m.detach(), taps))
     step = max(1, PAIRS // taps)
     views = view.split(step) if view is not None else [n.new_tensor([[0.0, 0.0, 1.0]])] * math.ceil(len(n) / step)
     parts = zip(n.split(step), views, strict=True)
@@ -102,16 +108,24 @@ def over_taps(n, view, m, light, camera_from_light, taps):
     return torch.cat([checkpoint(chunk, a, b, m, light, *constants, use_reentrant=False, preserve_rng_state=False) for a, b in parts])
 
 
+def place(n, view, around, solid_angle, camera_from_light, size):
+    """The taps of each pixel: w (p, N, 3) directions, weight (p, N) = dω_i in sr, texel (p, N) flat index into the light.
+
+    n (p, 3), view (p | 1, 3), around (N, 3) taps about the z axis, solid_angle (N,) of half vectors, size (Hl, Wl).
+    Below the horizon the weight is 0 and w is n: any direction that keeps c and θ_d harmless.
+    """
+    h = torch.einsum("pab,ib->pia", frame_about(n), around)
+    cos_d = (h * view[:, None]).sum(-1)
+    w = torch.nn.functional.normalize(2 * cos_d[..., None] * h - view[:, None], dim=-1)
+    seen = (cos_d > 0) & ((w * n[:, None]).sum(-1) > 0)
+    weight = torch.where(seen, 4 * cos_d * solid_angle, 0.0)
+    return torch.where(seen[..., None], w, n[:, None]), weight, texel_of(w @ camera_from_light.to(w), *size)
+
+
 def chunk(n, view, m, light, around, solid_angle, camera_from_light):
-    """Radiance (p, 3): n (p, 3), view (p | 1, 3), around (N, 3) taps about the z axis, solid_angle (N,) of half vectors."""
+    """Radiance (p, 3) by the taps that `place` puts."""
     with torch.no_grad():
-        h = torch.einsum("pab,ib->pia", frame_about(n), around)
-        cos_d = (h * view[:, None]).sum(-1)
-        w = torch.nn.functional.normalize(2 * cos_d[..., None] * h - view[:, None], dim=-1)
-        seen = (cos_d > 0) & ((w * n[:, None]).sum(-1) > 0)
-        weight = torch.where(seen, 4 * cos_d * solid_angle, 0.0)
-        texel = texel_of(w @ camera_from_light, *light.shape[:2])
-        w = torch.where(seen[..., None], w, n[:, None])  # below the horizon: any direction that keeps c and θ_d harmless
+        w, weight, texel = place(n, view, around, solid_angle, camera_from_light, light.shape[:2])
     mu = (w * n[:, None]).sum(-1) * weight
     h, theta_d = half_angles(w, view[:, None])
     log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
