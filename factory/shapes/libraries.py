@@ -1,0 +1,145 @@
+"""Many meshes in one place: folders (ShapeNet's layout too) and Sweet Home 3D's .sh3f files, which are zips of OBJ with a catalogue."""
+
+import re
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from factory.shapes.files import BYTES_A_TRIANGLE, FORMATS, MAXIMUM_TRIANGLES
+from manifests.problems import Problem, closest
+
+SYNSETS = {"02958343": "car", "03001627": "chair", "04256520": "sofa", "03211117": "monitor"}  # ShapeNet's names of the paper's categories
+WORDS = {
+    "chair": ("chair", "stool", "seat"),
+    "sofa": ("sofa", "couch", "settee", "loveseat"),
+    "monitor": ("monitor", "tv", "television", "screen", "display", "laptop", "tablet"),
+    "car": ("car", "sedan", "suv", "automobile", "coupe", "hatchback"),
+}
+CATALOGUE = "PluginFurnitureCatalog.properties"
+MOST_MEMBERS, MOST_INFLATION, MOST_CATALOGUE = 20_000, 100, 4 << 20
+
+
+@dataclass(frozen=True)
+class Entry:
+    """place: what `door.open_mesh` takes; licence: as the library states it, or ''."""
+
+    place: str
+    name: str
+    category: str
+    licence: str = ""
+
+
+def find(folder):
+    """Every mesh below a folder or in one file, as a list of Entry, sorted by place. Raises Problem if there is none."""
+    folder = Path(folder)
+    if folder.is_file():
+        return _inside(folder) if folder.suffix.lower() == ".sh3f" else [Entry(str(folder), folder.stem, category_of(folder))]
+    if not folder.is_dir():
+        raise Problem(folder, "a folder of meshes", "nothing", "check the path")
+    found = []
+    for path in sorted(folder.rglob("*")):
+        if path.suffix.lower() == ".sh3f" and path.is_file():
+            found += _inside(path)
+        elif path.suffix.lower() in FORMATS and path.is_file():
+            found.append(Entry(str(path), _name(path, folder), category_of(path)))
+    if not found:
+        raise Problem(folder, f"meshes ({', '.join(FORMATS)}, .sh3f)", "none in it or below it", "name another folder")
+    return found
+
+
+def _name(path, folder):
+    """A name from where a mesh lies; ShapeNet's synset/model/models/model_normalized.obj gives "synset-model"."""
+    parts = path.relative_to(folder).with_suffix("").parts
+    meaning = [part for part in parts if part not in ("models", "model_normalized")] or [parts[-1]]
+    return "-".join(meaning)
+
+
+def category_of(path, chosen=""):
+    """The paper's category that a member's name, a file's name or its folders suggest, the nearest first; else "object"."""
+    for part in (chosen, *reversed(Path(path).parts[-6:])):
+        if part in SYNSETS:
+            return SYNSETS[part]
+        # armChair_01 → arm, chair; sofas → sofa
+        words = [w.lower().removesuffix("s") for w in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", Path(part).stem)]
+        for category, known in WORDS.items():
+            if any(word in known or (category in ("chair", "sofa") and word.endswith(known)) for word in words):
+                return category
+    return "object"
+
+
+def _inside(path):
+    with _opened(path) as archive:
+        catalogue = _catalogue(archive, path)
+        library = catalogue.get("license", catalogue.get("name", ""))
+        models = {key.partition("#")[2]: value.lstrip("/") for key, value in catalogue.items() if key.startswith("model#")}
+        entries = []
+        for number, model in models.items():
+            licence = catalogue.get(f"license#{number}", library)
+            creator = catalogue.get(f"creator#{number}", "")
+            named = f"{catalogue.get(f'name#{number}', '')} {Path(model).stem}"
+            kind = category_of(Path("x"), catalogue.get(f"name#{number}", "")) if named else "object"
+            if kind == "object":
+                kind = category_of(Path("x"), Path(model).stem)
+            entries.append(Entry(f"{path}#{Path(model).stem}", Path(model).stem, kind, f"{licence}, {creator}".strip(", ")))
+    return sorted(entries, key=lambda entry: entry.place)
+
+
+def _opened(path):
+    """An open zip whose own account of itself is within bounds. Raises Problem."""
+    if not Path(path).is_file():
+        raise Problem(path, "a .sh3f library", "nothing", "check the path")
+    try:
+        archive = zipfile.ZipFile(path)
+    except zipfile.BadZipFile as error:
+        raise Problem(path, "a zip file of meshes", f"'{error}'", "download it again") from None
+    if len(archive.infolist()) > MOST_MEMBERS:
+        archive.close()
+        raise Problem(path, f"at most {MOST_MEMBERS:,} files", f"{len(archive.namelist()):,}", "split the library")
+    return archive
+
+
+def _catalogue(archive, path):
+    """Keys and values of the library's catalogue, a Java properties file."""
+    if CATALOGUE not in archive.namelist():
+        raise Problem(
+            path, f"a library with {CATALOGUE}", "none in it", "use a furniture library of Sweet Home 3D, or unzip it and name the folder"
+        )
+    text = _extract(archive, CATALOGUE, path, MOST_CATALOGUE).decode("latin-1")
+    pairs = (line.partition("=") for line in text.splitlines() if not line.lstrip().startswith(("#", "!")))
+    return {key.strip(): re.sub(r"\\u([0-9a-fA-F]{4})", lambda m: chr(int(m[1], 16)), value.strip()) for key, mark, value in pairs if mark}
+
+
+def _extract(archive, name, path, most):
+    """A member's bytes; at most `most`, and at most a hundred times what it takes in the zip."""
+    info = archive.getinfo(name)
+    bound = min(most, MOST_INFLATION * max(info.compress_size, 1024))
+    if info.file_size > bound:
+        raise Problem(
+            f"{path}#{name}",
+            f"at most {bound:,} bytes unpacked",
+            f"{info.file_size:,}",
+            "a file that swells so is not a mesh; raise --max-triangles if it is",
+        )
+    try:
+        with archive.open(info) as file:
+            data = file.read(bound + 1)
+    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError) as error:
+        raise Problem(f"{path}#{name}", "a readable member", f"'{error}'", "download the library again") from None
+    if len(data) > bound:
+        raise Problem(f"{path}#{name}", f"at most {bound:,} bytes unpacked", "more than the zip announces", "download the library again")
+    return data
+
+
+def member(path, chosen, maximum=MAXIMUM_TRIANGLES):
+    """(bytes, name, ending) of one mesh of a .sh3f library. Raises Problem: no such name, or none given."""
+    with _opened(path) as archive:
+        models = [value.lstrip("/") for key, value in _catalogue(archive, path).items() if key.startswith("model#")]
+        by_name = {Path(model).stem: model for model in models}
+        if chosen not in by_name:
+            found = f"'{chosen}'" if chosen else "no name"
+            near = closest(chosen, by_name) if chosen else closest("", by_name)
+            raise Problem(path, "the name of one of its meshes after '#'", found, near)
+        model = by_name[chosen]
+        if model not in archive.namelist():
+            raise Problem(f"{path}#{chosen}", "the mesh its catalogue names", f"no {model}", "download the library again")
+        return _extract(archive, model, path, maximum * BYTES_A_TRIANGLE), chosen, Path(model).suffix.lower()

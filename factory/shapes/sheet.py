@@ -1,0 +1,29 @@
+"""Contact sheets of shapes: each seen from the front left, named and counted. No Blender: factory.shapes.raster draws."""
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from factory.shapes.raster import picture
+
+AZIMUTH = 0.65  # radians: the front and the left side
+
+
+def contact_sheet(meshes, count, *, columns=None, size=160, azimuths=(AZIMUTH,)):
+    """A PIL image of `count` meshes (an iterable of Mesh or of one-line errors), row after row.
+
+    azimuths  radians; several: that many pictures of each mesh, side by side
+    """
+    columns = columns or max(1, min(count, round(10 / len(azimuths)), int(np.ceil(count**0.5 * 1.3))))
+    rows, wide, label = -(-count // columns), size * len(azimuths), 14
+    sheet = Image.new("RGB", (columns * wide, max(rows, 1) * (size + label)), "white")
+    pen = ImageDraw.Draw(sheet)
+    for k, mesh in enumerate(meshes):
+        x, y = k % columns * wide, k // columns * (size + label)
+        if isinstance(mesh, str):
+            pen.text((x + 3, y + 3), mesh[: wide // 6], fill="red")
+            continue
+        for j, azimuth in enumerate(azimuths):
+            pixels = (picture(mesh, azimuth, size=size) * 255 + 0.5).astype(np.uint8)
+            sheet.paste(Image.fromarray(pixels), (x + j * size, y))
+        pen.text((x + 3, y + size), mesh.name[-(wide // 6) :], fill=(90, 90, 90))
+    return sheet
