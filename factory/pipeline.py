@@ -5,6 +5,7 @@ geometry  of a shape from a view is rendered once a dataset: it is read back if 
 light     stored map and rotation; a whole map is averaged to a width of which 128 is a divisor, as rotations are whole texels
 """
 
+import errno
 import time
 from collections import OrderedDict
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ import numpy as np
 from factory import exr
 from factory.plan import TEXELS, Shot
 from factory.render import checks
+from factory.shape_names import Source, load_mesh
 from manifests.schema import Job, Record, Statistics
 from manifests.store import file_hash, geometry_path, image_path
 from manifests.viewpoints import azimuths_deg
@@ -24,12 +26,27 @@ from shaders.envmap import LUMINANCE
 HELD = 48  # geometries whose masks stay in memory: two shapes' 24 views
 
 
+class ShapeSource(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a shape is read from, and what it must turn out to be."""
+
+    source: Source
+    hash: str
+    category: str
+
+
+class LightSource(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a light is read from, and what it must turn out to be."""
+
+    source: str
+    hash: str
+
+
 class Assignment(msgspec.Struct, frozen=True, kw_only=True):
     """What a worker needs to know besides its shots: the job's common part, and where shapes and lights come from."""
 
     job: Job
-    shapes: dict[str, dict]  # name → {source, hash, category, named}
-    lights: dict[str, dict]  # name → {source, hash}
+    shapes: dict[str, ShapeSource]
+    lights: dict[str, LightSource]
     library: str | None = None
 
 
@@ -76,7 +93,7 @@ class Pipeline:
             raise BadShot("; ".join(faults))
         image = image_path(shot.id)
         with self._timed("writing"):
-            image_hash = self.store.place(image, lambda path: exr.write_picture(path, radiance), self.worker)
+            image_hash = self.store.place(image, lambda path: _write(exr.write_picture, path, radiance), self.worker)
         record = self._record(shot, geometry, image, image_hash, _statistics(radiance, geometry), time.perf_counter() - start)
         self._append(record)
         return record
@@ -139,7 +156,7 @@ class Pipeline:
                 mask = seen.mask
                 if faults := checks.geometry(seen, self._segments):
                     raise BadShot("; ".join(faults))
-                digest = self.store.place(path, lambda temporary: exr.write_geometry(temporary, seen), self.worker, keep_first=True)
+                digest = self.store.place(path, lambda temporary: _write(exr.write_geometry, temporary, seen), self.worker, keep_first=True)
         held = _Geometry(path, digest, mask, float(mask.mean()))
         self._geometries[shot.geometry] = held
         if len(self._geometries) > HELD:
@@ -151,14 +168,14 @@ class Pipeline:
         return Record(
             id=shot.id,
             shape=shot.shape,
-            shape_hash=shape["hash"],
-            category=shape["category"],
+            shape_hash=shape.hash,
+            category=shape.category,
             viewpoint=shot.viewpoint,
             azimuth_deg=azimuths_deg()[shot.viewpoint],
             camera=job.camera,
             materials=shot.materials,
             light=shot.light,
-            light_hash=self.assignment.lights[shot.light]["hash"],
+            light_hash=self.assignment.lights[shot.light].hash,
             rotation_texels=shot.rotation_texels,
             tier=shot.tier,
             light_resolution=shot.light_resolution,
@@ -174,13 +191,19 @@ class Pipeline:
         )
 
 
+def _write(write, path, what):
+    """Write by OpenEXR, whose RuntimeError for a full or failing disk becomes an OSError."""
+    try:
+        write(path, what)
+    except RuntimeError as error:
+        raise OSError(errno.EIO, str(error), str(path)) from None
+
+
 def load_shape(entry):
     """The Mesh of an assignment's shape. Raises BadShot if the file has changed since the plan was made."""
-    from factory.shapes.catalogue import load
-
-    mesh = load(entry["source"], name=entry["name"]) if entry["named"] else load(entry["source"])
-    if mesh.hash != entry["hash"]:
-        raise BadShot(f"{entry['source']}: the mesh with hash {entry['hash'][:12]} expected, found {mesh.hash[:12]}: it changed meanwhile")
+    mesh = load_mesh(entry.source)
+    if mesh.hash != entry.hash:
+        raise BadShot(f"{entry.source.place}: the mesh with hash {entry.hash[:12]} expected, found {mesh.hash[:12]}: it changed meanwhile")
     return mesh
 
 
@@ -188,9 +211,9 @@ def load_light(entry, library):
     """The Light of an assignment's light. Raises BadShot if the file has changed since the plan was made."""
     from factory.lights import load
 
-    light = load(entry["source"], library)
-    if light.hash != entry["hash"]:
-        raise BadShot(f"{entry['source']}: the map with hash {entry['hash'][:12]} expected, found {light.hash[:12]}: it changed meanwhile")
+    light = load(entry.source, library)
+    if light.hash != entry.hash:
+        raise BadShot(f"{entry.source}: the map with hash {entry.hash[:12]} expected, found {light.hash[:12]}: it changed meanwhile")
     return light
 
 

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from factory.fingerprint import render_fingerprint
-from factory.pipeline import Assignment
+from factory.pipeline import Assignment, LightSource, ShapeSource
 from factory.plan import Plan
 from factory.pool import Pool, setup_for
 from factory.worker import STUDIO
@@ -109,11 +109,8 @@ def assign(plan, library=None):
     """What the plan's workers need to know."""
     return Assignment(
         job=plan.job,
-        shapes={
-            s.name: {"name": s.name, "source": s.source, "hash": s.hash, "category": s.category, "named": s.named}
-            for s in plan.assets.shapes
-        },
-        lights={light.name: {"source": light.source, "hash": light.hash} for light in plan.assets.lights.values()},
+        shapes={s.name: ShapeSource(source=s.source, hash=s.hash, category=s.category) for s in plan.assets.shapes},
+        lights={light.name: LightSource(source=light.source, hash=light.hash) for light in plan.assets.lights.values()},
         library=library,
     )
 

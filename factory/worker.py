@@ -78,7 +78,8 @@ def main():
     except Problem as problem:
         answer(fatal=True, problem=(problem.where, problem.expected, problem.found, problem.remedy))
     except OSError as error:
-        answer(fatal=True, reason=str(error))
+        remedy = "make room or mend the disk, then run the same command: what was written stays"
+        answer(fatal=True, problem=(error.filename or setup.folder, "a disk that takes a file", error.strerror or str(error), remedy))
     except Exception as error:  # whatever else it is, the parent says it in one line
         answer(fatal=True, reason=f"worker {type(error).__name__}: {error}".replace("\n", " "))
     sys.stderr.flush()

@@ -113,7 +113,8 @@ def found(job, folder, options):
 
     from factory.assets import resolve
 
-    return resolve(job, folder, options.lights, options.catalogue, partial(tqdm, leave=False, delay=1.0))
+    watch = partial(tqdm, leave=False, delay=1.0, mininterval=0.1 if sys.stderr.isatty() else 10.0)
+    return resolve(job, folder, options.lights, options.catalogue, watch)
 
 
 def outcome_line(outcome, folder):
@@ -135,7 +136,8 @@ class Progress:
     def __enter__(self):
         from tqdm import tqdm
 
-        self.bar = tqdm(total=0, unit="picture", desc="rendering", dynamic_ncols=True)
+        calm = 0.1 if sys.stderr.isatty() else 10.0  # a log file wants few lines
+        self.bar = tqdm(total=0, unit="picture", desc="rendering", dynamic_ncols=True, mininterval=calm, delay=0.5)
         return self
 
     def __exit__(self, *_):

@@ -9,13 +9,33 @@ import msgspec
 import pytest
 
 from factory import jobs
-from factory.assets import Assets, Light, Material, Shape, _sources, check, local, resolve
+from factory.assets import Assets, Light, Material, Shape, resolve
 from factory.commands.plan import described, split_counts
 from factory.plan import Plan, camera_words
+from factory.shape_names import Source, local, sources
 from manifests import splits
 from manifests.problems import Problem
 from manifests.schema import Camera, Draw, Job
 from manifests.viewpoints import azimuths_deg
+
+TETRAHEDRON = b"""ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 4
+property list uchar int vertex_indices
+end_header
+0 0 0
+2 0 0
+0 2 0
+0 0 2
+3 0 2 1
+3 0 1 3
+3 0 3 2
+3 1 2 3
+"""
 
 
 @pytest.fixture
@@ -23,12 +43,12 @@ def stub(hash_of):
     """A function of a Job: its Plan over shapes and materials that are only names and hashes."""
 
     def make(job, training=60, testing=20):
-        names = list(dict.fromkeys(source for _, source in _sources(job, None)))
+        names = list(dict.fromkeys(source.place for source in sources(job, None)))
         roles = splits.shape_roles([(n, n.split(":")[0], hash_of(n)) for n in names], job.split)
         wanted = set(job.roles) or set(splits.SIDES)
         shapes = [
             Shape(
-                name=n, source=n, named=False, category=n.split(":")[0], hash=hash_of(n), segments=2,
+                name=n, source=Source(n), category=n.split(":")[0], hash=hash_of(n), segments=2,
                 side=splits.SIDES[roles[n]], role=roles[n], licence="", report="",
             )
             for n in names
@@ -192,7 +212,7 @@ def test_the_viewpoints_are_24_steps_of_15_degrees():
         ({"lights": ("nowhere.exr",)}, "nowhere.exr"),
         ({"lights": ("ctiy",)}, "city"),
         ({"materials": ("mate",)}, "did you mean matte"),
-        ({"materials": ("small/brass",)}, "none in it"),
+        ({"materials": ("small/brass",)}, "none of that name"),
     ],
 )
 def test_a_job_that_names_what_is_not_there_is_refused_in_one_line(small_job, catalogue, tmp_path, light_file, change, message):
@@ -211,10 +231,24 @@ def test_a_path_may_lie_below_the_jobs_folder_but_a_link_may_not_lead_out(tmp_pa
         local("out/x.obj", tmp_path / "in", "job")
 
 
-def test_a_twin_is_left_out_with_a_note(small_job, catalogue):
-    assets = resolve(msgspec.structs.replace(small_job, shapes=("blob:1", "blob:01")), catalogues=[catalogue])
-    assert len(assets.shapes) == 1
-    check(small_job)
+def test_a_twin_is_left_out_with_a_note(small_job, catalogue, tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.ply").write_bytes(TETRAHEDRON)
+    assets = resolve(msgspec.structs.replace(small_job, shapes=("a.ply", "b.ply"), lights=("city",)), tmp_path, catalogues=[catalogue])
+    assert [s.name for s in assets.shapes] == ["a"]
+    assert assets.notes == ["shape 'b' is 'a' again, left out"]
+
+
+def test_a_folder_of_meshes_is_named_by_where_they_lie_and_two_meshes_never_share_a_name(small_job, catalogue, tmp_path):
+    for k, folder in enumerate(("chairs/one", "chairs/two")):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "model.ply").write_bytes(TETRAHEDRON.replace(b"0 0 2", b"0 0 %d" % (2 + k)))
+    job = msgspec.structs.replace(small_job, lights=("city",))
+    assets = resolve(msgspec.structs.replace(job, shapes=("./chairs",)), tmp_path, catalogues=[catalogue])
+    assert [(s.name, s.category) for s in assets.shapes] == [("one-model", "chair"), ("two-model", "chair")]
+    both = msgspec.structs.replace(job, shapes=("chairs/one/model.ply", "chairs/two/model.ply"))
+    with pytest.raises(Problem, match="one mesh under a name expected"):
+        resolve(both, tmp_path, catalogues=[catalogue])
 
 
 def test_sets_and_names_of_materials_can_be_mixed(small_job, catalogue):
