@@ -15,12 +15,11 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import OpenEXR
 import torch
 
-from manifests.materials import Entry, material
+from manifests.materials import material, read_catalogue
 from manifests.problems import Problem
 from manifests.schema import Record
 from manifests.store import Store, inside
@@ -83,7 +82,7 @@ class Records(torch.utils.data.Dataset):
         self.store = Store(folder)
         self.folder = Path(folder)
         self.dataset = self.store.dataset()
-        self.materials = self.store.materials()
+        self.materials = {entry.name: entry for entry in read_catalogue(self.folder / "materials.json").materials}
         self.records = sorted(self.store.records(keep), key=lambda record: record.id)
 
     def __len__(self):
@@ -133,10 +132,7 @@ class Records(torch.utils.data.Dataset):
         where, entry = self.folder / "materials.json", self.materials.get(name)
         if entry is None:
             raise Problem(where, f"an entry for '{name}', which a record names,", "none", "copy the dataset again")
-        try:
-            return material(msgspec.convert(entry, Entry), where)
-        except msgspec.ValidationError as error:
-            raise Problem(where, f"an entry of the catalogue for '{name}'", str(error), "copy the dataset again") from None
+        return material(entry, where)
 
     def label(self, name):
         """The label (108,) float32 of a material of this dataset: natural logarithms."""

@@ -84,10 +84,6 @@ class Store:
             raise Problem(path, f"schema version {VERSION}", str(version), "read it with the program version that wrote it")
         return read(path, Dataset)
 
-    def materials(self):
-        """materials.json: for each material used, its entry of the catalogue, the label included."""
-        return read(self.folder / "materials.json", dict)
-
     def record_files(self):
         """The record files, one a worker, in order of name."""
         return sorted((self.folder / "records").glob("*.jsonl"))

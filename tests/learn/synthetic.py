@@ -67,7 +67,7 @@ def write_dataset(folder, materials, rng, size=24, seeds=2, noise=0.02, rotation
     digest = store.place(stored, lambda path: path.write_bytes(buffer.getvalue()), "test")
     lights = {"sky": LightEntry(hash="a" * 64, file=stored, file_hash=digest, scale=scale, licence="CC0")}
     store.write_json("dataset.json", Dataset(lights=lights))
-    store.write_json("materials.json", {each.name: msgspec.to_builtins(each) for each in materials})
+    catalogue.write(catalogue.Catalogue(title="test", credit="none", materials=tuple(materials)), store.folder / "materials.json")
     normals, mask = sphere(camera)
     view = None if fov_deg is None else frames.view_vectors(size, size, np.radians(fov_deg)).astype(np.float32)
     if view is not None:

@@ -55,7 +55,7 @@ def damage(folder, what):
         path = next(folder.glob("lights/*.npz"))
         path.write_bytes(path.read_bytes()[:300])
     elif what == "no materials":
-        (folder / "materials.json").write_text("{}")
+        (folder / "materials.json").write_text('{"title": "none", "credit": "none", "materials": []}')
     elif what == "no dataset":
         (folder / "dataset.json").unlink()
 
