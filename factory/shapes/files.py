@@ -43,8 +43,6 @@ def read(path, maximum=MAXIMUM_TRIANGLES):
         )
     check_format(path, kind)
     size = path.stat().st_size
-    if size > maximum * BYTES_A_TRIANGLE:
-        raise Problem(path, f"at most {maximum:,} triangles", f"{size:,} bytes", MORE)
     with open(path, "rb") as file:
         return parse(file, kind, size, path, maximum)
 
@@ -60,9 +58,14 @@ def parse(file, kind, size, where, maximum=MAXIMUM_TRIANGLES):
     """The Raw triangles of an open binary file of `size` bytes; where: its name in errors."""
     if size == 0:
         raise Problem(where, "a mesh", "an empty file", AGAIN)
+    heavy = Problem(where, f"at most {maximum:,} triangles", f"{size:,} bytes", MORE) if size > maximum * BYTES_A_TRIANGLE else None
+    if heavy and kind == ".obj":  # has no header: counting would read all of it
+        raise heavy
     count = {".obj": _count_obj, ".ply": _count_ply, ".stl": _count_stl, ".off": _count_off, ".glb": _count_glb}[kind](file, size, where)
     if count > maximum:
         raise Problem(where, f"at most {maximum:,} triangles", f"{count:,}", MORE)
+    if heavy:  # few triangles among much else: textures, points
+        raise heavy
     if count == 0:
         raise Problem(where, "a mesh with triangles", "none", "check that the file holds a surface, not points or curves")
     file.seek(0)
@@ -167,6 +170,8 @@ def _count_glb(file, size, where):
             raise Problem(where, "all data inside the file", "a buffer elsewhere", "export it as one .glb")
         each = [sum(_glb_triangles(scene, p) for p in mesh["primitives"]) for mesh in scene.get("meshes", ())]
         shown = sum(each[node["mesh"]] * _instances(scene, index) for index, node in enumerate(scene.get("nodes", ())) if "mesh" in node)
+    except Problem:
+        raise
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError) as error:
         raise Problem(where, "a readable glTF scene", f"'{type(error).__name__}: {error}'"[:120], "download or export it again") from None
     return shown

@@ -9,6 +9,7 @@ from shaders.frames import ELEVATION, camera_from_world
 
 CHUNK = 4_000_000  # candidate pixels tested at a time: about 250 MB at most
 HALF_EXTENT = 1.02
+EDGE_ON = 0.02  # a face seen at less than 1.1° shows neither side
 
 
 def look(vertices, faces, camera, size):
@@ -94,10 +95,11 @@ def back_faces(vertices, faces, size=96):
     views += [((k + 0.5) * np.pi / 2, sign * np.arctan(0.5**0.5)) for k in range(4) for sign in (1, -1)]
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     for azimuth, elevation in views:
         camera = camera_from_world(azimuth, elevation)
         face = look(vertices, faces, camera, size)[0]
         face = face[face >= 0]
-        inner = (normal[face] @ camera[2] < 0).astype(int)
-        np.add.at(counts, (face, inner), 1)
+        facing = normal[face] @ camera[2]
+        np.add.at(counts, (face, (facing < 0).astype(int)), np.abs(facing) > EDGE_ON)
     return counts
