@@ -18,7 +18,9 @@ def main(program, description, commands, arguments=None):
     parser = argparse.ArgumentParser(prog=f"python -m {program}", description=description)
     parser.add_argument("--debug", action="store_true", help="show the whole trace of an error")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    for name in commands:
+    words = sys.argv[1:] if arguments is None else arguments
+    named = [word for word in words if word in commands][:1]  # one command needs only its own module; --help and mistakes need all
+    for name in named or commands:
         importlib.import_module(f"{program}.commands.{name}").register(subparsers)
     options = parser.parse_args(arguments)
     try:
