@@ -38,14 +38,6 @@ def two_sum(a, b):
 
 
 @njit(forceinline=True)
-def lengths(wx, wy, wz, vx, vy, vz):
-    """‖w − v‖², ‖w + v‖²."""
-    tx, ty, tz = wx - vx, wy - vy, wz - vz
-    sx, sy, sz = wx + vx, wy + vy, wz + vz
-    return fma(tx, tx, fma(ty, ty, tz * tz)), maximum(fma(sx, sx, fma(sy, sy, sz * sz)), LEAST_SQUARE)
-
-
-@njit(forceinline=True)
 def shortfall(x, y, z):
     """1/‖v‖ − 1 of a vector that was scaled to unit length in float32."""
     x, y, z = float64(x), float64(y), float64(z)
@@ -53,19 +45,26 @@ def shortfall(x, y, z):
 
 
 @njit(forceinline=True)
-def offset(w, w_rest, v, v_short, n, inverse):
-    """One component of h − n, inverse = 1/‖s‖."""
-    s, rest = two_sum(w, v)
-    return fma(fma(v, v_short, rest + w_rest), inverse, fma(s, inverse, 0.0 - n))
+def w_plus_v(geometry, o, vx, vy, vz, v_short):
+    """s = w + v as three floats and three rests."""
+    sx, rx = two_sum(load(geometry, o), vx)
+    sy, ry = two_sum(load(geometry, o + 16), vy)
+    sz, rz = two_sum(load(geometry, o + 32), vz)
+    rx = fma(vx, v_short, rx + load(geometry, o + 48))
+    ry = fma(vy, v_short, ry + load(geometry, o + 64))
+    rz = fma(vz, v_short, rz + load(geometry, o + 80))
+    return sx, sy, sz, rx, ry, rz
 
 
 @njit(forceinline=True)
-def half_offset(geometry, o, wx, wy, wz, nx, ny, nz, vx, vy, vz, v_short, inverse):
-    """h − n (3 values)."""
-    x = offset(wx, load(geometry, o + 48), vx, v_short, nx, inverse)
-    y = offset(wy, load(geometry, o + 64), vy, v_short, ny, inverse)
-    z = offset(wz, load(geometry, o + 80), vz, v_short, nz, inverse)
-    return x, y, z
+def square(x, y, z):
+    return fma(x, x, fma(y, y, z * z))
+
+
+@njit(forceinline=True)
+def offset(s, rest, n, inverse):
+    """One component of h − n, inverse = 1/‖s‖."""
+    return fma(rest, inverse, fma(s, inverse, 0.0 - n))
 
 
 @njit(forceinline=True)
@@ -87,14 +86,15 @@ def forward(first, last, pixels, blocks, n, v, geometry, energy, m, least, cut, 
             n_w = fma(wx, nx, fma(wy, ny, wz * nz))
             if not anywhere(n_w > 0.0):
                 continue
-            t_square, s_square = lengths(wx, wy, wz, vx, vy, vz)
+            sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
+            s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
             inverse = 1.0 / sqrt(s_square)
-            x, y, z = half_offset(geometry, o, wx, wy, wz, nx, ny, nz, vx, vy, vz, v_short, inverse)
+            x, y, z = offset(sx, rx, nx, inverse), offset(sy, ry, ny, inverse), offset(sz, rz, nz, inverse)
             log_c = peak_cosine(x, y, z)[1]
             nearest = lane_max(log_c)
             if not (nearest * min(least[0], least[1], least[2]) > cut[block]):
                 continue
-            b = basis(angle(t_square, s_square))
+            b = basis(angle(square(wx - vx, wy - vy, wz - vz), s_square))
             f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
             for s in range(3):
                 if nearest * least[s] > cut[block]:
@@ -166,14 +166,16 @@ def backward(
                     if not anywhere(visible):
                         continue
                     vx, vy, vz = splat(v[p]), splat(v[p + 1]), splat(v[p + 2])
-                    t_square, s_square = lengths(wx, wy, wz, vx, vy, vz)
-                    inverse = 1.0 / sqrt(s_square)
                     v_short = shortfall(v[p], v[p + 1], v[p + 2])
-                    x, y, z = half_offset(geometry, o, wx, wy, wz, nx, ny, nz, vx, vy, vz, v_short, inverse)
+                    sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
+                    s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
+                    inverse = 1.0 / sqrt(s_square)
+                    x, y, z = offset(sx, rx, nx, inverse), offset(sy, ry, ny, inverse), offset(sz, rz, nz, inverse)
                     c, log_c = peak_cosine(x, y, z)
                     nearest = lane_max(log_c)
                     if not (nearest * min(least[0], least[1], least[2]) > cut[block]):
                         continue
+                    t_square = square(wx - vx, wy - vy, wz - vz)
                     theta_d = angle(t_square, s_square)
                     b, tent = basis(theta_d), tents(theta_d)
                     n_w = maximum(n_w, 0.0)
@@ -199,14 +201,17 @@ def backward(
                     add_to(scratch, a + 16, fma(by_w, wy, by_c * y))
                     add_to(scratch, a + 32, fma(by_w, wz, by_c * z))
                     if with_view:
-                        # ∂c/∂v = (n − c h)/‖s‖ where n − c h = (1 − c) h − (h − n);  ∂θ_d/∂v = −t/(‖t‖ ‖s‖)
+                        # ∂c/∂v = (n − c h)/‖s‖, and n − c h is what of n − h stands across h.
+                        # ∂θ_d/∂v = −(‖s‖² t + ‖t‖² s)/(4 ‖s‖ ‖t‖): tangential in itself, so that nothing cancels at either end
                         by_c = by_c * inverse
-                        near = by_c * fma(x, x, fma(y, y, z * z)) * 0.5  # 1 − c itself has lost its digits
-                        by_t = by_x * ANGLE_TO_X * inverse / sqrt(maximum(t_square, LEAST_SQUARE))
+                        hx, hy, hz = x + nx, y + ny, z + nz
+                        along = by_c * fma(x, hx, fma(y, hy, z * hz))
+                        by_theta = by_x * (0.25 * ANGLE_TO_X) * inverse / sqrt(maximum(t_square, LEAST_SQUARE))
+                        by_t, by_s = by_theta * s_square, by_theta * t_square
                         a = v_sums + 48 * j
-                        add_to(scratch, a, fma(near, x + nx, 0.0 - by_c * x) - by_t * (wx - vx))
-                        add_to(scratch, a + 16, fma(near, y + ny, 0.0 - by_c * y) - by_t * (wy - vy))
-                        add_to(scratch, a + 32, fma(near, z + nz, 0.0 - by_c * z) - by_t * (wz - vz))
+                        add_to(scratch, a, fma(along, hx, 0.0 - by_c * x) - by_t * (wx - vx) - by_s * sx)
+                        add_to(scratch, a + 16, fma(along, hy, 0.0 - by_c * y) - by_t * (wy - vy) - by_s * sy)
+                        add_to(scratch, a + 32, fma(along, hz, 0.0 - by_c * z) - by_t * (wz - vz) - by_s * sz)
             for i in range(3 * count):
                 n_part[3 * (chunk * pixels + start) + i] = lane_sum(load(scratch, n_sums + 16 * i))
                 if with_view:

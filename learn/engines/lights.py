@@ -20,7 +20,7 @@ from shaders.spline import basis
 
 LANES = 16
 SLAB = 16384
-NEGLIGIBLE = -24.0  # log2 of a lobe's height, relative to its peak, below which it is left out
+NEGLIGIBLE = -40.0  # log2 of a lobe's height, relative to its peak, below which it is left out
 LOG2_E = 1.4426950408889634
 LN2 = 0.6931471805599453
 
@@ -95,7 +95,7 @@ def _slab(order, w, solid_angle):
 def cutoff(energy):
     """(blocks,) log2 of c^γ below which a lobe is left out of a block.
 
-    Lowered where a block outshines the mean, so that what is left out of the sum stays below 2^-24 of it even for a sun.
+    Lowered where a block outshines the mean, so that what is left out of the sum stays small even for a sun.
     """
     brightest = energy.max((1, 2)).astype(np.float64)
     mean = brightest.mean()
