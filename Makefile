@@ -9,6 +9,7 @@ WORKERS ?= 2
 .PHONY: help demo demo-small test lint clean
 help:
 	@echo "make demo    install into $(VENV)/, render a small data set, check that two renderers agree; then open $(OUT)/index.html"
+	@echo "make demo-small  the same with the smallest job: eight pictures"
 	@echo "make test    install into $(VENV)/ and run the tests"
 	@echo "make lint    check the code's style"
 	@echo "make clean   delete $(VENV)/, out/ and build/"
@@ -21,14 +22,21 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) --constraint constraints.txt --editable ".[factory,learn,dev]"
 	@touch $@
 
+# AGREE_FLAGS bounds the comparison, which takes longer than the rendering.
+JOB         ?= demo
+AGREE_FLAGS ?=
+
 demo: $(VENV)/installed
-	@echo "The demo takes about DEMO_MINUTES minutes on two cores; stopped at any time, the same command continues."
-	$(VENV)/bin/python -m factory render manifests/jobs/demo.json --out $(OUT)/data --workers $(WORKERS)
+	@echo "Rendering and comparing: about DEMO_MINUTES minutes on two cores. Stopped at any time, the same command continues."
+	$(VENV)/bin/python -m factory render $(JOB) --out $(OUT)/data --workers $(WORKERS)
 	$(VENV)/bin/python -m factory verify $(OUT)/data
-	$(VENV)/bin/python -m learn agree $(OUT)/data --out $(OUT)/agreement
 	$(VENV)/bin/python -m factory preview $(OUT)/data --out $(OUT)/preview
-	$(VENV)/bin/python -m manifests.page $(OUT)
+	$(VENV)/bin/python -m learn agree $(OUT)/data --out $(OUT)/agreement $(AGREE_FLAGS)
+	$(VENV)/bin/python -m manifests.page --title "brdfactory: $(JOB)" --sheet $(OUT)/preview/sheet.png --agreement $(OUT)/agreement --out $(OUT)/index.html
 	@echo "Done: open $(OUT)/index.html"
+
+demo-small:
+	$(MAKE) --no-print-directory demo JOB=smallest WORKERS=1
 
 test: $(VENV)/installed
 	$(VENV)/bin/python -m pytest $(PYTEST_FLAGS)

@@ -1,0 +1,70 @@
+"""The demo's page: everything on it comes from files on disk, and what is missing is told in one line."""
+
+import json
+import re
+
+import pytest
+
+from manifests import page
+
+FIGURES = {"pictures": 4, "l2": 1.25, "noise": 0.75, "net": 0.5, "ssim": 0.9991, "signed": -0.0123, "absolute": 0.02, "node_fit": None}
+
+
+@pytest.fixture
+def agreement(tmp_path):
+    """A folder as `learn agree` leaves it."""
+    folder = tmp_path / "agreement"
+    folder.mkdir()
+    summary = {
+        "direct": {"net": 0.5, "node_fit": 0.4, "limit": 1.5, "holds": True},
+        "breakdowns": {"material": {"<brass>": FIGURES}, "highlight": {"wide": FIGURES}},
+    }
+    (folder / "report.json").write_text(json.dumps({"about": {"command": "learn agree a & b"}, "summary": summary}))
+    (folder / "causes.png").write_bytes(b"")
+    return folder
+
+
+def run(out, agreement, *sheets):
+    return page.main(["--out", str(out), "--agreement", str(agreement), *(f"--sheet={sheet}" for sheet in sheets)])
+
+
+def test_the_page_shows_the_figures_of_the_report_and_escapes_names(tmp_path, agreement):
+    out = tmp_path / "index.html"
+    assert run(out, agreement) == 0
+    text = out.read_text()
+    assert "&lt;brass&gt;" in text and "<brass>" not in text and "a &amp; b" in text
+    for shown in ("0.9991", "-1.23%", "2.00%", "within it"):
+        assert shown in text
+    assert "node fit L2" not in text  # no figure, no column
+    assert "highlight" not in text  # that breakdown is the report's alone
+
+
+def test_every_link_of_the_page_leads_from_its_own_folder_to_a_file(tmp_path, agreement):
+    (agreement / "index.html").write_text("")
+    sheet = tmp_path / "sheets" / "sheet one.png"
+    sheet.parent.mkdir()
+    sheet.write_bytes(b"")
+    out = tmp_path / "site" / "index.html"
+    assert run(out, agreement, sheet) == 0
+    links = re.findall(r"(?:href|src)='([^']+)'", out.read_text())
+    assert len(links) == 5 and all((out.parent / link).is_file() for link in links)
+
+
+@pytest.mark.parametrize(
+    ("direct", "word"),
+    [({"net": 0.9, "node_fit": 0.4, "limit": 1.5, "holds": False}, "beyond it"), ({"net": None, "node_fit": 0.4}, "cannot be judged")],
+)
+def test_the_verdict_says_what_the_report_found(direct, word):
+    assert word in page.verdict(direct)
+
+
+def test_what_is_missing_or_damaged_is_told_in_one_line_and_no_page_is_left(tmp_path, agreement, capsys):
+    out = tmp_path / "index.html"
+    assert run(out, agreement, tmp_path / "none.png") == 1
+    (agreement / "report.json").write_text("{")
+    assert run(out, agreement) == 1
+    (agreement / "report.json").unlink()
+    assert run(out, agreement) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 3 and "none.png" in told[0] and "JSON expected" in told[1] and "learn agree" in told[2]
+    assert not out.exists()
