@@ -59,7 +59,7 @@ def panel(wide, high, *, thick, bezel, chin=0.0, radius=0.01, bulge=0.0, recess=
         rounded_rectangle(wide - 2 * bezel, high - 2 * bezel - chin, max(radius - bezel, 0.003)),
     )
     inner[:, 1] += chin / 2
-    bevel = min(0.35 * thick, 0.006)
+    bevel = min(0.35 * thick, 0.006, 0.6 * bezel)
 
     def ring(outline, share, x, centre=(0.0, 0.0)):
         flat = np.asarray(centre) + (outline - centre) * share

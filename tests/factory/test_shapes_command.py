@@ -1,0 +1,83 @@
+"""`shapes list`, `preview` and `add` as a user calls them."""
+
+import json
+
+import pytest
+from PIL import Image
+
+from factory.shapes.catalogue import load
+from manifests.command_line import main
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def shapes(*arguments):
+    return main("factory", "", ("shapes",), ["shapes", *map(str, arguments)])
+
+
+@pytest.fixture
+def kettle(tmp_path):
+    path = tmp_path / "kettle.obj"
+    path.write_text(TETRAHEDRON)
+    return path
+
+
+def test_list_names_families_and_primitives(capsys):
+    assert shapes("list") == 0
+    said = capsys.readouterr().out
+    assert all(word in said for word in ("car:0 … car:129", "chair:49", "sofa", "monitor", "sphere", "blob"))
+
+
+def test_list_reports_each_mesh_of_a_folder_its_twins_and_what_is_refused(kettle, capsys):
+    (kettle.parent / "pot.obj").write_text(TETRAHEDRON.replace("1 0 0", "1.0 0 0"))
+    (kettle.parent / "broken.obj").write_text("v 0 0 nan\n" + TETRAHEDRON.split("\n", 1)[1])
+    assert shapes("list", kettle.parent) == 1
+    said = capsys.readouterr().out
+    assert "4 triangles, 1 components, watertight" in said and "the same as kettle" in said
+    assert "broken: " in said and "finite coordinates" in said and "3 meshes, 1 refused, 1 twins" in said
+
+
+def test_preview_draws_seeds_primitives_and_files(kettle, tmp_path):
+    out = tmp_path / "sheet.png"
+    assert shapes("preview", "sphere:3", kettle, "--family", "chair", "--count", 2, "--size", 48, "--out", out) == 0
+    with Image.open(out) as image:
+        colours = {colour for _, colour in image.convert("RGB").getcolors(1 << 20)}
+    assert image.width >= 3 * 48 and len(colours) > 20
+    assert not list(tmp_path.glob(".sheet*"))
+
+
+def test_preview_goes_on_past_a_broken_shape_and_fails(kettle, tmp_path, capsys):
+    out = tmp_path / "sheet.png"
+    assert shapes("preview", "chiar:1", "sphere:2", "--size", 32, "--out", out) == 1
+    assert out.exists()
+    assert "did you mean chair" in capsys.readouterr().out
+
+
+def test_preview_of_nothing_says_what_to_name(tmp_path, capsys):
+    assert shapes("preview", "--out", tmp_path / "a.png") == 1
+    assert "shapes or --family expected" in capsys.readouterr().err
+
+
+def test_add_copies_a_cleaned_mesh_with_its_licence(kettle, tmp_path, capsys):
+    library = tmp_path / "mine"
+    arguments = ("add", kettle, "--library", library, "--licence", "CC-BY-4.0 Ada", "--category", "object")
+    assert shapes(*arguments) == 0
+    assert shapes(*arguments) == 0  # a second time changes nothing
+    note = json.loads((library / "object" / "kettle.json").read_text())
+    mesh = load(str(library / "object" / "kettle.obj"))
+    assert note["hash"] == mesh.hash and note["licence"] == "CC-BY-4.0 Ada" and note["source"] == "kettle.obj"
+    assert sorted(p.name for p in (library / "object").iterdir()) == ["kettle.json", "kettle.obj"]
+
+
+def test_add_refuses_a_broken_file_in_one_line(tmp_path, capsys):
+    bad = tmp_path / "bad.stl"
+    bad.write_bytes(b"")
+    assert shapes("add", bad, "--library", tmp_path / "mine") == 1
+    said = capsys.readouterr().err.strip().splitlines()
+    assert any("a mesh expected, found an empty file" in line for line in said) and not (tmp_path / "mine").exists()
+
+
+def test_help_explains_a_shape(capsys):
+    with pytest.raises(SystemExit) as stop:
+        shapes("--help")
+    assert stop.value.code == 0 and "FAMILY:SEED" in capsys.readouterr().out
