@@ -1,6 +1,6 @@
 """What rendering costs and how true it is: `python -m factory.render.benchmark NAME …` prints figures, `--out` writes them down.
 
-cost      24 views, 1 sample, 256²: a bare bpy loop that writes files, and the studio with geometry, checks, hashes and files, turn about
+cost      24 views, 1 sample, 256²: bare bpy loops that write files, and the studio with checks, hashes and files, turn about
 memory    resident memory over 200 different meshes, each with its own light and material
 geometry, texel, lambert, closures, perspective, materials   see factory.render.proof
 """
@@ -24,36 +24,52 @@ SIZE = 256
 
 
 def cost(options):
-    """Images a second of both loops, medians over rounds taken in turn, and their ratio."""
-    from factory.shapes.primitives import blob
+    """Images a second, by the clock and by the processor, of four loops run in turn; medians over rounds, ratios round by round.
 
+    bare           pictures alone;  bare_with_passes: and what a record holds besides: normals, depth, segments, antialiased as they come
+    studio         geometry and picture of each view;  studio_again: another picture of views whose geometry is there already
+    """
+    from factory.shapes.catalogue import load
+
+    mesh = load(options.shape)
     with tempfile.TemporaryDirectory(dir=options.scratch) as folder:
         studio = _studio(options)
-        bare = _BareLoop(studio, blob(0, level=6), folder, options.threads)
-        ours = _StudioLoop(studio, blob(0, level=6), folder)
-        rounds = {"bare": [], "studio": []}
-        for loop in (bare, ours):  # once to warm up
-            loop.run()
+        shown = _StudioLoop(studio, mesh, folder)
+        loops = {
+            "bare": _BareLoop(mesh, folder, options.threads).run,
+            "bare_with_passes": _BareLoop(mesh, folder, options.threads, passes=True).run,
+            "studio": lambda: shown.run(geometry=True),
+            "studio_again": lambda: shown.run(geometry=False),
+        }
+        for loop in loops.values():  # once to warm up
+            loop()
+        clock, processor = ({name: [] for name in loops} for _ in range(2))
         for _ in range(options.rounds):
-            for name, loop in (("bare", bare), ("studio", ours)):
-                start = time.perf_counter()
-                loop.run()
-                rounds[name].append(VIEWS / (time.perf_counter() - start))
-    ratios = np.array(rounds["studio"]) / rounds["bare"]
+            for name, loop in loops.items():
+                start = time.perf_counter(), time.process_time()
+                loop()
+                clock[name].append(VIEWS / (time.perf_counter() - start[0]))
+                processor[name].append(VIEWS / (time.process_time() - start[1]))
+
+    def ratio(rates, ours, theirs):
+        return round(float(np.median(np.array(rates[ours]) / rates[theirs])), 3)
+
+    pairs = (("studio", "bare_with_passes"), ("studio", "bare"), ("studio_again", "bare"))
     return {
-        "bare_images_per_s": round(float(np.median(rounds["bare"])), 2),
-        "studio_images_per_s": round(float(np.median(rounds["studio"])), 2),
-        "ratio_median": round(float(np.median(ratios)), 3),
-        "ratio_least": round(float(ratios.min()), 3),
-        "ratio_largest": round(float(ratios.max()), 3),
+        "shape": f"{options.shape}, {len(mesh.faces)} triangles",
+        "threads": options.threads,
         "rounds": options.rounds,
+        "images_per_s": {name: round(float(np.median(rates)), 2) for name, rates in clock.items()},
+        "images_per_cpu_s": {name: round(float(np.median(rates)), 2) for name, rates in processor.items()},
+        "ratios": {f"{a} / {b}": ratio(clock, a, b) for a, b in pairs},
+        "cpu_ratios": {f"{a} / {b}": ratio(processor, a, b) for a, b in pairs},
     }
 
 
 class _BareLoop:
-    """What one writes first: persistent data, the camera set and a file written by Blender, view after view."""
+    """What one writes first: persistent data, the camera led around and a file written by Blender, view after view."""
 
-    def __init__(self, studio, mesh, folder, threads):
+    def __init__(self, mesh, folder, threads, passes=False):
         import bpy
 
         from factory.render import body, camera, light, materials, reference
@@ -68,59 +84,71 @@ class _BareLoop:
         scene.cycles.samples, scene.cycles.max_bounces = 1, 0
         scene.camera = bpy.data.objects.new("bare", bpy.data.cameras.new("bare"))
         camera.place(scene, Camera(size=(SIZE, SIZE)))
-        self.turning = bpy.data.objects.new("bare object", body.build(mesh))
+        self.pose = scene.camera.matrix_world.copy()
+        shown = bpy.data.objects.new("bare object", body.build(mesh))
         surface = materials.new("bare")
         materials.draw(surface, nodes.graph(Mixture.lambert([0.5] * 3)))
-        self.turning.data.materials.append(surface)
-        scene.collection.objects.link(self.turning)
+        for _ in range(mesh.segments):
+            shown.data.materials.append(surface)
+        scene.collection.objects.link(shown)
         light.build(scene, reference.soft_light(), nearest=True)
-        scene.render.image_settings.file_format = "OPEN_EXR"
-        scene.render.image_settings.color_depth = "16"
+        scene.render.image_settings.file_format = "OPEN_EXR_MULTILAYER" if passes else "OPEN_EXR"
+        scene.render.image_settings.color_depth = "32" if passes else "16"
+        layer = scene.view_layers[0]
+        layer.use_pass_normal = layer.use_pass_z = layer.use_pass_material_index = passes
         self.folder = folder
 
     def run(self):
         import bpy
+        import mathutils
 
         from factory.quiet import silenced
+        from factory.render import film
 
         for view in range(VIEWS):
-            self.turning.rotation_euler[2] = -2 * np.pi * view / VIEWS
+            angle = 2 * np.pi * view / VIEWS
+            self.scene.camera.matrix_world = mathutils.Matrix.Rotation(angle, 4, "Z") @ self.pose
             self.scene.render.filepath = f"{self.folder}/bare{view:02}.exr"
-            with silenced(1):
+            with silenced(1), film.untapped():
                 bpy.ops.render.render(scene=self.scene.name, write_still=True)
 
 
 class _StudioLoop:
-    """The same views by the studio: geometry, picture, checks, two files, two hashes and a line for each."""
+    """The same views by the studio: geometry, picture, checks, files, hashes and a line for each."""
 
     def __init__(self, studio, mesh, folder):
         from factory.render import reference
         from manifests.schema import Camera
         from shaders.mixture import Mixture
 
-        self.studio, self.folder, self.round = studio, folder, 0
+        self.studio, self.folder, self.shots = studio, folder, {}
         studio.set_camera(Camera(size=(SIZE, SIZE)))
         studio.set_shape(mesh)
         studio.set_light(reference.soft_light())
-        studio.set_materials([Mixture.lambert([0.5] * 3)])
+        studio.set_materials([Mixture.lambert([0.5] * 3)] * mesh.segments)
+        self.segments = mesh.segments
 
-    def run(self):
-        from factory import exr
-        from factory.render import checks
-
-        self.round += 1
+    def run(self, geometry):
         with open(f"{self.folder}/records.jsonl", "a") as records:
             for view in range(VIEWS):
                 self.studio.set_view(2 * np.pi * view / VIEWS)
-                shot = self.studio.geometry()
-                radiance, alpha = self.studio.picture(1, view, "direct")
-                faults = checks.geometry(shot, 1) + checks.picture(radiance, float(shot.mask.mean()), alpha)
-                geometry, picture = (f"{self.folder}/{kind}{view:02}.exr" for kind in ("geometry", "picture"))
-                exr.write_geometry(geometry, shot)
-                exr.write_picture(picture, radiance)
-                hashes = [hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in (geometry, picture)]
-                records.write(json.dumps({"view": view, "faults": faults, "hashes": hashes}) + "\n")
+                records.write(json.dumps({"view": view} | self._record(view, geometry)) + "\n")
                 records.flush()
+
+    def _record(self, view, geometry):
+        from factory import exr
+        from factory.render import checks
+
+        faults, paths = [], [f"{self.folder}/picture{view:02}.exr"]
+        if geometry:
+            self.shots[view] = shot = self.studio.geometry()
+            faults += checks.geometry(shot, self.segments)
+            paths.append(f"{self.folder}/geometry{view:02}.exr")
+            exr.write_geometry(paths[1], shot)
+        radiance, alpha = self.studio.picture(1, view, "direct")
+        faults += checks.picture(radiance, float(self.shots[view].mask.mean()), alpha)
+        exr.write_picture(paths[0], radiance)
+        return {"faults": faults, "hashes": [hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths]}
 
 
 def memory(options):
@@ -200,11 +228,14 @@ def provenance(arguments):
 
 
 def main(arguments):
-    parser = argparse.ArgumentParser(prog="python -m factory.render.benchmark", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog="python -m factory.render.benchmark", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("measure", choices=MEASURES, help="what to measure")
     parser.add_argument("--device", default="cpu", help="cpu, cuda, optix, hip, metal, oneapi or auto (default: cpu)")
     parser.add_argument("--threads", type=int, default=2, help="CPU threads (default: 2)")
     parser.add_argument("--rounds", type=int, default=5, help="cost: how often each loop runs, in turn (default: 5)")
+    parser.add_argument("--shape", default="car:1", help="cost: which shape (default: car:1)")
     parser.add_argument("--meshes", type=int, default=200, help="memory: how many meshes (default: 200)")
     parser.add_argument("--material", action="append", default=[], help="materials: a name of the catalogue; repeatable")
     parser.add_argument("--seed", type=int, default=20170801, help="texel: of the directions")

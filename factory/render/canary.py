@@ -18,6 +18,7 @@ BILINEAR_TOLERANCE = 2e-2  # L1, relative: rays go .005 px beside the pixel's ce
 
 LOOK = (
     Setting("render.film_transparent", False, ""),
+    Setting("render.use_border", False, ""),
     Setting("cycles.filter_width", 0.01, ""),
     Setting("cycles.samples", 1, ""),
     Setting("render.resolution_x", 128, ""),

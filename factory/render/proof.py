@@ -13,11 +13,12 @@ from manifests.schema import Camera
 from shaders import envmap, frames
 from shaders.mixture import Mixture
 
+GLOSSY = ("ggx", "beckmann", "ashikhmin_shirley")
 SINGLE = {
     "diffuse": Mixture.lambert([0.5, 0.4, 0.3]),
     "sheen α .5": Mixture.constant("sheen", 0.5, [0.5] * 3),
-    **{f"{kind} α {a}": Mixture.constant(kind, a, [0.5] * 3) for kind in ("ggx", "beckmann", "ashikhmin_shirley") for a in (0.5, 0.1, 0.02)},
-    **{f"{kind} α .15 tilt .3": Mixture.constant(kind, 0.15, [0.5] * 3, tilt=0.3) for kind in ("ggx", "beckmann", "ashikhmin_shirley")},
+    **{f"{kind} α {a}": Mixture.constant(kind, a, [0.5] * 3) for kind in GLOSSY for a in (0.5, 0.1, 0.02)},
+    **{f"{kind} α .15 tilt .3": Mixture.constant(kind, 0.15, [0.5] * 3, tilt=0.3) for kind in GLOSSY},
 }
 
 
@@ -47,7 +48,7 @@ def _pooled(variance, inside):
 
 
 def lit_texel(studio, rng, directions=64, samples=16):
-    """Degrees between the normal at which a matte sphere peaks in Cycles and the layer's, for single lit texels, views and rotations at random.
+    """Degrees between the normal at which a matte sphere peaks in Cycles and the layer's: single lit texels, random views and rotations.
 
     Both peaks are fitted: radiance = a · n over the pixels that are lit and clearly in front. The first four texels lie in the poles' rows,
     where a texel's middle and its centre of area are .47° apart: the layer takes the former.
@@ -58,9 +59,10 @@ def lit_texel(studio, rng, directions=64, samples=16):
     w, solid_angle = envmap.directions(64, 128)
     degrees = []
     while len(degrees) < directions:
-        row, column, turn = (0, 1, 62, 63)[len(degrees)] if len(degrees) < 4 else int(rng.integers(64)), *map(int, rng.integers(128, size=2))
+        column, turn = map(int, rng.integers(128, size=2))
+        row = (0, 1, 62, 63)[len(degrees)] if len(degrees) < 4 else int(rng.integers(64))
         towards = frames.camera_from_light() @ w[row, (column + turn) % 128]
-        if towards[2] < 0.0 and 4 <= len(degrees):
+        if towards[2] < 0 and len(degrees) >= 4:
             continue  # from behind: no peak to see
         L = np.zeros((64, 128, 3), np.float32)
         L[row, column] = 100 / solid_angle[row, column]

@@ -22,7 +22,6 @@ ALWAYS = (
     Setting("render.resolution_percentage", 100, "sizes are in whole pixels"),
     Setting("render.pixel_aspect_x", 1.0, "square pixels"),
     Setting("render.pixel_aspect_y", 1.0, "square pixels"),
-    Setting("render.use_border", False, "whole frames"),
     Setting("render.film_transparent", True, "the background is black and never part of the picture"),
     Setting("render.use_persistent_data", True, "the next view, light or material of a shape needs no new scene"),
     Setting("render.use_compositing", False, "nothing between the film and the file"),

@@ -1,6 +1,6 @@
 """A studio: one process, one Blender, shot after shot; shape, light, materials and view are exchanged between shots.
 
-Two scenes share one mesh: `picture` with light and materials, `geometry` with glowing segments, each with a film, a filter and persistent
+Two scenes show one shape: `picture` with light and materials, `geometry` with glowing segments, each with a film, a filter and persistent
 data of its own, so that neither is ever rebuilt for the other's sake. Camera and light stand still, the object turns by −azimuth
 (shaders.frames: the light turns with the camera).
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from factory.render import body, camera, canary, checks, device, film, light, materials
+from factory.render import body, camera, canary, checks, device, film, light, materials, window
 from factory.render.settings import ALWAYS, GEOMETRY, PICTURE, TIERS, Setting, apply, assign, effective
 from shaders import nodes
 
@@ -58,7 +58,8 @@ class Studio:
         self._geometry = _scene("geometry", (*self._always, *GEOMETRY))
         self._geometry.view_layers[0].use_pass_normal = True
         self._geometry.view_layers[0].use_pass_z = True
-        self._lens = self._body = self._objects = self._seen = None
+        self._lens = self._objects = self._seen = self._vertices = None
+        self._azimuth = 0.0
         self._segments, self._tier, self._drawn = 0, None, []
         self.versions = {"blender": bpy.app.version_string, "numpy": np.__version__, "python": platform.python_version()}
         self._device = {"backend": backend, "processors": list(processors)}
@@ -86,18 +87,21 @@ class Studio:
         for scene in (self._picture, self._geometry):
             assign(scene, "render.use_persistent_data", False)
         if self._objects is not None:
-            for each in self._objects:
+            for each in (*self._objects, *self._twins):
                 bpy.data.objects.remove(each)
-            bpy.data.meshes.remove(self._body)
+            for each in self._bodies:
+                bpy.data.meshes.remove(each)
         self._segments, self._tier = int(mesh.segment.max()), None
         self._slots(self._segments)
-        self._body = body.build(mesh)
-        for _ in range(self._segments):
-            self._body.materials.append(None)
-        self._objects = tuple(
-            _put(scene, self._body, made[: self._segments])
-            for scene, made in ((self._picture, self._surfaces), (self._geometry, self._glows))
-        )
+        self._vertices = mesh.vertices.astype(np.float32)
+        first = body.build(mesh)
+        self._bodies = (first, first.copy())  # the copy shares the arrays
+        for each, surfaces in zip(self._bodies, (self._surfaces, self._glows), strict=True):
+            for surface in surfaces[: self._segments]:
+                each.materials.append(surface)
+        shown = tuple(zip((self._picture, self._geometry), self._bodies, strict=True))
+        self._objects = tuple(_put(scene, each) for scene, each in shown)
+        self._twins = tuple(_twin(scene, each) for scene, each in shown)
         for scene in (self._picture, self._geometry):
             assign(scene, "render.use_persistent_data", True)
 
@@ -112,8 +116,7 @@ class Studio:
 
     def set_view(self, azimuth):
         """azimuth: radians, counter-clockwise from above, 0 in front of the object."""
-        for each in self._objects:
-            each.rotation_euler = (0.0, 0.0, -float(azimuth))
+        self._azimuth = float(azimuth)
 
     def set_light(self, L, rotation_texels=0, light_resolution="64x128"):
         """A new light, checked to have arrived.
@@ -142,20 +145,22 @@ class Studio:
 
     def geometry(self):
         """The Geometry of shape and view, by one ray through each pixel's centre."""
-        passes = film.expose(self._geometry)
-        mask = passes["Combined"][..., 3] > 0.5
-        world = passes["Normal"].astype(np.float64)
-        lengths = np.linalg.norm(world[mask], axis=-1)
-        if lengths.size and np.abs(lengths - 1).max() > checks.UNIT_TOLERANCE:
-            raise RuntimeError(f"geometry: unit normals expected, found {lengths.min():.3f}–{lengths.max():.3f}; the filter mixes pixels")
-        normals = _facing(world @ camera.camera_from_fixed_world(self._lens).T, camera.view_vectors(self._lens))
-        depth = passes["Depth"][..., 0] - np.float32(camera.distance(self._lens))
-        return Geometry(
-            np.where(mask[..., None], normals, 0.0).astype(np.float32),
-            mask,
-            np.where(mask, depth, np.float32(0)),
-            np.where(mask, np.rint(passes["Combined"][..., 0]), 0).astype(np.uint8),
-        )
+        opening, passes = self._expose(self._geometry)
+        size = self._lens.size
+        mask = window.paste(passes["Combined"][..., 3] > 0.5, opening, size)
+        inside = mask[opening[0] : opening[1], opening[2] : opening[3]]
+        world = passes["Normal"][inside]
+        squares = np.einsum("pi,pi->p", world, world)
+        if squares.size and np.abs(squares - 1).max() > 2 * checks.UNIT_TOLERANCE:
+            raise RuntimeError(
+                f"geometry: unit normals expected, found n·n {squares.min():.3f}–{squares.max():.3f}; the filter mixes pixels"
+            )
+        view = None if self._lens.fov_deg is None else camera.view_vectors(self._lens)[mask].astype(np.float32)
+        shot = Geometry(np.zeros((*size, 3), np.float32), mask, np.zeros(size, np.float32), np.zeros(size, np.uint8))
+        shot.normals[mask] = _facing(world @ camera.camera_from_fixed_world(self._lens).T.astype(np.float32), view)
+        shot.depth[mask] = passes["Depth"][inside][:, 0] - np.float32(camera.distance(self._lens))
+        shot.segments[mask] = np.rint(passes["Combined"][inside][:, 0])
+        return shot
 
     def render(self, samples, seed, tier="direct"):
         """Radiance (height, width, 3).
@@ -169,8 +174,16 @@ class Studio:
         self._set_tier(tier)
         assign(self._picture, "cycles.samples", int(samples))
         assign(self._picture, "cycles.seed", int(seed) & 0x7FFFFFFF)
-        film_rgba = film.expose(self._picture)["Combined"]
-        return np.ascontiguousarray(film_rgba[..., :3]), np.ascontiguousarray(film_rgba[..., 3])
+        opening, passes = self._expose(self._picture)
+        rgba = window.paste(passes["Combined"], opening, self._lens.size)
+        return np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3])
+
+    def _expose(self, scene):
+        """The window on the object as it stands now, and the scene's passes in it."""
+        self._objects[scene is self._geometry].rotation_euler = (0.0, 0.0, -self._azimuth)
+        opening = window.around(self._vertices, self._azimuth, self._lens)
+        window.open_on(scene, opening)
+        return opening, film.expose(scene)
 
     def _set_tier(self, tier):
         if tier == self._tier:
@@ -192,17 +205,32 @@ def _scene(name, settings):
     return scene
 
 
-def _put(scene, mesh, surfaces):
-    """An object of `mesh` in `scene`, its materials its own, so that two scenes may show one mesh differently."""
+def _put(scene, mesh):
+    """An object of `mesh` in `scene`."""
     each = bpy.data.objects.new(f"{scene.name} object", mesh)
     scene.collection.objects.link(each)
-    for slot, surface in zip(each.material_slots, surfaces, strict=True):
-        slot.link, slot.material = "OBJECT", surface
     return each
 
 
+def _twin(scene, mesh):
+    """A second object of the same mesh that no ray sees.
+
+    Of a mesh with one object Cycles bakes the object's place into the vertices: each turn would send it all again and rebuild its tree
+    (33 ms of work for 80,000 triangles). Of a mesh with two it moves a matrix, unless materials belong to the objects, not the mesh.
+    """
+    twin = _put(scene, mesh)
+    twin.location = (0.0, 0.0, -10.0)
+    for ray in ("camera", "shadow", "diffuse", "glossy", "transmission"):
+        assign(twin, f"visible_{ray}", False)  # volume scatter stays, of which there is none: Cycles drops an object seen by no ray at all
+    return twin
+
+
 def _facing(normals, view):
-    """The nearest unit vectors with n·v ≥ FACING; normals, view (height, width, 3), camera frame."""
-    short = np.maximum(FACING - (normals * view).sum(-1, keepdims=True), 0.0)
-    bent = normals + short * view
-    return np.where(short > 0, bent / np.maximum(np.linalg.norm(bent, axis=-1, keepdims=True), 1e-12), normals)
+    """Normals (P, 3), camera frame, those with n·v < FACING moved to the nearest unit vector that has it; view (P, 3), None: (0, 0, 1)."""
+    cosine = normals[:, 2] if view is None else np.einsum("pi,pi->p", normals, view)
+    (away,) = np.nonzero(cosine < FACING)
+    v = np.array([0.0, 0.0, 1.0], np.float32) if view is None else view[away]
+    flat = normals[away] - cosine[away, None] * v  # the part across the view
+    flat /= np.maximum(np.linalg.norm(flat, axis=-1, keepdims=True), np.float32(1e-12))
+    normals[away] = np.float32(np.sqrt(1 - FACING**2)) * flat + np.float32(FACING) * v
+    return normals

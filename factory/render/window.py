@@ -1,0 +1,61 @@
+"""The part of the frame in which the object may be seen: rays elsewhere would meet nothing, so they are not sent.
+
+A window is (top, bottom, left, right) in whole pixels, top and left inclusive, bottom and right exclusive, row 0 at the top.
+Pixels inside are the same, noise and all, as those of the whole frame (tests/render/test_film.py).
+"""
+
+import numpy as np
+
+from factory.render.camera import camera_from_fixed_world, distance
+from factory.render.settings import assign
+
+MARGIN = 1  # pixels: a pixel's square reaches half a pixel beyond its centre, float32 a little
+
+
+def around(vertices, azimuth, lens):
+    """The window that holds all vertices.
+
+    vertices  (V, 3), the object's own frame;  azimuth: radians of the view;  lens: manifests.schema.Camera
+    """
+    s, c = np.sin(azimuth), np.cos(azimuth)
+    camera_from_object = camera_from_fixed_world(lens) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    seen = vertices @ camera_from_object.T.astype(vertices.dtype)
+    x, y = seen[:, 0], seen[:, 1]
+    if lens.fov_deg is not None:
+        away = distance(lens)
+        nearer = away / (away - seen[:, 2])
+        x, y = x * nearer, y * nearer
+    height, width = lens.size
+    pixels = max(height, width) / (2 * lens.half_extent)  # a world unit at the object's centre
+    top, bottom = _span(-y.max() * pixels, -y.min() * pixels, height)
+    left, right = _span(x.min() * pixels, x.max() * pixels, width)
+    return top, bottom, left, right
+
+
+def _span(low, high, size):
+    """Whole pixels from low to high, measured from the middle of `size` pixels; at least one."""
+    first = int(np.clip(np.floor(low + size / 2) - MARGIN, 0, size - 1))
+    return first, int(np.clip(np.ceil(high + size / 2) + MARGIN, first + 1, size))
+
+
+def open_on(scene, window):
+    """Lets the scene's camera render the window alone; its frame must be set before."""
+    top, bottom, left, right = window
+    height, width = scene.render.resolution_y, scene.render.resolution_x
+    assign(scene, "render.use_border", True)
+    assign(scene, "render.use_crop_to_border", True)
+    # Blender cuts fractions of the frame down to whole pixels: half a pixel more lands on the right one
+    borders = {"min_x": (left + 0.5) / width, "max_x": (right + 0.5) / width}
+    borders |= {"min_y": (height - bottom + 0.5) / height, "max_y": (height - top + 0.5) / height}
+    for side in ("max_x", "max_y", "min_x", "min_y"):
+        assign(scene, f"render.border_{side}", min(float(borders[side]), 1.0))
+
+
+def paste(values, window, size):
+    """values (rows, columns, ...) of the window in a frame (height, width, ...) that is 0 elsewhere."""
+    top, bottom, left, right = window
+    if values.shape[:2] != (bottom - top, right - left):
+        raise RuntimeError(f"Cycles: a window of {(bottom - top, right - left)} pixels expected, found {values.shape[:2]}; render it again")
+    frame = np.zeros((*size, *values.shape[2:]), values.dtype)
+    frame[top:bottom, left:right] = values
+    return frame
