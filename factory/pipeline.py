@@ -2,7 +2,7 @@
 
 studio    factory.render.studio.Studio, or anything with its methods
 geometry  of a shape from a view is rendered once a dataset: it is read back if another worker, or an earlier run, made it
-light     stored map and rotation; a whole map is averaged to a width of which 128 is a divisor, as rotations are whole texels
+light     stored map and rotation; a whole map is averaged to a width that is a multiple of 128, for rotations are whole texels
 """
 
 import errno
@@ -135,9 +135,9 @@ class Pipeline:
             L = light.L64
             if resolution == "full":
                 L = light.L_full
-                height, width = L.shape[:2]
-                if width % TEXELS:
-                    L = envmap.resize(L, height, width + TEXELS - width % TEXELS).astype(np.float32)
+                height, width = max(L.shape[0], TEXELS // 2), -(-L.shape[1] // TEXELS) * TEXELS
+                if L.shape[:2] != (height, width):
+                    L = envmap.resize(L, height, width).astype(np.float32)
             self._light_map = ((name, resolution), L)
         return self._light_map[1]
 

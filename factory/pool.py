@@ -28,7 +28,7 @@ class _Worker:
 
     def __init__(self, setup, descriptors, log):
         self.setup, self.log = setup, log
-        self.fresh, self.owed, self.heard = True, deque(), time.monotonic()
+        self.made, self.failed, self.owed, self.heard = 0, 0, deque(), time.monotonic()
         with open(log, "wb") as complaints:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "factory.worker"],
@@ -121,7 +121,7 @@ class Pool:
             if worker is not None and worker.owed:
                 continue
             chunk = self._chunk(shots, worker)
-            if chunk and worker is not None and chunk[0].id in self._tried and not worker.fresh:
+            if chunk and worker is not None and chunk[0].id in self._tried and worker.made:
                 self._drop(number)
                 worker = None
             if chunk:
@@ -169,13 +169,16 @@ class Pool:
     def _settled(self, number, worker, reply):
         shot = worker.owed.popleft()
         if reply.made:
-            worker.fresh, self._barren = False, 0
+            worker.made, self._barren = worker.made + 1, 0
             self._longest = max(self._longest, reply.seconds)
             yield shot, reply
             return
         rest = list(worker.owed)
         worker.owed.clear()
         self._again.extendleft(reversed(rest))
+        if worker.failed and not worker.made:  # a fresh worker that has failed before and made nothing: the fault is in the shots
+            self._tried.add(shot.id)
+        worker.failed += 1
         yield from self._judged(shot, reply.reason)
         if shot.id in (s.id for s in self._suspects):
             self._drop(number)

@@ -134,7 +134,7 @@ def register(store, plan):
         _agree(store, kind, known, brought)
     _write_materials(store, assets.materials)
     orders = held.orders
-    if plan.job not in [order.job for order in orders]:
+    if not any(msgspec.structs.replace(order.job, name=plan.job.name, about=plan.job.about) == plan.job for order in orders):
         orders = (*orders, Order(job=plan.job, shots=len(plan), begun=datetime.now(UTC).isoformat(timespec="seconds")))
     store.write_json(
         "dataset.json",

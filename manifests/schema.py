@@ -47,6 +47,7 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
 class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What to render, as a person writes it. Every shape meets every material under every light, in every view.
 
+    name, about        for people; they alter nothing
     shapes             "chair:17" a family and its number, "chair:0-39" a range, "sphere", "meshes/stool.obj" or a folder of mesh files
                        (relative to the job's file, or to --assets)
     materials          names, or sets of them: "merl", "merl/train", "merl/test", "merl/paper-train"
@@ -61,6 +62,7 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     version: Literal[1] = 1
     name: Name = "job"
+    about: str = ""
     shapes: Annotated[tuple[Name, ...], Meta(min_length=1)]
     materials: Annotated[tuple[Name, ...], Meta(min_length=1)]
     lights: Annotated[tuple[Name, ...], Meta(min_length=1)]

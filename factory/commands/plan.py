@@ -121,9 +121,7 @@ def _presets(jobs):
     lines = []
     for name, path in jobs.presets().items():
         job, _ = jobs.load(path)
-        lines.append(
-            f"{name:<16} {len(job.shapes)} shape entries, {job.camera.size[0]}×{job.camera.size[1]}, {'/'.join(job.tiers)}; {job.name}"
-        )
+        lines.append(f"{name:<16} {job.about}")
     return "\n".join(lines)
 
 

@@ -1,18 +1,15 @@
 """Assets and runs without Blender."""
 
 import hashlib
-from pathlib import Path
 
 import numpy as np
 import pytest
 from small_catalogue import write_catalogue
+from tetrahedron import FAKE, HERE
 
 from factory.assets import resolve
 from factory.run import Manner, carry_out, planned
 from manifests.schema import Camera, Job
-
-HERE = Path(__file__).resolve().parent
-FAKE = "fake_studio:Studio"
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ from itertools import islice, pairwise
 
 import msgspec
 import pytest
+from tetrahedron import TETRAHEDRON
 
 from factory import jobs
 from factory.assets import Assets, Light, Material, Shape, resolve
@@ -17,25 +18,6 @@ from manifests import splits
 from manifests.problems import Problem
 from manifests.schema import Camera, Draw, Job
 from manifests.viewpoints import azimuths_deg
-
-TETRAHEDRON = b"""ply
-format ascii 1.0
-element vertex 4
-property float x
-property float y
-property float z
-element face 4
-property list uchar int vertex_indices
-end_header
-0 0 0
-2 0 0
-0 2 0
-0 0 2
-3 0 2 1
-3 0 1 3
-3 0 3 2
-3 1 2 3
-"""
 
 
 @pytest.fixture

@@ -1,0 +1,231 @@
+"""Whatever is wrong with a job, a manifest or the disk: one line, exit 1 or 2, and nothing that was written is lost."""
+
+import json
+import subprocess
+
+import msgspec
+import pytest
+
+from factory.commands.verify import geometry_faults
+from manifests.command_line import main
+from manifests.problems import Problem
+from manifests.store import Store
+from manifests.verification import faults_in_files, faults_in_records
+
+COMMANDS = ("plan", "render", "status", "verify", "preview")
+
+
+@pytest.fixture
+def command(capsys):
+    """A function of words: (exit status, what it said on stderr)."""
+
+    def run(*words):
+        try:
+            status = main("factory", "", COMMANDS, [str(word) for word in words])
+        except SystemExit as exit_:  # argparse: wrong usage
+            status = exit_.code
+        return status, capsys.readouterr().err
+
+    return run
+
+
+def one_line(text):
+    lines = [line for line in text.splitlines() if line.strip() and "it/s" not in line and "shape" not in line.split(":")[0]]
+    return len(lines) == 1 and "Traceback" not in text
+
+
+@pytest.fixture
+def a_job(tmp_path, small_job, light_file):
+    """A good job file, its light beside it."""
+    (tmp_path / "lamp.exr").write_bytes(light_file.read_bytes())
+    value = msgspec.to_builtins(msgspec.structs.replace(small_job, lights=("lamp.exr",)))
+    (tmp_path / "job.json").write_text(json.dumps(value))
+    return tmp_path / "job.json", value
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{"shapes": ["cube"', "JSON expected"),
+        ('{"shapes": ["cube"], "materials": ["small"], "lights": ["lamp.exr"], "sampels": 3}', "did you mean samples"),
+        ('{"shapes": ["cube"], "materials": ["small"], "lights": ["lamp.exr"], "samples": "3"}', "samples: int expected"),
+        ('{"shapes": ["../cube.obj"], "materials": ["small"], "lights": ["lamp.exr"]}', "a path inside"),
+        ('{"shapes": ["cube"], "materials": ["small"], "lights": ["../lamp.exr"]}', "a path inside"),
+        ('{"shapes": ["cube"], "materials": ["small"], "lights": ["/lamp.exr"]}', "a path inside"),
+        ('{"shapes": ["cube"], "materials": ["small"], "lights": ["lmap.exr"]}', "lmap.exr"),
+        ('{"shapes": ["cube.obj"], "materials": ["small"], "lights": ["lamp.exr"]}', "cube.obj"),
+        ('{"shapes": ["cube"], "materials": ["brsas"], "lights": ["lamp.exr"]}', "did you mean"),
+        ("", "JSON expected"),
+        ("\x00\x01\x02", "JSON expected"),
+    ],
+)
+@pytest.mark.parametrize("verb", ["plan", "render"])
+def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(command, a_job, catalogue, tmp_path, verb, text, says):
+    path, _ = a_job
+    path.write_text(text)
+    words = ["--out", tmp_path / "data"] if verb == "render" else ["--no-probe"]
+    status, said = command(verb, path, "--catalogue", catalogue, *words)
+    assert status == 1 and says in said and one_line(said)
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "says", "status"),
+    [
+        (["render"], "--out", 2),
+        (["render", "--out", "X"], "no --mesh, --material, --light", 1),
+        (["render", "job.json", "--mesh", "cube", "--out", "X"], "both", 1),
+        (["render", "dmeo", "--out", "X"], "did you mean demo", 1),
+        (["render", "demo", "--out", "X", "--workers", "0"], "--workers", 2),
+        (["render", "demo", "--out", "X", "--shard", "9/8"], "1 ≤ I ≤ N", 1),
+        (["render", "demo", "--out", "X", "--device", "abacus"], "--device", 2),
+        (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "24", "--out", "X"], "numbers from 0 to 23", 1),
+        (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "0", "--out", "X"], "pixels from 4 to 8192", 1),
+        (["plan"], "a job expected", 1),
+        (["plan", "nowhere.json"], "nowhere.json", 1),
+        (["status", "nowhere"], "a dataset", 1),
+        (["verify", "nowhere"], "a dataset", 1),
+        (["preview", "nowhere"], "a dataset", 1),
+        (["paint"], "invalid choice", 2),
+    ],
+)
+def test_wrong_usage_is_told_with_the_remedy(command, tmp_path, monkeypatch, words, says, status):
+    monkeypatch.chdir(tmp_path)
+    found, said = command(*words)
+    assert found == status and says in said
+    assert status == 2 or one_line(said)
+    assert not (tmp_path / "X").exists() and not (tmp_path / "nowhere").exists()
+
+
+@pytest.mark.parametrize("name", ["dataset.json", "materials.json"])
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda value: b"{", "JSON expected"),
+        (lambda value: json.dumps({**value, "flavour": 1}).encode(), "a known key expected, found 'flavour'"),
+        (lambda value: json.dumps({**value, "version": 7}).encode(), "version"),
+        (lambda value: json.dumps({**value, "version": "one"}).encode(), "expected"),
+    ],
+)
+def test_a_damaged_manifest_is_named_and_left_as_it_is(command, render, small_job, tmp_path, name, damage, says):
+    render(small_job, tmp_path / "data", limit=1)
+    path = tmp_path / "data" / name
+    path.write_bytes(damage(json.loads(path.read_text())))
+    before = path.read_bytes()
+    for verb in ("verify", "preview"):
+        status, said = command(verb, tmp_path / "data")
+        assert status == 1 and says in said and name in said and one_line(said)
+    with pytest.raises(Problem, match=name):
+        render(small_job, tmp_path / "data")
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        (b'{"id": "00"}\n', "the key 'shape'|missing required field"),
+        (b"not json\n", "a record expected"),
+        (b'{"id": 7}\n', "str"),
+    ],
+)
+def test_a_damaged_record_line_is_found_and_repaired_without_losing_the_others(command, render, small_job, tmp_path, line, says):
+    import re
+
+    render(small_job, tmp_path / "data")
+    path = Store(tmp_path / "data").record_files()[0]
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:5]) + line + b"".join(lines[5:]))
+    status, said = command("verify", tmp_path / "data")
+    assert status == 1 and re.search(says, said) and ":6" in said
+    status, said = command("status", tmp_path / "data")
+    assert status == 1 and ":6" in said and one_line(said)
+    assert command("verify", tmp_path / "data", "--repair")[0] == 0
+    assert path.read_bytes() == b"".join(lines)
+    assert command("verify", tmp_path / "data")[0] == 0
+
+
+def test_a_record_that_points_outside_is_found_and_nothing_outside_is_touched(command, render, small_job, tmp_path):
+    render(small_job, tmp_path / "data", limit=2)
+    (tmp_path / "outside.exr").write_bytes(b"mine")
+    path = Store(tmp_path / "data").record_files()[0]
+    value = json.loads(path.read_bytes().splitlines()[0])
+    path.write_bytes(json.dumps({**value, "image": "../outside.exr"}).encode() + b"\n" + path.read_bytes().split(b"\n", 1)[1])
+    status, said = command("verify", tmp_path / "data", "--repair")
+    assert "a path inside the dataset's folder expected" in said and status == 0
+    assert (tmp_path / "outside.exr").read_bytes() == b"mine"
+    assert render(small_job, tmp_path / "data").made == 11
+    assert command("verify", tmp_path / "data")[0] == 0
+
+
+def test_missing_files_are_named_and_made_again_after_repair(command, render, small_job, tmp_path):
+    render(small_job, tmp_path / "data")
+    records = list(Store(tmp_path / "data").records())
+    (tmp_path / "data" / records[0].image).unlink()
+    status, said = command("verify", tmp_path / "data")
+    assert status == 1 and f"{records[0].image}: a file expected, found none" in said
+    status, said = command("preview", tmp_path / "data", "--out", tmp_path / "p", "--count", "12")
+    assert status == 1 and records[0].id in said
+    assert command("verify", tmp_path / "data", "--repair")[0] == 0
+    assert render(small_job, tmp_path / "data").made == 1
+    assert command("verify", tmp_path / "data")[0] == 0
+
+
+def test_a_light_file_that_is_gone_is_named(command, a_job, catalogue, tmp_path, render, small_job):
+    path, _ = a_job
+    (tmp_path / "lamp.exr").unlink()
+    status, said = command("render", path, "--catalogue", catalogue, "--out", tmp_path / "data")
+    assert status == 1 and "lamp.exr" in said and one_line(said)
+    render(small_job, tmp_path / "made", limit=1)
+    next((tmp_path / "made" / "lights").iterdir()).unlink()
+    status, said = command("verify", tmp_path / "made")
+    assert status == 1 and "lights/lamp-" in said
+    status, said = command("preview", tmp_path / "made")
+    assert status == 1 and "lights/lamp-" in said and one_line(said)
+
+
+def test_a_mesh_that_changed_since_the_plan_is_a_failure_with_its_reason(plan_of, small_job, tmp_path, monkeypatch):
+    from tetrahedron import FAKE, HERE, TETRAHEDRON
+
+    from factory.run import Manner, carry_out
+
+    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    mesh = tmp_path / "mesh.ply"
+    mesh.write_bytes(TETRAHEDRON)
+    plan = plan_of(msgspec.structs.replace(small_job, shapes=(str(mesh),), views=(0,), materials=("small/matte",)))
+    mesh.write_bytes(TETRAHEDRON.replace(b"0 0 2", b"0 0 3"))
+    assert carry_out(plan, tmp_path / "data", Manner(studio=FAKE)).failed == 1
+    assert "it changed meanwhile" in next(iter(Store(tmp_path / "data").failures())).reason
+
+
+@pytest.fixture
+def tiny_disk(tmp_path):
+    """A file system whose size can be set: a function of a size such as "300k"."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=160k", "tmpfs", str(folder)], capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip(f"needs the right to mount a small file system: {done.stderr.strip()}")
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def test_a_full_disk_stops_the_run_in_one_line_and_the_same_command_goes_on_when_there_is_room(render, small_job, tiny_disk):
+    job = msgspec.structs.replace(small_job, views=tuple(range(12)))
+    data = tiny_disk / "data"
+    with pytest.raises((Problem, OSError), match="No space left on device") as caught:
+        render(job, data)
+    assert "\n" not in str(caught.value)
+    store = Store(data)
+    made = {record.id: record for record in store.records()}
+    assert 0 < len(made) < 72
+    subprocess.run(["mount", "-o", "remount,size=8m", str(tiny_disk)], check=True)
+    outcome = render(job, data)
+    assert (outcome.made, outcome.found) == (72 - len(made), len(made))
+    assert [f.text for f in (*faults_in_records(store), *faults_in_files(store, store.records(), geometry_faults))] == []
+    assert all(made[record.id] == record for record in store.records() if record.id in made)
+
+
+def test_a_disk_that_is_full_from_the_start_is_told_in_one_line(render, small_job, tiny_disk):
+    (tiny_disk / "filler").write_bytes(b"x" * 150_000)
+    with pytest.raises((Problem, OSError), match="No space left on device"):
+        render(small_job, tiny_disk / "data")
