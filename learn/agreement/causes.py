@@ -21,12 +21,12 @@ from learn.agreement import surface
 from learn.agreement.measure import shared, squared
 from learn.layer import render
 from learn.methods import quadrature
-from shaders import dsbrdf, tone
+from shaders import closures, dsbrdf, tone
 from shaders.frames import camera_from_light
 
 PIXELS = 192
-TAPS = 2048
-CHUNK = 32  # pixels × TAPS at a time, 5 MB an array
+TAPS = 1024
+CHUNK = 64  # pixels × TAPS at a time, 1.5 MB an array
 OFFSETS = np.stack(np.meshgrid(*[np.array([-1, 0, 1]) / 3] * 2), -1).reshape(-1, 2)
 
 
@@ -72,8 +72,13 @@ def brdf_difference(m, mixture, w, n, view):
     """f of the label minus f of the nodes, (p, N, 3); w (p, N, 3), n and view (p, 3)."""
     h, theta_d = dsbrdf.half_angles(w, np.broadcast_to(view[:, None], w.shape))
     cos_h, cos_i, cos_o = (h * n[:, None]).sum(-1), (w * n[:, None]).sum(-1), (view * n).sum(-1)[:, None]
-    label = dsbrdf.evaluate(m, cos_h.reshape(-1), theta_d.reshape(-1)).reshape(w.shape)
-    return label - mixture.evaluate(np.maximum(cos_i, 1e-9), cos_o, cos_h, np.cos(theta_d))
+    f = dsbrdf.evaluate(m, cos_h.reshape(-1), theta_d.reshape(-1)).reshape(w.shape)
+    log_alpha, tilt, weights = mixture.at(cos_o[:, 0])  # once a pixel, not once a tap
+    for k, kind in enumerate(mixture.kinds):
+        alpha = np.exp(log_alpha[:, k, None])
+        value = closures.evaluate(kind, alpha, tilt[:, k, None], np.maximum(cos_i, 1e-9), cos_o, cos_h, np.cos(theta_d))
+        f -= weights[:, None, k] * value[..., None]
+    return f
 
 
 def take_apart(sample, pictures, layer, mixtures, exposure):

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
+from learn.engines import lights, machine_code, threads
 from learn.methods import Batch, Card, by_group, load
 from learn.methods.exact import PAIRS
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
@@ -99,13 +100,38 @@ def over_taps(n, view, m, light, camera_from_light, taps):
     used = (m.detach()[..., 0, :] > 0).any(-1).any(0)
     if not used.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
+    around, solid_angle = spiral(m.detach()[:, used], taps)
+    needed = torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in (n, view, m, light))
+    if not needed and n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available():
+        return by_kernel(n, view, m, light, camera_from_light, around, solid_angle)
     m = m[:, used]
-    around, solid_angle = (torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in spiral(m.detach(), taps))
+    around, solid_angle = (torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in (around, solid_angle))
     step = max(1, PAIRS // taps)
     views = view.split(step) if view is not None else [n.new_tensor([[0.0, 0.0, 1.0]])] * math.ceil(len(n) / step)
     parts = zip(n.split(step), views, strict=True)
     constants = around, solid_angle, camera_from_light
     return torch.cat([checkpoint(chunk, a, b, m, light, *constants, use_reentrant=False, preserve_rng_state=False) for a, b in parts])
+
+
+def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
+    """The same without derivatives, by the CPU engine (learn.engines.taps)."""
+    arrays = [np.ascontiguousarray(x.detach().numpy(), np.float32) for x in (n, n * 0 + n.new_tensor([0, 0, 1]) if view is None else view)]
+    rows = np.stack([*around.T, np.log2(np.maximum(around[:, 2], 1e-30)), solid_angle])
+    values, _, _ = lights.general_tables(m.detach().double().numpy())
+    gamma = m.detach()[..., 1, :].amin(-1)
+    least = torch.where(m.detach()[..., 0, :].amax(-1) > 0, gamma, torch.inf).amin(0).clamp(max=1e9).float().numpy()
+    light = np.ascontiguousarray(light.detach().numpy(), np.float32)
+    rotation = camera_from_light.numpy().astype(np.float32).reshape(9)
+    arrays += [lights.blocked(rows), values, np.ascontiguousarray(least), rotation, light]
+    out = np.empty((len(n), 3), np.float32)
+    sizes = len(n), len(around) // lights.LANES, *light.shape[:2]
+
+    def run(first, last):
+        machine_code.call("taps.forward", first, last, *sizes, *arrays, np.empty(80, np.float32), out)
+
+    workers = torch.get_num_threads()
+    threads.run(run, threads.split(-(-len(n) // 16), 8 * workers), workers)
+    return torch.from_numpy(out)
 
 
 def place(n, view, around, solid_angle, camera_from_light, size):

@@ -1,0 +1,102 @@
+"""Kernel of the half-vector quadrature: taps about each pixel's normal, the light looked up in the texel that each tap hits.
+
+P pixels, blocks of 16 taps (LANES), ordered by radius; all arrays float32, flat, C order.
+n, v      (P, 3) unit normals, and unit vectors to the viewer, camera frame
+around    (blocks, 5, 16): half vectors about the z axis as sin θ cos φ, sin θ sin φ, cos θ; log2 cos θ; solid angle
+m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
+least     (3 lobes,): smallest γ of a lobe that reflects, to leave it out of blocks that it does not reach
+rotation  (9,): camera_from_light, row by row
+light     (height, width, 3): radiance
+scratch   per call: (5, 16) floats
+
+    I_k = Σ_i F_k L_k(w_i) max(0, n·w_i) 4 (v·h_i) dω_h,   w = 2 (v·h) h − v,   cos θ_d = v·h,   c = n·h = cos θ
+
+c and its logarithm belong to the tap, not to the pixel: they come in full precision, however sharp the lobe.
+"""
+
+from numba import njit, types
+
+from learn.engines.exponentials import angle, exp2, exp2m1
+from learn.engines.splines import basis, curve
+from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, load, maximum, select, splat, store
+
+TILE = 16  # pixels of a thread's piece of work
+NEGLIGIBLE = -40.0  # log2 of a lobe's height, relative to its peak, below which it is left out
+TINY = 1e-30  # added to a square so that an angle is defined at the poles
+PI = 3.141592653589793
+
+FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9)
+
+
+@njit(forceinline=True)
+def lobe(m, o, log_c, b):
+    """expm1(κ c^γ) of the lobe and channel at offset o."""
+    return exp2m1(curve(m, o + 6, b) * exp2(curve(m, o, b) * log_c))
+
+
+@njit(forceinline=True)
+def polar_angles(x, y, z):
+    """θ from +y in [0, π] and φ from +x through +z in [0, 2π] of sixteen directions."""
+    theta = angle(fma(x, x, z * z) + TINY, y * y)
+    theta = select(y < 0.0, PI - theta, theta)
+    phi = angle(z * z, x * x + TINY)
+    phi = select(x < 0.0, PI - phi, phi)
+    return theta, select(z < 0.0, 2.0 * PI - phi, phi)
+
+
+@njit(forceinline=True)
+def reflectance(m, least, log_c, cos_d):
+    """F (3 channels) of sixteen taps."""
+    b = basis(angle(maximum(1.0 - cos_d * cos_d, 0.0), cos_d * cos_d + TINY))
+    nearest = lane_max(log_c)
+    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+    for s in range(3):
+        if nearest * least[s] > NEGLIGIBLE:
+            f0 = f0 + lobe(m, 36 * s, log_c, b)
+            f1 = f1 + lobe(m, 36 * s + 12, log_c, b)
+            f2 = f2 + lobe(m, 36 * s + 24, log_c, b)
+    return f0, f1, f2
+
+
+def forward(first, last, pixels, blocks, height, width, n, v, around, m, least, rotation, light, scratch, radiance):
+    """Radiance (P, 3) of pixel tiles first … last − 1."""
+    for p in range(first * TILE, min(last * TILE, pixels)):
+        nx, ny, nz = n[3 * p], n[3 * p + 1], n[3 * p + 2]
+        vx, vy, vz = v[3 * p], v[3 * p + 1], v[3 * p + 2]
+        # axes across n that turn smoothly with it (Duff et al. 2017)
+        sign = -1.0 if nz < 0.0 else 1.0
+        a = -1.0 / (sign + nz)
+        ux, uy, uz = 1.0 + sign * nx * nx * a, sign * nx * ny * a, -sign * nx
+        tx, ty, tz = nx * ny * a, sign + ny * ny * a, -ny
+        i0, i1, i2 = 0.0, 0.0, 0.0
+        for block in range(blocks):
+            o = 80 * block
+            q, r, c = load(around, o), load(around, o + 16), load(around, o + 32)
+            hx = fma(q, ux, fma(r, tx, c * nx))
+            hy = fma(q, uy, fma(r, ty, c * ny))
+            hz = fma(q, uz, fma(r, tz, c * nz))
+            cos_d = fma(hx, vx, fma(hy, vy, hz * vz))
+            wx, wy, wz = fma(2.0 * cos_d, hx, -vx), fma(2.0 * cos_d, hy, -vy), fma(2.0 * cos_d, hz, -vz)
+            n_w = fma(wx, nx, fma(wy, ny, wz * nz))
+            weight = maximum(n_w, 0.0) * maximum(cos_d, 0.0) * load(around, o + 64) * 4.0
+            if not anywhere(weight > 0.0):
+                continue
+            f0, f1, f2 = reflectance(m, least, load(around, o + 48), cos_d)
+            store(scratch, 0, f0 * weight)
+            store(scratch, 16, f1 * weight)
+            store(scratch, 32, f2 * weight)
+            theta, phi = polar_angles(
+                fma(wx, rotation[0], fma(wy, rotation[3], wz * rotation[6])),
+                fma(wx, rotation[1], fma(wy, rotation[4], wz * rotation[7])),
+                fma(wx, rotation[2], fma(wy, rotation[5], wz * rotation[8])),
+            )
+            store(scratch, 48, theta * (height / PI))
+            store(scratch, 64, phi * (width / (2.0 * PI)))
+            for lane in range(16):
+                row = min(int(scratch[48 + lane]), height - 1)
+                column = int(scratch[64 + lane])
+                texel = 3 * (row * width + (0 if column >= width else column))  # φ = 2π is φ = 0
+                i0 += scratch[lane] * light[texel]
+                i1 += scratch[16 + lane] * light[texel + 1]
+                i2 += scratch[32 + lane] * light[texel + 2]
+        radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = i0, i1, i2
