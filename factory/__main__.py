@@ -4,7 +4,7 @@ import sys
 
 from manifests.command_line import main
 
-COMMANDS = ("plan", "render", "status", "verify", "preview", "materials", "shapes", "lights")
+COMMANDS = ("plan", "render", "status", "verify", "preview", "export", "materials", "shapes", "lights")
 
 if __name__ == "__main__":
     sys.exit(main("factory", __doc__.split(": ", 1)[1], COMMANDS))

@@ -1,0 +1,41 @@
+"""`export DIR`: a dataset for other programs, as a Parquet table of its records or as WebDataset tar files."""
+
+
+def register(subparsers):
+    """Add the parser of `export`."""
+    from pathlib import Path
+
+    parser = subparsers.add_parser(
+        "export",
+        help="records as a Parquet table, pictures as WebDataset tars",
+        description="A dataset for other programs and for object stores. Records come in the order of their ids, which is a shuffled one.",
+    )
+    parser.add_argument("folder", metavar="DIR", help="the dataset's folder")
+    parser.add_argument("--parquet", type=Path, metavar="FILE", help="write the records as a table (needs pyarrow)")
+    parser.add_argument("--tars", type=Path, metavar="DIR2", help="write records, pictures and geometry as tars, labels and lights beside")
+    parser.add_argument("--split", choices=("train", "test", "mixed"), help="only these records")
+    parser.add_argument("--each", type=int, default=1000, metavar="N", help="records a tar (default 1000)")
+    parser.set_defaults(run=run)
+
+
+def run(options):
+    """Write what is asked for; 0."""
+    from tqdm import tqdm
+
+    from manifests.export import to_parquet, to_tars
+    from manifests.problems import Problem
+    from manifests.store import Store
+
+    store = Store(options.folder)
+    store.dataset()
+    if not (options.parquet or options.tars):
+        raise Problem("export", "--parquet FILE or --tars DIR2", "neither", "name what to write")
+    if options.each < 1:
+        raise Problem("--each", "1 or more", str(options.each), "1000 suits most")
+    if options.parquet:
+        print(f"{options.parquet}: {to_parquet(store, options.parquet, options.split)} records")
+    if options.tars:
+        with tqdm(desc="exporting", unit="record", delay=1.0) as bar:
+            count = to_tars(store, options.tars, options.split, options.each, bar.update)
+        print(f"{options.tars}: {count} tars")
+    return 0

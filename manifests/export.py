@@ -1,0 +1,89 @@
+"""A dataset for other programs: records as one Parquet table, pictures as WebDataset tar files.
+
+Ids are hashes, so records in the order of their ids are shuffled, and shuffled alike everywhere. In a tar, each record is three files
+that share its id: ID.json (the record), ID.image.exr, ID.geometry.exr; dataset.json, materials.json and lights/ are copied beside.
+"""
+
+import io
+import os
+import shutil
+import tarfile
+from pathlib import Path
+
+import msgspec
+
+from manifests.problems import Problem
+from manifests.store import Store, inside
+
+ROWS = 50_000  # of a Parquet row group
+
+
+def chosen(store: Store, split=None):
+    """The records of a split (None: all), in the order of their ids."""
+    return sorted(store.records(lambda record: split in (None, record.split)), key=lambda record: record.id)
+
+
+def to_parquet(store: Store, path, split=None):
+    """Write the records as a table, nested keys as columns such as `camera.size`; returns how many. Raises Problem without pyarrow."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        remedy = "pip install 'pyarrow<22' (later ones need numpy 2, which Blender's wheel cannot have)"
+        raise Problem("export --parquet", "the package pyarrow", str(error).split(":")[0], remedy) from None
+    records = chosen(store, split)
+    unfinished = f"{path}.part"
+    writer = None
+    for first in range(0, len(records), ROWS):
+        table = pyarrow.Table.from_pylist([_flat(msgspec.to_builtins(record)) for record in records[first : first + ROWS]])
+        writer = writer or pyarrow.parquet.ParquetWriter(unfinished, table.schema)
+        writer.write_table(table.cast(writer.schema))
+    if writer is None:
+        raise Problem(store.folder, "records to export", "none", "render some, or choose another --split")
+    writer.close()
+    os.replace(unfinished, path)
+    return len(records)
+
+
+def _flat(value, prefix=""):
+    """A nested dictionary with dotted keys."""
+    flat = {}
+    for key, inner in value.items():
+        flat |= _flat(inner, f"{prefix}{key}.") if isinstance(inner, dict) else {f"{prefix}{key}": inner}
+    return flat
+
+
+def to_tars(store: Store, folder, split=None, each=1000, watch=None):
+    """Write the records and their files as numbered tars of `each` records; returns how many tars. Files are checked to be inside."""
+    folder, records = Path(folder), chosen(store, split)
+    if not records:
+        raise Problem(store.folder, "records to export", "none", "render some, or choose another --split")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("dataset.json", "materials.json"):
+        shutil.copyfile(store.folder / name, folder / name)
+    for entry in store.dataset().lights.values():
+        (folder / "lights").mkdir(exist_ok=True)
+        shutil.copyfile(inside(store.folder, entry.file), folder / entry.file)
+    starts = range(0, len(records), each)
+    for number, first in enumerate(starts):
+        unfinished = folder / f".{number:06d}.part"
+        with tarfile.open(unfinished, "w") as tar:
+            for record in records[first : first + each]:
+                _add(tar, store, record)
+                if watch:
+                    watch()
+        os.replace(unfinished, folder / f"{number:06d}.tar")
+    return len(starts)
+
+
+def _add(tar, store, record):
+    """A record's three files; nothing of the machine in their headers, so that the same records give the same tar."""
+    parts = (
+        ("json", msgspec.json.encode(record)),
+        ("image.exr", inside(store.folder, record.image).read_bytes()),
+        ("geometry.exr", inside(store.folder, record.geometry).read_bytes()),
+    )
+    for ending, data in parts:
+        info = tarfile.TarInfo(f"{record.id}.{ending}")
+        info.size = len(data)
+        tar.addfile(info, io.BytesIO(data))

@@ -1,0 +1,54 @@
+"""What other programs get: every record once, its files beside it, the same bytes each time."""
+
+import tarfile
+
+import msgspec
+import pytest
+
+from manifests.export import to_parquet, to_tars
+from manifests.problems import Problem
+from manifests.schema import Record
+
+
+def test_tars_hold_each_record_with_its_files_and_labels_beside(a_dataset, tmp_path):
+    assert to_tars(a_dataset, tmp_path / "out", each=2) == 2
+    names, records = [], []
+    for path in sorted((tmp_path / "out").glob("*.tar")):
+        with tarfile.open(path) as tar:
+            for info in tar:
+                names.append(info.name)
+                if info.name.endswith(".json"):
+                    records.append(msgspec.json.decode(tar.extractfile(info).read(), type=Record))
+                if info.name.endswith("image.exr"):
+                    assert tar.extractfile(info).read() == (a_dataset.folder / records[-1].image).read_bytes()
+    assert records == sorted(a_dataset.records(), key=lambda r: r.id)
+    assert len(names) == 9 and len(set(names)) == 9
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"000000.tar", "000001.tar", "dataset.json", "materials.json", "lights"}
+
+
+def test_the_same_dataset_gives_the_same_tar(a_dataset, tmp_path):
+    for name in ("a", "b"):
+        to_tars(a_dataset, tmp_path / name)
+    assert (tmp_path / "a" / "000000.tar").read_bytes() == (tmp_path / "b" / "000000.tar").read_bytes()
+
+
+def test_a_record_that_points_outside_is_not_exported(a_dataset, a_record, tmp_path):
+    (tmp_path / "secret").write_bytes(b"x")
+    path = a_dataset.record_files()[0]
+    path.write_bytes(path.read_bytes() + msgspec.json.encode(a_record("f" * 24, image="../secret")) + b"\n")
+    with pytest.raises(Problem, match="a path inside the dataset's folder"):
+        to_tars(a_dataset, tmp_path / "out")
+    assert not list((tmp_path / "out").glob("*.tar"))
+
+
+def test_an_empty_choice_is_refused(a_dataset, tmp_path):
+    with pytest.raises(Problem, match="records to export expected, found none"):
+        to_tars(a_dataset, tmp_path / "out", split="test")
+
+
+def test_the_table_has_a_row_a_record(a_dataset, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed: the Parquet export is optional")
+    assert to_parquet(a_dataset, tmp_path / "records.parquet") == 3
+    rows = parquet.read_table(tmp_path / "records.parquet").to_pylist()
+    assert [row["id"] for row in rows] == sorted(a_dataset.ids())
+    assert rows[0]["camera.size"] == [8, 8] and rows[0]["statistics.coverage"] == 0.5
