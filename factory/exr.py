@@ -5,6 +5,8 @@ geometry  normal.X, normal.Y, normal.Z (float, camera frame) and depth.Z (float)
           half by .03°, a tenth of chrome's lobe), and files shrink by 20 to 60 %; segment (uint32; 0: background: mask = segment > 0)
 """
 
+import contextlib
+import io
 import os
 
 import numpy as np
@@ -19,17 +21,21 @@ LARGEST_HALF = 65504.0  # a sun seen in a mirror may exceed it; it is far above 
 
 
 def write(path, channels):
-    """Writes channels, name → (height, width) array of float16, float32 or uint32, to a temporary name, then renames it to `path`."""
+    """Writes channels, name → (height, width) array of float16, float32 or uint32, to a temporary name, then renames it to `path`.
+
+    Raises  OSError if it cannot be written, with the system's reason; nothing is left behind then
+    """
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     temporary = f"{path}.{os.getpid()}.part"  # the process's own: two workers never write one file's draft
     try:
         with OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}) as file:
             file.write(temporary)
         os.replace(temporary, path)
-    except BaseException:
+    except RuntimeError as error:  # the library's word for a full disk, a missing folder, and all else
+        raise OSError(f"{path}: {str(error).splitlines()[0]}") from None
+    finally:
         if os.path.exists(temporary):
             os.unlink(temporary)
-        raise
 
 
 def read(path):
@@ -40,7 +46,7 @@ def read(path):
     if not os.path.isfile(path):
         raise Problem(path, "an OpenEXR file", "none", "render or copy it again")
     try:
-        with silenced(1, 2):  # the library prints each error besides raising it
+        with silenced(2), contextlib.redirect_stdout(io.StringIO()):  # the library prints errors, in C and in Python, besides raising them
             height, width = _size(path)
             if not 1 <= height * width <= MAX_PIXELS:
                 raise Problem(path, f"a picture of 1 to {MAX_PIXELS} pixels", f"{width} × {height}", "check the file's header")

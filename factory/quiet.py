@@ -1,6 +1,7 @@
 """Prints of C libraries kept off the terminal: they pass sys.stdout by, so the file descriptors themselves are turned away."""
 
 import contextlib
+import ctypes
 import os
 import sys
 import threading
@@ -8,12 +9,18 @@ import threading
 _TURNING = {1: threading.Lock(), 2: threading.Lock()}  # two threads that turn the same descriptor would restore each other's nowhere
 
 
+def _flush():
+    """What Python and C hold back is written now, to where it belongs."""
+    sys.stdout.flush()
+    ctypes.CDLL(None).fflush(None)
+
+
 @contextlib.contextmanager
 def silenced(*descriptors):
     """Everything written to these file descriptors (1: stdout, 2: stderr) inside the block, from C or Python, is dropped."""
     for descriptor in descriptors:
         _TURNING[descriptor].acquire()
-    sys.stdout.flush()
+    _flush()
     kept = [os.dup(descriptor) for descriptor in descriptors]
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -21,7 +28,7 @@ def silenced(*descriptors):
             os.dup2(nowhere, descriptor)
         yield
     finally:
-        sys.stdout.flush()
+        _flush()
         for descriptor, copy in zip(descriptors, kept, strict=True):
             os.dup2(copy, descriptor)
             os.close(copy)

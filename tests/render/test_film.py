@@ -1,0 +1,74 @@
+"""Pixels read from Cycles' own result are those that Blender would write, and a window shows what the whole frame shows."""
+
+import numpy as np
+import OpenEXR
+import pytest
+
+pytestmark = pytest.mark.blender
+
+
+@pytest.fixture
+def chair(studio):
+    from factory.render import reference
+    from factory.shapes.catalogue import load
+    from shaders.mixture import Mixture
+
+    mesh = load("chair:3")
+    studio.set_shape(mesh)
+    studio.set_light(reference.soft_light())
+    studio.set_materials([Mixture.lambert([0.5, 0.4, 0.3])] * mesh.segments)
+    studio.set_view(1.0)
+    return studio
+
+
+def test_pixels_equal_blenders_own_file_bit_for_bit(chair, tmp_path):
+    import bpy
+
+    from factory.quiet import silenced
+    from factory.render import film
+    from manifests.schema import Camera
+
+    chair.set_camera(Camera(size=(40, 56)))
+    chair.picture(2, 3)
+    scene = chair._picture
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    scene.render.image_settings.color_mode = "RGBA"
+    scene.render.filepath = str(tmp_path / "blender.exr")
+    with silenced(1):
+        bpy.ops.render.render(scene=scene.name, write_still=True)
+    with OpenEXR.File(str(tmp_path / "blender.exr")) as file:
+        np.testing.assert_array_equal(film._passes["Combined"], file.channels()["RGBA"].pixels)
+
+
+@pytest.mark.parametrize("fov_deg", [None, 50.0])
+def test_a_window_shows_the_pixels_of_the_whole_frame_noise_and_all(chair, fov_deg):
+    from factory.render import film, window
+    from manifests.schema import Camera
+
+    chair.set_camera(Camera(size=(40, 56), fov_deg=fov_deg))
+    radiance, alpha = chair.picture(2, 3)
+    mask = chair.geometry().mask
+    top, bottom, left, right = window.around(chair._vertices, 1.0, chair._lens)
+    assert (bottom - top) * (right - left) < 40 * 56  # a window indeed
+    for scene in (chair._picture, chair._geometry):
+        scene.render.use_border = False
+    whole = film.expose(chair._picture)["Combined"]
+    np.testing.assert_array_equal(whole[..., :3], radiance)
+    np.testing.assert_array_equal(whole[..., 3], alpha)
+    np.testing.assert_array_equal(film.expose(chair._geometry)["Combined"][..., 3] > 0.5, mask)
+
+
+def test_an_object_beyond_the_frame_is_cut_off_not_refused(chair):
+    from manifests.schema import Camera
+
+    chair.set_camera(Camera(size=(24, 24), half_extent=0.3))
+    radiance, alpha = chair.picture(1, 0)
+    assert radiance.shape == (24, 24, 3) and alpha.max() > 0
+
+
+def test_rendering_prints_nothing(chair, capfd):
+    from manifests.schema import Camera
+
+    chair.set_camera(Camera(size=(16, 16)))
+    chair.render(1, 0)
+    assert capfd.readouterr().out == ""
