@@ -22,6 +22,7 @@ from pathlib import Path
 
 DIGEST = hashlib.sha256().digest_size
 _lock = threading.Lock()
+_found = {}  # library → whether it is installed
 _loaded = {}  # name → (address, what must stay alive)
 
 
@@ -33,10 +34,13 @@ def _renew_lock():
 os.register_at_fork(after_in_child=_renew_lock)
 
 
-@functools.cache
 def is_available():
-    """Whether kernels can be made here: numba (which brings llvmlite) is installed."""
-    return importlib.util.find_spec("numba") is not None
+    """Whether kernels can be made here: numba (which brings llvmlite) is installed. Says so once if it is not."""
+    if "numba" not in _found:  # not functools.cache: torch.compile warns of it
+        _found["numba"] = importlib.util.find_spec("numba") is not None
+        if not _found["numba"]:
+            print("brdfactory: numba is not installed; the exact sum runs in plain torch, about 100 times slower", file=sys.stderr)
+    return _found["numba"]
 
 
 def call(name, *arguments):

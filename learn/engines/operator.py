@@ -5,10 +5,12 @@
 float32 only. torch.compile and opcheck see an opaque operator with known shapes; autograd calls `exact_sum_backward`, which
 computes the pass again from the same inputs. The number of threads is torch's own (torch.set_num_threads): a DataLoader worker
 has one.
+
+Defined by torch.library.define rather than the custom_op decorator: the same operator, but the decorator's first call imports
+the whole of torch._dynamo, one second.
 """
 
 import torch
-from torch import Tensor
 
 from learn.engines import cpu, machine_code
 from shaders.dsbrdf import MAX_EXPONENT
@@ -29,33 +31,29 @@ def serves(batch):
 def radiance(batch):
     """(P, 3) outgoing radiance of a `learn.methods.Batch` that `serves` accepts."""
     rotation = batch.camera_from_light.double().flatten().tolist()
-    return exact_sum(batch.n, batch.view, batch.m, batch.light, rotation, list(batch.counts), list(batch.light_of))
+    return torch.ops.brdfactory.exact_sum(batch.n, batch.view, batch.m, batch.light, rotation, list(batch.counts), list(batch.light_of))
+
+
+CONSTANTS = "float[] rotation, int[] counts, int[] light_of"
+torch.library.define(NAME, f"(Tensor n, Tensor? view, Tensor m, Tensor light, {CONSTANTS}) -> Tensor")
+torch.library.define(
+    f"{NAME}_backward",
+    f"(Tensor g, Tensor n, Tensor? view, Tensor m, Tensor light, {CONSTANTS}, bool with_view) -> (Tensor, Tensor, Tensor, Tensor)",
+)
 
 
 def _numpy(tensor):
     return None if tensor is None else tensor.detach().contiguous().numpy()
 
 
-@torch.library.custom_op(NAME, mutates_args=(), device_types="cpu")
-def exact_sum(
-    n: Tensor, view: Tensor | None, m: Tensor, light: Tensor, rotation: list[float], counts: list[int], light_of: list[int]
-) -> Tensor:
+@torch.library.impl(NAME, "CPU")
+def _sum_on_cpu(n, view, m, light, rotation, counts, light_of):
     arrays = (_numpy(a) for a in (n, view, m, light))
     return torch.from_numpy(cpu.radiance(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads()))
 
 
-@torch.library.custom_op(f"{NAME}_backward", mutates_args=(), device_types="cpu")
-def exact_sum_backward(
-    g: Tensor,
-    n: Tensor,
-    view: Tensor | None,
-    m: Tensor,
-    light: Tensor,
-    rotation: list[float],
-    counts: list[int],
-    light_of: list[int],
-    with_view: bool,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+@torch.library.impl(f"{NAME}_backward", "CPU")
+def _backward_on_cpu(g, n, view, m, light, rotation, counts, light_of, with_view):
     """Derivatives by n, view (empty unless with_view), m, light."""
     arrays = (_numpy(a) for a in (g, n, view, m, light))
     found = cpu.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads(), with_view)
@@ -66,13 +64,13 @@ def _plain(tensor):
     return torch.empty_like(tensor, memory_format=torch.contiguous_format)
 
 
-@exact_sum.register_fake
-def _(n, view, m, light, rotation, counts, light_of):
+@torch.library.register_fake(NAME)
+def _sum_shape(n, view, m, light, rotation, counts, light_of):
     return _plain(n)
 
 
-@exact_sum_backward.register_fake
-def _(g, n, view, m, light, rotation, counts, light_of, with_view):
+@torch.library.register_fake(f"{NAME}_backward")
+def _backward_shapes(g, n, view, m, light, rotation, counts, light_of, with_view):
     return _plain(n), _plain(view) if with_view else n.new_empty(0), _plain(m), _plain(light)
 
 
@@ -83,8 +81,8 @@ def _remember(ctx, inputs, output):
 
 def _backward(ctx, g):
     with_view = ctx.needs_input_grad[1]
-    by_n, by_view, by_m, by_light = exact_sum_backward(g, *ctx.saved_tensors, *ctx.constants, with_view)
+    by_n, by_view, by_m, by_light = torch.ops.brdfactory.exact_sum_backward(g, *ctx.saved_tensors, *ctx.constants, with_view)
     return by_n, by_view if with_view else None, by_m, by_light, None, None, None
 
 
-exact_sum.register_autograd(_backward, setup_context=_remember)
+torch.library.register_autograd(NAME, _backward, setup_context=_remember)
