@@ -30,11 +30,8 @@ def picture(radiance, coverage_expected=None, alpha=None):
 
 
 def magenta(radiance):
-    """True if what is lit is lit by magenta (1, 0, 1) alone: no green anywhere, red and blue equal."""
-    if radiance[..., 1].any():
-        return False
-    lit = radiance[radiance.max(-1) > 0]
-    return bool(len(lit)) and bool(np.allclose(lit[:, 0].mean(), lit[:, 2].mean(), rtol=0.02))
+    """True if red and blue shine and green nowhere: Cycles' (1, 0, 1) for a missing texture, times the material's colour."""
+    return not radiance[..., 1].any() and bool(radiance[..., 0].any()) and bool(radiance[..., 2].any())
 
 
 def geometry(shot, segments):

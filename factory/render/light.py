@@ -66,7 +66,7 @@ def build(scene, seen, nearest):
     old, scene.world = scene.world, world
     apply(scene, settings(width))
     if old is not None:
-        images = [n.image for n in old.node_tree.nodes if n.type == "TEX_ENVIRONMENT"]
+        images = [n.image for n in old.node_tree.nodes if n.type == "TEX_ENVIRONMENT" and n.image]
         bpy.data.worlds.remove(old)
         for each in images:
             bpy.data.images.remove(each)
