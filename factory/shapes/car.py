@@ -1,13 +1,15 @@
-"""Cars: eight bodies, and proportions drawn per seed. Segments: 1 painted body; 2 wheels, glass, lights and trim.
+"""Cars: nine bodies, and proportions drawn per seed. Segments: 1 painted body; 2 wheels, glass, lights and trim.
 
 Sizes are those of real cars, in metres: 3.5–5.6 long, 1.6–2.0 wide, 1.2–2.0 high.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from factory.shapes.assembly import Assembly
 from factory.shapes.car_body import Form, cabin, lower_body
-from factory.shapes.car_details import DARK, PAINT, front, lights, mirrors_and_handles, roof_things, seams, wheels
+from factory.shapes.car_details import DARK, PAINT, cockpit, front, lights, mirrors_and_handles, roof_things, seams, wheels
 
 FAMILY_KEY = 1
 
@@ -32,7 +34,7 @@ RANGES = {
         (0.24, 0.29), (0.35, 0.41), (0.82, 0.9), (0.93, 0.97), (0.36, 0.41), (0.09, 0.16),
     ),
     "coupe": (
-        (4.2, 4.65), (1.8, 1.95), (1.22, 1.34), (0.12, 0.15), (0.62, 0.72), (0.16, 0.24), (0.88, 0.98),
+        (4.2, 4.65), (1.8, 1.95), (1.24, 1.36), (0.12, 0.15), (0.68, 0.78), (0.16, 0.24), (0.88, 0.98),
         (0.3, 0.38), (0.45, 0.51), (0.58, 0.66), (0.82, 0.93), (0.32, 0.35), (0.14, 0.22),
     ),
     "pickup": (
@@ -47,10 +49,14 @@ RANGES = {
         (3.3, 4.1), (1.55, 1.7), (1.42, 1.54), (0.17, 0.22), (0.72, 0.84), (0.12, 0.2), (0.8, 0.92),
         (0.28, 0.34), (0.38, 0.44), (0.6, 0.7), (0.8, 0.92), (0.29, 0.33), (0.12, 0.2),
     ),
+    "roadster": (
+        (3.7, 4.4), (1.66, 1.86), (1.2, 1.3), (0.13, 0.17), (0.68, 0.76), (0.14, 0.22), (0.84, 0.94),
+        (0.36, 0.44), (0.45, 0.5), (0.58, 0.62), (0.66, 0.74), (0.3, 0.34), (0.1, 0.2),
+    ),
 }
 # fmt: on
 KINDS = tuple(RANGES)
-WEIGHTS = np.array([0.19, 0.17, 0.11, 0.17, 0.12, 0.09, 0.08, 0.07])
+WEIGHTS = np.array([0.16, 0.14, 0.10, 0.14, 0.12, 0.09, 0.08, 0.08, 0.09])
 
 
 def build(seed):
@@ -60,8 +66,11 @@ def build(seed):
     form = draw_form(rng, kind)
     a = Assembly()
     a.add("body", lower_body(form), PAINT)
-    glasshouse, glass = cabin(form)
-    a.add("cabin", glasshouse, np.where(glass, DARK, PAINT))
+    if kind == "roadster":
+        cockpit(a, rng, form)
+    else:
+        glasshouse, glass = cabin(form)
+        a.add("cabin", glasshouse, np.where(glass, DARK, PAINT))
     wheels(a, rng, form)
     lights(a, rng, form)
     front(a, rng, form)
@@ -85,8 +94,14 @@ def draw_form(rng, kind):
     corners = {"retro": (3.2, 4.2), "suv": (5.0, 9.0), "pickup": (7.0, 11.0), "van": (6.0, 10.0)}
     corner = rng.uniform(*corners.get(kind, (4.2, 6.5)))
     bed = (place(0.972), place(glass_rear + 0.022)) if kind == "pickup" else None
+    if kind == "roadster":
+        bed = (place(glass_rear), place(cowl) - 0.12)
     shoulder = rng.uniform(2.6, 3.0) if kind == "retro" else rng.uniform(3.2, 5.5)
-    return Form(
+    form = Form(
         length, width, height, clearance, nose, nose + rise, tail, place(cowl), place(roof_front), place(roof_rear), place(glass_rear),
         (place(ahead), place(behind)), wheel, corner, shoulder, tumblehome, rng.uniform(0.08, 0.2), bed,
+        bed_floor=-0.28 if kind == "roadster" else 0.02,
     )  # fmt: skip
+    # The wheels' arches need 1.1 of their radius under the bonnet
+    room = min(float(form.upper(axle)) for axle in form.axles) - 0.08
+    return replace(form, wheel=min(wheel, room / 2.1))

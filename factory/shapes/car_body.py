@@ -35,12 +35,14 @@ class Form:
     shoulder: float  # the section's exponent above its widest line
     tumblehome: float  # how much narrower the roof is than the belt, m a side
     bow: float  # how far the windscreen's middle stands before its sides, m
-    bed: tuple[float, float] | None = None  # a pickup's bed, from x to x
+    bed: tuple[float, float] | None = None  # a pickup's bed or an open cockpit, from x to x
+    bed_floor: float = 0.02  # its height above the section's widest line; below it: a cockpit
 
     @property
     def arch(self):
         """Radius of the wheel arches."""
-        return self.wheel * 1.17
+        room = min(float(self.upper(axle)) for axle in self.axles) - self.wheel - 0.08  # below the bonnet
+        return min(self.wheel * 1.17, room)
 
     def upper(self, x):
         """Height of the lower body's upper outline."""
@@ -87,8 +89,11 @@ class Form:
         z = middle + s / norm * np.where(above, high - middle, middle - low) * closing
         y = y * (1 - 0.045 * np.clip((z - middle) / (high - middle), 0, 1) ** 2 - 0.05 * np.clip((middle - z) / (middle - low), 0, 1) ** 2)
         if self.bed and cut:
+            over = np.where(
+                np.min([np.abs(x - axle) for axle in self.axles], axis=0) < self.arch * 1.02, self.wheel + self.arch + 0.04, 0.0
+            )
             inside = (x > self.bed[0]) & (x < self.bed[1]) & (y < self.width / 2 * plan * waist - 0.13) & above
-            z = np.where(inside, np.minimum(z, np.maximum(middle + 0.02, self.wheel + self.arch + 0.04)), z)
+            z = np.where(inside, np.minimum(z, np.maximum(middle + self.bed_floor, over)), z)
         if cut:
             for axle in self.axles:
                 reach = np.abs(x - axle) / self.arch
@@ -98,7 +103,7 @@ class Form:
 
     def _shoulder(self, x):
         """The upper section's exponent: a bed's walls stand upright."""
-        if not self.bed:
+        if not self.bed or self.bed_floor < 0:
             return self.shoulder
         return self.shoulder + (14 - self.shoulder) * np.clip((self.bed[1] + 0.35 - x) / 0.3, 0, 1)
 

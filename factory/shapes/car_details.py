@@ -80,8 +80,8 @@ def wheels(a, rng, form):
         y = np.array([form.side(*place) for place in zip(x, z, strict=True)]) - 0.006
         lip = 0.035 if cladding == DARK else 0.016
         a.pair("arch", tube(np.stack([x, y, z], 1), np.array([0.022, lip]), around=8, square=2.5), cladding)
-    low, high = form.clearance + 0.03, form.wheel + form.arch + 0.05
-    box = rounded_box([form.axles[0] - form.axles[1] + 2.3 * form.arch, form.width - 2 * width - 0.2, high - low], 0.05, edge=1)
+    low, high = form.clearance + 0.03, form.wheel + 0.95 * form.arch
+    box = rounded_box([form.axles[0] - form.axles[1] + 1.9 * form.arch, form.width - 2 * width - 0.2, high - low], 0.05, edge=1)
     a.add("underbody", box.moved(sum(form.axles) / 2, 0, (low + high) / 2), DARK)
 
 
@@ -208,6 +208,42 @@ def seams(a, form):
     theta = np.linspace(0.9, np.pi / 2, 9)[:-1]
     across = form.skin(form.psi_at(form.length / 2 - 0.2), theta)
     a.add("seam", tube(np.concatenate([across, (across * [1, -1, 1])[::-1]]), 0.007, around=5), DARK)
+
+
+def cockpit(a, rng, form):
+    """What an open car has instead of a cabin: a windscreen, two seats, a steering wheel, perhaps hoops behind the heads."""
+    x, z = form.cowl_at, float(form.upper(form.cowl_at))
+    wide, tall, rake = form.width / 2 - 0.14, rng.uniform(0.32, 0.42), rng.uniform(0.45, 0.7)
+    y = np.linspace(-1, 1, 17)
+    foot = np.stack([x - 0.16 * y**4 - 0.05 * y**2, wide * y, 0 * y + z - 0.03], 1)
+    half = np.stack([np.full(17, 0.012), np.full(17, tall / 2)], 1)
+    middle = foot + np.array([-rake * tall / 2, 0, tall / 2])
+    a.add("windscreen", tube(middle, half, around=16, square=5.0, side=(1.0, 0, rake)), DARK)
+    rear, low = form.glass_rear_at, form.lower(0) + 0.12
+    seat_x = max(rear + 0.2, 0.5 * (x + rear) - 0.25)
+    for k in LEFT_RIGHT:
+        a.add(
+            "seat",
+            rounded_box([0.16, 0.48, z + 0.12 - low], 0.06, (0.1, 0.05, 0), inner=4)
+            .turned("y", -0.2)
+            .moved(seat_x, k * 0.34, (z + 0.12 + low) / 2),
+            DARK,
+        )
+    ring = np.linspace(0, 2 * np.pi, 28, endpoint=False)
+    wheel = np.stack([0.35 * 0.18 * np.sin(ring), 0.18 * np.cos(ring), 0.18 * np.sin(ring)], 1)
+    a.add("steering wheel", tube(wheel + np.array([x - 0.42, 0.34, z - 0.02]), 0.014, around=8, ring=True), DARK)
+    if rng.random() < 0.5:
+        for k in LEFT_RIGHT:
+            hoop = rounded_path(
+                [
+                    [seat_x - 0.2, k * 0.34 - 0.17, z - 0.15],
+                    [seat_x - 0.22, k * 0.34 - 0.17, z + 0.26],
+                    [seat_x - 0.22, k * 0.34 + 0.17, z + 0.26],
+                    [seat_x - 0.2, k * 0.34 + 0.17, z - 0.15],
+                ],
+                0.12,
+            )
+            a.add("hoop", tube(hoop, 0.022, around=10), PAINT)
 
 
 def roof_things(a, rng, form, kind):
