@@ -22,6 +22,15 @@ COLUMNS = {
     "absolute": ("absolute error", "{:.2%}"),
     "node_fit": ("node fit L2", "{:.3g}"),
 }
+CAUSES = {
+    "edges": "edges: a pixel there is a mean over two surfaces in Cycles, one of them in the layer",
+    "noise": "Cycles' noise",
+    "node_fit": "label and nodes are two forms of a material",
+    "footprint": "a pixel is an area in Cycles, its centre in the layer",
+    "look_up": "a turn of the light against its look-up",
+    "rest": "what none of these explains",
+    "texel_sum": "beside them: what the paper's sum over texels would cost",
+}
 SHOWN = ("tier and light resolution", "material", "light", "category")  # breakdowns on this page; the report itself has all of them
 STYLE = """
 :root{color-scheme:light dark;--ink:#1f2933;--soft:#5b6b79;--line:#dfe5ea;--back:#fbfcfd;--card:#fff;--accent:#2f6f9f}
@@ -66,14 +75,26 @@ def table(name, groups):
 
 def verdict(direct):
     """The report's headline in words."""
-    if direct.get("net") is None or direct.get("node_fit") is None:
-        return "The noise or the materials' fit is unknown, so the direct tier cannot be judged."
+    if direct.get("net") is None:
+        return "No picture was rendered with two seeds: the noise is unknown, so the direct tier cannot be judged."
+    told = (
+        f"In the direct tier, the light transport that the layer models, the two renderers' pictures differ by a display L2 of "
+        f"{direct['net']:.2f} once noise is taken off (black and white differ by 65,025)."
+    )
+    if direct.get("node_fit") is None:
+        return told + " The catalogue does not say how far its materials' two forms, label and nodes, are apart, so there is no limit."
     kept = "within" if direct.get("holds") else "beyond"
     return (
-        f"In the direct tier, the light transport that the layer models, the two renderers' pictures differ by a display L2 of "
-        f"{direct['net']:.2f} once noise is taken off (black and white differ by 65,025). The materials' two forms, label and nodes, "
-        f"differ by {direct['node_fit']:.2f} by themselves; the limit is {direct['limit']:g} times that: {kept} it."
+        told
+        + f" The materials' two forms, label and nodes, differ by {direct['node_fit']:.2f}; the limit is {direct['limit']:g} times that: {kept} it."
     )
+
+
+def causes(found):
+    """The direct tier's disagreement taken apart, as an HTML table; empty where the report has no causes."""
+    known = [(text, found[key]) for key, text in CAUSES.items() if found.get(key) is not None]
+    rows = "".join(f"<tr><td>{html.escape(text)}</td><td>{value:.3g}</td></tr>" for text, value in known)
+    return f"<div class=scroll><table><tr><th>cause, direct tier</th><th>L2</th></tr>{rows}</table></div>" if rows else ""
 
 
 def page(out, sheets, agreement, title):
@@ -92,8 +113,9 @@ def page(out, sheets, agreement, title):
     parts += [f"<p><a href='{link(sheet)}'><img class=sheet src='{link(sheet)}' alt='contact sheet'></a></p>" for sheet in sheets]
     parts += ["<h2>How far Cycles and the layer are apart</h2>"]
     parts += [table(name, summary["breakdowns"][name]) for name in SHOWN if summary["breakdowns"].get(name)]
+    parts += ["<h2>Why</h2>", causes(summary.get("causes") or {})]
     charts = sorted(agreement.glob("*.png"))
-    parts += ["<h2>Why</h2><div class=charts>"] if charts else []
+    parts += ["<div class=charts>"] if charts else []
     parts += [f"<a href='{link(chart)}'><img src='{link(chart)}' alt='{html.escape(chart.stem)}'></a>" for chart in charts]
     return "\n".join(parts) + ("</div>" if charts else "") + "</html>\n"
 

@@ -17,6 +17,7 @@ def agreement(tmp_path):
     folder.mkdir()
     summary = {
         "direct": {"net": 0.5, "node_fit": 0.4, "limit": 1.5, "holds": True},
+        "causes": {"edges": 0.321, "noise": 0.75, "look_up_texels": {"median": 0.1}},
         "breakdowns": {"material": {"<brass>": FIGURES}, "highlight": {"wide": FIGURES}},
     }
     (folder / "report.json").write_text(json.dumps({"about": {"command": "learn agree a & b"}, "summary": summary}))
@@ -33,7 +34,7 @@ def test_the_page_shows_the_figures_of_the_report_and_escapes_names(tmp_path, ag
     assert run(out, agreement) == 0
     text = out.read_text()
     assert "&lt;brass&gt;" in text and "<brass>" not in text and "a &amp; b" in text
-    for shown in ("0.9991", "-1.23%", "2.00%", "within it"):
+    for shown in ("0.9991", "-1.23%", "2.00%", "within it", "0.321"):
         assert shown in text
     assert "node fit L2" not in text  # no figure, no column
     assert "highlight" not in text  # that breakdown is the report's alone
@@ -52,7 +53,11 @@ def test_every_link_of_the_page_leads_from_its_own_folder_to_a_file(tmp_path, ag
 
 @pytest.mark.parametrize(
     ("direct", "word"),
-    [({"net": 0.9, "node_fit": 0.4, "limit": 1.5, "holds": False}, "beyond it"), ({"net": None, "node_fit": 0.4}, "cannot be judged")],
+    [
+        ({"net": 0.9, "node_fit": 0.4, "limit": 1.5, "holds": False}, "beyond it"),
+        ({"net": None, "node_fit": 0.4}, "cannot be judged"),
+        ({"net": 0.9, "node_fit": None}, "no limit"),
+    ],
 )
 def test_the_verdict_says_what_the_report_found(direct, word):
     assert word in page.verdict(direct)
