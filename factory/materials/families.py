@@ -8,9 +8,12 @@ none: the twenty here are our choice, drawn from every family. Which 60 of the o
 import hashlib
 
 HELD_OUT = frozenset(
-    """chrome-steel aluminium ss440 brass green-metallic-paint2 color-changing-paint1 color-changing-paint2 purple-paint white-paint
-    silver-metallic-paint gold-metallic-paint specular-green-phenolic specular-yellow-phenolic gray-plastic pink-plastic red-fabric
-    white-fabric pink-fabric green-latex pickled-oak-260""".split()
+    [
+        *("chrome-steel", "aluminium", "ss440", "brass", "green-metallic-paint2", "silver-metallic-paint", "gold-metallic-paint"),
+        *("color-changing-paint1", "color-changing-paint2", "purple-paint", "white-paint", "specular-green-phenolic"),
+        *("specular-yellow-phenolic", "gray-plastic", "pink-plastic", "red-fabric", "white-fabric", "pink-fabric", "green-latex"),
+        "pickled-oak-260",
+    ]
 )
 NAMED = {
     "metal": "alum-bronze aluminium black-oxidized-steel brass chrome chrome-steel grease-covered-steel hematite nickel ss440 steel "

@@ -75,7 +75,7 @@ def _fork():
 
 def _fit_one(name):
     source, sphere = _WORKER["sources"][name], _WORKER["sphere"]
-    result = recipe.rounded(recipe.fit(source.measured, _WORKER["recipe"], sphere), source.measured)
+    result = recipe.rounded(recipe.fit(source.measured, _WORKER["recipe"]), source.measured)
     write_entry(entry(source, result, sphere), _WORKER["files"][name])
     return name
 

@@ -18,8 +18,9 @@ LABEL = 108
 
 @dataclass(frozen=True)
 class Settings:
-    """mu, mu_label: pull of nodes and label towards the measurement; tie_alpha, tie_tilt: between neighbouring views, relative to the target's square;
-    upright: tilt towards 0; prior, smooth: of the label, towards `prior_label` and against second differences."""
+    """mu, mu_label: pull of nodes and label towards the measurement; tie_alpha, tie_tilt: between neighbouring views, and
+    upright: of tilts towards 0, all three relative to the measurement's weighted square; prior, smooth: of the label, towards
+    `prior_label` and against second differences; iterations at most, and the relative gain below which three in a row end it."""
 
     mu: float = 0.1
     mu_label: float = 0.1
@@ -66,10 +67,11 @@ class JointFit:
         V, _, K = A.shape
         AW = A[:, None] * self.W[..., None]  # (V, 3, P, K)
         G = np.swapaxes(AW, 2, 3) @ A[:, None]
-        b = np.einsum("vcpk,vpc->vck", AW, T)
+        T = np.moveaxis(T, -1, 1)
+        b = (np.swapaxes(AW, 2, 3) @ T[..., None])[..., 0]
         x, active = nnls.solve(G.reshape(-1, K, K), b.reshape(-1, K))
         x, active = x.reshape(V, 3, K), active.reshape(V, 3, K)
-        r = np.einsum("vpk,vck->vcp", A, x) - np.moveaxis(T, -1, 1)
+        r = x @ np.swapaxes(A, 1, 2) - T
         return A, x, active, G, r, np.moveaxis(L - self.M, -1, 1)
 
     def _ties(self, state):
@@ -127,11 +129,12 @@ class JointFit:
         inner = np.where(both, G, 0.0) + ridge[..., None] * np.eye(K)
         C = np.where(active[..., None], S[:, :, n:, :n], 0.0)
         S = S[:, :, :n, :n]
-        gradient = np.einsum("vcpn,vcp->vcn", Z[..., :n], root * r)
+        both_r = np.swapaxes(Z, 2, 3) @ np.stack([root * r, root * pull], -1)  # (V, 3, 36 + 3K, 2): slopes against both residuals
+        gradient = both_r[:, :, :n, 0]
         projected_S = S - np.swapaxes(C, 2, 3) @ np.linalg.solve(inner, C)
         size = LABEL + V * 2 * K
         H, g = np.zeros((size, size)), np.zeros(size)
-        pull_gradient = np.einsum("vcpn,vcp->cn", Z[..., :36], root * pull) * (-self.pull * (1 + mu))  # Z holds −dL/(1 + μ)
+        pull_gradient = both_r[:, :, :36, 1].sum(0) * (-self.pull * (1 + mu))  # Z holds −dL/(1 + μ)
         for c in range(3):
             own = slice(36 * c, 36 * c + 36)
             H[own, own] += (1 + mu) * projected_S[:, c, :36, :36].sum(0) + self.pull * (1 + mu) ** 2 * S[:, c, :36, :36].sum(0)

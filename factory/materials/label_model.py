@@ -40,8 +40,8 @@ def slopes(label, basis, log_cos_h):
     exponent = np.minimum(curves[:, :, 0] * power, MAX_EXPONENT)
     growth = np.exp(exponent)
     by_kappa, by_gamma = growth * power, growth * exponent * log_cos_h  # (C, 3, points)
-    by_curve = np.stack([by_kappa, by_gamma], axis=2)  # (C, 3, 2, points)
-    slope = np.einsum("cslp,pj,cslj->cpslj", by_curve, basis, control, optimize=True)
+    by_curve = np.moveaxis(np.stack([by_kappa, by_gamma], axis=2), -1, 1)  # (C, points, 3, 2)
+    slope = by_curve[..., None] * control[:, None] * basis[:, None, None, :]
     return np.expm1(exponent).sum(1), slope.reshape(len(label), len(log_cos_h), 36)
 
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from factory.materials import families, nbrdf
+from factory.materials import families, merl_binary, nbrdf
 from manifests.problems import Problem, closest
 
 MERL_CREDIT = (
-    "MERL BRDF database (Matusik, Pfister, Brand, McMillan, SIGGRAPH 2003), through the neural fits of Sztrajman, Rainer, Ritschel, Weyrich"
-    " (Neural BRDF Representation and Importance Sampling, CGF 2021)"
+    "MERL BRDF database (Matusik, Pfister, Brand, McMillan, SIGGRAPH 2003), through the neural fits of Sztrajman, Rainer, Ritschel,"
+    " Weyrich (Neural BRDF Representation and Importance Sampling, CGF 2021)"
 )
-RGL_CREDIT = "EPFL RGL material database (Dupuy, Jakob, SIGGRAPH Asia 2018), through the neural fits of Sztrajman, Rainer, Ritschel, Weyrich (CGF 2021)"
+RGL_CREDIT = "EPFL RGL material database (Dupuy, Jakob, SIGGRAPH Asia 2018), through the neural fits of Sztrajman et al. (CGF 2021)"
 MERL_LICENCE = "measurements CC-BY-SA-4.0 (MERL), neural fits MIT; numbers fitted here CC-BY-SA-4.0"
 RGL_LICENCE = "neural fits MIT; numbers fitted here MIT"
 
@@ -37,9 +37,9 @@ def load(path, only=()):
     Raises  Problem for what is neither, and for a name that is not there
     """
     path = Path(path)
-    if path.is_dir():
-        from factory.materials import merl_binary
-
+    if not path.exists():
+        raise Problem(path, "an npz of Neural-BRDF weights or a folder of MERL .binary files", "nothing", "check the path")
+    if path.is_dir() or path.suffix == merl_binary.SUFFIX:
         found = {
             name: Source(name, measured, families.family(name), "MERL .binary", MERL_LICENCE, families.split(name))
             for name, measured in merl_binary.folder(path, only).items()
@@ -50,6 +50,11 @@ def load(path, only=()):
         if name not in found:
             raise Problem(path, f"a material named {name!r}", "none of that name", closest(name, found))
     return {name: found[name] for name in sorted(found) if not only or name in only}
+
+
+def credit(sources):
+    """Whom a catalogue of these sources thanks."""
+    return RGL_CREDIT if any(s.source.startswith("EPFL") for s in sources.values()) else MERL_CREDIT
 
 
 def _of_network(name, network):

@@ -1,0 +1,55 @@
+"""The ABC microfacet fits of MERL's hundred: a second witness of the same measurements, to set the neural ones against.
+
+f = k_d/π + F D G / (π cos_i cos_o);  D = A / (1 + B (1 − cos_h))^C;  F unpolarised dielectric Fresnel at cos_d;
+G = min(1, 2 cos_h cos_i / cos_d, 2 cos_h cos_o / cos_d).
+Source: Löw, Kronander, Ynnerman, Unger, "BRDF Models for Accurate and Efficient Rendering of Glossy Surfaces", TOG 2012;
+parameters as in dj_brdf's table (CSV: name, kd_r, kd_g, kd_b, A_r, A_g, A_b, B, C, ior).
+"""
+
+import csv
+
+import numpy as np
+
+from factory.materials.errors import relative_l1
+from factory.materials.samples import held_out
+from manifests.problems import Problem
+
+COLUMNS = ("kd_r", "kd_g", "kd_b", "A_r", "A_g", "A_b", "B", "C", "ior")
+
+
+class ABC:
+    """One material of the table: call it with the four cosines to get f (…, 3)."""
+
+    def __init__(self, k_d, A, B, C, ior):
+        self.k_d, self.A, self.B, self.C, self.ior = np.asarray(k_d), np.asarray(A), B, C, ior
+
+    def __call__(self, cos_i, cos_o, cos_h, cos_d):
+        g = np.sqrt(self.ior**2 - 1 + cos_d**2)
+        parallel, crossed = (g - cos_d) / (g + cos_d), (cos_d * (g + cos_d) - 1) / (cos_d * (g - cos_d) + 1)
+        F = 0.5 * parallel**2 * (1 + crossed**2)
+        G = np.minimum(1, 2 * cos_h / cos_d * np.minimum(cos_i, cos_o))
+        D = self.A / (1 + self.B * (1 - cos_h[..., None])) ** self.C
+        return self.k_d / np.pi + D * (F * G / (np.pi * cos_i * cos_o))[..., None]
+
+
+def load(path):
+    """{name: ABC} of the table at `path`. Raises Problem for a row that is not one."""
+    materials = {}
+    with open(path, newline="", encoding="utf-8") as file:
+        for number, row in enumerate(csv.DictReader(file), 2):
+            try:
+                v = [float(row[c]) for c in COLUMNS]
+            except (KeyError, TypeError, ValueError) as error:
+                raise Problem(f"{path}: line {number}", f"numbers under {', '.join(COLUMNS)}", str(error), "give the ABC table") from None
+            materials[row["name"]] = ABC(v[:3], v[3:6], *v[6:])
+    return materials
+
+
+def apart(sources, table):
+    """{name: (6,)}: relative L1 of f · cos between a measurement and the table's fit, at each held-out view; names in both."""
+    samples = held_out()
+    return {
+        name: relative_l1(table[name](*samples.cosines), source.measured(samples.cos_h, samples.cos_d), samples)
+        for name, source in sources.items()
+        if name in table
+    }
