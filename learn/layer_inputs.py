@@ -140,5 +140,6 @@ def compact(inputs):
         counts=tuple(counts.tolist()),
         light_of=tuple((present // segments).tolist()),
         camera_from_light=torch.as_tensor(camera_from_light(inputs.elevation)),
+        one_material=segments == 1 and inputs.m.stride(0) == 0,
     )
     return batch, index[order]

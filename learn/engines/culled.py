@@ -19,7 +19,22 @@ from numba import njit, types
 
 from learn.engines.distant import LN2, add_to, cosine, half_offset, peak_cosine
 from learn.engines.exponentials import exp2, exp2m1, log2
-from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, minimum, select as choose, splat, sqrt, store
+from learn.engines.vector import (
+    FLOAT_POINTER,
+    anywhere,
+    fma,
+    lane_max,
+    lane_sum,
+    load,
+    maximum,
+    minimum,
+    splat,
+    sqrt,
+    store,
+)
+from learn.engines.vector import (
+    select as choose,
+)
 
 TILE = 64  # pixels of one list
 CHUNKS = 8  # of tiles, in the backward pass: the most threads it can use

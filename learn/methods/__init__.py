@@ -9,13 +9,26 @@ P pixels, G groups (one image and segment each; pixels lie sorted by group), B i
 """
 
 import importlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
 from manifests.problems import closest
 
-NAMES = ("exact", "quadrature")  # modules of this folder; what they need is imported when they are first used
+NAMES = (  # modules of this folder; what they need is imported when they are first used
+    "exact",
+    "culled",
+    "reflectance_map",
+    "median_cut",
+    "hybrid",
+    "quadrature",
+    "spherical_harmonics",
+    "split_sum",
+    "spherical_gaussians",
+    "monte_carlo",
+    "monte_carlo_light",
+    "monte_carlo_brdf",
+)
 HORIZON = 1e-4  # pixels with n·v below it are not rendered: c = h·n then stays above half of it (facts: slope of c^γ at 0)
 
 
@@ -59,6 +72,7 @@ class Batch:
     counts: tuple
     light_of: tuple
     camera_from_light: torch.Tensor
+    one_material: bool = False
 
 
 def load(name):
@@ -78,3 +92,33 @@ def by_group(batch, function):
     n = batch.n.split(batch.counts)
     view = batch.view.split(batch.counts) if batch.view is not None else [None] * len(n)
     return torch.cat([function(n[g], view[g], batch.m[g], batch.light[batch.light_of[g]]) for g in range(len(n))])
+
+
+def per_group(batch, function):
+    """As `by_group`, with the group's number as the first argument."""
+    n = batch.n.split(batch.counts)
+    view = batch.view.split(batch.counts) if batch.view is not None else [None] * len(n)
+    return torch.cat([function(g, n[g], view[g], batch.m[g], batch.light[batch.light_of[g]]) for g in range(len(n))])
+
+
+def merged(batch):
+    """The batch with neighbouring groups of one material and one light made one, where no gradient must be kept apart.
+
+    They are one if their values are equal and either need no gradient or are one tensor expanded over the batch (stride 0 in memory).
+    """
+
+    def alike(values, a, b, one_tensor):
+        return a == b or ((one_tensor or not values.requires_grad) and torch.equal(values[a], values[b]))
+
+    counts, m_of, light_of = [batch.counts[0]], [0], [batch.light_of[0]]
+    for g in range(1, len(batch.counts)):
+        same_m = alike(batch.m, m_of[-1], g, batch.one_material)
+        if same_m and alike(batch.light, light_of[-1], batch.light_of[g], batch.light.stride(0) == 0):
+            counts[-1] += batch.counts[g]
+        else:
+            counts.append(batch.counts[g])
+            m_of.append(g)
+            light_of.append(batch.light_of[g])
+    if len(counts) == len(batch.counts):
+        return batch
+    return replace(batch, m=batch.m[m_of], counts=tuple(counts), light_of=tuple(light_of))

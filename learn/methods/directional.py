@@ -93,6 +93,11 @@ def radiance(n, view, m, E, lights, left_out=0.0):
     return ExactSum.apply(n, view, m, E, torch.as_tensor(lights.w, dtype=n.dtype, device=n.device))
 
 
+def near(n, view, m, E, lights, error):
+    """(P, 3), with what may be left out of a pixel given as a part of the picture's mean radiance."""
+    return radiance(n, view, m, E, lights, error * scale(n, view, m, E, lights))
+
+
 def scale(n, view, m, E, lights, pixels=32):
     """Mean radiance of evenly chosen pixels: what errors are measured against."""
     with torch.no_grad():
@@ -113,7 +118,7 @@ class ListedSum(torch.autograd.Function):
     def forward(ctx, n, m, E, lights, left_out):
         order = by_place(n.numpy())
         sorted_n = np.ascontiguousarray(n.numpy()[order])
-        tables = Tables(m.double().numpy(), E.numpy(), lights)
+        tables = Tables(m.double().numpy(), E.numpy(), lights, ctx.needs_input_grad[2])
         out, lists = np.empty_like(sorted_n), []
         for start in range(0, len(order), PASS):
             part = sorted_n[start : start + PASS]
@@ -143,8 +148,8 @@ class ListedSum(torch.autograd.Function):
 class Tables:
     """A material at each light: lobes (blocks, 3, 3, 2, 16) and energy (blocks, 3, 16) as in learn.engines.distant; cones for selection."""
 
-    def __init__(self, m, E, lights):
-        self.lights = lights
+    def __init__(self, m, E, lights, light_gradient):
+        self.lights, self.light_gradient = lights, light_gradient
         rows = np.zeros((3, 16 * lights.blocks))
         rows[:, : len(E)] = E.T
         self.energy = blocked(rows)
@@ -162,7 +167,9 @@ class Tables:
         by_lobe = (3, 3, blocks, LANES)
         rows = np.zeros((culled.CONE_ROWS, -(-blocks // LANES) * LANES))
         rows[:10, :blocks] = self.lights.cones.T
-        rows[10, :blocks] = self.energy.sum(-1).max(-1)
+        brightest = self.energy.sum(-1).max(-1)
+        # A dark block matters too where the light's own derivative is wanted: it counts as one of mean brightness.
+        rows[10, :blocks] = np.maximum(brightest, brightest.mean() or 1.0) if self.light_gradient else brightest
         rows[11:14, :blocks] = self.gamma.reshape(by_lobe).min((1, 3))
         rows[14:17, :blocks] = LOG2_E * self.kappa.reshape(by_lobe).max((1, 3))
         return np.ascontiguousarray(rows.reshape(culled.CONE_ROWS, -1, LANES).transpose(1, 0, 2), dtype=np.float32)

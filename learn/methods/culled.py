@@ -1,0 +1,27 @@
+"""The paper's sum without the blocks of texels that cannot matter: those below the horizon, and those outside a lobe's cone.
+
+For each tile of like normals, a bound on what each 4×4 block of texels can add through each lobe is computed from cones about the block's
+directions and half vectors; blocks are left out from the smallest bound on until `share × tolerance` of the picture's mean radiance would
+be missing from some pixel. So the error is bounded, not estimated, up to how well 32 pixels tell the mean (learn/methods/directional.py).
+Derivatives leave out the same blocks.
+"""
+
+from learn.methods import Batch, Card, by_group, directional
+
+CARD = Card(
+    name="culled",
+    approximates="the paper's sum, without texels whose lobes are negligible at the pixel",
+    error=5e-3,
+    cost="pixels × texels near a lobe: falls with the square of the lobes' width",
+    memory="lists of blocks: 16 bytes × pixels / 64 × blocks of 16 texels, for 65,536 pixels at a time",
+)
+
+SHARE = 0.5  # of the tolerance that may be left out
+
+
+def radiance(batch: Batch, tolerance):
+    def one_group(n, view, m, light):
+        lights, E = directional.of_map(light, batch.camera_from_light)
+        return directional.near(n, view, m, E, lights, SHARE * tolerance)
+
+    return by_group(batch, one_group)

@@ -1,0 +1,15 @@
+"""Monte Carlo with samples drawn by the BRDF alone: noisy under a small sun (learn/methods/sampling.py)."""
+
+from learn.methods import Card, sampling
+
+CARD = Card(
+    name="monte_carlo_brdf",
+    approximates="the integral by random samples of the BRDF",
+    error=None,  # noise has no bound
+    cost="pixels × samples; the error falls as 1/√samples",
+    memory="below 64 MiB: chunks of pixels",
+)
+
+
+def radiance(batch, tolerance):
+    return sampling.sampled(batch, 0, sampling.count(tolerance))

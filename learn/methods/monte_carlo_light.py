@@ -1,0 +1,15 @@
+"""Monte Carlo with samples drawn by the light's energy alone: noisy for sharp lobes (learn/methods/sampling.py)."""
+
+from learn.methods import Card, sampling
+
+CARD = Card(
+    name="monte_carlo_light",
+    approximates="the integral by random samples of the light",
+    error=None,  # noise has no bound
+    cost="pixels × samples; the error falls as 1/√samples",
+    memory="below 64 MiB: chunks of pixels",
+)
+
+
+def radiance(batch, tolerance):
+    return sampling.sampled(batch, sampling.count(tolerance), 0)

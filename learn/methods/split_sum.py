@@ -1,0 +1,70 @@
+"""The game engines' split: light blurred by the lobe as if seen straight on, times the surface's reflectance under white light.
+
+    I(n, v) ≈ P(r) A(n·v) / A(1),   r = 2 (n·v) n − v
+    P(d)    radiance for n = v = d: a map of ROWS × 2 ROWS directions, looked up bilinearly
+    A(x)    radiance under a light of 1 everywhere at n·v = x: a table of ANGLES values, looked up linearly
+
+Source: Karis, Real Shading in Unreal Engine 4, 2013, with the DSBRDF in place of GGX.
+"""
+
+import math
+
+import torch
+
+from learn.methods import Batch, Card, by_group, directional
+from shaders.envmap import directions
+
+CARD = Card(
+    name="split_sum",
+    approximates="the integral of f·L by a product: light blurred about the mirror direction, times reflectance under white light",
+    error=0.6,
+    cost="2048 directions × texels, then a look-up a pixel",
+    memory="below 1 MiB beyond the pixels",
+)
+ROWS, ANGLES, LEAST_COSINE = 32, 48, 1e-3
+
+
+def radiance(batch: Batch, tolerance):
+    def one_group(n, view, m, light):
+        lights, E = directional.of_map(light, batch.camera_from_light)
+        view = n.new_tensor([[0.0, 0.0, 1.0]]) if view is None else view
+        cosine = (n * view).sum(-1)
+        mirror = 2 * cosine[:, None] * n - view
+        white = directional.of_map(torch.ones_like(light), batch.camera_from_light)[1]
+        albedo = seen_at_angles(m, white, lights)
+        d = torch.as_tensor(directions(ROWS, 2 * ROWS)[0], dtype=n.dtype, device=n.device).reshape(-1, 3) @ batch.camera_from_light.to(n).T
+        blurred = directional.radiance(d, d, m, E, lights).reshape(ROWS, 2 * ROWS, 3)
+        return look_up_map(blurred, mirror @ batch.camera_from_light.to(n)) * look_up_angle(albedo, cosine) / albedo[-1].clamp(min=1e-30)
+
+    return by_group(batch, one_group)
+
+
+def seen_at_angles(m, white, lights):
+    """A (ANGLES, 3) at n·v from LEAST_COSINE to 1 in equal steps; the view is fixed and the normal turns."""
+    x = torch.linspace(LEAST_COSINE, 1.0, ANGLES, dtype=m.dtype, device=m.device)
+    n = torch.stack([(1 - x * x).clamp(min=0).sqrt(), torch.zeros_like(x), x], -1)
+    return directional.radiance(n, None, m, white, lights)
+
+
+def look_up_angle(table, cosine):
+    """(P, 3) from table (ANGLES, 3) at cosines (P,)."""
+    place = ((cosine - LEAST_COSINE) / (1 - LEAST_COSINE) * (ANGLES - 1)).clamp(0, ANGLES - 1)
+    i = place.detach().floor().long().clamp(max=ANGLES - 2)
+    t = (place - i)[:, None]
+    return table[i] * (1 - t) + table[i + 1] * t
+
+
+def look_up_map(table, d):
+    """(P, 3) from table (height, width, 3) over directions d (P, 3), light frame: bilinear, closed around the vertical."""
+    height, width = table.shape[:2]
+    across = (d[:, 0] ** 2 + d[:, 2] ** 2).clamp(min=1e-12).sqrt()  # straight up and down the azimuth has no slope
+    row = (torch.atan2(across, d[:, 1]) * (height / math.pi) - 0.5).clamp(0, height - 1)
+    upright = across > 2e-6
+    azimuth = torch.atan2(torch.where(upright, d[:, 2], 0.0), torch.where(upright, d[:, 0], 1.0))
+    column = azimuth * (width / (2 * math.pi)) - 0.5
+    i, j = row.detach().floor().long().clamp(max=height - 2), column.detach().floor().long()
+    s, t = (row - i)[:, None], (column - j)[:, None]
+    left, right = j % width, (j + 1) % width
+    upper = table[i, left] * (1 - t) + table[i, right] * t
+    lower = table[i + 1, left] * (1 - t) + table[i + 1, right] * t
+    return upper * (1 - s) + lower * s
