@@ -87,7 +87,7 @@ class _BareLoop:
         self.pose = scene.camera.matrix_world.copy()
         shown = bpy.data.objects.new("bare object", body.build(mesh))
         surface = materials.new("bare")
-        materials.draw(surface, nodes.graph(Mixture.lambert([0.5] * 3)))
+        materials.show(surface, materials.build(nodes.graph(Mixture.lambert([0.5] * 3))))
         for _ in range(mesh.segments):
             shown.data.materials.append(surface)
         scene.collection.objects.link(shown)

@@ -1,4 +1,8 @@
-"""A node graph (shaders.nodes.Graph) as the nodes of a Blender material, and the plain materials that geometry is rendered with."""
+"""A node graph (shaders.nodes.Graph) as a group of Blender nodes, and the materials that show such groups.
+
+A fitted mixture has some 80 nodes and 500 colour stops, which Blender takes 50 ms to put down: each mixture is built once, as a node group,
+and a material of one node shows whichever group it is told to.
+"""
 
 import bpy
 
@@ -7,22 +11,39 @@ from shaders import nodes
 
 
 def new(name):
-    """A material whose tilted normals are left alone and that is never taken for a lamp."""
+    """A material that shows a node group, none as yet; tilted normals are left alone, and it is never taken for a lamp."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     assign(material, "cycles.use_bump_map_correction", False)  # else Cycles bends tilted normals back
     assign(material, "cycles.emission_sampling", "NONE")  # else a glowing mesh becomes a lamp with a tree of its own
     assign(material, "displacement_method", "BUMP")
+    material.node_tree.nodes.clear()
+    output = material.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    output.name = "output"
+    material.node_tree.nodes.new("ShaderNodeGroup").name = "shown"
     return material
 
 
-def draw(material, graph):
-    """Replaces the material's nodes by those of `graph`."""
+def show(material, group):
+    """Lets the material show a group from `build`."""
     tree = material.node_tree
-    tree.nodes.clear()
-    drawn = {node.name: _node(tree, node) for node in graph.nodes}
+    shown = tree.nodes["shown"]
+    first = shown.node_tree is None
+    shown.node_tree = group
+    if first:
+        tree.links.new(shown.outputs[0], tree.nodes["output"].inputs["Surface"])
+
+
+def build(graph):
+    """A node group with the nodes of `graph`, its one output the surface."""
+    tree = bpy.data.node_groups.new("mixture", "ShaderNodeTree")
+    tree.interface.new_socket("Surface", in_out="OUTPUT", socket_type="NodeSocketShader")
+    drawn = {node.name: _node(tree, node) for node in graph.nodes if node.name != nodes.OUTPUT.name}
+    surface = tree.nodes.new("NodeGroupOutput").inputs["Surface"]
     for link in graph.links:
-        tree.links.new(_socket(drawn[link.source].outputs, link.output), _socket(drawn[link.target].inputs, link.input))
+        source = _socket(drawn[link.source].outputs, link.output)
+        tree.links.new(source, surface if link.target == nodes.OUTPUT.name else _socket(drawn[link.target].inputs, link.input))
+    return tree
 
 
 def _socket(sockets, identifier):
@@ -45,14 +66,13 @@ def _node(tree, node):
 
 
 def _ramp(ramp, stops):
-    """Fills a colour ramp; Blender keeps elements sorted by place, so places come first, in ascending order."""
+    """Fills a colour ramp; Blender keeps elements in order of place, so places come first, ascending, then all colours in one call."""
     while len(ramp.elements) > 1:
         ramp.elements.remove(ramp.elements[-1])
     ramp.elements[0].position = stops[0][0]
     for position, _ in stops[1:]:
         ramp.elements.new(position)
-    for element, (position, colour) in zip(ramp.elements, stops, strict=True):
-        element.position, element.color = position, colour
+    ramp.elements.foreach_set("color", [value for _, colour in stops for value in colour])
 
 
 def glow(level):
@@ -62,5 +82,6 @@ def glow(level):
     """
     material = new(f"segment {level}")
     emission = nodes.Node("emission", "ShaderNodeEmission", inputs={"Color": (1.0, 1.0, 1.0, 1.0), "Strength": float(level)})
-    draw(material, nodes.Graph((nodes.OUTPUT, emission), (nodes.Link("emission", "Emission", nodes.OUTPUT.name, "Surface"),)))
+    graph = nodes.Graph((nodes.OUTPUT, emission), (nodes.Link("emission", "Emission", nodes.OUTPUT.name, "Surface"),))
+    show(material, build(graph))
     return material

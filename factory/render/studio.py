@@ -8,6 +8,7 @@ radiance  (height, width, 3) float32, linear Rec.709, black outside the object; 
 """
 
 import platform
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import bpy
@@ -17,6 +18,7 @@ from factory.render import body, camera, canary, checks, device, film, light, ma
 from factory.render.settings import ALWAYS, GEOMETRY, PICTURE, TIERS, Setting, apply, assign, effective
 from shaders import nodes
 
+HELD = 512  # node groups kept: more than there are materials in a catalogue
 FACING = 1e-3  # least n·v of a normal: smooth normals lean over the horizon near a coarse mesh's silhouette
 
 
@@ -60,7 +62,8 @@ class Studio:
         self._geometry.view_layers[0].use_pass_z = True
         self._lens = self._objects = self._seen = self._vertices = None
         self._azimuth = 0.0
-        self._segments, self._tier, self._drawn = 0, None, []
+        self._segments, self._tier = 0, None
+        self._surfaces, self._glows, self._groups = [], [], OrderedDict()
         self.versions = {"blender": bpy.app.version_string, "numpy": np.__version__, "python": platform.python_version()}
         self._device = {"backend": backend, "processors": list(processors)}
 
@@ -106,13 +109,10 @@ class Studio:
             assign(scene, "render.use_persistent_data", True)
 
     def _slots(self, count):
-        """At least `count` materials for each scene; they are kept and redrawn, never removed."""
-        if not self._drawn:
-            self._surfaces, self._glows = [], []
-        for number in range(len(self._drawn) + 1, count + 1):
+        """At least `count` materials for each scene; they are kept, never removed."""
+        for number in range(len(self._surfaces) + 1, count + 1):
             self._surfaces.append(materials.new(f"surface {number}"))
             self._glows.append(materials.glow(number))
-            self._drawn.append(None)
 
     def set_view(self, azimuth):
         """azimuth: radians, counter-clockwise from above, 0 in front of the object."""
@@ -138,10 +138,18 @@ class Studio:
         """mixtures: one shaders.mixture.Mixture a segment, in the order of their ids."""
         if len(mixtures) != self._segments:
             raise ValueError(f"materials: one a segment, {self._segments}, expected, found {len(mixtures)}; name each segment's material")
-        for slot, mixture in enumerate(mixtures):
-            if self._drawn[slot] is not mixture:
-                materials.draw(self._surfaces[slot], nodes.graph(mixture))
-                self._drawn[slot] = mixture
+        for surface, mixture in zip(self._surfaces, mixtures, strict=False):
+            materials.show(surface, self._group(mixture))
+
+    def _group(self, mixture):
+        """The node group of a mixture, built when it is first asked for; the one longest unused makes room."""
+        key = id(mixture)
+        if key not in self._groups:
+            self._groups[key] = mixture, materials.build(nodes.graph(mixture))  # the mixture is held, so that its id stays its own
+        self._groups.move_to_end(key)
+        if len(self._groups) > HELD:
+            bpy.data.node_groups.remove(self._groups.popitem(last=False)[1][1])
+        return self._groups[key][1]
 
     def geometry(self):
         """The Geometry of shape and view, by one ray through each pixel's centre."""
