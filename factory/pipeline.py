@@ -221,6 +221,6 @@ def _statistics(radiance, geometry):
     inside = radiance[geometry.mask]
     return Statistics(
         coverage=round(geometry.coverage, 6),
-        mean=round(float((inside @ LUMINANCE).mean()), 6),
+        mean=round(float(inside.mean(axis=0, dtype=np.float64) @ LUMINANCE), 6),
         max=round(float(inside.max()), 6),
     )

@@ -66,12 +66,12 @@ def _node(tree, node):
 
 
 def _ramp(ramp, stops):
-    """Fills a colour ramp; Blender keeps elements in order of place, so places come first, ascending, then all colours in one call."""
-    while len(ramp.elements) > 1:
+    """Fills a colour ramp. All values go in at once: set one by one, each makes Blender look through all its trees (ten times slower)."""
+    while len(ramp.elements) > len(stops):
         ramp.elements.remove(ramp.elements[-1])
-    ramp.elements[0].position = stops[0][0]
-    for position, _ in stops[1:]:
-        ramp.elements.new(position)
+    while len(ramp.elements) < len(stops):
+        ramp.elements.new(0.5)
+    ramp.elements.foreach_set("position", [position for position, _ in stops])
     ramp.elements.foreach_set("color", [value for _, colour in stops for value in colour])
 
 

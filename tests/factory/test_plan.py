@@ -105,11 +105,11 @@ def test_the_length_is_the_number_of_shots_and_ids_are_unique(stub, job):
         assert sum(split_counts(plan).values()) == len(shots)
 
 
-def test_a_plan_is_the_same_every_time_and_sorted_so_that_light_and_rotation_change_least(stub, job):
+def test_a_plan_is_the_same_every_time_and_sorted_so_that_what_is_dear_changes_least(stub, job):
     fixed = msgspec.structs.replace(job, views=(0, 6), rotations=(0, 64))
     assert list(stub(fixed)) == list(stub(fixed))
-    seen = [(s.shape, s.light, s.light_resolution, s.tier, s.rotation_texels) for s in stub(fixed)]
-    assert sum(a != b for a, b in pairwise(seen)) == 4 * 2 * 2 - 1  # shapes × lights × rotations, each entered once
+    seen = [(s.shape, s.light, s.light_resolution, s.tier, s.materials, s.rotation_texels) for s in stub(fixed)]
+    assert sum(a != b for a, b in pairwise(seen)) == 4 * 2 * 2 * 2 - 1  # shapes × lights × materials × rotations, once each
 
 
 @pytest.mark.parametrize(
