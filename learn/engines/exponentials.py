@@ -4,7 +4,7 @@ x = k + f with k the nearest integer and f in [−½, ½]; 2^x = 2^k 2^f. Adding
 of 2^k, in the low bits of the sum: a shift makes 2^k, no conversion is needed.
 c = 2^k (1 + m) with 1 + m in [¾, 1½) for the logarithm.
 
-Coefficients: constant term first, least relative error on the interval named; tests/learn/engines/test_exponentials.py holds
+Coefficients: constant term first, least relative error on the interval named; tests/learn/engines/test_vector.py holds
 each function to its own.
 """
 

@@ -10,6 +10,8 @@ Defined by torch.library.define rather than the custom_op decorator: the same op
 the whole of torch._dynamo, one second.
 """
 
+import importlib.util
+
 import torch
 
 from learn.engines import cpu, machine_code
@@ -25,6 +27,8 @@ def serves(batch):
     """
     if batch.n.dtype != torch.float32 or batch.m.numel() == 0 or batch.m.detach()[..., 0, :].amax() > MAX_EXPONENT:
         return False
+    if batch.n.device.type == "cuda":
+        return batch.view is None and importlib.util.find_spec("triton") is not None
     return batch.n.device.type == "cpu" and machine_code.is_available()
 
 
@@ -58,6 +62,28 @@ def _backward_on_cpu(g, n, view, m, light, rotation, counts, light_of, with_view
     arrays = (_numpy(a) for a in (g, n, view, m, light))
     found = cpu.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads(), with_view)
     return tuple(n.new_empty(0) if a is None else torch.from_numpy(a) for a in found)
+
+
+@torch.library.impl(NAME, "CUDA")
+def _sum_on_cuda(n, view, m, light, rotation, counts, light_of):
+    from learn.engines import cuda
+
+    _require_distant(view)
+    return cuda.radiance(n.contiguous(), m, light, tuple(rotation), tuple(counts), light_of)
+
+
+@torch.library.impl(f"{NAME}_backward", "CUDA")
+def _backward_on_cuda(g, n, view, m, light, rotation, counts, light_of, with_view):
+    from learn.engines import cuda
+
+    _require_distant(view)
+    by_n, by_m, by_light = cuda.gradients(g.contiguous(), n.contiguous(), m, light, tuple(rotation), tuple(counts), light_of)
+    return by_n, n.new_empty(0), by_m, by_light
+
+
+def _require_distant(view):
+    if view is not None:
+        raise NotImplementedError("view: None expected on CUDA (a distant viewer), found a view per pixel; learn.methods.exact serves it")
 
 
 def _plain(tensor):

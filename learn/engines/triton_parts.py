@@ -1,0 +1,56 @@
+"""Pieces that the Triton kernels share: exponentials that keep their digits, and one tile's geometry and lobes.
+
+A tile is (PIXELS, LIGHTS) float32. `t` are places of lights in rows of `lights` numbers, `p` places of pixels.
+Polynomials and bounds are those of learn.engines.exponentials, whose module text explains them.
+"""
+
+import triton
+import triton.language as tl
+
+
+@triton.jit
+def exp2(x):
+    """2^x for x ≤ 127, held at 2^-48 below."""
+    return tl.exp2(tl.maximum(x, -48.0))
+
+
+@triton.jit
+def exp2m1(x):
+    """2^x − 1 for x ≥ 0, to full relative precision near 0."""
+    small = x * (0.69314714 + x * (0.24022351 + x * (0.055505 + x * (0.00966625 + x * 0.00133335))))
+    return tl.where(x < 0.5, small, tl.exp2(x) - 1.0)
+
+
+@triton.jit
+def log2(c, one_minus_c):
+    """log2 of c in (0, 1], to full relative precision near 1."""
+    m = -one_minus_c
+    p = 0.28819153 + m * (-0.24272362 + m * (0.21632471 + m * (-0.17422922 + m * 0.07806572)))
+    near = m * (1.44269503 + m * (-0.72134848 + m * (0.48090208 + m * (-0.36057592 + m * p))))
+    return tl.where(c > 0.75, near, tl.log2(c))
+
+
+@triton.jit
+def vectors(pointer, p, inside):
+    """Three columns (PIXELS, 1) of an array (P, 3); 0 outside."""
+    x = tl.load(pointer + 3 * p, mask=inside, other=0.0)
+    y = tl.load(pointer + 3 * p + 1, mask=inside, other=0.0)
+    z = tl.load(pointer + 3 * p + 2, mask=inside, other=0.0)
+    return x[:, None], y[:, None], z[:, None]
+
+
+@triton.jit
+def rows(pointer, first, t, lights):
+    """Rows first … first + 2 of (R, lights) at t, each (1, LIGHTS)."""
+    x = tl.load(pointer + first * lights + t)
+    y = tl.load(pointer + (first + 1) * lights + t)
+    z = tl.load(pointer + (first + 2) * lights + t)
+    return x[None, :], y[None, :], z[None, :]
+
+
+@triton.jit
+def peak_cosine(x, y, z):
+    """c and log2 c from h − n."""
+    one_minus_c = 0.5 * (x * x + y * y + z * z)
+    c = tl.maximum(1.0 - one_minus_c, 1e-12)
+    return c, log2(c, one_minus_c)
