@@ -84,10 +84,8 @@ def verdict(direct):
     if direct.get("node_fit") is None:
         return told + " The catalogue does not say how far its materials' two forms, label and nodes, are apart, so there is no limit."
     kept = "within" if direct.get("holds") else "beyond"
-    return (
-        told
-        + f" The materials' two forms, label and nodes, differ by {direct['node_fit']:.2f}; the limit is {direct['limit']:g} times that: {kept} it."
-    )
+    fit = f" The materials' two forms, label and nodes, differ by {direct['node_fit']:.2f}"
+    return f"{told}{fit}; the limit is {direct['limit']:g} times that: {kept} it."
 
 
 def causes(found):
