@@ -133,7 +133,7 @@ def run_preview(options):
 
     if not 16 <= options.size <= 2048:
         raise Problem("--size", "16 to 2048 pixels", str(options.size), "160 suits a contact sheet")
-    if options.count is not None and options.count < 1 or options.first < 0:
+    if (options.count is not None and options.count < 1) or options.first < 0:
         raise Problem("--count and --first", "a count ≥ 1 and a seed ≥ 0", f"{options.count} and {options.first}", "name others")
     try:
         azimuths = tuple(np.radians([float(a) for a in options.azimuths.split(",")]))

@@ -102,6 +102,6 @@ def draw_form(rng, kind):
         (place(ahead), place(behind)), wheel, corner, shoulder, tumblehome, rng.uniform(0.08, 0.2), bed,
         bed_floor=-0.28 if kind == "roadster" else 0.02,
     )  # fmt: skip
-    # The wheels' arches need 1.1 of their radius under the bonnet
-    room = min(float(form.upper(axle)) for axle in form.axles) - 0.08
-    return replace(form, wheel=min(wheel, room / 2.1))
+    while form.arch < 1.08 * form.wheel:  # a low bonnet leaves room for smaller wheels only
+        form = replace(form, wheel=0.98 * form.wheel)
+    return form

@@ -41,8 +41,9 @@ class Form:
     @property
     def arch(self):
         """Radius of the wheel arches."""
-        room = min(float(self.upper(axle)) for axle in self.axles) - self.wheel - 0.08  # below the bonnet
-        return min(self.wheel * 1.17, room)
+        u = np.linspace(-0.9, 0.9, 13)  # along the arch; it stays 0.1 m below the bonnet all along
+        over = np.array([self.upper(axle + 1.17 * self.wheel * u) for axle in self.axles])
+        return min(1.17 * self.wheel, float(((over - 0.1 - self.wheel) / np.sqrt(1 - u**2)).min()))
 
     def upper(self, x):
         """Height of the lower body's upper outline."""
@@ -98,7 +99,11 @@ class Form:
             for axle in self.axles:
                 reach = np.abs(x - axle) / self.arch
                 roof = self.wheel + self.arch * np.sqrt(np.clip(1 - reach**2, 0, 1))
-                z = np.where((reach < 1) & (z < roof), roof, z)
+                raised = (reach < 1) & (z < roof)
+                # What is raised above the widest line comes in with the side there
+                share = np.clip((roof - middle) / ((high - middle) * closing), 0, 0.99)
+                inward = (1 - share ** self._shoulder(x)) ** (1 / self._shoulder(x)) * (1 - 0.045 * share**2)
+                y, z = np.where(raised, y * inward, y), np.where(raised, roof, z)
         return np.stack([x, y, z], axis=-1)
 
     def _shoulder(self, x):

@@ -49,13 +49,14 @@ def test_interpolated_sphere_normals_stay_within_a_tenth_of_a_degree_inside_the_
     assert angle[inside].max() < 0.1
 
 
-@pytest.mark.parametrize("spec", ["cube", "torus", "blob", "blob:5"])
-def test_analytic_normals_agree_with_the_facets(spec):
+@pytest.mark.parametrize(("spec", "degrees"), [("cube", 9), ("torus", 0.5), ("blob", 0.5), ("blob:5", 0.5)])
+def test_analytic_normals_agree_with_the_facets(spec, degrees):
+    """The facets' own mean is off by a share of a facet's turn: 7.5° on the cube's bevels, 5.6° round the tube, 1.5° on the blob."""
     mesh = load(spec)
     smooth = corner_normals(mesh.vertices, mesh.faces, 60)
     cosine = (smooth * mesh.corner_normals).sum(2)
     assert mesh.report.watertight
-    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 9  # coarse bevels of the cube: steps of 7.5°
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < degrees
 
 
 def test_a_cubes_edges_stay_sharp_below_a_right_angle_and_become_smooth_above():
@@ -76,10 +77,15 @@ def test_a_fold_is_smooth_or_sharp_by_its_angle():
         assert np.allclose(normals[0, 0], normals[1, 0], atol=1e-6) == smooth
 
 
-def test_a_needle_tip_keeps_its_faces_own_normals():
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, 1e-3]])
-    normals = corner_normals(vertices, np.array([[0, 1, 2], [0, 2, 1]]), 180)
-    assert np.abs(np.linalg.norm(normals, axis=2) - 1).max() < 1e-6
+def test_a_blade_keeps_its_faces_own_normals():
+    """Two faces almost back to back: their mean lies in the blade's plane and would shade neither side."""
+    vertices = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0.02], [1, 0, -0.02]])
+    faces = np.array([[0, 2, 1], [0, 1, 3]])
+    corners = vertices[faces]
+    facet = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facet /= np.linalg.norm(facet, axis=1, keepdims=True)
+    normals = corner_normals(vertices, faces, 180)
+    assert (normals * facet[:, None]).sum(2).min() > 0.99 and np.abs(np.linalg.norm(normals, axis=2) - 1).max() < 1e-6
 
 
 def test_the_smallest_sphere_is_exact():
