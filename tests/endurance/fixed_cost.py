@@ -2,9 +2,10 @@
 
     PYTHONPATH=. python tests/endurance/fixed_cost.py --catalogue FILE --material NAME [--rounds 3]
 
-Each round runs both, one after the other, each in a process of its own: a bare loop (the same mesh, light and settings, persistent data
-on, each view written as EXR by Blender), and the factory's pipeline, first with geometry still to be made, then relit with another light,
-which is what all but the first of a shape's pictures cost. Rates in pictures a second; ratios are what counts on a shared machine.
+Each round runs both, one after the other, each in a process of its own: a bare loop (the same mesh, material, light and settings,
+persistent data on, each view written as EXR by Blender), and the factory's pipeline, first with geometry still to be made, then relit
+with another light, which is what all but the first of a shape's pictures cost. Rates in pictures a second; ratios are what counts on a
+shared machine.
 """
 
 import argparse
@@ -25,18 +26,23 @@ def bare(options, folder):
     import numpy as np
 
     from factory.lights import load
-    from factory.render import body, camera, light, settings
+    from factory.render import body, camera, light, materials, settings
     from factory.shapes.catalogue import load as load_shape
+    from manifests.materials import load_catalogue
     from manifests.schema import Camera
+    from shaders import nodes
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     settings.apply(scene, (*settings.ALWAYS, *settings.PICTURE))
     scene.cycles.samples, scene.cycles.max_bounces = 1, 0
-    mesh = body.build(load_shape(options.shape))
-    material = bpy.data.materials.new("matte")
-    material.use_nodes = True
-    mesh.materials.append(material)
+    source = load_shape(options.shape)
+    mesh = body.build(source)
+    entry = load_catalogue(*([options.catalogue] if options.catalogue else []))[options.material]
+    group = materials.build(nodes.graph(entry.mixture))
+    for number in range(source.segments):
+        mesh.materials.append(materials.new(f"surface {number}"))
+        materials.show(mesh.materials[number], group)
     each = bpy.data.objects.new("shape", mesh)
     scene.collection.objects.link(each)
     scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -78,7 +84,8 @@ def ours(options, folder):
     (folder / "geometry").rename(folder / "warm")
     pipeline._geometries.clear()
     for first in (0, 24):
-        pipeline.make(shots[first]) if first else None  # the change of light is no part of a view's fixed cost
+        if first:
+            pipeline.make(shots[first])  # the change of light is no part of a view's fixed cost
         start = time.perf_counter()
         for shot in shots[first : first + 24]:
             pipeline.make(shot)
