@@ -24,7 +24,7 @@ def render(n, material, light, view=None, segments=None, mask=None, method="auto
 
     n, material, light, view, segments   as above; one dtype and device (half precisions are summed in float32)
     mask       (B, H, W) bool; None: where n is not 0. What lies outside is never read
-    method     "auto", or a name of learn.methods.NAMES
+    method     a name of learn.methods.NAMES; "auto" takes the cheapest that keeps the tolerance
     tolerance  relative error that "auto" may spend; methods with a knob of their own set it by this too
     elevation  radians from the light frame to the camera frame about x (shaders.frames.camera_from_light);
                0 if your light map is given in the camera's own frame
@@ -33,11 +33,9 @@ def render(n, material, light, view=None, segments=None, mask=None, method="auto
     """
     inputs = checked(n, material, light, view, segments, mask, tolerance, elevation)
     batch, index = compact(inputs)
-    if method != "auto":
-        methods.load(method)  # a misspelt name is refused even where nothing is to be rendered
+    chosen = methods.load(method)  # a misspelt name is refused even where nothing is to be rendered
     if batch.counts:
-        name = methods.choose(batch, tolerance) if method == "auto" else method
-        radiance = methods.load(name).radiance(batch, tolerance)
+        radiance = chosen.radiance(batch, tolerance)
     else:  # nothing to render, yet every argument keeps its place in the graph and gets a zero gradient
         radiance = batch.n + 0 * (batch.m.sum() + batch.light.sum() + (0 if view is None else batch.view.sum()))
     picture = radiance.new_zeros(inputs.mask.numel(), 3).index_copy(0, index, radiance)

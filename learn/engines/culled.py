@@ -3,6 +3,7 @@
 Letters, arrays and formulas as in learn.engines.distant; pixels are sorted so that a tile's normals are close together. Besides:
 cones     (wide blocks, CONE_ROWS, 16), one lane a block of lights: the cones that hold its w and its h (axis, cos and sin of the half
           angle), its energy in the brightest channel, and of each lobe the least γ and the largest κ log2 e
+size      pixels of a tile, TILE at most
 tiles     (T, 5): axis, cos and sin of the half angle of the cone that holds a tile's normals
 budget    (1,) radiance that may be left out of any pixel
 room      entries that the list of one tile may have; one for each block of lights is always enough
@@ -11,7 +12,7 @@ entries   (T, room) int32: block numbers
 cuts      (T, room, 3): log2 c at or below which a lobe is left out of a block
 
 For a block, Σ_s expm1(κ c^γ) max(0, n·w) E ≤ its value at the largest c and n·w that the two cones allow. What is skipped sums to at
-most `budget` a pixel and channel: a threshold on that bound is halved until it does. What a list still holds is tested again pixel
+most `budget` a pixel and channel: a threshold on that bound is lowered until it does. What a list still holds is tested again pixel
 by pixel, against the log2 c at which the bound meets the threshold.
 """
 
@@ -36,7 +37,7 @@ from learn.engines.vector import (
     select as choose,
 )
 
-TILE = 64  # pixels of one list
+TILE = 64  # pixels of one list at most
 CHUNKS = 8  # of tiles, in the backward pass: the most threads it can use
 CONE_ROWS = 17
 LARGEST = 72.13475  # MAX_EXPONENT log2 e
@@ -46,8 +47,8 @@ SLACK = 2e-6  # on cosines, for rounding
 INT_POINTER = types.CPointer(types.int32)
 
 SELECT = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 5, *[INT_POINTER] * 2)
-FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 7, *[INT_POINTER] * 2)
-BACKWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 10, *[INT_POINTER] * 2)
+FORWARD = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 7, *[INT_POINTER] * 2)
+BACKWARD = types.void(*[types.int64] * 7, *[FLOAT_POINTER] * 10, *[INT_POINTER] * 2)
 
 
 @njit(forceinline=True)
@@ -87,6 +88,10 @@ def select(first, last, wide_blocks, room, budget, tiles, cones, scratch, cuts, 
             o = 16 * CONE_ROWS * wide_block
             axis = fma(load(cones, o), nx, fma(load(cones, o + 16), ny, load(cones, o + 32) * nz))
             n_w = nearest_cosine(axis, load(cones, o + 48), load(cones, o + 64), cos_n, sin_n)
+            if not anywhere(n_w > 0.0):
+                for i in range(6):
+                    store(scratch, 16 * (6 * wide_block + i), splat(0.0))
+                continue
             axis = fma(load(cones, o + 80), nx, fma(load(cones, o + 96), ny, load(cones, o + 112) * nz))
             c = maximum(nearest_cosine(axis, load(cones, o + 128), load(cones, o + 144), cos_n, sin_n), 1e-12)
             log_c = log2(c, 1.0 - c)
@@ -95,18 +100,21 @@ def select(first, last, wide_blocks, room, budget, tiles, cones, scratch, cuts, 
                 exponent = load(cones, o + 224 + 16 * s) * exp2(maximum(load(cones, o + 176 + 16 * s) * log_c, FLOOR))
                 store(scratch, 16 * (6 * wide_block + s), weight * exp2m1(minimum(exponent, LARGEST)))
                 store(scratch, 16 * (6 * wide_block + 3 + s), weight)
-        threshold = budget[0]
-        for _ in range(24):
+        threshold = 0.125 * budget[0]
+        for _ in range(12):
             skipped = splat(0.0)
             for wide_block in range(wide_blocks):
                 for s in range(3):
                     skipped = skipped + minimum(load(scratch, 16 * (6 * wide_block + s)), threshold)
             if lane_sum(skipped) <= budget[0]:
                 break
-            threshold *= 0.5
+            threshold *= 0.25
         count = 0
         for wide_block in range(wide_blocks):
-            o = 16 * CONE_ROWS * wide_block
+            o, b = 16 * CONE_ROWS * wide_block, 96 * wide_block
+            highest = maximum(load(scratch, b), maximum(load(scratch, b + 16), load(scratch, b + 32)))
+            if not anywhere(highest > threshold):
+                continue
             for s in range(3):  # the log2 c at which weight · (2^(κ c^γ) − 1) meets the threshold
                 share = threshold / maximum(load(scratch, 16 * (6 * wide_block + 3 + s)), 1e-30)
                 height = minimum(log2(1.0 + share, 0.0 - share) / maximum(load(cones, o + 224 + 16 * s), 1e-30), 1.0)
@@ -126,11 +134,11 @@ def select(first, last, wide_blocks, room, budget, tiles, cones, scratch, cuts, 
         lengths[tile] = count
 
 
-def forward(first, last, pixels, room, n, geometry, energy, lobes, scratch, radiance, cuts, lengths, entries):
+def forward(first, last, pixels, size, room, n, geometry, energy, lobes, scratch, radiance, cuts, lengths, entries):
     """Radiance (P, 3) of pixel tiles first … last − 1; scratch holds (TILE, 3, 16)."""
     for tile in range(first, last):
-        start = tile * TILE
-        count = min(TILE, pixels - start)
+        start = tile * size
+        count = min(size, pixels - start)
         for i in range(3 * count):
             store(scratch, 16 * i, splat(0.0))
         for i in range(room * tile, room * tile + lengths[tile]):
@@ -165,7 +173,25 @@ def forward(first, last, pixels, room, n, geometry, energy, lobes, scratch, radi
 
 
 def backward(
-    first, last, pixels, tiles, blocks, room, n, geometry, energy, lobes, scratch, g, by_n, energy_sums, lobe_sums, cuts, lengths, entries
+    first,
+    last,
+    pixels,
+    size,
+    tiles,
+    blocks,
+    room,
+    n,
+    geometry,
+    energy,
+    lobes,
+    scratch,
+    g,
+    by_n,
+    energy_sums,
+    lobe_sums,
+    cuts,
+    lengths,
+    entries,
 ):
     """Derivatives of Σ g·I from the pixels of tile chunks first … last − 1; what the forward pass knew is computed again.
 
@@ -181,8 +207,8 @@ def backward(
         for i in range(18 * blocks):
             store(lobe_sums, base_l + 16 * i, splat(0.0))
         for tile in range(chunk * tiles // CHUNKS, (chunk + 1) * tiles // CHUNKS):
-            start = tile * TILE
-            count = min(TILE, pixels - start)
+            start = tile * size
+            count = min(size, pixels - start)
             for i in range(3 * count):
                 store(scratch, sums + 16 * i, splat(0.0))
             for i in range(room * tile, room * tile + lengths[tile]):

@@ -191,10 +191,16 @@ def by_place(n):
     return np.argsort(grid[:, 0] | (grid[:, 1] << 1), kind="stable")
 
 
+def tile_size(pixels):
+    """Pixels that share a list: few where there are few, for their normals are far apart."""
+    return 16 if pixels < 12288 else 32 if pixels < 24576 else culled.TILE
+
+
 def select(n, tables, left_out):
     """Each tile's list, as learn.engines.culled has it: cuts, lengths, entries."""
-    tiles = -(-len(n) // culled.TILE)
-    padded = np.concatenate([n, np.broadcast_to(n[-1], (tiles * culled.TILE - len(n), 3))]).reshape(tiles, culled.TILE, 3)
+    size = tile_size(len(n))
+    tiles = -(-len(n) // size)
+    padded = np.concatenate([n, np.broadcast_to(n[-1], (tiles * size - len(n), 3))]).reshape(tiles, size, 3)
     around = np.ascontiguousarray(cone(padded.astype(np.float64)), dtype=np.float32)
     cones = tables.cones()
     room, budget = tables.lights.blocks, np.array([left_out], np.float32)
@@ -214,7 +220,7 @@ def run_forward(n, tables, lists, out):
 
     def kernel(first, last):
         scratch = np.empty(culled.TILE * 48, np.float32)
-        sizes = first, last, len(n), tables.lights.blocks
+        sizes = first, last, len(n), tile_size(len(n)), tables.lights.blocks
         arrays = n, tables.lights.geometry, tables.energy, tables.lobes, scratch, out
         machine_code.call("culled.forward", *sizes, *arrays, cuts, lengths, entries)
 
@@ -230,7 +236,7 @@ def run_backward(n, tables, lists, g, by_n):
     scratch = np.empty(chunks * culled.TILE * 48, np.float32)
 
     def kernel(first, last):
-        sizes = first, last, len(n), len(lengths), blocks, blocks
+        sizes = first, last, len(n), tile_size(len(n)), len(lengths), blocks, blocks
         arrays = n, tables.lights.geometry, tables.energy, tables.lobes, scratch, g, by_n, energy_sums, lobe_sums
         machine_code.call("culled.backward", *sizes, *arrays, cuts, lengths, entries)
 
