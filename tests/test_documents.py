@@ -79,7 +79,8 @@ def test_every_file_that_a_document_names_exists(root):
     missing = []
     for document in (*DOCUMENTS, "CHANGELOG.md", "docs/log.md"):
         text = re.sub(r"^```.*?^```", "", (root / document).read_text(encoding="utf-8"), flags=re.M | re.S)
-        named = re.findall(r"`((?:docs|factory|learn|manifests|shaders|tests)/[\w./-]*)`", text) + re.findall(r"\]\(((?!https?:)[^)#]+)\)", text)
+        named = re.findall(r"`((?:docs|factory|learn|manifests|shaders|tests)/[\w./-]*)`", text)
+        named += re.findall(r"\]\(((?!https?:)[^)#]+)\)", text)
         base = (root / document).parent
         missing += [f"{document}: {name}" for name in named if not ((root / name).exists() or (base / name).exists())]
     assert not missing
