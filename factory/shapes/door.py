@@ -61,7 +61,7 @@ def open_mesh(
         part=part,
         crease_deg=crease_deg,
         back_faces=inner_share,
-        cleaned=tuple(cleaned + turned),
+        cleaned=(*raw.notes, *cleaned, *turned),
     )
 
 

@@ -30,6 +30,7 @@ class Raw:
     faces: np.ndarray
     materials: tuple[str, ...] = ()
     material: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
 
 
 def read(path, maximum=MAXIMUM_TRIANGLES):
@@ -201,7 +202,7 @@ def _glimpse(data):
 
 def _parse_obj(file, where):
     """Vertices, faces (polygons as fans) and material names of an OBJ file."""
-    vertices, corners, lengths, material, names, current = [], [], [], [], {}, 0
+    vertices, corners, lengths, material, names, current, lines = [], [], [], [], {}, 0, 0
     for number, line in enumerate(_lines(file, where), 1):
         words = line.split()
         try:
@@ -210,7 +211,10 @@ def _parse_obj(file, where):
             elif line.startswith(b"f "):
                 polygon = [int(word.split(b"/", 1)[0]) for word in words[1:]]
                 polygon = [index - 1 if index > 0 else len(vertices) + index for index in polygon]
-                if len(polygon) < 3 or min(polygon) < 0 or max(polygon) >= 1 << 31:
+                if len(polygon) < 3:  # some exporters write lines so
+                    lines += 1
+                    continue
+                if min(polygon) < 0 or max(polygon) >= 1 << 31:
                     raise ValueError
                 corners.extend(polygon)
                 lengths.append(len(polygon))
@@ -222,7 +226,8 @@ def _parse_obj(file, where):
     faces, owner = _fans(np.array(corners, np.int64), np.array(lengths, np.int64))
     if len(faces) and faces.max() >= len(vertices):
         raise Problem(where, f"faces among its {len(vertices)} vertices", f"vertex {faces.max() + 1}", "download or export it again")
-    return Raw(np.array(vertices, float).reshape(-1, 3), faces, ("", *names), np.array(material, np.int64)[owner])
+    notes = (f"{lines} faces of fewer than three corners dropped",) if lines else ()
+    return Raw(np.array(vertices, float).reshape(-1, 3), faces, ("", *names), np.array(material, np.int64)[owner], notes)
 
 
 def _fans(corners, lengths):

@@ -98,6 +98,14 @@ def test_broken_pieces_are_dropped_and_named(tmp_path):
     assert "1 faces of no area dropped" in mesh.report.cleaned and "70 doubled faces dropped" in mesh.report.cleaned
 
 
+def test_faces_of_two_corners_are_dropped_and_named(tmp_path):
+    vertices, faces = arrow()
+    path = write_obj(tmp_path / "a.obj", in_y_up(vertices), faces)
+    path.write_text(path.read_text() + "f 1 2\nf 3 4\n")
+    mesh = open_mesh(path)
+    assert mesh.hash == reference(tmp_path).hash and "2 faces of fewer than three corners dropped" in mesh.report.cleaned
+
+
 def test_split_vertices_are_welded(tmp_path):
     vertices, faces = arrow()
     nearly = in_y_up(vertices)[faces.ravel()] + np.random.default_rng(2).uniform(-1e-9, 1e-9, (faces.size, 3))

@@ -1,0 +1,166 @@
+"""What screens are made of: the panel (a casing with a screen let into it) and the stands. Metres; the screen looks to +x.
+
+Segment SCREEN is what shows the picture, CASE everything else.
+"""
+
+import numpy as np
+
+from factory.shapes.surfaces import LEFT_RIGHT, Surface, loft, rod, rounded_box, rounded_path, slab, smooth_path, superellipse, tube
+
+SCREEN, CASE = 1, 2
+
+
+def rounded_rectangle(wide, high, radius, steps=6, along=12):
+    """Outline (N, 2) of a rectangle with rounded corners, in the y–z plane; straight runs are subdivided so that they can be bent."""
+    points = []
+    radius = min(radius, 0.49 * min(wide, high))
+    for k, (sy, sz) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        angle = np.linspace(k * np.pi / 2, (k + 1) * np.pi / 2, steps + 1)
+        arc = np.stack([sy * (wide / 2 - radius) + radius * np.cos(angle), sz * (high / 2 - radius) + radius * np.sin(angle)], 1)
+        if points:
+            points += list(points[-1] + np.linspace(0, 1, along + 1)[1:-1, None] * (arc[0] - points[-1]))
+        points += list(arc)
+    return np.array(points + list(points[-1] + np.linspace(0, 1, along + 1)[1:-1, None] * (points[0] - points[-1])))
+
+
+def panel(wide, high, *, thick, bezel, chin=0.0, radius=0.01, bulge=0.0, recess=0.003, crown=0.0):
+    """A casing with its screen let into the front: [(Surface, segment)], its front at x = 0, centred on the whole casing.
+
+    chin  how much wider the lower bezel is;  bulge  m that the middle of the back stands out;  crown  m that a tube's screen bulges
+    """
+    full, inner = (
+        rounded_rectangle(wide, high, radius),
+        rounded_rectangle(wide - 2 * bezel, high - 2 * bezel - chin, max(radius - bezel, 0.003)),
+    )
+    inner[:, 1] += chin / 2
+    bevel = min(0.35 * thick, 0.006, 0.6 * bezel)
+
+    def ring(outline, share, x, centre=(0.0, 0.0)):
+        flat = np.asarray(centre) + (outline - centre) * share
+        return np.column_stack([np.full(len(flat), x), flat])
+
+    def inset(outline, d):
+        return outline * (1 - 2 * d / np.array([wide, high]))
+
+    rings = [ring(inset(full, bevel * (1 - np.sin(t))), 1.0, -thick + bevel * (1 - np.cos(t))) for t in np.linspace(0, np.pi / 2, 4)]
+    back = (
+        [ring(full, share, -thick - bulge * (1 - share**4) ** 0.7) for share in (0.05, 0.35, 0.6, 0.8, 0.93)]
+        if bulge
+        else [ring(full, 0.3, -thick), ring(full, 0.7, -thick)]
+    )
+    front = [ring(inset(full, bevel * (1 - np.cos(t))), 1.0, -bevel * (1 - np.sin(t))) for t in np.linspace(0, np.pi / 2, 4)]
+    floor = recess + min(0.4 * thick, 0.008)
+    face = [ring(inner, 1.0, 0.0), ring(inner, 1.0, -floor)]
+    shares = (1.0, 0.86, 0.7, 0.5, 0.3, 0.12)
+    middle = inner.mean(0)
+    lowered = [ring(inner, s, -floor, middle) for s in shares[1:]]
+    case = loft(np.array(back + rings + front + face + lowered))
+
+    def plate(share, x, rise):
+        """One ring of the screen; a tube's screen is a dome over both its width and its height."""
+        points = ring(inner, share * 0.999, x, middle)
+        across = (points[:, 1:] - middle) / np.ptp(inner, axis=0) * 2
+        points[:, 0] += rise * np.prod(1 - across**2, axis=1)
+        return points
+
+    # The screen: a thin plate in the recess, its edge hidden in the casing
+    glass = [plate(s, -floor + 0.001, 0.0) for s in shares[::-1]] + [plate(s, -recess, crown) for s in shares]
+    return [(case, CASE), (loft(np.array(glass)), SCREEN)]
+
+
+def add_panel(a, pieces, place):
+    """Add a panel's casing and screen, each through the function `place`."""
+    for surface, segment in pieces:
+        a.add("screen" if segment == SCREEN else "casing", place(surface), segment)
+
+
+def bend(surface, radius):
+    """Bend about a vertical axis `radius` m in front: a curved monitor."""
+    x, y, z = surface.vertices.T
+    angle, reach = y / radius, radius - x
+    return Surface(np.stack([radius - reach * np.cos(angle), reach * np.sin(angle), z], 1), surface.faces)
+
+
+def draw_panel(rng, diagonal, aspect, **fixed):
+    """Width, height and a panel of a diagonal and an aspect."""
+    wide, high = diagonal * aspect / np.hypot(aspect, 1), diagonal / np.hypot(aspect, 1)
+    thin = rng.random() < 0.5
+    options = dict(
+        thick=rng.uniform(0.012, 0.022) if thin else rng.uniform(0.03, 0.055),
+        bezel=rng.uniform(0.005, 0.012) if thin else rng.uniform(0.014, 0.032),
+        chin=rng.choice([0.0, rng.uniform(0.008, 0.03)]),
+        radius=rng.uniform(0.004, 0.022),
+        bulge=rng.choice([0.0, rng.uniform(0.015, 0.04)]),
+    )
+    return wide, high, panel(wide, high, **{**options, **fixed})
+
+
+def stand(a, rng, kind, lift, wide, behind=-0.03):
+    """What carries a panel whose middle is `lift` above the desk."""
+    column = behind - rng.uniform(0.03, 0.06)
+    size = rng.uniform(0.018, 0.035)
+    if kind == "v":
+        for s in LEFT_RIGHT:
+            path = rounded_path([[0.12, s * 0.2 * wide * 2, 0.008], [column, s * 0.05, 0.05], [column, s * 0.02, lift]], 0.05)
+            a.add("stand", tube(path, np.array([0.016, 0.009]), around=14, square=4.0), CASE)
+        return
+    if kind == "feet":
+        for s in LEFT_RIGHT:
+            y = s * wide * 0.36
+            for x in (0.11, -0.13):
+                a.add("foot", rod([-0.012, y, lift * 0.55], [x, y + s * 0.02, 0.006], [0.012, 0.008], around=14, square=4.0), CASE)
+        return
+    if kind == "tripod":
+        for angle in (0.75, -0.75, np.pi):
+            foot = [column + 0.02 + 0.24 * np.cos(angle), 0.24 * np.sin(angle), 0.006]
+            a.add(
+                "leg",
+                tube(
+                    smooth_path([[column, 0, 0.06], [(column + foot[0]) / 2, foot[1] / 2, 0.035], foot], 9),
+                    np.linspace([0.016, 0.012], [0.01, 0.006], 9),
+                    around=14,
+                    square=3.0,
+                ),
+                CASE,
+            )
+        a.add("column", rod([column, 0, 0.03], [column, 0, lift + 0.02], size * 0.8, size * 0.6), CASE)
+    elif kind == "loop":
+        w = rng.uniform(0.08, 0.16)
+        path = rounded_path(
+            [
+                [0.13, w, 0.008],
+                [column, w, 0.008],
+                [column, w * 0.8, lift],
+                [column, -w * 0.8, lift],
+                [column, -w, 0.008],
+                [0.13, -w, 0.008],
+            ],
+            0.05,
+            6,
+        )
+        a.add("stand", tube(path, 0.008, around=12), CASE)
+    else:
+        depth, reach = rng.uniform(0.17, 0.26), rng.uniform(0.2, 0.34)
+        if kind == "disc":
+            outline = superellipse(48) * [depth / 2, depth / 2]
+        elif kind == "arc":
+            angle = np.linspace(-1.2, 1.2, 25)
+            path = np.stack([column - 0.05 + 0.2 * np.cos(angle) - 0.02, 0.2 * np.sin(angle) * reach / 0.24, np.full(25, 0.009)], 1)
+            a.add("foot", tube(path, np.array([0.03, 0.009]), around=16, square=5.0), CASE)
+            outline = superellipse(32, 4.0) * [0.09, 0.045]
+        else:
+            outline = superellipse(48, rng.uniform(3, 9)) * [depth / 2, reach / 2]
+        a.add(
+            "foot",
+            slab(outline, rng.uniform(0.01, 0.018), 0.8, rng.choice([0.0, 0.008])).moved(0.0 if kind != "arc" else column + 0.06, 0, 0.008),
+            CASE,
+        )
+        lean = rng.uniform(-0.02, 0.05)
+        flat = rng.choice([True, False])
+        path = smooth_path([[column + lean, 0, 0.01], [column + lean * 0.3, 0, lift * 0.5], [column, 0, lift + 0.03]], 12)
+        a.add(
+            "neck",
+            tube(path, np.array([size * (1.6 if flat else 0.8), size * (0.5 if flat else 0.8)]), around=18, square=rng.choice([2.5, 6.0])),
+            CASE,
+        )
+    a.add("mount", rounded_box([0.016 - column, 0.1, 0.1], 0.012, edge=2).moved((column - 0.004) / 2, 0, lift), CASE)
