@@ -206,6 +206,4 @@ class Pool:
 
 def setup_for(folder, worker, device, threads, assignment, studio=STUDIO):
     """The Setup of a worker of this process."""
-    return Setup(
-        folder=str(folder), worker=worker, parent=os.getpid(), device=device, threads=threads, studio=studio, assignment=assignment
-    )
+    return Setup(folder=str(folder), worker=worker, device=device, threads=threads, studio=studio, assignment=assignment)

@@ -1,7 +1,8 @@
 """A worker: one process, one Blender, many shots. Started by factory.pool as `python -m factory.worker`.
 
 It reads messages, a JSON line each, from its standard input, and answers on what was its standard output; Blender's own prints go nowhere,
-its complaints to standard error. It ends when its input ends, and then by os._exit: some Blenders crash while they clean up.
+its complaints to standard error. It ends when its input or its reader ends, after the shot in hand (it holds the run's lock, so nobody
+else begins meanwhile), and by os._exit: some Blenders crash while they clean up.
 
 in   Setup, then any number of Chunk
 out  Reply: `made` or `bad` a shot (a bad one ends the chunk), or `fatal`: what no other shot would survive
@@ -28,7 +29,6 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
 
     folder: str
     worker: str
-    parent: int
     device: str
     threads: int | None
     studio: str
@@ -91,13 +91,7 @@ def _serve(setup, answer):
     lines = Lines(store.folder / "records" / f"{setup.worker}.jsonl")
     mixtures = {name: m.mixture for name, m in load_catalogue(store.folder / "materials.json").items()}
     studio = _studio(setup)
-
-    def append(record):
-        if os.getppid() != setup.parent:  # the run was killed; another may have begun
-            os._exit(0)
-        lines.append(record)
-
-    pipeline = Pipeline(studio, setup.assignment, store, setup.worker, append, mixtures)
+    pipeline = Pipeline(studio, setup.assignment, store, setup.worker, lines.append, mixtures)
     first = True
     chunks = msgspec.json.Decoder(Chunk)
     for message in sys.stdin.buffer:

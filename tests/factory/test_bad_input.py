@@ -218,6 +218,7 @@ def test_a_full_disk_stops_the_run_in_one_line_and_the_same_command_goes_on_when
     store = Store(data)
     made = {record.id: record for record in store.records()}
     assert 0 < len(made) < 72
+    assert list(store.failures()) == []  # the disk was full, the shots were good
     subprocess.run(["mount", "-o", "remount,size=8m", str(tiny_disk)], check=True)
     outcome = render(job, data)
     assert (outcome.made, outcome.found) == (72 - len(made), len(made))

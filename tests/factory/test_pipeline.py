@@ -14,12 +14,12 @@ from factory.commands.verify import geometry_faults
 from factory.contact_sheet import labelled, stored_light
 from factory.forecast import expected_events, probe_shots, probed
 from factory.run import Manner, carry_out, planned
-from factory.shading import mirror_ball, shade
+from factory.shading import lights, mirror_ball, shade
 from manifests.materials import load_catalogue
 from manifests.schema import Camera, Job
 from manifests.store import Store
 from manifests.verification import faults_in_files, faults_in_records
-from shaders import envmap
+from shaders import dsbrdf, envmap
 from shaders.frames import camera_from_light
 
 blender = pytest.mark.blender
@@ -176,6 +176,24 @@ def test_the_plain_sum_gives_irradiance_over_pi_for_a_matte_label(rng):
     views = np.broadcast_to([0.0, 0.0, 1.0], n.shape)
     for v in (None, views):
         assert shade(n, m, L, 0.35, v) == pytest.approx(rho / np.pi * irradiance, rel=2e-3)  # h·n = 0 texels are left out
+
+
+def test_the_plain_sum_is_the_sum_over_texels_of_the_brdf_of_each_pair_of_directions(rng):
+    """Against dsbrdf.evaluate, one pixel and all texels at a time, a view of its own for each pixel."""
+    m = rng.uniform(0.05, 1.0, (3, 3, 2, 6))
+    m[:, 1, 1], m[:, 2, 1] = 20.0, 300.0
+    L = rng.uniform(0, 1, (8, 16, 3))
+    n = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -0.48, 0.8773]])
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    w, power = lights(L, 0.35)
+    for views in (np.tile([[0.0, 0.0, 1.0]], (3, 1)), np.array([[0.1, 0.0, 0.99498744], [0.0, 0.2, 0.9797959], [0.0, 0.0, 1.0]])):
+        expected = []
+        for normal, view in zip(n, views, strict=True):
+            h, theta_d = dsbrdf.half_angles(w, view)
+            f = dsbrdf.evaluate(m, h @ normal, theta_d)
+            expected.append((f * np.maximum(w @ normal, 0)[:, None] * power).sum(0))
+        distant = (views == views[2]).all()
+        assert shade(n, m, L, 0.35, None if distant else views) == pytest.approx(np.array(expected), rel=1e-9)
 
 
 def test_the_light_ball_shows_in_its_middle_what_is_behind_the_viewer():

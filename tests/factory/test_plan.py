@@ -12,7 +12,7 @@ from tetrahedron import TETRAHEDRON
 from factory import jobs
 from factory.assets import Assets, Light, Material, Shape, resolve
 from factory.commands.plan import described, split_counts
-from factory.plan import Plan, camera_words
+from factory.plan import Plan, camera_words, shot_seed
 from factory.shape_names import Source, local, sources
 from manifests import splits
 from manifests.problems import Problem
@@ -129,6 +129,8 @@ def test_each_input_alters_the_id(stub, job):
     ]  # fmt: skip
     for change in changes:
         assert not ids & {shot.id for shot in stub(msgspec.structs.replace(fixed, **change))}, change
+    for word in ("view", "turn", "tier", "resolution", "repeat"):  # and the seed, so that no two share their noise
+        assert shot_seed(1, word) != shot_seed(1, "") != shot_seed(2, "")
     other = stub(fixed)
     assert not ids & {shot.id for shot in Plan(other.job, other.assets, "other settings")}
 
@@ -209,8 +211,15 @@ def test_a_path_may_lie_below_the_jobs_folder_but_a_link_may_not_lead_out(tmp_pa
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "out").symlink_to(tmp_path)
     assert local("meshes/x.obj", tmp_path / "in", "job") == tmp_path / "in" / "meshes" / "x.obj"
-    with pytest.raises(Problem, match="--assets"):
-        local("out/x.obj", tmp_path / "in", "job")
+    for path in ("out/x.obj", "meshes/../x.obj"):
+        with pytest.raises(Problem, match="--assets"):
+            local(path, tmp_path / "in", "job")
+
+
+def test_without_mixed_only_pairs_of_one_side_are_rendered(stub, job):
+    shots = list(stub(msgspec.structs.replace(job, mixed=False, shapes=("chair:0-19",))))
+    assert {shot.split for shot in shots} == {"train", "test"}
+    assert {shot.split for shot in stub(msgspec.structs.replace(job, shapes=("chair:0-19",)))} == {"train", "test", "mixed"}
 
 
 def test_a_twin_is_left_out_with_a_note(small_job, catalogue, tmp_path):

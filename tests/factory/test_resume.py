@@ -53,8 +53,10 @@ def test_limit_stops_early_and_the_same_command_goes_on(render, small_job, tmp_p
 
 
 def test_shards_divide_the_shots_without_gap_or_overlap(render, small_job, tmp_path):
-    made = [render(small_job, tmp_path, shard=(i, 5)).made for i in range(1, 6)]
+    outcomes = [render(small_job, tmp_path, shard=(i, 5)) for i in range(1, 6)]
+    made = [outcome.made for outcome in outcomes]
     assert sum(made) == 12 and max(made) - min(made) <= 1
+    assert not any(outcome.found for outcome in outcomes)
     assert len(set(ids(tmp_path))) == 12
     assert render(small_job, tmp_path).found == 12
     assert faults(tmp_path) == []
@@ -135,7 +137,7 @@ def test_kills_at_random_moments_lose_nothing_and_repeat_nothing(render, small_j
     assert faults(tmp_path / "killed") == []
 
 
-def test_a_worker_whose_run_was_killed_appends_nothing_more(small_job, tmp_path, catalogue, light_file):
+def test_a_worker_whose_run_was_killed_ends_and_nobody_starts_before_it_has(small_job, tmp_path, catalogue, light_file):
     (tmp_path / "job.json").write_bytes(
         msgspec.json.encode(msgspec.structs.replace(small_job, views=tuple(range(24)), lights=("lamp.exr",)))
     )

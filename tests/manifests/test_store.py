@@ -19,7 +19,7 @@ def test_files_are_sharded_by_the_first_two_digits_of_their_id():
     assert light_path("my map/../x", "0123456789abcdef") == "lights/my-map-..-x-0123456789ab.npz"
 
 
-@pytest.mark.parametrize("path", ["../x", "/etc/passwd", "images/../../x", "a\\..\\b", "", "link/x", "a\0b"])
+@pytest.mark.parametrize("path", ["../x", "images/../dataset.json", "/etc/passwd", "images/../../x", "a\\..\\b", "", "link/x", "a\0b"])
 def test_a_path_that_leaves_the_folder_is_refused(tmp_path, path):
     folder = tmp_path / "data"
     folder.mkdir()
