@@ -1,38 +1,103 @@
 """The exact sum and its derivatives on a CUDA device: the Triton kernels, group by group. Arguments as in learn.engines.cpu, as tensors.
 
-Tables are made on the device in float64 and handed over in float32; sums over lights come back per part of the pixels and are added in
-float64. Only the distant viewer has kernels here: a view per pixel goes to the reference (learn.methods.exact).
+Tables are made on the device in float64 and handed over in float32; sums over lights and materials come back in fixed parts and are added
+in float64. Memory beyond inputs and outputs: tables and parts of one slab of lights, below 20 MiB.
 """
 
 import functools
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 import triton
 
 from learn.engines import lights
-from learn.engines import triton_distant as kernels
+from learn.engines import triton_distant as distant
+from learn.engines import triton_general as general
+
+TILE = distant.LIGHTS
+
+
+@dataclass(frozen=True)
+class DeviceSlab:
+    """learn.engines.lights.Slab on a device, filled up to T lights, a multiple of TILE: the kernels' rows (R, T)."""
+
+    order: torch.Tensor
+    solid_angle: torch.Tensor
+    distant: torch.Tensor
+    general: torch.Tensor
+    basis: torch.Tensor
+
+    @property
+    def lights(self):
+        return self.distant.shape[1]
+
+    def energy(self, light):
+        """(3, T) float32 of light (height, width, 3); the fill is black."""
+        energy = light.new_zeros(3, self.lights)
+        energy[:, : len(self.order)] = (light.reshape(-1, 3)[self.order].double() * self.solid_angle[:, None]).T.float()
+        return energy
+
+    def add_light_gradient(self, by_energy, gradient):
+        """Adds the derivative by energy (3, T) to the one by light (height, width, 3)."""
+        by_light = by_energy[:, : len(self.order)].T * self.solid_angle[:, None]
+        gradient.view(-1, 3)[self.order] += by_light.float()
 
 
 @functools.lru_cache(maxsize=8)
-def _device_slabs(height, width, rotation, device):
-    """Of each slab: order (t,), solid angle (t,), geometry (9, T) float32 and spline basis (T, 6) float64, T filled up to whole tiles."""
+def _slabs(height, width, rotation, device):
+    def filled(rows):
+        return np.ascontiguousarray(np.concatenate([rows, np.repeat(rows[:, -1:], -rows.shape[1] % TILE, 1)], 1))
+
     found = []
     for slab in lights.slabs(height, width, rotation):
-        geometry = lights.unblocked(slab.distant)
-        fill = -geometry.shape[1] % kernels.LIGHTS
-        geometry = np.concatenate([geometry, np.repeat(geometry[:, -1:], fill, 1)], 1)
-        basis = np.concatenate([slab.basis, np.repeat(slab.basis[-1:], fill, 0)])
-        arrays = slab.order, slab.solid_angle, np.ascontiguousarray(geometry), basis
-        found.append(tuple(torch.as_tensor(a, device=device) for a in arrays))
+        geometry = filled(lights.unblocked(slab.distant)), filled(lights.unblocked(slab.general))
+        arrays = slab.order, slab.solid_angle, *geometry, filled(slab.basis.T).T.copy()
+        found.append(DeviceSlab(*(torch.as_tensor(a, device=device) for a in arrays)))
     return found
 
 
-def _energy(light, order, solid_angle, total):
-    """(3, total) float32; lights that fill up the last tile are black."""
-    energy = light.new_zeros(3, total)
-    energy[:, : len(order)] = (light.reshape(-1, 3)[order].double() * solid_angle[:, None]).T.float()
-    return energy
+def radiance(n, view, m, light, rotation, counts, light_of):
+    """Radiance (P, 3)."""
+    out = torch.zeros_like(n)
+    views = [None] * len(counts) if view is None else view.split(counts)
+    for slab in _slabs(*light.shape[1:3], rotation, n.device):
+        for g, (part, into) in enumerate(zip(n.split(counts), out.split(counts), strict=True)):
+            energy, result = slab.energy(light[light_of[g]]), torch.empty_like(part)
+            grid = (triton.cdiv(len(part), distant.PIXELS),)
+            if view is None:
+                arrays = part, slab.distant, energy, _distant_tables(m[g], slab)[0], result
+                distant.forward[grid](*arrays, len(part), slab.lights, PIXELS=distant.PIXELS, LIGHTS=TILE)
+            else:
+                arrays = part, views[g], _shortfall(views[g]), slab.general, energy, _general_tables(m[g])[0], result
+                general.forward[grid](*arrays, len(part), slab.lights, PIXELS=general.PIXELS, LIGHTS=TILE)
+            into += result
+    return out
+
+
+def gradients(g_radiance, n, view, m, light, rotation, counts, light_of):
+    """Derivatives by n, view (None without one), m and light, in their shapes; those by n and view are right in their tangential parts."""
+    by_n, by_m, by_light = torch.zeros_like(n), torch.zeros_like(m), torch.zeros_like(light)
+    by_view = None if view is None else torch.zeros_like(view)
+    ends = np.cumsum((0, *counts)).tolist()
+    for slab in _slabs(*light.shape[1:3], rotation, n.device):
+        for group, image in enumerate(light_of):
+            pixels = slice(ends[group], ends[group + 1])
+            energy = slab.energy(light[image])
+            if view is None:
+                found = _distant_backward(n[pixels], m[group], slab, energy, g_radiance[pixels])
+            else:
+                found = _general_backward(n[pixels], view[pixels], m[group], slab, energy, g_radiance[pixels])
+                by_view[pixels] += found[3]
+            by_n[pixels] += found[0]
+            by_m[group] += found[1]
+            slab.add_light_gradient(found[2], by_light[image])
+    return by_n, by_view, by_m, by_light
+
+
+def _part(pixels):
+    """Pixels of one of the SPLITS parts, whole tiles."""
+    return distant.PIXELS * triton.cdiv(triton.cdiv(pixels, distant.SPLITS), distant.PIXELS)
 
 
 def _lobe_first(m):
@@ -40,67 +105,52 @@ def _lobe_first(m):
     return m.transpose(0, 1).flip(2)
 
 
-def _tables(m, basis):
+def _distant_tables(m, slab):
     """lobes (18, T) float32, and κ (3 lobes, 3 channels, T) float64."""
-    curves = _lobe_first(m.double()).reshape(18, 6) @ basis.T
+    curves = _lobe_first(m.double()).reshape(18, 6) @ slab.basis.T
     kappa = curves[1::2].reshape(3, 3, -1).clone()
     curves[1::2] *= lights.LOG2_E
     return curves.float().contiguous(), kappa
 
 
-def radiance(n, m, light, rotation, counts, light_of):
-    """Radiance (P, 3)."""
-    out = torch.zeros_like(n)
-    for order, solid_angle, geometry, basis in _device_slabs(*light.shape[1:3], rotation, n.device):
-        total = geometry.shape[1]
-        for g, (part, into) in enumerate(zip(n.split(counts), out.split(counts), strict=True)):
-            energy = _energy(light[light_of[g]], order, solid_angle, total)
-            result = torch.empty_like(part)
-            grid = (triton.cdiv(len(part), kernels.PIXELS),)
-            arrays = part, geometry, energy, _tables(m[g], basis)[0], result
-            kernels.forward[grid](*arrays, len(part), total, PIXELS=kernels.PIXELS, LIGHTS=kernels.LIGHTS)
-            into += result
-    return out
+def _distant_backward(n, m, slab, energy, g):
+    """Derivatives of one group by n (p, 3), m (3, 3, 2, 6), energy (3, T)."""
+    lobes, kappa = _distant_tables(m, slab)
+    by_n, total, sizes = torch.empty_like(n), slab.lights, {"PIXELS": distant.PIXELS, "LIGHTS": TILE}
+    grid = (triton.cdiv(len(n), distant.PIXELS),)
+    distant.backward_pixels[grid](n, slab.distant, energy, lobes, g, by_n, len(n), total, **sizes)
+    sums = n.new_empty(distant.SPLITS, 3, 7, total)
+    grid = (total // TILE, distant.SPLITS, 3)
+    distant.backward_lights[grid](n, slab.distant, lobes, g, sums, len(n), total, _part(len(n)), **sizes)
+    sums = sums.double().sum(0)
+    by_lobe = sums[:, 1:].reshape(3, 3, 2, -1).transpose(0, 1) * energy.double()[:, None]
+    by_kappa, by_gamma = by_lobe[:, :, 0], by_lobe[:, :, 1] * kappa * lights.LN2
+    by_m = _lobe_first(torch.stack([by_gamma, by_kappa], 2) @ slab.basis)
+    return by_n, by_m.float(), sums[:, 0]
 
 
-def gradients(g_radiance, n, m, light, rotation, counts, light_of):
-    """Derivatives by n (right in its tangential part), m and light, in their shapes."""
-    by_n, by_m, by_light = torch.zeros_like(n), torch.zeros_like(m), torch.zeros_like(light)
-    for slab in _device_slabs(*light.shape[1:3], rotation, n.device):
-        order, solid_angle, geometry, basis = slab
-        parts = zip(n.split(counts), g_radiance.split(counts), by_n.split(counts), strict=True)
-        for group, (part, g, into) in enumerate(parts):
-            energy = _energy(light[light_of[group]], order, solid_angle, geometry.shape[1])
-            lobes, kappa = _tables(m[group], basis)
-            into += _by_n(part, geometry, energy, lobes, g)
-            sums = _light_sums(part, geometry, lobes, g)
-            by_energy = sums[:, 0, : len(order)].T * solid_angle[:, None]
-            by_light[light_of[group]].view(-1, 3)[order] += by_energy.float()
-            by_m[group] += _by_m(sums[:, 1:], energy, kappa, basis)
-    return by_n, by_m, by_light
+def _shortfall(view):
+    """1/‖v‖ − 1 of vectors that were scaled to unit length in float32, (p,)."""
+    return (0.5 * (1.0 - view.double().square().sum(-1))).float()
 
 
-def _by_n(n, geometry, energy, lobes, g):
-    result = torch.empty_like(n)
-    grid = (triton.cdiv(len(n), kernels.PIXELS),)
-    arrays = n, geometry, energy, lobes, g, result
-    kernels.backward_pixels[grid](*arrays, len(n), geometry.shape[1], PIXELS=kernels.PIXELS, LIGHTS=kernels.LIGHTS)
-    return result
+def _general_tables(m):
+    """values (108,) and steps (90,) float32, on the material's device."""
+    values, steps, _ = lights.general_tables(m.double().cpu().numpy())
+    return torch.as_tensor(values, device=m.device), torch.as_tensor(steps, device=m.device)
 
 
-def _light_sums(n, geometry, lobes, g):
-    """(3 channels, 7, T) float64: the sums of triton_distant.backward_lights over all pixels."""
-    total, splits = geometry.shape[1], kernels.SPLITS
-    split = kernels.PIXELS * triton.cdiv(triton.cdiv(len(n), splits), kernels.PIXELS)
-    sums = n.new_empty(splits, 3, 7, total)
-    grid = (total // kernels.LIGHTS, splits, 3)
-    arrays = n, geometry, lobes, g, sums
-    kernels.backward_lights[grid](*arrays, len(n), total, split, PIXELS=kernels.PIXELS, LIGHTS=kernels.LIGHTS)
-    return sums.double().sum(0)
-
-
-def _by_m(lobe_sums, energy, kappa, basis):
-    """(3, 3, 2, 6) from sums (3 channels, 3 lobes × (κ, γ), T)."""
-    sums = lobe_sums.reshape(3, 3, 2, -1).transpose(0, 1) * energy.double()[:, None]
-    by_kappa, by_gamma = sums[:, :, 0], sums[:, :, 1] * kappa * lights.LN2
-    return _lobe_first(torch.stack([by_gamma, by_kappa], 2) @ basis).float()
+def _general_backward(n, view, m, slab, energy, g):
+    """Derivatives of one group by n (p, 3), m (3, 3, 2, 6), energy (3, T), view (p, 3)."""
+    (values, steps), total = _general_tables(m), slab.lights
+    sizes = {"PIXELS": general.PIXELS, "LIGHTS": TILE}
+    seen = n, view, _shortfall(view), slab.general, energy, values
+    by_n, by_view = torch.empty_like(n), torch.empty_like(n)
+    general.backward_pixels[(triton.cdiv(len(n), general.PIXELS),)](*seen, steps, g, by_n, by_view, len(n), total, **sizes)
+    energy_sums = n.new_empty(general.SPLITS, 3, 3, total)
+    m_sums = n.new_empty(total // TILE, general.SPLITS, 3, 3, 2, 8)
+    grid = (total // TILE, general.SPLITS, 9)
+    general.backward_lights[grid](*seen, g, energy_sums, m_sums, len(n), total, _part(len(n)), **sizes)
+    by_m = m_sums[..., :6].double().sum((0, 1))
+    by_m[:, :, 0] *= lights.LN2**2
+    return by_n, _lobe_first(by_m).float(), energy_sums.double().sum((0, 1)), by_view

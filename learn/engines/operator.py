@@ -28,7 +28,7 @@ def serves(batch):
     if batch.n.dtype != torch.float32 or batch.m.numel() == 0 or batch.m.detach()[..., 0, :].amax() > MAX_EXPONENT:
         return False
     if batch.n.device.type == "cuda":
-        return batch.view is None and importlib.util.find_spec("triton") is not None
+        return importlib.util.find_spec("triton") is not None
     return batch.n.device.type == "cpu" and machine_code.is_available()
 
 
@@ -68,22 +68,17 @@ def _backward_on_cpu(g, n, view, m, light, rotation, counts, light_of, with_view
 def _sum_on_cuda(n, view, m, light, rotation, counts, light_of):
     from learn.engines import cuda
 
-    _require_distant(view)
-    return cuda.radiance(n.contiguous(), m, light, tuple(rotation), tuple(counts), light_of)
+    n, view, m, light = (None if a is None else a.contiguous() for a in (n, view, m, light))
+    return cuda.radiance(n, view, m, light, tuple(rotation), tuple(counts), light_of)
 
 
 @torch.library.impl(f"{NAME}_backward", "CUDA")
 def _backward_on_cuda(g, n, view, m, light, rotation, counts, light_of, with_view):
     from learn.engines import cuda
 
-    _require_distant(view)
-    by_n, by_m, by_light = cuda.gradients(g.contiguous(), n.contiguous(), m, light, tuple(rotation), tuple(counts), light_of)
-    return by_n, n.new_empty(0), by_m, by_light
-
-
-def _require_distant(view):
-    if view is not None:
-        raise NotImplementedError("view: None expected on CUDA (a distant viewer), found a view per pixel; learn.methods.exact serves it")
+    g, n, view, m, light = (None if a is None else a.contiguous() for a in (g, n, view, m, light))
+    by_n, by_view, by_m, by_light = cuda.gradients(g, n, view, m, light, tuple(rotation), tuple(counts), light_of)
+    return by_n, by_view if with_view else n.new_empty(0), by_m, by_light
 
 
 def _plain(tensor):

@@ -18,41 +18,51 @@ def relative(a, b):
 
 
 def compare(scene):
-    n, _, m, light, rotation, counts, light_of = scene.arguments()
-    tensors = [torch.as_tensor(a) for a in (n, m, light)]
-    seen = cuda.radiance(*tensors, rotation, counts, light_of).numpy()
-    by_n, by_m, by_light = (a.numpy() for a in cuda.gradients(torch.as_tensor(scene.g), *tensors, rotation, counts, light_of))
-    right = cpu.radiance(*scene.arguments(), 1)
-    right_n, _, right_m, right_light = cpu.gradients(scene.g, *scene.arguments(), 1)
-    n64 = unit(n.astype(np.float64))
-    assert relative(seen, right) <= TOLERANCE
-    assert relative(tangential(by_n.astype(np.float64), n64), tangential(right_n.astype(np.float64), n64)) <= TOLERANCE
-    assert relative(by_m, right_m) <= TOLERANCE
-    assert relative(by_light, right_light) <= TOLERANCE
+    n, view, m, light, rotation, counts, light_of = scene.arguments()
+    tensors = [None if a is None else torch.as_tensor(a) for a in (n, view, m, light)]
+    seen = cuda.radiance(*tensors, rotation, counts, light_of)
+    found = cuda.gradients(torch.as_tensor(scene.g), *tensors, rotation, counts, light_of)
+    right = cpu.gradients(scene.g, *scene.arguments(), 1)
+    assert relative(seen.numpy(), cpu.radiance(*scene.arguments(), 1)) <= TOLERANCE
+    for name, x, by, expected in zip(("n", "view", "m", "light"), (n, view, None, None), found, right, strict=True):
+        if expected is None:
+            assert by is None
+            continue
+        pair = by.numpy().astype(np.float64), expected.astype(np.float64)
+        if x is not None:
+            pair = [tangential(each, unit(x.astype(np.float64))) for each in pair]
+        assert relative(*pair) <= TOLERANCE, name
 
 
-@pytest.mark.parametrize("size", [(8, 16), (5, 7)])
-def test_values_and_gradients_equal_the_cpu_engine(rng, size):
-    compare(make_scene(rng, random_material(rng), pixels=75, size=size))
+CAMERAS = pytest.mark.parametrize("perspective", [False, True], ids=["orthographic", "view per pixel"])
 
 
-@pytest.mark.parametrize("kappa, gamma", [(1e-5, 0.5), (30.0, 100.0), (5.0, 1e3), (0.3, 1e-3)])
-def test_heights_and_widths_of_lobes(rng, kappa, gamma):
-    compare(make_scene(rng, material(kappa, gamma), pixels=40, size=(8, 16)))
+@CAMERAS
+def test_values_and_gradients_equal_the_cpu_engine(rng, perspective):
+    compare(make_scene(rng, random_material(rng), pixels=75, size=(5, 7), perspective=perspective))
 
 
-def test_a_measured_metal(rng):
-    compare(make_scene(rng, catalogue.find("chrome").m, pixels=40, size=(8, 16)))
+@CAMERAS
+@pytest.mark.parametrize("kappa, gamma", [(1e-5, 0.5), (30.0, 1e3)])
+def test_heights_and_widths_of_lobes(rng, perspective, kappa, gamma):
+    compare(make_scene(rng, material(kappa, gamma), pixels=32, size=(8, 16), perspective=perspective))
 
 
-def test_groups_with_lights_of_their_own(rng):
-    scene = make_scene(rng, random_material(rng), pixels=50, size=(8, 16))
-    m = torch.as_tensor(np.stack([scene.m, random_material(rng), scene.m]))
-    light = torch.as_tensor(rng.random((2, 8, 16, 3)).astype(np.float32))
-    counts, light_of, rotation = (20, 5, 25), (0, 0, 1), tuple(ROTATION.flatten().tolist())
-    n = torch.as_tensor(scene.n)
-    right = cpu.radiance(scene.n, None, m.numpy(), light.numpy(), rotation, counts, light_of, 1)
-    assert relative(cuda.radiance(n, m, light, rotation, counts, light_of).numpy(), right) <= TOLERANCE
-    right = cpu.gradients(scene.g, scene.n, None, m.numpy(), light.numpy(), rotation, counts, light_of, 1)
-    _, by_m, by_light = cuda.gradients(torch.as_tensor(scene.g), n, m, light, rotation, counts, light_of)
-    assert relative(by_m.numpy(), right[2]) <= TOLERANCE and relative(by_light.numpy(), right[3]) <= TOLERANCE
+@CAMERAS
+def test_a_measured_metal(rng, perspective):
+    compare(make_scene(rng, catalogue.find("chrome").m, pixels=32, size=(8, 16), perspective=perspective))
+
+
+@CAMERAS
+def test_groups_with_lights_of_their_own(rng, perspective):
+    scene = make_scene(rng, random_material(rng), pixels=50, size=(8, 16), perspective=perspective)
+    m = np.stack([scene.m, random_material(rng), scene.m])
+    light = rng.random((2, 8, 16, 3)).astype(np.float32)
+    constants = tuple(ROTATION.flatten().tolist()), (20, 5, len(scene.n) - 25), (0, 0, 1)
+    arrays = scene.n, scene.view, m, light
+    tensors = [None if a is None else torch.as_tensor(a) for a in arrays]
+    assert relative(cuda.radiance(*tensors, *constants).numpy(), cpu.radiance(*arrays, *constants, 1)) <= TOLERANCE
+    right = cpu.gradients(scene.g, *arrays, *constants, 1)
+    found = cuda.gradients(torch.as_tensor(scene.g), *tensors, *constants)
+    for by, expected in zip(found[2:], right[2:], strict=True):
+        assert relative(by.numpy(), expected) <= TOLERANCE
