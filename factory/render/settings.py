@@ -69,10 +69,14 @@ PICTURE = (
 )
 
 GEOMETRY = (
-    Setting("cycles.pixel_filter_type", "BOX", "with the least width: a ray through the pixel's centre"),
-    Setting("cycles.filter_width", 0.01, "wider would mix two surfaces' normals at a silhouette"),
+    Setting("cycles.pixel_filter_type", "BOX", "with the least width"),
+    Setting(
+        "cycles.filter_width",
+        0.01,
+        "a ray through the pixel's centre; Cycles sends the first sample there whatever the width, this is a second lock",
+    ),
     Setting("cycles.samples", 1, "un-antialiased: more would average normals, depths and segments"),
-    Setting("cycles.seed", 0, "the ray goes through the pixel's centre, to .005 px, whatever the seed"),
+    Setting("cycles.seed", 0, "nothing is drawn by lot: the first sample goes through the pixel's centre"),
     Setting("cycles.max_bounces", 0, "surfaces glow with their segment's number: no light is followed"),
 )
 
@@ -80,7 +84,11 @@ GEOMETRY = (
 TIERS = {
     "direct": {"unoccluded": True, "bounces": 0, "reason": "what the layer computes: neither shadow nor interreflection"},
     "shadow": {"unoccluded": False, "bounces": 0, "reason": "the object shades itself"},
-    "full": {"unoccluded": False, "bounces": 6, "reason": "and lights itself: the seventh bounce carries under 1 % at albedo .5"},
+    "full": {
+        "unoccluded": False,
+        "bounces": 6,
+        "reason": "and lights itself: on a chair of albedo .8 deeper bounces carry 1e-4 of the light",
+    },
 }
 
 
