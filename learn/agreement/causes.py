@@ -3,11 +3,13 @@
 On at most PIXELS inner pixels of a scene (letters as in learn.agreement.measure; all L2 in display values squared, over those pixels):
 
 noise        half the L2 of two seeds
-node fit     the label against the closed form of the nodes that Cycles renders, both by the same taps at the same normals
+node fit     the label against the closed form of the nodes that Cycles renders, both at the same normals by the same places of the light:
+             texels where no lobe of the label is narrow, taps else
 texel sum    the paper's sum against the converged integral: the light's discretisation. It is no part of I's disagreement
-footprint    a pixel of Cycles is the mean over its square, the layer's is its centre: I averaged over 3 × 3 places in the pixel against I
+footprint    a pixel of Cycles is the mean over its square, the layer's its centre: I averaged over the pixel (measure.footprint) against I
 look-up      the turn of the light about the vertical, in texels, that explains most of what is left, and the L2 it explains
-rest         what remains of Cycles' pictures after node fit and footprint are put into the layer's, net of noise
+net          Cycles' pictures against the layer's, net of noise; net_footprint the same with the footprint put into the layer's
+rest         the same with footprint and node fit put into it: what no known cause explains
 
 Edges (silhouette, segment borders, creases) are the pixels left out here; their part of L2 is measured apart (Row.edge_net).
 """
@@ -17,55 +19,65 @@ import zlib
 import numpy as np
 import torch
 
-from learn.agreement import surface
-from learn.agreement.measure import shared, squared
-from learn.layer import render
+from learn.agreement.measure import at_pixels, narrow, shared, squared
 from learn.methods import quadrature
 from shaders import closures, dsbrdf, tone
+from shaders.envmap import directions
 from shaders.frames import camera_from_light
 
-PIXELS = 192
+PIXELS = 96
 TAPS = 1024
-CHUNK = 64  # pixels × TAPS at a time, 1.5 MB an array
-OFFSETS = np.stack(np.meshgrid(*[np.array([-1, 0, 1]) / 3] * 2), -1).reshape(-1, 2)
+CHUNK = 65536  # pairs of pixel and place of the light at a time, 1.5 MB an array
 
 
 def chosen(layer, record):
-    """Indices (Q,) of at most PIXELS inner pixels, drawn by the record's id: the same on every run."""
+    """Indices (Q,) of at most PIXELS inner pixels, drawn by the geometry's id: the same on every run."""
     inner = np.flatnonzero(layer.inner.reshape(-1))
     rng = np.random.default_rng(zlib.crc32(record.geometry.encode()))
     return np.sort(rng.choice(inner, min(PIXELS, len(inner)), replace=False))
 
 
-def at_pixels(sample, index, n=None, turn=0):
-    """The layer's integral (Q, 3) at flat pixel indices, by other normals n (Q, 3) or under a light turned by whole texels."""
-    one = sample.for_layer()
-    picked = {key: one[key].flatten(1, 2)[:, None, index] for key in ("n", "view", "segments") if one[key] is not None}
-    one = one | picked | {"light": one["light"].roll(turn, 2)}
-    if n is not None:
-        one["n"] = torch.from_numpy(n.astype(np.float32))[None, None]
-    with torch.no_grad():
-        return render(**one, method="quadrature", tolerance=1e-2)[0, 0].double().numpy()
-
-
 def node_difference(sample, index, mixtures):
-    """The label's radiance minus the nodes', (Q, 3), by the same taps; mixtures: one shaders.mixture.Mixture a segment."""
-    n = sample.n.reshape(-1, 3)[index].double()
+    """The label's radiance minus the nodes', (Q, 3), by the same places of the light; mixtures: one shaders.mixture.Mixture a segment."""
+    n = torch.nn.functional.normalize(sample.n.reshape(-1, 3)[index].double(), dim=-1)  # float32's length shows in lobes of α = .003
     view = n.new_tensor([[0.0, 0.0, 1.0]]).expand_as(n) if sample.view is None else sample.view.reshape(-1, 3)[index].double()
     segment = sample.segments.reshape(-1)[index]
-    rotation = torch.as_tensor(camera_from_light(sample.elevation))
     out = np.zeros((len(index), 3))
     for number in segment.unique().tolist():
         m = sample.material[number - 1].double().reshape(dsbrdf.SHAPE)
-        taps = tuple(torch.as_tensor(x) for x in quadrature.spiral(m, TAPS))
+        places, count = texels(sample) if not narrow(m) else taps(sample, m)
         here = torch.nonzero(segment == number)[:, 0]
-        for part in here.split(CHUNK):
-            w, weight, texel = quadrature.place(n[part], view[part], *taps, rotation, sample.light.shape[:2])
-            L = sample.light.reshape(-1, 3)[texel].double().numpy()
+        for part in here.split(max(1, CHUNK // count)):
+            w, weight, L = places(n[part], view[part])
             difference = brdf_difference(m.numpy(), mixtures[number - 1], w.numpy(), n[part].numpy(), view[part].numpy())
-            mu = (w * n[part][:, None]).sum(-1) * weight
-            out[part.numpy()] = np.einsum("pik,pik,pi->pk", difference, L, mu.numpy())
+            mu = (w * n[part][:, None]).sum(-1).clamp(min=0) * weight
+            out[part.numpy()] = np.einsum("pik,pik,pi->pk", difference, np.broadcast_to(L, difference.shape), mu.numpy())
     return out
+
+
+def texels(sample):
+    """places(n, view) → w (p, T, 3), solid angle (p, T), 0 below the horizon, and radiance (T, 3): the map's texels; and how many."""
+    w, solid_angle = directions(*sample.light.shape[:2])
+    w = torch.as_tensor(w.reshape(-1, 3) @ camera_from_light(sample.elevation).T)
+    weight, L = torch.as_tensor(solid_angle.reshape(1, -1)), sample.light.reshape(-1, 3).double().numpy()
+
+    def places(n, view):
+        above = n @ w.T > 0
+        return torch.where(above[..., None], w, n[:, None]), weight * above, L
+
+    return places, len(w)
+
+
+def taps(sample, m):
+    """places(n, view) → w (p, N, 3), solid angle (p, N) and radiance (p, N, 3): taps that follow the lobes of m; and how many."""
+    spiral = tuple(torch.as_tensor(x) for x in quadrature.spiral(m, TAPS))
+    rotation = torch.as_tensor(camera_from_light(sample.elevation))
+
+    def places(n, view):
+        w, weight, texel = quadrature.place(n, view, *spiral, rotation, sample.light.shape[:2])
+        return w, weight, sample.light.reshape(-1, 3)[texel].double().numpy()
+
+    return places, TAPS
 
 
 def brdf_difference(m, mixture, w, n, view):
@@ -92,8 +104,7 @@ def take_apart(sample, pictures, layer, mixtures, exposure):
     C = pictures.reshape(len(pictures), -1, 3)[:, index].astype(np.float64)
     I, S = (x.reshape(-1, 3)[index] for x in (layer.integral, layer.sum))  # noqa: E741 -- the paper's letter
     nodes = np.maximum(I - node_difference(sample, index, mixtures), 0)
-    places = surface.sub_pixel_normals(sample.n.numpy(), OFFSETS).reshape(len(OFFSETS), -1, 3)[:, index]
-    spread = np.mean([at_pixels(sample, index, n=place) for place in places], axis=0)
+    spread = layer.footprint.reshape(-1, 3)[index]
     predicted = np.maximum(nodes + spread - I, 0)
     turned = 0.5 * (at_pixels(sample, index, turn=1) - at_pixels(sample, index, turn=-1))  # per texel
     weight = 1 / (predicted + predicted.mean() + 1e-12) ** 2
@@ -113,6 +124,7 @@ def take_apart(sample, pictures, layer, mixtures, exposure):
         "look_up": float(squared(D(predicted), D(np.maximum(predicted + shift * turned, 0))).mean()),
         "look_up_texels": shift,
         "net": float(shared(D(C) - D(I)).mean()) if several else None,
+        "net_footprint": float(shared(D(C) - D(spread)).mean()) if several else None,
         "rest": float(shared(D(C) - D(predicted)).mean()) if several else None,
         "rest_signed": float((predicted - C.mean(0)).mean() / max(C.mean(), 1e-12)),
     }

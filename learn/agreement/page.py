@@ -15,6 +15,7 @@ TITLES = {
     "l2": "L2",
     "noise": "noise",
     "net": "L2 − noise",
+    "like_net": "inside, like for like",
     "ssim": "SSIM",
     "signed": "signed %",
     "absolute": "absolute %",
@@ -25,8 +26,9 @@ TITLES = {
 PERCENT = ("signed", "absolute", "sum_signed")
 DIFFERENCE_GAIN = 4.0  # display steps are shown this many times larger, around grey
 STYLE = """
-:root{color-scheme:light dark;--ink:#1f2933;--soft:#5b6b79;--line:#dfe5ea;--back:#fbfcfd;--card:#fff;--accent:#2f6f9f;--good:#2e7d4f;--bad:#b3402a}
-@media(prefers-color-scheme:dark){:root{--ink:#e6ebef;--soft:#98a7b3;--line:#33414c;--back:#141a1f;--card:#1b232a;--accent:#7db7de;--good:#7ccf9c;--bad:#ee9079}}
+:root{color-scheme:light dark;--ink:#1f2933;--soft:#5b6b79;--line:#dfe5ea;--back:#fbfcfd;--card:#fff;--good:#2e7d4f;--bad:#b3402a}
+@media(prefers-color-scheme:dark){
+:root{--ink:#e6ebef;--soft:#98a7b3;--line:#33414c;--back:#141a1f;--card:#1b232a;--good:#7ccf9c;--bad:#ee9079}}
 body{font:15px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--back);max-width:1080px;margin:0 auto;padding:2rem 1.2rem}
 h1{font-size:1.6rem;margin:0}
 h2{font-size:1.1rem;margin:2.2rem 0 .6rem}
@@ -76,14 +78,18 @@ def table_rows(table):
 
 
 def verdict(head):
-    """The headline in a sentence."""
-    if head["net"] is None:
+    """The headline in sentences."""
+    if not head["conditions"]:
+        return "No picture of the direct tier under the 64×128 map: what the layer models was not rendered. Render with tiers direct."
+    if head["like_net"] is None:
         return "The direct tier has no second seed: its noise is unknown, and the limit cannot be judged. Render with repeats = 2."
-    fit = "unknown" if head["node_fit"] is None else f"{head['node_fit']:.3g}"
+    fit, whose = (head["node_fit"], "in the catalogue") if head["node_fit"] is not None else (head["node_fit_measured"], "measured here")
     judged = "within" if head["holds"] else "beyond"
     return (
-        f"Direct tier: display L2 net of noise {head['net']:.3g} against the materials' own node fit of {fit}: {judged} the limit of "
-        f"{head['limit']:g} times. The paper's texel sum stands at {head['sum_net']:.3g}."
+        f"Direct tier, inside the silhouette, pixel square against pixel square: display L2 net of noise {head['like_net']:.3g}; the "
+        f"materials' own node fit {whose} is {fit:.3g}: {judged} the limit of {head['limit']:g} times. Over the whole mask, with "
+        f"{100 * head['edge_share']:.0f} % of it on edges, the integral stands at {head['net']:.3g} and the paper's texel sum at "
+        f"{head['sum_net']:.3g}."
     )
 
 
@@ -122,20 +128,22 @@ def web(summary, about, plots, panels):
     """
     head = summary["direct"]
     parts = [
-        f"<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'><title>Agreement</title><style>{STYLE}</style>"
+        "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'>"
+        f"<title>Agreement</title><style>{STYLE}</style>"
     ]
     parts += ["<h1>Cycles and the layer, side by side</h1>", f"<p class=soft>{' · '.join(html.escape(str(v)) for v in about.values())}</p>"]
     parts += [f"<p>{html.escape(verdict(head))}</p>", cards(summary)]
     parts += [
-        "<h2>Why they differ</h2><p class=soft>Each cause of the direct tier's disagreement is measured on its own. Texel sum is the price of the paper's "
-        "point sum over the map; it is no part of the converged integral's disagreement.</p><div class=plots>"
+        "<h2>Why they differ</h2><p class=soft>Each cause is measured on its own, in the direct tier. Texel sum is what the paper's "
+        "point sum over the map costs; it is no part of the converged integral's disagreement.</p><div class=plots>"
     ]
     parts += [
         f"<figure><img src='{encoded(path)}' alt=''><figcaption>{html.escape(caption)}</figcaption></figure>"
         for path, caption in plots.items()
     ]
     parts += [
-        f"</div><h2>Pictures, the worst first</h2><p class=soft>Cycles, the layer, and their difference times {DIFFERENCE_GAIN:g} around grey.</p><div class=panels>"
+        "</div><h2>Pictures, the worst first</h2><p class=soft>Cycles, the layer, and their difference times "
+        f"{DIFFERENCE_GAIN:g} around grey.</p><div class=panels>"
     ]
     for caption, cycles, layer in panels:
         images = (cycles, layer, 128 + DIFFERENCE_GAIN * (layer - cycles))
@@ -147,9 +155,8 @@ def web(summary, about, plots, panels):
         top = "".join(f"<th>{h}</th>" for h in (html.escape(name), *header))
         body = "".join(f"<tr><td>{html.escape(value)}</td>{''.join(f'<td>{c}</td>' for c in cells)}</tr>" for value, cells in rows)
         opened = " open" if len(rows) <= 8 else ""
-        parts.append(
-            f"<details{opened}><summary>By {html.escape(name)}</summary><div class=scroll><table><tr>{top}</tr>{body}</table></div></details>"
-        )
+        parts.append(f"<details{opened}><summary>By {html.escape(name)}</summary><div class=scroll>")
+        parts.append(f"<table><tr>{top}</tr>{body}</table></div></details>")
     return "\n".join(parts) + "</html>\n"
 
 
@@ -157,9 +164,10 @@ def cards(summary):
     head, every = summary["direct"], summary["all"]
     judged = "" if head["holds"] is None else " good" if head["holds"] else " bad"
     shown = [
-        (judged, number("net", head["net"]), "direct tier, L2 − noise"),
-        ("", number("node_fit", head["node_fit"]), "node fit of its materials"),
-        ("", number("sum_net", head["sum_net"]), "the paper's sum, L2 − noise"),
+        (judged, number("like_net", head["like_net"]), "direct tier inside, L2 − noise"),
+        ("", number("node_fit", head["node_fit_measured"] if head["node_fit"] is None else head["node_fit"]), "node fit of its materials"),
+        ("", number("net", head["net"]), "over the whole mask"),
+        ("", number("sum_net", head["sum_net"]), "the same by the paper's sum"),
         ("", number("ssim", every.get("ssim")), "SSIM, all tiers"),
         ("", str(every.get("pictures", 0)), "pictures compared"),
     ]

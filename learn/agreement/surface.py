@@ -7,7 +7,7 @@ import numpy as np
 
 from shaders import dsbrdf
 
-CREASE = np.cos(np.radians(30.0))  # a sharper bend between neighbouring pixels is an edge, no curvature
+CREASE = np.cos(np.radians(10.0))  # a sharper bend between neighbouring pixels is an edge: within a pixel, normals no longer turn evenly
 STEEPEST = np.tan(np.radians(86.0))  # a depth step beyond this slope is another surface behind
 GRAZING_DEG = (0, 30, 50, 65, 75, 82, 90)  # angle between normal and view: limits of the breakdown
 WIDTHS_DEG = (0.0, 1.0, 4.0, 15.0, 90.0)  # half-width of the highlight, in half angle: mirror-like, sharp, glossy, matte

@@ -1,0 +1,113 @@
+"""`learn agree` on datasets whose truth is known: what it measures is what was put in."""
+
+import json
+
+import numpy as np
+import pytest
+import synthetic
+
+from learn.__main__ import COMMANDS
+from learn.agreement import report, surface
+from manifests import materials as catalogue
+from manifests.command_line import main
+from shaders.mixture import Mixture
+
+
+@pytest.fixture
+def folder(tmp_path, rng):
+    synthetic.write_dataset(tmp_path / "data", [synthetic.matte()], rng, size=32, noise=0.02)
+    return tmp_path / "data"
+
+
+def agree(folder, *arguments):
+    status = main("learn", "", COMMANDS, ["agree", str(folder), "--out", str(folder.parent / "report"), *arguments])
+    return status, folder.parent / "report"
+
+
+def test_pictures_of_the_layer_itself_agree_up_to_their_noise(folder):
+    status, out = agree(folder)
+    read = json.loads((out / "report.json").read_text())
+    head, causes = read["summary"]["direct"], read["summary"]["causes"]
+    assert status == 0 and head["conditions"] == 2
+    noise = read["summary"]["all"]["noise"]
+    # 2 % of a display value, where the sRGB curve's exponent is about 1/2.4: (0.02 · 150 / 2.2)² = 1.9, up to twice that in bright parts
+    assert 0.5 < noise < 8
+    # net: products of independent noises over 750 pixels × 3 channels × 2 pictures scatter by noise/√4500 = 1.5 % of it; clipping adds some
+    assert abs(head["net"]) < 0.1 * noise
+    assert causes["node_fit"] < 1e-6  # the matte mixture is the label's own closed form
+    assert abs(causes["look_up_texels"]["median"]) < 0.5
+
+
+def test_a_turned_light_is_found_and_told_from_other_causes(tmp_path, rng):
+    """The record says 3 texels, the picture was made with 2: the layer sees the light one texel too far."""
+    synthetic.write_dataset(tmp_path / "data", [synthetic.matte()], rng, size=32, noise=0.001, rotations=(2,))
+    lines = tmp_path / "data" / "records" / "worker-00.jsonl"
+    lines.write_text(lines.read_text().replace('"rotation_texels":2', '"rotation_texels":3'))
+    _, out = agree(tmp_path / "data")
+    causes = json.loads((out / "report.json").read_text())["conditions"][0]["causes"]
+    assert causes["look_up_texels"] == pytest.approx(-1.0, abs=0.15)  # linear in the turn, over a map of independent texels
+    assert causes["net"] > causes["noise"] and causes["node_fit"] < 1e-6
+
+
+def test_nodes_that_are_not_the_label_show_as_node_fit(tmp_path, rng):
+    """The label reflects 0.4, nodes and picture 0.36."""
+    label, nodes = synthetic.matte("grey", albedo=0.4), synthetic.matte("grey", albedo=0.36)
+    mixed = synthetic.entry("grey", np.exp(np.asarray(label.label)).reshape(3, 3, 2, 6), Mixture.lambert([0.36] * 3))
+    synthetic.write_dataset(tmp_path / "data", [nodes], rng, size=32, noise=0.001, rotations=(0,))
+    catalogue.write(catalogue.Catalogue(title="test", credit="none", materials=(mixed,)), tmp_path / "data" / "materials.json")
+    _, out = agree(tmp_path / "data")
+    row = json.loads((out / "report.json").read_text())["conditions"][0]
+    assert row["signed"] == pytest.approx(0.4 / 0.36 - 1, abs=2e-3)  # the noise of 750 pixels: 0.001
+    assert row["causes"]["node_fit"] == pytest.approx(row["causes"]["net"], rel=0.02)
+    assert row["causes"]["rest"] < 0.01 * row["causes"]["node_fit"]
+
+
+def test_one_seed_leaves_noise_unknown_and_says_so(tmp_path, rng, capsys):
+    synthetic.write_dataset(tmp_path / "data", [synthetic.matte()], rng, size=16, seeds=1, rotations=(0,))
+    status, out = agree(tmp_path / "data")
+    assert status == 0 and "repeats = 2" in capsys.readouterr().out
+    assert json.loads((out / "report.json").read_text())["conditions"][0]["noise"] is None
+
+
+def test_the_page_stands_alone(folder):
+    _, out = agree(folder, "--limit", "2")
+    text = (out / "index.html").read_text()
+    assert "http" not in text and text.count("data:image/png;base64,") >= 4
+    assert (out / "report.md").read_text().startswith("# Agreement")
+
+
+def test_a_folder_without_a_dataset_is_one_line(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    status, _ = agree(tmp_path / "empty")
+    assert status == 1 and "a dataset (dataset.json) expected, found none" in capsys.readouterr().err
+
+
+def test_limit_keeps_whole_scenes():
+    class Condition:
+        def __init__(self, count):
+            self.records = [None] * count
+
+    groups = [[Condition(2), Condition(2)] for _ in range(10)]
+    kept = report.limited(groups, 9)
+    assert len(kept) == 2 and all(group in groups for group in kept)
+    assert len(report.limited(groups, 1)) == 1
+
+
+def test_inner_pixels_leave_out_silhouette_creases_and_steps():
+    n, segments, depth = np.zeros((7, 9, 3)), np.ones((7, 9), int), np.zeros((7, 9))
+    n[..., 2] = 1
+    segments[0] = 0
+    n[:, 4:] = [np.sin(0.5), 0, np.cos(0.5)]
+    depth[4:, :4] = 5.0
+    inner = surface.inner(n, segments, depth, pixel=0.1)
+    expected = np.zeros((7, 9), bool)
+    expected[2:3, 1:3] = expected[5:6, 1:3] = expected[2:6, 5:8] = True
+    np.testing.assert_array_equal(inner, expected)
+
+
+def test_highlight_width_follows_the_exponent():
+    m = np.full((3, 3, 2, 6), 1e-9)
+    m[:, 0, 0], m[:, 0, 1] = 1e-3, 1000.0  # κ small: f = κ cos^γ, half at cos θ = 2^(−1/γ)
+    expected = np.degrees(np.arccos(0.5 ** (1 / 1000)))
+    assert surface.highlight_half_width(m.reshape(-1)) == pytest.approx(expected, rel=0.03)  # the grid's steps are 2.4 %
+    assert surface.width_name(expected) == "sharp, 1–4°"
