@@ -78,9 +78,9 @@ def _filled(table, known):
     return filled
 
 
-def folder(path, only=()):
-    """{name: TabulatedBRDF} of a folder's `.binary` files, or of the one file. Raises Problem where there are none."""
-    files = [path] if path.is_file() else sorted(path.glob(f"*{SUFFIX}"))
-    if not files:
+def files(path):
+    """{name: path} of a folder's `.binary` files, or of the one file. Raises Problem where there are none."""
+    found = [path] if path.is_file() else sorted(path.glob(f"*{SUFFIX}"))
+    if not found:
         raise Problem(path, f"files that end in {SUFFIX}", "none", "give MERL's brdfs folder")
-    return {file.stem: read(file) for file in files if not only or file.stem in only}
+    return {file.stem: file for file in found}

@@ -56,7 +56,7 @@ def load(path):
     if path.stat().st_size > MAX_BYTES:
         raise Problem(path, f"at most {MAX_BYTES >> 20} MiB", f"{path.stat().st_size >> 20} MiB", "give an npz of NBRDF weights")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             names, weights = archive["names"], archive["weights"]
     except (KeyError, ValueError, OSError, EOFError) as error:
         raise Problem(path, "an npz with `names` and `weights`", f"{type(error).__name__}: {error}"[:120], "give NBRDF weights") from None

@@ -40,16 +40,13 @@ def load(path, only=()):
     if not path.exists():
         raise Problem(path, "an npz of Neural-BRDF weights or a folder of MERL .binary files", "nothing", "check the path")
     if path.is_dir() or path.suffix == merl_binary.SUFFIX:
-        found = {
-            name: Source(name, measured, families.family(name), "MERL .binary", MERL_LICENCE, families.split(name))
-            for name, measured in merl_binary.folder(path, only).items()
-        }
+        names, make = merl_binary.files(path), _of_file
     else:
-        found = {name: _of_network(name, network) for name, network in nbrdf.load(path).items()}
+        names, make = {name.removesuffix("_rgb"): (name, network) for name, network in nbrdf.load(path).items()}, _of_network
     for name in only:
-        if name not in found:
-            raise Problem(path, f"a material named {name!r}", "none of that name", closest(name, found))
-    return {name: found[name] for name in sorted(found) if not only or name in only}
+        if name not in names:
+            raise Problem(path, f"a material named {name!r}", "none of that name", closest(name, names))
+    return {name: make(name, names[name]) for name in sorted(names) if not only or name in only}
 
 
 def credit(sources):
@@ -57,9 +54,13 @@ def credit(sources):
     return RGL_CREDIT if any(s.source.startswith("EPFL") for s in sources.values()) else MERL_CREDIT
 
 
-def _of_network(name, network):
-    if name.endswith("_rgb"):  # EPFL's names end so in Neural-BRDF's archive
-        name = name.removesuffix("_rgb")
+def _of_file(name, path):
+    return Source(name, merl_binary.read(path), families.family(name), "MERL .binary", MERL_LICENCE, families.split(name))
+
+
+def _of_network(name, found):
+    stored, network = found
+    if stored.endswith("_rgb"):  # EPFL's names end so in Neural-BRDF's archive
         side = families.rgl_split(name)
         return Source(name, network, families.rgl_family(name), "EPFL RGL through Neural-BRDF", RGL_LICENCE, side)
     return Source(name, network, families.family(name), "MERL through Neural-BRDF", MERL_LICENCE, families.split(name))

@@ -1,0 +1,168 @@
+"""Claims of `python -m factory materials`: fits, adds, resumes, lists, draws and reports; refuses in one line."""
+
+import json
+import os
+import struct
+
+import numpy as np
+import pytest
+from merl_file import smooth, write_binary
+from PIL import Image
+
+from factory.__main__ import COMMANDS
+from manifests import materials
+from manifests.command_line import main
+from manifests.problems import Problem
+
+
+def run(*arguments):
+    return main("factory", "test", [c for c in COMMANDS if c == "materials"], [*map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """A folder with one measured material, fitted into a catalogue with one closure (quick, and none of its tolerances matter here)."""
+    folder = tmp_path_factory.mktemp("own")
+    write_binary(folder / "own-wood.binary", lambda h, d: 0.1 * smooth(h, d))
+    assert run("materials", "add", folder, "--closures", 1, "--out", folder / "own.json") == 0
+    return folder
+
+
+def test_a_users_measurement_becomes_a_material(own):
+    catalogue = materials.load_catalogue(own / "own.json")
+    wood = catalogue["own-wood"]
+    assert wood.label.shape == (3, 3, 2, 6) and np.isfinite(wood.label).all()
+    assert wood.mixture.weights.max() > 0 and len(wood.mixture.kinds) == 1
+    assert len(wood.errors.nodes_vs_label.l1) == 6 and wood.errors.nodes_vs_label.display_l2 == ()
+    assert wood.source == "MERL .binary"
+
+
+def test_a_second_call_takes_the_fits_that_are_kept(own, capsys):
+    kept = list((own / "own.json.fits").iterdir())
+    before = [os.stat(file).st_mtime_ns for file in kept], (own / "own.json").read_bytes()
+    assert run("materials", "add", own, "--closures", 1, "--out", own / "own.json") == 0
+    assert [os.stat(file).st_mtime_ns for file in (own / "own.json.fits").iterdir()] == before[0]
+    assert (own / "own.json").read_bytes() == before[1]
+
+
+def test_another_recipe_is_another_fit(own):
+    from factory.materials import fitting, recipe, sources
+
+    (source,) = sources.load(own).values()
+    first, second = (fitting.key(source, recipe.Recipe(closures=c), {}) for c in ((1,), (2,)))
+    assert first != second
+
+
+def test_adding_under_other_light_maps_is_refused(own, capsys):
+    assert run("materials", "add", own, "--closures", 1, "--light", "gradient-1", "--out", own / "own.json") == 1
+    assert "give no --light, or another --out" in capsys.readouterr().err
+
+
+def test_the_list_shows_every_material(own, capsys):
+    assert run("materials", "list", "--catalogue", own / "own.json") == 0
+    assert "own-wood" in capsys.readouterr().out
+
+
+def test_the_contact_sheet_shows_balls_on_a_ground(own):
+    arguments = ("--catalogue", own / "own.json", "--light", "gradient-1", "--size", 24, "--out", own / "sheet.png")
+    assert run("materials", "preview", *arguments) == 0
+    picture = np.asarray(Image.open(own / "sheet.png"))
+    assert picture.shape == (36, 24, 3)
+    assert (picture[0, 0] == 24).all() and picture[12, 12].max() > 60
+
+
+def test_a_report_says_what_made_it_and_whether_limits_are_kept(own):
+    assert run("materials", "report", own / "own.json", "--out", own / "report") == 0
+    data = json.loads((own / "report" / "report.json").read_text())
+    assert {"command", "commit", "machine", "date"} <= set(data)
+    expected = np.mean(materials.load_catalogue(own / "own.json")["own-wood"].errors.nodes_vs_label.l1)
+    assert data["figures"]["agreement_median"] == pytest.approx(expected, rel=1e-3)
+    assert "| limit |" in (own / "report" / "report.md").read_text() and (own / "report" / "errors.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("fit", "{folder}/none.npz", "--out", "{folder}/o.json"), "none.npz: an npz of Neural-BRDF weights"),
+        (("fit", "{folder}", "--only", "own-wod", "--out", "{folder}/o.json"), "did you mean own-wood"),
+        (("fit", "{folder}", "--closures", "0", "--out", "{folder}/o.json"), "--closures: ascending counts from 1 expected"),
+        (("fit", "{folder}", "--tolerance", "7", "--out", "{folder}/o.json"), "--tolerance: 0.0001 to 1 expected, found 7"),
+        (("fit", "{folder}", "--workers", "0", "--out", "{folder}/o.json"), "--workers: at least 1 expected"),
+        (("preview", "brazz", "--out", "{folder}/p.png"), "did you mean brass"),
+        (("list", "--catalogue", "{folder}/broken.json"), "broken.json"),
+    ],
+)
+def test_mistakes_end_in_one_line(own, capsys, arguments, message):
+    (own / "broken.json").write_text('{"materials": 7}')
+    assert run("materials", *(a.format(folder=own) for a in arguments)) == 1
+    error = capsys.readouterr().err.strip()
+    assert message in error and "\n" not in error
+
+
+def test_a_truncated_measurement_ends_the_fit_in_one_line(tmp_path, capsys):
+    (tmp_path / "cut.binary").write_bytes(struct.pack("<3i", 90, 90, 180) + b"\0" * 64)
+    assert run("materials", "fit", tmp_path, "--out", tmp_path / "o.json") == 1
+    assert "cut.binary: 34992012 bytes after such a header expected, found 76" in capsys.readouterr().err
+
+
+# --- the built-in catalogue
+
+
+@pytest.fixture(scope="module")
+def merl():
+    return materials.load_catalogue(materials.BUILT_IN[0])
+
+
+def test_the_built_in_catalogue_holds_merls_hundred(merl):
+    from factory.materials.families import HELD_OUT
+
+    assert len(merl) == 100
+    assert {m.name for m in merl.values() if m.split == "test"} == HELD_OUT
+    assert len({m.hash for m in merl.values()}) == 100  # no twins
+
+
+def test_labels_are_bounded_and_in_canonical_order(merl):
+    from factory.materials.label_model import HIGH, LOW
+
+    for m in merl.values():
+        assert (m.label >= LOW - 1e-4).all() and (m.label <= HIGH + 1e-4).all(), m.name
+        assert (np.diff(m.label[:, :, 1].mean((0, 2))) >= -1e-4).all(), m.name
+
+
+def test_written_errors_are_those_of_the_written_numbers(merl):
+    """Label against nodes needs no measurement: taken again for a few; four digits are written."""
+    from factory.materials import errors, samples
+
+    s = samples.held_out()
+    for name in ("brass", "blue-rubber", "white-fabric", "specular-black-phenolic"):
+        m = merl[name]
+        found = errors.relative_l1(m.mixture.evaluate(*s.cosines), errors.label_values(m.label, s), s)
+        np.testing.assert_allclose(found, m.errors.nodes_vs_label.l1, rtol=2e-3)
+
+
+def test_the_catalogue_keeps_its_limits(merl):
+    from factory.materials import report
+
+    found = report.figures(list(merl.values()))
+    missed = [(text, found.get(key), limit) for text, key, limit, _ in report.LIMITS if key in found and found[key] > limit]
+    assert not missed
+
+
+def test_every_test_material_knows_its_nearest_training_one(merl):
+    for m in merl.values():
+        if m.split == "test":
+            assert merl[m.nearest_train.name].split == "train" and m.nearest_train.distance > 0
+        else:
+            assert m.nearest_train is None
+
+
+def test_a_name_that_is_not_there_lists_the_closest(merl):
+    with pytest.raises(Problem, match=r"did you mean .*red-fabric"):
+        materials.find("red-fabrik", merl)
+
+
+def test_an_unknown_key_in_a_catalogue_is_refused(tmp_path, own):
+    text = (own / "own.json").read_text().replace('"family"', '"famliy"', 1)
+    (tmp_path / "typo.json").write_text(text)
+    with pytest.raises(Problem, match="famliy"):
+        materials.read_catalogue(tmp_path / "typo.json")
