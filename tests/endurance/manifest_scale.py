@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 
-from manifests.store import Store
+from manifests.store import Store, image_path
 from manifests.verification import faults_in_records
 
 WORKERS, EACH = 8, 90_000
@@ -33,7 +33,8 @@ def grown(source, folder):
     for worker in range(WORKERS):
         with open(folder / "records" / f"worker-{worker:02d}.jsonl", "w") as file:
             for k in range(EACH):
-                file.write(line.replace(record.id, hashlib.sha256(f"{worker} {k}".encode()).hexdigest()[:24]) + "\n")
+                id_ = hashlib.sha256(f"{worker} {k}".encode()).hexdigest()[:24]
+                file.write(line.replace(record.image, image_path(id_)).replace(record.id, id_) + "\n")
     return Store(folder)
 
 
