@@ -19,7 +19,7 @@ def register(subparsers):
         type=fraction,
         default=1e-2,
         metavar="X",
-        help="relative error allowed to the layer's integral (default 0.01; less is slower)",
+        help="relative error allowed to the layer's integral (default 0.02; less is slower)",
     )
     parser.set_defaults(run=run)
 

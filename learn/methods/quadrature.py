@@ -62,7 +62,7 @@ def radiance(batch: Batch, tolerance):
 
 def tap_count(tolerance):
     """Jumps of L inside N cells leave an error of about N^−¾ of the lobe's contrast; a power of two in [128, 16384]."""
-    return int(np.clip(2 ** math.ceil(math.log2(3 * tolerance ** (-4 / 3))), 128, 16384))
+    return int(np.clip(2 ** math.ceil(math.log2(4.5 * tolerance ** (-4 / 3))), 128, 16384))
 
 
 def exponents(m):
