@@ -103,6 +103,12 @@ def test_rows_at_texel_corners_lose_the_zenith_and_centres_keep_it(L):
     assert picture(sphere(), DIFFUSE, zenith_lamp, w, weight).max() == 0.0
     assert picture(sphere(), DIFFUSE, zenith_lamp, W_OURS, WEIGHT_OURS).max() > 0.0
 
+    # a row's texels, weighed by solid angle, balance at the mean of its edges' heights: centres lie there to (π/64)²/8 = 3e-4
+    edges = np.cos(np.pi * np.arange(65) / 64)
+    balance = (edges[:-1] + edges[1:]) / 2
+    assert np.abs(np.cos(theta[:, 0]) - balance).max() > 0.02
+    np.testing.assert_allclose(W_LIGHT[:, 0, 1], balance, atol=4e-4)
+
     # all is half a texel, 1.4°, off: little for a matte sphere, much for a mirror
     assert image_error(w, weight, DIFFUSE, L) > 0.01
     assert image_error(w, weight, CHROME, L) > 0.1
