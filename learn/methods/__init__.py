@@ -39,10 +39,11 @@ class Card:
 
     name          the module's name, and the value of render's `method`
     approximates  in words: what is replaced by what
-    error         the claim: largest relative error (mean absolute over mean) against the paper's sum, or None: no bound
+    error         the claim: largest relative error (mean absolute over mean) against the paper's sum at tolerance 1e-2, or None: no bound
     cost          in words: how time grows with pixels, lights and materials
     memory        in words: beyond inputs and outputs
     needs         names among {"orthographic", "numba", "triton", "cuda"}
+    gradient      the same claim for derivatives by n, material, light and view, or None
     """
 
     name: str
@@ -51,6 +52,7 @@ class Card:
     cost: str
     memory: str
     needs: frozenset = frozenset()
+    gradient: float | None = None
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ CARD = Card(
     error=1e-2,
     cost="the least that its model predicts, plus a check of 64 pixels",
     memory="as the method chosen",
+    gradient=0.1,
 )
 MAP_SHARE, CHECK = 0.6, 0.6  # of the tolerance
 CULL = (10.0, 0.5)  # times the tolerance: culling's bound is some 500 times what it leaves out in the mean; the second is guaranteed

@@ -14,6 +14,7 @@ CARD = Card(
     error=5e-3,
     cost="pixels × texels near a lobe: falls with the square of the lobes' width",
     memory="lists of blocks: 16 bytes × pixels / 64 × blocks of 16 texels, for 65,536 pixels at a time",
+    gradient=2e-2,
 )
 
 SHARE = 0.5  # of the tolerance that may be left out

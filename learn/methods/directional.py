@@ -5,7 +5,8 @@ w         (T, 3) unit, camera frame, constant
 E         (T, 3) radiance × solid angle
 left_out  radiance that may be missing from a pixel in a channel: blocks of lights are skipped up to that
 
-The kernels (learn.engines.culled) serve float32 on the CPU with a distant viewer. There a normal may also look away from the viewer
+The kernels serve float32 on the CPU: learn.engines.culled a distant viewer, learn.engines.general a view per pixel (and leaves out
+nothing that counts). With a distant viewer a normal may also look away from the viewer
 (nodes of a reflectance map just beyond the silhouette): c = h·n is held above 0, so values and derivatives stay finite.
 """
 
@@ -17,14 +18,15 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from learn.engines import culled, machine_code, threads
-from learn.engines.lights import LANES, LN2, LOG2_E, blocked, lobe_first, unblocked
+from learn.engines import cpu, culled, machine_code, threads
+from learn.engines.lights import LANES, LN2, LOG2_E, Slab, blocked, cutoff, general_tables, lobe_first, unblocked
 from learn.methods.exact import ExactSum
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
 from shaders.envmap import directions
 from shaders.spline import basis
 
 PASS = 65536  # pixels whose lists are held at a time
+LARGEST_CONTROL = torch.tensor([MAX_EXPONENT, math.inf])[:, None]  # of κ and of γ
 VIEWER = np.array([0.0, 0.0, 1.0])
 SLACK = 1e-5  # radians by which cones are widened against rounding
 
@@ -88,8 +90,10 @@ def of_map(light, camera_from_light):
 
 def radiance(n, view, m, E, lights, left_out=0.0):
     """(P, 3) of one material m (3, 3, 2, 6) under lights E; differentiable in n, view, m and E."""
-    if view is None and n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available():
-        return ListedSum.apply(n, m, E, lights, float(left_out))
+    if n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available():
+        if view is None:
+            return ListedSum.apply(n, m, E, lights, float(left_out))
+        return ViewedSum.apply(n, view.expand_as(n), torch.minimum(m, LARGEST_CONTROL), E, lights)
     return ExactSum.apply(n, view, m, E, torch.as_tensor(lights.w, dtype=n.dtype, device=n.device))
 
 
@@ -143,6 +147,40 @@ class ListedSum(torch.autograd.Function):
         by_n = np.empty_like(by_sorted_n)
         by_n[order] = by_sorted_n
         return torch.from_numpy(by_n), torch.from_numpy(by_m).float(), torch.from_numpy(by_E).float(), None, None
+
+
+class ViewedSum(torch.autograd.Function):
+    """n, view (P, 3), m (3, 3, 2, 6), E (T, 3), Lights → radiance (P, 3) by learn.engines.general: a view per pixel, all lights."""
+
+    @staticmethod
+    def forward(ctx, n, view, m, E, lights):
+        ctx.save_for_backward(n, view, m)
+        rows = np.zeros((3, 16 * lights.blocks))
+        rows[:, : len(lights.w)] = E.numpy().T
+        energy = blocked(rows)
+        ctx.lights, ctx.energy = lights, (energy, cutoff(energy))
+        arrays = (np.ascontiguousarray(a.numpy()) for a in (n, view))
+        return torch.from_numpy(
+            cpu._forward(*arrays, slab(lights), general_tables(m.double().numpy()), ctx.energy, torch.get_num_threads())
+        )
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, g):
+        n, view, m = ctx.saved_tensors
+        arrays = (np.ascontiguousarray(a.numpy()) for a in (n, view, g))
+        group = cpu.Group(*arrays, slab(ctx.lights), ctx.energy, torch.get_num_threads(), ctx.needs_input_grad[1])
+        by_n, by_view, energy_sums, by_m = cpu._general_backward(group, *general_tables(m.double().numpy()))
+        by_E = unblocked(energy_sums)[:, : len(ctx.lights.w)].T
+        by_view = torch.from_numpy(by_view) if ctx.needs_input_grad[1] else None
+        return torch.from_numpy(by_n), by_view, torch.from_numpy(np.ascontiguousarray(by_m)).float(), torch.from_numpy(by_E).float(), None
+
+
+def slab(lights):
+    """What learn.engines.cpu wants to know of lights for a view per pixel."""
+    w = np.concatenate([lights.w, np.broadcast_to(lights.w[-1], (-len(lights.w) % LANES, 3))]).T
+    general = blocked(np.concatenate([w, w - w.astype(np.float32)]))
+    return Slab(None, None, lights.blocks, lights.geometry, general, lights.basis)
 
 
 class Tables:

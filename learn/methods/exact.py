@@ -33,6 +33,7 @@ CARD = Card(
     cost="pixels × texels",
     memory="below 64 MiB at any size: chunks of 32,768 pixel–texel pairs, computed again in the backward pass",
 )
+LEAST_COSINE = 1e-12
 TEXELS, PAIRS = 2048, 32768  # of one chunk; the largest temporary is 9 × PAIRS numbers, 2.4 MB in float64
 
 
@@ -95,7 +96,8 @@ def lobes(n, w, at):
     n (p, 3), w (t, 3), at: Half
     """
     mu = (n @ w.T).clamp(min=0)
-    c = torch.where(mu > 0, (at.h * n[:, None]).sum(-1), 1.0)
+    # a map's node may look away from the viewer (learn/methods/reflectance_map.py): c is held above 0 there
+    c = torch.where(mu > 0, (at.h * n[:, None]).sum(-1).clamp(min=LEAST_COSINE), 1.0)
     # at a sharp lobe's peak 1 − c cancels: take it from |h − n|² there
     gap = 0.5 * ((at.h - n[:, None]) ** 2).sum(-1)
     near = torch.where((mu > 0) & (c > 0.5), gap, 0.0)

@@ -12,6 +12,7 @@ CARD = Card(
     error=1e-2,
     cost="pixels × (lights + texels near a sharp lobe)",
     memory="as median_cut and culled",
+    gradient=0.2,
 )
 BROAD = 60.0
 

@@ -21,6 +21,7 @@ CARD = Card(
     error=1e-2,
     cost="pixels × lights, 64 to 4096 of them by tolerance, plus a few milliseconds for the cut",
     memory="pixels and lights only",
+    gradient=0.4,
 )
 LEAST, MOST = 64, 4096
 

@@ -26,6 +26,7 @@ CARD = Card(
     cost="nodes × texels + 16 × pixels; nodes grow with the sharpest lobe",
     memory="size² × 12 bytes, size ≤ 512, and 4 copies of it in the backward pass",
     needs=frozenset({"orthographic"}),
+    gradient=0.1,
 )
 SMALLEST, LARGEST = 12, 512
 MARGIN = 2

@@ -20,7 +20,7 @@ from shaders.dsbrdf import evaluate
 CARD = Card(
     name="spherical_harmonics",
     approximates="the light by its spherical harmonics up to order 2, every lobe by a round one about the normal",
-    error=0.9,
+    error=1.6,
     cost="9 × (pixels + texels): nothing is cheaper",
     memory="pixels and texels only",
 )

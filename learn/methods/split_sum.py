@@ -17,7 +17,7 @@ from shaders.envmap import directions
 CARD = Card(
     name="split_sum",
     approximates="the integral of f·L by a product: light blurred about the mirror direction, times reflectance under white light",
-    error=0.6,
+    error=0.5,
     cost="2048 directions × texels, then a look-up a pixel",
     memory="below 1 MiB beyond the pixels",
 )
