@@ -28,6 +28,8 @@ def show(material, group):
     """Lets the material show a group from `build`."""
     tree = material.node_tree
     shown = tree.nodes["shown"]
+    if shown.node_tree is group:
+        return
     first = shown.node_tree is None
     shown.node_tree = group
     if first:
@@ -76,12 +78,9 @@ def _ramp(ramp, stops):
 
 
 def glow(level):
-    """A material that emits `level` in red, green and blue: how geometry carries a segment's number.
+    """A node group that emits `level` in red, green and blue: how geometry carries a segment's number.
 
     It has no closure with a normal of its own: the Normal pass, which averages closures' normals, then gives the surface's.
     """
-    material = new(f"segment {level}")
     emission = nodes.Node("emission", "ShaderNodeEmission", inputs={"Color": (1.0, 1.0, 1.0, 1.0), "Strength": float(level)})
-    graph = nodes.Graph((nodes.OUTPUT, emission), (nodes.Link("emission", "Emission", nodes.OUTPUT.name, "Surface"),))
-    show(material, build(graph))
-    return material
+    return build(nodes.Graph((nodes.OUTPUT, emission), (nodes.Link("emission", "Emission", nodes.OUTPUT.name, "Surface"),)))

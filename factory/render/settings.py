@@ -77,7 +77,6 @@ GEOMETRY = (
     ),
     Setting("cycles.samples", 1, "un-antialiased: more would average normals, depths and segments"),
     Setting("cycles.seed", 0, "nothing is drawn by lot: the first sample goes through the pixel's centre"),
-    Setting("cycles.max_bounces", 0, "surfaces glow with their segment's number: no light is followed"),
 )
 
 # Light transport: what each tier follows. `visible_*` belong to the object (factory.render.studio): without them light passes through it.

@@ -1,8 +1,8 @@
 """A studio: one process, one Blender, shot after shot; shape, light, materials and view are exchanged between shots.
 
-Two scenes show one shape: `picture` with light and materials, `geometry` with glowing segments, each with a film, a filter and persistent
-data of its own, so that neither is ever rebuilt for the other's sake. Camera and light stand still, the object turns by −azimuth
-(shaders.frames: the light turns with the camera).
+One scene, shown in two ways: as a picture, with light and materials, and as geometry, where each segment glows with its own number. (Two
+scenes would be simpler, but when Blender renders one it drops what persistent data holds of the other.) Camera and light stand still, the
+object turns by −azimuth (shaders.frames: the light turns with the camera).
 
 radiance  (height, width, 3) float32, linear Rec.709, black outside the object; row 0 at the top
 """
@@ -18,6 +18,7 @@ from factory.render import body, camera, canary, checks, device, film, light, ma
 from factory.render.settings import ALWAYS, GEOMETRY, PICTURE, TIERS, Setting, apply, assign, effective
 from shaders import nodes
 
+WAYS = {"picture": PICTURE, "geometry": GEOMETRY}
 HELD = 512  # node groups kept: more than there are materials in a catalogue
 FACING = 1e-3  # least n·v of a normal: smooth normals lean over the horizon near a coarse mesh's silhouette
 
@@ -56,14 +57,11 @@ class Studio:
             Setting("render.threads_mode", "FIXED" if threads else "AUTO", "asked for"),
             *((Setting("render.threads", threads, "asked for"),) if threads else ()),
         )
-        self._picture = _scene("picture", (*self._always, *PICTURE))
-        self._geometry = _scene("geometry", (*self._always, *GEOMETRY))
-        self._geometry.view_layers[0].use_pass_normal = True
-        self._geometry.view_layers[0].use_pass_z = True
-        self._lens = self._objects = self._seen = self._vertices = None
+        self._scene = _scene(self._always)
+        self._lens = self._body = self._object = self._twin = self._shown = self._seen = self._vertices = None
         self._azimuth = 0.0
         self._segments, self._tier = 0, None
-        self._surfaces, self._glows, self._groups = [], [], OrderedDict()
+        self._surfaces, self._glows, self._worn, self._groups = [], [], [], OrderedDict()
         self.versions = {"blender": bpy.app.version_string, "numpy": np.__version__, "python": platform.python_version()}
         self._device = {"backend": backend, "processors": list(processors)}
 
@@ -71,9 +69,12 @@ class Studio:
     def settings(self):
         """All that alters pixels, as Blender holds it now."""
         world = light.settings(self._seen.shape[1]) if self._seen is not None else ()
+        held = {}
+        for way, own in WAYS.items():
+            self._show(way)
+            held[way] = effective(self._scene, (*self._always, *own, *(world if way == "picture" else ())))
         return {
-            "picture": effective(self._picture, (*self._always, *PICTURE, *world)),
-            "geometry": effective(self._geometry, (*self._always, *GEOMETRY)),
+            **held,
             "tiers": TIERS,
             "device": self._device,
         }
@@ -81,38 +82,41 @@ class Studio:
     def set_camera(self, lens):
         """lens: manifests.schema.Camera."""
         if lens != self._lens:
-            for scene in (self._picture, self._geometry):
-                camera.place(scene, lens)
+            camera.place(self._scene, lens)
             self._lens = lens
 
     def set_shape(self, mesh):
         """mesh: factory.shapes.mesh.Mesh. Persistent data is dropped in between: with it, memory grows by every mesh ever shown."""
-        for scene in (self._picture, self._geometry):
-            assign(scene, "render.use_persistent_data", False)
-        if self._objects is not None:
-            for each in (*self._objects, *self._twins):
+        assign(self._scene, "render.use_persistent_data", False)
+        if self._object is not None:
+            for each in (self._object, self._twin):
                 bpy.data.objects.remove(each)
-            for each in self._bodies:
-                bpy.data.meshes.remove(each)
-        self._segments, self._tier = int(mesh.segment.max()), None
+            bpy.data.meshes.remove(self._body)
+        self._segments, self._tier, self._worn = int(mesh.segment.max()), None, []
         self._slots(self._segments)
         self._vertices = mesh.vertices.astype(np.float32)
-        first = body.build(mesh)
-        self._bodies = (first, first.copy())  # the copy shares the arrays
-        for each, surfaces in zip(self._bodies, (self._surfaces, self._glows), strict=True):
-            for surface in surfaces[: self._segments]:
-                each.materials.append(surface)
-        shown = tuple(zip((self._picture, self._geometry), self._bodies, strict=True))
-        self._objects = tuple(_put(scene, each) for scene, each in shown)
-        self._twins = tuple(_twin(scene, each) for scene, each in shown)
-        for scene in (self._picture, self._geometry):
-            assign(scene, "render.use_persistent_data", True)
+        self._body = body.build(mesh)
+        for surface in self._surfaces[: self._segments]:
+            self._body.materials.append(surface)
+        self._object = _put(self._scene, self._body)
+        self._twin = _twin(self._scene, self._body)
+        assign(self._scene, "render.use_persistent_data", True)
 
     def _slots(self, count):
-        """At least `count` materials for each scene; they are kept, never removed."""
+        """At least `count` materials, and as many glowing groups; they are kept, never removed."""
         for number in range(len(self._surfaces) + 1, count + 1):
             self._surfaces.append(materials.new(f"surface {number}"))
             self._glows.append(materials.glow(number))
+
+    def _show(self, way):
+        """Shows the scene as "picture" or as "geometry"."""
+        if way != self._shown:
+            apply(self._scene, WAYS[way])
+            for each in ("use_pass_normal", "use_pass_z"):
+                assign(self._scene.view_layers[0], each, way == "geometry")
+            self._shown = way
+        for surface, group in zip(self._surfaces, self._glows if way == "geometry" else self._worn, strict=False):
+            materials.show(surface, group)
 
     def set_view(self, azimuth):
         """azimuth: radians, counter-clockwise from above, 0 in front of the object."""
@@ -130,16 +134,16 @@ class Studio:
         nearest = light_resolution == "64x128"
         if nearest and seen.shape != (64, 128, 3):
             raise ValueError(f"light: shape (64, 128, 3) expected for {light_resolution}, found {seen.shape}; resize it first")
-        light.build(self._picture, seen, nearest)
+        light.build(self._scene, seen, nearest)
         self._seen = seen
-        canary.check(self._picture, seen, nearest)
+        self._show("picture")
+        canary.check(self._scene, seen, nearest)
 
     def set_materials(self, mixtures):
         """mixtures: one shaders.mixture.Mixture a segment, in the order of their ids."""
         if len(mixtures) != self._segments:
             raise ValueError(f"materials: one a segment, {self._segments}, expected, found {len(mixtures)}; name each segment's material")
-        for surface, mixture in zip(self._surfaces, mixtures, strict=False):
-            materials.show(surface, self._group(mixture))
+        self._worn = [self._group(mixture) for mixture in mixtures]
 
     def _group(self, mixture):
         """The node group of a mixture, built when it is first asked for; the one longest unused makes room."""
@@ -153,7 +157,8 @@ class Studio:
 
     def geometry(self):
         """The Geometry of shape and view, by one ray through each pixel's centre."""
-        opening, passes = self._expose(self._geometry)
+        self._show("geometry")
+        opening, passes = self._expose()
         size = self._lens.size
         mask = window.paste(passes["Combined"][..., 3] > 0.5, opening, size)
         inside = mask[opening[0] : opening[1], opening[2] : opening[3]]
@@ -179,43 +184,44 @@ class Studio:
 
     def picture(self, samples, seed, tier="direct"):
         """Radiance (height, width, 3) and the share (height, width) of each pixel that the object covers; see `render`."""
+        self._show("picture")
         self._set_tier(tier)
-        assign(self._picture, "cycles.samples", int(samples))
-        assign(self._picture, "cycles.seed", int(seed) & 0x7FFFFFFF)
-        opening, passes = self._expose(self._picture)
+        assign(self._scene, "cycles.samples", int(samples))
+        assign(self._scene, "cycles.seed", int(seed) & 0x7FFFFFFF)
+        opening, passes = self._expose()
         rgba = window.paste(passes["Combined"], opening, self._lens.size)
         return np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3])
 
-    def _expose(self, scene):
+    def _expose(self):
         """The window on the object as it stands now, and the scene's passes in it."""
-        self._objects[scene is self._geometry].rotation_euler = (0.0, 0.0, -self._azimuth)
+        self._object.rotation_euler = (0.0, 0.0, -self._azimuth)
         opening = window.around(self._vertices, self._azimuth, self._lens)
-        window.open_on(scene, opening)
-        return opening, film.expose(scene)
+        window.open_on(self._scene, opening)
+        return opening, film.expose(self._scene)
 
     def _set_tier(self, tier):
         if tier == self._tier:
             return
         bounces = TIERS[tier]["bounces"]
         for name in ("max_bounces", "diffuse_bounces", "glossy_bounces"):
-            assign(self._picture, f"cycles.{name}", bounces)
+            assign(self._scene, f"cycles.{name}", bounces)
         for ray in ("shadow", "diffuse", "glossy", "transmission"):
-            assign(self._objects[0], f"visible_{ray}", not TIERS[tier]["unoccluded"])
+            assign(self._object, f"visible_{ray}", not TIERS[tier]["unoccluded"])
         self._tier = tier
 
 
-def _scene(name, settings):
+def _scene(settings):
     """A new scene with a camera."""
-    scene = bpy.data.scenes.new(name)
+    scene = bpy.data.scenes.new("studio")
     apply(scene, settings)
-    scene.camera = bpy.data.objects.new(f"{name} camera", bpy.data.cameras.new(f"{name} camera"))
+    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.collection.objects.link(scene.camera)
     return scene
 
 
 def _put(scene, mesh):
     """An object of `mesh` in `scene`."""
-    each = bpy.data.objects.new(f"{scene.name} object", mesh)
+    each = bpy.data.objects.new("object", mesh)
     scene.collection.objects.link(each)
     return each
 

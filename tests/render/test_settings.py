@@ -11,21 +11,21 @@ def test_a_misspelt_property_is_refused_with_the_closest_names(studio):
     from factory.render.settings import assign
 
     with pytest.raises(AttributeError, match="did you mean samples"):
-        assign(studio._picture, "cycles.sampels", 16)
+        assign(studio._scene, "cycles.sampels", 16)
 
 
 def test_a_value_that_blender_clamps_is_refused(studio):
     from factory.render.settings import assign
 
     with pytest.raises(ValueError, match="outside the property's range"):
-        assign(studio._picture, "cycles.samples", 0)
+        assign(studio._scene, "cycles.samples", 0)
 
 
 def test_an_enum_item_that_blender_does_not_have_is_refused(studio):
     from factory.render.settings import assign
 
     with pytest.raises(ValueError, match="'GAUSS' is not accepted"):
-        assign(studio._picture, "cycles.pixel_filter_type", "GAUSS")
+        assign(studio._scene, "cycles.pixel_filter_type", "GAUSS")
 
 
 def test_the_effective_settings_are_json_and_each_has_its_reason(studio):

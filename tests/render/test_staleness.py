@@ -65,9 +65,9 @@ def test_a_seed_is_noticed_though_nothing_else_has_changed(shown):
     from factory.render import film
 
     shown.render(4, 1)
-    before = film.expose(shown._picture)["Combined"]
-    shown._picture.cycles.seed = 2
-    assert _apart(before, film.expose(shown._picture)["Combined"]) > 0.02
+    before = film.expose(shown._scene)["Combined"]
+    shown._scene.cycles.seed = 2
+    assert _apart(before, film.expose(shown._scene)["Combined"]) > 0.02
 
 
 def test_another_shape_and_back_is_the_same_picture(shown):
@@ -107,17 +107,17 @@ def test_the_canary_finds_a_light_that_cycles_did_not_notice(shown):
     image.pixels.foreach_set(light.blender_pixels(other).ravel())
     image.update()
     with pytest.raises(RuntimeError, match="the map that was set expected"):
-        canary.check(shown._picture, other, nearest=True)
+        canary.check(shown._scene, other, nearest=True)
     shown.set_light(other)  # a new datablock: passes its own canary
 
 
 def test_the_canary_finds_a_lost_light(shown):
     from factory.render import canary, checks, reference
 
-    texture = next(n for n in shown._picture.world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
+    texture = next(n for n in shown._scene.world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
     texture.image = None  # to Cycles the same as a file that is not there
     with pytest.raises(RuntimeError, match="the map that was set expected"):
-        canary.check(shown._picture, reference.soft_light(), nearest=True)
+        canary.check(shown._scene, reference.soft_light(), nearest=True)
     assert checks.picture(shown.render(1, 0)) == ["the light's colours expected, found magenta: Cycles has no light map"]
     shown.set_light(reference.soft_light(), 3)
 
