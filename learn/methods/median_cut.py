@@ -18,10 +18,10 @@ from shaders.envmap import LUMINANCE, directions
 CARD = Card(
     name="median_cut",
     approximates="the light by 2^k directional lights of equal energy",
-    error=1e-2,
+    error=2e-2,
     cost="pixels × lights, 64 to 4096 of them by tolerance, plus a few milliseconds for the cut",
     memory="pixels and lights only",
-    gradient=0.4,
+    gradient=0.5,
 )
 LEAST, MOST = 64, 4096
 

@@ -25,7 +25,7 @@ from torch.utils.checkpoint import checkpoint
 from learn.engines import lights, machine_code, threads
 from learn.methods import Batch, Card, by_group, load
 from learn.methods.exact import PAIRS
-from shaders.dsbrdf import MAX_EXPONENT, half_angles
+from shaders.dsbrdf import MAX_EXPONENT
 from shaders.spline import basis
 
 CARD = Card(
@@ -161,7 +161,9 @@ def chunk(n, view, m, light, around, solid_angle, camera_from_light):
     with torch.no_grad():
         w, weight, texel = place(n, view, around, solid_angle, camera_from_light, light.shape[:2])
     mu = (w * n[:, None]).sum(-1) * weight
-    h, theta_d = half_angles(w, view[:, None])
+    s, d = w + view[:, None], w - view[:, None]
+    length_s, length_d = (x.square().sum(-1).clamp(min=1e-24).sqrt() for x in (s, d))  # w = v: a corner of θ_d, slope 0 taken
+    h, theta_d = s / length_s[..., None], torch.atan2(length_d, length_s)
     log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
     kappa, gamma = torch.einsum("pib,ksjb->jpiks", basis(theta_d), m)
     f = torch.expm1((kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)).sum(-1)

@@ -1,0 +1,31 @@
+"""`learn chart`: how much time each rendering method takes for how much error."""
+
+from pathlib import Path
+
+
+def register(subparsers):
+    parser = subparsers.add_parser(
+        "chart",
+        help="time against error of every rendering method",
+        description="Renders a sphere in materials from matte to mirror under several lights, from far and from near, by every method at "
+        "several settings, and draws time against error: chart.png, chart.csv and chart.html.",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the chart goes")
+    parser.add_argument("--quick", action="store_true", help="three materials, two lights, a small picture: two minutes")
+    parser.add_argument("--size", type=int, default=256, metavar="N", help="picture's side in pixels; 40 %% of it is sphere (default 256)")
+    parser.add_argument("--lights", type=Path, metavar="DIR", help="a folder of .exr maps to light with (default: computed lights)")
+    parser.set_defaults(run=run)
+
+
+def run(options):
+    from learn.charting import cases, draw, measure
+    from learn.timing.report import made_by
+    from manifests import materials as catalogue
+
+    names, lights, size = cases.MATERIALS, cases.lights(options.lights), options.size
+    if options.quick:
+        names, lights, size = names[::3], dict(list(lights.items())[:2]), min(size, 64)
+    made = made_by()
+    rows = measure.measure({name: catalogue.find(name).label for name in names}, lights, ("orthographic", "perspective"), size, cases.settings())
+    draw.write(rows, made, options.out)
+    print(options.out / "chart.html")
