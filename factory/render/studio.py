@@ -147,13 +147,14 @@ class Studio:
 
     def _group(self, mixture):
         """The node group of a mixture, built when it is first asked for; the one longest unused makes room."""
-        key = id(mixture)
+        arrays = (mixture.stops, mixture.log_alpha, mixture.tilt, mixture.weights)
+        key = mixture.kinds, *(array.tobytes() for array in arrays)
         if key not in self._groups:
-            self._groups[key] = mixture, materials.build(nodes.graph(mixture))  # the mixture is held, so that its id stays its own
+            self._groups[key] = materials.build(nodes.graph(mixture))
         self._groups.move_to_end(key)
         if len(self._groups) > HELD:
-            bpy.data.node_groups.remove(self._groups.popitem(last=False)[1][1])
-        return self._groups[key][1]
+            bpy.data.node_groups.remove(self._groups.popitem(last=False)[1])
+        return self._groups[key]
 
     def geometry(self):
         """The Geometry of shape and view, by one ray through each pixel's centre."""
