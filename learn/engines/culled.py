@@ -117,7 +117,9 @@ def select(first, last, wide_blocks, room, budget, tiles, cones, scratch, cuts, 
                 continue
             for s in range(3):  # the log2 c at which weight · (2^(κ c^γ) − 1) meets the threshold
                 share = threshold / maximum(load(scratch, 16 * (6 * wide_block + 3 + s)), 1e-30)
-                height = minimum(log2(1.0 + share, 0.0 - share) / maximum(load(cones, o + 224 + 16 * s), 1e-30), 1.0)
+                inverse = 1.0 / (1.0 + share)  # log2 takes numbers up to 1
+                bits = 0.0 - log2(maximum(inverse, 1e-30), share * inverse)
+                height = minimum(bits / maximum(load(cones, o + 224 + 16 * s), 1e-30), 1.0)
                 cut = log2(maximum(height, 1e-30), 1.0 - height) / load(cones, o + 176 + 16 * s)
                 cut = choose(threshold * splat(1.0) > 0.0, cut, ALWAYS)
                 wanted = load(scratch, 16 * (6 * wide_block + s)) > threshold
