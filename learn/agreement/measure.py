@@ -35,7 +35,7 @@ class Row:
     edge_share           share of the mask that lies on edges; edge_net: their part of net; inner_net the others' part
     like_net             net over the pixels inside alone, the layer averaged over each pixel's square as Cycles' pictures are
     node_fit             display L2 between label and nodes as the catalogue states it, mean over the scene's materials
-    grazing              per bin of surface.GRAZING_DEG: pixels, mean L2, mean relative signed error
+    grazing              per bin of surface.GRAZING_DEG, over the pixels inside, like for like: pixels, mean L2, mean relative signed error
     """
 
     id: str
@@ -203,17 +203,18 @@ def measure(condition, pictures, layer, entries):
         inner_net=float(net[mask & layer.inner].sum() / mask.sum()) if several else None,
         like_net=None if like is None else float(like.mean()),
         node_fit=float(np.mean([np.mean(entry.errors.nodes_vs_label.display_l2 or (np.nan,)) for entry in entries])),
-        grazing=by_grazing(per_pixel if net is None else net, (layer.integral - C).mean(-1) / level, layer),
+        grazing=by_grazing(D_C, tone.display(layer.footprint, exposure), (layer.footprint - C).mean(-1) / level, layer),
     )
     return row, (D_C[0], D_I)
 
 
-def by_grazing(per_pixel, relative, layer):
-    """For each bin of the angle between normal and view: pixels, mean L2 (net of noise where known), mean relative error."""
+def by_grazing(D_C, D, relative, layer):
+    """For each bin of the angle between normal and view, inside: pixels, mean L2 (net of noise where known), mean relative error."""
+    per_pixel = shared(D_C - D) if len(D_C) > 1 else squared(D_C, D).mean(0)
     angle = np.degrees(np.arccos(np.clip(layer.cos_o, 0, 1)))
     bins = []
     for low, high in zip(surface.GRAZING_DEG[:-1], surface.GRAZING_DEG[1:], strict=True):
-        here = layer.mask & (angle >= low) & (angle < high)
+        here = layer.inner & (angle >= low) & (angle < high)
         count = int(here.sum())
         bins.append(
             {

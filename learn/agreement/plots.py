@@ -46,7 +46,11 @@ def draw(folder, summary, rows):
                 "By material: layer against Cycles net of noise, beside label against nodes",
                 lambda ax: materials(ax, summary),
             ),
-            ("grazing.png", "By angle between normal and view", lambda ax: grazing(ax, summary["grazing"])),
+            (
+                "grazing.png",
+                "By angle between normal and view, inside the silhouette, net of noise",
+                lambda ax: grazing(ax, summary["grazing"]),
+            ),
             ("highlight.png", "Paper's sum and converged integral, by the highlight's width", lambda ax: highlight(ax, own)),
         ):
             fig, ax = plt.subplots(figsize=(5.2, 3.2))

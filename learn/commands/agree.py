@@ -17,7 +17,7 @@ def register(subparsers):
     parser.add_argument(
         "--tolerance",
         type=fraction,
-        default=1e-2,
+        default=2e-2,
         metavar="X",
         help="relative error allowed to the layer's integral (default 0.02; less is slower)",
     )

@@ -5,10 +5,18 @@ import math
 import pytest
 import torch
 
+from learn.engines import machine_code
 from learn.layer import render
 from shaders.envmap import directions
 
 DTYPES = pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=["float32", "float64"])
+
+
+@pytest.fixture(autouse=True, params=["fastest", "reference"])
+def engine(request, monkeypatch):
+    """Every test runs with whatever engine serves it here, and with the torch reference alone."""
+    if request.param == "reference":
+        monkeypatch.setattr(machine_code, "is_available", lambda: False)
 
 
 def with_gradients(scene, **options):
