@@ -86,6 +86,7 @@ def test_gradients_are_those_of_the_integral(name, gamma):
 @pytest.mark.parametrize("perspective", [False, True])
 def test_the_engine_takes_the_same_taps_as_torch(draw, perspective):
     one = draw(40, size=(6, 9), light=(32, 64), sharpest=3e4, dtype=torch.float32)
+    one["material"] = scene(3e4)["material"]  # narrow lobes alone, which nothing but taps renders
     if not perspective:
         one["view"] = None
     fast = render(**one, method="quadrature")
