@@ -227,9 +227,10 @@ def run_condition(options):
     from factory.materials import conditioning, recipe, sources
 
     found = sources.load(options.source, options.only)
-    print(f"{'name':<26} {'|Δ log κ|':>10} {'|Δ log γ|':>10} {'L1 moved':>9}   median over numbers, mean over draws")
+    print("how far the label moves: median and 95th percentile over its numbers and the draws; L1 of the BRDF, mean over the draws")
+    print(f"{'name':<26} {'|Δ log κ|':>16} {'|Δ log γ|':>16} {'L1':>8}")
     for name, source in found.items():
         rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=tuple(name.encode())))
         numbers, l1 = conditioning.moved(source.measured, recipe.Recipe(), options.noise, options.draws, rng)
-        kappa, gamma = np.median(np.abs(numbers[:, :, :, 0])), np.median(np.abs(numbers[:, :, :, 1]))
-        print(f"{name:<26} {kappa:>10.3f} {gamma:>10.3f} {l1.mean():>9.4f}", flush=True)
+        kappa, gamma = (np.percentile(np.abs(numbers[:, :, :, i]), (50, 95)) for i in (0, 1))
+        print(f"{name:<26} {kappa[0]:>8.3f}{kappa[1]:>8.2f} {gamma[0]:>8.3f}{gamma[1]:>8.2f} {l1.mean():>8.4f}", flush=True)

@@ -201,3 +201,11 @@ def test_display_errors_of_a_fit_are_one_a_map_and_small_for_a_good_one(fitted_p
     shown = recipe.display(fitted_plastic, plastic, small_sphere[0])
     assert [len(values) for values in shown] == [1, 1, 1]
     assert 0 < shown[0][0] < 25  # five display values of 255: a fit on ten view stops
+
+
+def test_noise_on_a_measurement_is_as_large_as_asked_for(rng):
+    from factory.materials.conditioning import Noisy
+
+    cos_h, cos_d = rng.uniform(0.05, 1, 4000), rng.uniform(0.05, 1, 4000)
+    off = np.concatenate([np.log(Noisy(plastic, 0.01, rng)(cos_h, cos_d) / plastic(cos_h, cos_d)) for _ in range(40)])
+    assert np.sqrt((off**2).mean()) == pytest.approx(0.01, rel=0.1)  # 40 draws of six waves: 5 %
