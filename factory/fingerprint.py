@@ -14,10 +14,11 @@ def render_fingerprint():
     def values(group):
         return [[s.path, s.value] for s in group]
 
+    groups = (settings.ALWAYS, *settings.PIXELS.values(), settings.GEOMETRY)
     tiers = {name: {k: v for k, v in tier.items() if k != "reason"} for name, tier in settings.TIERS.items()}
     try:
         blender = ".".join(version("bpy").split(".")[:2])
     except PackageNotFoundError:  # planning alone needs no Blender
         blender = "none"
-    text = json.dumps([values(settings.ALWAYS), values(settings.PICTURE), values(settings.GEOMETRY), tiers, blender], sort_keys=True)
+    text = json.dumps([*map(values, groups), tiers, blender], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -155,7 +155,8 @@ def camera_words(camera: Camera):
     """The camera as text that hashes alike wherever it comes from (20 and 20.0 are one elevation)."""
     height, width = camera.size
     fov = "orthographic" if camera.fov_deg is None else f"{float(camera.fov_deg)!r}"
-    return f"{height} {width} {fov} {float(camera.elevation_deg)!r} {float(camera.half_extent)!r}"
+    pixel = "" if camera.pixel == "square" else f" {camera.pixel}"  # datasets from before there was a choice keep their ids
+    return f"{height} {width} {fov} {float(camera.elevation_deg)!r} {float(camera.half_extent)!r}{pixel}"
 
 
 @lru_cache(maxsize=4096)

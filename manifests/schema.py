@@ -13,6 +13,7 @@ VERSION = 1
 
 Tier = Literal["direct", "shadow", "full"]
 LightResolution = Literal["64x128", "full"]
+Pixel = Literal["square", "centre"]
 Side = Literal["train", "test"]
 Split = Literal["train", "test", "mixed"]  # mixed: shape and materials stand on different sides; neither for training nor for testing
 Counts = Literal["hash", "paper", "multi-material"]
@@ -30,12 +31,15 @@ class Camera(Struct, frozen=True, forbid_unknown_fields=True):
     """size (height, width) in pixels; fov_deg across the longer side, None: orthographic; elevation above the horizon.
 
     The object lies in the unit sphere; the frame's longer side spans 2 × half_extent at the object's centre.
+    pixel: "square", the mean over the pixel's square, as a camera has it; "centre", the one point that geometry files hold: jagged edges,
+    but both renderers then look at the same points of the surface.
     """
 
     size: tuple[Pixels, Pixels] = (256, 256)
     fov_deg: Annotated[float, Meta(ge=1, le=120)] | None = None
     elevation_deg: Annotated[float, Meta(ge=-89, le=89)] = 20.0
     half_extent: Annotated[float, Meta(gt=0, le=100)] = 1.02
+    pixel: Pixel = "square"
 
 
 class Draw(Struct, frozen=True, forbid_unknown_fields=True):

@@ -63,10 +63,18 @@ ALWAYS = (
     Setting("cycles.debug_use_spatial_splits", False, "building costs more than it saves at these sizes"),
 )
 
-PICTURE = (
-    Setting("cycles.pixel_filter_type", "BOX", "a pixel is the mean over its own square, as a camera's is"),
-    Setting("cycles.filter_width", 1.0, "the default 1.5 reaches into neighbours"),
-)
+# By manifests.schema.Camera.pixel. Of BOX, Cycles ignores the width: a pixel's centre needs another filter.
+PIXELS = {
+    "square": (
+        Setting("cycles.pixel_filter_type", "BOX", "a pixel is the mean over its own square, as a camera's is"),
+        Setting("cycles.filter_width", 1.0, "the default 1.5 reaches into neighbours"),
+    ),
+    "centre": (
+        Setting("cycles.pixel_filter_type", "GAUSSIAN", "a pixel is the point that geometry holds: what the layer sees"),
+        Setting("cycles.filter_width", 0.01, "the least that Cycles takes"),
+    ),
+}
+PICTURE = PIXELS["square"]
 
 GEOMETRY = (
     Setting("cycles.pixel_filter_type", "BOX", "with the least width"),

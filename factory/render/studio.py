@@ -15,10 +15,9 @@ import bpy
 import numpy as np
 
 from factory.render import body, camera, canary, checks, device, film, light, materials, window
-from factory.render.settings import ALWAYS, GEOMETRY, PICTURE, TIERS, Setting, apply, assign, effective
+from factory.render.settings import ALWAYS, GEOMETRY, PIXELS, TIERS, Setting, apply, assign, effective
 from shaders import nodes
 
-WAYS = {"picture": PICTURE, "geometry": GEOMETRY}
 HELD = 512  # node groups kept: more than there are materials in a catalogue
 FACING = 1e-3  # least n·v of a normal: smooth normals lean over the horizon near a coarse mesh's silhouette
 
@@ -70,9 +69,9 @@ class Studio:
         """All that alters pixels, as Blender holds it now."""
         world = light.settings(self._seen.shape[1]) if self._seen is not None else ()
         held = {}
-        for way, own in WAYS.items():
+        for way in ("picture", "geometry"):
             self._show(way)
-            held[way] = effective(self._scene, (*self._always, *own, *(world if way == "picture" else ())))
+            held[way] = effective(self._scene, (*self._always, *self._own(way), *(world if way == "picture" else ())))
         return {
             **held,
             "tiers": TIERS,
@@ -83,7 +82,7 @@ class Studio:
         """lens: manifests.schema.Camera."""
         if lens != self._lens:
             camera.place(self._scene, lens)
-            self._lens = lens
+            self._lens, self._shown = lens, None  # another lens may have other pixels
 
     def set_shape(self, mesh):
         """mesh: factory.shapes.mesh.Mesh. Persistent data is dropped in between: with it, memory grows by every mesh ever shown."""
@@ -111,12 +110,16 @@ class Studio:
     def _show(self, way):
         """Shows the scene as "picture" or as "geometry"."""
         if way != self._shown:
-            apply(self._scene, WAYS[way])
+            apply(self._scene, self._own(way))
             for each in ("use_pass_normal", "use_pass_z"):
                 assign(self._scene.view_layers[0], each, way == "geometry")
             self._shown = way
         for surface, group in zip(self._surfaces, self._glows if way == "geometry" else self._worn, strict=False):
             materials.show(surface, group)
+
+    def _own(self, way):
+        """The settings that a way of showing the scene has for itself."""
+        return GEOMETRY if way == "geometry" else PIXELS[self._lens.pixel if self._lens else "square"]
 
     def set_view(self, azimuth):
         """azimuth: radians, counter-clockwise from above, 0 in front of the object."""

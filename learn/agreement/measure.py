@@ -33,7 +33,7 @@ class Row:
     noise, net           None with a single seed
     sum_*                the same of the paper's sum S
     edge_share           share of the mask that lies on edges; edge_net: their part of net; inner_net the others' part
-    like_net             net over the pixels inside alone, the layer averaged over each pixel's square as Cycles' pictures are
+    like_net             net over the pixels inside alone, the layer averaged over each pixel's square if Cycles' pictures are
     node_fit             display L2 between label and nodes as the catalogue states it, mean over the scene's materials
     grazing              per bin of surface.GRAZING_DEG, over the pixels inside, like for like: pixels, mean L2, mean relative signed error
     """
@@ -114,10 +114,11 @@ def narrow(m):
 def footprint(sample, integral, inner, tolerance):
     """The integral averaged over each inner pixel's square, by normals between the neighbours' (H, W, 3); elsewhere as it is.
 
-    Where no lobe is narrow, a pixel's centre stands for its square (measured: below 0.001 display L2), and nothing is rendered.
+    Where no lobe is narrow, a pixel's centre stands for its square (measured: below 0.001 display L2), and nothing is rendered; nor where
+    Cycles looked at pixels' centres itself.
     """
     index = np.flatnonzero(inner)
-    if not narrow(sample.material.reshape(-1, *SHAPE)) or not len(index):
+    if sample.record.camera.pixel == "centre" or not narrow(sample.material.reshape(-1, *SHAPE)) or not len(index):
         return integral
     places = surface.sub_pixel_normals(sample.n.numpy(), OFFSETS).reshape(len(OFFSETS), -1, 3)[:, index]
     spread = integral.reshape(-1, 3).copy()

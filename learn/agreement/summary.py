@@ -71,7 +71,7 @@ def causes(rows):
 def headline(rows):
     """The direct tier's net display L2 against LIMIT times the node fit of its materials.
 
-    net        over the whole mask; like_net over the pixels inside, both renderers averaging over the pixel: what the limit judges,
+    net        over the whole mask; like_net over the pixels inside, both renderers over the same part of the pixel: what the limit judges,
                since a silhouette pixel of Cycles is partly background and the layer knows no background
     node_fit   of the catalogue; node_fit_measured on these very pictures (inner pixels). The limit takes the catalogue's where there is one
     holds      None if there is no second seed

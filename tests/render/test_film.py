@@ -73,3 +73,21 @@ def test_rendering_prints_nothing(chair, capfd):
     chair.set_camera(Camera(size=(16, 16)))
     chair.render(1, 0)
     assert capfd.readouterr().out == ""
+
+
+def test_a_pixel_is_its_squares_mean_or_its_centres_point_as_the_camera_says(chair):
+    from manifests.schema import Camera
+
+    chair.set_camera(Camera(size=(48, 48)))
+    _, share = chair.picture(16, 3)
+    mixed = ((share > 0.01) & (share < 0.99)).sum()
+    assert mixed > 50  # the outline of a chair crosses more pixels than that
+    chair.set_camera(Camera(size=(48, 48), pixel="centre"))
+    _, point = chair.picture(16, 3)
+    partial = (point > 0.01) & (point < 0.99)  # an edge through the very centre still splits the .01 px of the filter
+    assert partial.sum() <= 0.05 * mixed
+    disagree = (point > 0.5) != chair.geometry().mask
+    assert (disagree & ~partial).sum() == 0
+    assert chair.settings["picture"]["cycles.pixel_filter_type"]["value"] == "GAUSSIAN"
+    chair.set_camera(Camera(size=(48, 48)))
+    np.testing.assert_array_equal(chair.picture(16, 3)[1], share)
