@@ -3,7 +3,7 @@
 import csv
 import html
 import io
-import math
+import statistics
 from collections import defaultdict
 
 STYLE = (
@@ -27,12 +27,12 @@ def write(rows, made, folder):
 
 
 def middle(values):
-    """Geometric mean."""
-    return math.exp(sum(math.log(max(v, 1e-9)) for v in values) / len(values))
+    """Median, held above 1e-9 for the logarithmic axis."""
+    return max(statistics.median(values), 1e-9)
 
 
 def points(rows, truth):
-    """{(camera, method): [(seconds, error, knob)]}: geometric means over materials and lights."""
+    """{(camera, method): [(seconds, error, knob)]}: medians over materials and lights."""
     grouped = defaultdict(list)
     for row in rows:
         grouped[row["camera"], row["method"], row["knob"]].append(row)
@@ -69,7 +69,7 @@ def picture(rows, caption):
 def page(rows, caption):
     parts = [f"<!doctype html><meta charset=utf-8><title>Work and precision</title><style>{STYLE}</style><h1>Work and precision</h1>"]
     parts.append(f"<p>{html.escape(caption)}</p><img src=chart.png alt='time against error, a line a method'>")
-    parts.append("<p>Geometric means over materials and lights. Each case is in chart.csv.</p>")
+    parts.append("<p>Medians over materials and lights. Each case is in chart.csv.</p>")
     for camera in dict.fromkeys(row["camera"] for row in rows):
         paper, integral = points(rows, "error"), points(rows, "integral")
         parts.append(f"<h2>{camera}</h2><table><tr><th>method</th><th>knob</th><th>ms</th><th>error: sum</th><th>error: integral</th></tr>")

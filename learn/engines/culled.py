@@ -38,7 +38,7 @@ from learn.engines.vector import (
 )
 
 TILE = 64  # pixels of one list at most
-CHUNKS = 8  # of tiles, in the backward pass: the most threads it can use
+CHUNKS = 4  # of tiles, in the backward pass: the most threads it can use
 CONE_ROWS = 17
 LARGEST = 72.13475  # MAX_EXPONENT log2 e
 FLOOR = -64.0  # log2 of c^γ: products with smaller powers would be denormal, and slow

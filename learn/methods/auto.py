@@ -2,10 +2,11 @@
 
 Distant viewer: f is a sum over lobes, and each lobe goes its own way, the one of less predicted time: through a reflectance map, the
 smallest whose predicted error is within MAP_SHARE × tolerance, or through the culled sum at the pixels. The whole is then compared with
-the exact sum on SAMPLE pixels, the same every time; if the mean error there exceeds CHECK × tolerance, the maps grow, and a lobe whose
-map no longer pays is summed at the pixels. At last culling is given less to leave out, down to what its bound guarantees.
+the exact sum on SAMPLE pixels, the same every time; if the mean error there exceeds CHECK × tolerance, the part that errs most is done
+again: culling with less to leave out, down to what its bound guarantees, a larger map, or the sum at the pixels where a map no longer pays.
 
-View per pixel: the light is cut into few lights (learn/methods/median_cut.py, hybrid.py) and checked in the same way; if the light's
+Where the light's own derivative is not wanted, the lights are first cut to as few as the sample allows (learn/methods/median_cut.py).
+View per pixel: the light is cut in the same way, for all lobes or for the broad ones (learn/methods/hybrid.py); if the light's
 derivative is wanted too, which a cut light gives coarsely, the sum is exact.
 
 The error is the mean absolute difference over the mean radiance, both over pixels and channels, of each material and light.
@@ -21,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from learn.methods import Batch, Card, directional, hybrid, load, lobe_shapes, merged, per_group, reflectance_map
+from learn.methods import Batch, Card, directional, hybrid, load, lobe_shapes, median_cut, merged, per_group, reflectance_map
 
 CARD = Card(
     name="auto",
@@ -31,8 +32,9 @@ CARD = Card(
     memory="as the method chosen",
     gradient=0.1,
 )
-MAP_SHARE, CHECK = 0.6, 0.6  # of the tolerance
-CULL = (10.0, 0.5)  # times the tolerance: culling's bound is some 500 times what it leaves out in the mean; the second is guaranteed
+MAP_SHARE, CHECK = 0.8, 0.75  # of the tolerance
+CULL_NODES, CULL_PIXELS, GUARANTEED = 3.0, 10.0, 0.5  # times the tolerance: culling's bound is far above what it leaves out in the mean
+CUT_SHARE = 0.5  # of the tolerance, for fewer lights
 SAMPLE = 64
 GROWTH = 1.4  # of the map's size where the check fails
 CUTS = (64, 256, 1024)
@@ -54,7 +56,10 @@ def radiance(batch: Batch, tolerance):
 
     def one_group(g, n, view, m, light):
         lights, E = directional.of_map(light, batch.camera_from_light)
-        return distant(n, m, E, lights, tolerance)
+        # A cut light has the derivative of whole regions only: it serves where the light's own is not wanted.
+        wanted = torch.is_grad_enabled() and light.requires_grad
+        few = [] if wanted else [functools.partial(median_cut.cut, light, batch.camera_from_light, count) for count in CUTS]
+        return distant(n, m, E, lights, few, tolerance)
 
     return per_group(batch, one_group)
 
@@ -65,30 +70,40 @@ def part(batch, g):
     return replace(batch, n=n, view=view, m=batch.m[g : g + 1], counts=batch.counts[g : g + 1], light_of=batch.light_of[g : g + 1])
 
 
-def distant(n, m, E, lights, tolerance):
-    """Radiance (P, 3) of one group for a distant viewer."""
+def distant(n, m, E, lights, few, tolerance):
+    """Radiance (P, 3) of one group for a distant viewer; few: functions that give fewer lights and their E, the fewest first."""
+    present = lobe_shapes.sharpness(m) > 0
+    if not present.any():
+        return n * 0 + 0 * (m.sum() + E.sum())
     pick = directional.sample(len(n), SAMPLE, n.device)
+    one_lobe = [np.arange(3) == s for s in range(3)]
     with torch.no_grad():
-        truth = directional.radiance(n[pick], None, m, E, lights)
-    level = truth.mean().item()
-    sizes, cull = best_plan(m, len(n), len(E), tolerance), CULL[0]
-    done = {}  # parts already computed: (lobes, size, cull) → radiance
+        truth = torch.stack([directional.radiance(n[pick], None, lobe_shapes.only(m, lobe), E, lights) for lobe in one_lobe])
+        level = truth.sum(0).mean().item()
+        for cut in few:
+            fewer, energy = cut()
+            error = directional.radiance(n[pick], None, m, energy, fewer) - truth.sum(0)
+            if good(error.abs(), level, CUT_SHARE * tolerance):
+                lights, E = fewer, energy
+                break
+    sizes = best_plan(m, len(n), len(E), tolerance)
+    groups = [sizes == size for size in sorted(set(sizes[sizes >= 0]))]
+    truths = [truth[lobes].sum(0) for lobes in groups]
+    size_of = [int(sizes[lobes].max()) for lobes in groups]
+    cull_of = [CULL_NODES if size else CULL_PIXELS for size in size_of]
+    parts = [None] * len(groups)
     while True:
-        out = 0
-        for size in sorted(set(sizes[sizes >= 0])):
-            lobes = sizes == size
-            key = (*lobes.tolist(), int(size), cull)
-            if key not in done:
-                done[key] = some_lobes(n, lobe_shapes.only(m, lobes), E, lights, size, cull * tolerance * level)
-            out = out + done[key]
-        if not torch.is_tensor(out):  # no lobe reflects anything
-            return n * 0 + 0 * (m.sum() + E.sum())
-        if good((out.detach()[pick] - truth).abs(), level, tolerance) or (cull == CULL[1] and not (sizes > 0).any()):
-            return out
-        if (sizes > 0).any():
-            sizes = grown(sizes, len(n))
-        else:
-            cull = CULL[1]
+        for i, lobes in enumerate(groups):
+            if parts[i] is None:
+                parts[i] = some_lobes(n, lobe_shapes.only(m, lobes), E, lights, size_of[i], cull_of[i] * tolerance * level)
+        errors = [part.detach()[pick] - truth for part, truth in zip(parts, truths, strict=True)]
+        open_to_change = [i for i in range(len(groups)) if size_of[i] or cull_of[i] > GUARANTEED]
+        if good(sum(errors).abs(), level, tolerance) or not open_to_change:
+            return sum(parts)
+        worst = max(open_to_change, key=lambda i: errors[i].abs().mean().item())
+        if cull_of[worst] == GUARANTEED:
+            size_of[worst] = grown(size_of[worst], len(n))
+        cull_of[worst], parts[worst] = GUARANTEED, None
 
 
 def some_lobes(n, m, E, lights, size, left_out):
@@ -98,10 +113,10 @@ def some_lobes(n, m, E, lights, size, left_out):
     return reflectance_map.with_nodes(n, int(size), lambda nodes: directional.radiance(nodes, None, m, E, lights, left_out))
 
 
-def grown(sizes, pixels):
-    """The next larger maps; 0 where a map would have more nodes than there are pixels."""
-    larger = np.where(sizes > 0, np.ceil(GROWTH * sizes), sizes).astype(int)
-    return np.where((larger > reflectance_map.LARGEST) | (node_count(larger) > pixels), np.minimum(sizes, 0), larger)
+def grown(size, pixels):
+    """The next larger map; 0 where it would have more nodes than there are pixels."""
+    larger = math.ceil(GROWTH * size)
+    return 0 if larger > reflectance_map.LARGEST or node_count(larger) > pixels else larger
 
 
 def good(error, level, tolerance):
@@ -164,5 +179,13 @@ def few_lights(batch, tolerance):
     with torch.no_grad():
         truth = exact(sampled, tolerance)
         level = truth.mean().item()
-        works = [c for c in CUTS if good((hybrid.with_lights(sampled, c, 0.25 * tolerance) - truth).abs(), level, tolerance)]
-    return hybrid.with_lights(batch, works[0], 0.25 * tolerance) if works else exact(batch, tolerance)
+        ways = [
+            way
+            for count in CUTS
+            for way in (
+                functools.partial(median_cut.with_lights, lights=count),
+                functools.partial(hybrid.with_lights, count=count, left_out=0.25 * tolerance),
+            )
+        ]
+        chosen = next((way for way in ways if good((way(sampled) - truth).abs(), level, tolerance)), None)
+    return chosen(batch) if chosen else exact(batch, tolerance)

@@ -206,8 +206,8 @@ class Tables:
         rows = np.zeros((culled.CONE_ROWS, -(-blocks // LANES) * LANES))
         rows[:10, :blocks] = self.lights.cones.T
         brightest = self.energy.sum(-1).max(-1)
-        # A dark block matters too where the light's own derivative is wanted: it counts as one of mean brightness.
-        rows[10, :blocks] = np.maximum(brightest, brightest.mean() or 1.0) if self.light_gradient else brightest
+        # A dark block matters too where the light's own derivative is wanted: it counts as one of a tenth of the mean.
+        rows[10, :blocks] = np.maximum(brightest, 0.1 * brightest.mean() or 1.0) if self.light_gradient else brightest
         rows[11:14, :blocks] = self.gamma.reshape(by_lobe).min((1, 3))
         rows[14:17, :blocks] = LOG2_E * self.kappa.reshape(by_lobe).max((1, 3))
         return np.ascontiguousarray(rows.reshape(culled.CONE_ROWS, -1, LANES).transpose(1, 0, 2), dtype=np.float32)
