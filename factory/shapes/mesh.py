@@ -81,9 +81,9 @@ def finish(name, category, vertices, faces, *, segment=None, parts=("body",), pa
     vertices = (vertices - centre) / radius
     segment = np.ones(len(faces), np.uint8) if segment is None else np.array(segment, np.uint8)
     part = np.zeros(len(faces), np.int32) if part is None else np.array(part, np.int32)
+    hash_ = geometry_hash(vertices, faces, segment, crease_deg if normals is None else CREASE_DEG)
     normals = corner_normals(vertices, faces, crease_deg) if normals is None else np.array(normals, np.float32)
-    report = describe(faces, **noted)
-    return Mesh(name, category, vertices, faces, normals, segment, tuple(parts), part, geometry_hash(vertices, faces, segment), report)
+    return Mesh(name, category, vertices, faces, normals, segment, tuple(parts), part, hash_, describe(faces, **noted))
 
 
 def describe(faces, **noted):
@@ -105,8 +105,8 @@ def face_components(faces):
     return connected_components(links, directed=False)[1][compact[:, 0]]
 
 
-def geometry_hash(vertices, faces, segment):
-    """sha256 (hex) of the set of triangles and their segments, whatever their order and their names.
+def geometry_hash(vertices, faces, segment, crease_deg=CREASE_DEG):
+    """sha256 (hex) of the set of triangles, their segments and the crease angle that shades them, whatever their order and their names.
 
     Each triangle is its three corners on a grid, beginning with the least; the triangles are sorted.
     """
@@ -119,4 +119,6 @@ def geometry_hash(vertices, faces, segment):
     digest = hashlib.sha256(b"brdfactory mesh 1\n")
     digest.update(corners[order].astype("<i8").tobytes())
     digest.update(np.asarray(segment, np.uint8)[order].tobytes())
+    if crease_deg != CREASE_DEG:
+        digest.update(f"crease {float(crease_deg)!r}".encode())
     return digest.hexdigest()

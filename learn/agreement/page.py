@@ -86,8 +86,9 @@ def verdict(head):
     fit, whose = (head["node_fit"], "in the catalogue") if head["node_fit"] is not None else (head["node_fit_measured"], "measured here")
     judged = "within" if head["holds"] else "beyond"
     return (
-        f"Direct tier, inside the silhouette, both renderers over the same part of each pixel: display L2 net of noise {head['like_net']:.3g}; the "
-        f"materials' own node fit {whose} is {fit:.3g}: {judged} the limit of {head['limit']:g} times. Over the whole mask, with "
+        f"Direct tier, inside the silhouette, both renderers over the same part of each pixel: display L2 net of noise "
+        f"{head['like_net']:.3g}; the materials' own node fit {whose} is {fit:.3g}: {judged} the limit of {head['limit']:g} times. "
+        "Over the whole mask, with "
         f"{100 * head['edge_share']:.0f} % of it on edges, the integral stands at {head['net']:.3g} and the paper's texel sum at "
         f"{head['sum_net']:.3g}."
     )

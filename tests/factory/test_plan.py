@@ -124,7 +124,7 @@ def test_each_input_alters_the_id(stub, job):
     fixed = msgspec.structs.replace(job, views=(3,), rotations=(7,), shapes=("chair:0",), lights=("a",))
     ids = {shot.id for shot in stub(fixed)}
     changes = [
-        {"seed": 1}, {"samples": 65}, {"camera": Camera(size=(8, 9))}, {"camera": Camera(size=(8, 8), fov_deg=40.0)}, {"views": (4,)}
+        {"seed": 1}, {"samples": 65}, {"camera": Camera(size=(8, 9))}, {"camera": Camera(size=(8, 8), fov_deg=40.0)}, {"views": (4,)},
         {"camera": Camera(size=(8, 8), pixel="centre")},
         {"rotations": (8,)}, {"tiers": ("shadow",)}, {"light_resolutions": ("full",)}, {"lights": ("b",)}, {"shapes": ("chair:1",)},
     ]  # fmt: skip

@@ -144,3 +144,11 @@ def test_edges_of_more_than_two_faces_are_counted():
 def test_points_of_no_area_are_refused():
     with pytest.raises(Problem, match="a mesh with a surface expected, found 1 triangles of no area"):
         finish("line", "x", np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.array([[0, 1, 2]]))
+
+
+def test_another_crease_angle_is_another_shape():
+
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    hashes = [finish(name, "primitive", vertices, faces, crease_deg=angle).hash for name, angle in (("a", 30), ("b", 30.0), ("c", 60))]
+    assert hashes[0] == hashes[1] != hashes[2]
