@@ -22,6 +22,7 @@ CARD = Card(
     memory="below 1 MiB beyond the pixels",
 )
 ROWS, ANGLES, LEAST_COSINE = 32, 48, 1e-3
+DARKEST = 1e-9  # reflectance below which a channel fades to black: the derivative of its inverse would overflow
 
 
 def radiance(batch: Batch, tolerance):
@@ -34,7 +35,7 @@ def radiance(batch: Batch, tolerance):
         albedo = seen_at_angles(m, white, lights)
         d = torch.as_tensor(directions(ROWS, 2 * ROWS)[0], dtype=n.dtype, device=n.device).reshape(-1, 3) @ batch.camera_from_light.to(n).T
         blurred = directional.radiance(d, d, m, E, lights).reshape(ROWS, 2 * ROWS, 3)
-        return look_up_map(blurred, mirror @ batch.camera_from_light.to(n)) * look_up_angle(albedo, cosine) / albedo[-1].clamp(min=1e-30)
+        return look_up_map(blurred, mirror @ batch.camera_from_light.to(n)) * look_up_angle(albedo, cosine) / albedo[-1].clamp(min=DARKEST)
 
     return by_group(batch, one_group)
 
