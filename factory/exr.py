@@ -13,9 +13,9 @@ import numpy as np
 import OpenEXR
 
 from factory.quiet import silenced
+from manifests import exr
 from manifests.problems import Problem
 
-MAX_PIXELS = 1 << 26  # 8192²: a header may ask for more than there is memory
 GEOMETRY_STEPS = np.float32(1 << 15)  # a unit
 LARGEST_HALF = 65504.0  # a sun seen in a mirror may exceed it; it is far above any exposure's white
 
@@ -39,31 +39,9 @@ def write(path, channels):
 
 
 def read(path):
-    """Channels of a file, name → (height, width) array of the file's own type.
-
-    Raises  Problem for a file that is missing, truncated, no EXR, or larger than MAX_PIXELS
-    """
-    if not os.path.isfile(path):
-        raise Problem(path, "an OpenEXR file", "none", "render or copy it again")
-    try:
-        with silenced(2), contextlib.redirect_stdout(io.StringIO()):  # the library prints errors, in C and in Python, besides raising them
-            height, width = _size(path)
-            if not 1 <= height * width <= MAX_PIXELS:
-                raise Problem(path, f"a picture of 1 to {MAX_PIXELS} pixels", f"{width} × {height}", "check the file's header")
-            with OpenEXR.File(str(path), separate_channels=True) as file:
-                return {name: channel.pixels for name, channel in file.channels().items()}
-    except Problem:
-        raise
-    except Exception as error:  # OpenEXR raises bare RuntimeErrors and others, by version
-        raise Problem(path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again") from None
-
-
-def _size(path):
-    """Height and width by the file's header; (0, 0) if it is turned inside out."""
-    with OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
-        low, high = (np.asarray(corner, np.int64) for corner in file.header()["dataWindow"])
-    width, height = np.maximum(high - low + 1, 0).tolist()
-    return height, width
+    """Channels of a file, as manifests.exr reads them, but in silence: the library prints errors besides raising them."""
+    with silenced(2), contextlib.redirect_stdout(io.StringIO()):
+        return exr.read(path)
 
 
 def _stacked(path, channels, names):

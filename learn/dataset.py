@@ -16,9 +16,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 import torch
 
+from manifests import exr
 from manifests.materials import material, read_catalogue
 from manifests.problems import Problem
 from manifests.schema import Record
@@ -27,7 +27,6 @@ from shaders.dsbrdf import SIZE
 from shaders.envmap import roll
 from shaders.frames import view_vectors
 
-MAX_PIXELS = 1 << 26  # 8192²: a header may ask for more than there is memory
 PICTURE, NORMAL, DEPTH, SEGMENT = ("R", "G", "B"), ("normal.X", "normal.Y", "normal.Z"), ("depth.Z",), ("segment",)
 
 
@@ -116,7 +115,7 @@ class Records(torch.utils.data.Dataset):
 
     def _channels(self, record, relative, *groups):
         path = inside(self.folder, relative)
-        channels = read_channels(path)
+        channels = exr.read(path)
         names = [name for group in groups for name in group]
         missing = [name for name in names if name not in channels]
         sizes = {channels[name].shape for name in names if name in channels}
@@ -153,21 +152,3 @@ class Records(torch.utils.data.Dataset):
         if L.shape != (64, 128, 3) or not (np.isfinite(L).all() and L.min() >= 0):
             raise Problem(path, "finite radiance ≥ 0 of shape (64, 128, 3)", f"{L.shape}", "render or copy the dataset again")
         return L.astype(np.float32)
-
-
-def read_channels(path):
-    """Channels of an EXR file, name → (height, width) array.
-
-    Raises  Problem for a file that is missing, truncated, no EXR, or larger than MAX_PIXELS
-    """
-    try:
-        with OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
-            low, high = (np.asarray(corner, np.int64) for corner in file.header()["dataWindow"])
-        if (high - low < 0).any() or np.prod(high - low + 1) > MAX_PIXELS:
-            raise Problem(path, f"a picture of at most {MAX_PIXELS} pixels", f"{high - low + 1}", "check the file's header")
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            return {name: channel.pixels for name, channel in file.channels().items()}
-    except Problem:
-        raise
-    except Exception as error:  # OpenEXR raises bare RuntimeErrors and others, by version
-        raise Problem(path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again") from None

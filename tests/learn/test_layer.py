@@ -68,7 +68,7 @@ REFUSALS = {
     "mask: shape (1, 3, 3) expected": {"mask": lambda s: torch.ones(3, 3, dtype=torch.bool)},
     "tolerance: a positive number expected, found 0": {"tolerance": lambda s: 0},
     "elevation: radians in [-π/2, π/2] expected, found 20": {"elevation": lambda s: 20},
-    'method: one of auto, exact': {"method": lambda s: "exakt"},
+    "method: one of auto, exact": {"method": lambda s: "exakt"},
 }
 
 

@@ -1,0 +1,32 @@
+"""OpenEXR files read the same way on both sides of the contract."""
+
+import os
+
+import numpy as np
+
+from manifests.problems import Problem
+
+MAX_PIXELS = 1 << 26  # 8192²: a header may ask for more than there is memory
+
+
+def read(path):
+    """Channels of a file, name → (height, width) array of the file's own type.
+
+    Raises  Problem for a file that is missing, truncated, no EXR, or larger than MAX_PIXELS
+    """
+    import OpenEXR
+
+    if not os.path.isfile(path):
+        raise Problem(path, "an OpenEXR file", "none", "render or copy it again")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
+            low, high = (np.asarray(corner, np.int64) for corner in file.header()["dataWindow"])
+        width, height = np.maximum(high - low + 1, 0).tolist()
+        if not 1 <= height * width <= MAX_PIXELS:
+            raise Problem(path, f"a picture of 1 to {MAX_PIXELS} pixels", f"{width} × {height}", "check the file's header")
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            return {name: channel.pixels for name, channel in file.channels().items()}
+    except Problem:
+        raise
+    except Exception as error:  # OpenEXR raises bare RuntimeErrors and others, by version
+        raise Problem(path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again") from None
