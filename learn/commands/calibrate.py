@@ -1,0 +1,26 @@
+"""`learn calibrate`: fit the numbers by which method="auto" plans."""
+
+from pathlib import Path
+
+
+def register(subparsers):
+    parser = subparsers.add_parser(
+        "calibrate",
+        help='fit the numbers by which method="auto" plans',
+        description="Measures errors of maps and times of sums on this machine and fits the few numbers from which auto plans. They decide "
+        "how fast auto is, not how right: what it renders is checked. Put the file in "
+        "the place of learn/methods/calibration.json to use it.",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="JSON", help="the file to write")
+    parser.set_defaults(run=run)
+
+
+def run(options):
+    import json
+
+    from learn.charting import calibration
+
+    fitted = calibration.fit()
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(fitted, indent=1) + "\n")
+    print(json.dumps(fitted, indent=1))
