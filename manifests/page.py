@@ -17,6 +17,7 @@ COLUMNS = {
     "l2": ("L2", "{:.3g}"),
     "noise": ("noise", "{:.3g}"),
     "net": ("L2 − noise", "{:.3g}"),
+    "like_net": ("inside", "{:.3g}"),
     "ssim": ("SSIM", "{:.4f}"),
     "signed": ("mean error", "{:+.2%}"),
     "absolute": ("absolute error", "{:.2%}"),
@@ -75,17 +76,18 @@ def table(name, groups):
 
 def verdict(direct):
     """The report's headline in words."""
-    if direct.get("net") is None:
+    if direct.get("net") is None or direct.get("like_net") is None:
         return "No picture was rendered with two seeds: the noise is unknown, so the direct tier cannot be judged."
     told = (
-        f"In the direct tier, the light transport that the layer models, the two renderers' pictures differ by a display L2 of "
-        f"{direct['net']:.2f} once noise is taken off (black and white differ by 65,025)."
+        f"In the direct tier, the light transport that the layer models, the two renderers' pictures differ inside silhouettes and creases by "
+        f"a display L2 of {direct['like_net']:.2f} once noise is taken off (black and white differ by 65,025); edges included, by "
+        f"{direct['net']:.2f}."
     )
     if direct.get("node_fit") is None:
         return told + " The catalogue does not say how far its materials' two forms, label and nodes, are apart, so there is no limit."
     kept = "within" if direct.get("holds") else "beyond"
     fit = f" The materials' two forms, label and nodes, differ by {direct['node_fit']:.2f}"
-    return f"{told}{fit}; the limit is {direct['limit']:g} times that: {kept} it."
+    return f"{told}{fit}; the limit inside is {direct['limit']:g} times that: {kept} it."
 
 
 def causes(found):

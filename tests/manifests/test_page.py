@@ -16,7 +16,7 @@ def agreement(tmp_path):
     folder = tmp_path / "agreement"
     folder.mkdir()
     summary = {
-        "direct": {"net": 0.5, "node_fit": 0.4, "limit": 1.5, "holds": True},
+        "direct": {"net": 7.5, "like_net": 0.5, "node_fit": 0.4, "limit": 1.5, "holds": True},
         "causes": {"edges": 0.321, "noise": 0.75, "look_up_texels": {"median": 0.1}},
         "breakdowns": {"material": {"<brass>": FIGURES}, "highlight": {"wide": FIGURES}},
     }
@@ -54,9 +54,10 @@ def test_every_link_of_the_page_leads_from_its_own_folder_to_a_file(tmp_path, ag
 @pytest.mark.parametrize(
     ("direct", "word"),
     [
-        ({"net": 0.9, "node_fit": 0.4, "limit": 1.5, "holds": False}, "beyond it"),
+        ({"net": 0.9, "like_net": 0.7, "node_fit": 0.4, "limit": 1.5, "holds": False}, "of 0.70 once noise is taken off"),
+        ({"net": 0.9, "like_net": 0.7, "node_fit": 0.4, "limit": 1.5, "holds": False}, "beyond it"),
         ({"net": None, "node_fit": 0.4}, "cannot be judged"),
-        ({"net": 0.9, "node_fit": None}, "no limit"),
+        ({"net": 0.9, "like_net": 0.7, "node_fit": None}, "no limit"),
     ],
 )
 def test_the_verdict_says_what_the_report_found(direct, word):
