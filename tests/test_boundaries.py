@@ -31,7 +31,11 @@ sys.meta_path.insert(0, Absent())
 root = importlib.import_module(package)
 for module in pkgutil.walk_packages(root.__path__, package + "."):
     if not module.name.endswith("__main__"):
-        importlib.import_module(module.name)
+        try:
+            importlib.import_module(module.name)
+        except ModuleNotFoundError as error:
+            if error.name not in {"triton"}:  # of the extra `cuda`: its kernels are imported only where it is
+                raise
 """
 
 
