@@ -79,8 +79,8 @@ def verdict(direct):
     if direct.get("net") is None or direct.get("like_net") is None:
         return "No picture was rendered with two seeds: the noise is unknown, so the direct tier cannot be judged."
     told = (
-        f"In the direct tier, the light transport that the layer models, the two renderers' pictures differ inside silhouettes and creases by "
-        f"a display L2 of {direct['like_net']:.2f} once noise is taken off (black and white differ by 65,025); edges included, by "
+        f"In the direct tier, the light transport that the layer models, the two renderers' pictures differ inside silhouettes and creases "
+        f"by a display L2 of {direct['like_net']:.2f} once noise is taken off (black and white differ by 65,025); edges included, by "
         f"{direct['net']:.2f}."
     )
     if direct.get("node_fit") is None:

@@ -26,6 +26,8 @@ def run(options):
     if options.quick:
         names, lights, size = names[::3], dict(list(lights.items())[:2]), min(size, 64)
     made = made_by()
-    rows = measure.measure({name: catalogue.find(name).label for name in names}, lights, ("orthographic", "perspective"), size, cases.settings())
+    rows = measure.measure(
+        {name: catalogue.find(name).label for name in names}, lights, ("orthographic", "perspective"), size, cases.settings()
+    )
     draw.write(rows, made, options.out)
     print(options.out / "chart.html")
