@@ -46,14 +46,14 @@ def settings():
         *by_count("reflectance_map", reflectance_map.with_size, 16, 24, 32, 48, 64, 96),
         *by_count("median_cut", median_cut.with_lights, 64, 256, 1024, 4096),
         *by_count("hybrid", lambda b, c: hybrid.with_lights(b, c, 1.0 / c), 64, 256, 1024),
-        *by_tolerance("quadrature", 5e-2),
+        *by_tolerance("quadrature", 1e-2),
         *by_tolerance("spherical_harmonics", 1e-2),
         *by_tolerance("split_sum", 1e-2),
         *by_count("spherical_gaussians", spherical_gaussians.with_lights, 64),
         *by_count("monte_carlo", lambda b, c: sampling.sampled(b, c // 2, c // 2), 16, 64),
         *by_count("monte_carlo_light", lambda b, c: sampling.sampled(b, c, 0), 16, 64),
         *by_count("monte_carlo_brdf", lambda b, c: sampling.sampled(b, 0, c), 16, 64),
-        *by_tolerance("auto", 5e-2, 1e-2, 1e-3, 1e-4),
+        *by_tolerance("auto", 5e-2, 1e-2, 1e-3, 1e-4, 1e-5),
     ]
 
 
@@ -71,21 +71,31 @@ def computed_lights():
     return {name: envmap.unit_mean(L)[0] for name, L in found.items()}
 
 
-def lights(folder=None):
-    """The computed ones, or the .exr maps of a folder and the sun in a texel."""
+def lights(folder=None, names=None):
+    """The computed ones, or the sun in a texel and the maps of a folder: *.exr, or a dataset's lights/*.npz; all, or those named."""
     if folder is None:
         return computed_lights()
+    found = {"sun in a texel": computed_lights()["sun in a texel"]}
+    paths = sorted(Path(folder).glob("*.exr")) or sorted((Path(folder) / "lights").glob("**/*.npz"))
+    chosen = [path for path in paths if names is None or any(path.stem.startswith(name) for name in names)]
+    if not chosen:
+        stems = ", ".join(path.stem for path in paths) or "none"
+        raise Problem(
+            folder, "environment maps (*.exr, or a dataset with lights)", stems, "check the path and the names, or leave --lights out"
+        )
+    return found | {path.stem: envmap.unit_mean(envmap.resize(np.maximum(radiance_of(path), 0), *SIZE))[0] for path in chosen}
+
+
+def radiance_of(path):
+    """(height, width, 3) of an EXR, or of a dataset's light."""
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as stored:
+            return stored["L"].astype(np.float64)
     import OpenEXR
 
-    found = {"sun in a texel": computed_lights()["sun in a texel"]}
-    for path in sorted(Path(folder).glob("*.exr")):
-        with OpenEXR.File(str(path)) as file:
-            channels = file.channels()
-            pixels = channels["RGB" if "RGB" in channels else "RGBA"].pixels[..., :3].astype(np.float64)
-        found[path.stem] = envmap.unit_mean(envmap.resize(np.maximum(pixels, 0), *SIZE))[0]
-    if len(found) == 1:
-        raise Problem(folder, "environment maps (*.exr)", "none", "check the path, or leave --lights out")
-    return found
+    with OpenEXR.File(str(path)) as file:
+        channels = file.channels()
+        return channels["RGB" if "RGB" in channels else "RGBA"].pixels[..., :3].astype(np.float64)
 
 
 def sphere(size):

@@ -1,9 +1,10 @@
 """Times and errors of every setting on every case.
 
-seconds   CPU time of one thread, forward and backward in n, m and L: a busy machine alters it little
-error     mean absolute difference over mean radiance, on SAMPLE pixels, against the paper's sum
-integral  the same against the converged integral of the piecewise-constant map: lobes up to an exponent of 1,600 summed over a map whose
-          texels are parted into 4 × 4, sharper ones by 16,384 half-vector taps
+seconds, forward   CPU time of one thread, forward and backward in n, m and L, and of the forward picture alone without derivatives: a busy
+                   machine alters it little. A few methods go another way where no derivative is wanted
+error, forward_error   mean absolute difference over mean radiance, on SAMPLE pixels, against the paper's sum, of each
+integral  the same (forward and backward) against the converged integral of the piecewise-constant map: lobes up to an exponent of 1,600
+          summed over a map whose texels are parted into 4 × 4, sharper ones by 16,384 half-vector taps
 """
 
 import time
@@ -27,7 +28,7 @@ def measure(materials, lights, cameras, size, settings):
     todo = [(m, L, c) for m in materials for L in lights for c in cameras]
     try:
         for setting in settings:  # load and compile before anything is timed
-            timed(setting, next(iter(materials.values())), next(iter(lights.values())), 12, "orthographic")
+            timed(setting, next(iter(materials.values())), next(iter(lights.values())), 12, "orthographic", True)
         with tqdm(total=len(todo) * len(settings), desc="chart", unit="point", mininterval=2) as bar:
             for m, L, camera in todo:
                 rows += one_case(m, materials[m], L, lights[L], camera, size, settings, bar)
@@ -46,21 +47,27 @@ def one_case(m, label, L, light, camera, size, settings, bar):
         bar.update()
         if camera == "perspective" and "orthographic" in load(setting.method).CARD.needs:
             continue
-        seconds, seen = timed(setting, label, light, size, camera)
+        seconds, seen = timed(setting, label, light, size, camera, True)
+        forward, picture = timed(setting, label, light, size, camera, False)
         error, to_integral = ((seen[pick] - truth).abs().mean() / truth.mean() for truth in (paper, integral))
+        forward_error = (picture[pick] - paper).abs().mean() / paper.mean()
         rows.append(
             {"material": m, "light": L, "camera": camera, "method": setting.method, "knob": setting.knob}
-            | {"seconds": seconds, "error": error.item(), "integral": to_integral.item(), "pixels": len(batch.n)}
+            | {"seconds": seconds, "error": error.item(), "integral": to_integral.item()}
+            | {"forward": forward, "forward_error": forward_error.item(), "pixels": len(batch.n)}
         )
     return rows
 
 
-def timed(setting, label, light, size, camera):
-    batch, leaves = cases.batch_of(label, light, size, camera, wanted=True)
-    start = time.thread_time()
-    seen = setting.radiance(batch)
-    torch.autograd.grad(seen.sum(), leaves, allow_unused=True)
-    return time.thread_time() - start, seen.detach()
+def timed(setting, label, light, size, camera, backward):
+    """Seconds, and the picture (P, 3)."""
+    batch, leaves = cases.batch_of(label, light, size, camera, wanted=backward)
+    with torch.set_grad_enabled(backward):
+        start = time.thread_time()
+        seen = setting.radiance(batch)
+        if backward:
+            torch.autograd.grad(seen.sum(), leaves, allow_unused=True)
+        return time.thread_time() - start, seen.detach()
 
 
 def picked(batch, pick):

@@ -13,7 +13,10 @@ def register(subparsers):
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the chart goes")
     parser.add_argument("--quick", action="store_true", help="three materials, two lights, a small picture: two minutes")
     parser.add_argument("--size", type=int, default=256, metavar="N", help="picture's side in pixels; 40 %% of it is sphere (default 256)")
-    parser.add_argument("--lights", type=Path, metavar="DIR", help="a folder of .exr maps to light with (default: computed lights)")
+    parser.add_argument(
+        "--lights", type=Path, metavar="DIR", help="a folder of .exr maps, or a dataset, to light with (default: computed lights)"
+    )
+    parser.add_argument("--light", action="append", metavar="NAME", help="only this map of the folder; repeatable (default: all)")
     parser.set_defaults(run=run)
 
 
@@ -22,7 +25,7 @@ def run(options):
     from learn.timing.report import made_by
     from manifests import materials as catalogue
 
-    names, lights, size = cases.MATERIALS, cases.lights(options.lights), options.size
+    names, lights, size = cases.MATERIALS, cases.lights(options.lights, options.light), options.size
     if options.quick:
         names, lights, size = names[::3], dict(list(lights.items())[:2]), min(size, 64)
     made = made_by()

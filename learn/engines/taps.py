@@ -1,4 +1,4 @@
-"""Kernel of the half-vector quadrature: taps about each pixel's normal, the light looked up in the texel that each tap hits.
+"""Kernel of the half-vector quadrature: taps about each pixel's normal, the light averaged over each tap's footprint.
 
 P pixels, blocks of 16 taps (LANES), ordered by radius; all arrays float32, flat, C order.
 n, v      (P, 3) unit normals, and unit vectors to the viewer, camera frame
@@ -7,23 +7,26 @@ m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 least     (3 lobes,): smallest γ of a lobe that reflects, to leave it out of blocks that it does not reach
 rotation  (9,): camera_from_light, row by row
 light     (height, width, 3): radiance
-scratch   per call: (5, 16) floats
+scratch   per call: (7, 16) floats
 
     I_k = Σ_i F_k L_k(w_i) max(0, n·w_i) 4 (v·h_i) dω_h,   w = 2 (v·h) h − v,   cos θ_d = v·h,   c = n·h = cos θ
 
 c and its logarithm belong to the tap, not to the pixel: they come in full precision, however sharp the lobe.
+A tap's footprint is the square of its solid angle dω = 4 (v·h) dω_h, at most a texel wide each way: L_k is the mean over it, so that the
+sum does not jump where a tap crosses a texel's border, and a few taps find the border's place (learn.methods.quadrature.footprint).
 """
 
 from numba import njit, types
 
 from learn.engines.exponentials import angle, exp2, exp2m1
 from learn.engines.splines import basis, curve
-from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, load, maximum, select, splat, store
+from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, minimum, select, splat, sqrt, store
 
 TILE = 16  # pixels of a thread's piece of work
 NEGLIGIBLE = -40.0  # log2 of a lobe's height, relative to its peak, below which it is left out
 TINY = 1e-30  # added to a square so that an angle is defined at the poles
 PI = 3.141592653589793
+ROUND = 12582912.0  # 1.5 · 2^23: x + ROUND − ROUND is the nearest whole number
 
 FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9)
 
@@ -58,6 +61,29 @@ def reflectance(m, least, log_c, cos_d):
     return f0, f1, f2
 
 
+@njit(forceinline=True)
+def border(x, width):
+    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it; texel k begins at x = k."""
+    k = (x + ROUND) - ROUND
+    return k, minimum(maximum((x - k) / minimum(width, 1.0) + 0.5, 0.0), 1.0)
+
+
+@njit(forceinline=True)
+def alone(border, beyond):
+    """Whether the footprints of all lanes lie in one row (or column) of texels."""
+    place = border + beyond  # whole where no footprint is parted
+    return lane_max(place) + lane_max(0.0 - place) == 0.0 and not anywhere(beyond * (1.0 - beyond) > 0.0)
+
+
+@njit(forceinline=True)
+def corner(row, column, height, width):
+    """Number of a texel, given as floats; rows end at the poles, columns go round."""
+    i, j = int(row), int(column)
+    i = 0 if i < 0 else height - 1 if i >= height else i
+    j = j + width if j < 0 else j - width if j >= width else j
+    return i * width + j
+
+
 def forward(first, last, pixels, blocks, height, width, n, v, around, m, least, rotation, light, scratch, radiance):
     """Radiance (P, 3) of pixel tiles first … last − 1."""
     for p in range(first * TILE, min(last * TILE, pixels)):
@@ -85,18 +111,38 @@ def forward(first, last, pixels, blocks, height, width, n, v, around, m, least, 
             store(scratch, 0, f0 * weight)
             store(scratch, 16, f1 * weight)
             store(scratch, 32, f2 * weight)
+            w_up = fma(wx, rotation[1], fma(wy, rotation[4], wz * rotation[7]))
             theta, phi = polar_angles(
                 fma(wx, rotation[0], fma(wy, rotation[3], wz * rotation[6])),
-                fma(wx, rotation[1], fma(wy, rotation[4], wz * rotation[7])),
+                w_up,
                 fma(wx, rotation[2], fma(wy, rotation[5], wz * rotation[8])),
             )
-            store(scratch, 48, theta * (height / PI))
-            store(scratch, 64, phi * (width / (2.0 * PI)))
+            side = sqrt(4.0 * maximum(cos_d, 0.0) * load(around, o + 64))
+            row, by_row = border(theta * (height / PI), side * (height / PI))
+            sine = sqrt(maximum(1.0 - w_up * w_up, TINY))
+            column, by_column = border(phi * (width / (2.0 * PI)), side * (width / (2.0 * PI)) / sine)
+            if alone(row, by_row) and alone(column, by_column):
+                texel = 3 * corner(lane_max(row + by_row) - 1.0, lane_max(column + by_column) - 1.0, height, width)
+                i0 += lane_sum(f0 * weight) * light[texel]
+                i1 += lane_sum(f1 * weight) * light[texel + 1]
+                i2 += lane_sum(f2 * weight) * light[texel + 2]
+                continue
+            store(scratch, 0, f0 * weight)
+            store(scratch, 16, f1 * weight)
+            store(scratch, 32, f2 * weight)
+            store(scratch, 48, row)
+            store(scratch, 64, column)
+            store(scratch, 80, by_row)
+            store(scratch, 96, by_column)
             for lane in range(16):
-                row = min(int(scratch[48 + lane]), height - 1)
-                column = int(scratch[64 + lane])
-                texel = 3 * (row * width + (0 if column >= width else column))  # φ = 2π is φ = 0
-                i0 += scratch[lane] * light[texel]
-                i1 += scratch[16 + lane] * light[texel + 1]
-                i2 += scratch[32 + lane] * light[texel + 2]
+                k, t, q = scratch[48 + lane], scratch[64 + lane], scratch[96 + lane]
+                for below in range(2):
+                    share = scratch[80 + lane] if below else 1.0 - scratch[80 + lane]
+                    if share > 0.0:
+                        left = 3 * corner(k + below - 1.0, t - 1.0, height, width)
+                        right = 3 * corner(k + below - 1.0, t, height, width)
+                        one, other = share * (1.0 - q), share * q
+                        i0 += scratch[lane] * (one * light[left] + other * light[right])
+                        i1 += scratch[16 + lane] * (one * light[left + 1] + other * light[right + 1])
+                        i2 += scratch[32 + lane] * (one * light[left + 2] + other * light[right + 2])
         radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = i0, i1, i2

@@ -1,13 +1,15 @@
 """Half-vector quadrature: the converged integral over the piecewise-constant map, right for lobes narrower than a texel.
 
 The paper's sum evaluates a lobe once a texel, and is wrong by a factor where the lobe is narrower. Here each lobe goes its own way, by its
-exponent: broad ones through the exact sum over texels, narrower ones over texels split into 2 × 2 or 4 × 4 of the same radiance (the
-engine skips what a narrow lobe does not reach), and the narrowest through taps about the pixel's normal in half-vector space,
+exponent: broad ones through the exact sum over texels, narrow ones through taps about the pixel's normal in half-vector space,
 
     h_i = cos θ_i n + sin θ_i (cos φ_i t₁ + sin φ_i t₂),   w_i = 2 (v·h) h − v,   dω_i = 4 (v·h) dω_h
 
-on a spiral φ_i = i · golden angle whose radii θ_i follow the lobes (equal shares of their energy), so that no lobe is too narrow.
-L is looked up in the texel that holds w_i, as a renderer with nearest look-up does.
+on a spiral φ_i = i · golden angle whose radii θ_i follow the lobes' roots (equal shares of √f's energy: a lobe's tail then has taps too,
+and midpoints are right to second order), so that no lobe is too narrow. L is the mean over a tap's footprint, the square of its solid
+angle: the sum then does not jump where a tap crosses a texel's border, and the error falls as 1/N instead of N^−¾.
+
+Lobes up to four texels' width may also take texels split into 2 × 2 or 4 × 4 of the same radiance, which have a fast backward pass.
 
 Taps are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is differentiated with w_i and dω_i held, which
 estimates the true derivative ∫ ∂(f μ) L dω; moving the taps with n instead would lose the jumps of L between texels.
@@ -15,6 +17,7 @@ estimates the true derivative ∫ ∂(f μ) L dω; moving the taps with n instea
 N taps, p pixel, i tap, k channel, s lobe; shapes (p, i, k, s).
 """
 
+import functools
 import math
 from dataclasses import replace
 
@@ -30,13 +33,16 @@ from shaders.spline import basis
 
 CARD = Card(
     name="quadrature",
-    approximates="the integral over the narrowest lobes by taps that follow them; the others by the exact sum over split texels",
+    approximates="the integral: narrow lobes by taps that follow them, broad ones by the exact sum over texels",
     error=None,  # no claim against the paper's sum, which is itself wrong there; 1e-2 against the integral
-    cost="pixels × (texels if a lobe is broad + split texels that a narrower one reaches + taps if one is narrower still)",
+    cost="pixels × (texels if a lobe is broad + 256 to 1,024 taps if one is narrow), at tolerance 1e-2",
     memory="below 64 MiB at any size: chunks of pixels, computed again in the backward pass",
 )
 BROAD = 300.0  # exponent up to which the sum over 64 rows of texels is right to about 3e-3; twice the rows serve four times as much
 SPLITS = (1, 2, 4)  # parts of a texel's side; beyond, taps
+WIDER = {2: 4, 4: 2, math.inf: 1}  # times as many taps for lobes of each split's band, which hold more texels
+LOOSE = 5e-3  # tolerance from which taps serve those bands too; below, they would need more time than split texels
+LEAST, MOST = 256, 16384  # taps
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 RADII = np.concatenate([[0.0], np.geomspace(1e-5, np.pi / 2, 1024)])  # θ_h grid on which the lobes' energy is added up
 THETA_D = np.linspace(0, np.pi / 2, 13)
@@ -44,25 +50,35 @@ THETA_D = np.linspace(0, np.pi / 2, 13)
 
 def radiance(batch: Batch, tolerance):
     exponent, rows = exponents(batch.m.detach()), batch.light.shape[1]
+    if not wants_gradient(batch.m):
+        exponent = torch.where(batch.m[..., 0, :].amax(-1) > 0, exponent, -1.0)  # what reflects nothing is passed by
     out = 0 * batch.n
-    low = -1.0
-    for split in SPLITS:
+    low, taps = -1.0, tap_count(tolerance)
+    # The engine's taps have no backward pass: where derivatives are wanted, split texels are faster as far as they reach.
+    by_texels = tolerance < LOOSE or wants_gradient(batch.n, batch.view, batch.m, batch.light)
+    for split in (*SPLITS, math.inf):
         high = BROAD * (split * rows / 64) ** 2
         lobes = (exponent > low) & (exponent <= high)
-        if lobes.any():
-            light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2) if split > 1 else batch.light
-            out = out + load("exact").radiance(replace(batch, m=keep(batch.m, lobes), light=light), tolerance)
         low = high
-    if (exponent > low).any():
-        taps = tap_count(tolerance)
-        part = replace(batch, m=keep(batch.m, exponent > low))
-        out = out + by_group(part, lambda n, view, m, light: over_taps(n, view, m, light, batch.camera_from_light, taps))
+        if not lobes.any():
+            continue
+        band = replace(batch, m=keep(batch.m, lobes))
+        if split == 1 or (by_texels and split < math.inf):
+            light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2) if split > 1 else batch.light
+            out = out + load("exact").radiance(replace(band, light=light), tolerance)
+        else:
+            count = min(taps * WIDER[split], MOST)
+            out = out + by_group(band, functools.partial(over_taps, camera_from_light=batch.camera_from_light, taps=count))
     return out
 
 
+def wants_gradient(*tensors):
+    return torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in tensors)
+
+
 def tap_count(tolerance):
-    """Jumps of L inside N cells leave an error of about N^−¾ of the lobe's contrast; a power of two in [128, 16384]."""
-    return int(np.clip(2 ** math.ceil(math.log2(4.5 * tolerance ** (-4 / 3))), 128, 16384))
+    """The error falls about as 1 / taps (2.5 is half of what the worst of the trials needed); a power of two in [LEAST, MOST]."""
+    return int(np.clip(2 ** math.ceil(math.log2(2.5 / tolerance)), LEAST, MOST))
 
 
 def exponents(m):
@@ -87,7 +103,7 @@ def tap_radii(m, taps):
     kappa, gamma = curves[:, curves[0, :, 0] > 0]
     with np.errstate(divide="ignore", under="ignore"):
         log_c = np.log(np.maximum(np.cos(RADII), 1e-30))
-        profile = np.expm1(np.minimum(kappa * np.exp(gamma * log_c), MAX_EXPONENT)) * np.sin(RADII) * np.cos(RADII)
+        profile = np.sqrt(np.expm1(np.minimum(kappa * np.exp(gamma * log_c), MAX_EXPONENT))) * np.sin(RADII) * np.cos(RADII)
     step = np.diff(RADII) * 0.5
     energy = np.cumsum(np.pad((profile[:, 1:] + profile[:, :-1]) * step, ((0, 0), (1, 0))), axis=1)
     share = (energy / np.maximum(energy[:, -1:], 1e-300)).mean(0)  # each lobe counts alike, however little it reflects
@@ -109,8 +125,7 @@ def over_taps(n, view, m, light, camera_from_light, taps):
     if not used.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
     around, solid_angle = spiral(m.detach()[:, used], taps)
-    needed = torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in (n, view, m, light))
-    if not needed and n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available():
+    if not wants_gradient(n, view, m, light) and n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available():
         return by_kernel(n, view, m, light, camera_from_light, around, solid_angle)
     m = m[:, used]
     around, solid_angle = (torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in (around, solid_angle))
@@ -135,7 +150,7 @@ def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
     sizes = len(n), len(around) // lights.LANES, *light.shape[:2]
 
     def run(first, last):
-        machine_code.call("taps.forward", first, last, *sizes, *arrays, np.empty(80, np.float32), out)
+        machine_code.call("taps.forward", first, last, *sizes, *arrays, np.empty(112, np.float32), out)
 
     workers = torch.get_num_threads()
     threads.run(run, threads.split(-(-len(n) // 16), 8 * workers), workers)
@@ -159,7 +174,9 @@ def place(n, view, around, solid_angle, camera_from_light, size):
 def chunk(n, view, m, light, around, solid_angle, camera_from_light):
     """Radiance (p, 3) by the taps that `place` puts."""
     with torch.no_grad():
-        w, weight, texel = place(n, view, around, solid_angle, camera_from_light, light.shape[:2])
+        w, weight, _ = place(n, view, around, solid_angle, camera_from_light, light.shape[:2])
+        texel, share = footprint(w @ camera_from_light.to(w), weight, *light.shape[:2])
+    seen = torch.einsum("pic,pick->pik", share, light.reshape(-1, 3)[texel])
     mu = (w * n[:, None]).sum(-1) * weight
     s, d = w + view[:, None], w - view[:, None]
     length_s, length_d = (x.square().sum(-1).clamp(min=1e-24).sqrt() for x in (s, d))  # w = v: a corner of θ_d, slope 0 taken
@@ -167,7 +184,30 @@ def chunk(n, view, m, light, around, solid_angle, camera_from_light):
     log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
     kappa, gamma = torch.einsum("pib,ksjb->jpiks", basis(theta_d), m)
     f = torch.expm1((kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)).sum(-1)
-    return torch.einsum("pik,pi,pik->pk", f, mu, light.reshape(-1, 3)[texel])
+    return torch.einsum("pik,pi,pik->pk", f, mu, seen)
+
+
+def footprint(w, solid_angle, height, width):
+    """The texels under each tap's square of solid angle, at most a texel wide each way, and the part of it in each.
+
+    w (…, 3) light frame, solid_angle (…) sr
+    Returns  texel (…, 4) flat indices; share (…, 4), sums to 1
+    """
+    side = solid_angle.sqrt()
+    sine = torch.hypot(w[..., 0], w[..., 2])
+    theta, phi = torch.atan2(sine, w[..., 1]), torch.atan2(w[..., 2], w[..., 0])
+    row, below = border(theta * (height / math.pi), side * (height / math.pi))
+    column, right = border(phi * (width / (2 * math.pi)), side * (width / (2 * math.pi)) / sine.clamp(min=1e-15))
+    rows = torch.stack([row - 1, row - 1, row, row], -1).clamp(0, height - 1)  # they end at the poles
+    columns = torch.stack([column - 1, column, column - 1, column], -1) % width
+    share = torch.stack([(1 - below) * (1 - right), (1 - below) * right, below * (1 - right), below * right], -1)
+    return (rows * width + columns).long(), share
+
+
+def border(x, width):
+    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it; texel k begins at x = k."""
+    k = x.round()
+    return k, ((x - k) / width.clamp(1e-15, 1.0) + 0.5).clamp(0, 1)
 
 
 def frame_about(n):
