@@ -43,6 +43,8 @@ class Forecast:
 def probe_shots(plan):
     """Three shots: of the first, the middle and the last shape, under different lights."""
     shapes, found = plan.assets.shapes, []
+    if not plan.job.pictures:
+        return [shot for place in sorted({0, len(shapes) // 2, len(shapes) - 1}) for shot in islice(plan.views_alone(shapes[place]), 1)]
     for k, place in enumerate((0, len(shapes) // 2, len(shapes) - 1)):
         group = list(islice(plan.group(shapes[place], *plan.lights[k * (len(plan.lights) - 1) // 2]), 200))
         found.append(next((shot for shot in group[k * len(group) // 3 :] if shot.id not in {s.id for s in found}), None))
@@ -65,7 +67,8 @@ def probed(plan, manner: Manner):
         for _, reply in pool.run(probe_shots(plan)):
             if not reply.made:
                 raise RuntimeError(reply.reason)
-            sizes["images"].append(reply.bytes)
+            if plan.job.pictures:
+                sizes["images"].append(reply.bytes)
             for kind, seconds in reply.spent.items():
                 cost[kind].append(seconds)
         sizes["geometry"] = [path.stat().st_size for path in (store.folder / "geometry").rglob("*.exr")]
@@ -87,6 +90,8 @@ def _typical(values):
 def expected_events(plan):
     """How often each kind of work happens in a plan: exact where it follows from the job, else counted on its first shots and scaled."""
     total, job = len(plan), plan.job
+    if not job.pictures:
+        return {"shape": len(plan.assets.shapes), "geometry": total, "picture": 0, "writing": 0}
     changed, last, counted = {"light": 0, "materials": 0}, None, 0
     for shot in islice(plan, COUNTED):
         now = {"light": (shot.light, shot.light_resolution, shot.rotation_texels), "materials": (shot.shape, shot.materials)}

@@ -17,7 +17,7 @@ from factory import exr
 from factory.plan import TEXELS, Shot
 from factory.render import checks
 from factory.shape_names import Source, load_mesh
-from manifests.schema import Job, Record, Statistics
+from manifests.schema import Job, Record, Statistics, View
 from manifests.store import file_hash, geometry_path, image_path
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap
@@ -65,7 +65,7 @@ class Pipeline:
     """Makes shots of one assignment and puts them in place.
 
     store, worker  manifests.store.Store and this worker's name
-    append         called with each finished Record
+    append         called with each finished Record or View
     mixtures       material name → shaders.mixture.Mixture
     """
 
@@ -80,11 +80,38 @@ class Pipeline:
         studio.set_camera(assignment.job.camera)
 
     def make(self, shot: Shot):
-        """Render one shot, check it, write it, append its record, return the record.
+        """Render one shot, check it, write it, append its record, return the record (of a shot without a picture: its View).
 
         Raises  BadShot; OSError if it cannot be written
         """
         start, self.spent = time.perf_counter(), {}
+        record = self._pictured(shot, start) if shot.picture else self._viewed(shot, start)
+        self._append(record)
+        return record
+
+    def _viewed(self, shot, start):
+        """The View of a shot without a picture, its geometry in place."""
+        self._show_shape(shot)
+        self._show_view(shot)
+        geometry, shape = self._geometry(shot), self.assignment.shapes[shot.shape]
+        return View(
+            id=shot.id,
+            shape=shot.shape,
+            shape_hash=shape.hash,
+            category=shape.category,
+            viewpoint=shot.viewpoint,
+            azimuth_deg=azimuths_deg()[shot.viewpoint],
+            camera=self.assignment.job.camera,
+            segments=self._segments,
+            geometry=geometry.path,
+            geometry_hash=geometry.hash,
+            side=shot.split,
+            coverage=round(geometry.coverage, 6),
+            seconds=round(time.perf_counter() - start, 4),
+        )
+
+    def _pictured(self, shot, start):
+        """The Record of a shot, its picture and geometry in place."""
         self._show(shot)
         geometry = self._geometry(shot)
         with self._timed("picture"):
@@ -94,9 +121,7 @@ class Pipeline:
         image = image_path(shot.id)
         with self._timed("writing"):
             image_hash = self.store.place(image, lambda path: _write(exr.write_picture, path, radiance), self.worker)
-        record = self._record(shot, geometry, image, image_hash, _statistics(radiance, geometry), time.perf_counter() - start)
-        self._append(record)
-        return record
+        return self._record(shot, geometry, image, image_hash, _statistics(radiance, geometry), time.perf_counter() - start)
 
     @contextmanager
     def _timed(self, what):
@@ -107,12 +132,7 @@ class Pipeline:
 
     def _show(self, shot):
         """Give the studio shape, light, materials and view, each only if it is another."""
-        if shot.shape != self._shape:
-            with self._timed("shape"):
-                mesh = load_shape(self.assignment.shapes[shot.shape])
-                self.studio.set_shape(mesh)
-            self._shape, self._segments = shot.shape, mesh.segments
-            self._view = self._materials = None
+        self._show_shape(shot)
         light = (shot.light, shot.light_resolution, shot.rotation_texels)
         if light != self._light:
             L = self._map(shot.light, shot.light_resolution)
@@ -123,6 +143,17 @@ class Pipeline:
             with self._timed("materials"):
                 self.studio.set_materials([self._mixtures[name] for name in shot.materials])
             self._materials = shot.materials
+        self._show_view(shot)
+
+    def _show_shape(self, shot):
+        if shot.shape != self._shape:
+            with self._timed("shape"):
+                mesh = load_shape(self.assignment.shapes[shot.shape])
+                self.studio.set_shape(mesh)
+            self._shape, self._segments = shot.shape, mesh.segments
+            self._view = self._materials = None
+
+    def _show_view(self, shot):
         if shot.viewpoint != self._view:
             self.studio.set_view(np.radians(azimuths_deg()[shot.viewpoint]))
             self._view = shot.viewpoint

@@ -3,6 +3,7 @@
 shot      one picture to make; its id is the hash of all that determines its pixels (inputs, never pixels: two runs differ by 2e-6)
 draw      what a job leaves to chance comes from SeedSequence(job.seed, spawn_key=(shape, materials, light, occurrence)), each a hash
           of what it is: adding a shape, a material, a light or a view to a job alters nobody else's draws
+view      a shot without a picture, of a job that wants geometry alone: shape and viewpoint; its id is the geometry file's
 order     shape, light, light resolution, tier, materials, rotation, view: what is dear to change changes least (persistent data pays)
 """
 
@@ -23,7 +24,10 @@ ID_DIGITS = 24  # 96 bits: two of a million shots meet by chance once in 1e17 da
 
 
 class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
-    """One picture to make. Shape, materials (one a segment) and light are names in the plan's assets; geometry is a geometry file's id."""
+    """One picture to make. Shape, materials (one a segment) and light are names in the plan's assets; geometry is a geometry file's id.
+
+    picture  False: geometry alone; materials and light are empty then, and split is the shape's side
+    """
 
     id: str
     geometry: str
@@ -36,6 +40,7 @@ class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     light_resolution: LightResolution
     seed: int
     split: str
+    picture: bool = True
 
 
 @dataclass(frozen=True)
@@ -51,15 +56,21 @@ class Plan:
     render: str
 
     def __len__(self):
+        if not self.job.pictures:
+            return len(self.assets.shapes) * self._views
         return sum(len(self.choices(shape)) for shape in self.assets.shapes) * len(self.job.lights) * self.each
 
     @property
     def each(self):
         """Shots of one shape, one choice of materials and one light."""
         job = self.job
-        views = job.views.random if isinstance(job.views, Draw) else len(job.views)
         rotations = job.rotations.random if isinstance(job.rotations, Draw) else len(job.rotations)
-        return views * rotations * len(job.tiers) * len(job.light_resolutions) * job.repeats
+        return self._views * rotations * len(job.tiers) * len(job.light_resolutions) * job.repeats
+
+    @property
+    def _views(self):
+        """Viewpoints of each combination."""
+        return self.job.views.random if isinstance(self.job.views, Draw) else len(self.job.views)
 
     def choices(self, shape):
         """What a shape may be made of: (materials, one a segment; or a number, of a draw not yet made)."""
@@ -71,8 +82,34 @@ class Plan:
     def __iter__(self):
         """Every shot, in the order in which they are best made."""
         for shape in self.assets.shapes:
+            if not self.job.pictures:
+                yield from self.views_alone(shape)
+                continue
             for light, occurrence in self.lights:
                 yield from self.group(shape, light, occurrence)
+
+    def views_alone(self, shape):
+        """The shots of one shape in a job without pictures."""
+        views = self.job.views
+        if isinstance(views, Draw):
+            rng = np.random.default_rng(np.random.SeedSequence(self.job.seed, spawn_key=(0x9E0, _word(shape.hash))))
+            views = np.sort(rng.permutation(COUNT)[: views.random]).tolist()
+        for view in views:
+            id_ = geometry_id(shape.hash, self._camera, view, self.render)
+            yield Shot(
+                id=id_,
+                geometry=id_,
+                shape=shape.name,
+                materials=(),
+                light="",
+                viewpoint=view,
+                rotation_texels=0,
+                tier="direct",
+                light_resolution="64x128",
+                seed=0,
+                split=shape.side,
+                picture=False,
+            )
 
     def group(self, shape, light, occurrence=0):
         """The shots of one shape under one light, in order."""

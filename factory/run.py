@@ -18,6 +18,7 @@ from manifests import lock
 from manifests.materials import Catalogue, read_catalogue, write
 from manifests.problems import Problem
 from manifests.schema import Dataset, Failure, LightEntry, MaterialEntry, Order, ShapeEntry
+from manifests.splits import light_side
 from manifests.store import Lines, Store, file_hash, light_path
 
 
@@ -67,7 +68,7 @@ def carry_out(plan: Plan, folder, manner: Manner, watch=None):
 
 
 def _made(plan, store, manner, prefix, descriptors, watch):
-    done = store.ids()
+    done = store.ids("records" if plan.job.pictures else "views")
     shots = _part(plan, manner.shard)
     watch("total", _part_length(plan, manner.shard))
     counts = {"found": 0, "made": 0, "failed": 0}
@@ -166,7 +167,13 @@ def _light_entry(store, light, plan):
     if not (store.folder / file).exists():
         store.place(file, lambda path: _save_map(path, light.L64, light.scale), "main", keep_first=True)
     return LightEntry(
-        hash=light.hash, file=file, file_hash=file_hash(store.folder / file), scale=light.scale, licence=light.licence, source=light.origin
+        hash=light.hash,
+        file=file,
+        file_hash=file_hash(store.folder / file),
+        scale=light.scale,
+        licence=light.licence,
+        source=light.origin,
+        side=light_side(light.hash),
     )
 
 

@@ -44,7 +44,7 @@ class Chunk(msgspec.Struct, frozen=True):
 class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """made, bad: a shot's id; settings and versions come with the first picture.
 
-    bytes: what the picture takes on disk; spent: seconds by kind.
+    bytes: what the picture, or the geometry alone, takes on disk; spent: seconds by kind.
     """
 
     made: str = ""
@@ -88,8 +88,9 @@ def main():
 
 def _serve(setup, answer):
     store = Store(setup.folder)
-    lines = Lines(store.folder / "records" / f"{setup.worker}.jsonl")
-    mixtures = {name: m.mixture for name, m in load_catalogue(store.folder / "materials.json").items()}
+    pictures = setup.assignment.job.pictures
+    lines = Lines(store.folder / ("records" if pictures else "views") / f"{setup.worker}.jsonl")
+    mixtures = {name: m.mixture for name, m in load_catalogue(store.folder / "materials.json").items()} if pictures else {}
     studio = _studio(setup)
     pipeline = Pipeline(studio, setup.assignment, store, setup.worker, lines.append, mixtures)
     first = True
@@ -105,7 +106,7 @@ def _serve(setup, answer):
                 break
             extra = {"settings": msgspec.to_builtins(studio.settings), "versions": studio.versions} if first else {}
             first = False
-            size = (store.folder / record.image).stat().st_size
+            size = (store.folder / (record.image if pictures else record.geometry)).stat().st_size
             answer(made=shot.id, seconds=record.seconds, bytes=size, spent=pipeline.spent, **extra)
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import msgspec
 
 from manifests.materials import Catalogue
-from manifests.schema import Dataset, Failure, Job, Record
+from manifests.schema import Dataset, Failure, Job, Record, View
 
 FOLDER = Path(__file__).parent / "json-schema"
-TYPES = {"job": Job, "record": Record, "dataset": Dataset, "failure": Failure, "materials": Catalogue}
+TYPES = {"job": Job, "record": Record, "view": View, "dataset": Dataset, "failure": Failure, "materials": Catalogue}
 
 
 def documents():

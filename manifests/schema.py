@@ -21,7 +21,7 @@ Role = Literal["pretrain", "finetune", "train", "test"]
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 Pixels = Annotated[int, Meta(ge=4, le=8192)]
-View = Annotated[int, Meta(ge=0, le=23)]
+Viewpoint = Annotated[int, Meta(ge=0, le=23)]
 Texels = Annotated[int, Meta(ge=0, le=127)]
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Name = Annotated[str, Meta(min_length=1, max_length=1000)]
@@ -62,6 +62,8 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     segment_materials  None: one material over the whole shape; a number: so many draws of a material for each segment, a shape and light
     split, roles       which rule says what is for training and what for testing (manifests/splits.json), and which roles to keep
     mixed              keep shots whose shape is for training and whose material is for testing, or the reverse
+    pictures           False: geometry alone, of every shape in every view once; materials and lights come along with the dataset, for
+                       whoever relights it; rotations, tiers, samples and what else is about pictures says nothing then
     """
 
     version: Literal[1] = 1
@@ -70,7 +72,7 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     shapes: Annotated[tuple[Name, ...], Meta(min_length=1)]
     materials: Annotated[tuple[Name, ...], Meta(min_length=1)]
     lights: Annotated[tuple[Name, ...], Meta(min_length=1)]
-    views: Annotated[tuple[View, ...], Meta(min_length=1)] | Draw = (0,)
+    views: Annotated[tuple[Viewpoint, ...], Meta(min_length=1)] | Draw = (0,)
     rotations: Annotated[tuple[Texels, ...], Meta(min_length=1)] | Draw = (0,)
     tiers: Annotated[tuple[Tier, ...], Meta(min_length=1)] = ("full",)
     light_resolutions: Annotated[tuple[LightResolution, ...], Meta(min_length=1)] = ("64x128",)
@@ -82,6 +84,7 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     split: Counts = "hash"
     roles: tuple[Role, ...] = ()
     mixed: bool = True
+    pictures: bool = True
 
 
 class Statistics(Struct, frozen=True, forbid_unknown_fields=True):
@@ -125,6 +128,40 @@ class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=F
     statistics: Statistics
     seconds: float
 
+    @property
+    def coverage(self):
+        """Share of the frame that the object covers."""
+        return self.statistics.coverage
+
+    @property
+    def segments(self):
+        """How many the shape has."""
+        return len(self.materials)
+
+
+class View(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=False):
+    """One shape seen from one viewpoint, without a picture: what there is to relight.
+
+    id        of the geometry file
+    segments  how many the shape has; from here not all of them need be seen
+    side      the shape's
+    coverage  share of the frame that the object covers
+    """
+
+    id: str
+    shape: str
+    shape_hash: str
+    category: str
+    viewpoint: int
+    azimuth_deg: float
+    camera: Camera
+    segments: int
+    geometry: str
+    geometry_hash: str
+    side: Side
+    coverage: float
+    seconds: float
+
 
 class ShapeEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A shape of a dataset: what it is, and on which side of the split its hash stands. parts: segment id − 1 → names in it."""
@@ -139,7 +176,10 @@ class ShapeEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class LightEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A light of a dataset: its stored 64×128 map (npz: `L` (64, 128, 3) float32 of unit mean luminance, `scale`)."""
+    """A light of a dataset: its stored 64×128 map (npz: `L` (64, 128, 3) float32 of unit mean luminance, `scale`).
+
+    side  by its hash; None in datasets from before lights had sides: manifests.splits.light_side gives it then
+    """
 
     hash: str
     file: str
@@ -147,6 +187,7 @@ class LightEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     scale: float
     licence: str
     source: str = ""
+    side: Side | None = None
 
 
 class MaterialEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

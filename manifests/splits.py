@@ -1,7 +1,7 @@
-"""Which shapes and materials are for training and which for testing: decided by what they are, never by the order they come in.
+"""Which shapes, materials and lights are for training and which for testing: decided by what they are, never by the order they come in.
 
 role   pretrain, finetune, train or test; side: train or test (every role but test is for training)
-rule   "hash": a fifth of all shapes, by their hash. "paper", "multi-material": counts by number (manifests/splits.json)
+rule   "hash": a fifth of all shapes, by their hash (of lights always). "paper", "multi-material": counts by number (manifests/splits.json)
 twins  one mesh or fit under two names, found by hash: both take one side, and that is test if either was for testing
 """
 
@@ -55,6 +55,11 @@ def paper_training(names):
     """The paper's 60 of the materials for training: those whose names' hashes are least, so that nobody's taste chooses."""
     order = sorted(names, key=lambda name: hashlib.sha256(f"paper {name}".encode()).digest())
     return set(order[: rules()["paper"]["train_materials"]])
+
+
+def light_side(hash_):
+    """The side of a light, by the hash of its map: of pictures it says nothing, to who samples lights for training everything."""
+    return _by_hash(hash_)
 
 
 def split_of(shape_side, material_sides_):

@@ -3,6 +3,7 @@
     dataset.json  materials.json   what was asked for, with which assets; the labels of the materials used
     images/ab/ID.exr  geometry/ab/ID.exr  lights/NAME-HASH.npz
     records/worker-NN.jsonl        one line a picture, appended after its files are in place; one writer a file
+    views/worker-NN.jsonl          the same of geometry alone, one line a view of a shape: jobs without pictures
     failures.jsonl                 what did not come out, and why (failures-SHARD.jsonl in job arrays)
     partial/                       files being written; whatever lies there after a run is rubbish
     .lock*                         held by a run while it writes
@@ -21,8 +22,9 @@ import msgspec
 
 from manifests.problems import Problem
 from manifests.reading import decode, read
-from manifests.schema import VERSION, Dataset, Failure, Record
+from manifests.schema import VERSION, Dataset, Failure, Record, View
 
+LINES = {"records": Record, "views": View}  # folder: what its lines are
 NAME = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -84,20 +86,21 @@ class Store:
             raise Problem(path, f"schema version {VERSION}", str(version), "read it with the program version that wrote it")
         return read(path, Dataset)
 
-    def record_files(self):
-        """The record files, one a worker, in order of name."""
-        return sorted((self.folder / "records").glob("*.jsonl"))
+    def record_files(self, kind="records"):
+        """The files of one kind of lines, one a worker, in order of name."""
+        return sorted((self.folder / kind).glob("*.jsonl"))
 
     def records(self, keep=None):
         """Each Record, file after file; keep(record) filters. Raises Problem at a line that no writer can have left."""
-        decoder = msgspec.json.Decoder(Record)
-        for record in self._decoded(decoder, Record):
-            if keep is None or keep(record):
-                yield record
+        return filter(keep, self._decoded(Record, "records")) if keep else self._decoded(Record, "records")
 
-    def ids(self):
-        """The set of ids of all records: what a run that continues leaves out. Reads nothing else of a line."""
-        return {line.id for line in self._decoded(msgspec.json.Decoder(_Id), _Id)}
+    def views(self, keep=None):
+        """Each View, as `records` gives each Record."""
+        return filter(keep, self._decoded(View, "views")) if keep else self._decoded(View, "views")
+
+    def ids(self, kind="records"):
+        """The set of ids of all lines of a kind: what a run that continues leaves out. Reads nothing else of a line."""
+        return {line.id for line in self._decoded(_Id, kind)}
 
     def failures(self):
         """Every Failure written down."""
@@ -107,8 +110,9 @@ class Store:
                     if line.endswith(b"\n"):
                         yield decode(line, Failure, f"{path}:{number}")
 
-    def _decoded(self, decoder, type_):
-        for path in self.record_files():
+    def _decoded(self, type_, kind):
+        decoder = msgspec.json.Decoder(type_)
+        for path in self.record_files(kind):
             with open(path, "rb") as lines:
                 for number, line in enumerate(lines, 1):
                     if not line.endswith(b"\n"):
@@ -151,7 +155,7 @@ class Store:
         partial = self.folder / "partial"
         for path in partial.glob(f"{prefix}*") if partial.is_dir() else ():
             path.unlink(missing_ok=True)
-        for path in self.record_files():
+        for path in (path for kind in LINES for path in self.record_files(kind)):
             if path.name.startswith(prefix):
                 Lines(path).close()
 

@@ -12,9 +12,8 @@ import msgspec
 
 from manifests.materials import read_catalogue
 from manifests.problems import Problem
-from manifests.schema import Record
-from manifests.splits import split_of
-from manifests.store import Store, file_hash, geometry_path, image_path, inside
+from manifests.splits import light_side, split_of
+from manifests.store import LINES, Store, file_hash, geometry_path, image_path, inside
 
 
 @dataclass(frozen=True)
@@ -33,21 +32,25 @@ def faults_in_records(store: Store):
     for name, entry in dataset.materials.items():
         if labels.get(name) != entry.hash:
             yield Fault(f"materials.json: '{name}' with hash {entry.hash[:12]} expected, found {str(labels.get(name))[:12]}")
-    seen = set()
-    for record in _lines(store):
-        if isinstance(record, Fault):
-            yield record
-            continue
-        if record.id in seen:
-            yield Fault(f"record {record.id}: once expected, found again", record.id)
-        seen.add(record.id)
-        yield from _faults_of(record, store, dataset)
+    for name, entry in dataset.lights.items():
+        if entry.side not in (None, side := light_side(entry.hash)):
+            yield Fault(f"dataset.json: light '{name}' on side {side} expected, found {entry.side}")
+    for kind, judge in (("records", _faults_of), ("views", _faults_of_view)):
+        seen = set()
+        for record in _lines(store, kind):
+            if isinstance(record, Fault):
+                yield record
+                continue
+            if record.id in seen:
+                yield Fault(f"{kind[:-1]} {record.id}: once expected, found again", record.id)
+            seen.add(record.id)
+            yield from judge(record, store, dataset)
 
 
-def _lines(store):
-    """Every record; a line that is none becomes a Fault and the reading goes on."""
-    decoder = msgspec.json.Decoder(Record)
-    for path in store.record_files():
+def _lines(store, kind):
+    """Every line of a kind; a line that is none becomes a Fault and the reading goes on."""
+    decoder = msgspec.json.Decoder(LINES[kind])
+    for path in store.record_files(kind):
         with open(path, "rb") as lines:
             for number, line in enumerate(lines, 1):
                 if not line.endswith(b"\n"):
@@ -56,7 +59,7 @@ def _lines(store):
                 try:
                     yield decoder.decode(line)
                 except (msgspec.DecodeError, UnicodeDecodeError) as error:
-                    yield Fault(f"{path.name}:{number}: a record expected, found {error}")
+                    yield Fault(f"{path.name}:{number}: a {kind[:-1]} expected, found {error}")
 
 
 def _faults_of(record, store, dataset):
@@ -84,6 +87,20 @@ def _faults_of(record, store, dataset):
             yield _misplaced(record, store, kind, path, expected)
 
 
+def _faults_of_view(view, store, dataset):
+    """Faults of one view."""
+    shape = dataset.shapes.get(view.shape)
+    found = (view.shape_hash, view.segments, view.side)
+    if shape is None:
+        yield Fault(f"view {view.id}: shape '{view.shape}' in dataset.json expected, found none", view.id)
+    elif found != (shape.hash, shape.segments, shape.side):
+        expected = f"hash {shape.hash[:12]}, {shape.segments} segments, side {shape.side}"
+        text = f"view {view.id}: shape '{view.shape}' with {expected} expected, found {found[0][:12]}, {found[1]}, {found[2]}"
+        yield Fault(text, view.id)
+    if view.geometry != geometry_path(view.id):
+        yield _misplaced(view, store, "geometry", view.geometry, geometry_path(view.id))
+
+
 def _misplaced(record, store, kind, path, expected):
     try:
         inside(store.folder, path)
@@ -95,7 +112,7 @@ def _misplaced(record, store, kind, path, expected):
 def faults_in_files(store: Store, records, check_geometry, watch=None):
     """Faults that only the files show: missing, altered, not unit normals, named by nobody.
 
-    records         Records, as of `store.records()`; those whose paths leave the folder must have been left out
+    records         Records and Views, as of `store.records()`; those whose paths leave the folder must have been left out
     check_geometry  called with (path, record): lines that say what is wrong with normals and segments
     watch           called once a record
     """
@@ -105,10 +122,11 @@ def faults_in_files(store: Store, records, check_geometry, watch=None):
         if fault := _altered(store, entry.file, entry.file_hash):
             yield Fault(fault)
     for record in records:
-        named["images"].add(record.image)
         named["geometry"].add(record.geometry)
-        if fault := _altered(store, record.image, record.image_hash):
-            yield Fault(f"record {record.id}: {fault}", record.id)
+        if image := getattr(record, "image", None):  # a view has none
+            named["images"].add(image)
+            if fault := _altered(store, image, record.image_hash):
+                yield Fault(f"record {record.id}: {fault}", record.id)
         key = (record.geometry, record.geometry_hash)
         if key not in geometry:
             altered = _altered(store, *key)
@@ -146,16 +164,17 @@ def _orphans(store, named):
 
 
 def shared_between(datasets):
-    """Shapes and materials that are for training in one dataset and for testing in another: [(kind, name, folder, name, folder)].
+    """Shapes, materials and lights that are for training in one dataset and for testing in another: [(kind, name, folder, name, folder)].
 
     datasets  {folder: Dataset}
     """
     found, sides = [], {}
     for folder, dataset in datasets.items():
-        for kind, entries in (("shape", dataset.shapes), ("material", dataset.materials)):
+        for kind, entries in (("shape", dataset.shapes), ("material", dataset.materials), ("light", dataset.lights)):
             for name, entry in entries.items():
-                side, other, where = sides.setdefault((kind, entry.hash), (entry.side, name, folder))
-                if side != entry.side:
+                ours = entry.side or light_side(entry.hash)
+                side, other, where = sides.setdefault((kind, entry.hash), (ours, name, folder))
+                if side != ours:
                     found.append((kind, other, where, name, folder))
     return found
 
@@ -173,10 +192,11 @@ def repair(store: Store, faults):
     """
     condemned = {f.record for f in faults if f.record}
     removed = 0
-    for path in store.record_files() if condemned or any(f.text for f in faults if not f.orphan) else ():
+    files = [(path, type_) for kind, type_ in LINES.items() for path in store.record_files(kind)]
+    for path, type_ in files if condemned or any(f.text for f in faults if not f.orphan) else ():
         with open(path, "rb") as file:
             lines = file.readlines()
-        kept = [line for line in lines if _keep(line, condemned)]
+        kept = [line for line in lines if _keep(line, type_, condemned)]
         if len(kept) < len(lines):
             removed += len(lines) - len(kept)
             text = b"".join(kept)
@@ -187,8 +207,8 @@ def repair(store: Store, faults):
     return removed, len(orphans)
 
 
-def _keep(line, condemned):
+def _keep(line, type_, condemned):
     try:
-        return line.endswith(b"\n") and msgspec.json.decode(line, type=Record).id not in condemned
+        return line.endswith(b"\n") and msgspec.json.decode(line, type=type_).id not in condemned
     except (msgspec.DecodeError, UnicodeDecodeError):
         return False

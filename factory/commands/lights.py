@@ -7,7 +7,8 @@ EPILOG = """examples:
   python -m factory lights list
   python -m factory lights preview city softboxes-3 --out lights.png
   python -m factory lights add ~/Downloads/harbour.exr --library my-lights --licence CC0
-A light is a name from the list (computed ones take a seed: softboxes-3) or an .hdr or .exr file, twice as wide as high."""
+  python -m factory lights add maps.npz --library my-lights --licence CC0     many maps in one file of numpy
+A light is a name from the list (computed ones take a seed: softboxes-3) or an .hdr, .exr or .npz file, twice as wide as high."""
 
 
 def register(subparsers):
@@ -34,7 +35,9 @@ def register(subparsers):
     one.set_defaults(run=run_preview)
 
     one = actions.add_parser("add", help="check maps and copy them into a folder of your own")
-    one.add_argument("files", nargs="+", type=Path, metavar="FILE", help=".hdr or .exr, twice as wide as high")
+    one.add_argument(
+        "files", nargs="+", type=Path, metavar="FILE", help=".hdr or .exr, twice as wide as high; or .npz of such maps by name"
+    )
     one.add_argument("--library", required=True, type=Path, metavar="DIR", help="the folder; made if it is not there")
     one.add_argument("--licence", default="unknown", help="the maps' licence, kept with every data set they light")
     one.set_defaults(run=run_add)
@@ -89,7 +92,18 @@ def run_preview(options):
 
 
 def run_add(options):
-    from factory.lights.library import add
+    from factory.lights import load
+    from factory.lights.catalogue import library_maps, wheel_maps
+    from factory.lights.files import is_collection
+    from factory.lights.library import add, add_maps
 
+    known = None
     for path in options.files:
+        if is_collection(path):
+            if known is None:
+                own = library_maps(options.library) if options.library.is_dir() else {}
+                known = {name: load(name, options.library if name in own else None).L64 for name in {**wheel_maps(), **own}}
+            for inner, name, added in add_maps(path, options.library, options.licence, known):
+                print(f"{path}: {inner}: {f'{name} in {options.library}' if added else f'{name} again, left out'}")
+            continue
         print(f"{path}: {add(path, options.library, options.licence)} in {options.library}")

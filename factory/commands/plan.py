@@ -67,11 +67,17 @@ def described(plan):
     turns = f"{job.rotations.random} random" if hasattr(job.rotations, "random") else f"{len(job.rotations)}"
     height, width = job.camera.size
     lens = "orthographic" if job.camera.fov_deg is None else f"{job.camera.fov_deg:g}° wide"
-    yield f"job {job.name}: {len(plan)} pictures of {height}×{width}, {job.samples} samples, {lens}"
+    each = f"pictures of {height}×{width}, {job.samples} samples" if job.pictures else f"views of {height}×{width}, geometry alone"
+    yield f"job {job.name}: {len(plan)} {each}, {lens}"
     yield "  shapes     " + ", ".join(f"{count} {category} ({role})" for (category, role), count in sorted(categories.items()))
     sides = Counter(m.side for m in assets.materials)
     yield f"  materials  {len(assets.materials)}: " + ", ".join(f"{count} {side}" for side, count in sorted(sides.items()))
     yield f"  lights     {len(job.lights)}: " + ", ".join(dict.fromkeys(job.lights))
+    if not job.pictures:
+        sides = Counter(shape.side for shape in assets.shapes)
+        yield f"  each       {views} views"
+        yield "  split      " + ", ".join(f"{count * len(plan) // len(assets.shapes)} {side}" for side, count in sorted(sides.items()))
+        return
     kinds = f"{'/'.join(job.tiers)} × {'/'.join(job.light_resolutions)}"
     yield f"  each       {views} views × {turns} rotations × {kinds} × {job.repeats} seeds"
     yield "  split      " + ", ".join(f"{count} {split}" for split, count in split_counts(plan).items())

@@ -8,6 +8,7 @@ from manifests.problems import Problem
 EPILOG = """examples
   python -m factory render demo --out out/demo                         a preset: demo, agreement, pretrain, finetune, multi-material
   python -m factory render my-job.json --out out/mine --workers 2      your own job
+  python -m factory render geometry --out out/geometry --workers 2     geometry alone, with materials and lights to relight it
   python -m factory render my-job.json --out out/mine --shard 3/8      part 3 of a job array of 8; all write into one folder
   python -m factory render --mesh chair.obj --material brass --light city --views 0,6 --size 128 --out out/chair
 
@@ -32,6 +33,9 @@ def register(subparsers):
     add_naming(parser)
     parser.add_argument("--limit", type=_whole, metavar="N", help="at most so many pictures in this run")
     parser.add_argument("--shard", metavar="I/N", help="make only part I of N (job arrays)")
+    parser.add_argument(
+        "--geometry-only", action="store_true", help="normals, depth and segments of every view, no pictures: for relighting"
+    )
     single = parser.add_argument_group("without a job file")
     single.add_argument("--mesh", action="append", default=[], metavar="FILE", help="a mesh file, or a shape such as chair:17 or sphere")
     single.add_argument("--material", action="append", default=[], metavar="NAME", help="a material, or a set such as merl/test")
@@ -72,18 +76,23 @@ def _whole(text):
 
 def run(options):
     """Render; 0 if every picture came out."""
+    from msgspec import structs
+
     from factory import jobs
     from factory.run import Manner, carry_out, parsed_shard, planned
 
     job, folder = chosen(options, jobs)
+    if options.geometry_only:
+        job = structs.replace(job, pictures=False)
     shard = parsed_shard(options.shard) if options.shard else None
     plan = planned(job, found(job, folder, options))
     for note in plan.assets.notes:
         print(f"factory: {note}", file=sys.stderr)
     manner = Manner(workers=options.workers, device=options.device, shard=shard, limit=options.limit, library=options.lights)
-    with Progress(options.limit) as progress:
+    what = "pictures" if job.pictures else "views"
+    with Progress(options.limit, what[:-1]) as progress:
         outcome = carry_out(plan, options.out, manner, progress)
-    print(outcome_line(outcome, options.out))
+    print(outcome_line(outcome, options.out, what))
     return 1 if outcome.failed else 0
 
 
@@ -117,9 +126,9 @@ def found(job, folder, options):
     return resolve(job, folder, options.lights, options.catalogue, watch)
 
 
-def outcome_line(outcome, folder):
+def outcome_line(outcome, folder, what="pictures"):
     """What a run came to, in one line."""
-    line = f"{outcome.made} pictures made in {folder}"
+    line = f"{outcome.made} {what} made in {folder}"
     if outcome.found:
         line += f", {outcome.found} were there"
     if outcome.failed:
@@ -128,16 +137,17 @@ def outcome_line(outcome, folder):
 
 
 class Progress:
-    """One bar over a run: pictures, rate, time left. What was there already takes no time and is taken off the total."""
+    """One bar over a run: pictures (or views), rate, time left. What was there already takes no time and is taken off the total."""
 
-    def __init__(self, limit=None):
+    def __init__(self, limit=None, unit="picture"):
+        self.unit = unit
         self.limit, self.failed, self.total, self.drawn = limit, 0, 0, 0.0
 
     def __enter__(self):
         from tqdm import tqdm
 
         calm = 0.1 if sys.stderr.isatty() else 10.0  # a log file wants few lines
-        self.bar = tqdm(total=0, unit="picture", desc="rendering", dynamic_ncols=True, mininterval=calm, delay=0.5)
+        self.bar = tqdm(total=0, unit=self.unit, desc="rendering", dynamic_ncols=True, mininterval=calm, delay=0.5)
         return self
 
     def __exit__(self, *_):

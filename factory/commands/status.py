@@ -19,11 +19,18 @@ def run(options):
     if options.json:
         print(json.dumps(report, indent=1))
         return 0
-    print(f"{options.folder}: {report['records']} of {report['planned']} pictures, {report['failed']} failed")
+    made, what = report["records"] + report["views"], "pictures and views" if report["views"] else "pictures"
+    print(f"{options.folder}: {made} of {report['planned']} {what}, {report['failed']} failed")
     for job in report["jobs"]:
-        print(f"  job {job['name']}: {job['shots']} pictures, begun {job['begun']}")
+        print(f"  job {job['name']}: {job['shots']} {job['of']}, begun {job['begun']}")
+    if report["views"]:
+        print(
+            f"  views            {report['views']} of geometry alone: "
+            + ", ".join(f"{n} {side}" for side, n in report["view_side"].items())
+        )
     for key in ("split", "category", "tier", "light_resolution", "light"):
-        print(f"  {key.replace('_', ' '):<16} " + ", ".join(f"{name} {count}" for name, count in report[key].items()))
+        if report[key]:
+            print(f"  {key.replace('_', ' '):<16} " + ", ".join(f"{name} {count}" for name, count in report[key].items()))
     print(f"  {'materials':<16} {report['materials']};  shapes {report['shapes']};  rendering time {report['hours']:.2f} worker-hours")
     for failure in report["failures"][:10]:
         print(f"  failed {failure['id']}: {failure['shape']}, {', '.join(failure['materials'])}, {failure['light']}: {failure['reason']}")
@@ -50,15 +57,27 @@ def counted(folder):
         materials.update(record.materials)
         done.add(record.id)
         seconds += record.seconds
+    views = Counter()
+    for view in store.views():
+        views[view.side] += 1
+        counts["category"][view.category] += 1
+        shapes.add(view.shape)
+        done.add(view.id)
+        seconds += view.seconds
     failures = {f.id: f for f in store.failures() if f.id not in done}
     return {
-        "records": len(done),
+        "records": len(done) - views.total(),
+        "views": views.total(),
+        "view_side": dict(sorted(views.items())),
         "planned": sum(order.shots for order in dataset.orders),
         "failed": len(failures),
-        "jobs": [{"name": o.job.name, "shots": o.shots, "begun": o.begun} for o in dataset.orders],
+        "jobs": [
+            {"name": o.job.name, "shots": o.shots, "of": "pictures" if o.job.pictures else "views", "begun": o.begun}
+            for o in dataset.orders
+        ],
         **{kind: dict(sorted(count.items())) for kind, count in counts.items()},
         "shapes": len(shapes),
-        "materials": len(materials),
+        "materials": len(materials) if not views else len(dataset.materials),
         "hours": seconds / 3600,
         "failures": [msgspec.to_builtins(f) for f in failures.values()],
     }

@@ -64,6 +64,8 @@ def _one(folder, options):
 
 def _faults(store, quick):
     """All faults, and how many records there are."""
+    from itertools import chain
+
     from tqdm import tqdm
 
     from manifests.verification import faults_in_files, faults_in_records
@@ -72,10 +74,10 @@ def _faults(store, quick):
     condemned = {f.record for f in faults if f.record}
     if any(f.record is None and ".jsonl:" in f.text for f in faults):
         return faults, 0  # a line that is no record: the files behind it cannot be told from orphans
-    count = sum(1 for _ in store.ids())
+    count = len(store.ids()) + len(store.ids("views"))
     if not quick:
         with tqdm(total=count, desc=f"verifying {store.folder}", unit="record", leave=False, delay=1.0) as bar:
-            records = store.records(lambda record: record.id not in condemned)
+            records = (line for line in chain(store.records(), store.views()) if line.id not in condemned)
             faults += faults_in_files(store, records, geometry_faults, bar.update)
     return faults, count
 
@@ -93,8 +95,8 @@ def geometry_faults(path, record):
     lengths = np.linalg.norm(normals[mask].astype(np.float64), axis=-1)
     if lengths.size and not np.abs(lengths - 1).max() <= 1e-3:
         found.append(f"{path.name}: unit normals expected, found lengths {lengths.min():.4f}–{lengths.max():.4f}")
-    if abs(mask.mean() - record.statistics.coverage) > 1e-5:
-        found.append(f"{path.name}: coverage {record.statistics.coverage:.6f} expected, found {mask.mean():.6f}")
-    if segments.max(initial=0) > len(record.materials):
-        found.append(f"{path.name}: segments up to {len(record.materials)} expected, found {segments.max()}")
+    if abs(mask.mean() - record.coverage) > 1e-5:
+        found.append(f"{path.name}: coverage {record.coverage:.6f} expected, found {mask.mean():.6f}")
+    if segments.max(initial=0) > record.segments:
+        found.append(f"{path.name}: segments up to {record.segments} expected, found {segments.max()}")
     return found

@@ -14,7 +14,7 @@ WHEEL_SOURCE = "Greg Zaal, Poly Haven; shipped with Blender as"
 
 
 def load(name_or_path, library=None):
-    """The Light of a name (`city`, `softboxes-7`, one in the `library` folder) or of an .hdr or .exr file.
+    """The Light of a name (`city`, `softboxes-7`, one in the `library` folder) or of an .hdr, .exr or .npz file.
 
     Raises  Problem for an unknown name (with the closest ones) or a file that holds no usable light
     """
@@ -30,7 +30,7 @@ def load(name_or_path, library=None):
         digest = hashlib.sha256(f"{parsed[0]}-{parsed[1]} version {procedural.VERSION}".encode()).hexdigest()
         return from_pixels(procedural.pixels(*parsed), text, digest, "Apache-2.0", f"computed by factory.lights.procedural, {text}")
     remedy = closest(text, names(library)) + "; `python -m factory lights list` shows all"
-    raise Problem(f"light {text!r}", "a known name or an .hdr or .exr file", "neither", remedy)
+    raise Problem(f"light {text!r}", "a known name or an .hdr, .exr or .npz file", "neither", remedy)
 
 
 def names(library=None):
@@ -48,10 +48,12 @@ def wheel_maps():
 
 
 def library_maps(folder):
-    """{name: path} of the .hdr and .exr files in a folder, not below it."""
+    """{name: path} of the .hdr, .exr and .npz files in a folder, not below it."""
     folder = Path(folder)
     if not folder.is_dir():
-        raise Problem(folder, "a folder of .hdr or .exr files", "nothing there" if not folder.exists() else "a file", "check the path")
+        raise Problem(
+            folder, "a folder of .hdr, .exr or .npz files", "nothing there" if not folder.exists() else "a file", "check the path"
+        )
     return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in files.SUFFIXES}
 
 

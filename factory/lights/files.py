@@ -1,9 +1,12 @@
 """A light map's file: told apart by its first bytes, bounded by its header before memory is taken, then read.
 
-Radiance .hdr and OpenEXR .exr, (H, 2H) pixels of an equirectangular map.
+Radiance .hdr and OpenEXR .exr, (H, 2H) pixels of an equirectangular map; .npz of numpy, arrays (H, 2H, 3) whose columns are as in the
+other two: one map where a light is read, any number where maps are added to a library.
 """
 
 import hashlib
+import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +15,11 @@ from factory.lights import rgbe
 from factory.quiet import silenced
 from manifests.problems import Problem
 
-SUFFIXES = (".hdr", ".exr")
+SUFFIXES = (".hdr", ".exr", ".npz")
 MAX_HEIGHT = 4096  # rows; a map of 8192 × 4096 takes 0.4 GB here, and no render of ours can tell it from a larger one
 MIN_HEIGHT = 4
-MAGIC = {b"#?": "hdr", b"\x76\x2f\x31\x01": "exr"}
+MAGIC = {b"#?": "hdr", b"\x76\x2f\x31\x01": "exr", b"PK\x03\x04": "npz"}
+MOST_MAPS = 1000  # in one .npz
 PICTURES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"GIF8": "GIF", b"BM": "BMP", b"RIFF": "WebP", b"II*\0": "TIFF", b"MM\0*": "TIFF"}
 
 
@@ -36,8 +40,59 @@ def read(path):
         if width != 2 * height or height < MIN_HEIGHT:
             raise Problem(path, "an equirectangular map, twice as wide as high", f"{width}×{height}", "crop or resize it to 2:1")
 
-    pixels = (rgbe.read if kind == "hdr" else _read_exr)(path, check_size)
+    pixels = {"hdr": rgbe.read, "exr": _read_exr, "npz": _read_npz}[kind](path, check_size)
     return pixels, digest(path)
+
+
+def is_collection(path):
+    """True for an .npz, which may hold many maps."""
+    return Path(path).is_file() and _kind(Path(path)) == "npz"
+
+
+def maps_in(path):
+    """(name, pixels (H, 2H, 3) float32) of each map in an .npz, one after another. Raises Problem."""
+    broken = "a whole .npz file of arrays (H, 2H, 3)"
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            if not 1 <= len(members) <= MOST_MAPS:
+                raise Problem(path, f"1 to {MOST_MAPS} maps", str(len(members)), "save them as several files")
+            for member in members:
+                with archive.open(member) as file:  # the header alone: sizes are judged before memory is taken
+                    shape, dtype = _npy_header(file)
+                if (
+                    len(shape) != 3
+                    or shape[2] != 3
+                    or shape[1] != 2 * shape[0]
+                    or not MIN_HEIGHT <= shape[0] <= MAX_HEIGHT
+                    or dtype.kind != "f"
+                ):
+                    found = f"{member.filename} with {shape} of {dtype}"
+                    raise Problem(
+                        path, f"arrays (H, 2H, 3) of floats, H from {MIN_HEIGHT} to {MAX_HEIGHT}", found, "save R, G, B maps, 2:1"
+                    )
+                with archive.open(member) as file:
+                    pixels = np.lib.format.read_array(file, allow_pickle=False)
+                yield Path(member.filename).stem, pixels.astype(np.float32)
+    except (zipfile.BadZipFile, ValueError, EOFError, OSError, NotImplementedError, zlib.error) as error:
+        raise Problem(path, broken, str(error)[:100] or "one cut short", "export it again with numpy.savez") from None
+
+
+def _npy_header(file):
+    """shape and dtype of an .npy stream."""
+    version = np.lib.format.read_magic(file)
+    shape, _, dtype = (np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0)(file)
+    return shape, dtype
+
+
+def _read_npz(path, check_size):
+    """The one map of an .npz."""
+    maps = maps_in(path)
+    (name, pixels), second = next(maps), next(maps, None)
+    check_size(*pixels.shape[:2], pixels.nbytes)
+    if second is not None:
+        raise Problem(path, "one map", f"several ('{name}', '{second[0]}', …)", "put them into a library: python -m factory lights add")
+    return pixels
 
 
 def digest(path):
@@ -48,21 +103,21 @@ def digest(path):
 
 def _kind(path):
     if path.is_dir():
-        raise Problem(path, "an .hdr or .exr file", "a folder", "name a file in it, or `python -m factory lights list` the folder")
+        raise Problem(path, "an .hdr, .exr or .npz file", "a folder", "name a file in it, or `python -m factory lights list` the folder")
     if not path.is_file():
-        raise Problem(path, "an .hdr or .exr file", "nothing there", "check the path")
+        raise Problem(path, "an .hdr, .exr or .npz file", "nothing there", "check the path")
     with open(path, "rb") as file:
         first = file.read(12)
     for magic, kind in MAGIC.items():
         if first.startswith(magic):
             return kind
     if not first:
-        raise Problem(path, "an .hdr or .exr file", "an empty file", "download or export it again")
+        raise Problem(path, "an .hdr, .exr or .npz file", "an empty file", "download or export it again")
     for magic, name in PICTURES.items():
         if first.startswith(magic):
             remedy = "use a high-dynamic-range map: a clipped picture has lost its lamps and its sun"
             raise Problem(path, "Radiance .hdr or OpenEXR .exr", f"a {name} picture", remedy)
-    raise Problem(path, "Radiance .hdr or OpenEXR .exr", f"a file that begins with {first[:4]!r}", "export the map as one of the two")
+    raise Problem(path, "Radiance .hdr, OpenEXR .exr or .npz", f"a file that begins with {first[:4]!r}", "export the map as one of the two")
 
 
 def _read_exr(path, check_size):

@@ -9,11 +9,16 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
+
 from factory.lights import files
-from factory.lights.light import checked
+from factory.lights.light import checked, from_pixels
 from manifests.problems import Problem
 
 LIST = "lights.json"
+TWINS = (
+    0.99  # correlation of log maps at 64×128: copies of one capture, resized or re-encoded, exceed 0.9999; different ones stay below 0.9
+)
 
 
 def entry(folder, name):
@@ -47,17 +52,65 @@ def add(path, folder, licence, source=None):
     for name, known in listed.items():
         if known.get("hash") == digest:
             return name
-    name = re.sub(r"[^a-z0-9]+", "-", path.stem.lower()).strip("-") or "light"
+    target = _free(path, path.stem, path.suffix.lower(), folder, listed)
+    return _place(target, lambda unfinished: shutil.copyfile(path, unfinished), licence, source or path.name, listed)
+
+
+def add_maps(path, folder, licence, known):
+    """Adds each map of an .npz as a file of its own; yields (its name there, name added or of the light it repeats, True if added).
+
+    known  {name: L64} of lights that there are already: a second copy of one would stand on another side of the split than the first;
+           grows by what is added
+    """
+    folder = Path(folder)
+    for inner, pixels in files.maps_in(path):
+        L64 = from_pixels(pixels, inner, "", licence, f"{path}: {inner}").L64
+        if twin := twin_of(L64, known):
+            yield inner, twin, False
+            continue
+        listed = read_list(folder)
+        target = _free(f"{path}: {inner}", inner, ".npz", folder, listed)
+
+        def save(unfinished, pixels=pixels):
+            with open(unfinished, "wb") as file:
+                np.savez_compressed(file, L=pixels)
+
+        name = _place(target, save, licence, f"{Path(path).name}: {inner}", listed)
+        known[name] = L64
+        yield inner, name, True
+
+
+def twin_of(L64, known):
+    """The name of the light among `known` {name: L64} that is the same capture, or None."""
+
+    def shape(L):
+        log = np.log(L.mean(axis=-1) + 1e-3)
+        log = log - log.mean()
+        return log / (np.linalg.norm(log) + 1e-12)
+
+    ours = shape(L64)
+    return next((name for name, L in known.items() if float((ours * shape(L)).sum()) > TWINS), None)
+
+
+def _free(where, stem, suffix, folder, listed):
+    """The path of a new map's file. Raises Problem if its name is taken."""
+    name = re.sub(r"[^a-z0-9]+", "-", stem.lower()).strip("-") or "light"
     if name in listed:
-        raise Problem(path, "a name that is still free", f"another map called {name!r} in {folder}", "rename the file")
+        raise Problem(where, "a name that is still free", f"another map called {name!r} in {folder}", "rename the file")
     folder.mkdir(parents=True, exist_ok=True)
-    target = folder / (name + path.suffix.lower())
+    target = folder / (name + suffix)
     if target.exists():
         raise Problem(target, "a name that is still free", "an unlisted file of that name", "rename one of the two")
+    return target
+
+
+def _place(target, write, licence, source, listed):
+    """Put a map's file and its line of the list in place; returns the map's name."""
+    folder, name = target.parent, target.stem
     unfinished = target.with_name(target.name + ".part")
-    shutil.copyfile(path, unfinished)
+    write(unfinished)
     os.replace(unfinished, target)
-    listed[name] = {"file": target.name, "hash": digest, "licence": licence, "source": source or path.name}
+    listed[name] = {"file": target.name, "hash": files.digest(target), "licence": licence, "source": source}
     unfinished = folder / (LIST + ".part")
     unfinished.write_text(json.dumps(listed, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     os.replace(unfinished, folder / LIST)
