@@ -1,0 +1,67 @@
+"""How pictures, materials and light are written for a network, and read back.
+
+image   (B, 3, H, W) linear radiance I  →  log(1 + 8 I)/log 9 − ½ inside the mask, 0 outside: half of the range is below I = ¼
+label   (B, S, 108) natural logarithms  →  code in (−1, 1): ±REACH at the ends of the training materials' range, so that tanh reaches them
+light   (B, 3, Hl, Wl) linear radiance L ≥ 0  →  log(1 + L)
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from shaders.dsbrdf import SIZE
+
+REACH = 0.95
+BRIGHTNESS = 8.0
+LARGEST_LOG_LIGHT = 11.0  # log(1 + 6e4): half floats end there
+NARROWEST = 1e-3  # of a label's range, where all training materials agree
+
+
+def compressed(image):
+    """log(1 + 8 I)/log 9 of linear radiance ≥ 0: what images are compared by, too."""
+    return torch.log1p(BRIGHTNESS * image.clamp(min=0)) / math.log(1 + BRIGHTNESS)
+
+
+def picture_code(image, mask):
+    """(B, 4, H, W): the picture compressed and centred, and the mask − ½."""
+    return torch.cat([(compressed(image) - 0.5) * mask, mask - 0.5], 1)
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Centre and half range (108,) of the training materials' labels, margin included."""
+
+    centre: torch.Tensor
+    half: torch.Tensor
+
+    @classmethod
+    def of(cls, labels, margin=0.05):
+        """Ranges of labels (M, 108), widened by `margin` of the range at each end; the same for the three channels, which augmentation permutes."""
+        by_channel = labels.reshape(-1, 3, SIZE // 3)
+        low, high = by_channel.amin((0, 1)), by_channel.amax((0, 1))
+        half = ((high - low) * (0.5 + margin)).clamp(min=NARROWEST)
+        return cls(((high + low) / 2).repeat(3), half.repeat(3))
+
+    def code(self, label):
+        """Label → code; what lies outside the range lies outside ±REACH."""
+        return (label - self.centre) / self.half * REACH
+
+    def label(self, code):
+        """Code → label."""
+        return code / REACH * self.half + self.centre
+
+
+def light_of(code):
+    """log(1 + L) → L, held in what a half float can hold."""
+    return torch.expm1(code.clamp(0, LARGEST_LOG_LIGHT))
+
+
+def unit_mean(light, solid_angle):
+    """Maps (B, 3, Hl, Wl) scaled to a mean luminance of 1 over the sphere: the convention that settles light's scale against the material's.
+
+    solid_angle  (Hl,) of a texel of each row
+    """
+    weight = solid_angle / (solid_angle.sum() * light.shape[-1])
+    luminance = torch.einsum("bchw,c,h->b", light, light.new_tensor([0.2126, 0.7152, 0.0722]), weight.to(light))
+    return light / luminance.clamp(min=1e-6)[:, None, None, None]

@@ -1,0 +1,93 @@
+"""The paper's three networks (Section 3.2 and its supplement). Sizes that the paper leaves open are ours and marked so.
+
+normals   Eigen and Fergus' multi-scale network: a coarse scale over the whole picture, two that refine it, a fourth of two convolutions
+          at full size, then unit length. Widths ours
+light     7 halving convolutions, 2 fully connected layers with dropout, deconvolutions to 64×128. Widths ours
+material  7 halving convolutions, 3 fully connected layers with dropout, tanh, 108 outputs. Widths ours
+Weights start uniform in ±0.08. Where a layer is followed by many others that alone would let activations grow or die out, so batch
+normalisation follows each convolution: ours.
+"""
+
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from learn.networks.coding import Ranges, light_of, picture_code, unit_mean
+from learn.networks.compact import convolution
+from learn.networks.prediction import Prediction
+from shaders.envmap import row_solid_angles
+
+HALVINGS = (32, 64, 128, 256, 256, 512, 512)
+START = 0.08
+
+
+def _halving():
+    """(B, 4, 256, 256) → (B, 512 · 2 · 2)."""
+    widths = (4, *HALVINGS)
+    return nn.Sequential(*(convolution(a, b, 2) for a, b in zip(widths, widths[1:], strict=False)), nn.AdaptiveAvgPool2d(2), nn.Flatten())
+
+
+def _deconvolution(before, after):
+    return nn.Sequential(nn.ConvTranspose2d(before, after, 4, 2, 1, bias=False), nn.BatchNorm2d(after), nn.ReLU(inplace=True))
+
+
+class Scale(nn.Module):
+    """One refining scale: the picture at this size beside the coarser scale's answer."""
+
+    def __init__(self, before, width):
+        super().__init__()
+        self.layers = nn.Sequential(convolution(before + 4, width), convolution(width, width), convolution(width, width))
+
+    def forward(self, x, picture, size):
+        return self.layers(torch.cat([F.interpolate(x, size, mode="bilinear"), F.interpolate(picture, size, mode="area")], 1))
+
+
+class Paper(nn.Module):
+    """Normals, material and light of masked pictures by three separate networks; arguments and result as learn.networks.compact.Compact."""
+
+    name = "paper"
+
+    def __init__(self, ranges: Ranges):
+        super().__init__()
+        self.register_buffer("label_centre", ranges.centre.clone())
+        self.register_buffer("label_half", ranges.half.clone())
+        self.register_buffer(
+            "row_solid_angle", torch.as_tensor(row_solid_angles(64, 128), dtype=torch.float32).reshape(-1), persistent=False
+        )
+        self.coarse = nn.Sequential(
+            convolution(4, 48, 2), convolution(48, 96, 2), convolution(96, 192, 2), convolution(192, 256, 2), convolution(256, 256, 2)
+        )
+        self.second, self.third = Scale(256, 96), Scale(96, 64)
+        self.fourth = nn.Sequential(nn.Conv2d(64 + 4, 32, 3, 1, 1), nn.ReLU(inplace=True), nn.Conv2d(32, 3, 3, 1, 1))
+        drop = lambda: nn.Dropout(0.5)  # noqa: E731 -- one per place
+        self.material = nn.Sequential(
+            _halving(), nn.Linear(2048, 1024), nn.ReLU(), drop(), nn.Linear(1024, 512), nn.ReLU(), drop(), nn.Linear(512, 108)
+        )
+        self.illumination = nn.Sequential(_halving(), nn.Linear(2048, 1024), nn.ReLU(), drop(), nn.Linear(1024, 128 * 32), nn.ReLU())
+        self.light = nn.Sequential(*(_deconvolution(a, b) for a, b in ((128, 96), (96, 64), (64, 32))), nn.ConvTranspose2d(32, 3, 4, 2, 1))
+        for parameter in self.parameters():
+            if parameter.ndim > 1:
+                nn.init.uniform_(parameter, -START, START)
+
+    @property
+    def ranges(self):
+        return Ranges(self.label_centre, self.label_half)
+
+    def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None):
+        x = picture_code(image, mask)
+        code = light_code = label = light = None
+        if "material" in parts:
+            count = 1 if segments is None else max(int(segments.max()), 1)
+            regions = [mask if segments is None else mask * (segments == s + 1)[:, None] for s in range(count)]
+            code = torch.stack([torch.tanh(self.material(picture_code(image, region)).float()) for region in regions], 1)
+            label = self.ranges.label(code)
+        if "light" in parts:
+            light_code = F.softplus(self.light(self.illumination(x).reshape(-1, 128, 4, 8)).float())
+            light = unit_mean(light_of(light_code), self.row_solid_angle)
+        return Prediction(self._normals(x) if "normals" in parts else None, code, label, light_code, light)
+
+    def _normals(self, x):
+        H, W = x.shape[-2:]
+        y = self.third(self.second(self.coarse(x), x, (H // 8, W // 8)), x, (H // 4, W // 4))
+        y = self.fourth(torch.cat([F.interpolate(y, (H, W), mode="bilinear"), x], 1)).float()
+        return F.normalize(torch.cat([y[:, :2], F.softplus(y[:, 2:]) + 1e-3], 1), dim=1)

@@ -1,0 +1,33 @@
+"""A batch of examples: what a network is shown, and the truth about it.
+
+B pictures, S regions, H, W picture
+"""
+
+from dataclasses import dataclass
+
+import torch
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Truth in learn.dataset's frames and units, channels first.
+
+    image         (B, 3, H, W) linear radiance as a network sees it, augmented
+    mask          (B, 1, H, W) float, as a network sees it
+    n             (B, 3, H, W) unit normals, camera frame, 0 outside the object
+    segments      (B, H, W) int64, 1 … S, 0 outside the object
+    label         (B, S, 108) natural logarithms
+    light         (B, 3, 64, 128) linear radiance of unit mean luminance, light frame
+    target_label  (B, S, 108) another material for the same shape and light: what the target image O is made of
+    names         what each picture is, for messages
+    """
+
+    image: torch.Tensor
+    mask: torch.Tensor
+    n: torch.Tensor
+    segments: torch.Tensor
+    label: torch.Tensor
+    light: torch.Tensor
+    target_label: torch.Tensor
+    names: tuple
+    elevation: float

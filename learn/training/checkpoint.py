@@ -1,0 +1,75 @@
+"""Weights on disk: safetensors only, nothing is ever unpickled, and each file is written beside the old one and renamed.
+
+checkpoint.safetensors  all a run needs to go on: network, moving average, optimiser; metadata: step, skipped steps, the run
+weights.safetensors     what a user needs: the moving average in half precision; metadata: network, size, and the run as JSON
+"""
+
+import json
+import os
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from learn.networks.coding import Ranges
+from learn.networks.compact import Compact
+from learn.networks.paper import Paper
+from manifests.problems import Problem
+
+NETWORKS = {"compact": Compact, "paper": Paper}
+LARGEST_FILE = 4 << 30
+
+
+def save(path, tensors, metadata):
+    """Tensors and text under a name of their own first."""
+    path = Path(path)
+    temporary = path.with_name(f"{path.name}.{os.getpid()}")
+    save_file({name: t.detach().contiguous().clone() for name, t in tensors.items()}, temporary, metadata)
+    temporary.replace(path)
+
+
+def load(path):
+    """({name: tensor}, metadata) of a safetensors file. Raises Problem."""
+    path = Path(path)
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise Problem(
+                path, f"at most {LARGEST_FILE >> 30} GiB", f"{path.stat().st_size >> 30} GiB", "check that this is the right file"
+            )
+        with safe_open(path, "pt") as file:
+            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118 -- not a dict
+    except FileNotFoundError:
+        raise Problem(path, "weights in a .safetensors file", "nothing", "train some: python -m learn train RUN.json") from None
+    except (OSError, SafetensorError) as error:
+        raise Problem(path, "weights in a .safetensors file", str(error), "weights in other formats are never read; convert them") from None
+
+
+def save_weights(path, network, state, run_json, size):
+    """The weights a user needs. state: the moving average's tensors by name."""
+    half = {name: t.half() if t.is_floating_point() and t.ndim > 1 else t for name, t in state.items()}
+    save(path, half, {"format": "brdfactory weights 1", "network": network.name, "size": str(size), "run": run_json})
+
+
+def load_network(path):
+    """(network ready to predict, metadata) of a weights file. Raises Problem."""
+    tensors, metadata = load(path)
+    if metadata.get("format") != "brdfactory weights 1" or metadata.get("network") not in NETWORKS:
+        raise Problem(
+            path, f"weights of {' or '.join(NETWORKS)}", metadata.get("network", "others"), "use weights that `learn train` wrote"
+        )
+    network = NETWORKS[metadata["network"]](Ranges(torch.zeros(108), torch.ones(108)))
+    fill(network, tensors, path)
+    return network.eval(), metadata | {"run": json.loads(metadata.get("run", "{}"))}
+
+
+def fill(network, tensors, where):
+    """Give a network its tensors; Problem if a name is missing or a size another."""
+    wanted = network.state_dict()
+    for name, mine in wanted.items():
+        if name not in tensors or tensors[name].shape != mine.shape:
+            found = f"{tuple(tensors[name].shape)}" if name in tensors else "none"
+            raise Problem(
+                f"{where}: {name}", f"a tensor of shape {tuple(mine.shape)}", found, f"these weights are not of this {network.name} network"
+            )
+    network.load_state_dict({name: tensors[name].to(mine.dtype) for name, mine in wanted.items()})

@@ -1,0 +1,130 @@
+"""Examples relit on the fly: stored geometry, any material, any light, a picture by the layer. No image files at all.
+
+Batch k of a run is a function of (seed, side, k) alone: whoever asks for it, in whatever order, on whatever machine, sees the same.
+Pictures come in groups of `sharing`, of different shapes and views, that share a material and a light, for then they share a reflectance map.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from learn.geometry import Geometry
+from learn.layer import render
+from learn.training import augmentation, lights
+from learn.training.batch import Batch
+from learn.training.settings import Data
+
+SIDES = {"train": 0, "validation": 1, "test": 2}
+BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
+
+
+@dataclass(frozen=True)
+class Pool:
+    """What one side of the split may draw from. views: indices into geometry; labels: {name: (108,) float32}; maps: [(64, 128, 3)]."""
+
+    geometry: Geometry
+    views: np.ndarray
+    labels: dict
+    maps: list
+    side: str
+
+
+class Relit:
+    """Batches of relit examples.
+
+    pool     Pool
+    data     learn.training.settings.Data
+    size     pictures a batch
+    part     (i, n): of every batch only the i-th of n equal parts, for several processes
+    """
+
+    def __init__(self, pool, data: Data, size, seed, part=(0, 1)):
+        self.pool, self.data, self.seed, self.part = pool, data, seed, part
+        groups = -(-size // data.sharing)
+        if groups % part[1]:
+            raise ValueError(f"batch: a multiple of {data.sharing * part[1]} pictures expected for {part[1]} processes, found {size}")
+        self.groups = range(groups)[part[0] :: part[1]]
+        self.of_group = [len(range(g * data.sharing, min((g + 1) * data.sharing, size))) for g in range(groups)]
+        self.names = sorted(pool.labels)
+
+    def __getitem__(self, k):
+        """The k-th Batch."""
+        return joined([self._group(k, g) for g in self.groups], self.pool.geometry.elevation)
+
+    def _group(self, k, g):
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(SIDES[self.pool.side], k, g)))
+        count, training = self.of_group[g], self.pool.side == "train"
+        views = self.pool.views[rng.choice(len(self.pool.views), count, replace=count > len(self.pool.views))]
+        chosen = [self.names[i] for i in rng.choice(len(self.names), 2 * self.data.regions)]
+        channels = [rng.permutation(3) if training else np.arange(3) for _ in chosen]
+        labels = np.stack([self.pool.labels[name].reshape(3, 36)[c].reshape(108) for name, c in zip(chosen, channels, strict=True)])
+        if training:
+            L = lights.draw(rng, self.pool.maps, self.data.real_lights)
+        else:
+            L = np.roll(self.pool.maps[rng.integers(len(self.pool.maps))], int(rng.integers(lights.WIDTH)), 1)
+        label, target = labels[: self.data.regions], labels[self.data.regions :]
+        n, segments = self._geometry(views)
+        images = self._pictures(n, segments, label, L)
+        names = [
+            f"{self.pool.geometry.views[v].shape} view {self.pool.geometry.views[v].viewpoint} {'+'.join(chosen[: len(label)])}"
+            for v in views
+        ]
+        return [self._example(rng, n[i], segments[i], images[i], label, target, L, names[i], training) for i in range(count)]
+
+    def _geometry(self, views):
+        n = torch.from_numpy(np.stack([self.pool.geometry.normals(v) for v in views]))
+        segments = torch.from_numpy(np.stack([self.pool.geometry.segments(v) for v in views]))
+        return n, (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
+
+    def _pictures(self, n, segments, label, L):
+        """(B, H, W, 3) numpy: one material and light, expanded over the batch so that the layer shares its map."""
+        count = len(n)
+        material = torch.from_numpy(label).exp()[None].expand(count, -1, -1)
+        light = torch.from_numpy(L)[None].expand(count, -1, -1, -1)
+        with torch.no_grad():
+            shared = material[:, 0] if self.data.regions == 1 else material
+            picture = render(
+                n,
+                shared,
+                light,
+                segments=None if self.data.regions == 1 else segments,
+                tolerance=self.data.tolerance,
+                elevation=self.pool.geometry.elevation,
+            )
+        return picture.clamp(0, BRIGHTEST).numpy()
+
+    def _example(self, rng, n, segments, image, label, target, L, name, training):
+        mask = (segments > 0).numpy()
+        seen = mask
+        if training and self.data.photograph:
+            image = augmentation.photographed(rng, image, mask)
+            seen = augmentation.nibbled(rng, mask)
+            step = augmentation.shift(rng, mask)
+            image, seen = np.roll(image, step, (0, 1)), np.roll(seen, step, (0, 1))
+            n, segments = n.roll(step, (0, 1)), segments.roll(step, (0, 1))
+        return image * seen[..., None], seen, n, segments, label, L, target, name
+
+
+def joined(groups, elevation):
+    """A Batch of examples (image, mask, n, segments, label, light, target label, name), picture arrays channels last."""
+    examples = [example for group in groups for example in group]
+    image, mask, n, segments, label, light, target, names = zip(*examples, strict=True)
+
+    def pictures(arrays):
+        return torch.stack([torch.as_tensor(np.ascontiguousarray(a)) for a in arrays]).movedim(-1, 1).contiguous()
+
+    def plain(arrays):
+        return torch.stack([torch.as_tensor(np.ascontiguousarray(a)) for a in arrays])
+
+    return Batch(
+        pictures(image),
+        plain(mask)[:, None].float(),
+        pictures(n),
+        plain(segments),
+        plain(label),
+        pictures(light),
+        plain(target),
+        names,
+        elevation,
+    )

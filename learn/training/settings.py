@@ -1,0 +1,78 @@
+"""A training run as a person writes it: manifests/runs/*.json, checked against these types; the resolved one lies beside the weights."""
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+Part = Literal["normals", "material", "light"]
+Weight = Annotated[float, Meta(ge=0)]
+Count = Annotated[int, Meta(ge=1, le=100_000_000)]
+
+
+class Data(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where samples come from and who is held out.
+
+    source         relit: pictures made on the fly by the layer from a dataset's geometry; cycles: the dataset's own pictures; mixed: both by turns
+    sharing        relit pictures, of different shapes and views, that share a material and a light: their reflectance map is computed once
+    tolerance      relative error of relit pictures
+    regions        materials a picture, one a segment
+    real_lights    share of relit pictures lit by one map; half of the rest by a mixture of two, half by a computed sky or room
+    photograph     augment as a photograph needs: exposure, shift, a nibbled mask, noise, JPEG
+    validation_lights, test_lights   names of maps that training never sees
+    """
+
+    source: Literal["relit", "cycles", "mixed"] = "relit"
+    sharing: Count = 4
+    tolerance: Annotated[float, Meta(gt=0, lt=1)] = 1e-2
+    regions: Annotated[int, Meta(ge=1, le=8)] = 1
+    real_lights: Annotated[float, Meta(ge=0, le=1)] = 0.5
+    photograph: bool = True
+    validation_lights: tuple[str, ...] = ()
+    test_lights: tuple[str, ...] = ()
+
+
+class Losses(Struct, frozen=True, forbid_unknown_fields=True):
+    """Weights of learn.training.losses' terms; 0 leaves a term out. pixels: how many of each picture the layer renders for image and target;
+    pull: the most that image and target together with their weights may pull at all normals, so that no highlight outweighs their own loss."""
+
+    normals: Weight = 1.0
+    material: Weight = 1.0
+    albedo: Weight = 0.0
+    light_log: Weight = 0.0
+    light_rendered: Weight = 0.0
+    image: Weight = 0.0
+    target: Weight = 0.0
+    pixels: Count = 128
+    pull: Weight = 0.5
+    layer_light: tuple[Count, Count] = (32, 64)
+
+
+class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
+    """Steps and step sizes. compact: AdamW, warm-up, cosine to 0. paper: Adam at rate, 1e-2 rate, 1e-4 rate over thirds, β₁ .9, .5, .5."""
+
+    steps: Count = 1000
+    batch: Count = 16
+    rate: Annotated[float, Meta(gt=0)] = 1e-3
+    style: Literal["compact", "paper"] = "compact"
+    warm_up: int = 100
+    decay: Weight = 1e-3
+    clip: Annotated[float, Meta(gt=0)] = 1.0
+    average: Annotated[float, Meta(ge=0, lt=1)] = 0.999
+
+
+class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One training run. start: the weights file of a run to continue from with other losses, relative to this file; mixed: bfloat16 networks."""
+
+    version: Literal[1] = 1
+    name: str
+    about: str = ""
+    network: Literal["compact", "paper"] = "compact"
+    size: Annotated[int, Meta(ge=32, le=1024, multiple_of=16)] = 128
+    parts: Annotated[tuple[Part, ...], Meta(min_length=1)] = ("normals", "material", "light")
+    data: Data = Data()
+    losses: Losses = Losses()
+    schedule: Schedule = Schedule()
+    mixed_precision: bool = True
+    start: str | None = None
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
+    skipped_steps: Annotated[int, Meta(ge=0)] = 5
