@@ -17,12 +17,12 @@ PANELS = (
     ("integral", statistics.median, "against the converged integral, median case"),
 )
 NOTE = (
-    "A setting's time is the median over all materials and lights, of one thread, forward and backward; its error is the median of all cases, "
-    "or the worst of them. Each single case is in chart.csv, the forward picture's time and error too."
+    "A setting's time is the median over all materials and lights, of one thread, forward and backward; its error is the median of all "
+    "cases, or the worst of them. Each single case is in chart.csv, the forward picture's time and error too."
 )
 ON_FRONT = (
-    "For each error: the setting of least time that keeps it, over all cases, and the time of auto's. Bold where auto is the fastest or within "
-    "a tenth of it. The median forgives a setting that fails for up to half of the cases; the worst case forgives nothing."
+    "For each error: the setting of least time that keeps it, over all cases, and the time of auto's. Bold where auto is the fastest or "
+    "within a tenth of it. The median forgives a setting that fails for up to half of the cases; the worst case forgives nothing."
 )
 
 
