@@ -8,7 +8,9 @@ integral  the same (forward and backward) against the converged integral of the 
 """
 
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 
 import torch
 from tqdm import tqdm
@@ -20,31 +22,34 @@ from learn.methods.directional import sample
 SAMPLE, FINE_PARTS = 192, 4
 
 
-def measure(materials, lights, cameras, size, settings):
-    """Rows (dicts) of material, light, camera, method, knob, seconds, error, integral; materials {name: label}."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
+def measure(materials, lights, cameras, size, processes=1):
+    """Rows (dicts) of material, light, camera, method, knob and the above; materials {name: label}, lights {name: L}.
+
+    processes  cases measured side by side, each on one thread
+    """
+    todo = [(m, label, L, light, c, size) for m, label in materials.items() for L, light in lights.items() for c in cameras]
     rows = []
-    todo = [(m, L, c) for m in materials for L in lights for c in cameras]
-    try:
-        for setting in settings:  # load and compile before anything is timed
-            timed(setting, next(iter(materials.values())), next(iter(lights.values())), 12, "orthographic", True)
-        with tqdm(total=len(todo) * len(settings), desc="chart", unit="point", mininterval=2) as bar:
-            for m, L, camera in todo:
-                rows += one_case(m, materials[m], L, lights[L], camera, size, settings, bar)
-    finally:
-        torch.set_num_threads(threads)
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=warm_up, initargs=todo[0]) as pool:
+        for found in tqdm(pool.map(one_case, *zip(*todo, strict=True)), total=len(todo), desc="chart", unit="case", mininterval=2):
+            rows += found
     return rows
 
 
-def one_case(m, label, L, light, camera, size, settings, bar):
+def warm_up(_m, label, _L, light, _camera, _size):
+    """One thread, and everything loaded and compiled before it is timed."""
+    torch.set_num_threads(1)
+    for setting in cases.settings():
+        timed(setting, label, light, 12, "orthographic", True)
+
+
+def one_case(m, label, L, light, camera, size):
+    """The rows of every setting on one material, light and camera."""
     batch, _ = cases.batch_of(label, light, size, camera)
     pick = sample(len(batch.n), SAMPLE)
     few = picked(batch, pick)
     paper, integral = load("exact").radiance(few, 1e-2), converged(few)
     rows = []
-    for setting in settings:
-        bar.update()
+    for setting in cases.settings():
         if camera == "perspective" and "orthographic" in load(setting.method).CARD.needs:
             continue
         seconds, seen = timed(setting, label, light, size, camera, True)

@@ -17,6 +17,7 @@ def register(subparsers):
         "--lights", type=Path, metavar="DIR", help="a folder of .exr maps, or a dataset, to light with (default: computed lights)"
     )
     parser.add_argument("--light", action="append", metavar="NAME", help="only this map of the folder; repeatable (default: all)")
+    parser.add_argument("--processes", type=int, default=1, metavar="N", help="cases measured side by side, on one thread each (default 1)")
     parser.set_defaults(run=run)
 
 
@@ -29,8 +30,7 @@ def run(options):
     if options.quick:
         names, lights, size = names[::3], dict(list(lights.items())[:2]), min(size, 64)
     made = made_by()
-    rows = measure.measure(
-        {name: catalogue.find(name).label for name in names}, lights, ("orthographic", "perspective"), size, cases.settings()
-    )
+    labels = {name: catalogue.find(name).label for name in names}
+    rows = measure.measure(labels, lights, ("orthographic", "perspective"), size, options.processes)
     draw.write(rows, made, options.out)
     print(options.out / "chart.html")
