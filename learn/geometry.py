@@ -1,7 +1,7 @@
 """A dataset's geometry, packed for training: each view of each shape once, whatever pictures were rendered of it.
 
-V views, H, W picture. Beside a dataset's records stands a cache of two memory-mapped arrays, five bytes a pixel, made on first use and again
-when the records change:
+V views, H, W picture. Beside a dataset's records stands a cache of two memory-mapped arrays, five bytes a pixel, made on first use and
+again when the records change:
 
 packed/normals.npy   (V, H, W, 2) int16, n_x and n_y in units of 1/32767; n_z = √(1 − n_x² − n_y²), for normals face the viewer
 packed/segments.npy  (V, H, W) uint8, 1 … S, 0 in the background

@@ -37,7 +37,7 @@ class Ranges:
 
     @classmethod
     def of(cls, labels, margin=0.05):
-        """Ranges of labels (M, 108), widened by `margin` of the range at each end; the same for the three channels, which augmentation permutes."""
+        """Ranges of labels (M, 108), widened by `margin` at each end; the same for the three channels, which augmentation permutes."""
         by_channel = labels.reshape(-1, 3, SIZE // 3)
         low, high = by_channel.amin((0, 1)), by_channel.amax((0, 1))
         half = ((high - low) * (0.5 + margin)).clamp(min=NARROWEST)
@@ -58,7 +58,7 @@ def light_of(code):
 
 
 def unit_mean(light, solid_angle):
-    """Maps (B, 3, Hl, Wl) scaled to a mean luminance of 1 over the sphere: the convention that settles light's scale against the material's.
+    """Maps (B, 3, Hl, Wl) scaled to a mean luminance of 1 over the sphere: what settles light's scale against the material's.
 
     solid_angle  (Hl,) of a texel of each row
     """

@@ -6,6 +6,8 @@ reflectance map, and material and light are read from that map as much as from t
 B pictures, H, W multiples of 16, S segments. Widths WIDTHS at H/2, H/4, H/8, H/16; features at H/16 are averaged over each segment.
 """
 
+from itertools import pairwise
+
 import torch
 from torch import nn
 from torch.nn import functional as F
@@ -54,7 +56,7 @@ class Compact(nn.Module):
             convolution(a, b, 1 if i == 0 else 2) for i, (a, b) in enumerate(zip((16, *WIDTHS), WIDTHS, strict=False))
         )
         self.deepen = nn.ModuleList(Residual(width) for width in WIDTHS)
-        self.up = nn.ModuleList(convolution(a + b, a) for a, b in zip(WIDTHS, WIDTHS[1:], strict=False))
+        self.up = nn.ModuleList(convolution(a + b, a) for a, b in pairwise(WIDTHS))
         self.normals = nn.Conv2d(WIDTHS[0], 12, 3, 1, 1)
         self.reflectance = nn.Sequential(
             convolution(4, 32), convolution(32, 64, 2), Residual(64), convolution(64, 96, 2), convolution(96, 128, 2)
@@ -66,7 +68,7 @@ class Compact(nn.Module):
         self.illumination = nn.Sequential(
             nn.Linear(seen + WIDTHS[-1], 256), nn.ReLU(), nn.Dropout(0.1), nn.Linear(256, LIGHT_WIDTHS[0] * 32), nn.ReLU()
         )
-        self.widen = nn.ModuleList(convolution(a, b) for a, b in zip(LIGHT_WIDTHS, LIGHT_WIDTHS[1:], strict=False))
+        self.widen = nn.ModuleList(convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
         self.light = nn.Conv2d(LIGHT_WIDTHS[-1], 3, 3, 1, 1)
 
     @property

@@ -8,6 +8,8 @@ Weights start uniform in ±0.08. Where a layer is followed by many others that a
 normalisation follows each convolution: ours.
 """
 
+from itertools import pairwise
+
 import torch
 from torch import nn
 from torch.nn import functional as F
@@ -24,7 +26,7 @@ START = 0.08
 def _halving():
     """(B, 4, 256, 256) → (B, 512 · 2 · 2)."""
     widths = (4, *HALVINGS)
-    return nn.Sequential(*(convolution(a, b, 2) for a, b in zip(widths, widths[1:], strict=False)), nn.AdaptiveAvgPool2d(2), nn.Flatten())
+    return nn.Sequential(*(convolution(a, b, 2) for a, b in pairwise(widths)), nn.AdaptiveAvgPool2d(2), nn.Flatten())
 
 
 def _deconvolution(before, after):

@@ -26,6 +26,7 @@ def save(path, tensors, metadata):
     path = Path(path)
     temporary = path.with_name(f"{path.name}.{os.getpid()}")
     save_file({name: t.detach().contiguous().clone() for name, t in tensors.items()}, temporary, metadata)
+    temporary.chmod(0o644)  # the library makes files that only their owner may read
     temporary.replace(path)
 
 
@@ -60,7 +61,7 @@ def load_network(path):
         )
     network = NETWORKS[metadata["network"]](Ranges(torch.zeros(108), torch.ones(108)))
     fill(network, tensors, path)
-    return network.eval(), metadata | {"run": json.loads(metadata.get("run", "{}"))}
+    return network.eval(), metadata | {"run": json.loads(metadata.get("run", "{}")), "ranges": network.ranges}
 
 
 def fill(network, tensors, where):

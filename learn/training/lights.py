@@ -1,4 +1,4 @@
-"""Light for relit pictures: maps turned, mirrored, mixed and tinted, and computed skies and rooms. There are few maps; light is what limits.
+"""Light for relit pictures: maps turned, mirrored, mixed and tinted, and computed skies and rooms, for there are few maps.
 
 L  (64, 128, 3) float32 radiance of unit mean luminance, light frame; all draws from a numpy Generator
 """

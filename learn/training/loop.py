@@ -1,6 +1,6 @@
 """The training loop, read downward.
 
-Everything random in step k depends on (seed, k) alone, so a run that was killed goes on from its last checkpoint to bitwise the same weights.
+Everything random in step k depends on (seed, k) alone: a run that was killed goes on from its last checkpoint to bitwise the same weights.
 """
 
 import json
@@ -78,12 +78,12 @@ class Training:
         return figures
 
     def _batches(self):
-        source = Relit(self.pools["train"], self.run.data, self.run.schedule.batch, self.run.seed, (self.rank, self.world))
+        source = Relit(self.pools["train"], self.run.data, self.run.schedule.batch, self.run.size, self.run.seed, (self.rank, self.world))
         order = range(self.step, self.run.schedule.steps)
         if not self.workers:
             return (source[k] for k in order)
         return torch.utils.data.DataLoader(
-            source, batch_size=None, sampler=order, num_workers=self.workers, worker_init_fn=_one_thread, prefetch_factor=2
+            source, batch_size=None, sampler=order, num_workers=self.workers, worker_init_fn=one_thread, prefetch_factor=2
         )
 
     def _one_step(self, batch):
@@ -105,7 +105,7 @@ class Training:
         record = {"step": self.step, "loss": loss.item(), "gradient": norm.item()} | {name: value.item() for name, value in found.items()}
         if math.isfinite(record["loss"]) and math.isfinite(record["gradient"]):
             self.optimiser.step()
-            self._follow()
+            follow(self.average, self.network, self.step, self.run.schedule.average)
         else:
             self._skip(batch, record)
         record |= _health(prediction)
@@ -125,16 +125,6 @@ class Training:
             share, beta = min(1.0, (self.step + 1) / max(schedule.warm_up, 1)) * (0.5 + 0.5 * math.cos(math.pi * done)) + 1e-3, 0.9
         for group in self.optimiser.param_groups:
             group["lr"], group["betas"] = share * schedule.rate, (beta, group["betas"][1])
-
-    def _follow(self):
-        """The moving average takes a step towards the weights; it hurries at first, so that the start is soon forgotten."""
-        share = 1 - min(self.run.schedule.average, (1 + self.step) / (10 + self.step))
-        with torch.no_grad():
-            for name, tensor in self.network.state_dict().items():
-                if tensor.is_floating_point():
-                    self.average[name].lerp_(tensor, share)
-                else:
-                    self.average[name].copy_(tensor)
 
     def _skip(self, batch, record):
         """A step that is not finite changes nothing; its batch is kept for study, and too many of them end the run."""
@@ -159,7 +149,7 @@ class Training:
         weights.eval()
         with torch.no_grad():
             figures = measures.over(lambda b: self._predict(weights, b), self.pools["validation"], self.run, batches=2)
-            shown = Relit(self.pools["validation"], self.run.data, self.run.schedule.batch, 1)[0]
+            shown = Relit(self.pools["validation"], self.run.data, self.run.schedule.batch, self.run.size, 1)[0]
             sheet.write(self.out / f"sheet-{self.step:07d}.jpg", shown, self._predict(weights, shown))
         checkpoint.save_weights(
             self.out / "weights.safetensors", self.network, self.average, msgspec.json.encode(self.run).decode(), self.run.size
@@ -197,13 +187,24 @@ class Training:
         self.step, self.skipped = int(metadata["step"]), int(metadata["skipped"])
 
 
+def follow(average, network, step, memory):
+    """The moving average {name: tensor} takes a step towards the weights; it hurries at first, so that the start is soon forgotten."""
+    share = 1 - min(memory, (1 + step) / (10 + step))
+    with torch.no_grad():
+        for name, tensor in network.state_dict().items():
+            if tensor.is_floating_point():
+                average[name].lerp_(tensor, share)
+            else:
+                average[name].copy_(tensor)
+
+
 def _optimiser(network, schedule):
     if schedule.style == "paper":
         return torch.optim.Adam(network.parameters(), schedule.rate)
     return torch.optim.AdamW(network.parameters(), schedule.rate, weight_decay=schedule.decay)
 
 
-def _one_thread(_):
+def one_thread(_):
     torch.set_num_threads(1)
 
 

@@ -128,7 +128,7 @@ def bounded(most):
 def reduced(light, size):
     """(B, 3, h, w): the map averaged over solid angle to a coarser one, energy kept."""
     H, W = light.shape[-2:]
-    if (H, W) == tuple(size):
+    if tuple(size) == (H, W):
         return light
     rows = torch.as_tensor(row_means(H, size[0]), dtype=light.dtype)
     columns = light.reshape(*light.shape[:-1], size[1], W // size[1]).mean(-1)

@@ -1,7 +1,7 @@
 """How good a prediction is, in figures that mean something outside the loss.
 
 angle_deg, cosine     between predicted and true normals, means over mask pixels
-irradiance            relative root mean square error over directions on the sphere, mean over pictures; constant_irradiance: of a constant light
+irradiance            relative root mean square error over directions, mean over pictures; constant_irradiance: of a constant light
 image_l2, target_l2   the paper's display L2 over the mask, of I' against I and of O' against O; exposure from the truth's 99th percentile
 control_l2            of O' from predicted normals under a constant light
 code_l2               mean squared difference of material codes
@@ -21,7 +21,7 @@ TOLERANCE = 2e-2
 def over(predict, pool, run, batches, seed=20):
     """Means over the first batches of a pool. predict: Batch → Prediction."""
     data = run.data
-    source = Relit(pool, data, run.schedule.batch, seed)
+    source = Relit(pool, data, run.schedule.batch, run.size, seed)
     found = [of(predict(batch), batch) for batch in (source[k] for k in range(batches))]
     return {name: float(np.mean(np.concatenate([f[name] for f in found]))) for name in found[0]}
 

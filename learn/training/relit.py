@@ -1,7 +1,7 @@
 """Examples relit on the fly: stored geometry, any material, any light, a picture by the layer. No image files at all.
 
 Batch k of a run is a function of (seed, side, k) alone: whoever asks for it, in whatever order, on whatever machine, sees the same.
-Pictures come in groups of `sharing`, of different shapes and views, that share a material and a light, for then they share a reflectance map.
+Pictures come in groups of `sharing`, of other shapes and views, that share a material and a light: then they share a reflectance map.
 """
 
 from dataclasses import dataclass
@@ -35,17 +35,20 @@ class Relit:
 
     pool     Pool
     data     learn.training.settings.Data
-    size     pictures a batch
+    batch    pictures a batch
+    size     height and width of pictures; geometry's are a whole number of times larger
     part     (i, n): of every batch only the i-th of n equal parts, for several processes
     """
 
-    def __init__(self, pool, data: Data, size, seed, part=(0, 1)):
-        self.pool, self.data, self.seed, self.part = pool, data, seed, part
-        groups = -(-size // data.sharing)
+    def __init__(self, pool, data: Data, batch, size, seed, part=(0, 1)):
+        self.pool, self.data, self.size, self.seed = pool, data, size, seed
+        if any(side % size for side in pool.geometry.size):
+            raise ValueError(f"size: a divisor of the geometry's {pool.geometry.size} expected, found {size}")
+        groups = -(-batch // data.sharing)
         if groups % part[1]:
-            raise ValueError(f"batch: a multiple of {data.sharing * part[1]} pictures expected for {part[1]} processes, found {size}")
+            raise ValueError(f"batch: a multiple of {data.sharing * part[1]} pictures expected for {part[1]} processes, found {batch}")
         self.groups = range(groups)[part[0] :: part[1]]
-        self.of_group = [len(range(g * data.sharing, min((g + 1) * data.sharing, size))) for g in range(groups)]
+        self.of_group = [len(range(g * data.sharing, min((g + 1) * data.sharing, batch))) for g in range(groups)]
         self.names = sorted(pool.labels)
 
     def __getitem__(self, k):
@@ -75,7 +78,9 @@ class Relit:
     def _geometry(self, views):
         n = torch.from_numpy(np.stack([self.pool.geometry.normals(v) for v in views]))
         segments = torch.from_numpy(np.stack([self.pool.geometry.segments(v) for v in views]))
-        return n, (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
+        step = len(n[0]) // self.size
+        n, segments = n[:, step // 2 :: step, step // 2 :: step], segments[:, step // 2 :: step, step // 2 :: step]
+        return n.contiguous(), (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
 
     def _pictures(self, n, segments, label, L):
         """(B, H, W, 3) numpy: one material and light, expanded over the batch so that the layer shares its map."""

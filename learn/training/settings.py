@@ -12,16 +12,14 @@ Count = Annotated[int, Meta(ge=1, le=100_000_000)]
 class Data(Struct, frozen=True, forbid_unknown_fields=True):
     """Where samples come from and who is held out.
 
-    source         relit: pictures made on the fly by the layer from a dataset's geometry; cycles: the dataset's own pictures; mixed: both by turns
     sharing        relit pictures, of different shapes and views, that share a material and a light: their reflectance map is computed once
     tolerance      relative error of relit pictures
     regions        materials a picture, one a segment
-    real_lights    share of relit pictures lit by one map; half of the rest by a mixture of two, half by a computed sky or room
+    real_lights    share of pictures lit by one map; half of the rest by a mixture of two, half by a computed sky or room
     photograph     augment as a photograph needs: exposure, shift, a nibbled mask, noise, JPEG
     validation_lights, test_lights   names of maps that training never sees
     """
 
-    source: Literal["relit", "cycles", "mixed"] = "relit"
     sharing: Count = 4
     tolerance: Annotated[float, Meta(gt=0, lt=1)] = 1e-2
     regions: Annotated[int, Meta(ge=1, le=8)] = 1
@@ -32,8 +30,11 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Losses(Struct, frozen=True, forbid_unknown_fields=True):
-    """Weights of learn.training.losses' terms; 0 leaves a term out. pixels: how many of each picture the layer renders for image and target;
-    pull: the most that image and target together with their weights may pull at all normals, so that no highlight outweighs their own loss."""
+    """Weights of learn.training.losses' terms; 0 leaves a term out.
+
+    pixels  of each picture, that the layer renders for image and for target
+    pull    the most that each of the two, its weight included, may pull at all normals together: no highlight outweighs their own loss
+    """
 
     normals: Weight = 1.0
     material: Weight = 1.0
@@ -61,7 +62,13 @@ class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One training run. start: the weights file of a run to continue from with other losses, relative to this file; mixed: bfloat16 networks."""
+    """One training run.
+
+    size             of pictures; a dataset's geometry may be a whole number of times larger
+    start            weights to begin with, a path from where the command is run
+    mixed_precision  networks in bfloat16; the layer and the losses stay in float32
+    skipped_steps    how many steps may turn out not finite before the run ends
+    """
 
     version: Literal[1] = 1
     name: str

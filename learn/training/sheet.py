@@ -44,6 +44,18 @@ def write(path, batch, prediction):
     Image.fromarray(np.concatenate(rows).astype(np.uint8)).save(path, quality=90)
 
 
+def parts(batch, prediction, again, exposure):
+    """{name: display picture} of one picture taken apart; again: (H, W, 3) radiance of the re-rendering."""
+    mask = batch.mask[0, 0].numpy() > 0
+    return {
+        "picture": tone.display(batch.image[0].movedim(0, -1).numpy(), exposure),
+        "normals": _normals(prediction.n[0], mask),
+        "light": _light(prediction.light[0], len(mask)),
+        "material": _ball(prediction.label[0, 0], len(mask), batch.elevation),
+        "rendering": tone.display(again, exposure),
+    }
+
+
 def _normals(n, mask):
     return (n.detach().movedim(0, -1).numpy() * 0.5 + 0.5) * 255 * mask[..., None]
 

@@ -10,6 +10,7 @@ from learn.training.lights import read_maps
 from learn.training.relit import Pool
 from manifests import materials
 from manifests.problems import Problem, closest
+from shaders.envmap import same_capture
 
 VALIDATION_SHAPES = 10  # one in so many training shapes is for choosing weights instead
 VALIDATION_MATERIALS = 8
@@ -35,6 +36,7 @@ def pools(data, folder, maps_file=None, progress=True):
     for name in (*data.validation_lights, *data.test_lights):
         if name not in maps:
             raise Problem(f"held-out light '{name}'", "a light of the dataset or of --lights", "none of that name", closest(name, maps))
+    maps = without_twins(maps, (*data.validation_lights, *data.test_lights))
     held = {"validation": data.validation_lights, "test": data.test_lights}
     held["train"] = [name for name in maps if name not in {*data.validation_lights, *data.test_lights}]
     labels, sides = _materials(), [_side(view) for view in geometry.views]
@@ -46,6 +48,22 @@ def pools(data, folder, maps_file=None, progress=True):
         lit = [maps[name] for name in sorted(held[side])] or [maps[name] for name in sorted(maps)]
         found[side] = Pool(geometry, views, labels[side], lit, side)
     return found
+
+
+def without_twins(maps, held):
+    """Each capture once, under the name by which it is held out if it is: a copy under another name would let training see it.
+
+    maps  {name: L}; held: names of maps that training must not see
+    Raises  Problem if two held-out names mean one map
+    """
+    kept = {}
+    for name in sorted(maps, key=lambda name: name not in held):
+        twin = next((other for other, L in kept.items() if same_capture(L, maps[name])), None)
+        if twin is None:
+            kept[name] = maps[name]
+        elif name in held:
+            raise Problem(f"held-out light '{name}'", "a map of its own", f"'{twin}' again", "name each held-out map once")
+    return kept
 
 
 def _side(view):

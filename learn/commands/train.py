@@ -1,0 +1,53 @@
+"""`learn train`: from geometry, materials and lights to weights."""
+
+from pathlib import Path
+
+RUNS = Path(__file__).parents[2] / "manifests" / "runs"
+
+
+def register(subparsers):
+    presets = ", ".join(sorted(p.stem for p in RUNS.glob("*.json")))
+    parser = subparsers.add_parser(
+        "train",
+        help="train networks that read normals, material and light from a picture",
+        description="Trains from a dataset's geometry: pictures are relit on the fly by the layer, in materials and lights drawn "
+        "anew each time. Writes weights.safetensors, checkpoint.safetensors, log.jsonl, run.json and a sheet of pictures every so often. "
+        "Run the same command again to continue; a killed run ends with the same weights as one that was not.",
+    )
+    parser.add_argument("settings", metavar="RUN", help=f"a run file (JSON), or a preset: {presets}")
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where weights, log and sheets go")
+    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps, each a (64, 128, 3) array")
+    parser.add_argument("--steps", type=int, metavar="N", help="other than the run says")
+    parser.add_argument("--seed", type=int, metavar="N", help="other than the run says")
+    parser.add_argument("--sheet-every", type=int, default=500, metavar="N", help="steps between sheets and validations (default 500)")
+    parser.add_argument("--checkpoint-every", type=int, metavar="N", help="steps between checkpoints (default: two minutes)")
+    parser.add_argument(
+        "--threads", type=int, default=1, metavar="N", help="of the network; relighting has a process beside it (default 1)"
+    )
+    parser.add_argument(
+        "--workers", type=int, default=1, metavar="N", help="processes that relight (default 1; 0: none beside the network)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options):
+    import msgspec
+    import torch
+
+    from learn.training import loop, settings, sources
+    from manifests.reading import read
+
+    path = Path(options.settings)
+    chosen = read(path if path.suffix == ".json" else RUNS / f"{path.name}.json", settings.Run)
+    if options.steps is not None:
+        chosen = msgspec.structs.replace(chosen, schedule=msgspec.structs.replace(chosen.schedule, steps=options.steps))
+    if options.seed is not None:
+        chosen = msgspec.structs.replace(chosen, seed=options.seed)
+    torch.set_num_threads(options.threads)
+    pools = sources.pools(chosen.data, options.data, options.lights)
+    training = loop.Training(chosen, pools, options.out, options.sheet_every, options.checkpoint_every, options.workers)
+    figures = training.train()
+    if figures:
+        print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
+    print(f"See {options.out}: weights.safetensors, log.jsonl, sheet-*.jpg")

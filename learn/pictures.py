@@ -1,0 +1,134 @@
+"""Pictures from a user: any size and format that Pillow or OpenEXR reads, with a mask, brought to what the networks were trained on.
+
+radiance  (H, W, 3) float32 linear Rec.709; 8 and 16 bit files pass the sRGB curve backwards
+mask      (H, W) bool, from a file of the same size (brighter than half) or from the picture's own alpha
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from manifests import exr
+from manifests.problems import Problem
+from shaders.envmap import LUMINANCE
+
+MOST_PIXELS = 64_000_000
+LEAST_PIXELS = 16  # of the mask; fewer tell nothing of a shape
+MARGIN = 1.18  # of the square over the object: objects span 0.85 of the median training picture
+MEAN_LUMINANCE = 0.058  # of the object in the median training picture, lit by a light of unit mean
+
+
+@dataclass(frozen=True)
+class Framed:
+    """A picture cut to the object's square. box: (top, left, side) in its pixels; exposure: radiance = photograph × exposure."""
+
+    radiance: np.ndarray
+    mask: np.ndarray
+    box: tuple
+    exposure: float
+
+
+def read(path, mask_path=None):
+    """radiance (H, W, 3), mask (H, W). Raises Problem: no such file, no picture, no mask, an empty one, one of another size."""
+    path = Path(path)
+    radiance, alpha = _pixels(path)
+    if mask_path is not None:
+        values, own = _pixels(Path(mask_path))
+        mask = (values.mean(-1) > 0.21) & (own > 0.5)  # half of the display's range, linear
+        if mask.shape != radiance.shape[:2]:
+            raise Problem(
+                mask_path,
+                f"a mask of the picture's size {radiance.shape[1]} × {radiance.shape[0]}",
+                f"{mask.shape[1]} × {mask.shape[0]}",
+                "resize it",
+            )
+    elif (alpha < 0.5).any():
+        mask = alpha >= 0.5
+    else:
+        raise Problem(path, "a mask, or transparency around the object", "neither", "give --mask FILE: white where the object is")
+    if mask.sum() < LEAST_PIXELS:
+        raise Problem(
+            mask_path or path, f"an object of {LEAST_PIXELS} pixels or more in the mask", f"{int(mask.sum())}", "white marks the object"
+        )
+    return radiance, mask
+
+
+def _pixels(path):
+    """radiance (H, W, 3), alpha (H, W) in [0, 1]."""
+    if path.suffix.lower() == ".exr":
+        channels = exr.read(path)
+        missing = [name for name in "RGB" if name not in channels]
+        if missing:
+            raise Problem(path, "channels R, G, B", f"only {', '.join(sorted(channels))}", "export it as RGB")
+        radiance = np.stack([channels[name].astype(np.float32) for name in "RGB"], -1)
+        if not np.isfinite(radiance).all():
+            raise Problem(path, "finite radiance", "NaN or infinity", "export it again")
+        return np.maximum(radiance, 0), channels.get("A", np.ones(radiance.shape[:2])).astype(np.float32)
+    try:
+        with Image.open(path) as picture:
+            if picture.width * picture.height > MOST_PIXELS:
+                raise Problem(
+                    path, f"at most {MOST_PIXELS // 1_000_000} megapixels", f"{picture.width} × {picture.height}", "make it smaller"
+                )
+            picture.seek(0)  # of an animation, the first frame
+            deep = picture.mode.startswith("I")
+            values = np.asarray(picture, np.float32) / 65535 if deep else np.asarray(picture.convert("RGBA"), np.float32) / 255
+    except FileNotFoundError:
+        raise Problem(path, "a picture", "no such file", "check the name") from None
+    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise Problem(path, "a picture that Pillow or OpenEXR reads", str(error), "save it as PNG, JPEG or EXR") from None
+    if deep:
+        values = np.stack([values] * 3 + [np.ones_like(values)], -1)
+    rgb = values[..., :3]
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return linear.astype(np.float32), values[..., 3]
+
+
+def framed(radiance, mask, size, exposure=None):
+    """The object's square at the networks' size.
+
+    exposure  None: the one that brings the object's mean luminance to the training pictures' (a photograph's scale is unknown)
+    Returns   Framed with radiance (size, size, 3), mask (size, size)
+    """
+    rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
+    side = max(int(np.ceil(MARGIN * max(np.ptp(rows), np.ptp(columns)))) + 1, 4)
+    top, left = (rows[0] + rows[-1] + 1 - side) // 2, (columns[0] + columns[-1] + 1 - side) // 2
+    if exposure is None:
+        exposure = MEAN_LUMINANCE / max(float((radiance[mask] @ LUMINANCE).mean()), 1e-6)
+    weight = _cut(mask.astype(np.float32), top, left, side)
+    covered = _resized(weight, size)
+    colour = _resized(_cut(radiance * mask[..., None], top, left, side), size) / np.maximum(covered, 1e-3)[..., None]
+    inside = covered >= 0.5
+    return Framed((colour * inside[..., None] * exposure).astype(np.float32), inside, (int(top), int(left), side), float(exposure))
+
+
+def _cut(array, top, left, side):
+    """A square of the array, 0 where it reaches beyond the picture."""
+    out = np.zeros((side, side, *array.shape[2:]), np.float32)
+    first_row, first_column = max(top, 0), max(left, 0)
+    part = array[first_row : max(top + side, 0), first_column : max(left + side, 0)]
+    row, column = first_row - top, first_column - left
+    out[row : row + part.shape[0], column : column + part.shape[1]] = part
+    return out
+
+
+def _resized(array, size):
+    """Averaged or interpolated to (size, size)."""
+    planes = array[..., None] if array.ndim == 2 else array
+    method = Image.Resampling.BOX if len(array) >= size else Image.Resampling.BILINEAR
+    out = np.stack([np.asarray(Image.fromarray(planes[..., k]).resize((size, size), method)) for k in range(planes.shape[-1])], -1)
+    return out[..., 0] if array.ndim == 2 else out
+
+
+def write_exr(path, array, names=("R", "G", "B")):
+    """An EXR of float32 channels (H, W, C), by way of a temporary name."""
+    import OpenEXR
+
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {name: np.ascontiguousarray(array[..., k], np.float32) for k, name in enumerate(names)}) as file:
+        file.write(str(temporary))
+    temporary.replace(path)

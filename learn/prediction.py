@@ -1,0 +1,83 @@
+"""One picture taken apart: what `learn predict` writes.
+
+normals.exr (X, Y, Z, camera frame), light.exr (64×128, light frame), rendering.exr, each with a PNG beside it, material.json, sheet.png
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from learn import pictures
+from learn.training import checkpoint, measures, sheet
+from learn.training.batch import Batch
+from manifests.materials import load_catalogue
+from manifests.problems import Problem
+from shaders import tone
+from shaders.frames import ELEVATION
+
+WEIGHTS = Path(__file__).parent / "weights" / "compact-joint.safetensors"
+NEAREST = 3
+
+
+def of(framed, network):
+    """(Batch of one, Prediction) of a learn.pictures.Framed."""
+    image = torch.from_numpy(framed.radiance).movedim(-1, 0)[None].contiguous()
+    mask = torch.from_numpy(framed.mask)
+    nothing = torch.zeros(1, 3, 64, 128) + 1
+    label = torch.zeros(1, 1, 108)
+    normals = torch.zeros_like(image)
+    batch = Batch(image, mask[None, None].float(), normals, mask[None].long(), label, nothing, label, ("picture",), float(ELEVATION))
+    with torch.no_grad():
+        predicted = network(batch.image, batch.mask)
+    return batch, predicted
+
+
+def write(image, mask, weights, out, exposure=None, overwrite=False):
+    """Predict and write everything. Raises Problem: bad picture, mask or weights, or files that are there already."""
+    out = Path(out)
+    if (out / "material.json").exists() and not overwrite:
+        raise Problem(out / "material.json", "no earlier prediction", "one", "give another --out, or --overwrite")
+    network, metadata = checkpoint.load_network(weights)
+    framed = pictures.framed(*pictures.read(image, mask), int(metadata["size"]), exposure)
+    batch, predicted = of(framed, network)
+    seen = replace(batch, n=predicted.n, label=predicted.label, light=predicted.light)
+    again = measures.picture(predicted.n, predicted.label, predicted.light, seen)[0]
+    out.mkdir(parents=True, exist_ok=True)
+    n = (predicted.n[0] * batch.mask[0]).movedim(0, -1).numpy()
+    light = predicted.light[0].movedim(0, -1).numpy()
+    pictures.write_exr(out / "normals.exr", n, "XYZ")
+    pictures.write_exr(out / "light.exr", light)
+    pictures.write_exr(out / "rendering.exr", again)
+    bright = tone.auto_exposure(framed.radiance, framed.mask)
+    cells = sheet.parts(batch, predicted, again, bright)
+    for name, cell in cells.items():
+        _save(out / f"{name}.png", cell)
+    _save(out / "sheet.png", np.concatenate(list(cells.values()), 1))
+    _write_material(out / "material.json", predicted.label[0, 0].numpy(), framed, metadata, weights)
+
+
+def _write_material(path, label, framed, metadata, weights):
+    """The label, the catalogue's materials nearest to it by code, and how the picture was brought to the network."""
+    ranges = metadata["ranges"]
+    catalogue = load_catalogue()
+    code = ranges.code(torch.from_numpy(label))
+    names = sorted(catalogue)
+    codes = ranges.code(torch.from_numpy(np.stack([catalogue[name].label.reshape(-1) for name in names])).float())
+    order = ((codes - code) ** 2).mean(-1).argsort()[:NEAREST]
+    told = {
+        "label": [round(float(x), 6) for x in label],
+        "nearest": [names[i] for i in order],
+        "box": framed.box,
+        "exposure": framed.exposure,
+        "weights": Path(weights).name,
+        "run": metadata["run"].get("name"),
+    }
+    path.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+
+
+def _save(path, cell):
+    Image.fromarray(np.clip(cell, 0, 255).astype(np.uint8)).save(path)
