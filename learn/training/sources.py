@@ -14,6 +14,7 @@ from shaders.envmap import same_capture
 
 VALIDATION_SHAPES = 10  # one in so many training shapes is for choosing weights instead
 VALIDATION_MATERIALS = 8
+TWIN = 0.05
 
 
 def by_hash(name, parts):
@@ -38,7 +39,8 @@ def pools(data, folder, maps_file=None, progress=True):
             raise Problem(f"held-out light '{name}'", "a light of the dataset or of --lights", "none of that name", closest(name, maps))
     maps = without_twins(maps, (*data.validation_lights, *data.test_lights))
     held = {"validation": data.validation_lights, "test": data.test_lights}
-    held["train"] = [name for name in maps if name not in {*data.validation_lights, *data.test_lights}]
+    apart = {*data.validation_lights, *data.test_lights}
+    held["train"] = [name for name in maps if name not in apart and not any(twins(maps[name], maps[other]) for other in apart)]
     labels, sides = _materials(), [_side(view) for view in geometry.views]
     found = {}
     for side in ("train", "validation", "test"):
@@ -64,6 +66,15 @@ def without_twins(maps, held):
         elif name in held:
             raise Problem(f"held-out light '{name}'", "a map of its own", f"'{twin}' again", "name each held-out map once")
     return kept
+
+
+def twins(a, b):
+    """Whether two maps (64, 128, 3) are one, turned or mirrored: their Fourier amplitudes along rows are then the same.
+
+    Averaging to 64×128 by other programs and half floats move them by less than TWIN of the whole.
+    """
+    A, B = (np.abs(np.fft.rfft(L, axis=1)) for L in (a, b))
+    return float(np.abs(A - B).sum() / B.sum()) < TWIN
 
 
 def _side(view):
