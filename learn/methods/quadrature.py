@@ -178,13 +178,18 @@ def chunk(n, view, m, light, around, solid_angle, camera_from_light):
         texel, share = footprint(w @ camera_from_light.to(w), weight, *light.shape[:2])
     seen = torch.einsum("pic,pick->pik", share, light.reshape(-1, 3)[texel])
     mu = (w * n[:, None]).sum(-1) * weight
-    s, d = w + view[:, None], w - view[:, None]
-    length_s, length_d = (x.square().sum(-1).clamp(min=1e-24).sqrt() for x in (s, d))  # w = v: a corner of θ_d, slope 0 taken
-    h, theta_d = s / length_s[..., None], torch.atan2(length_d, length_s)
+    h, theta_d = half_angles(w, view[:, None])
     log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
     kappa, gamma = torch.einsum("pib,ksjb->jpiks", basis(theta_d), m)
     f = torch.expm1((kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)).sum(-1)
     return torch.einsum("pik,pi,pik->pk", f, mu, seen)
+
+
+def half_angles(w, v):
+    """h and θ_d as shaders.dsbrdf.half_angles, with derivatives that stay finite where w = v: a corner of θ_d, slope 0 taken."""
+    s, d = w + v, w - v
+    length_s, length_d = (x.square().sum(-1).clamp(min=1e-24).sqrt() for x in (s, d))
+    return s / length_s[..., None], torch.atan2(length_d, length_s)
 
 
 def footprint(w, solid_angle, height, width):

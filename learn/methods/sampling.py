@@ -15,8 +15,8 @@ import torch
 from torch.utils.checkpoint import checkpoint
 
 from learn.methods import by_group, lobe_shapes
-from learn.methods.quadrature import frame_about, texel_of
-from shaders.dsbrdf import MAX_EXPONENT, half_angles
+from learn.methods.quadrature import frame_about, half_angles, texel_of
+from shaders.dsbrdf import MAX_EXPONENT
 from shaders.envmap import LUMINANCE, directions
 from shaders.spline import basis
 
