@@ -14,11 +14,9 @@ import numpy as np
 from factory.lights import files
 from factory.lights.light import checked, from_pixels
 from manifests.problems import Problem
+from shaders import envmap
 
 LIST = "lights.json"
-TWINS = (
-    0.99  # correlation of log maps at 64×128: copies of one capture, resized or re-encoded, exceed 0.9999; different ones stay below 0.9
-)
 
 
 def entry(folder, name):
@@ -65,7 +63,7 @@ def add_maps(path, folder, licence, known):
     folder = Path(folder)
     for inner, pixels in files.maps_in(path):
         L64 = from_pixels(pixels, inner, "", licence, f"{path}: {inner}").L64
-        if twin := twin_of(L64, known):
+        if twin := next((name for name, L in known.items() if envmap.same_capture(L64, L)), None):
             yield inner, twin, False
             continue
         listed = read_list(folder)
@@ -78,18 +76,6 @@ def add_maps(path, folder, licence, known):
         name = _place(target, save, licence, f"{Path(path).name}: {inner}", listed)
         known[name] = L64
         yield inner, name, True
-
-
-def twin_of(L64, known):
-    """The name of the light among `known` {name: L64} that is the same capture, or None."""
-
-    def shape(L):
-        log = np.log(L.mean(axis=-1) + 1e-3)
-        log = log - log.mean()
-        return log / (np.linalg.norm(log) + 1e-12)
-
-    ours = shape(L64)
-    return next((name for name, L in known.items() if float((ours * shape(L)).sum()) > TWINS), None)
 
 
 def _free(where, stem, suffix, folder, listed):
