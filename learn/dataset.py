@@ -106,11 +106,11 @@ class Records(torch.utils.data.Dataset):
         return radiance
 
     def geometry(self, record):
-        """normals (H, W, 3) float32, depth (H, W) float32, segments (H, W) int64 of a record."""
+        """normals (H, W, 3) float32, depth (H, W) float32, segments (H, W) int64 of a record or a view."""
         normals, depth, segments = self._channels(record, record.geometry, NORMAL, DEPTH, SEGMENT)
-        if segments.max(initial=0) > len(record.materials):
+        if segments.max(initial=0) > record.segments:
             found = f"segment {int(segments.max())}"
-            raise Problem(inside(self.folder, record.geometry), f"at most {len(record.materials)} segments", found, "render it again")
+            raise Problem(inside(self.folder, record.geometry), f"at most {record.segments} segments", found, "render it again")
         return normals, depth[..., 0], segments[..., 0].astype(np.int64)
 
     def _channels(self, record, relative, *groups):
