@@ -1,0 +1,255 @@
+"""Learning from relit geometry: what a batch is, what a step does, and that a killed run loses nothing."""
+
+import json
+import math
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from learn.geometry import Geometry
+from learn.networks.coding import REACH, Ranges, unit_mean
+from learn.networks.compact import CELLS, Compact, reflectance_map
+from learn.networks.paper import Paper
+from learn.training import augmentation, checkpoint, lights, losses, measures, sources
+from learn.training.loop import Training
+from learn.training.relit import Pool, Relit
+from learn.training.settings import Data, Losses, Run, Schedule
+from manifests.problems import Problem
+from shaders import envmap
+from tests.learn import synthetic
+
+SIZE = 32
+
+
+@pytest.fixture(scope="module")
+def geometry(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dataset")
+    synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE)
+    dataset = json.loads((folder / "dataset.json").read_text())
+    dataset["shapes"] = {"sphere": {"hash": "s", "category": "sphere", "side": "train", "role": "train", "segments": 1, "licence": "CC0"}}
+    (folder / "dataset.json").write_text(json.dumps(dataset))
+    return Geometry(folder, progress=False)
+
+
+@pytest.fixture(scope="module")
+def pools(geometry):
+    rng = np.random.default_rng(2)
+    label = np.log(np.array(lambertian(0.5), np.float32))
+    labels = {f"m{i}": (label + rng.normal(0, 0.3, 108)).astype(np.float32) for i in range(4)}
+    maps = [lights.computed(rng).astype(np.float32) for _ in range(2)]
+    return {side: Pool(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
+
+
+def lambertian(albedo):
+    """m (108,) of f = albedo/π: γ so small that c^γ is 1, and two empty lobes."""
+    m = np.full((3, 3, 2, 6), 1e-9)
+    m[:, 0, 0] = math.log1p(albedo / math.pi)
+    return m.reshape(-1)
+
+
+def run(**changes):
+    schedule = Schedule(steps=4, batch=4, warm_up=1)
+    terms = Losses(normals=1, material=1, albedo=0.3, light_log=0.3, light_rendered=1, image=1, target=1, pixels=8, layer_light=(8, 16))
+    settings = {"name": "test", "size": SIZE, "data": Data(sharing=2), "losses": terms, "schedule": schedule, "seed": 3}
+    return Run(**settings | changes)
+
+
+def trained(settings, pools, folder, workers=0, every=2):
+    training = Training(settings, pools, folder, sheet_every=1000, checkpoint_every=every, workers=workers)
+    training.train()
+    return training
+
+
+def test_packed_normals_are_the_stored_ones_to_a_sixteen_bit_step(geometry):
+    n, mask = synthetic.sphere(synthetic.Camera(size=(SIZE, SIZE)))
+    inner = mask & (n[..., 2] > 0.3)  # n_z = √(1 − n_x² − n_y²) magnifies a step by 1/n_z
+    assert np.abs(geometry.normals(0) - n)[inner].max() < 2e-4
+    assert (geometry.segments(0) == mask).all()
+
+
+def test_a_stale_cache_of_geometry_is_made_again(geometry):
+    path = geometry.folder / "packed" / "views.json"
+    path.write_text("[]")
+    Geometry(geometry.folder, progress=False)
+    assert json.loads(path.read_text()) == [view.hash for view in geometry.views]
+
+
+def test_training_labels_lie_within_the_reach_of_tanh(rng):
+    labels = torch.from_numpy(rng.normal(0, 2, (20, 108))).float()
+    ranges = Ranges.of(labels, margin=0.0)
+    assert ranges.code(labels).abs().max() == pytest.approx(REACH, abs=1e-5)
+    torch.testing.assert_close(ranges.label(ranges.code(labels)), labels, rtol=1e-4, atol=1e-5)  # float32
+
+
+def test_a_light_scaled_to_unit_mean_has_unit_mean_luminance(rng):
+    L = torch.from_numpy(rng.random((2, 3, 64, 128))).float()
+    scaled = unit_mean(L, torch.from_numpy(envmap.row_solid_angles(64, 128)).float())
+    for light in scaled.movedim(1, -1).numpy():
+        assert envmap.mean_radiance(light) @ envmap.LUMINANCE == pytest.approx(1, abs=1e-5)  # float32 sums
+
+
+@pytest.mark.parametrize("network", [Compact, Paper])
+def test_networks_predict_unit_normals_codes_in_reach_and_lights_of_unit_mean(network, rng):
+    net = network(Ranges(torch.zeros(108), torch.ones(108))).eval()
+    image, mask = torch.rand(2, 3, 64, 64), (torch.rand(2, 1, 64, 64) > 0.5).float()
+    segments = torch.randint(1, 3, (2, 64, 64)) * mask[:, 0].long()
+    with torch.no_grad():
+        found = net(image, mask, segments)
+    torch.testing.assert_close(found.n.norm(dim=1), torch.ones(2, 64, 64), rtol=0, atol=1e-5)
+    assert (found.n[:, 2] > 0).all()
+    assert found.code.shape == (2, 2, 108)
+    assert found.code.abs().max() <= 1
+    assert found.light.shape == (2, 3, 64, 128)
+    assert found.light.min() >= 0
+    for light in found.light.movedim(1, -1).numpy():
+        assert envmap.mean_radiance(light) @ envmap.LUMINANCE == pytest.approx(1, abs=1e-4)
+
+
+def test_the_reflectance_map_holds_a_pictures_radiance_where_its_normals_point():
+    n = torch.from_numpy(synthetic.sphere(synthetic.Camera(size=(128, 128)))[0]).movedim(-1, 0)[None]
+    mask = (n[:, 2:] > 0).float()
+    image = (n[:, :1] > 0).float().expand(-1, 3, -1, -1)  # white where the surface faces right
+    found = reflectance_map(image, mask, n)[0]
+    right, left = found[0, CELLS // 2, 3 * CELLS // 4], found[0, CELLS // 2, CELLS // 4]
+    assert (right.item(), left.item()) == (pytest.approx(0.5), pytest.approx(-0.5))  # c(1) − ½ and c(0) − ½
+    assert found[3, 0, 0] == 0  # outside the disk no normal points
+
+
+def test_a_batch_depends_on_seed_and_number_alone_and_parts_make_the_whole(pools):
+    data = Data(sharing=2)
+    whole = Relit(pools["train"], data, 4, SIZE, 5)[7]
+    again = Relit(pools["train"], data, 4, SIZE, 5)[7]
+    assert torch.equal(whole.image, again.image)
+    parts = [Relit(pools["train"], data, 4, SIZE, 5, (i, 2))[7] for i in (0, 1)]
+    assert torch.equal(torch.cat([p.image for p in parts]), whole.image)
+    assert not torch.equal(Relit(pools["train"], data, 4, SIZE, 6)[7].image, whole.image)
+
+
+def test_a_relit_picture_is_the_layers_of_its_own_truth(pools):
+    batch = Relit(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]  # held-out sides are not augmented
+    seen = measures.picture(batch.n, batch.label, batch.light, batch)
+    mine = batch.image.movedim(1, -1).numpy()
+    assert np.abs(seen - mine).mean() / mine.mean() < 0.03  # two methods at 1e-2 and 2e-2
+
+
+def test_the_true_prediction_has_no_loss(pools):
+    batch = Relit(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]
+    ranges = Ranges.of(torch.from_numpy(np.stack(list(pools["train"].labels.values()))))
+    from learn.networks.prediction import Prediction
+
+    truth = Prediction(batch.n, ranges.code(batch.label), batch.label, torch.log1p(batch.light), batch.light)
+    found = losses.terms(truth, batch, run().losses, torch.Generator().manual_seed(0), ranges)
+    assert set(found) == {"normals", "material", "albedo", "light_log", "light_rendered", "image", "target"}
+    assert max(value.item() for value in found.values()) < 1e-8
+    wrong = truth._replace(light=batch.light.flip(-1))
+    assert losses.terms(wrong, batch, run().losses, torch.Generator().manual_seed(0), ranges)["light_rendered"] > 1e-3
+
+
+@pytest.mark.parametrize("albedo", [0.05, 0.8])
+def test_the_log_albedo_of_a_lambertian_is_its_own(albedo):
+    label = torch.from_numpy(np.log(lambertian(albedo))).float()
+    assert losses.log_albedo(label)[0].item() == pytest.approx(math.log(albedo + 1e-3), abs=2e-3)  # 48 nodes
+
+
+def test_a_light_reduced_keeps_its_energy(rng):
+    L = torch.from_numpy(rng.random((1, 3, 64, 128)))
+    small = losses.reduced(L, (8, 16))
+    torch.testing.assert_close((small * losses.solid_angles(small)).sum((2, 3)), (L * losses.solid_angles(L)).sum((2, 3)))
+
+
+def test_no_pixel_pulls_harder_than_its_bound():
+    x = torch.ones(2, 5, 3, requires_grad=True)
+    y = x * 1.0
+    y.register_hook(losses.bounded(torch.tensor(1e-3)))
+    (y**2).sum().backward()
+    assert x.grad.norm(dim=-1).max().item() == pytest.approx(1e-3, rel=1e-5)
+
+
+def test_a_killed_run_ends_with_bitwise_the_same_weights(pools, tmp_path):
+    undisturbed = trained(run(), pools, tmp_path / "whole")
+    killed = Training(run(), pools, tmp_path / "killed", sheet_every=1000, checkpoint_every=2, workers=0)
+    save = killed._save
+
+    def die_after_saving():
+        save()
+        raise KeyboardInterrupt
+
+    killed._save = die_after_saving
+    with pytest.raises(KeyboardInterrupt):
+        killed.train()
+    resumed = trained(run(), pools, tmp_path / "killed")
+    for name, tensor in undisturbed.network.state_dict().items():
+        assert torch.equal(tensor, resumed.network.state_dict()[name]), name
+    for name, tensor in undisturbed.average.items():
+        assert torch.equal(tensor, resumed.average[name]), name
+
+
+def test_training_lowers_its_loss(pools, tmp_path):
+    schedule = Schedule(steps=30, batch=4, rate=2e-3, warm_up=1)
+    trained(run(schedule=schedule, losses=Losses(normals=1, material=0), parts=("normals",)), pools, tmp_path, every=100)
+    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert np.mean([r["normals"] for r in lines[-5:]]) < 0.5 * np.mean([r["normals"] for r in lines[:3]])
+
+
+def test_a_step_that_is_not_finite_changes_nothing_and_too_many_end_the_run(pools, tmp_path, monkeypatch):
+    monkeypatch.setattr(losses, "total", lambda found, weights: found["normals"] * math.nan)
+    training = Training(run(skipped_steps=1), pools, tmp_path, workers=0)
+    before = {name: t.clone() for name, t in training.network.named_parameters()}
+    with pytest.raises(Problem, match="finite loss"):
+        training.train()
+    assert all(torch.equal(before[name], t) for name, t in training.network.named_parameters())
+    assert len(list(tmp_path.glob("skipped-*.safetensors"))) == 2
+
+
+def test_a_checkpoint_of_other_settings_is_refused(pools, tmp_path):
+    trained(run(), pools, tmp_path)
+    with pytest.raises(Problem, match="other settings"):
+        Training(run(seed=4), pools, tmp_path)
+
+
+def test_weights_that_are_pickled_or_of_another_size_are_refused(tmp_path):
+    pickled = tmp_path / "weights.safetensors"
+    pickled.write_bytes(b"\x80\x04\x95" + bytes(64))
+    with pytest.raises(Problem, match="never read"):
+        checkpoint.load_network(pickled)
+    other = tmp_path / "other.safetensors"
+    checkpoint.save(other, {"label_centre": torch.zeros(7)}, {"format": "brdfactory weights 1", "network": "compact", "size": "128"})
+    with pytest.raises(Problem, match=r"label_centre.*shape"):
+        checkpoint.load_network(other)
+
+
+def test_weights_come_back_to_half_precision(tmp_path):
+    network = Compact(Ranges(torch.full((108,), 0.25), torch.ones(108)))
+    checkpoint.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), msgspec.json.encode(run()).decode(), 128)
+    loaded, metadata = checkpoint.load_network(tmp_path / "w.safetensors")
+    assert metadata["run"]["name"] == "test"
+    for (name, a), b in zip(network.state_dict().items(), loaded.state_dict().values(), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-4, msg=name)  # half precision
+
+
+def test_sides_share_no_material_and_twin_maps_are_known(rng):
+    materials = sources._materials()
+    names = [set(materials[side]) for side in ("train", "validation", "test")]
+    assert not (names[0] & names[1] or names[0] & names[2] or names[1] & names[2])
+    assert all(names)
+    L = rng.random((64, 128, 3))
+    assert sources.twins(envmap.roll(L, 9)[:, ::-1] * 1.001, L)
+    assert not sources.twins(rng.random((64, 128, 3)), L)
+
+
+def test_a_photographed_picture_keeps_its_radiance_but_for_exposure_and_noise(rng):
+    image, mask = np.full((32, 32, 3), 0.3, np.float32), np.ones((32, 32), bool)
+    ratios = [augmentation.photographed(rng, image, mask).mean() / 0.3 for _ in range(40)]
+    assert np.std(np.log(ratios)) == pytest.approx(augmentation.EXPOSURE, rel=0.5)  # 40 draws
+    assert abs(np.mean(np.log(ratios))) < 0.15
+
+
+def test_a_nibbled_mask_loses_its_rim_at_most(rng):
+    mask = np.zeros((16, 16), bool)
+    mask[4:12, 4:12] = True
+    for _ in range(8):
+        nibbled = augmentation.nibbled(rng, mask)
+        assert (nibbled <= mask).all()
+        assert nibbled[5:11, 5:11].all()
