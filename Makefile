@@ -32,7 +32,9 @@ demo: $(VENV)/installed
 	$(VENV)/bin/python -m factory verify $(OUT)/data
 	$(VENV)/bin/python -m factory preview $(OUT)/data --out $(OUT)/preview
 	$(VENV)/bin/python -m learn agree $(OUT)/data --out $(OUT)/agreement $(AGREE_FLAGS)
-	$(VENV)/bin/python -m manifests.page --title "brdfactory: $(JOB)" --sheet $(OUT)/preview/sheet.png --agreement $(OUT)/agreement --out $(OUT)/index.html
+	$(VENV)/bin/python -m learn predict $(OUT)/data --out $(OUT)/prediction --overwrite
+	$(VENV)/bin/python -m learn predict $(OUT)/prediction/picture.png --mask $(OUT)/prediction/mask.png --out $(OUT)/photograph --overwrite
+	$(VENV)/bin/python -m manifests.page --title "brdfactory: $(JOB)" --sheet $(OUT)/preview/sheet.png --prediction $(OUT)/prediction/sheet.png --prediction $(OUT)/photograph/sheet.png --agreement $(OUT)/agreement --out $(OUT)/index.html
 	@echo "Done: open $(OUT)/index.html"
 
 demo-small:

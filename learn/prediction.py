@@ -12,6 +12,7 @@ import torch
 from PIL import Image
 
 from learn import pictures
+from learn.dataset import Records
 from learn.training import checkpoint, measures, sheet
 from learn.training.batch import Batch
 from manifests.materials import load_catalogue
@@ -19,7 +20,7 @@ from manifests.problems import Problem
 from shaders import tone
 from shaders.frames import ELEVATION
 
-WEIGHTS = Path(__file__).parent / "weights" / "compact-joint.safetensors"
+WEIGHTS = Path(__file__).parent / "weights" / "joint-compact.safetensors"
 NEAREST = 3
 
 
@@ -42,7 +43,8 @@ def write(image, mask, weights, out, exposure=None, overwrite=False):
     if (out / "material.json").exists() and not overwrite:
         raise Problem(out / "material.json", "no earlier prediction", "one", "give another --out, or --overwrite")
     network, metadata = checkpoint.load_network(weights)
-    framed = pictures.framed(*pictures.read(image, mask), int(metadata["size"]), exposure)
+    radiance, covered, exposure = _from_record(image, exposure) if Path(image).is_dir() else (*pictures.read(image, mask), exposure)
+    framed = pictures.framed(radiance, covered, int(metadata["size"]), exposure)
     batch, predicted = of(framed, network)
     seen = replace(batch, n=predicted.n, label=predicted.label, light=predicted.light)
     again = measures.picture(predicted.n, predicted.label, predicted.light, seen)[0]
@@ -56,8 +58,19 @@ def write(image, mask, weights, out, exposure=None, overwrite=False):
     cells = sheet.parts(batch, predicted, again, bright)
     for name, cell in cells.items():
         _save(out / f"{name}.png", cell)
+    _save(out / "mask.png", 255.0 * framed.mask)
     _save(out / "sheet.png", np.concatenate(list(cells.values()), 1))
     _write_material(out / "material.json", predicted.label[0, 0].numpy(), framed, metadata, weights)
+
+
+def _from_record(folder, exposure):
+    """radiance, mask and exposure of a dataset's first record on the test side, or its first; its light has unit mean: exposure 1."""
+    records = Records(folder)
+    if not len(records):
+        raise Problem(folder, "records", "none", "render some: python -m factory render JOB --out DIR")
+    record = next((r for r in records.records if r.split == "test"), records.records[0])
+    _, _, segments = records.geometry(record)
+    return records.image(record), segments > 0, 1.0 if exposure is None else exposure
 
 
 def _write_material(path, label, framed, metadata, weights):

@@ -97,8 +97,8 @@ def causes(found):
     return f"<div class=scroll><table><tr><th>cause, direct tier</th><th>L2</th></tr>{rows}</table></div>" if rows else ""
 
 
-def page(out, sheets, agreement, title):
-    """The page's text. sheets: paths of pictures; agreement: folder of the report; links are relative to out's folder."""
+def page(out, sheets, agreement, title, predictions=()):
+    """The page's text. sheets, predictions: paths of pictures; agreement: folder of the report; links are relative to out's folder."""
     report = read(agreement / "report.json", "python -m learn agree DIR --out DIR2")
     summary, about = report["summary"], report["about"]
 
@@ -111,6 +111,12 @@ def page(out, sheets, agreement, title):
     parts += [f"<p>{html.escape(verdict(summary['direct']))} <a href='{link(agreement / 'index.html')}'>The whole report</a>.</p>"]
     parts += ["<h2>What was rendered</h2>"]
     parts += [f"<p><a href='{link(sheet)}'><img class=sheet src='{link(sheet)}' alt='contact sheet'></a></p>" for sheet in sheets]
+    if predictions:
+        parts += [
+            "<h2>What a network reads from one picture</h2><p>Picture, predicted normals, light and material, and what the layer makes of "
+        ]
+        parts += ["them again; above from the record's radiance, below from a picture file, whose exposure nobody knows.</p>"]
+        parts += [f"<p><a href='{link(sheet)}'><img class=sheet src='{link(sheet)}' alt='prediction'></a></p>" for sheet in predictions]
     parts += ["<h2>How far Cycles and the layer are apart</h2>"]
     parts += [table(name, summary["breakdowns"][name]) for name in SHOWN if summary["breakdowns"].get(name)]
     parts += ["<h2>Why</h2>", causes(summary.get("causes") or {})]
@@ -123,15 +129,18 @@ def page(out, sheets, agreement, title):
 def main(arguments=None):
     parser = argparse.ArgumentParser(prog="python -m manifests.page", description=__doc__.split(": ", 1)[1])
     parser.add_argument("--sheet", action="append", type=Path, default=[], metavar="PNG", help="a contact sheet; repeatable")
+    parser.add_argument(
+        "--prediction", action="append", type=Path, default=[], metavar="PNG", help="a sheet of `learn predict`; repeatable"
+    )
     parser.add_argument("--agreement", required=True, type=Path, metavar="DIR", help="what `python -m learn agree` wrote")
     parser.add_argument("--title", default="brdfactory", help="the page's heading (default: %(default)s)")
     parser.add_argument("--out", required=True, type=Path, metavar="HTML", help="the page to write")
     options = parser.parse_args(arguments)
     try:
-        absent = [sheet for sheet in options.sheet if not sheet.is_file()]
+        absent = [sheet for sheet in (*options.sheet, *options.prediction) if not sheet.is_file()]
         if absent:
             raise Problem(absent[0], "a picture", "none", "run `python -m factory preview DIR` first")
-        text = page(options.out, options.sheet, options.agreement, options.title)
+        text = page(options.out, options.sheet, options.agreement, options.title, options.prediction)
         options.out.parent.mkdir(parents=True, exist_ok=True)
         unfinished = options.out.with_name(options.out.name + ".part")
         unfinished.write_text(text, encoding="utf-8")

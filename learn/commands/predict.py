@@ -10,7 +10,12 @@ def register(subparsers):
         description="Takes a picture of one object apart, and renders it again. Writes normals, light and re-rendering as EXR "
         "and PNG, the material as JSON, and one sheet of all.",
     )
-    parser.add_argument("image", type=Path, metavar="IMAGE", help="a photograph or an EXR; PNG, JPEG, TIFF, 8 or 16 bit, of any size")
+    parser.add_argument(
+        "image",
+        type=Path,
+        metavar="IMAGE",
+        help="a photograph or an EXR; PNG, JPEG, TIFF, 8 or 16 bit, of any size; or a dataset: a record held out",
+    )
     parser.add_argument("--mask", type=Path, metavar="FILE", help="white where the object is; without it the picture's transparency")
     parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
     parser.add_argument(

@@ -1,0 +1,33 @@
+"""`learn card`: the page that goes with weights, measured on what they never saw."""
+
+from pathlib import Path
+
+
+def register(subparsers):
+    parser = subparsers.add_parser(
+        "card",
+        help="measure weights on shapes, materials and lights they never saw",
+        description="Measures weights on the test side of a dataset and writes card.md, card.json and sheet.jpg: data, splits, figures.",
+    )
+    parser.add_argument("weights", type=Path, metavar="FILE", help="weights.safetensors of a run")
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="the dataset that the run was given")
+    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="the light maps that the run was given")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the page goes")
+    parser.add_argument("--batches", type=int, default=16, metavar="N", help="of 16 pictures (default 16)")
+    parser.add_argument("--note", default="", metavar="TEXT", help="what else a reader must know")
+    parser.set_defaults(run=run)
+
+
+def run(options):
+    import json
+
+    from learn.training import card, checkpoint, sources
+    from learn.training.settings import Run
+    from manifests.reading import decode
+
+    _, metadata = checkpoint.load_network(options.weights)
+    settings = decode(json.dumps(metadata["run"]).encode(), Run, options.weights)
+    pools = sources.pools(settings.data, options.data, options.lights)
+    figures = card.make(options.weights, pools, options.out, options.batches, options.note)
+    print(", ".join(f"{name} {value[0]:.4g}" for name, value in figures.items()))
+    print(f"See {options.out / 'card.md'}")
