@@ -74,6 +74,8 @@ def maps_in(path):
                 with archive.open(member) as file:
                     pixels = np.lib.format.read_array(file, allow_pickle=False)
                 yield Path(member.filename).stem, pixels.astype(np.float32)
+    except Problem:
+        raise
     except (zipfile.BadZipFile, ValueError, EOFError, OSError, NotImplementedError, zlib.error) as error:
         raise Problem(path, broken, str(error)[:100] or "one cut short", "export it again with numpy.savez") from None
 

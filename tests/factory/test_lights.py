@@ -294,7 +294,9 @@ def test_an_unknown_name_is_answered_with_the_closest_ones():
 
 
 def test_noise_of_every_kind_never_ends_in_anything_but_a_problem(tmp_path, drawn, rng):
-    for whole in (write_hdr(tmp_path / "a.hdr", drawn).read_bytes(), write_exr(tmp_path / "a.exr", drawn).read_bytes()):
+    np.savez_compressed(tmp_path / "a.npz", L=drawn)
+    written = (write_hdr(tmp_path / "a.hdr", drawn), write_exr(tmp_path / "a.exr", drawn), tmp_path / "a.npz")
+    for whole in (path.read_bytes() for path in written):
         for trial in range(60):
             damaged = bytearray(whole)
             for place in rng.integers(0, len(whole), 3):
@@ -326,6 +328,34 @@ def test_add_copies_once_lists_the_licence_and_load_finds_it(tmp_path, drawn, ca
     other = write_exr(tmp_path / "my harbour.exr", drawn + 1)
     assert run("add", other, "--library", home) == 1
     assert "another map called 'my-harbour'" in capsys.readouterr().err
+
+
+def test_add_takes_every_map_of_an_npz_but_those_that_are_there_under_another_name(tmp_path, rng, capsys):
+    fresh = np.exp(rng.standard_normal((64, 128, 3))).astype(np.float32)
+    turned = envmap.roll(3 * to_file_columns(load("city").L64), 40)
+    np.savez(tmp_path / "maps.npz", Lagoon=fresh, copy=turned, again=fresh * 2)
+    home = tmp_path / "library"
+    assert run("add", tmp_path / "maps.npz", "--library", home, "--licence", "CC0") == 0
+    told = capsys.readouterr().out
+    assert "copy: city again, left out" in told and "again: lagoon again, left out" in told
+    assert sorted(p.name for p in home.iterdir()) == ["lagoon.npz", "lights.json"]
+    light = load("lagoon", library=home)
+    assert light.licence == "CC0"
+    np.testing.assert_allclose(light.scale * to_file_columns(light.L_full), fresh, rtol=1e-5)
+
+
+def test_an_npz_is_judged_by_its_headers_and_never_unpickled(tmp_path, drawn, monkeypatch):
+    np.savez(tmp_path / "objects.npz", L=np.array([{"a": 1}], dtype=object))
+    np.savez(tmp_path / "two.npz", a=drawn, b=drawn)
+    np.savez(tmp_path / "square.npz", a=drawn[:, :16])
+    for name, words in (("objects", "of object"), ("two", r"several \('a', 'b'"), ("square", r"\(16, 16, 3\)")):
+        with pytest.raises(Problem, match=words):
+            load(tmp_path / f"{name}.npz")
+    np.savez(tmp_path / "large.npz", a=drawn)
+    monkeypatch.setattr(files, "MAX_HEIGHT", 8)
+    monkeypatch.setattr(np.lib.format, "read_array", None)  # must not be reached
+    with pytest.raises(Problem, match="H from 4 to 8"):
+        load(tmp_path / "large.npz")
 
 
 def test_a_damaged_list_is_told_in_one_line(tmp_path):

@@ -118,3 +118,11 @@ def test_unit_mean_has_mean_luminance_one_and_its_scale_gives_the_map_back(rng):
 def test_a_map_without_light_cannot_be_scaled(value):
     with pytest.raises(ValueError, match="positive finite mean luminance expected"):
         envmap.unit_mean(np.full((4, 8, 3), value))
+
+
+def test_a_copy_turned_scaled_and_rounded_is_the_same_capture_and_another_map_is_not(rng):
+    L, other = (np.exp(rng.standard_normal((16, 32, 3))) for _ in range(2))
+    copy = envmap.roll(3 * L.astype(np.float16).astype(float), 5)
+    assert envmap.likeness(L, copy) > 0.9999  # half floats keep three digits
+    assert envmap.same_capture(L, copy) and not envmap.same_capture(L, other)
+    assert not envmap.same_capture(L, L[::-1])  # upside down is another light

@@ -1,0 +1,119 @@
+"""Jobs without pictures: geometry of every shape in every view once, with the same guarantees as pictures have."""
+
+import msgspec
+import pytest
+
+from factory import exr
+from factory.commands.status import counted
+from factory.commands.verify import geometry_faults
+from manifests.schema import Draw, View
+from manifests.splits import light_side
+from manifests.store import Store
+from manifests.verification import faults_in_files, faults_in_records, repair
+
+
+@pytest.fixture
+def views_job(small_job):
+    """Two shapes, two views."""
+    return msgspec.structs.replace(small_job, pictures=False)
+
+
+def faults(folder):
+    store = Store(folder)
+    lines = [*store.records(), *store.views()]
+    return [*faults_in_records(store), *faults_in_files(store, lines, geometry_faults)]
+
+
+def rewrite(store, **changes):
+    """Alter the first view's line."""
+    path = store.record_files("views")[0]
+    first, *rest = path.read_bytes().splitlines(keepends=True)
+    view = msgspec.structs.replace(msgspec.json.decode(first, type=View), **changes)
+    path.write_bytes(msgspec.json.encode(view) + b"\n" + b"".join(rest))
+
+
+def test_every_shape_is_seen_from_every_view_once_and_nothing_is_pictured(render, views_job, tmp_path):
+    assert render(views_job, tmp_path).made == 4
+    views = list(Store(tmp_path).views())
+    assert {(v.shape, v.viewpoint) for v in views} == {(shape, k) for shape in ("cube", "disc") for k in (0, 6)}
+    assert not (tmp_path / "images").exists() and not list(Store(tmp_path).records())
+    for view in views:
+        _, mask, _, segments = exr.read_geometry(tmp_path / view.geometry)
+        assert view.coverage == pytest.approx(mask.mean(), abs=1e-6) and segments.max() <= view.segments
+    assert faults(tmp_path) == []
+
+
+def test_materials_and_lights_come_along_with_their_sides(render, views_job, tmp_path):
+    render(views_job, tmp_path)
+    dataset = Store(tmp_path).dataset()
+    assert len(dataset.materials) == 3
+    assert [entry.side for entry in dataset.lights.values()] == [light_side(entry.hash) for entry in dataset.lights.values()]
+
+
+def test_views_continue_after_a_limit_and_divide_into_shards(render, views_job, tmp_path):
+    assert render(views_job, tmp_path / "a", limit=3).made == 3
+    outcome = render(views_job, tmp_path / "a")
+    assert (outcome.made, outcome.found) == (1, 3)
+    assert [render(views_job, tmp_path / "b", shard=(i, 3)).made for i in (1, 2, 3)] == [1, 1, 2]
+    assert Store(tmp_path / "a").ids("views") == Store(tmp_path / "b").ids("views")
+
+
+def test_a_torn_line_is_passed_over_and_its_view_made_again(render, views_job, tmp_path):
+    render(views_job, tmp_path)
+    path = Store(tmp_path).record_files("views")[0]
+    path.write_bytes(path.read_bytes()[:-20])
+    outcome = render(views_job, tmp_path)
+    assert (outcome.made, outcome.found) == (1, 3)
+    assert faults(tmp_path) == []
+
+
+def test_pictures_of_the_same_views_share_their_geometry_files(render, views_job, small_job, tmp_path):
+    render(views_job, tmp_path)
+    assert render(small_job, tmp_path).made == 12
+    store = Store(tmp_path)
+    assert {r.geometry_hash for r in store.records()} <= {v.geometry_hash for v in store.views()}
+    assert len(list((tmp_path / "geometry").rglob("*.exr"))) == 4
+    assert faults(tmp_path) == []
+    report = counted(tmp_path)
+    assert (report["records"], report["views"], report["planned"]) == (12, 4, 16)
+
+
+def test_drawn_views_are_a_shapes_own_whatever_else_the_job_names(plan_of, views_job):
+    job = msgspec.structs.replace(views_job, views=Draw(random=5))
+    both, alone = plan_of(job), plan_of(msgspec.structs.replace(job, shapes=("disc",), lights=job.lights * 2))
+    assert len(both) == len(list(both)) == 10
+    assert {shot.id for shot in alone} == {shot.id for shot in both if shot.shape == "disc"}
+
+
+def test_a_view_that_does_not_fit_is_found_and_repair_lets_it_be_made_again(render, views_job, tmp_path):
+    render(views_job, tmp_path)
+    store = Store(tmp_path)
+    path, side = store.record_files("views")[0], next(store.views()).side
+    good = path.read_bytes()
+    for changes, message in (
+        ({"side": "train" if side == "test" else "test"}, f"1 segments, side {side} expected, found"),
+        ({"segments": 4}, "1 segments"),
+        ({"shape": "ball"}, "shape 'ball' in dataset.json expected, found none"),
+        ({"geometry": "../away.exr"}, "a path inside the dataset's folder expected"),
+        ({"coverage": 0.9}, "coverage 0.900000 expected"),
+        ({"geometry_hash": "0" * 64}, "the file was altered"),
+    ):
+        path.write_bytes(good)
+        rewrite(store, **changes)
+        found = [*faults_in_records(store)]
+        condemned = {f.record for f in found}
+        found += faults_in_files(store, [v for v in store.views() if v.id not in condemned], geometry_faults)
+        assert any(message in f.text for f in found), (changes, [f.text for f in found])
+    assert repair(store, found) == (1, 0)
+    assert render(views_job, tmp_path).made == 1
+    assert faults(tmp_path) == []
+
+
+def test_a_light_on_the_wrong_side_is_found(render, views_job, tmp_path):
+    render(views_job, tmp_path)
+    store = Store(tmp_path)
+    dataset = store.dataset()
+    (name, entry), *_ = dataset.lights.items()
+    wrong = "train" if entry.side == "test" else "test"
+    store.write_json("dataset.json", msgspec.structs.replace(dataset, lights={name: msgspec.structs.replace(entry, side=wrong)}))
+    assert f"light '{name}' on side {entry.side} expected, found {wrong}" in faults(tmp_path)[0].text
