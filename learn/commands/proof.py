@@ -30,7 +30,7 @@ def run(options):
     data = Data(test_lights=tuple(options.held_out))
     pools = sources.pools(data, options.data, options.lights)
     found = proof.prove(data, pools, options.out, options.size, options.seconds, range(options.seeds))
-    for part in found:
+    for part in proof.VARIANTS:
         for pair, (value, low, high) in found[part]["ratios"].items():
             print(f"{part}: render L2, {pair} = {value:.3f} [{low:.3f}, {high:.3f}]")
     print(f"See {options.out / 'report.json'}")

@@ -17,6 +17,7 @@ import torch
 from tqdm import tqdm
 
 from learn.networks.coding import Ranges
+from learn.timing.report import made_by
 from learn.training import checkpoint, loop, losses, measures
 from learn.training.relit import Relit
 from learn.training.settings import Losses, Run, Schedule
@@ -141,8 +142,30 @@ def report(out, seeds):
             summary[part][v]["steps"] = [r["steps"] for r in runs[v]]
         pairs = [("standalone", v) for v in variants if v != "standalone"] + ([("control", "combined")] if "control" in variants else [])
         summary[part]["ratios"] = {f"{b} / {a}": ratio(runs[a], runs[b], "l2") for a, b in pairs}
-    (out / "report.json").write_text(json.dumps(summary, indent=1))
+    first = runs["standalone"][0]
+    summary["about"] = made_by() | {"seconds": first["seconds"], "pictures": len(first["rows"]), "seeds": len(seeds)}
+    (out / "report.json").write_text(json.dumps(summary, indent=1) + "\n")
+    (out / "report.md").write_text(page(summary), encoding="utf-8")
     return summary
+
+
+def page(summary):
+    """The report as a table for people."""
+    about = summary["about"]
+    lines = ["# Training through the layer against training without it (Section 4.3)", ""]
+    told = f"{about['seconds']:g} s of processor time a run, {about['seeds']} seeds, {about['pictures']} pictures"
+    lines += [told + " of shapes, materials and lights never seen.", ""]
+    lines += ["| part | variant | render L2 | others | steps |", "|---|---|---|---|---|"]
+    for part, variants in VARIANTS.items():
+        for variant in variants:
+            row = summary[part][variant]
+            others = ", ".join(f"{key} {value:.4g}" for key, value in row.items() if key not in ("l2", "steps"))
+            lines.append(f"| {part} | {variant} | {row['l2']:.0f} | {others} | {', '.join(map(str, row['steps']))} |")
+    lines += ["", "Ratios of render L2, 95 % interval over shapes, materials and seeds:", ""]
+    for part in VARIANTS:
+        lines += [f"- {part}: {pair} = {x:.2f} [{low:.2f}, {high:.2f}]" for pair, (x, low, high) in summary[part]["ratios"].items()]
+    lines += ["", " · ".join(f"{key}: {value}" for key, value in about.items())]
+    return "\n".join(lines) + "\n"
 
 
 def ratio(a, b, key):
