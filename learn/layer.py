@@ -35,7 +35,10 @@ def render(n, material, light, view=None, segments=None, mask=None, method="auto
     batch, index = compact(inputs)
     chosen = methods.load(method)  # a misspelt name is refused even where nothing is to be rendered
     if batch.counts:
-        radiance = chosen.radiance(batch, tolerance)
+        work = chosen.radiance
+        if torch.compiler.is_compiling() and method != "exact":  # planned in numpy, which torch.compile must not take apart
+            work = torch.compiler.disable(work)
+        radiance = work(batch, tolerance)
     else:  # nothing to render, yet every argument keeps its place in the graph and gets a zero gradient
         radiance = batch.n + 0 * (batch.m.sum() + batch.light.sum() + (0 if view is None else batch.view.sum()))
     picture = radiance.new_zeros(inputs.mask.numel(), 3).index_copy(0, index, radiance)

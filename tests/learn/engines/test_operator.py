@@ -87,6 +87,14 @@ def test_opcheck(rng, perspective):
 
 
 @CAMERAS
+def test_opcheck_of_the_backward_operator(rng, perspective):
+    scene = make_scene(rng, random_material(rng), pixels=20, size=(4, 8), perspective=perspective)
+    tensors = [None if a is None else torch.as_tensor(a) for a in scene.arguments()[:4]]
+    arguments = torch.ones_like(tensors[0]), *tensors, ROTATION.flatten().tolist(), [len(scene.n)], [0], perspective
+    assert set(torch.library.opcheck(torch.ops.brdfactory.exact_sum_backward.default, arguments).values()) == {"SUCCESS"}
+
+
+@CAMERAS
 def test_a_batch_equals_its_images_one_by_one_to_the_last_bit(rng, perspective):
     arguments = picture(rng, images=3, perspective=perspective)
     seen, by = with_gradients(arguments)

@@ -1,0 +1,31 @@
+"""Methods inside a model that torch.compile takes apart: the same picture and the same derivatives."""
+
+import pytest
+import torch
+from card_scenes import MATERIALS, light, material, sphere
+
+from learn.layer import RenderLayer
+
+
+class Model(torch.nn.Module):
+    def __init__(self, method):
+        super().__init__()
+        self.gain = torch.nn.Parameter(torch.tensor(1.5))
+        self.layer = RenderLayer(method=method, tolerance=1e-1)
+
+    def forward(self, n, m, L):
+        return torch.tanh(self.layer(n, self.gain * m, L)).mean()
+
+
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # torch's own, while it traces
+@pytest.mark.parametrize("name", ["auto", "culled", "quadrature", "monte_carlo_brdf"])  # planned, listed, by taps, sampled
+def test_a_compiled_model_gives_what_the_plain_one_gives(name):
+    given, model = (sphere(8), material(*MATERIALS["satin"]), light("sky")), Model(name)
+    plain = model(*given)
+    plain.backward()
+    slope, model.gain.grad = model.gain.grad.clone(), None
+    torch.compiler.reset()
+    compiled = torch.compile(model, backend="aot_eager")(*given)
+    compiled.backward()
+    torch.testing.assert_close(compiled, plain, rtol=1e-5, atol=0)
+    torch.testing.assert_close(model.gain.grad, slope, rtol=1e-5, atol=0)
