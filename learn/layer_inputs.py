@@ -85,7 +85,8 @@ def checked(n, material, light, view, segments, mask, tolerance, elevation):
             refuse(argument, "a positive number" if argument == "tolerance" else "radians in [-π/2, π/2]", value)
     mask = (n.detach() != 0).any(-1) if mask is None else mask
     mask = mask if segments is None else mask & (segments > 0)
-    check_values(n.detach()[mask], material.detach(), light.detach(), None if view is None else view.detach()[mask])
+    check_lengths(n.detach(), None if view is None else view.detach(), mask)
+    check_values(material.detach(), light.detach())
     dtype = torch.promote_types(n.dtype, torch.float32)
     m = material.reshape(images, -1, SIZE).to(dtype)
     return Inputs(n.to(dtype), m, light.to(dtype), None if view is None else view.to(dtype), segments, mask, elevation)
@@ -101,14 +102,18 @@ def check_segments(segments, picture, materials):
             refuse("segments", f"ids 0 (background) … {materials} (the materials given)", f"{low} … {high}")
 
 
-def check_values(n, material, light, view):
-    """n, view: (P, 3) inside the mask."""
+def check_lengths(n, view, mask):
+    """n, view: (B, H, W, 3), or view None; what lies outside the mask may be anything."""
     for argument, vectors in (("n", n), ("view", view)):
         if vectors is not None:
             length = vectors.float().norm(dim=-1)
-            require_values(
-                argument, length, f"unit vectors inside the mask (length 1 ± {LENGTH_TOLERANCE})", (length - 1).abs() <= LENGTH_TOLERANCE
-            )
+            right = (length - 1).abs() <= LENGTH_TOLERANCE
+            if not bool((right | ~mask).all()):
+                rule = f"unit vectors inside the mask (length 1 ± {LENGTH_TOLERANCE})"
+                require_values(argument, length[mask], rule, right[mask])
+
+
+def check_values(material, light):
     require_values("light", light, "finite radiance ≥ 0", (light >= 0) & light.isfinite())
     kappa, gamma = material.reshape(*material.shape[:-1], *SHAPE).unbind(-2)
     require_values("material", kappa, "finite κ ≥ 0 (control values, not logarithms)", (kappa >= 0) & kappa.isfinite())
@@ -121,20 +126,29 @@ def compact(inputs):
     Returns  a learn.methods.Batch of P pixels; index (P,) of each among the B·H·W pixels
     """
     index = inputs.mask.reshape(-1).nonzero().squeeze(-1)
-    n, view = (None if x is None else torch.nn.functional.normalize(x.reshape(-1, 3)[index], dim=-1) for x in (inputs.n, inputs.view))
-    facing = (n[:, 2] if view is None else (n * view).sum(-1)) > HORIZON
+
+    def unit(x):
+        return None if x is None else torch.nn.functional.normalize(x.reshape(-1, 3).index_select(0, index), dim=-1)
+
+    with torch.no_grad():  # who faces the viewer is found first, so that the graph holds one selection only
+        n, view = unit(inputs.n), unit(inputs.view)
+        index = index[(n[:, 2] if view is None else (n * view).sum(-1)) > HORIZON]
     pixels = inputs.mask[0].numel()
     segments = inputs.m.shape[1]
-    group = index // pixels * segments
-    if inputs.segments is not None:
-        group = group + inputs.segments.reshape(-1)[index] - 1
-    order = facing.nonzero().squeeze(-1)
-    if segments > 1:
-        order = order[torch.argsort(group[order], stable=True)]
-    present, counts = torch.unique_consecutive(group[order], return_counts=True)
+    if inputs.segments is None:  # by image, as they lie
+        ends = torch.arange(len(inputs.mask) + 1, device=index.device) * pixels
+        counts = torch.searchsorted(index, ends).diff()
+        present = counts.nonzero().squeeze(-1)
+        counts = counts[present]
+    else:
+        group = index // pixels * segments + inputs.segments.reshape(-1)[index] - 1
+        if segments > 1:
+            order = torch.argsort(group, stable=True)
+            index, group = index[order], group[order]
+        present, counts = torch.unique_consecutive(group, return_counts=True)
     batch = Batch(
-        n=n[order],
-        view=None if view is None else view[order],
+        n=unit(inputs.n),
+        view=unit(inputs.view),
         m=inputs.m.reshape(-1, *SHAPE)[present],
         light=inputs.light,
         counts=tuple(counts.tolist()),
@@ -142,4 +156,4 @@ def compact(inputs):
         camera_from_light=torch.as_tensor(camera_from_light(inputs.elevation)),
         one_material=segments == 1 and inputs.m.stride(0) == 0,
     )
-    return batch, index[order]
+    return batch, index

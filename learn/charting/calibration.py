@@ -66,8 +66,9 @@ def seconds():
     share = np.clip((np.array(took[1:]) - call) / (pair * len(E) * len(n)), 1e-3, 0.49)
     cone = np.arccos(1 - 2 * share)  # the cone's half angle by sharpness: cone / √g + block
     slope, block = np.polyfit(1 / np.sqrt(SUMMED[1:]), cone, 1)
-    table = torch.rand(64, 64, 3).requires_grad_()
-    look_up = timed(lambda a: reflectance_map.look_up(reflectance_map.places(a, 64), table), n) / len(n)
+    nodes = reflectance_map.needed_nodes(n, 64)
+    values = torch.rand(len(nodes), 3).requires_grad_()
+    look_up = timed(lambda a: reflectance_map.look_up(a, values, nodes, 64), n) / len(n)
     found = {"pair": pair, "look_up": look_up, "pixel": 2e-7, "call": call, "cone": slope / 1.2, "block": max(block, 0.05)}
     return {name: float(f"{value:.3g}") for name, value in found.items()}
 

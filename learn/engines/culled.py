@@ -3,6 +3,7 @@
 Letters, arrays and formulas as in learn.engines.distant; pixels are sorted so that a tile's normals are close together. Besides:
 cones     (wide blocks, CONE_ROWS, 16), one lane a block of lights: the cones that hold its w and its h (axis, cos and sin of the half
           angle), its energy in the brightest channel, and of each lobe the least γ and the largest κ log2 e
+many      lobes that are summed, 1 to 3: lobes (blocks, many, 3, 2, 16) holds no others; the cones' rows and the cuts know the first `many`
 size      pixels of a tile, TILE at most
 tiles     (T, 5): axis, cos and sin of the half angle of the cone that holds a tile's normals
 budget    (1,) radiance that may be left out of any pixel
@@ -38,7 +39,7 @@ from learn.engines.vector import (
 )
 
 TILE = 64  # pixels of one list at most
-CHUNKS = 4  # of tiles, in the backward pass: the most threads it can use
+CHUNKS = 4  # of tiles at most, in the backward pass: the most threads it can use
 CONE_ROWS = 17
 LARGEST = 72.13475  # MAX_EXPONENT log2 e
 FLOOR = -64.0  # log2 of c^γ: products with smaller powers would be denormal, and slow
@@ -46,9 +47,9 @@ NEVER, ALWAYS = 1.0, -1e30  # as a cut: above and below any log2 c
 SLACK = 2e-6  # on cosines, for rounding
 INT_POINTER = types.CPointer(types.int32)
 
-SELECT = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 5, *[INT_POINTER] * 2)
-FORWARD = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 7, *[INT_POINTER] * 2)
-BACKWARD = types.void(*[types.int64] * 7, *[FLOAT_POINTER] * 10, *[INT_POINTER] * 2)
+SELECT = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 5, *[INT_POINTER] * 2)
+FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 7, *[INT_POINTER] * 2)
+BACKWARD = types.void(*[types.int64] * 9, *[FLOAT_POINTER] * 10, *[INT_POINTER] * 2)
 
 
 @njit(forceinline=True)
@@ -79,7 +80,7 @@ def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
     return f + value, fma(x * exponent, gamma, slope)
 
 
-def select(first, last, wide_blocks, room, budget, tiles, cones, scratch, cuts, lengths, entries):
+def select(first, last, wide_blocks, room, many, budget, tiles, cones, scratch, cuts, lengths, entries):
     """The list of each tile first … last − 1; scratch holds 6 · wide_blocks · 16 floats."""
     for tile in range(first, last):
         t = 5 * tile
@@ -96,7 +97,7 @@ def select(first, last, wide_blocks, room, budget, tiles, cones, scratch, cuts, 
             c = maximum(nearest_cosine(axis, load(cones, o + 128), load(cones, o + 144), cos_n, sin_n), 1e-12)
             log_c = log2(c, 1.0 - c)
             weight = maximum(n_w, 0.0) * load(cones, o + 160)
-            for s in range(3):
+            for s in range(many):
                 exponent = load(cones, o + 224 + 16 * s) * exp2(maximum(load(cones, o + 176 + 16 * s) * log_c, FLOOR))
                 store(scratch, 16 * (6 * wide_block + s), weight * exp2m1(minimum(exponent, LARGEST)))
                 store(scratch, 16 * (6 * wide_block + 3 + s), weight)
@@ -104,7 +105,7 @@ def select(first, last, wide_blocks, room, budget, tiles, cones, scratch, cuts, 
         for _ in range(12):
             skipped = splat(0.0)
             for wide_block in range(wide_blocks):
-                for s in range(3):
+                for s in range(many):
                     skipped = skipped + minimum(load(scratch, 16 * (6 * wide_block + s)), threshold)
             if lane_sum(skipped) <= budget[0]:
                 break
@@ -112,10 +113,12 @@ def select(first, last, wide_blocks, room, budget, tiles, cones, scratch, cuts, 
         count = 0
         for wide_block in range(wide_blocks):
             o, b = 16 * CONE_ROWS * wide_block, 96 * wide_block
-            highest = maximum(load(scratch, b), maximum(load(scratch, b + 16), load(scratch, b + 32)))
+            highest = load(scratch, b)
+            for s in range(1, many):
+                highest = maximum(highest, load(scratch, b + 16 * s))
             if not anywhere(highest > threshold):
                 continue
-            for s in range(3):  # the log2 c at which weight · (2^(κ c^γ) − 1) meets the threshold
+            for s in range(many):  # the log2 c at which weight · (2^(κ c^γ) − 1) meets the threshold
                 share = threshold / maximum(load(scratch, 16 * (6 * wide_block + 3 + s)), 1e-30)
                 inverse = 1.0 / (1.0 + share)  # log2 takes numbers up to 1
                 bits = 0.0 - log2(maximum(inverse, 1e-30), share * inverse)
@@ -126,17 +129,18 @@ def select(first, last, wide_blocks, room, budget, tiles, cones, scratch, cuts, 
                 store(scratch, 16 * (6 * wide_block + 3 + s), choose(wanted, cut, NEVER))
             for lane in range(16):
                 block, q = 16 * wide_block + lane, 96 * wide_block + 48 + lane
-                if block < room and (scratch[q] < NEVER or scratch[q + 16] < NEVER or scratch[q + 32] < NEVER):
-                    entry = room * tile + count
+                entry, listed = room * tile + count, False
+                for s in range(many):
+                    listed = listed or scratch[q + 16 * s] < NEVER
+                if block < room and listed:
                     entries[entry] = block
-                    cuts[3 * entry] = scratch[q]
-                    cuts[3 * entry + 1] = scratch[q + 16]
-                    cuts[3 * entry + 2] = scratch[q + 32]
+                    for s in range(many):
+                        cuts[3 * entry + s] = scratch[q + 16 * s]
                     count += 1
         lengths[tile] = count
 
 
-def forward(first, last, pixels, size, room, n, geometry, energy, lobes, scratch, radiance, cuts, lengths, entries):
+def forward(first, last, pixels, size, room, many, n, geometry, energy, lobes, scratch, radiance, cuts, lengths, entries):
     """Radiance (P, 3) of pixel tiles first … last − 1; scratch holds (TILE, 3, 16)."""
     for tile in range(first, last):
         start = tile * size
@@ -156,10 +160,10 @@ def forward(first, last, pixels, size, room, n, geometry, energy, lobes, scratch
                 log_c = peak_cosine(x, y, z)[1]
                 nearest, seen = lane_max(log_c), False
                 f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
-                for s in range(3):
+                for s in range(many):
                     if nearest > cuts[3 * i + s]:
                         seen = True
-                        o = 288 * block + 96 * s
+                        o = 96 * (many * block + s)
                         f0 = f0 + lobe(lobes, o, log_c)
                         f1 = f1 + lobe(lobes, o + 32, log_c)
                         f2 = f2 + lobe(lobes, o + 64, log_c)
@@ -182,6 +186,8 @@ def backward(
     tiles,
     blocks,
     room,
+    many,
+    chunks,
     n,
     geometry,
     energy,
@@ -197,18 +203,18 @@ def backward(
 ):
     """Derivatives of Σ g·I from the pixels of tile chunks first … last − 1; what the forward pass knew is computed again.
 
-    scratch      (CHUNKS, TILE, 3, 16)
+    scratch      (chunks, TILE, 3, 16)
     by_n         (P, 3) out, tangential up to a radial part
-    energy_sums  (CHUNKS, blocks, 3, 16) out: Σ_p g F max(0, n·w)
-    lobe_sums    (CHUNKS, blocks, 3, 3, 2, 16) out: Σ_p g max(0, n·w) x c^γ, and the same times log2 c
+    energy_sums  (chunks, blocks, 3, 16) out: Σ_p g F max(0, n·w)
+    lobe_sums    (chunks, blocks, many, 3, 2, 16) out: Σ_p g max(0, n·w) x c^γ, and the same times log2 c
     """
     for chunk in range(first, last):
-        base_e, base_l, sums = 48 * blocks * chunk, 288 * blocks * chunk, 48 * TILE * chunk
+        base_e, base_l, sums = 48 * blocks * chunk, 96 * many * blocks * chunk, 48 * TILE * chunk
         for i in range(3 * blocks):
             store(energy_sums, base_e + 16 * i, splat(0.0))
-        for i in range(18 * blocks):
+        for i in range(6 * many * blocks):
             store(lobe_sums, base_l + 16 * i, splat(0.0))
-        for tile in range(chunk * tiles // CHUNKS, (chunk + 1) * tiles // CHUNKS):
+        for tile in range(chunk * tiles // chunks, (chunk + 1) * tiles // chunks):
             start = tile * size
             count = min(size, pixels - start)
             for i in range(3 * count):
@@ -231,10 +237,10 @@ def backward(
                     w0, w1, w2 = n_w * g0, n_w * g1, n_w * g2
                     f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
                     d0, d1, d2 = splat(0.0), splat(0.0), splat(0.0)
-                    for s in range(3):
+                    for s in range(many):
                         if nearest > cuts[3 * i + s]:
                             seen = True
-                            t = 288 * block + 96 * s
+                            t = 96 * (many * block + s)
                             q = base_l + t
                             f0, d0 = lobe_backward(lobes, t, log_c, w0, lobe_sums, q, f0, d0)
                             f1, d1 = lobe_backward(lobes, t + 32, log_c, w1, lobe_sums, q + 32, f1, d1)

@@ -1,20 +1,36 @@
-"""Kernels for a look-up in a square table by bicubic Catmull–Rom weights, and its derivatives. Plain loops in float64 over float32 arrays.
+"""Kernels for a look-up in a map over normals by bicubic Catmull–Rom weights, and its derivatives.
 
-table  (size, size, 3) values at the nodes
-at     (P, 2) place of each pixel in the table, (row, column) in nodes, within [1, size − 2)
+n      (P, 3) unit normals; p = (n_x, n_y) / √(1 + n_z), the equal-area disk (learn/methods/reflectance_map.py)
+size   nodes along a side; the place of a normal in nodes is (row, column) = ((p_y, p_x) + 1) (size − 5) / 2 + 2
+table  (size, size, 4) values at the nodes, the fourth unused: four neighbours in a row are sixteen floats, one load
 out    (P, 3)
 
-    out = Σ_ij a_i(row) a_j(column) table[r + i − 1, c + j − 1],   i, j = 0 … 3,   r, c the whole parts of row and column
+    out = Σ_ij a_i(row) b_j(column) table[r + i − 1, c + j − 1],   i, j = 0 … 3,   r, c the whole parts of row and column
+
+Places and weights are found in float64, sums made in float32.
 """
+
+import math
 
 from numba import njit, types
 
-from learn.engines.vector import FLOAT_POINTER
+from learn.engines.vector import FLOAT_POINTER, by_four, fma, in_turn, lane_sum, load, splat, store, turn_sums
 
 CHUNKS = 4  # of pixels, in the backward pass: the most threads it can use
 
+TOUCH = types.void(*[types.int64] * 3, *[FLOAT_POINTER] * 2)
 FORWARD = types.void(*[types.int64] * 3, *[FLOAT_POINTER] * 3)
 BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 5)
+
+
+@njit(forceinline=True)
+def place(x, y, z, size):
+    """Row and column of the node before a normal's place, what is left of the place, and 1 / √(1 + n_z)."""
+    shrink = 1.0 / math.sqrt(1.0 + z)
+    half = 0.5 * (size - 5)
+    v, u = (y * shrink + 1.0) * half + 2.0, (x * shrink + 1.0) * half + 2.0
+    row, column = min(max(int(v), 1), size - 3), min(max(int(u), 1), size - 3)
+    return row, column, v - row, u - column, shrink
 
 
 @njit(forceinline=True)
@@ -42,52 +58,51 @@ def weight_slopes(t):
     )
 
 
-def forward(first, last, size, at, table, out):
+def touch(first, last, size, n, touched):
+    """Sets touched (size, size) to 1 at the node before each of the pixels first … last − 1."""
+    for p in range(first, last):
+        x, y, z = types.float64(n[3 * p]), types.float64(n[3 * p + 1]), types.float64(n[3 * p + 2])
+        row, column, _, _, _ = place(x, y, z, size)
+        touched[row * size + column] = 1.0
+
+
+def forward(first, last, size, n, table, out):
     """Values of pixels first … last − 1."""
     for p in range(first, last):
-        y, x = types.float64(at[2 * p]), types.float64(at[2 * p + 1])
-        row, column = int(y), int(x)
-        a, b = weights(y - row), weights(x - column)
-        o0, o1, o2 = 0.0, 0.0, 0.0
+        x, y, z = types.float64(n[3 * p]), types.float64(n[3 * p + 1]), types.float64(n[3 * p + 2])
+        row, column, v, u, _ = place(x, y, z, size)
+        a, b = weights(v), weights(u)
+        o = 4 * ((row - 1) * size + column - 1)
+        rows = splat(0.0)
         for i in range(4):
-            o = 3 * ((row + i - 1) * size + column - 1)
-            r0, r1, r2 = 0.0, 0.0, 0.0
-            for j in range(4):
-                r0 += b[j] * table[o + 3 * j]
-                r1 += b[j] * table[o + 3 * j + 1]
-                r2 += b[j] * table[o + 3 * j + 2]
-            o0 += a[i] * r0
-            o1 += a[i] * r1
-            o2 += a[i] * r2
-        out[3 * p] = o0
-        out[3 * p + 1] = o1
-        out[3 * p + 2] = o2
+            rows = fma(a[i], load(table, o + 4 * size * i), rows)
+        sums = turn_sums(rows * by_four(b[0], b[1], b[2], b[3]))
+        out[3 * p] = sums[0]
+        out[3 * p + 1] = sums[1]
+        out[3 * p + 2] = sums[2]
 
 
-def backward(first, last, pixels, size, at, table, g, by_at, by_table):
-    """Derivatives of Σ g·out from pixel chunks first … last − 1: by_at (P, 2), by_table (CHUNKS, size, size, 3)."""
+def backward(first, last, pixels, size, n, table, g, by_n, by_table):
+    """Derivatives of Σ g·out from pixel chunks first … last − 1: by_n (P, 3), added to by_table (CHUNKS, size, size, 4)."""
     for chunk in range(first, last):
-        base = chunk * 3 * size * size
-        for i in range(3 * size * size):
-            by_table[base + i] = 0.0
+        base = chunk * 4 * size * size
         for p in range(chunk * pixels // CHUNKS, (chunk + 1) * pixels // CHUNKS):
-            y, x = types.float64(at[2 * p]), types.float64(at[2 * p + 1])
-            row, column = int(y), int(x)
-            y -= row
-            x -= column
-            a, b, da, db = weights(y), weights(x), weight_slopes(y), weight_slopes(x)
-            g0, g1, g2 = g[3 * p], g[3 * p + 1], g[3 * p + 2]
-            by_y, by_x = 0.0, 0.0
+            x, y, z = types.float64(n[3 * p]), types.float64(n[3 * p + 1]), types.float64(n[3 * p + 2])
+            row, column, v, u, shrink = place(x, y, z, size)
+            a, b, da, db = weights(v), weights(u), weight_slopes(v), weight_slopes(u)
+            weighted = in_turn(g[3 * p], g[3 * p + 1], g[3 * p + 2], 0.0)
+            by_column = weighted * by_four(db[0], db[1], db[2], db[3])
+            weighted = weighted * by_four(b[0], b[1], b[2], b[3])
+            o = 4 * ((row - 1) * size + column - 1)
+            rows, slopes = splat(0.0), splat(0.0)
             for i in range(4):
-                o = 3 * ((row + i - 1) * size + column - 1)
-                for j in range(4):
-                    q = o + 3 * j
-                    value = g0 * table[q] + g1 * table[q + 1] + g2 * table[q + 2]
-                    by_y += da[i] * b[j] * value
-                    by_x += a[i] * db[j] * value
-                    w = a[i] * b[j]
-                    by_table[base + q] += w * g0
-                    by_table[base + q + 1] += w * g1
-                    by_table[base + q + 2] += w * g2
-            by_at[2 * p] = by_y
-            by_at[2 * p + 1] = by_x
+                q = o + 4 * size * i
+                nodes = load(table, q)
+                rows = fma(a[i], nodes, rows)
+                slopes = fma(da[i], nodes, slopes)
+                store(by_table, base + q, fma(a[i], weighted, load(by_table, base + q)))
+            scale = 0.5 * (size - 5) * shrink
+            by_x, by_y = scale * lane_sum(rows * by_column), scale * lane_sum(slopes * weighted)
+            by_n[3 * p] = by_x
+            by_n[3 * p + 1] = by_y
+            by_n[3 * p + 2] = -0.5 * shrink * shrink * (x * by_x + y * by_y)

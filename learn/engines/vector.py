@@ -215,3 +215,46 @@ def store(typing, pointer, index, value):
         return context.get_dummy_value()
 
     return types.void(pointer, index, value), generate
+
+
+def _lanes(builder, values, order):
+    """A Wide whose lane i holds values[order[i]]."""
+    undefined = ir.Constant(FLOATS, ir.Undefined)
+    packed = undefined
+    for i, value in enumerate(values):
+        packed = builder.insert_element(packed, value, ir.Constant(INT, i))
+    return builder.shuffle_vector(packed, undefined, ir.Constant(INTS, order))
+
+
+def _four(order):
+    """A numba function of four numbers, which the lanes hold in the order given."""
+
+    @intrinsic
+    def function(typing, a, b, c, d):
+        def generate(context, builder, signature, arguments):
+            numbers = [context.cast(builder, v, t, types.float32) for v, t in zip(arguments, signature.args, strict=True)]
+            return _lanes(builder, numbers, order)
+
+        return wide(a, b, c, d), generate
+
+    return function
+
+
+by_four = _four([i // 4 for i in range(LANES)])  # a a a a b b b b …
+in_turn = _four([i % 4 for i in range(LANES)])  # a b c d a b c d …
+
+
+@intrinsic
+def turn_sums(typing, x):
+    """Sums (4,) of lanes 0, 4, 8, 12, of lanes 1, 5, 9, 13, and so on, in a fixed order."""
+
+    def generate(context, builder, signature, arguments):
+        x = arguments[0]
+        for half in (8, 4):
+            undefined, lanes = ir.Constant(x.type, ir.Undefined), ir.VectorType(INT, half)
+            low = builder.shuffle_vector(x, undefined, ir.Constant(lanes, list(range(half))))
+            high = builder.shuffle_vector(x, undefined, ir.Constant(lanes, list(range(half, 2 * half))))
+            x = builder.fadd(low, high)
+        return context.make_tuple(builder, signature.return_type, [builder.extract_element(x, ir.Constant(INT, i)) for i in range(4)])
+
+    return types.UniTuple(types.float32, 4)(x), generate

@@ -3,7 +3,7 @@
 Distant viewer: f is a sum over lobes, and each lobe goes its own way, the one of less predicted time: through a reflectance map, the
 smallest whose predicted error is within MAP_SHARE × tolerance, or through the culled sum at the pixels. The whole is then compared with
 the exact sum on SAMPLE pixels, the same every time; if the mean error there exceeds CHECK × tolerance, the part that errs most is done
-again: culling with less to leave out, down to what its bound guarantees, a larger map, or the sum at the pixels where a map no longer pays.
+again: with a larger map, or the sum at the pixels where a map no longer pays, and culling held to what its bound guarantees.
 
 Where the light's own derivative is not wanted, the lights are first cut to as few as the sample allows (learn/methods/median_cut.py).
 View per pixel: the light is cut in the same way, for all lobes or for the broad ones (learn/methods/hybrid.py); if the light's
@@ -77,41 +77,64 @@ def distant(n, m, E, lights, few, tolerance):
     if not present.any():
         return n * 0 + 0 * (m.sum() + E.sum())
     pick = directional.sample(len(n), SAMPLE, n.device)
-    one_lobe = [np.arange(3) == s for s in range(3)]
     with torch.no_grad():
-        truth = torch.stack([directional.radiance(n[pick], None, lobe_shapes.only(m, lobe), E, lights) for lobe in one_lobe])
-        level = truth.sum(0).mean().item()
+        truth = directional.radiance(n[pick], None, m, E, lights)
+        level = truth.mean().item()
         for cut in few:
             fewer, energy = cut()
-            error = directional.radiance(n[pick], None, m, energy, fewer) - truth.sum(0)
+            error = directional.radiance(n[pick], None, m, energy, fewer) - truth
             if good(error.abs(), level, CUT_SHARE * tolerance):
                 lights, E = fewer, energy
                 break
     sizes = best_plan(m, len(n), len(E), tolerance)
-    groups = [sizes == size for size in sorted(set(sizes[sizes >= 0]))]
-    truths = [truth[lobes].sum(0) for lobes in groups]
-    size_of = [int(sizes[lobes].max()) for lobes in groups]
-    cull_of = [CULL_NODES if size else CULL_PIXELS for size in size_of]
-    parts = [None] * len(groups)
-    while True:
-        for i, lobes in enumerate(groups):
-            if parts[i] is None:
-                parts[i] = some_lobes(n, lobe_shapes.only(m, lobes), E, lights, size_of[i], cull_of[i] * tolerance * level)
-        errors = [part.detach()[pick] - truth for part, truth in zip(parts, truths, strict=True)]
-        open_to_change = [i for i in range(len(groups)) if size_of[i] or cull_of[i] > GUARANTEED]
-        if good(sum(errors).abs(), level, tolerance) or not open_to_change:
-            return sum(parts)
-        worst = max(open_to_change, key=lambda i: errors[i].abs().mean().item())
-        if cull_of[worst] == GUARANTEED:
-            size_of[worst] = grown(size_of[worst], len(n))
-        cull_of[worst], parts[worst] = GUARANTEED, None
+    sums = [
+        Sum(n, m, E, lights, tuple(np.flatnonzero(sizes == size).tolist()), int(size), tolerance * level)
+        for size in sorted(set(sizes[sizes >= 0]))
+    ]
+    while not good((sum(part.sampled(pick) for part in sums) - truth).abs(), level, tolerance):
+        open_to_change = [part for part in sums if part.size or part.culled > GUARANTEED]
+        if not open_to_change:
+            break
+        max(open_to_change, key=lambda part: part.error(pick)).improve()
+    return sum(part.radiance() for part in sums)
 
 
-def some_lobes(n, m, E, lights, size, left_out):
-    """Radiance (P, 3) by a map of the size, or where it is 0 at the pixels."""
-    if size == 0:
-        return directional.radiance(n, None, m, E, lights, left_out)
-    return reflectance_map.with_nodes(n, int(size), lambda nodes: directional.radiance(nodes, None, m, E, lights, left_out))
+class Sum:
+    """Radiance of some lobes, by a map of a size or, where it is 0, at the pixels: tried on a few of them, then on all.
+
+    A map's nodes are computed once for both; so is the sum at the pixels.
+    """
+
+    def __init__(self, n, m, E, lights, lobes, size, budget):
+        self.n, self.m, self.E, self.lights, self.lobes, self.budget = n, m, E, lights, lobes, budget
+        self.plan(size, CULL_NODES if size else CULL_PIXELS)
+
+    def plan(self, size, culled):
+        self.size, self.culled = size, culled
+        self.nodes = reflectance_map.needed_nodes(self.n.detach(), size) if size else None
+        at = reflectance_map.normals(self.nodes, size).to(self.n) if size else self.n
+        self.values = self.exact(at, culled * self.budget)
+
+    def exact(self, n, left_out=0.0):
+        return directional.radiance(n, None, self.m, self.E, self.lights, left_out, self.lobes)
+
+    def radiance(self):
+        """(P, 3), differentiable."""
+        return reflectance_map.look_up(self.n, self.values, self.nodes, self.size) if self.size else self.values
+
+    @torch.no_grad()
+    def sampled(self, pick):
+        """The same at pixels pick (S,)."""
+        return reflectance_map.look_up(self.n[pick], self.values, self.nodes, self.size) if self.size else self.values[pick]
+
+    @torch.no_grad()
+    def error(self, pick):
+        """Mean absolute error at pixels pick (S,)."""
+        return (self.sampled(pick) - self.exact(self.n[pick])).abs().mean().item()
+
+    def improve(self):
+        """A larger map where there is one, and no more left out than is guaranteed to matter little."""
+        self.plan(grown(self.size, len(self.n)) if self.size else 0, GUARANTEED)
 
 
 def grown(size, pixels):

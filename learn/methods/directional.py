@@ -20,12 +20,15 @@ from torch.autograd.function import once_differentiable
 
 from learn.engines import cpu, culled, machine_code, threads
 from learn.engines.lights import LANES, LN2, LOG2_E, Slab, blocked, cutoff, general_tables, lobe_first, unblocked
+from learn.methods import lobe_shapes
 from learn.methods.exact import ExactSum
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
 from shaders.envmap import directions
 from shaders.spline import basis
 
+FEW = 512  # pixels from which the backward pass is worth a second thread
 PASS = 65536  # pixels whose lists are held at a time
+ALL_LOBES = (0, 1, 2)
 LARGEST_CONTROL = torch.tensor([MAX_EXPONENT, math.inf])[:, None]  # of κ and of γ
 VIEWER = np.array([0.0, 0.0, 1.0])
 SLACK = 1e-5  # radians by which cones are widened against rounding
@@ -88,11 +91,14 @@ def of_map(light, camera_from_light):
     return lights, (light * solid_angle[..., None]).reshape(-1, 3)[order.to(light.device)]
 
 
-def radiance(n, view, m, E, lights, left_out=0.0):
-    """(P, 3) of one material m (3, 3, 2, 6) under lights E; differentiable in n, view, m and E."""
-    if n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available():
-        if view is None:
-            return ListedSum.apply(n, m, E, lights, float(left_out))
+def radiance(n, view, m, E, lights, left_out=0.0, lobes=ALL_LOBES):
+    """(P, 3) of some lobes of one material m (3, 3, 2, 6) under lights E; differentiable in n, view, m and E."""
+    has_kernels = n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available()
+    if has_kernels and view is None:
+        return ListedSum.apply(n, m, E, lights, float(left_out), lobes)
+    if lobes != ALL_LOBES:
+        m = lobe_shapes.only(m, np.isin(ALL_LOBES, lobes))
+    if has_kernels:
         return ViewedSum.apply(n, view.expand_as(n), torch.minimum(m, LARGEST_CONTROL), E, lights)
     return ExactSum.apply(n, view, m, E, torch.as_tensor(lights.w, dtype=n.dtype, device=n.device))
 
@@ -116,13 +122,13 @@ def sample(count, pixels, device=None):
 
 
 class ListedSum(torch.autograd.Function):
-    """n (P, 3), m (3, 3, 2, 6), E (T, 3), Lights, left_out → radiance (P, 3) by learn.engines.culled."""
+    """n (P, 3), m (3, 3, 2, 6), E (T, 3), Lights, left_out, numbers of lobes → radiance (P, 3) by learn.engines.culled."""
 
     @staticmethod
-    def forward(ctx, n, m, E, lights, left_out):
+    def forward(ctx, n, m, E, lights, left_out, lobes):
         order = by_place(n.numpy())
         sorted_n = np.ascontiguousarray(n.numpy()[order])
-        tables = Tables(m.double().numpy(), E.numpy(), lights, ctx.needs_input_grad[2])
+        tables = Tables(m.double().numpy(), E.numpy(), lights, ctx.needs_input_grad[2], lobes)
         out, lists = np.empty_like(sorted_n), []
         for start in range(0, len(order), PASS):
             part = sorted_n[start : start + PASS]
@@ -146,7 +152,7 @@ class ListedSum(torch.autograd.Function):
             by_E = by_E + unblocked(energy_sums)[:, : len(tables.lights.w)].T
         by_n = np.empty_like(by_sorted_n)
         by_n[order] = by_sorted_n
-        return torch.from_numpy(by_n), torch.from_numpy(by_m).float(), torch.from_numpy(by_E).float(), None, None
+        return torch.from_numpy(by_n), torch.from_numpy(by_m).float(), torch.from_numpy(by_E).float(), None, None, None
 
 
 class ViewedSum(torch.autograd.Function):
@@ -184,14 +190,14 @@ def slab(lights):
 
 
 class Tables:
-    """A material at each light: lobes (blocks, 3, 3, 2, 16) and energy (blocks, 3, 16) as in learn.engines.distant; cones for selection."""
+    """Some lobes of a material at each light: lobes (blocks, many, 3, 2, 16) and energy (blocks, 3, 16) as in learn.engines.culled."""
 
-    def __init__(self, m, E, lights, light_gradient):
-        self.lights, self.light_gradient = lights, light_gradient
+    def __init__(self, m, E, lights, light_gradient, lobes=ALL_LOBES):
+        self.lights, self.light_gradient, self.numbers, self.many = lights, light_gradient, list(lobes), len(lobes)
         rows = np.zeros((3, 16 * lights.blocks))
         rows[:, : len(E)] = E.T
         self.energy = blocked(rows)
-        curves = lobe_first(m).reshape(18, 6) @ lights.basis.T
+        curves = lobe_first(m)[self.numbers].reshape(6 * self.many, 6) @ lights.basis.T
         self.gamma = curves[0::2]
         self.bounded = curves[1::2] > MAX_EXPONENT
         curves[1::2] = np.minimum(curves[1::2], MAX_EXPONENT)
@@ -201,24 +207,27 @@ class Tables:
 
     def cones(self):
         """(wide blocks, CONE_ROWS, 16) float32: what learn.engines.culled.select knows of each block."""
-        blocks = self.lights.blocks
-        by_lobe = (3, 3, blocks, LANES)
+        blocks, many = self.lights.blocks, self.many
+        by_lobe = (many, 3, blocks, LANES)
         rows = np.zeros((culled.CONE_ROWS, -(-blocks // LANES) * LANES))
         rows[:10, :blocks] = self.lights.cones.T
         brightest = self.energy.sum(-1).max(-1)
         # A dark block matters too where the light's own derivative is wanted: it counts as one of a tenth of the mean.
         rows[10, :blocks] = np.maximum(brightest, 0.1 * brightest.mean() or 1.0) if self.light_gradient else brightest
-        rows[11:14, :blocks] = self.gamma.reshape(by_lobe).min((1, 3))
-        rows[14:17, :blocks] = LOG2_E * self.kappa.reshape(by_lobe).max((1, 3))
+        rows[11 : 11 + many, :blocks] = self.gamma.reshape(by_lobe).min((1, 3))
+        rows[14 : 14 + many, :blocks] = LOG2_E * self.kappa.reshape(by_lobe).max((1, 3))
         return np.ascontiguousarray(rows.reshape(culled.CONE_ROWS, -1, LANES).transpose(1, 0, 2), dtype=np.float32)
 
     def material_gradient(self, lobe_sums):
         """(3, 3, 2, 6) by m, from the sums of learn.engines.culled.backward, chunks added up."""
-        sums = unblocked(lobe_sums.reshape(-1, 18, LANES)).reshape(3, 3, 2, -1) * unblocked(self.energy).astype(np.float64)[:, None]
-        by_lobe = (3, 3, -1)
+        sums = unblocked(lobe_sums.reshape(-1, 6 * self.many, LANES)).reshape(self.many, 3, 2, -1)
+        sums = sums * unblocked(self.energy).astype(np.float64)[:, None]
+        by_lobe = (self.many, 3, -1)
         by_kappa = np.where(self.bounded.reshape(by_lobe), 0.0, sums[:, :, 0])
         by_gamma = sums[:, :, 1] * self.kappa.reshape(by_lobe) * LN2
-        return lobe_first(np.stack([by_gamma, by_kappa], 2) @ self.lights.basis)
+        by_m = np.zeros((3, 3, 2, 6))
+        by_m[self.numbers] = np.stack([by_gamma, by_kappa], 2) @ self.lights.basis
+        return lobe_first(by_m)
 
 
 def by_place(n):
@@ -246,7 +255,9 @@ def select(n, tables, left_out):
 
     def kernel(first, last):
         scratch = np.empty(cones.shape[0] * 6 * LANES, np.float32)
-        machine_code.call("culled.select", first, last, len(cones), room, budget, around, cones, scratch, cuts, lengths, entries)
+        machine_code.call(
+            "culled.select", first, last, len(cones), room, tables.many, budget, around, cones, scratch, cuts, lengths, entries
+        )
 
     workers = torch.get_num_threads()
     threads.run(kernel, threads.split(tiles, workers), workers)
@@ -258,7 +269,7 @@ def run_forward(n, tables, lists, out):
 
     def kernel(first, last):
         scratch = np.empty(culled.TILE * 48, np.float32)
-        sizes = first, last, len(n), tile_size(len(n)), tables.lights.blocks
+        sizes = first, last, len(n), tile_size(len(n)), tables.lights.blocks, tables.many
         arrays = n, tables.lights.geometry, tables.energy, tables.lobes, scratch, out
         machine_code.call("culled.forward", *sizes, *arrays, cuts, lengths, entries)
 
@@ -267,17 +278,25 @@ def run_forward(n, tables, lists, out):
 
 
 def run_backward(n, tables, lists, g, by_n):
-    """Energy sums (blocks, 3, 16) and lobe sums (blocks, 3, 3, 2, 16); by_n is written."""
+    """Energy sums (blocks, 3, 16) and lobe sums (blocks, many, 3, 2, 16); by_n is written."""
     cuts, lengths, entries = lists
-    blocks, chunks = tables.lights.blocks, culled.CHUNKS
-    energy_sums, lobe_sums = np.empty((chunks, blocks, 3, LANES), np.float32), np.empty((chunks, blocks, 3, 3, 2, LANES), np.float32)
+    blocks, many = tables.lights.blocks, tables.many
+    chunks = min(culled.CHUNKS, 1 + len(n) // FEW)  # by the pixels, never by the threads: sums must come out the same
+    energy_sums, lobe_sums = np.empty((chunks, blocks, 3, LANES), np.float32), np.empty((chunks, blocks, many, 3, 2, LANES), np.float32)
     scratch = np.empty(chunks * culled.TILE * 48, np.float32)
 
     def kernel(first, last):
-        sizes = first, last, len(n), tile_size(len(n)), len(lengths), blocks, blocks
+        sizes = first, last, len(n), tile_size(len(n)), len(lengths), blocks, blocks, many, chunks
         arrays = n, tables.lights.geometry, tables.energy, tables.lobes, scratch, g, by_n, energy_sums, lobe_sums
         machine_code.call("culled.backward", *sizes, *arrays, cuts, lengths, entries)
 
     workers = torch.get_num_threads()
     threads.run(kernel, threads.split(chunks, chunks), workers)
-    return energy_sums.sum(0), lobe_sums.sum(0)
+    return added(energy_sums), added(lobe_sums)
+
+
+def added(parts):
+    """The sum over the first axis, in its order, into the first part."""
+    for part in parts[1:]:
+        parts[0] += part
+    return parts[0]

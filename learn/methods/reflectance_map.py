@@ -3,7 +3,7 @@
 n       unit normal, camera frame; p = (n_x, n_y) / √(1 + n_z), the equal-area disk: |p| ≤ 1 where the viewer sees the surface
 size    nodes along a side; node (i, j) stands at p = ((j − 2) h − 1, (i − 2) h − 1), h = 2 / (size − 5): two rows lie outside the disk,
         where n looks away from the viewer and radiance goes on smoothly
-table   (size, size, 3) radiance at the nodes that some pixel needs, 0 at the others
+values  (N, 3) radiance at the nodes that some pixel needs, whose flat indices are nodes (N,); others are never read
 
 Between nodes Catmull–Rom weights: exact for quadratics, error h³ and, near a lobe of standard deviation σ, small once h < σ/2.
 Gradients in n pass through the weights, those in m and L through the nodes' sum. Pictures of a batch that are given one material and one
@@ -24,7 +24,7 @@ CARD = Card(
     approximates="radiance between normals by bicubic interpolation; all lights at the nodes",
     error=1e-2,
     cost="nodes × texels + 16 × pixels; nodes grow with the sharpest lobe",
-    memory="size² × 12 bytes, size ≤ 512, and 4 copies of it in the backward pass",
+    memory="size² × 16 bytes, size ≤ 512, and 4 copies of it in the backward pass",
     needs=frozenset({"orthographic"}),
     gradient=0.1,
 )
@@ -63,11 +63,13 @@ def size_for(sharpness, tolerance):
 
 
 def with_nodes(n, size, at_nodes):
-    """Radiance (P, 3) looked up in a map whose nodes have radiance at_nodes(normals (N, 3)) → (N, 3); differentiable through both."""
-    place = places(n, size)
-    needed = needed_nodes(place.detach(), size)
-    table = n.new_zeros(size * size, 3).index_copy(0, needed, at_nodes(normals(needed, size).to(n)))
-    return look_up(place, table.reshape(size, size, 3))
+    """Radiance looked up in a map whose nodes have radiance at_nodes(normals (N, 3)) → (N, 3); differentiable through both."""
+    needed = needed_nodes(n.detach(), size)
+    return look_up(n, at_nodes(normals(needed, size).to(n)), needed, size)
+
+
+def has_kernel(n):
+    return n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available()
 
 
 def places(n, size):
@@ -76,16 +78,19 @@ def places(n, size):
     return ((p + 1.0) * (0.5 * (size - 1 - 2 * MARGIN)) + MARGIN).flip(-1)
 
 
-def needed_nodes(place, size):
+def needed_nodes(n, size):
     """Flat indices (N,) of the nodes that have a weight for some pixel, in the order of the map."""
-    corner = place.floor().long().clamp(1, size - 3)
-    touched = torch.zeros(size, size, dtype=torch.bool, device=place.device)
-    touched.view(-1)[corner[:, 0] * size + corner[:, 1]] = True
-    grown = touched.clone()
-    for i in (-1, 0, 1, 2):
-        for j in (-1, 0, 1, 2):
-            grown |= touched.roll((i, j), (0, 1))
-    return grown.view(-1).nonzero().squeeze(-1)
+    if has_kernel(n):
+        touched, given = np.zeros((size, size), np.float32), n.contiguous().numpy()
+        sliced(len(n), lambda first, last: machine_code.call("interpolation.touch", first, last, size, given, touched))
+        touched = torch.from_numpy(touched) > 0
+    else:
+        corner = places(n, size).floor().long().clamp(1, size - 3)
+        touched = torch.zeros(size, size, dtype=torch.bool, device=n.device)
+        touched.view(-1)[corner[:, 0] * size + corner[:, 1]] = True
+    for axis in (0, 1):
+        touched = touched.roll(-1, axis) | touched | touched.roll(1, axis) | touched.roll(2, axis)
+    return touched.view(-1).nonzero().squeeze(-1)
 
 
 def normals(nodes, size):
@@ -96,48 +101,54 @@ def normals(nodes, size):
     return torch.cat([p * (1.0 + z).clamp(min=0).sqrt(), z], -1)
 
 
-def look_up(place, table):
-    """(P, 3) values of table (size, size, 3) at places (P, 2)."""
-    if place.dtype == torch.float32 and place.device.type == "cpu" and machine_code.is_available():
-        return LookUp.apply(place, table)
-    size = table.shape[0]
+def look_up(n, values, nodes, size):
+    """(P, 3) at normals n (P, 3) in the map that has values (N, 3) at flat indices nodes (N,), which hold all that n needs."""
+    if has_kernel(n):
+        return LookUp.apply(n, values, nodes, size)
+    place = places(n, size)
+    table = n.new_zeros(size * size, 3).index_copy(0, nodes, values)
     corner = place.detach().floor().clamp(1, size - 3)
     t = (place - corner)[..., None]
     weights = 0.5 * torch.cat([((2 - t) * t - 1) * t, (3 * t - 5) * t * t + 2, ((4 - 3 * t) * t + 1) * t, (t - 1) * t * t], -1)
     step = torch.arange(-1, 3, device=place.device)
     corner = corner.long()
     index = (corner[:, :1] + step)[:, :, None] * size + (corner[:, 1:] + step)[:, None]
-    return torch.einsum("pi,pj,pijk->pk", weights[:, 0], weights[:, 1], table.reshape(-1, 3)[index])
+    return torch.einsum("pi,pj,pijk->pk", weights[:, 0], weights[:, 1], table[index])
+
+
+def sliced(pixels, kernel):
+    """kernel(first, last) over all pixels, on as many threads as torch may use."""
+    workers = torch.get_num_threads()
+    threads.run(kernel, threads.split(pixels, workers), workers)
 
 
 class LookUp(torch.autograd.Function):
-    """place (P, 2), table (size, size, 3) → (P, 3) by learn.engines.interpolation."""
+    """n (P, 3), values (N, 3) at nodes (N,), size → (P, 3) by learn.engines.interpolation."""
 
     @staticmethod
-    def forward(ctx, place, table):
-        place, table = place.contiguous(), table.contiguous()
-        ctx.save_for_backward(place, table)
-        out = np.empty((len(place), 3), np.float32)
-        arrays = place.numpy(), table.numpy(), out
-
-        def kernel(first, last):
-            machine_code.call("interpolation.forward", first, last, table.shape[0], *arrays)
-
-        workers = torch.get_num_threads()
-        threads.run(kernel, threads.split(len(place), workers), workers)
+    def forward(ctx, n, values, nodes, size):
+        n, nodes = n.contiguous().numpy(), nodes.numpy()
+        table = np.zeros((size * size, 4), np.float32)
+        table[nodes, :3] = values.numpy()
+        ctx.kept = n, nodes, table, size
+        out = np.empty((len(n), 3), np.float32)
+        sliced(len(n), lambda first, last: machine_code.call("interpolation.forward", first, last, size, n, table, out))
         return torch.from_numpy(out)
 
     @staticmethod
     @once_differentiable
     def backward(ctx, g):
-        place, table = ctx.saved_tensors
-        by_place = np.empty((len(place), 2), np.float32)
-        by_table = np.empty((interpolation.CHUNKS, *table.shape), np.float32)
-        arrays = place.numpy(), table.numpy(), g.contiguous().numpy(), by_place, by_table
+        n, nodes, table, size = ctx.kept
+        by_n = np.empty((len(n), 3), np.float32)
+        by_table = np.zeros((interpolation.CHUNKS, *table.shape), np.float32)
+        arrays = n, table, g.contiguous().numpy(), by_n, by_table
 
         def kernel(first, last):
-            machine_code.call("interpolation.backward", first, last, len(place), table.shape[0], *arrays)
+            machine_code.call("interpolation.backward", first, last, len(n), size, *arrays)
 
         workers = torch.get_num_threads()
         threads.run(kernel, threads.split(interpolation.CHUNKS, interpolation.CHUNKS), workers)
-        return torch.from_numpy(by_place), torch.from_numpy(by_table.sum(0))
+        by_values = by_table[0, nodes, :3]
+        for chunk in by_table[1:]:
+            by_values += chunk[nodes, :3]
+        return torch.from_numpy(by_n), torch.from_numpy(by_values), None, None

@@ -61,22 +61,31 @@ def test_a_map_reproduces_quadratics_of_the_place():
         torch.testing.assert_close(found, function(n).to(dtype), rtol=0, atol=tolerance)
 
 
-def test_a_maps_kernel_and_torch_agree_in_values_and_derivatives():
-    place = 1 + 16 * torch.rand(200, 2, generator=torch.Generator().manual_seed(6))
-    table = torch.rand(20, 20, 3, generator=torch.Generator().manual_seed(7))
+def scattered(count, size, seed, dtype):
+    """Unit normals (count, 3) that face the viewer, and random values at the nodes of a map that they need."""
+    random = torch.Generator().manual_seed(seed)
+    n = UNIT(torch.randn(count, 3, dtype=dtype, generator=random), dim=-1)
+    n[:, 2] = n[:, 2].abs()
+    nodes = reflectance_map.needed_nodes(n, size)
+    return n, torch.rand(len(nodes), 3, dtype=dtype, generator=random), nodes
+
+
+def test_a_maps_kernel_and_torch_agree_in_nodes_values_and_derivatives():
+    n, values, nodes = scattered(200, 20, 6, torch.float32)
+    assert torch.equal(nodes, reflectance_map.needed_nodes(n.double(), 20))
     found = []
     for dtype in (torch.float32, torch.float64):
-        leaves = [x.to(dtype).requires_grad_() for x in (place, table)]
-        out = reflectance_map.look_up(*leaves)
+        leaves = [x.to(dtype).requires_grad_() for x in (n, values)]
+        out = reflectance_map.look_up(*leaves, nodes, 20)
         found.append([out, *torch.autograd.grad((out**2).sum(), leaves)])
     for single, double in zip(*found, strict=True):
-        torch.testing.assert_close(single.double(), double, rtol=1e-4, atol=1e-4)  # places have 6e-8 · 17 of their own
+        torch.testing.assert_close(single.double(), double, rtol=1e-4, atol=1e-5)  # float32 sums of up to some hundred pixels
 
 
 def test_the_float64_look_up_is_differentiable():
-    place = (1 + 7 * torch.rand(6, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(8))).requires_grad_()
-    table = torch.rand(10, 10, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(9)).requires_grad_()
-    assert torch.autograd.gradcheck(reflectance_map.look_up, (place, table))
+    n, values, nodes = scattered(6, 12, 8, torch.float64)
+    leaves = n.requires_grad_(), values.requires_grad_()
+    assert torch.autograd.gradcheck(lambda n, values: reflectance_map.look_up(n, values, nodes, 12), leaves)
 
 
 @pytest.mark.parametrize("wanted", [False, True])
