@@ -31,7 +31,7 @@ class Options:
     folder: Path
     out: Path
     limit: int | None = None
-    tolerance: float = 2e-2
+    tolerance: float = 4e-3
 
 
 class Worst:

@@ -17,9 +17,9 @@ def register(subparsers):
     parser.add_argument(
         "--tolerance",
         type=fraction,
-        default=2e-2,
+        default=4e-3,
         metavar="X",
-        help="relative error allowed to the layer's integral (default 0.02; less is slower)",
+        help="relative error allowed to the layer's integral (default 0.004; less is slower)",
     )
     parser.set_defaults(run=run)
 
