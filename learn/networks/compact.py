@@ -1,4 +1,4 @@
-"""The compact network: one encoder, three heads, some 6 M parameters; trainable on two processor cores.
+"""The compact network: one encoder, three heads, 5 M parameters; trainable on two processor cores.
 
 Under a distant viewer radiance depends on the normal alone. So the picture, laid out over its own predicted normals, is a sample of the
 reflectance map, and material and light are read from that map as much as from the picture: a deconvolution needs no shape any more.
@@ -12,9 +12,8 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from learn.networks.coding import Ranges, compressed, light_of, picture_code, unit_mean
-from learn.networks.prediction import Prediction
-from shaders.envmap import row_solid_angles
+from learn.networks.coding import compressed, light_of, picture_code, unit_mean
+from learn.networks.prediction import Coded, Prediction
 
 WIDTHS = (32, 64, 128, 256)
 CELLS = 32  # of the reflectance map, along a side
@@ -37,7 +36,7 @@ class Residual(nn.Module):
         return F.relu(x + self.second(self.first(x)))
 
 
-class Compact(nn.Module):
+class Compact(Coded):
     """Normals, material and light of masked pictures; see Prediction.
 
     ranges  learn.networks.coding.Ranges of the training materials; kept with the weights
@@ -45,13 +44,8 @@ class Compact(nn.Module):
 
     name = "compact"
 
-    def __init__(self, ranges: Ranges):
-        super().__init__()
-        self.register_buffer("label_centre", ranges.centre.clone())
-        self.register_buffer("label_half", ranges.half.clone())
-        self.register_buffer(
-            "row_solid_angle", torch.as_tensor(row_solid_angles(64, 128), dtype=torch.float32).reshape(-1), persistent=False
-        )
+    def __init__(self, ranges):
+        super().__init__(ranges)
         self.down = nn.ModuleList(
             convolution(a, b, 1 if i == 0 else 2) for i, (a, b) in enumerate(zip((16, *WIDTHS), WIDTHS, strict=False))
         )
@@ -70,10 +64,6 @@ class Compact(nn.Module):
         )
         self.widen = nn.ModuleList(convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
         self.light = nn.Conv2d(LIGHT_WIDTHS[-1], 3, 3, 1, 1)
-
-    @property
-    def ranges(self):
-        return Ranges(self.label_centre, self.label_half)
 
     def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None):
         """A Prediction of the parts asked for.

@@ -14,10 +14,9 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from learn.networks.coding import Ranges, light_of, picture_code, unit_mean
+from learn.networks.coding import light_of, picture_code, unit_mean
 from learn.networks.compact import convolution
-from learn.networks.prediction import Prediction
-from shaders.envmap import row_solid_angles
+from learn.networks.prediction import Coded, Prediction
 
 HALVINGS = (32, 64, 128, 256, 256, 512, 512)
 START = 0.08
@@ -44,18 +43,13 @@ class Scale(nn.Module):
         return self.layers(torch.cat([F.interpolate(x, size, mode="bilinear"), F.interpolate(picture, size, mode="area")], 1))
 
 
-class Paper(nn.Module):
+class Paper(Coded):
     """Normals, material and light of masked pictures by three separate networks; arguments and result as learn.networks.compact.Compact."""
 
     name = "paper"
 
-    def __init__(self, ranges: Ranges):
-        super().__init__()
-        self.register_buffer("label_centre", ranges.centre.clone())
-        self.register_buffer("label_half", ranges.half.clone())
-        self.register_buffer(
-            "row_solid_angle", torch.as_tensor(row_solid_angles(64, 128), dtype=torch.float32).reshape(-1), persistent=False
-        )
+    def __init__(self, ranges):
+        super().__init__(ranges)
         self.coarse = nn.Sequential(
             convolution(4, 48, 2), convolution(48, 96, 2), convolution(96, 192, 2), convolution(192, 256, 2), convolution(256, 256, 2)
         )
@@ -70,10 +64,6 @@ class Paper(nn.Module):
         for parameter in self.parameters():
             if parameter.ndim > 1:
                 nn.init.uniform_(parameter, -START, START)
-
-    @property
-    def ranges(self):
-        return Ranges(self.label_centre, self.label_half)
 
     def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None):
         x = picture_code(image, mask)

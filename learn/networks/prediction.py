@@ -4,6 +4,9 @@ from typing import NamedTuple
 
 import torch
 
+from learn.networks.coding import Ranges
+from shaders.envmap import row_solid_angles
+
 
 class Prediction(NamedTuple):
     """B pictures, S segments; None for what was not asked for.
@@ -20,3 +23,17 @@ class Prediction(NamedTuple):
     label: torch.Tensor | None
     light_code: torch.Tensor | None
     light: torch.Tensor | None
+
+
+class Coded(torch.nn.Module):
+    """A network that knows the ranges of its material codes (learn.networks.coding.Ranges), which are kept with its weights."""
+
+    def __init__(self, ranges: Ranges):
+        super().__init__()
+        self.register_buffer("label_centre", ranges.centre.clone())
+        self.register_buffer("label_half", ranges.half.clone())
+        self.register_buffer("row_solid_angle", torch.as_tensor(row_solid_angles(64, 128), dtype=torch.float32), persistent=False)
+
+    @property
+    def ranges(self):
+        return Ranges(self.label_centre, self.label_half)

@@ -67,7 +67,7 @@ class Training:
             )
             done = self.step == run.schedule.steps
             if self.rank == 0 and (done or self.step % self.sheet_every == 0):
-                figures = self._validate(batch)
+                figures = self._validate()
                 record |= {"validation": figures}
             self._log(record | {"cpu_seconds": round(time.process_time() - begun, 2)})
             due = self.step % self.checkpoint_every == 0 if self.checkpoint_every else time.monotonic() - last > EVERY_SECONDS
@@ -143,7 +143,7 @@ class Training:
                 f"study {path}; the last good weights are in checkpoint.safetensors",
             )
 
-    def _validate(self, batch):
+    def _validate(self):
         weights = checkpoint.NETWORKS[self.run.network](self.network.ranges)
         weights.load_state_dict(self.average)
         weights.eval()

@@ -14,6 +14,7 @@ from learn.layer import render
 from learn.training import augmentation, lights
 from learn.training.batch import Batch
 from learn.training.settings import Data
+from manifests.problems import Problem
 
 SIDES = {"train": 0, "validation": 1, "test": 2}
 BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
@@ -43,7 +44,10 @@ class Relit:
     def __init__(self, pool, data: Data, batch, size, seed, part=(0, 1)):
         self.pool, self.data, self.size, self.seed = pool, data, size, seed
         if any(side % size for side in pool.geometry.size):
-            raise ValueError(f"size: a divisor of the geometry's {pool.geometry.size} expected, found {size}")
+            found = f"{pool.geometry.size[0]} × {pool.geometry.size[1]}"
+            raise Problem(
+                pool.geometry.folder, f"geometry of a whole number of times {size} pixels", found, f"render it with --size {size}"
+            )
         groups = -(-batch // data.sharing)
         if groups % part[1]:
             raise ValueError(f"batch: a multiple of {data.sharing * part[1]} pictures expected for {part[1]} processes, found {batch}")

@@ -23,7 +23,9 @@ def by_hash(name, parts):
 
 
 def pools(data, folder, maps_file=None, progress=True):
-    """{"train": Pool, "validation": Pool, "test": Pool}: disjoint in shapes, materials and lights.
+    """{"train": Pool, "validation": Pool, "test": Pool}: disjoint in shapes, materials and the lights that the run names.
+
+    A side for which no light is named, validation or test, is lit by all maps; training never sees a named one.
 
     data       learn.training.settings.Data
     folder     a dataset with geometry; its lights are used too
@@ -39,15 +41,15 @@ def pools(data, folder, maps_file=None, progress=True):
             raise Problem(f"held-out light '{name}'", "a light of the dataset or of --lights", "none of that name", closest(name, maps))
     maps = without_twins(maps, (*data.validation_lights, *data.test_lights))
     held = {"validation": data.validation_lights, "test": data.test_lights}
-    apart = {*data.validation_lights, *data.test_lights}
-    held["train"] = [name for name in maps if name not in apart and not any(twins(maps[name], maps[other]) for other in apart)]
+    held["train"] = [name for name in maps if name not in {*data.validation_lights, *data.test_lights}]
     labels, sides = _materials(), [_side(view) for view in geometry.views]
     found = {}
     for side in ("train", "validation", "test"):
         views = np.array([i for i, s in enumerate(sides) if s == side])
         if not len(views):
             raise Problem(folder, f"shapes for {side}", "none", "render more shapes; a fifth of them is held out")
-        lit = [maps[name] for name in sorted(held[side])] or [maps[name] for name in sorted(maps)]
+        names = held[side] if side == "train" else held[side] or maps  # without maps training draws computed light, never a held-out map
+        lit = [maps[name] for name in sorted(names)]
         found[side] = Pool(geometry, views, labels[side], lit, side)
     return found
 
@@ -60,7 +62,7 @@ def without_twins(maps, held):
     """
     kept = {}
     for name in sorted(maps, key=lambda name: name not in held):
-        twin = next((other for other, L in kept.items() if same_capture(L, maps[name])), None)
+        twin = next((other for other, L in kept.items() if (same_capture(L, maps[name]) or twins(L, maps[name]))), None)
         if twin is None:
             kept[name] = maps[name]
         elif name in held:
