@@ -17,7 +17,7 @@ from learn.networks.prediction import Coded, Prediction
 
 WIDTHS = (32, 64, 128, 256)
 CELLS = 32  # of the reflectance map, along a side
-LIGHT_WIDTHS = (96, 64, 48, 32, 24)  # at 4×8, 8×16, 16×32, 32×64, 64×128
+LIGHT_WIDTHS = (96, 64, 48, 32)  # at 4×8, 8×16, 16×32, 32×64; its 12 outputs are 64×128 texels of 3
 
 
 def convolution(before, after, stride=1):
@@ -63,7 +63,7 @@ class Compact(Coded):
             nn.Linear(seen + WIDTHS[-1], 256), nn.ReLU(), nn.Dropout(0.1), nn.Linear(256, LIGHT_WIDTHS[0] * 32), nn.ReLU()
         )
         self.widen = nn.ModuleList(convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
-        self.light = nn.Conv2d(LIGHT_WIDTHS[-1], 3, 3, 1, 1)
+        self.light = nn.Conv2d(LIGHT_WIDTHS[-1], 12, 3, 1, 1)
 
     def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None):
         """A Prediction of the parts asked for.
@@ -111,7 +111,7 @@ class Compact(Coded):
         x = self.illumination(x).reshape(-1, LIGHT_WIDTHS[0], 4, 8)
         for widen in self.widen:
             x = widen(F.interpolate(x, scale_factor=2.0, mode="bilinear"))
-        return F.softplus(self.light(x).float())
+        return F.softplus((F.pixel_shuffle(self.light(x), 2) if self.light.out_channels == 12 else self.light(x)).float())
 
 
 def _mean_over(mask, features):

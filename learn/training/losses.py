@@ -26,6 +26,7 @@ from shaders.spline import basis
 
 GLOSS = (1.0, 12.0, 120.0)  # exponents of cos: irradiance, and two spheres of growing gloss
 DIRECTIONS = 96
+RENDERED_LIGHT = (32, 64)  # texels of half the sharpest lobe's width: four times as many made this the dearest term of a step
 KAPPA_CEILING = 12.0  # of κ c^γ, so that expm1 of a wild prediction stays finite
 
 
@@ -65,7 +66,8 @@ def light_terms(prediction, batch, losses):
         weight = solid_angles(batch.light)
         found["light_log"] = ((torch.log1p(prediction.light) - torch.log1p(batch.light)) ** 2 * weight).sum((2, 3)).mean()
     if losses.light_rendered:
-        found["light_rendered"] = ((log_rendered(prediction.light) - log_rendered(batch.light)) ** 2).mean()
+        mine, its = (log_rendered(reduced(light, RENDERED_LIGHT)) for light in (prediction.light, batch.light))
+        found["light_rendered"] = ((mine - its) ** 2).mean()
     return found
 
 
@@ -165,7 +167,7 @@ def log_rendered(light):
         cosine = np.clip(w.reshape(-1, 3) @ centre.T, 0, None)
         lobes = np.concatenate([cosine**g * omega.reshape(-1, 1) for g in GLOSS], 1)
         _LOBES[H, W] = torch.as_tensor(lobes / lobes.sum(0), dtype=torch.float32)
-    return torch.log(0.05 + light.flatten(2) @ _LOBES[H, W])
+    return torch.log(0.05 + light.reshape(-1, H * W) @ _LOBES[H, W]).reshape(len(light), 3, -1)
 
 
 _NODES = 48

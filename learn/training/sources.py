@@ -12,7 +12,7 @@ from manifests import materials
 from manifests.problems import Problem, closest
 from shaders.envmap import same_capture
 
-VALIDATION_SHAPES = 10  # one in so many training shapes is for choosing weights instead
+VALIDATION_SHAPES = 25  # one in so many training shapes is for choosing weights instead
 VALIDATION_MATERIALS = 8
 TWIN = 0.05
 
