@@ -1,0 +1,116 @@
+"""The methods that the tables compare, under one protocol: what a picture is made of, and what it looks like in another material.
+
+batch   learn.training.batch.Batch of one picture; its truth (n, label, light) is for metrics, and for methods that are said to be given it
+label   (S, 108) natural logarithms of the wanted material, one a region
+A method remembers the parts of the last batch it saw: the edits of one picture share its prediction and its refinement.
+
+Baselines come from `learn.baselines.found(folder)`: the Methods whose weights lie in the folder, and {name: what is missing} of the others.
+"""
+
+from typing import Protocol
+
+import torch
+
+from learn.layer import render
+from learn.networks.prediction import Prediction
+
+METHOD, TOLERANCE = "quadrature", 1e-2  # the integral, not the paper's sum: of a mirror-like lobe the sum alone is 200 display L2 off
+
+
+class Method(Protocol):
+    """What a row of a table is made by.
+
+    name  as it stands in the tables
+    """
+
+    name: str
+
+    def parts(self, batch) -> Prediction | None:
+        """Normals, material and light of a batch of one; a field is None, or all of it, where the method does not tell them apart."""
+
+    def edit(self, batch, label):
+        """(H, W, 3) numpy linear radiance of the object in the material `label` (S, 108), zeros outside the mask."""
+
+
+def rendered(n, label, light, batch):
+    """(H, W, 3) numpy radiance by the layer of n (1, 3, H, W), label (S, 108) or (1, S, 108), light (1, 3, 64, 128)."""
+    label = label if label.ndim == 3 else label[None]
+    several = label.shape[1] > 1
+    with torch.no_grad():
+        picture = render(
+            n.movedim(1, -1).contiguous().float(),
+            (label if several else label[:, 0]).float().exp(),
+            light.movedim(1, -1).contiguous().float(),
+            segments=batch.segments if several else None,
+            mask=batch.segments > 0,
+            method=METHOD,
+            tolerance=TOLERANCE,
+            elevation=batch.elevation,
+        )
+    return picture[0].numpy()
+
+
+class Layered:
+    """A method that takes a picture apart and renders it anew. predict: Batch → Prediction with n and light."""
+
+    def __init__(self, name, predict):
+        self.name, self.predict = name, predict
+        self._seen = self._parts = None
+
+    def parts(self, batch):
+        if self._seen is not batch:
+            self._parts, self._seen = self.predict(batch), batch
+        return self._parts
+
+    def edit(self, batch, label):
+        found = self.parts(batch)
+        return rendered(found.n, label, found.light, batch)
+
+
+class Refined(Layered):
+    """Another method's parts, refined to fit the picture (Eq. 6). told: the last learn.refinement.Refined."""
+
+    def __init__(self, method, refine):
+        super().__init__(f"{method.name}, refined", self._refine)
+        self.start, self._work, self.told = method, refine, None
+
+    def _refine(self, batch):
+        self.told = self._work(batch, self.start.parts(batch))
+        return self.told.prediction
+
+
+class Unchanged:
+    """The input returned as it is."""
+
+    name = "input unchanged"
+
+    def parts(self, batch):
+        return None
+
+    def edit(self, batch, label):
+        return (batch.image * batch.mask)[0].movedim(0, -1).numpy()
+
+
+def network(net):
+    """Batch → Prediction by a network of learn.networks, over regions where the picture has several."""
+
+    def predict(batch):
+        with torch.no_grad():
+            return net(batch.image, batch.mask, batch.segments if batch.label.shape[1] > 1 else None)
+
+    return predict
+
+
+def constant_light(method=None):
+    """A map of the same radiance everywhere, with true normals, or with those of a method: what knowing nothing of light is worth."""
+
+    def predict(batch):
+        n = batch.n if method is None else method.parts(batch).n
+        return Prediction(n, None, None, None, torch.ones_like(batch.light))
+
+    return Layered(f"constant light, {'true normals' if method is None else 'normals of ' + method.name}", predict)
+
+
+def truth():
+    """True normals and light: what the layer, label and nodes alone cost."""
+    return Layered("true normals and light", lambda batch: Prediction(batch.n, None, batch.label, None, batch.light))
