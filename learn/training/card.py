@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from learn import intervals
 from learn.training import checkpoint, measures, sheet
 from learn.training.relit import Relit
 from learn.training.settings import Run
 from manifests.reading import decode
 
-DRAWS = 2000
 WORDS = {
     "angle_deg": "normals, mean angle (°)",
     "cosine": "normals, mean cosine",
@@ -40,24 +40,12 @@ def make(weights, pools, out, batches, note=""):
         if len(rows) == 1:
             sheet.write(out / "sheet.jpg", batch, prediction)
     values = {key: np.concatenate([row[key] for row in rows]) for key in rows[0]}
-    groups = [np.unique([name.split(" ")[place] for name in names], return_inverse=True)[1] for place in (0, -1)]
-    figures = {key: _interval(value, groups) for key, value in values.items()}
+    resampled = intervals.draws(intervals.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1))))
+    figures = {key: intervals.interval(value, resampled) for key, value in values.items()}
     told = {"run": metadata["run"], "pictures": len(names), "figures": figures, "sizes": _sizes(network, pools), "note": note}
     (out / "card.json").write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     (out / "card.md").write_text(_page(told), encoding="utf-8")
     return figures
-
-
-def _interval(value, groups):
-    """[mean, low, high]: 95 % by drawing shapes and materials with replacement."""
-    rng, means = np.random.default_rng(0), []
-    for _ in range(DRAWS):
-        weight = np.ones(len(value))
-        for group in groups:
-            weight = weight * np.bincount(rng.integers(group.max() + 1, size=group.max() + 1), minlength=group.max() + 1)[group]
-        if weight.sum():
-            means.append((value * weight).sum() / weight.sum())
-    return [float(value.mean()), *(float(x) for x in np.percentile(means, [2.5, 97.5]))]
 
 
 def _sizes(network, pools):

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from learn import intervals
 from learn.networks.coding import Ranges
 from learn.timing.report import made_by
 from learn.training import checkpoint, loop, losses, measures
@@ -170,17 +171,6 @@ def page(summary):
 
 def ratio(a, b, key):
     """[ratio of means b/a, low, high]: the pictures' shapes and materials, and the seeds, drawn with replacement DRAWS times."""
-    rng = np.random.default_rng(0)
     A, B = (np.array([[row[key] for row in run["rows"]] for run in runs]) for runs in (a, b))
-    shapes, materials = (np.unique([row[k] for row in a[0]["rows"]], return_inverse=True)[1] for k in ("shape", "material"))
-    found = []
-    for _ in range(DRAWS):
-        weight = _drawn(rng, shapes.max() + 1)[shapes] * _drawn(rng, materials.max() + 1)[materials]
-        seed = rng.integers(len(A), size=len(A))
-        if weight.sum():
-            found.append((B[seed].mean(0) * weight).sum() / (A[seed].mean(0) * weight).sum())
-    return [float(B.mean() / A.mean()), *(float(x) for x in np.percentile(found, [2.5, 97.5]))]
-
-
-def _drawn(rng, count):
-    return np.bincount(rng.integers(count, size=count), minlength=count)
+    groups = intervals.groups_of(*([row[name] for row in a[0]["rows"]] for name in ("shape", "material")))
+    return intervals.ratio(A, B, groups, DRAWS)
