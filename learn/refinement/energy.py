@@ -1,0 +1,90 @@
+"""What refinement lowers: Eq. 6, each term a mean, so that a weight means the same at any size of picture and map.
+
+    E = image + a · normals + b · light + c · material
+
+image     mean over pixels and channels of (C(I*) − C(I))², C(I) = log(1 + 8 e I)/log 9 with the exposure e that brings the object's 99th
+          percentile to 1: as the display's curve, but a highlight beyond white still counts
+normals   mean over pixels of |n* − n'|²
+light     mean over the sphere (solid angle) and channels of (log(1 + L*) − log(1 + L'))²
+material  mean over regions of |z|²/K: distance from the prediction in units of the training materials' spread; not in Eq. 6, c = 0 there
+Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the terms by the picture's size
+"""
+
+from dataclasses import dataclass
+
+import torch
+
+from learn.layer import render
+from learn.networks.coding import compressed
+from learn.training.losses import reduced, solid_angles
+from shaders import tone
+
+
+@dataclass(frozen=True)
+class State:
+    """label (1, S, 108) float64, light (1, 3, 64, 128), n (1, 3, H, W), and the material's z (S, K)."""
+
+    label: torch.Tensor
+    light: torch.Tensor
+    n: torch.Tensor
+    z: torch.Tensor
+
+
+class Energy:
+    """The energy of one picture.
+
+    batch   learn.training.batch.Batch of one
+    start   State: the prediction
+    """
+
+    def __init__(self, batch, start, settings):
+        self.settings, self.start, self.elevation = settings, start, batch.elevation
+        inside = (batch.segments[0] > 0) & (batch.mask[0, 0] > 0)
+        self.inside = inside.flatten().nonzero()[:, 0]
+        self.segments = batch.segments[0].flatten()
+        self.regions = start.label.shape[1]
+        image = batch.image[0].movedim(0, -1).reshape(-1, 3)
+        exposure = tone.auto_exposure(image[self.inside].numpy(), torch.ones(len(self.inside), dtype=torch.bool).numpy())
+        self.exposure, self.seen = exposure, compressed(image * exposure)
+        self.log_light = torch.log1p(start.light)
+        self.share = solid_angles(start.light)
+
+    def pixels(self, count):
+        """Indices of `count` pixels of the object, evenly spread over it; all of them for 0."""
+        if not count or count >= len(self.inside):
+            return self.inside
+        at = (torch.arange(count) * 0.6180339887498949) % 1  # golden section: any count is even, and no row is preferred
+        return self.inside[(at * len(self.inside)).long().unique()]
+
+    def image(self, state, where, light, method):
+        n = state.n.flatten(2)[0].index_select(1, where).T[None, None]
+        material = state.label.exp().to(n.dtype)
+        regions = {"segments": self.segments[where][None, None]} if self.regions > 1 else {}
+        material = material if self.regions > 1 else material[:, 0]
+        small = reduced(state.light, light).movedim(1, -1)
+        mask = torch.ones(1, 1, len(where), dtype=torch.bool)
+        tolerance = self.settings.tolerance
+        picture = render(n, material, small, mask=mask, method=method, tolerance=tolerance, elevation=self.elevation, **regions)
+        return ((compressed(picture[0, 0] * self.exposure) - self.seen[where]) ** 2).mean()
+
+    def terms(self, state, where, light=(64, 128), method="auto"):
+        """{name: scalar}, not yet weighed."""
+        moved = (state.n - self.start.n).flatten(2)[0].index_select(1, where)
+        relit = (torch.log1p(state.light) - self.log_light) ** 2 * self.share
+        return {
+            "image": self.image(state, where, light, method),
+            "normals": (moved**2).sum(0).mean(),
+            "light": relit.sum((2, 3)).mean(),
+            "material": (state.z**2).mean(),
+        }
+
+    def total(self, terms):
+        """The weighted sum."""
+        s = self.settings
+        return terms["image"] + s.a * terms["normals"] + s.b * terms["light"] + s.c * terms["material"]
+
+    def finest(self, state):
+        """{name: float} of all pixels under the whole map, and "total": what accepts or rejects a step."""
+        with torch.no_grad():
+            terms = self.terms(state, self.inside)
+            return {name: float(value) for name, value in terms.items()} | {"total": float(self.total(terms))}

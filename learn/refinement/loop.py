@@ -1,0 +1,100 @@
+"""The way down Eq. 6: one property at a time, coarse to fine, and only what lowers the whole energy is kept.
+
+Each round moves the material, then the light, then the normals by L-BFGS (scipy's, whose line search keeps the strong Wolfe conditions).
+Material first: normals that were freed first moved from 9° to 50° off.
+"""
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.optimize import minimize
+
+from learn.networks.prediction import Prediction
+from learn.refinement.coordinates import Light, Material, Normals
+from learn.refinement.energy import Energy, State
+from learn.refinement.settings import Settings
+
+MOST_EVALUATIONS = 2  # for each iteration: a line search that needs more is stopped
+
+
+@dataclass(frozen=True)
+class Refined:
+    """prediction  Prediction, refined; before, after: {term: float} of learn.refinement.energy with "total", at the finest level
+    history        [{"level", "round", "property", "total", "accepted"}, …]
+    """
+
+    prediction: Prediction
+    before: dict
+    after: dict
+    history: list
+    seconds: float
+
+
+def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
+    """The prediction moved to where it explains its picture better. Its energy never ends above the start's.
+
+    batch       learn.training.batch.Batch of one: image, mask, segments and elevation are used, the truth is not
+    prediction  Prediction of one: n, label and light
+    Raises      ValueError for a batch of more than one, or a prediction that lacks a property
+    """
+    began = time.perf_counter()
+    if len(batch.image) != 1 or any(part is None for part in (prediction.n, prediction.label, prediction.light)):
+        raise ValueError("refine: one picture with normals, material and light expected; predict all three, and refine one by one")
+    inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
+    maps = {
+        "material": Material(prediction.label),
+        "light": Light(prediction.light, settings.degree),
+        "normals": Normals(prediction.n, inside, settings.reach),
+    }
+    z = {name: np.zeros(math.prod(m.shape)) for name, m in maps.items()}
+    start = state_of(maps, z)
+    energy = Energy(batch, start, settings)
+    before = best = energy.finest(start)
+    history = []
+    for number, level in enumerate(settings.levels):
+        where = energy.pixels(level.pixels)
+        for turn in range(level.rounds):
+            for step in settings.order:
+                names = (step,) if isinstance(step, str) else step
+                tried = z | descended(energy, maps, z, names, level, where)
+                reached = energy.finest(state_of(maps, tried))
+                accepted = math.isfinite(reached["total"]) and reached["total"] < best["total"]
+                if accepted:
+                    z, best = tried, reached
+                told = {"level": number, "round": turn, "property": "+".join(names), "accepted": accepted}
+                history.append(told | {"total": reached["total"]})
+    state = state_of(maps, z)
+    n = torch.where(inside[:, None], state.n, prediction.n)
+    refined = Prediction(n, None, state.label.to(prediction.label.dtype), torch.log1p(state.light), state.light)
+    return Refined(refined, before, best, history, time.perf_counter() - began)
+
+
+def state_of(maps, z):
+    """State of vectors {name: (Z,) numpy or tensor}."""
+    moved = {name: torch.as_tensor(z[name]).reshape(m.shape) for name, m in maps.items()}
+    return State(maps["material"](moved["material"]), maps["light"](moved["light"]), maps["normals"](moved["normals"]), moved["material"])
+
+
+def descended(energy, maps, z, names, level, where):
+    """{name: vector} of the named properties after L-BFGS at one level; where it meets no finite energy it stays."""
+    sizes = [len(z[name]) for name in names]
+
+    def parts(x):
+        return dict(zip(names, np.split(x, np.cumsum(sizes)[:-1]), strict=True))
+
+    def value_and_slope(x):
+        moved = {name: torch.from_numpy(v.copy()).requires_grad_() for name, v in parts(x).items()}
+        terms = energy.terms(state_of(maps, z | moved), where, level.light, level.method)
+        value = energy.total(terms)
+        slopes = torch.autograd.grad(value, list(moved.values()))
+        slope = np.concatenate([s.numpy() for s in slopes])
+        if not (math.isfinite(value.item()) and np.isfinite(slope).all()):
+            return 1e30, np.zeros_like(x)
+        return value.item(), slope.astype(np.float64)
+
+    x = np.concatenate([z[name] for name in names])
+    options = {"maxiter": level.iterations, "maxfun": MOST_EVALUATIONS * level.iterations, "maxcor": 10}
+    return parts(minimize(value_and_slope, x, jac=True, method="L-BFGS-B", options=options).x)

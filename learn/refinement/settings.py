@@ -1,0 +1,51 @@
+"""What refinement may do, and how hard it is held to the prediction."""
+
+from dataclasses import dataclass
+
+PROPERTIES = ("material", "light", "normals")
+
+
+@dataclass(frozen=True)
+class Level:
+    """One step of coarse to fine.
+
+    pixels      of the object, evenly spread, that the picture is compared at; 0: all
+    light       (height, width) of the map that is summed, reduced from the refined one by solid angle
+    method      of learn.layer.render
+    rounds      through the properties
+    iterations  of L-BFGS, each time for each property
+    """
+
+    pixels: int
+    light: tuple
+    method: str
+    rounds: int
+    iterations: int
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Weights of learn.refinement.energy's terms, and the way down.
+
+    a, b        of normals and of light, Eq. 6
+    c           of the material; Eq. 6 has none: 0
+    order       one property after another in each round; what is not named stays as predicted. A tuple inside moves its properties together
+    degree      of the spherical harmonics that the light's logarithm is changed by
+    reach       the most that a normal may be moved, in the disk of learn.refinement.coordinates
+    tolerance   of the layer in the finest energy, which accepts or rejects every step
+    """
+
+    a: float = 1.0
+    b: float = 10.0
+    c: float = 0.0
+    order: tuple = PROPERTIES
+    degree: int = 8
+    reach: float = 0.3
+    tolerance: float = 5e-3
+    levels: tuple = (
+        Level(pixels=700, light=(32, 64), method="exact", rounds=3, iterations=12),
+        Level(pixels=1400, light=(64, 128), method="exact", rounds=1, iterations=8),
+    )
+
+
+PAPER = Settings()
