@@ -7,6 +7,7 @@ packed/normals.npy   (V, H, W, 2) int16, n_x and n_y in units of 1/32767; n_z = 
                      a normal is turned by .002° where it faces the viewer and by .5° at most, at the rim
 packed/segments.npy  (V, H, W) uint8, 1 … S, 0 in the background
 packed/views.json    the geometry files' hashes, by which a stale cache is known
+packed/skipped.json  hashes of files that were left out, and why
 """
 
 import json
@@ -40,10 +41,11 @@ class View:
 class Geometry:
     """The views of a dataset rendered with one orthographic camera.
 
+    skip_bad  leave damaged geometry out, and say so in `skipped`, {hash: what is wrong}; otherwise the first one raises
     Raises  Problem: no dataset, nothing rendered, cameras of several sizes or with perspective; damaged geometry when it is packed
     """
 
-    def __init__(self, folder, progress=True):
+    def __init__(self, folder, progress=True, skip_bad=False):
         records = Records(folder)
         first = {}
         for record in chain(records.store.views(), records.records):
@@ -58,9 +60,16 @@ class Geometry:
         self.folder, self.size = Path(folder), chosen[0].camera.size
         self.elevation = float(np.radians(chosen[0].camera.elevation_deg))
         sides = {name: entry.side for name, entry in records.dataset.shapes.items()}
+        missing = sorted({r.shape for r in chosen} - set(sides))
+        if missing:
+            raise Problem(self.folder / "dataset.json", f"a shape '{missing[0]}', which a record names,", "none", "copy the dataset again")
+        self.skipped = self._known_as_bad() if skip_bad else {}
+        if not self._is_fresh([r.geometry_hash for r in chosen if r.geometry_hash not in self.skipped]):
+            self._pack(records, chosen, progress, skip_bad)
+        chosen = [r for r in chosen if r.geometry_hash not in self.skipped]
+        if not chosen:
+            raise Problem(folder, "geometry that can be used", "none", next(iter(self.skipped.values())))
         self.views = [View(r.shape, r.category, r.viewpoint, sides[r.shape], r.geometry_hash) for r in chosen]
-        if not self._is_fresh():
-            self._pack(records, chosen, progress)
         self._n = np.load(self._at("normals.npy"), mmap_mode="r", allow_pickle=False)
         self._segments = np.load(self._at("segments.npy"), mmap_mode="r", allow_pickle=False)
 
@@ -80,27 +89,47 @@ class Geometry:
     def _at(self, name):
         return self.folder / "packed" / name
 
-    def _is_fresh(self):
+    def _known_as_bad(self):
         try:
-            hashes = json.loads(self._at("views.json").read_text())
+            return dict(json.loads(self._at("skipped.json").read_text()))
+        except (OSError, ValueError):
+            return {}
+
+    def _is_fresh(self, hashes):
+        try:
+            return json.loads(self._at("views.json").read_text()) == hashes
         except (OSError, ValueError):
             return False
-        return hashes == [view.hash for view in self.views]
 
-    def _pack(self, records, chosen, progress):
+    def _pack(self, records, chosen, progress, skip_bad):
         self.folder.joinpath("packed").mkdir(exist_ok=True)
-        n = np.zeros((len(chosen), *self.size, 2), np.int16)
-        segments = np.zeros((len(chosen), *self.size), np.uint8)
-        for i, record in enumerate(tqdm(chosen, "packing geometry", unit="view", disable=not progress, leave=False)):
-            normals, _, segments[i] = records.geometry(record)
-            lengths = np.linalg.norm(normals[segments[i] > 0], axis=-1)
-            if not np.abs(lengths - 1).max(initial=0.0) < UNIT_TOLERANCE:  # so asked, NaN is refused too
-                remedy = "python -m factory verify DIR --repair, then render again"
-                raise Problem(self.folder / record.geometry, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", remedy)
-            n[i] = np.rint(normals[..., :2] * UNIT)
-        for name, array in (("normals.npy", n), ("segments.npy", segments)):
+        self.skipped, hashes = {}, []
+        n, segments = (np.zeros((len(chosen), *self.size, *rest), kind) for rest, kind in (((2,), np.int16), ((), np.uint8)))
+        for record in tqdm(chosen, "packing geometry", unit="view", disable=not progress, leave=False):
+            try:
+                normals, covered = self._checked(records, record)
+            except Problem as problem:
+                if not skip_bad:
+                    raise
+                self.skipped[record.geometry_hash] = str(problem)
+                continue
+            n[len(hashes)], segments[len(hashes)] = np.rint(normals[..., :2] * UNIT), covered
+            hashes.append(record.geometry_hash)
+        for name, array in (("normals.npy", n[: len(hashes)]), ("segments.npy", segments[: len(hashes)])):
             _replace(self._at(name), lambda file, array=array: np.save(file, array, allow_pickle=False))
-        _replace(self._at("views.json"), lambda file: file.write(json.dumps([v.hash for v in self.views]).encode()))
+        _replace(self._at("skipped.json"), lambda file: file.write(json.dumps(self.skipped).encode()))
+        _replace(self._at("views.json"), lambda file: file.write(json.dumps(hashes).encode()))
+
+    def _checked(self, records, record):
+        """normals (H, W, 3), segments (H, W) of a record or a view. Raises Problem for what nobody can learn from."""
+        normals, _, segments = records.geometry(record)
+        where, remedy = self.folder / record.geometry, "python -m factory verify DIR --repair, then render again; or --skip-bad"
+        if not segments.any():
+            raise Problem(where, "a shape in the frame", "an empty mask", remedy)
+        lengths = np.linalg.norm(normals[segments > 0], axis=-1)
+        if not np.abs(lengths - 1).max() < UNIT_TOLERANCE:  # so asked, NaN is refused too
+            raise Problem(where, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", remedy)
+        return normals, segments
 
 
 def _replace(path, write):

@@ -18,6 +18,16 @@ def register(subparsers):
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where weights, log and sheets go")
     parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps, each a (64, 128, 3) array")
+    parser.add_argument(
+        "--pictures",
+        type=Path,
+        metavar="DIR",
+        help='a dataset with pictures that Cycles rendered, for runs whose data.source is "pictures" or "mix" (default: --data)',
+    )
+    parser.add_argument(
+        "--skip-bad", action="store_true", help="leave damaged records out and count them, instead of stopping before training"
+    )
+    parser.add_argument("--tensorboard", action="store_true", help="write TensorBoard's events too (needs the package tensorboard)")
     parser.add_argument("--steps", type=int, metavar="N", help="other than the run says")
     parser.add_argument("--seed", type=int, metavar="N", help="other than the run says")
     parser.add_argument("--sheet-every", type=int, default=500, metavar="N", help="steps between sheets and validations (default 500)")
@@ -32,6 +42,8 @@ def register(subparsers):
 
 
 def run(options):
+    import sys
+
     import msgspec
     import torch
 
@@ -45,8 +57,12 @@ def run(options):
     if options.seed is not None:
         chosen = msgspec.structs.replace(chosen, seed=options.seed)
     torch.set_num_threads(options.threads)
-    pools = sources.pools(chosen.data, options.data, options.lights)
-    training = loop.Training(chosen, pools, options.out, options.sheet_every, options.checkpoint_every, options.workers)
+    pools = sources.pools(chosen.data, options.data, options.lights, pictures=options.pictures, skip_bad=options.skip_bad)
+    if left_out := sources.skipped(pools):
+        print(f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}", file=sys.stderr)
+    training = loop.Training(
+        chosen, pools, options.out, options.sheet_every, options.checkpoint_every, options.workers, options.tensorboard
+    )
     figures = training.train()
     if figures:
         print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))

@@ -14,6 +14,20 @@ EXPOSURE = 0.3  # standard deviation of the logarithm
 SHIFT = 0.04  # of the picture's side, at most
 
 
+def seen(rng, image, mask, along, photograph):
+    """A picture and its mask as a network sees them, and what moved along with them.
+
+    along       torch tensors (H, W, …) that stay in register with the picture
+    photograph  whether anything happens at all, beyond cutting the picture out
+    Returns     image (H, W, 3), mask (H, W) bool, [tensors]
+    """
+    if photograph:
+        image, cut, step = photographed(rng, image, mask), nibbled(rng, mask), shift(rng, mask)
+        image, mask = np.roll(image, step, (0, 1)), np.roll(cut, step, (0, 1))
+        along = [tensor.roll(step, (0, 1)) for tensor in along]
+    return image * mask[..., None], mask, along
+
+
 def shift(rng, mask):
     """Rows and columns to roll by that keep the object inside the frame."""
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]

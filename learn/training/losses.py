@@ -10,7 +10,8 @@ light_log       mean over solid angle of (log(1 + L') − log(1 + L))²
 light_rendered  the same of radiance leaving a matte and two glossy mirrors: what light does, not where it stands
 image           mean (c(I') − c(I))², I' from all three predictions, c = learn.networks.coding.compressed   Eq. 5
 target          the same of O' in the target material, from predicted normals and light                     Eq. 5
-I and O are what the layer makes of the truth at the same pixels under the same light resolution, so that truth has no loss.
+I and O are what the layer makes of the truth at the same pixels under the same light resolution, so that truth has no loss; where a batch
+has rendered pictures (learn.training.cycles), I and O are those.
 """
 
 import math
@@ -78,12 +79,16 @@ def layer_terms(prediction, batch, losses, rng):
     label = batch.label if prediction.label is None else prediction.label
     n = batch.n if prediction.n is None else prediction.n
     found = {}
-    for name, mine, its in (("image", label, batch.label), ("target", batch.target_label, batch.target_label)):
+    parts = (("image", label, batch.label, batch.picture), ("target", batch.target_label, batch.target_label, batch.target))
+    for name, mine, its, rendered in parts:
         if not getattr(losses, name):
             continue
         where, count = sampled(batch, losses.pixels, rng)
-        with torch.no_grad():
-            truth = at_pixels(batch.n, batch.segments, its, true_light, where, batch.elevation)
+        if rendered is None:
+            with torch.no_grad():
+                truth = at_pixels(batch.n, batch.segments, its, true_light, where, batch.elevation)
+        else:
+            truth = picked(rendered, where)
         seen = at_pixels(n, batch.segments, mine, light, where, batch.elevation, losses.pull)
         lit = (where >= 0)[..., None]
         found[name] = ((compressed(seen) - compressed(truth)) ** 2 * lit).sum() / (3 * count)
@@ -100,17 +105,20 @@ def sampled(batch, pixels, rng):
 
 def at_pixels(n, segments, label, light, where, elevation, pull=0.0):
     """(B, P, 3) radiance at flat indices (B, P); 0 where they are −1. n (B, 3, H, W); pull: see `bounded`, over all the pixels."""
-    safe = where.clamp(min=0)
-    picked = n.flatten(2).gather(2, safe[:, None].expand(-1, 3, -1)).movedim(1, -1)
-    region = segments.flatten(1).gather(1, safe)
+    region = segments.flatten(1).gather(1, where.clamp(min=0))
     mask = where >= 0
-    picked = torch.where(mask[..., None], picked, picked.new_tensor([0.0, 0.0, 1.0]))
-    if picked.requires_grad:
-        picked.register_hook(bounded(pull / mask.sum().clamp(min=1)))
+    normals = torch.where(mask[..., None], picked(n, where), n.new_tensor([0.0, 0.0, 1.0]))
+    if normals.requires_grad:
+        normals.register_hook(bounded(pull / mask.sum().clamp(min=1)))
     shown = {"segments": region.clamp(min=1)[:, None]} if label.shape[1] > 1 else {}
     material = label.exp() if label.shape[1] > 1 else label[:, 0].exp()
-    picture = render(picked[:, None], material, light.movedim(1, -1), mask=mask[:, None], method="exact", elevation=elevation, **shown)
+    picture = render(normals[:, None], material, light.movedim(1, -1), mask=mask[:, None], method="exact", elevation=elevation, **shown)
     return picture[:, 0]
+
+
+def picked(values, where):
+    """(B, P, 3) of values (B, 3, H, W) at flat indices (B, P); anything where they are −1."""
+    return values.flatten(2).gather(2, where.clamp(min=0)[:, None].expand(-1, 3, -1)).movedim(1, -1)
 
 
 def bounded(most):

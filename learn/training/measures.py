@@ -2,7 +2,8 @@
 
 angle_deg, cosine     between predicted and true normals, means over mask pixels
 irradiance            relative root mean square error over directions, mean over pictures; constant_irradiance: of a constant light
-image_l2, target_l2   the paper's display L2 over the mask, of I' against I and of O' against O; exposure from the truth's 99th percentile
+image_l2, target_l2   the paper's display L2 over the mask, of I' against I and of O' against O; exposure from the truth's 99th percentile;
+                      truth is a rendered picture where the batch has one, else what the layer makes of the true parts
 control_l2            of O' from predicted normals under a constant light
 code_l2               mean squared difference of material codes
 """
@@ -12,7 +13,7 @@ import torch
 
 from learn.layer import render
 from learn.training.losses import log_rendered
-from learn.training.relit import Relit
+from learn.training.sources import source_of
 from shaders import tone
 
 TOLERANCE = 2e-2
@@ -20,8 +21,7 @@ TOLERANCE = 2e-2
 
 def over(predict, pool, run, batches, seed=20):
     """Means over the first batches of a pool. predict: Batch → Prediction."""
-    data = run.data
-    source = Relit(pool, data, run.schedule.batch, run.size, seed)
+    source = source_of(pool, run, run.schedule.batch, seed)
     found = [of(predict(batch), batch) for batch in (source[k] for k in range(batches))]
     return {name: float(np.mean(np.concatenate([f[name] for f in found]))) for name in found[0]}
 
@@ -43,11 +43,39 @@ def of(prediction, batch):
             error = ((irradiance(value) - truth) ** 2).mean((1, 2)).sqrt() / (truth**2).mean((1, 2)).sqrt()
             found[name] = error.double().numpy()
     if prediction.label is not None:
-        found["image_l2"] = compared(n, prediction.label, light, batch.label, batch)
-    found["target_l2"] = compared(n, batch.target_label, light, batch.target_label, batch)
+        found["image_l2"] = compared(n, prediction.label, light, batch.label, batch, batch.picture)
+    found["target_l2"] = compared(n, batch.target_label, light, batch.target_label, batch, batch.target)
     if prediction.light is not None:
-        found["control_l2"] = compared(n, batch.target_label, constant, batch.target_label, batch)
+        found["control_l2"] = compared(n, batch.target_label, constant, batch.target_label, batch, batch.target)
     return found
+
+
+class DeadUnits:
+    """While entered, watches which channels of a network's activations are ever above 0; one that never is learns no more."""
+
+    def __init__(self, network):
+        self.alive, self.hooks = {}, []
+        self.layers = [(name, layer) for name, layer in network.named_modules() if isinstance(layer, torch.nn.ReLU)]
+
+    def __enter__(self):
+        self.hooks = [layer.register_forward_hook(self._watch(name)) for name, layer in self.layers]
+        return self
+
+    def __exit__(self, *_):
+        for hook in self.hooks:
+            hook.remove()
+
+    def _watch(self, name):
+        def hook(_, __, output):
+            channels = output.detach().movedim(1, 0).flatten(1).amax(1) > 0
+            self.alive[name] = self.alive.get(name, False) | channels
+
+        return hook
+
+    def figures(self):
+        """{"dead_units": share of all channels}; {} before anything was predicted."""
+        channels = torch.cat(list(self.alive.values())) if self.alive else torch.zeros(0)
+        return {"dead_units": 1 - channels.float().mean().item()} if len(channels) else {}
 
 
 def irradiance(light):
@@ -56,11 +84,14 @@ def irradiance(light):
     return values[..., : values.shape[-1] // 3]
 
 
-def compared(n, label, light, true_label, batch):
-    """(B,) display L2 over the mask between the layer's picture of what was predicted and of what is true."""
+def compared(n, label, light, true_label, batch, rendered=None):
+    """(B,) display L2 over the mask between the layer's picture of what was predicted and the truth.
+
+    rendered  (B, 3, H, W) the true pictures; None: what the layer makes of the true parts
+    """
     inside = batch.segments > 0
     mine = picture(n, label, light, batch)
-    truth = picture(batch.n, true_label, batch.light, batch)
+    truth = picture(batch.n, true_label, batch.light, batch) if rendered is None else rendered.movedim(1, -1).numpy()
     out = []
     for a, b, mask in zip(mine, truth, inside.numpy(), strict=True):
         out.append(tone.display_l2(a, b, tone.auto_exposure(b, mask), mask))

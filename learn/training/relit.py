@@ -12,7 +12,7 @@ import torch
 from learn.geometry import Geometry
 from learn.layer import render
 from learn.training import augmentation, lights
-from learn.training.batch import Batch
+from learn.training.batch import joined
 from learn.training.settings import Data
 from manifests.problems import Problem
 
@@ -22,13 +22,18 @@ BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
 
 @dataclass(frozen=True)
 class Pool:
-    """What one side of the split may draw from. views: indices into geometry; labels: {name: (108,) float32}; maps: [(64, 128, 3)]."""
+    """What one side of the split may draw from.
+
+    views   indices into geometry; labels: {name: (108,) float32}; maps: [(64, 128, 3)]
+    album   learn.training.cycles.Album of this side's rendered pictures, or None
+    """
 
     geometry: Geometry
     views: np.ndarray
     labels: dict
     maps: list
     side: str
+    album: object = None
 
 
 class Relit:
@@ -57,7 +62,7 @@ class Relit:
 
     def __getitem__(self, k):
         """The k-th Batch."""
-        return joined([self._group(k, g) for g in self.groups], self.pool.geometry.elevation)
+        return joined([example for g in self.groups for example in self._group(k, g)], self.pool.geometry.elevation)
 
     def _group(self, k, g):
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(SIDES[self.pool.side], k, g)))
@@ -105,35 +110,5 @@ class Relit:
 
     def _example(self, rng, n, segments, image, label, target, L, name, training):
         mask = (segments > 0).numpy()
-        seen = mask
-        if training and self.data.photograph:
-            image = augmentation.photographed(rng, image, mask)
-            seen = augmentation.nibbled(rng, mask)
-            step = augmentation.shift(rng, mask)
-            image, seen = np.roll(image, step, (0, 1)), np.roll(seen, step, (0, 1))
-            n, segments = n.roll(step, (0, 1)), segments.roll(step, (0, 1))
-        return image * seen[..., None], seen, n, segments, label, L, target, name
-
-
-def joined(groups, elevation):
-    """A Batch of examples (image, mask, n, segments, label, light, target label, name), picture arrays channels last."""
-    examples = [example for group in groups for example in group]
-    image, mask, n, segments, label, light, target, names = zip(*examples, strict=True)
-
-    def pictures(arrays):
-        return torch.stack([torch.as_tensor(np.ascontiguousarray(a)) for a in arrays]).movedim(-1, 1).contiguous()
-
-    def plain(arrays):
-        return torch.stack([torch.as_tensor(np.ascontiguousarray(a)) for a in arrays])
-
-    return Batch(
-        pictures(image),
-        plain(mask)[:, None].float(),
-        pictures(n),
-        plain(segments),
-        plain(label),
-        pictures(light),
-        plain(target),
-        names,
-        elevation,
-    )
+        image, seen, (n, segments) = augmentation.seen(rng, image, mask, (n, segments), training and self.data.photograph)
+        return image, seen, n, segments, label, L, target, name

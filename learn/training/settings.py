@@ -12,14 +12,18 @@ Count = Annotated[int, Meta(ge=1, le=100_000_000)]
 class Data(Struct, frozen=True, forbid_unknown_fields=True):
     """Where samples come from and who is held out.
 
+    source         relit: by the layer from geometry; pictures: records that Cycles rendered; mix: batches of both
+    pictures_share of a mix's batches, that are of pictures
     sharing        relit pictures, of different shapes and views, that share a material and a light: their reflectance map is computed once
     tolerance      relative error of relit pictures
     regions        materials a picture, one a segment
     real_lights    share of pictures lit by one map; half of the rest by a mixture of two, half by a computed sky or room
     photograph     augment as a photograph needs: exposure, shift, a nibbled mask, noise, JPEG
-    validation_lights, test_lights   names of maps that training never sees
+    validation_lights, test_lights   names of maps that training never sees; where a run names none at all, a map's hash decides
     """
 
+    source: Literal["relit", "pictures", "mix"] = "relit"
+    pictures_share: Annotated[float, Meta(ge=0, le=1)] = 0.25
     sharing: Count = 4
     tolerance: Annotated[float, Meta(gt=0, lt=1)] = 1e-2
     regions: Annotated[int, Meta(ge=1, le=8)] = 1
@@ -49,7 +53,11 @@ class Losses(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
-    """Steps and step sizes. compact: AdamW, warm-up, cosine to 0. paper: Adam at rate, 1e-2 rate, 1e-4 rate over thirds, β₁ .9, .5, .5."""
+    """Steps and step sizes. compact: AdamW, warm-up, cosine to 0. paper: Adam at rate, 1e-2 rate, 1e-4 rate over thirds, β₁ .9, .5, .5.
+
+    seconds  processor time of the network's process after which the run ends, if it has not made its steps by then; the rate follows
+             it. Not bitwise repeatable, for comparisons at equal cost
+    """
 
     steps: Count = 1000
     batch: Count = 16
@@ -59,6 +67,15 @@ class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
     decay: Weight = 1e-3
     clip: Annotated[float, Meta(gt=0)] = 1.0
     average: Annotated[float, Meta(ge=0, lt=1)] = 0.999
+    seconds: Annotated[float, Meta(gt=0)] | None = None
+
+
+class Stage(Struct, frozen=True, forbid_unknown_fields=True):
+    """Training of some parts before the rest of the run; the rate starts anew with each stage."""
+
+    parts: Annotated[tuple[Part, ...], Meta(min_length=1)]
+    steps: Count
+    losses: Losses = Losses()
 
 
 class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -66,6 +83,7 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     size             of pictures; a dataset's geometry may be a whole number of times larger
     start            weights to begin with, a path from where the command is run
+    stages           what is trained before: each part alone, say, before all together
     mixed_precision  networks in bfloat16; the layer and the losses stay in float32
     skipped_steps    how many steps may turn out not finite before the run ends
     """
@@ -81,5 +99,6 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     schedule: Schedule = Schedule()
     mixed_precision: bool = True
     start: str | None = None
+    stages: tuple[Stage, ...] = ()
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     skipped_steps: Annotated[int, Meta(ge=0)] = 5

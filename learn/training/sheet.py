@@ -15,13 +15,15 @@ ROWS = 6
 
 
 def write(path, batch, prediction):
-    """The first rows of a batch as a JPEG. Parts that were not predicted are shown as true."""
+    """The first rows of a batch as a JPEG, and as an array (H, W, 3) uint8. Parts that were not predicted are shown as true."""
     n = batch.n if prediction.n is None else prediction.n
     label = batch.label if prediction.label is None else prediction.label
     light = batch.light if prediction.light is None else prediction.light
     mine, target = picture(n, label, light, batch), picture(n, batch.target_label, light, batch)
-    true_target = picture(batch.n, batch.target_label, batch.light, batch)
-    true_image = picture(batch.n, batch.label, batch.light, batch)
+    true_target, true_image = (
+        picture(batch.n, truth, batch.light, batch) if rendered is None else rendered.movedim(1, -1).numpy()
+        for truth, rendered in ((batch.target_label, batch.target), (batch.label, batch.picture))
+    )
     rows = []
     for i in range(min(ROWS, len(n))):
         mask = (batch.segments[i] > 0).numpy()
@@ -41,7 +43,9 @@ def write(path, batch, prediction):
             tone.display(true_target[i], other),
         ]
         rows.append(np.concatenate([np.clip(c, 0, 255) for c in cells], 1))
-    Image.fromarray(np.concatenate(rows).astype(np.uint8)).save(path, quality=90)
+    cells = np.concatenate(rows).astype(np.uint8)
+    Image.fromarray(cells).save(path, quality=90)
+    return cells
 
 
 def parts(batch, prediction, again, exposure):

@@ -6,14 +6,17 @@ import numpy as np
 
 from learn.dataset import Records
 from learn.geometry import Geometry
+from learn.training import preflight
+from learn.training.cycles import Album, Cycles, Mix, fits
 from learn.training.lights import read_maps
-from learn.training.relit import Pool
-from manifests import materials
+from learn.training.relit import SIDES, Pool, Relit
+from manifests import materials, splits
 from manifests.problems import Problem, closest
 from shaders.envmap import same_capture
 
 VALIDATION_SHAPES = 25  # one in so many training shapes is for choosing weights instead
 VALIDATION_MATERIALS = 8
+VALIDATION_LIGHTS = 6  # one in so many training maps, where the run names none
 TWIN = 0.05
 
 
@@ -22,36 +25,104 @@ def by_hash(name, parts):
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:4], "big") % parts
 
 
-def pools(data, folder, maps_file=None, progress=True):
-    """{"train": Pool, "validation": Pool, "test": Pool}: disjoint in shapes, materials and the lights that the run names.
+def pools(data, folder, maps_file=None, progress=True, pictures=None, skip_bad=False):
+    """{"train": Pool, "validation": Pool, "test": Pool}: disjoint in shapes, materials and lights, all checked before anything is trained.
 
-    A side for which no light is named, validation or test, is lit by all maps; training never sees a named one.
+    A side for which no light is left, validation or test, is lit by all maps; training never sees a held-out one.
 
     data       learn.training.settings.Data
     folder     a dataset with geometry; its lights are used too
     maps_file  an .npz of further light maps, or None
-    Raises     Problem: a held-out light that is not there, a side without shapes
+    pictures   a dataset with records that Cycles rendered, or None: those of `folder`, where the run asks for pictures
+    skip_bad   leave out what is damaged, and count it; otherwise the first one raises
+    Raises     Problem: a held-out light that is not there, a side without shapes, damaged geometry or pictures
     """
-    geometry = Geometry(folder, progress)
-    maps = {} if maps_file is None else read_maps(maps_file)
-    records = Records(folder)
-    maps = {name: records.light(name) for name in records.dataset.lights} | maps
-    for name in (*data.validation_lights, *data.test_lights):
-        if name not in maps:
-            raise Problem(f"held-out light '{name}'", "a light of the dataset or of --lights", "none of that name", closest(name, maps))
+    geometry, records = Geometry(folder, progress, skip_bad), Records(folder)
+    maps = {name: records.light(name) for name in records.dataset.lights} | ({} if maps_file is None else read_maps(maps_file))
     maps = without_twins(maps, (*data.validation_lights, *data.test_lights))
-    held = {"validation": data.validation_lights, "test": data.test_lights}
-    held["train"] = [name for name in maps if name not in {*data.validation_lights, *data.test_lights}]
+    held = _held_out(data, maps, records.dataset.lights)
     labels, sides = _materials(), [_side(view) for view in geometry.views]
+    albums = {}
+    if pictures is not None or data.source != "relit":
+        known = {name: (held.get(name, "train"), L) for name, L in maps.items()}
+        albums = _albums(data, pictures or folder, geometry, known, skip_bad, progress)
     found = {}
-    for side in ("train", "validation", "test"):
+    for side in SIDES:
         views = np.array([i for i, s in enumerate(sides) if s == side])
         if not len(views):
             raise Problem(folder, f"shapes for {side}", "none", "render more shapes; a fifth of them is held out")
-        names = held[side] if side == "train" else held[side] or maps  # without maps training draws computed light, never a held-out map
-        lit = [maps[name] for name in sorted(names)]
-        found[side] = Pool(geometry, views, labels[side], lit, side)
+        names = [name for name in maps if held.get(name, "train") == side]
+        if not names and side != "train":  # without maps training draws computed light, never a held-out map
+            names = maps
+        found[side] = Pool(geometry, views, labels[side], [maps[name] for name in sorted(names)], side, albums.get(side))
     return found
+
+
+def source_of(pool, run, batch, seed, part=(0, 1)):
+    """Batches of one side as a run wants them: relit, of pictures, or both. Sides without pictures are relit."""
+    relit = Relit(pool, run.data, batch, run.size, seed, part)
+    if run.data.source == "relit" or not pool.album:
+        return relit
+    cycles = Cycles(pool, run.data, batch, run.size, seed, part)
+    return cycles if run.data.source == "pictures" or pool.side != "train" else Mix(relit, cycles, run.data.pictures_share)
+
+
+def skipped(pools):
+    """{record id or geometry hash: what is wrong} of all that was left out."""
+    albums = [pool.album for pool in pools.values() if pool.album]
+    return pools["train"].geometry.skipped | {key: told for album in albums for key, told in album.skipped.items()}
+
+
+def _held_out(data, maps, entries):
+    """{name: "validation" or "test"} of the maps that training must not see. Raises Problem for a name that is not there."""
+    named = dict.fromkeys(data.test_lights, "test") | dict.fromkeys(data.validation_lights, "validation")
+    for name in named:
+        if name not in maps:
+            raise Problem(f"held-out light '{name}'", "a light of the dataset or of --lights", "none of that name", closest(name, maps))
+    if named:
+        return named
+    hashes = {name: entries[name].hash if name in entries else hashlib.sha256(L.tobytes()).hexdigest() for name, L in maps.items()}
+    sides = {name: (entries[name].side if name in entries else None) or splits.light_side(hashes[name]) for name in maps}
+    held = {name: "test" for name, side in sides.items() if side == "test"}
+    return held | {name: "validation" for name in maps if name not in held and by_hash(hashes[name], VALIDATION_LIGHTS) == 0}
+
+
+def _albums(data, folder, geometry, maps, skip_bad, progress):
+    """{side: Album}: a picture is for training or testing if shape, materials and light all are; for validation if its shape is and nothing
+    of it is for testing. maps: {name: (side, L)}. Raises Problem for no pictures, or damaged ones.
+    """
+    records = Records(folder)
+    geometry = geometry if geometry.folder.resolve() == records.folder.resolve() else Geometry(folder, progress, skip_bad)
+    fitting = [r for r in records.records if fits(r, data.regions)]
+    if not fitting:
+        remedy = "render some: python -m factory render JOB, or take another number of regions"
+        raise Problem(folder, f"pictures of {data.regions} material{'s' * (data.regions > 1)}", f"none in {len(records)} records", remedy)
+    good, wrong = preflight.checked(records, fitting, geometry, skip_bad, progress)
+    labels = _materials()
+    material = {name: side for side in SIDES for name in labels[side]}
+    shape = {view.hash: _side(view) for view in geometry.views}
+    light = {name: _light_side(records.light(name), maps) for name in {r.light for r in good}}
+    chosen = {side: [] for side in SIDES}
+    for record in good:
+        of_materials = {material.get(name) or _own_side(records.dataset, name) for name in record.materials}
+        others = of_materials | {light[record.light]}
+        side = shape[record.geometry_hash]
+        if others == {side} or (side == "validation" and "test" not in others):
+            chosen[side].append(record)
+    if not chosen["train"] and data.source != "relit":
+        found = f"{len(good)} in which shape, material or light is held out"
+        raise Problem(folder, "pictures for training", found, "render shapes, materials and lights of the training side")
+    return {side: Album(records, geometry, of_side, wrong) for side, of_side in chosen.items()}
+
+
+def _own_side(dataset, name):
+    """The side of a material that only this dataset knows."""
+    return dataset.materials[name].side if name in dataset.materials else "train"
+
+
+def _light_side(L, maps):
+    """The side of the map that this one is, under whatever name; maps that nobody knows are for training."""
+    return next((side for side, other in maps.values() if same_capture(L, other) or twins(L, other)), "train")
 
 
 def without_twins(maps, held):

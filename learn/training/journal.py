@@ -1,0 +1,68 @@
+"""What a run writes about itself, step by step: log.jsonl, and TensorBoard's events when asked.
+
+A run that was killed may have logged steps beyond its last checkpoint; it makes them again, so those lines are dropped first.
+"""
+
+import json
+import os
+from pathlib import Path
+
+from manifests.problems import Problem
+
+
+class Journal:
+    """Figures of one run. step: where it goes on; tensorboard: write events as well. Raises Problem if TensorBoard is not installed."""
+
+    def __init__(self, out, step, tensorboard=False):
+        self.path, self.events = Path(out) / "log.jsonl", None
+        if tensorboard:
+            self.events = _writer()(str(Path(out) / "tensorboard"), purge_step=step or None)
+        _forget(self.path, step)
+
+    def write(self, record):
+        """One step's figures: {"step": k, name: number, "validation": {name: number}}."""
+        with open(self.path, "a", encoding="utf-8") as log:
+            log.write(json.dumps(record) + "\n")
+        if self.events:
+            for name, value in record.items():
+                if isinstance(value, int | float) and name != "step":
+                    self.events.add_scalar(f"train/{name}", value, record["step"])
+            for name, value in record.get("validation", {}).items():
+                self.events.add_scalar(f"validation/{name}", value, record["step"])
+
+    def show(self, step, picture):
+        """A sheet of pictures (H, W, 3) uint8."""
+        if self.events:
+            self.events.add_image("sheet", picture, step, dataformats="HWC")
+
+    def close(self):
+        """All events on disk."""
+        if self.events:
+            self.events.close()
+
+
+def _writer():
+    try:
+        import tensorboard  # noqa: F401 -- torch's own message takes a page
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise Problem("--tensorboard", "the package tensorboard", "none", "pip install tensorboard, or leave the option out") from None
+    return SummaryWriter
+
+
+def _forget(path, step):
+    """Drop lines of steps from `step` on, and a torn last one."""
+    if not path.exists():
+        return
+    kept, whole = [], path.read_bytes()
+    for line in whole.splitlines(keepends=True):
+        try:
+            if line.endswith(b"\n") and json.loads(line)["step"] < step:
+                kept.append(line)
+        except (ValueError, KeyError):
+            continue
+    text = b"".join(kept)
+    if text != whole:
+        temporary = path.with_name(f"{path.name}.{os.getpid()}")
+        temporary.write_bytes(text)
+        temporary.replace(path)

@@ -1,0 +1,72 @@
+"""Before training starts: is every picture that it will need there, whole, finite and of something?
+
+All files are read once; what was found good is remembered by size and time of change (packed/pictures.json), so that another run only
+asks the file system.
+"""
+
+import json
+
+import numpy as np
+from tqdm import tqdm
+
+from manifests.problems import Problem
+from manifests.store import inside
+
+
+def checked(records, chosen, geometry, skip_bad=False, progress=True):
+    """The records among `chosen` that training can use, and {id: what is wrong} of the others.
+
+    records   learn.dataset.Records; geometry: learn.geometry.Geometry of the same folder
+    skip_bad  leave bad ones out; otherwise the first one raises
+    Raises    Problem that names the record's file and the remedy
+    """
+    path = records.folder / "packed" / "pictures.json"
+    known, good, skipped, seen = _remembered(path), [], {}, {hash_: None for hash_ in geometry.skipped}
+    seen |= {view.hash: True for view in geometry.views}
+    for record in tqdm(chosen, "checking pictures", unit="picture", disable=not progress, leave=False):
+        try:
+            stamp = _stamp(inside(records.folder, record.image))
+            for name in record.materials:
+                records.label(name)
+            records.light(record.light)
+            if stamp is None or known.get(record.id) != stamp:
+                _check(records, record)
+                known[record.id] = stamp
+            if not seen.get(record.geometry_hash):
+                found = geometry.skipped.get(record.geometry_hash, "a shape that covers next to nothing of the frame")
+                raise Problem(f"{records.folder}: record {record.id}", "usable geometry", found, "render it again, or --skip-bad")
+            good.append(record)
+        except Problem as problem:
+            if not skip_bad:
+                raise
+            skipped[record.id] = str(problem)
+    path.parent.mkdir(exist_ok=True)
+    temporary = path.with_suffix(".new")
+    temporary.write_text(json.dumps(known))
+    temporary.replace(path)
+    return good, skipped
+
+
+def _check(records, record):
+    """Read a record's picture. Raises Problem."""
+    where = inside(records.folder, record.image)
+    image = records.image(record)
+    if not np.isfinite(image).all():
+        count = int((~np.isfinite(image)).sum())
+        raise Problem(where, "finite radiance", f"{count} values that are not", "render it again, or leave it out by --skip-bad")
+
+
+def _stamp(path):
+    try:
+        stat = path.stat()
+    except OSError:
+        return None
+    return [stat.st_size, stat.st_mtime_ns]
+
+
+def _remembered(path):
+    try:
+        known = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return known if isinstance(known, dict) else {}
