@@ -7,13 +7,17 @@ A method remembers the parts of the last batch it saw: the edits of one picture 
 Baselines come from `learn.baselines.found(folder)`: the Methods whose weights lie in the folder, and {name: what is missing} of the others.
 """
 
+from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import torch
 
 from learn.layer import render
 from learn.networks.prediction import Prediction
+from manifests.materials import load_catalogue
 
+REFINED = ("Baseline 2",)  # of the baselines, those that the paper refines too
 METHOD, TOLERANCE = "quadrature", 1e-2  # the integral, not the paper's sum: of a mirror-like lobe the sum alone is 200 display L2 off
 
 
@@ -91,6 +95,22 @@ class Unchanged:
         return (batch.image * batch.mask)[0].movedim(0, -1).numpy()
 
 
+class MeanMaterial(Layered):
+    """The training materials' mean label whatever is asked for, in true normals and light, or in a method's."""
+
+    def __init__(self, method=None):
+        super().__init__(f"mean material, {'true normals and light' if method is None else 'the rest of ' + method.name}", self._predict)
+        labels = [entry.label.reshape(-1) for entry in load_catalogue().values() if entry.split == "train"]
+        self.label, self.method = torch.from_numpy(np.mean(labels, 0)).float(), method
+
+    def _predict(self, batch):
+        found = Prediction(batch.n, None, None, None, batch.light) if self.method is None else self.method.parts(batch)
+        return found._replace(code=None, label=self.label.expand_as(batch.label))
+
+    def edit(self, batch, label):
+        return super().edit(batch, self.parts(batch).label)
+
+
 def network(net):
     """Batch → Prediction by a network of learn.networks, over regions where the picture has several."""
 
@@ -111,6 +131,46 @@ def constant_light(method=None):
     return Layered(f"constant light, {'true normals' if method is None else 'normals of ' + method.name}", predict)
 
 
-def truth():
-    """True normals and light: what the layer, label and nodes alone cost."""
-    return Layered("true normals and light", lambda batch: Prediction(batch.n, None, batch.label, None, batch.light))
+def layer_alone():
+    """True normals, light and label: what the layer itself is off by, in the material that it is asked for as in the one that is there."""
+    return Layered("the layer alone", lambda batch: Prediction(batch.n, None, batch.label, None, batch.light))
+
+
+@dataclass(frozen=True)
+class Entrants:
+    """Who is compared.
+
+    edits     methods that edit, the rows of the table of edits, in order; the last one is the layer alone
+    parts     further methods, of which the parts alone are compared
+    left_out  {name: why it is not there}
+    """
+
+    edits: tuple
+    parts: tuple
+    left_out: dict
+
+
+OURS, OURS_REFINED = "ours", "ours, refined"
+
+
+def entrants(net, refine, baselines=None):
+    """The Entrants.
+
+    net        a network of learn.networks
+    refine     (Batch, Prediction) → learn.refinement.Refined, or None: nobody is refined
+    baselines  a folder of weights, or None
+    """
+    ours, rows, left_out = Layered(OURS, network(net)), [], {}
+    if baselines is None:
+        left_out["baselines of Section 4.5"] = "no --baselines DIR was given"
+    else:
+        from learn import baselines as others
+
+        found, left_out = others.found(baselines)
+        for method in found:
+            rows += [method, Refined(method, refine)] if refine and method.name in REFINED else [method]
+    rows += [ours, Refined(ours, refine)] if refine else [ours]
+    if not refine:
+        left_out["refined rows"] = "--no-refine was given"
+    trivial = [Unchanged(), MeanMaterial(), constant_light(), constant_light(ours)]
+    return Entrants((*trivial, *rows, layer_alone()), (MeanMaterial(ours),), left_out)

@@ -1,0 +1,149 @@
+"""One source picture at work: every method takes it apart, makes the edits asked of it, and is compared with the truth.
+
+A row of figures is plain JSON: {"methods": {name: {group: {figure: value}}}, …}. What a method does not do is left out of its row.
+"""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from learn.agreement import surface
+from learn.agreement.measure import squared
+from learn.dataset import Records
+from learn.evaluation import gallery, intrinsics, methods, metrics, pairs
+from learn.training import checkpoint
+from manifests.problems import Problem
+from shaders import tone
+
+
+class Bench:
+    """Records, methods and their weights, once a process.
+
+    data, weights, baselines   paths; baselines may be None
+    refine                     whether refined rows are made
+    perceptual                 display values, display values → float, or None
+    """
+
+    def __init__(self, data, weights, baselines=None, refine=True, perceptual=None):
+        self.records = Records(data)
+        net, metadata = checkpoint.load_network(weights)
+        self.size, self.ranges, self.perceptual = int(metadata["size"]), net.ranges, perceptual
+        if refine:
+            from learn.refinement import refine as work
+        self.entrants = methods.entrants(net, work if refine else None, baselines)
+
+    def work(self, edits, whole, folder=None):
+        """(row of the source picture or None, [row of each edit]).
+
+        edits   Edits of one source, one at least
+        whole   whether the source's own row is wanted
+        folder  where pictures of the edits go, or None: no pictures
+        """
+        batch = pairs.shown(self.records, edits[0])
+        if batch.image.shape[-2:] != (self.size, self.size):
+            found = f"{batch.image.shape[-1]} × {batch.image.shape[-2]}"
+            raise Problem(
+                self.records.folder, f"pictures of {self.size} × {self.size} pixels, as the weights were trained", found, "render anew"
+            )
+        return self._taken_apart(edits[0].source, batch) if whole else None, [self._edited(edit, batch, folder) for edit in edits]
+
+    def _taken_apart(self, record, batch):
+        truth = batch.image[0].movedim(0, -1).numpy()
+        row = {"id": record.id, "methods": {}} | told(record)
+        for method in (*self.entrants.edits, *self.entrants.parts):
+            start = time.perf_counter()
+            parts = method.parts(batch)
+            seconds = time.perf_counter() - start
+            if parts is None:
+                continue
+            row["methods"][method.name] = {"seconds": seconds} | self._parts(parts, batch, truth)
+            if isinstance(method, methods.Refined):
+                row["methods"][method.name]["refinement"] = refinement(method.told)
+        return row
+
+    def _parts(self, parts, batch, truth):
+        """The figures of a Prediction; what was given to the method, or is not told apart by it, is left out."""
+        inside = batch.segments[0] > 0
+        found, predicted = {}, {}
+        if parts.n is not None and parts.n is not batch.n:
+            found["normals"] = intrinsics.normals(parts.n[0].float(), batch.n[0], inside)
+            predicted["normals"] = (parts.n, batch.label, batch.light)
+        if parts.label is not None and parts.label is not batch.label:
+            found["material"] = intrinsics.material(parts.label[0].float(), batch.label[0], self.ranges)
+            predicted["material"] = (batch.n, parts.label, batch.light)
+        if parts.light is not None and parts.light is not batch.light:
+            found["light"] = intrinsics.light(parts.light[0].float(), batch.light[0], batch.elevation)
+            predicted["light"] = (batch.n, batch.label, parts.light)
+        if parts.n is not None and parts.label is not None and parts.light is not None:
+            predicted["all"] = (parts.n, parts.label, parts.light)
+        for name, (n, label, light) in predicted.items():
+            picture = methods.rendered(n, label, light, batch)
+            found[f"rendered_{name}"] = metrics.compare(picture, truth, inside.numpy(), self.perceptual)
+        return found
+
+    def _edited(self, edit, batch, folder):
+        label, truth = pairs.wanted(self.records, edit), self.records.image(edit.truth)
+        mask = (batch.segments[0] > 0).numpy()
+        truth = truth * mask[..., None]
+        row = {"id": edit.id, "source": edit.source.id, "truth": edit.truth.id, "several": edit.several, "methods": {}}
+        row |= told(edit.source) | {"wanted": list(edit.truth.materials)}
+        shown = {}
+        for method in self.entrants.edits:
+            start = time.perf_counter()
+            picture = method.edit(batch, label)
+            seconds = time.perf_counter() - start
+            figures = metrics.compare(picture, truth, mask, self.perceptual) | with_truth(method, batch, label, truth, mask)
+            row["methods"][method.name] = figures | {"seconds": seconds}
+            shown[method.name] = picture
+        alone = shown[self.entrants.edits[-1].name]
+        row["layer"] = self._layer(edit, alone, truth, mask)
+        if folder is not None:
+            gallery.write(Path(folder) / f"{edit.id}.png", batch, truth, shown, mask)
+        return row
+
+    def _layer(self, edit, picture, truth, mask):
+        """How far the layer's edit from true parts is off, over the mask and away from edges, and what the catalogue says of its nodes."""
+        normals, depth, segments = self.records.geometry(edit.truth)
+        camera = edit.truth.camera
+        inner = surface.inner(normals, segments, depth, 2 * camera.half_extent / max(camera.size)) & mask
+        exposure = tone.auto_exposure(truth, mask)
+        error = squared(tone.display(picture, exposure), tone.display(truth, exposure))
+        fits = [self.records.material(name).errors.nodes_vs_label.display_l2 for name in edit.truth.materials]
+        return {
+            "l2": float(error[mask].mean()),
+            "l2_inner": float(error[inner].mean()) if inner.any() else None,
+            "node_fit": float(np.mean([np.mean(fit) for fit in fits])) if all(fits) else None,
+        }
+
+
+def told(record):
+    """What a row says of its picture."""
+    r = record
+    return {
+        "shape": r.shape,
+        "category": r.category,
+        "viewpoint": r.viewpoint,
+        "materials": list(r.materials),
+        "light": r.light,
+        "rotation_texels": r.rotation_texels,
+        "split": r.split,
+    }
+
+
+def with_truth(method, batch, label, truth, mask):
+    """{"l2_true_light", "l2_true_normals"}: the edit's L2 were one of the two not predicted but given; {} for methods without parts."""
+    parts = method.parts(batch)
+    if parts is None or parts.n is None or parts.light is None or isinstance(method, methods.MeanMaterial):
+        return {}
+    lit = methods.rendered(parts.n, label, batch.light, batch)
+    shaped = methods.rendered(batch.n, label, parts.light, batch)
+    return {name: metrics.display_l2(p, truth, mask) for name, p in (("l2_true_light", lit), ("l2_true_normals", shaped))}
+
+
+def refinement(refined):
+    """Energies, time, and whether all that came out is finite."""
+    p = refined.prediction
+    finite = all(bool(torch.isfinite(x).all()) for x in (p.n, p.label, p.light))
+    return {"before": refined.before["total"], "after": refined.after["total"], "seconds": refined.seconds, "finite": finite}

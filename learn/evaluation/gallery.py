@@ -1,0 +1,53 @@
+"""Pictures of one edit, side by side: what the method was shown, the truth, and each method's edit with its error beneath.
+
+All under the truth's exposure but the input, which is under its own. Error: root mean square over channels of display values, black 0,
+white FULL or more.
+"""
+
+import numpy as np
+from PIL import Image
+
+from shaders import tone
+
+FULL = 64.0
+BACKGROUND = 32.0
+
+
+def write(path, batch, truth, pictures, mask):
+    """A PNG of two rows: input, truth, each method's edit; beneath, an empty cell, the truth's own, and each error map.
+
+    pictures  {name: (H, W, 3) radiance}, in the order of the columns
+    """
+    exposure = tone.auto_exposure(truth, mask)
+    seen = batch.image[0].movedim(0, -1).numpy()
+    right = tone.display(truth, exposure)
+    empty = np.full((*mask.shape, 3), BACKGROUND)
+    above, below = [cut(tone.display(seen, tone.auto_exposure(seen, mask)), mask), cut(right, mask)], [empty, empty]
+    for picture in pictures.values():
+        shown = tone.display(picture, exposure)
+        above.append(cut(shown, mask))
+        below.append(cut(heat(np.sqrt(((shown - right) ** 2).mean(-1))), mask))
+    sheet = np.concatenate([np.concatenate(above, 1), np.concatenate(below, 1)], 0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}")
+    Image.fromarray(np.clip(np.rint(sheet), 0, 255).astype(np.uint8)).save(temporary, "PNG")
+    temporary.replace(path)
+
+
+def cells(path, count):
+    """[(above, below)] display pictures of the `count` columns of a sheet that `write` made."""
+    sheet = np.asarray(Image.open(path).convert("RGB"))
+    H, W = sheet.shape[0] // 2, sheet.shape[1] // count
+    return [(sheet[:H, k * W : (k + 1) * W], sheet[H:, k * W : (k + 1) * W]) for k in range(count)]
+
+
+def cut(display, mask):
+    """The picture before a grey ground."""
+    return np.where(mask[..., None], display, BACKGROUND)
+
+
+def heat(error):
+    """Colours (H, W, 3) of errors (H, W): black, violet, orange, white."""
+    x = np.clip(error / FULL, 0, 1)
+    stops = np.array([[0, 0, 0], [70, 15, 110], [180, 50, 90], [245, 125, 20], [252, 255, 200]], float)
+    return np.stack([np.interp(x, np.linspace(0, 1, len(stops)), stops[:, k]) for k in range(3)], -1)
