@@ -7,10 +7,8 @@ geometry  normal.X, normal.Y, normal.Z (float, camera frame) and depth.Z (float)
 
 import contextlib
 import io
-import os
 
 import numpy as np
-import OpenEXR
 
 from factory.quiet import silenced
 from manifests import exr
@@ -18,24 +16,6 @@ from manifests.problems import Problem
 
 GEOMETRY_STEPS = np.float32(1 << 15)  # a unit
 LARGEST_HALF = 65504.0  # a sun seen in a mirror may exceed it; it is far above any exposure's white
-
-
-def write(path, channels):
-    """Writes channels, name → (height, width) array of float16, float32 or uint32, to a temporary name, then renames it to `path`.
-
-    Raises  OSError if it cannot be written, with the system's reason; nothing is left behind then
-    """
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    temporary = f"{path}.{os.getpid()}.part"  # the process's own: two workers never write one file's draft
-    try:
-        with OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}) as file:
-            file.write(temporary)
-        os.replace(temporary, path)
-    except RuntimeError as error:  # the library's word for a full disk, a missing folder, and all else
-        raise OSError(f"{path}: {str(error).splitlines()[0]}") from None
-    finally:
-        if os.path.exists(temporary):
-            os.unlink(temporary)
 
 
 def read(path):
@@ -54,7 +34,7 @@ def _stacked(path, channels, names):
 def write_picture(path, radiance):
     """radiance (height, width, 3); stored as half, values above 65504 held there."""
     half = np.clip(radiance, 0.0, LARGEST_HALF).astype(np.float16)
-    write(path, {name: half[..., k] for k, name in enumerate("RGB")})
+    exr.write(path, {name: half[..., k] for k, name in enumerate("RGB")})
 
 
 def read_picture(path):
@@ -66,7 +46,7 @@ def write_geometry(path, geometry):
     """geometry: anything with normals (height, width, 3), depth (height, width) and segments (height, width), as studio.Geometry has."""
     layers = {f"normal.{axis}": geometry.normals[..., k] for k, axis in enumerate("XYZ")} | {"depth.Z": geometry.depth}
     channels = {name: np.rint(values.astype(np.float32) * GEOMETRY_STEPS) / GEOMETRY_STEPS for name, values in layers.items()}
-    write(path, channels | {"segment": geometry.segments.astype(np.uint32)})
+    exr.write(path, channels | {"segment": geometry.segments.astype(np.uint32)})
 
 
 def read_geometry(path):

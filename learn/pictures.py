@@ -2,19 +2,23 @@
 
 radiance  (H, W, 3) float32 linear Rec.709; 8 and 16 bit files pass the sRGB curve backwards
 mask      (H, W) bool, from a file of the same size (brighter than half) or from the picture's own alpha
+Of 16-bit colour Pillow keeps the upper eight bits; of 16-bit grey all. Orientation is taken from the file, colour profiles are not read.
 """
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from manifests import exr
 from manifests.problems import Problem
+from shaders import tone
 from shaders.envmap import LUMINANCE
 
 MOST_PIXELS = 64_000_000
+MOST_REGIONS = 8
 LEAST_PIXELS = 16  # of the mask; fewer tell nothing of a shape
 MARGIN = 1.18  # of the square over the object: objects span 0.85 of the median training picture
 MEAN_LUMINANCE = 0.058  # of the object in the median training picture, lit by a light of unit mean
@@ -31,59 +35,99 @@ class Framed:
 
 
 def read(path, mask_path=None):
-    """radiance (H, W, 3), mask (H, W). Raises Problem: no such file, no picture, no mask, an empty one, one of another size."""
+    """radiance (H, W, 3), mask (H, W) bool. Raises as `read_soft`."""
+    radiance, coverage = read_soft(path, mask_path)
+    return radiance, coverage >= 0.5
+
+
+def read_soft(path, mask_path=None):
+    """radiance (H, W, 3), coverage (H, W) in [0, 1]: how much of each pixel the object covers, from a mask's grey or a picture's alpha.
+
+    Raises  Problem: no such file, no picture, no mask, an empty one, one of another size
+    """
     path = Path(path)
     radiance, alpha = _pixels(path)
     if mask_path is not None:
-        values, own = _pixels(Path(mask_path))
-        mask = (values.mean(-1) > 0.21) & (own > 0.5)  # half of the display's range, linear
-        if mask.shape != radiance.shape[:2]:
-            raise Problem(
-                mask_path,
-                f"a mask of the picture's size {radiance.shape[1]} × {radiance.shape[0]}",
-                f"{mask.shape[1]} × {mask.shape[0]}",
-                "resize it",
-            )
+        coverage = read_mask(mask_path, radiance.shape[:2])
     elif (alpha < 0.5).any():
-        mask = alpha >= 0.5
+        coverage = alpha
     else:
         raise Problem(path, "a mask, or transparency around the object", "neither", "give --mask FILE: white where the object is")
-    if mask.sum() < LEAST_PIXELS:
-        raise Problem(
-            mask_path or path, f"an object of {LEAST_PIXELS} pixels or more in the mask", f"{int(mask.sum())}", "white marks the object"
-        )
-    return radiance, mask
+    if (coverage >= 0.5).sum() < LEAST_PIXELS:
+        found = f"{int((coverage >= 0.5).sum())}"
+        raise Problem(mask_path or path, f"an object of {LEAST_PIXELS} pixels or more in the mask", found, "white marks the object")
+    return radiance, coverage
+
+
+def read_mask(path, size):
+    """Coverage (H, W) of a mask file: its display value, 0 black to 1 white, times its own alpha. Raises Problem: not of that size."""
+    values, own = _pixels(Path(path))
+    _require_size(path, values.shape[:2], size, "a mask")
+    return tone.srgb(values.mean(-1)).astype(np.float32) * own
+
+
+def read_labels(path, size):
+    """Regions (H, W) int64, 0 background, 1 … S by rising value: each grey level or palette entry but 0 is a region. Raises Problem."""
+    _pixels(Path(path))  # refuses what is no picture
+    try:
+        with Image.open(path) as picture:
+            values = np.asarray(picture if picture.mode in ("P", "L", "1") or picture.mode.startswith("I") else picture.convert("L"))
+    except UnidentifiedImageError:
+        raise Problem(path, "a picture of whole numbers, one a region", "an EXR", "save it as PNG") from None
+    _require_size(path, values.shape[:2], size, "regions")
+    levels = [level for level in np.unique(values) if level != 0]
+    if not 1 <= len(levels) <= MOST_REGIONS:
+        remedy = "0 is background, and each region has one value; save without antialiasing or JPEG"
+        raise Problem(path, f"1 to {MOST_REGIONS} values besides 0", f"{len(levels)}", remedy)
+    return np.searchsorted([0, *levels], values).astype(np.int64)
+
+
+def _require_size(path, found, expected, what):
+    if tuple(found) != tuple(expected):
+        rule = f"{what} of the picture's size {expected[1]} × {expected[0]}"
+        raise Problem(path, rule, f"{found[1]} × {found[0]}", "resize it")
 
 
 def _pixels(path):
-    """radiance (H, W, 3), alpha (H, W) in [0, 1]."""
+    """radiance (H, W, 3) linear, alpha (H, W) in [0, 1], upright as the file's orientation says."""
     if path.suffix.lower() == ".exr":
-        channels = exr.read(path)
-        missing = [name for name in "RGB" if name not in channels]
-        if missing:
-            raise Problem(path, "channels R, G, B", f"only {', '.join(sorted(channels))}", "export it as RGB")
-        radiance = np.stack([channels[name].astype(np.float32) for name in "RGB"], -1)
-        if not np.isfinite(radiance).all():
-            raise Problem(path, "finite radiance", "NaN or infinity", "export it again")
-        return np.maximum(radiance, 0), channels.get("A", np.ones(radiance.shape[:2])).astype(np.float32)
+        return _exr_pixels(path)
     try:
-        with Image.open(path) as picture:
-            if picture.width * picture.height > MOST_PIXELS:
-                raise Problem(
-                    path, f"at most {MOST_PIXELS // 1_000_000} megapixels", f"{picture.width} × {picture.height}", "make it smaller"
-                )
-            picture.seek(0)  # of an animation, the first frame
+        with warnings.catch_warnings(), Image.open(path) as opened:
+            warnings.simplefilter("ignore")  # of harmless oddities in a file's metadata
+            if opened.width * opened.height > MOST_PIXELS:
+                found = f"{opened.width} × {opened.height}"
+                raise Problem(path, f"at most {MOST_PIXELS // 1_000_000} megapixels", found, "make it smaller")
+            opened.seek(0)  # of an animation, the first frame
+            picture = ImageOps.exif_transpose(opened)
+            if picture.mode == "F":
+                raise Problem(path, "8 or 16 bit values", "floating point", "save it as EXR")
             deep = picture.mode.startswith("I")
             values = np.asarray(picture, np.float32) / 65535 if deep else np.asarray(picture.convert("RGBA"), np.float32) / 255
     except FileNotFoundError:
         raise Problem(path, "a picture", "no such file", "check the name") from None
-    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise Problem(path, "a picture that Pillow or OpenEXR reads", str(error), "save it as PNG, JPEG or EXR") from None
+    except (UnidentifiedImageError, OSError, SyntaxError, EOFError, ValueError, Image.DecompressionBombError) as error:
+        if isinstance(error, Problem):
+            raise
+        found = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+        raise Problem(path, "a picture that Pillow or OpenEXR reads", found, "save it as PNG, JPEG or EXR") from None
     if deep:
         values = np.stack([values] * 3 + [np.ones_like(values)], -1)
     rgb = values[..., :3]
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     return linear.astype(np.float32), values[..., 3]
+
+
+def _exr_pixels(path):
+    channels = exr.read(path)
+    missing = [name for name in "RGB" if name not in channels]
+    if missing:
+        raise Problem(path, "channels R, G, B", f"only {', '.join(sorted(channels))}", "export it as RGB")
+    radiance = np.stack([channels[name].astype(np.float32) for name in "RGB"], -1)
+    if not np.isfinite(radiance).all():
+        raise Problem(path, "finite radiance", "NaN or infinity", "export it again")
+    alpha = channels.get("A", np.ones(radiance.shape[:2])).astype(np.float32)
+    return np.maximum(radiance, 0), np.clip(alpha, 0, 1)
 
 
 def framed(radiance, mask, size, exposure=None):
@@ -123,12 +167,5 @@ def _resized(array, size):
 
 
 def write_exr(path, array, names=("R", "G", "B")):
-    """An EXR of float32 channels (H, W, C), by way of a temporary name."""
-    import OpenEXR
-
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}")
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, {name: np.ascontiguousarray(array[..., k], np.float32) for k, name in enumerate(names)}) as file:
-        file.write(str(temporary))
-    temporary.replace(path)
+    """An EXR of float32 channels (H, W, C)."""
+    exr.write(path, {name: np.asarray(array[..., k], np.float32) for k, name in enumerate(names)})

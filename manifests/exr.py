@@ -1,4 +1,4 @@
-"""OpenEXR files read the same way on both sides of the contract."""
+"""OpenEXR files read and written the same way on both sides of the contract: whole or not there at all."""
 
 import os
 
@@ -30,3 +30,23 @@ def read(path):
         raise
     except Exception as error:  # OpenEXR raises bare RuntimeErrors and others, by version
         raise Problem(path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again") from None
+
+
+def write(path, channels):
+    """Writes channels, name → (height, width) array of float16, float32 or uint32, to a temporary name, then renames it to `path`.
+
+    Raises  OSError if it cannot be written, with the system's reason; nothing is left behind then
+    """
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    temporary = f"{path}.{os.getpid()}.part"  # the process's own: two workers never write one file's draft
+    try:
+        with OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}) as file:
+            file.write(temporary)
+        os.replace(temporary, path)
+    except RuntimeError as error:  # the library's word for a full disk, a missing folder, and all else
+        raise OSError(f"{path}: {str(error).splitlines()[0]}") from None
+    finally:
+        if os.path.exists(temporary):
+            os.unlink(temporary)
