@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
+from scipy.ndimage import distance_transform_edt
 
 from manifests import exr
 from manifests.problems import Problem
@@ -141,16 +142,25 @@ def framed(radiance, mask, size, exposure=None):
     top, left = (rows[0] + rows[-1] + 1 - side) // 2, (columns[0] + columns[-1] + 1 - side) // 2
     if exposure is None:
         exposure = MEAN_LUMINANCE / max(float((radiance[mask] @ LUMINANCE).mean()), 1e-6)
-    weight = _cut(mask.astype(np.float32), top, left, side)
-    covered = _resized(weight, size)
-    colour = _resized(_cut(radiance * mask[..., None], top, left, side), size) / np.maximum(covered, 1e-3)[..., None]
+    weight = placed(mask.astype(np.float32), (top, left, side))
+    covered = resized(weight, size)
+    colour = resized(placed(radiance * mask[..., None], (top, left, side)), size) / np.maximum(covered, 1e-3)[..., None]
     inside = covered >= 0.5
     return Framed((colour * inside[..., None] * exposure).astype(np.float32), inside, (int(top), int(left), side), float(exposure))
 
 
-def _cut(array, top, left, side):
-    """A square of the array, 0 where it reaches beyond the picture."""
-    out = np.zeros((side, side, *array.shape[2:]), np.float32)
+def framed_regions(regions, framed):
+    """(size, size) int64: regions (H, W) in the object's square, each pixel of the framed mask the nearest pixel's, 0 outside the mask."""
+    size = len(framed.mask)
+    at = ((np.arange(size) + 0.5) * framed.box[2] / size).astype(int)
+    near = distance_transform_edt(placed(regions, framed.box) == 0, return_distances=False, return_indices=True)
+    return (placed(regions, framed.box)[tuple(near)][at][:, at] * framed.mask).astype(np.int64)
+
+
+def placed(array, box):
+    """The square (top, left, side) of an array, 0 where it reaches beyond the picture."""
+    top, left, side = box
+    out = np.zeros((side, side, *array.shape[2:]), array.dtype)
     first_row, first_column = max(top, 0), max(left, 0)
     part = array[first_row : max(top + side, 0), first_column : max(left + side, 0)]
     row, column = first_row - top, first_column - left
@@ -158,7 +168,17 @@ def _cut(array, top, left, side):
     return out
 
 
-def _resized(array, size):
+def put_back(array, square, box):
+    """A copy of the array with a square in its place, as far as it lies inside."""
+    top, left, side = box
+    out = array.copy()
+    target = out[max(top, 0) : max(top + side, 0), max(left, 0) : max(left + side, 0)]
+    row, column = max(-top, 0), max(-left, 0)
+    target[...] = square[row : row + target.shape[0], column : column + target.shape[1]]
+    return out
+
+
+def resized(array, size):
     """Averaged or interpolated to (size, size)."""
     planes = array[..., None] if array.ndim == 2 else array
     method = Image.Resampling.BOX if len(array) >= size else Image.Resampling.BILINEAR

@@ -24,16 +24,18 @@ WEIGHTS = Path(__file__).parent / "weights" / "joint-compact.safetensors"
 NEAREST = 3
 
 
-def of(framed, network):
-    """(Batch of one, Prediction) of a learn.pictures.Framed."""
+def of(framed, network, regions=None):
+    """(Batch of one, Prediction) of a learn.pictures.Framed; regions (size, size) 1 … S, None for one."""
     image = torch.from_numpy(framed.radiance).movedim(-1, 0)[None].contiguous()
     mask = torch.from_numpy(framed.mask)
+    segments = mask[None].long() if regions is None else torch.from_numpy(regions)[None]
+    count = int(segments.max())
     nothing = torch.zeros(1, 3, 64, 128) + 1
-    label = torch.zeros(1, 1, 108)
+    label = torch.zeros(1, count, 108)
     normals = torch.zeros_like(image)
-    batch = Batch(image, mask[None, None].float(), normals, mask[None].long(), label, nothing, label, ("picture",), float(ELEVATION))
+    batch = Batch(image, mask[None, None].float(), normals, segments, label, nothing, label, ("picture",), float(ELEVATION))
     with torch.no_grad():
-        predicted = network(batch.image, batch.mask)
+        predicted = network(batch.image, batch.mask, segments if count > 1 else None)
     return batch, predicted
 
 
@@ -60,7 +62,7 @@ def write(image, mask, weights, out, exposure=None, overwrite=False):
         _save(out / f"{name}.png", cell)
     _save(out / "mask.png", 255.0 * framed.mask)
     _save(out / "sheet.png", np.concatenate(list(cells.values()), 1))
-    _write_material(out / "material.json", predicted.label[0, 0].numpy(), framed, metadata, weights)
+    write_material(out / "material.json", predicted.label[0].numpy(), framed, metadata, weights)
 
 
 def _from_record(folder, exposure):
@@ -73,23 +75,28 @@ def _from_record(folder, exposure):
     return records.image(record), segments > 0, 1.0 if exposure is None else exposure
 
 
-def _write_material(path, label, framed, metadata, weights):
-    """The label, the catalogue's materials nearest to it by code, and how the picture was brought to the network."""
-    ranges = metadata["ranges"]
+def write_material(path, labels, framed, metadata, weights):
+    """Labels (S, 108), the catalogue's materials nearest to each by code, and how the picture was brought to the network."""
+    told = {"label": _rounded(labels[0]), "nearest": nearest(labels[0], metadata["ranges"])}
+    if len(labels) > 1:
+        told = {"labels": [_rounded(label) for label in labels], "nearest": [nearest(label, metadata["ranges"]) for label in labels]}
+    told |= {"box": framed.box, "exposure": framed.exposure, "weights": Path(weights).name, "run": metadata["run"].get("name")}
+    temporary = path.with_name(f".{path.name}")
+    temporary.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    temporary.replace(path)
+
+
+def nearest(label, ranges):
+    """Names of the catalogue's materials nearest to a label (108,) by code."""
     catalogue = load_catalogue()
-    code = ranges.code(torch.from_numpy(label))
     names = sorted(catalogue)
     codes = ranges.code(torch.from_numpy(np.stack([catalogue[name].label.reshape(-1) for name in names])).float())
-    order = ((codes - code) ** 2).mean(-1).argsort()[:NEAREST]
-    told = {
-        "label": [round(float(x), 6) for x in label],
-        "nearest": [names[i] for i in order],
-        "box": framed.box,
-        "exposure": framed.exposure,
-        "weights": Path(weights).name,
-        "run": metadata["run"].get("name"),
-    }
-    path.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    order = ((codes - ranges.code(torch.from_numpy(label))) ** 2).mean(-1).argsort()[:NEAREST]
+    return [names[i] for i in order]
+
+
+def _rounded(label):
+    return [round(float(x), 6) for x in label]
 
 
 def _save(path, cell):

@@ -6,7 +6,7 @@ Material first: normals that were freed first moved from 9° to 50° off.
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from learn.refinement.coordinates import Light, Material, Normals
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Settings
 
+FIELDS = {"material": "label", "light": "light", "normals": "n"}
 MOST_EVALUATIONS = 2  # for each iteration: a line search that needs more is stopped
 
 
@@ -72,22 +73,26 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
     return Refined(refined, before, best, history, time.perf_counter() - began)
 
 
-def state_of(maps, z):
-    """State of vectors {name: (Z,) numpy or tensor}."""
-    moved = {name: torch.as_tensor(z[name]).reshape(m.shape) for name, m in maps.items()}
-    return State(maps["material"](moved["material"]), maps["light"](moved["light"]), maps["normals"](moved["normals"]), moved["material"])
+def state_of(maps, z, known=None):
+    """State of vectors {name: (Z,) numpy or tensor}; what `z` does not name is taken from the State `known`."""
+    moved = {name: torch.as_tensor(z[name]).reshape(m.shape) for name, m in maps.items() if name in z}
+    fields = {FIELDS[name]: maps[name](value) for name, value in moved.items()}
+    if "material" in moved:
+        fields["z"] = moved["material"]
+    return State(**fields) if known is None else replace(known, **fields)
 
 
 def descended(energy, maps, z, names, level, where):
     """{name: vector} of the named properties after L-BFGS at one level; where it meets no finite energy it stays."""
     sizes = [len(z[name]) for name in names]
+    still = state_of(maps, z)
 
     def parts(x):
         return dict(zip(names, np.split(x, np.cumsum(sizes)[:-1]), strict=True))
 
     def value_and_slope(x):
         moved = {name: torch.from_numpy(v.copy()).requires_grad_() for name, v in parts(x).items()}
-        terms = energy.terms(state_of(maps, z | moved), where, level.light, level.method)
+        terms = energy.terms(state_of(maps, moved, still), where, level.light, level.method)
         value = energy.total(terms)
         slopes = torch.autograd.grad(value, list(moved.values()))
         slope = np.concatenate([s.numpy() for s in slopes])

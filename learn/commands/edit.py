@@ -1,0 +1,47 @@
+"""`learn edit`: the object of a photograph in another material."""
+
+from pathlib import Path
+
+from learn.commands import editing_options
+
+
+def register(subparsers):
+    parser = subparsers.add_parser(
+        "edit",
+        help="change what the object of a photograph is made of",
+        description="Takes a photograph apart into normals, light and material, refines them until they explain it, and renders the object "
+        "again in other materials, before its own background and at its own size. Beside the edited picture it writes what it found: "
+        "normals, light, the material on a ball, and one sheet of all.",
+    )
+    parser.add_argument("photo", type=Path, metavar="PHOTO", help="PNG, JPEG, TIFF, EXR …, of any size; or a dataset's folder")
+    parser.add_argument(
+        "--mask",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="white where the object is; 'alpha' or nothing: the photograph's transparency. Several: each is a region",
+    )
+    parser.add_argument("--regions", type=Path, metavar="FILE", help="a picture with one value for each region of the object, 0 outside")
+    parser.add_argument(
+        "--material",
+        nargs="+",
+        required=True,
+        metavar="WANTED",
+        help="a material's name (`python -m factory materials list`), a material.json, or a picture to take the material from (with "
+        "transparency, or NAME.mask.png beside it). With regions, A+B gives each its own; 'keep' leaves one",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the pictures go")
+    parser.add_argument("--record", metavar="ID", help="of a dataset's folder: which record (default: the first held out)")
+    editing_options.add(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options):
+    from learn.editing import edit
+
+    masks = [Path(mask) for mask in options.mask if mask != "alpha"]
+    how = editing_options.how(options)
+    told = edit.run(options.photo, masks, options.regions, options.material, options.out, how, options.record, options.overwrite)
+    for text, error in told["display_l2"].items():
+        print(f"{text}: display L2 {error['mask']:.1f} over the object, {error['frame']:.1f} over the frame, against the rendered truth")
+    print(f"See {options.out / 'sheet.png'}")

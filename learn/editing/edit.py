@@ -1,0 +1,210 @@
+"""`learn edit`: one photograph, its object in other materials, and everything that was found on the way."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from tqdm import tqdm
+
+from learn import pictures, prediction
+from learn.editing import apart, photograph, sheet, wanted
+from learn.training import checkpoint
+from manifests.problems import Problem
+from shaders import tone
+
+TILE = 224
+PARTS = ("normals.exr", "normals.png", "light.exr", "light.png", "rendering.png", "material.json", "ball.png", "reflectance.png")
+
+
+@dataclass(frozen=True)
+class How:
+    """weights: a file; settings: of refinement, None for none; tolerance: of the layer; detail: learn.editing.apart.Painter's."""
+
+    weights: Path
+    settings: object
+    tolerance: float
+    detail: float
+    exposure: float | None = None
+    balance: object = "none"
+
+
+def run(path, masks, regions, materials, out, how, record=None, overwrite=False):
+    """Write the edits and all beside them into the folder `out`.
+
+    materials  texts as `learn.editing.wanted` reads them; "A+B" gives region 1 and 2 their own
+    Returns    what edit.json holds
+    Raises     Problem
+    """
+    out = Path(out)
+    names = ["edited"] if len(materials) == 1 else [f"edited-{wanted.file_name(text)}" for text in materials]
+    if len(set(names)) < len(names):
+        raise Problem("--material", "materials of different names", ", ".join(materials), "name each once")
+    claim(out, [*PARTS, "sheet.png", "edit.json", *(f"{name}.png" for name in names)], overwrite)
+    network, metadata = checkpoint.load_network(how.weights)
+    size = int(metadata["size"])
+    opened = photograph.opened(path, masks, regions, how.balance, how.exposure, record)
+    count = int(opened.regions.max())
+    pick = {text: choices(text, count, lambda other: material_of(other, network, size, how)) for text in materials}
+    with tqdm(total=2 + len(materials), unit="step", desc="taking apart") as progress:
+        found = apart.taken(opened, network, size, how.settings)
+        progress.update()
+        painter = apart.Painter(found, how.tolerance, how.detail)
+        edits = {}
+        for text in materials:
+            progress.set_description(text[:24])
+            edits[text] = painter.edited(pick[text])
+            progress.update()
+        progress.set_description("writing")
+        out.mkdir(parents=True, exist_ok=True)
+        told = written(out, found, painter, edits, pick, names, metadata, how)
+        progress.update()
+    return told
+
+
+def claim(out, files, overwrite):
+    """Raises Problem if one of the files is there and may not be replaced."""
+    taken = [name for name in files if (Path(out) / name).exists()]
+    if taken and not overwrite:
+        raise Problem(Path(out) / taken[0], "no earlier result", "one", "give another --out, or --overwrite")
+
+
+def choices(text, regions, predict):
+    """Labels a region, each (108,) or None, that a text asks for."""
+    parts = [wanted.label_of(part, predict) for part in text.split("+")]
+    if len(parts) == 1 and parts[0] is not None and len(parts[0]) > 1:
+        parts = [part[None] for part in parts[0]]
+    if len(parts) not in (1, regions):
+        raise Problem(f"--material {text}", f"one material, or {regions}: one a region", f"{len(parts)}", "keep leaves a region as it is")
+    labels = [None if part is None else part[0] for part in parts]
+    return labels if len(labels) > 1 else labels * regions
+
+
+def material_of(path, network, size, how):
+    """(1, 108) of the object in another picture; its mask is its transparency, or NAME.mask.png beside it."""
+    beside = mask_beside(path)
+    opened = photograph.opened(path, [beside] if beside else [], None, how.balance, how.exposure)
+    return apart.taken(opened, network, size, how.settings).parts.label[0, :1].float().numpy()
+
+
+def mask_beside(path, folder=None):
+    """The mask of a picture: NAME.mask.png beside it, or NAME.png, NAME.mask.png in a folder of masks; None if there is none."""
+    path = Path(path)
+    tried = [path.with_name(f"{path.stem}.mask.png")]
+    if folder is not None:
+        tried = [Path(folder) / f"{path.stem}{ending}" for ending in (".png", ".mask.png")]
+    return next((file for file in tried if file.is_file()), None)
+
+
+def written(out, found, painter, edits, pick, names, metadata, how):
+    """Writes every file; returns what edit.json holds."""
+    opened, parts = found.photograph, found.parts
+    mask = found.framed.mask
+    n, L = parts.n[0].movedim(0, -1).numpy() * mask[..., None], parts.light[0].movedim(0, -1).numpy()
+    pictures.write_exr(out / "normals.exr", n, "XYZ")
+    pictures.write_exr(out / "light.exr", L)
+    save(out / "normals.png", sheet.normals(n, mask))
+    save(out / "light.png", sheet.light(L))
+    again = opened.radiance * 1.0
+    again = painter.edited([label.numpy() for label in parts.label[0].float()])
+    shown = exposure_of(opened)
+    save(out / "rendering.png", tone.display(again, shown))
+    save(out / "ball.png", material_ball(parts.label[0, 0], found))
+    save(out / "reflectance.png", sheet.rows([reflectance(found)], TILE))
+    prediction.write_material(out / "material.json", parts.label[0].numpy(), found.framed, metadata, how.weights)
+    for name, edited in zip(names, edits.values(), strict=True):
+        picture = tone.display(edited, shown)
+        save(out / f"{name}.png", with_alpha(picture, opened.coverage) if opened.cut_out else picture)
+        if opened.record is not None:
+            pictures.write_exr(out / f"{name}.exr", edited)
+    truths = {text: truth(opened, pick_names(text)) for text in edits} if opened.record is not None else {}
+    save(out / "sheet.png", sheet.rows(lines(found, again, edits, pick, truths, shown), TILE))
+    told = {
+        "photograph": opened.name,
+        "size": opened.mask.shape,
+        "materials": list(edits),
+        "exposure": found.framed.exposure,
+        "white_balance": [float(x) for x in opened.balance],
+        "tolerance": how.tolerance,
+        "detail": how.detail,
+        "refined": None if found.refined is None else {"before": found.refined.before, "after": found.refined.after},
+        "display_l2": {text: errors(edits[text], true, opened.mask) for text, true in truths.items() if true is not None},
+        "weights": Path(how.weights).name,
+    }
+    temporary = out / ".edit.json"
+    temporary.write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    temporary.replace(out / "edit.json")
+    return told
+
+
+def exposure_of(opened):
+    """1 for a photograph, whose values are a display's already; of radiance from a renderer the one that shows the object well."""
+    scene = opened.record is not None or opened.radiance.max() > 1.001
+    return tone.auto_exposure(opened.radiance, opened.mask) if scene else 1.0
+
+
+def with_alpha(picture, coverage):
+    return np.concatenate([picture, 255.0 * coverage[..., None]], -1)
+
+
+def save(path, picture):
+    """A PNG of display values (H, W, 3 or 4), under a temporary name first."""
+    temporary = path.with_name(f".{path.name}")
+    Image.fromarray(np.clip(np.rint(picture), 0, 255).astype(np.uint8)).save(temporary, format="PNG")
+    temporary.replace(path)
+
+
+def material_ball(label, found, size=TILE):
+    return sheet.ball(label, sheet.room(), size, found.batch.elevation, 0.8)
+
+
+def reflectance(found):
+    """Captions and spheres: what the picture shows, what was predicted, what refinement made of it."""
+    mask, elevation = found.framed.mask, found.batch.elevation
+    bright = tone.auto_exposure(found.framed.radiance, mask)
+    n = found.parts.n[0].movedim(0, -1).numpy()
+    tiles = [("observed", sheet.observed(found.framed.radiance, n, mask, TILE, bright))]
+    stages = [("predicted", found.start)] + ([("refined", found.refined.prediction)] if found.refined else [])
+    return tiles + [(name, sheet.ball(p.label[0, 0], p.light[0].movedim(0, -1), TILE, elevation, bright)) for name, p in stages]
+
+
+def lines(found, again, edits, pick, truths, shown):
+    """The sheet's rows: before and after, the parts, the reflectance map; and edits beside their truth where there is one."""
+    opened, parts = found.photograph, found.parts
+    mask = found.framed.mask
+    n = parts.n[0].movedim(0, -1).numpy()
+    first = [("photograph", tone.display(opened.radiance, shown)), ("rendered again", tone.display(again, shown))]
+    first += [("normals", sheet.normals(n, mask)), ("light", sheet.light(parts.light[0].movedim(0, -1).numpy()))]
+    first += [(f"material {s}", material_ball(label, found)) for s, label in enumerate(parts.label[0], 1)]
+    out = [first, reflectance(found)]
+    for text, edited in edits.items():
+        balls = [material_ball(label, found) for label in pick[text] if label is not None]
+        line = [("photograph", first[0][1]), (text, tone.display(edited, shown)), *((text, ball) for ball in balls[:2])]
+        true = truths.get(text)
+        if true is not None:
+            level = tone.auto_exposure(true, opened.mask)
+            line[1] = (f"{text}", tone.display(edited, level))
+            line += [("truth", tone.display(true, level)), ("|difference|", abs(tone.display(edited, level) - tone.display(true, level)))]
+        out.append(line)
+    return out
+
+
+def pick_names(text):
+    return tuple(text.split("+"))
+
+
+def truth(opened, materials):
+    """(H, W, 3) of the record of the same view and light in other materials, or None where the dataset has none."""
+    record = opened.record
+    same = ("shape_hash", "viewpoint", "light_hash", "rotation_texels", "tier", "light_resolution", "camera")
+    for other in opened.records.records:
+        if set(other.materials) == set(materials) and all(getattr(other, key) == getattr(record, key) for key in same):
+            return opened.records.image(other)
+    return None
+
+
+def errors(edited, true, mask):
+    """The paper's L2 over mask and full frame."""
+    level = tone.auto_exposure(true, mask)
+    return {"mask": float(tone.display_l2(edited, true, level, mask)), "frame": float(tone.display_l2(edited, true, level))}

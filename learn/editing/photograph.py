@@ -1,0 +1,126 @@
+"""A picture to be edited, with all that is known of it: its object, its regions, and where it came from.
+
+radiance  (H, W, 3) linear, as the file has it
+coverage  (H, W) in [0, 1]: how much of a pixel the object covers
+regions   (H, W) 1 … S, 0 in the background
+balance   (3,) by which colours are multiplied before the network sees them; an edited picture is divided by it again
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from learn import pictures
+from learn.dataset import Records
+from manifests.problems import Problem, closest
+from shaders.envmap import LUMINANCE
+
+SOFTENING = 0.7  # pixels, of a mask that is black and white: its steps would show
+BALANCES = ("none", "grey")
+STRONGEST_BALANCE = 8.0
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """name: for messages and files; cut_out: its background is transparent; records, record: of a dataset."""
+
+    name: str
+    radiance: np.ndarray
+    coverage: np.ndarray
+    regions: np.ndarray
+    balance: np.ndarray
+    exposure: float | None
+    cut_out: bool = False
+    records: Records | None = None
+    record: object = None
+
+    @property
+    def mask(self):
+        """(H, W) bool: pixels that are the object's for the most part."""
+        return self.regions > 0
+
+    @property
+    def balanced(self):
+        """(H, W, 3) radiance as the network is shown it, but for exposure."""
+        return self.radiance * self.balance
+
+
+def opened(path, masks=(), regions=None, balance="none", exposure=None, record=None):
+    """The Photograph at `path`: a picture, or a dataset's folder, of which a record is taken.
+
+    masks    files; several: each is a region of its own
+    regions  a label image's file, or None
+    balance  "none", "grey", or three factors
+    record   id of a dataset's record, or its beginning; None: the first held out
+    Raises   Problem
+    """
+    path = Path(path)
+    if path.is_dir():
+        return _of_record(path, exposure, record)
+    if len(masks) <= 1:
+        radiance, coverage = pictures.read_soft(path, masks[0] if masks else None)
+        labels = (coverage >= 0.5).astype(np.int64)
+    else:
+        radiance, _ = pictures.read_soft(path, masks[0])
+        coverage, labels = _several(masks, radiance.shape[:2])
+    if regions is not None:
+        labels = pictures.read_labels(regions, radiance.shape[:2]) * (coverage >= 0.5)
+        _require_pixels(labels, labels.max(initial=0), regions)
+    if np.isin(coverage, (0, 1)).all():
+        coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
+    return Photograph(
+        path.stem, radiance, coverage, labels, _balance(balance, radiance, coverage, bool(masks)), exposure, cut_out=not masks
+    )
+
+
+def _several(masks, size):
+    """Coverage and regions of one mask a region; where two overlap the later one holds."""
+    each = np.stack([pictures.read_mask(mask, size) for mask in masks])
+    labels = np.zeros(size, np.int64)
+    for number, one in enumerate(each, 1):
+        labels[one >= 0.5] = number
+    for number, mask in enumerate(masks, 1):
+        _require_pixels(labels, number, mask)
+    return each.max(0), labels
+
+
+def _require_pixels(labels, count, where):
+    for number in range(1, int(count) + 1):
+        if (found := int((labels == number).sum())) < pictures.LEAST_PIXELS:
+            rule = f"{pictures.LEAST_PIXELS} pixels or more in region {number}"
+            raise Problem(where, rule, str(found), "regions must lie inside the mask, and not under one another")
+
+
+def _balance(wanted, radiance, coverage, background):
+    """(3,) factors that leave luminance alone. "grey" holds that the background, or the object where there is none, is grey on average."""
+    if wanted == "none":
+        return np.ones(3, np.float32)
+    if wanted == "grey":
+        where = coverage < 0.02 if background and (coverage < 0.02).any() else coverage >= 0.5
+        mean = radiance[where].mean(0)
+        factors = (mean @ LUMINANCE) / np.maximum(mean, 1e-6)
+        return np.clip(factors, 1 / STRONGEST_BALANCE, STRONGEST_BALANCE).astype(np.float32)
+    factors = np.asarray(wanted, np.float32)
+    return factors / float(factors @ LUMINANCE)
+
+
+def _of_record(folder, exposure, wanted):
+    """A record's picture; its light has unit mean luminance, so its exposure is 1."""
+    records = Records(folder)
+    if not len(records):
+        raise Problem(folder, "records", "none", "render some: python -m factory render JOB --out DIR")
+    if wanted is None:
+        record = next((r for r in records.records if r.split == "test"), records.records[0])
+    else:
+        record = next((r for r in records.records if r.id.startswith(wanted)), None)
+        if record is None:
+            raise Problem(f"record '{wanted}'", f"a record of {folder}", "none", closest(wanted, [r.id for r in records.records]))
+    sample = records.load(record)
+    regions = sample.segments.numpy()
+    if len(set(record.materials)) == 1:
+        regions = (regions > 0).astype(np.int64)
+    coverage, ones = (regions > 0).astype(np.float32), np.ones(3, np.float32)
+    exposure = 1.0 if exposure is None else exposure
+    return Photograph(record.id, sample.image.numpy(), coverage, regions, ones, exposure, cut_out=True, records=records, record=record)

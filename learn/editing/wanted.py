@@ -1,0 +1,64 @@
+"""What a user may mean by a material: a name of the catalogue, a material.json, another picture; or that it stays as it is.
+
+label  (S, 108) natural logarithms
+"""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+
+from manifests.materials import find
+from manifests.problems import Problem
+from shaders.dsbrdf import SIZE
+
+KEEP = "keep"
+LARGEST_LABEL = 14.0  # log γ of the sharpest lobe that the layer is tested with is 11.5
+LARGEST_JSON = 1 << 20
+
+
+def label_of(text, predict):
+    """(S, 108) float32 of what `text` names; S is 1 but for a file with several regions. None for "keep".
+
+    predict  path → label (1, 108): takes a picture's material
+    Raises   Problem: a name that is not known (with the closest ones), a file that holds no material
+    """
+    if text == KEEP:
+        return None
+    path = Path(text)
+    if path.suffix.lower() == ".json":
+        return _from_json(path)
+    if path.is_file() or (len(path.suffix) > 1 and path.suffix[1:].isalpha()):
+        return predict(path)
+    return find(text).label.reshape(1, SIZE).astype(np.float32)
+
+
+def _from_json(path):
+    """The labels of a material.json, as `learn predict` writes it."""
+    try:
+        if path.stat().st_size > LARGEST_JSON:
+            raise Problem(
+                path, f"at most {LARGEST_JSON >> 10} KiB", f"{path.stat().st_size >> 10} KiB", "check that this is the right file"
+            )
+        told = json.loads(path.read_text(encoding="utf-8"))
+        labels = np.asarray(told.get("labels") or [told["label"]], np.float32)
+    except FileNotFoundError:
+        raise Problem(path, "a material.json", "no such file", "write one: python -m learn predict PHOTO --out DIR") from None
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
+        raise Problem(path, f'JSON with "label": {SIZE} numbers', f"{type(error).__name__}: {error}", "see docs/editing.md") from None
+    except ValueError as error:
+        if isinstance(error, Problem):
+            raise
+        raise Problem(path, f'JSON with "label": {SIZE} numbers', str(error), "see docs/editing.md") from None
+    if labels.ndim != 2 or labels.shape[1] != SIZE:
+        raise Problem(path, f"{SIZE} numbers in each label", f"{labels.shape[-1]}", "see docs/editing.md")
+    if not (np.isfinite(labels).all() and labels.max() <= LARGEST_LABEL):
+        found = f"{labels[~(labels <= LARGEST_LABEL)][0]:g}"
+        raise Problem(path, f"natural logarithms up to {LARGEST_LABEL}", found, "is this m itself? a label holds its logarithms")
+    return labels
+
+
+def file_name(text):
+    """What a wanted material's file is called."""
+    return re.sub(r"[^A-Za-z0-9+_-]+", "-", "+".join(Path(part).stem for part in text.split("+"))).strip("-") or "material"
