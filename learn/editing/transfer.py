@@ -1,0 +1,118 @@
+"""`learn transfer`: every picture's shape and light in every picture's material, as in the paper's Figures 10 and 15.
+
+Row i is the object and light of picture i, column j the material of picture j; on the diagonal stands the picture itself.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from learn.editing import apart, edit, photograph, sheet
+from learn.training import checkpoint
+from manifests.problems import Problem
+from shaders import tone
+
+MOST_A_GRID = 10  # pictures: more become several grids
+
+
+def listed(paths, list_file=None):
+    """The pictures asked for: paths, and the lines of a file of paths, relative to that file. Raises Problem."""
+    found = [Path(path) for path in paths]
+    if list_file is not None:
+        try:
+            lines = Path(list_file).read_text(encoding="utf-8").splitlines()
+        except UnicodeDecodeError:
+            raise Problem(list_file, "a text file with a path a line", "other bytes", "write the paths as UTF-8") from None
+        found += [Path(list_file).parent / line.strip() for line in lines if line.strip() and not line.startswith("#")]
+    found = [path for path in found if not path.name.endswith(".mask.png")]
+    if len(found) < 2:
+        raise Problem("pictures", "two or more", str(len(found)), "name them, or give --list FILE with a path a line")
+    names = [path.stem for path in found]
+    if len(set(names)) < len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise Problem("pictures", "names that differ", f"{', '.join(twice[:3])} twice", "rename one: results are named after them")
+    return found
+
+
+def run(paths, mask_folder, out, how, per_grid=6, overwrite=False):
+    """Write SHAPE-in-MATERIAL.png for every pair, grid.png (grid-01.png … for many) and transfer.json. Raises Problem."""
+    out = Path(out)
+    if not 2 <= per_grid <= MOST_A_GRID:
+        raise Problem("--per-grid", f"2 to {MOST_A_GRID} pictures a grid", str(per_grid), "more become several grids")
+    groups = grouped(paths, per_grid)
+    names = ["grid.png"] if len(groups) == 1 else [f"grid-{i:02d}.png" for i in range(1, len(groups) + 1)]
+    pairs = [f"{a.stem}-in-{b.stem}.png" for group in groups for a in group for b in group if a is not b]
+    edit.claim(out, [*names, *pairs, "transfer.json"], overwrite)
+    opened = {path: photograph.opened(path, masks(path, mask_folder), None, how.balance, how.exposure) for path in paths}
+    network, metadata = checkpoint.load_network(how.weights)
+    out.mkdir(parents=True, exist_ok=True)
+    told = []
+    with tqdm(total=sum(len(group) ** 2 for group in groups), unit="picture") as progress:
+        for group, name in zip(groups, names, strict=True):
+            told += grid(group, opened, network, int(metadata["size"]), out, name, how, progress)
+    temporary = out / ".transfer.json"
+    temporary.write_text(json.dumps({"pictures": told, "weights": Path(how.weights).name}, indent=1) + "\n", encoding="utf-8")
+    temporary.replace(out / "transfer.json")
+
+
+def masks(path, folder):
+    """The mask file of a picture, in a list; none where its own transparency serves."""
+    beside = edit.mask_beside(path, folder)
+    if folder is not None and beside is None:
+        raise Problem(Path(folder) / f"{Path(path).stem}.png", f"the mask of {path}", "no such file", "name masks as the pictures")
+    return [] if beside is None else [beside]
+
+
+def grouped(paths, per_grid):
+    """Lists of at most `per_grid` pictures, in order; a last one alone joins its neighbours."""
+    groups = [paths[i : i + per_grid] for i in range(0, len(paths), per_grid)]
+    if len(groups) > 1 and len(groups[-1]) == 1:
+        groups[-1].insert(0, groups[-2].pop())
+    return groups
+
+
+def grid(group, opened, network, size, out, name, how, progress):
+    """One grid of pictures; returns what transfer.json says of them."""
+    found, told = {}, []
+    for path in group:
+        progress.set_description(f"taking {path.stem} apart"[:30])
+        found[path] = apart.taken(opened[path], network, size, how.settings)
+        refined = found[path].refined
+        energies = None if refined is None else [refined.before["total"], refined.after["total"]]
+        told.append({"name": path.stem, "grid": name, "exposure": found[path].framed.exposure, "energy": energies})
+        progress.update()
+    head = [("", np.full((8, 8, 3), sheet.GROUND / 2))] + [
+        (path.stem, edit.material_ball(own_label(found[path]), found[path])) for path in group
+    ]
+    lines = [head]
+    for path in group:
+        painter = apart.Painter(found[path], how.tolerance, how.detail)
+        shown = edit.exposure_of(opened[path])
+        before = tone.display(cropped(opened[path].radiance, found[path]), shown)
+        line = [(path.stem, before)]
+        for other in group:
+            if other is path:
+                line.append(("", before))
+                continue
+            picture = painter.edited([own_label(found[other])])
+            whole = tone.display(picture, shown)
+            whole = edit.with_alpha(whole, opened[path].coverage) if opened[path].cut_out else whole
+            edit.save(out / f"{path.stem}-in-{other.stem}.png", whole)
+            line.append(("", tone.display(cropped(picture, found[path]), shown)))
+            progress.update()
+        lines.append(line)
+    edit.save(out / name, sheet.rows(lines, edit.TILE))
+    return told
+
+
+def own_label(found):
+    """(108,) of a picture's object."""
+    return found.parts.label[0, 0].float().numpy()
+
+
+def cropped(picture, found):
+    """The object's square of a picture, as far as it lies inside."""
+    top, left, side = found.framed.box
+    return picture[max(top, 0) : top + side, max(left, 0) : left + side]

@@ -1,0 +1,156 @@
+"""Refinement: it goes down, never up, stays in the domain, and finds what is known where it can be known."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+
+from learn.layer import render
+from learn.networks.prediction import Prediction
+from learn.refinement import Settings, refine
+from learn.refinement.coordinates import Light, Material, Normals, principal_directions, spherical_harmonics
+from learn.refinement.energy import Energy, State
+from learn.refinement.settings import Level
+from learn.training.batch import Batch
+from manifests.materials import load_catalogue
+from shaders import envmap
+
+SIZE, ELEVATION = 24, 0.349
+QUICK = Settings(levels=(Level(pixels=120, light=(16, 32), method="exact", rounds=1, iterations=4),))
+
+
+def sky(seed=0):
+    """A smooth light with a bright side, of unit mean luminance."""
+    w, _ = envmap.directions(64, 128)
+    side = torch.nn.functional.normalize(torch.randn(3, generator=torch.Generator().manual_seed(seed)), dim=0).numpy()
+    L = np.exp(1.2 * (w @ side))[..., None] * [1.1, 1.0, 0.8]
+    return torch.from_numpy(envmap.unit_mean(L)[0]).movedim(-1, 0)[None]
+
+
+def label_of(name):
+    return torch.from_numpy(load_catalogue()[name].label.reshape(1, 1, 108).astype(np.float32))
+
+
+@pytest.fixture
+def scene():
+    """A ball's picture with its truth as a Prediction."""
+    at = (torch.arange(SIZE) + 0.5) / SIZE * 2.2 - 1.1
+    x, y = torch.meshgrid(at, -at, indexing="xy")
+    inside = x * x + y * y < 0.95
+    z = (1 - x * x - y * y).clamp(min=0.01).sqrt()
+    n = F.normalize(torch.stack([x, y, z]), dim=0)[None] * inside
+    label, light = label_of("blue-rubber"), sky()
+    picture = render(n.movedim(1, -1).contiguous(), label[:, 0].exp(), light.movedim(1, -1).contiguous(), mask=inside[None], method="exact")
+    image, mask = picture.movedim(-1, 1).contiguous(), inside[None, None].float()
+    batch = Batch(image, mask, n, inside[None].long(), label, light, label, ("ball",), ELEVATION)
+    return batch, Prediction(n, None, label, None, light)
+
+
+def spoiled(prediction, seed):
+    """A start that may be anything: random material, a wild light, normals that point everywhere."""
+    rng = torch.Generator().manual_seed(seed)
+    names = sorted(load_catalogue())
+    label = label_of(names[int(torch.randint(len(names), (1,), generator=rng))]) + torch.randn(1, 1, 108, generator=rng) * (seed % 3) * 0.2
+    n = prediction.n + torch.randn(prediction.n.shape, generator=rng) * 0.5
+    n[:, 2] = n[:, 2].abs() * (1 if seed % 2 else 1e-3)
+    light = [torch.ones_like(prediction.light), sky(seed) ** 4, torch.zeros_like(prediction.light)][seed % 3]
+    return Prediction(F.normalize(n, dim=1), None, label, None, light)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_start_however_bad_ends_above_itself_or_leaves_the_domain(scene, seed):
+    batch, truth = scene
+    found = refine(batch, spoiled(truth, seed), QUICK)
+    assert found.after["total"] <= found.before["total"]
+    n, inside = found.prediction.n[0], batch.segments[0] > 0
+    assert all(torch.isfinite(part).all() for part in (found.prediction.label, found.prediction.light, n[:, inside]))
+    assert (found.prediction.light > 0).all()
+    np.testing.assert_allclose(n[:, inside].norm(dim=0), 1, atol=1e-5)  # float32
+    assert (n[2, inside] > 0).all()
+
+
+def test_what_is_accepted_lowers_the_energy_each_time(scene):
+    batch, truth = scene
+    found = refine(batch, spoiled(truth, 1), replace(QUICK, a=0.05, b=0.05))
+    totals = [found.before["total"]] + [step["total"] for step in found.history if step["accepted"]]
+    assert len(totals) > 2
+    assert all(b < a for a, b in pairwise(totals))
+    assert totals[-1] == found.after["total"]
+
+
+def test_the_truth_is_left_where_it_is(scene):
+    batch, truth = scene
+    found = refine(batch, truth, QUICK)
+    assert found.before["image"] < 1e-4  # auto at 5e-3 against the exact picture
+    assert (found.prediction.label - truth.label).abs().max() < 0.1
+
+
+def test_a_wrong_albedo_is_found_again_when_only_the_material_may_move(scene):
+    batch, truth = scene
+    dark = truth._replace(label=truth.label - torch.tensor([0.5, 0.0]).repeat_interleave(6).repeat(9))
+    level = Level(pixels=0, light=(64, 128), method="exact", rounds=1, iterations=15)
+    found = refine(batch, dark, Settings(order=("material",), c=0.0, levels=(level,)))
+    assert found.after["image"] < 0.02 * found.before["image"]
+    assert torch.equal(found.prediction.light, refine(batch, dark, Settings(order=(), levels=(level,))).prediction.light)
+
+
+def test_the_energy_does_not_grow_with_the_picture_or_the_map(scene):
+    batch, truth = scene
+    start = State(truth.label.double(), truth.light, truth.n, torch.zeros(1, 3))
+    n = F.normalize(truth.n + 0.1, dim=1)
+    moved = State(truth.label.double() + 0.3, truth.light * 1.5, n, torch.ones(1, 3))
+    energy = Energy(batch, start, Settings())
+    whole, part = energy.terms(moved, energy.inside), energy.terms(moved, energy.pixels(100), (32, 64), "exact")
+    for name in whole:
+        assert float(part[name]) == pytest.approx(float(whole[name]), rel=0.15), name  # a hundred of 350 pixels
+
+
+def test_regions_move_apart(scene):
+    batch, truth = scene
+    half = batch.segments.clone()
+    half[:, :, SIZE // 2 :] *= 2
+    two = truth.label.repeat(1, 2, 1)
+    brighter = two.clone()
+    brighter[:, 1] += torch.tensor([0.6, 0.0]).repeat_interleave(6).repeat(9)
+    found = refine(replace(batch, segments=half), truth._replace(label=brighter), replace(QUICK, order=("material",), c=0.0))
+    change = (found.prediction.label - brighter).abs().amax(-1)[0]
+    assert change[1] > 5 * change[0]
+
+
+def test_harmonics_are_orthogonal_over_the_sphere():
+    waves = spherical_harmonics(64, 128, 4).reshape(25, -1)
+    share = envmap.directions(64, 128)[1].reshape(-1) / (4 * np.pi)
+    gram = (waves * share) @ waves.T
+    np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=2e-3)  # texel centres for an integral
+    by_degree = sorted(1 / np.sqrt(np.diag(gram)))
+    expected = [1 + degree for degree in range(5) for _ in range(2 * degree + 1)]
+    np.testing.assert_allclose(by_degree, expected, rtol=5e-3)
+
+
+def test_coordinates_at_zero_are_the_prediction(scene):
+    batch, truth = scene
+    inside = batch.segments > 0
+    zero = [torch.zeros(part.shape, dtype=torch.float64) for part in (Material(truth.label), Light(truth.light, 3))]
+    assert torch.equal(Material(truth.label)(zero[0]).float(), truth.label)
+    np.testing.assert_allclose(Light(truth.light, 3)(zero[1]), truth.light, rtol=1e-4)
+    normals = Normals(truth.n, inside, 0.3)
+    again = normals(torch.zeros(normals.shape, dtype=torch.float64))
+    seen = inside & (truth.n[:, 2] > 0.2)  # nearer the rim they are drawn in
+    np.testing.assert_allclose(again.movedim(1, -1)[seen], truth.n.movedim(1, -1)[seen], atol=1e-6)
+
+
+def test_material_directions_span_the_training_materials_and_know_no_test_one():
+    directions = principal_directions()
+    spread = np.linalg.norm(directions, axis=1)
+    assert (np.diff(spread) <= 1e-12).all()
+    gram = directions @ directions.T
+    np.testing.assert_allclose(gram, np.diag(spread**2), atol=1e-8)
+
+
+def test_more_than_one_picture_is_refused(scene):
+    batch, truth = scene
+    with pytest.raises(ValueError, match="one by one"):
+        refine(replace(batch, image=batch.image.repeat(2, 1, 1, 1)), truth)
