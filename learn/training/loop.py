@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from learn.networks import features
 from learn.networks.coding import Ranges
 from learn.training import checkpoint, losses, measures, schedule, sheet
 from learn.training.journal import Journal
@@ -44,6 +45,8 @@ class Training:
         self.average = {name: t.detach().clone() for name, t in self.network.state_dict().items()}
         self.optimiser = schedule.optimiser(self.network, run.schedule)
         self.step, self.skipped, self.used = 0, 0, 0.0
+        wanted = next((phase.losses for phase in schedule.phases(run) if losses.by_features(phase.losses)), None)
+        self.features = features.load(wanted.features, wanted.features_sha256) if wanted else None
         if (self.out / "checkpoint.safetensors").exists():
             self._resume()
         elif run.start:
@@ -112,7 +115,7 @@ class Training:
         start = time.process_time()
         prediction = self.predict(self.model, batch, phase.parts)
         after_network = time.process_time()
-        found = losses.terms(prediction, batch, phase.losses, rng, self.network.ranges)
+        found = losses.terms(prediction, batch, phase.losses, rng, self.network.ranges, self.features)
         loss = losses.total(found, phase.losses)
         after_losses = time.process_time()
         self.optimiser.zero_grad(set_to_none=True)

