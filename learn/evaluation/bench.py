@@ -12,7 +12,7 @@ import torch
 from learn.agreement import surface
 from learn.agreement.measure import squared
 from learn.dataset import Records
-from learn.evaluation import gallery, intrinsics, methods, metrics, pairs
+from learn.evaluation import gallery, intrinsics, methods, metrics, pairs, perceptual
 from learn.training import checkpoint
 from manifests.problems import Problem
 from shaders import tone
@@ -21,33 +21,33 @@ from shaders import tone
 class Bench:
     """Records, methods and their weights, once a process.
 
-    data, weights, baselines   paths; baselines may be None
-    refine                     whether refined rows are made
-    perceptual                 display values, display values → float, or None
+    data, weights, baselines, lpips   paths; the last two may be None
+    refine                            whether refined rows are made
     """
 
-    def __init__(self, data, weights, baselines=None, refine=True, perceptual=None):
+    def __init__(self, data, weights, baselines=None, refine=True, lpips=None):
         self.records = Records(data)
         net, metadata = checkpoint.load_network(weights)
-        self.size, self.ranges, self.perceptual = int(metadata["size"]), net.ranges, perceptual
+        self.size, self.ranges, self.perceptual = int(metadata["size"]), net.ranges, perceptual.of_file(lpips)
         if refine:
             from learn.refinement import refine as work
         self.entrants = methods.entrants(net, work if refine else None, baselines)
 
-    def work(self, edits, whole, folder=None):
+    def work(self, first, edits, whole, folder=None):
         """(row of the source picture or None, [row of each edit]).
 
-        edits   Edits of one source, one at least
+        first   an Edit of the source picture
+        edits   Edits of it that are to be made; may be none
         whole   whether the source's own row is wanted
         folder  where pictures of the edits go, or None: no pictures
         """
-        batch = pairs.shown(self.records, edits[0])
+        batch = pairs.shown(self.records, first)
         if batch.image.shape[-2:] != (self.size, self.size):
             found = f"{batch.image.shape[-1]} × {batch.image.shape[-2]}"
             raise Problem(
                 self.records.folder, f"pictures of {self.size} × {self.size} pixels, as the weights were trained", found, "render anew"
             )
-        return self._taken_apart(edits[0].source, batch) if whole else None, [self._edited(edit, batch, folder) for edit in edits]
+        return self._taken_apart(first.source, batch) if whole else None, [self._edited(edit, batch, folder) for edit in edits]
 
     def _taken_apart(self, record, batch):
         truth = batch.image[0].movedim(0, -1).numpy()

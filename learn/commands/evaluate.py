@@ -1,0 +1,53 @@
+"""`learn evaluate`: edits against their truth, and every part of them, for all methods there are."""
+
+from pathlib import Path
+
+
+def register(subparsers):
+    parser = subparsers.add_parser(
+        "evaluate",
+        help="compare edits with Cycles' truth of the same edits: all tables, one command",
+        description="Takes pictures of a dataset apart, edits them into the materials that the same shape, view and light were rendered in "
+        "as well, and compares each edit with that picture. Writes index.html (open it first), report.md, report.json. Each finished edit "
+        "is a line in edits.jsonl: run the same command again to continue, or with more --edits to add to them.",
+    )
+    parser.add_argument(
+        "--data", type=Path, required=True, metavar="DIR", help="a dataset with pictures in two materials or more of each view"
+    )
+    parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where lines, pictures and the report go")
+    parser.add_argument("--edits", type=positive, default=100, metavar="N", help="how many edits (default 100; the paper: 500)")
+    refine = parser.add_mutually_exclusive_group()
+    refine.add_argument("--refine", action="store_true", default=True, help="refine predictions too, Section 3.5 (the default)")
+    refine.add_argument("--no-refine", dest="refine", action="store_false", help="leave the refined rows out: many times faster")
+    parser.add_argument(
+        "--baselines", type=Path, metavar="DIR", help="weights of the baselines of Section 4.5; those that are not there are left out"
+    )
+    parser.add_argument(
+        "--lpips", type=Path, metavar="FILE", help="LPIPS' AlexNet weights, .safetensors (docs/evaluation.md); else no such column"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="which edits are drawn (default 0)")
+    parser.add_argument("--processes", type=positive, metavar="N", help="at work at once (default: one a core)")
+    parser.add_argument("--gallery", type=int, default=12, metavar="N", help="edits that are shown as pictures (default 12)")
+    parser.set_defaults(run=run)
+
+
+def positive(text):
+    value = int(text)
+    if value < 1:
+        raise ValueError(text)
+    return value
+
+
+def run(options):
+    import os
+
+    from learn import prediction
+    from learn.evaluation import report, run
+
+    names = run.Options.__dataclass_fields__
+    given = {name: value for name, value in vars(options).items() if name in names}
+    given["weights"] = options.weights or prediction.WEIGHTS
+    given["processes"] = options.processes or os.cpu_count() or 1
+    print(report.line(run.make(run.Options(**given))))
+    print(f"See {options.out / 'index.html'}")

@@ -1,0 +1,86 @@
+"""The evaluation's report: report.json holds every table, report.md and index.html tell of them."""
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from learn.evaluation import page, tables
+from learn.evaluation.methods import OURS, OURS_REFINED
+from learn.timing.report import made_by
+from manifests.store import file_hash
+
+CURVE = "radiance × exposure, clipped to [0, 1], sRGB curve (IEC 61966-2-1), × 255; exposure: the truth's 99th percentile of luminance → 1"
+
+
+def about(options, records, kept, left_out, perceptual):
+    """What the figures were made of, and what is missing from them."""
+    sides = {record.split for record in kept}
+    held = "shapes and materials of the test side" if sides == {"test"} else "no test side: what networks were trained on is among it"
+    missing = dict(left_out)
+    if perceptual is None:
+        missing["LPIPS"] = "no weights were given (--lpips FILE); nothing is downloaded"
+    asked = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
+    return {
+        "made": made_by(),
+        "asked": {
+            key: Path(value).name if key in ("data", "weights", "out", "baselines", "lpips") and value else value
+            for key, value in asked.items()
+        },
+        "data": f"{len(kept)} pictures, {len({r.shape for r in kept})} shapes, {len({r.light for r in kept})} lights; {held}",
+        "tiers": sorted({f"{r.tier}, light {r.light_resolution}, {r.samples} samples" for r in kept}),
+        "weights": file_hash(options.weights)[:12],
+        "lpips": None if perceptual is None else file_hash(options.lpips)[:12],
+        "tone curve": CURVE,
+        "missing": missing,
+    }
+
+
+def write(out, pictures, edits, shown, about, entrants):
+    """report.json, report.md, index.html in `out`. Returns {"tables", "headline"}.
+
+    pictures, edits  rows of the two files of lines
+    shown            ids of the edits whose gallery pictures are shown
+    """
+    found = tables.all_of(pictures, edits)
+    told = {"about": about | {"edits": len(edits), "pictures": len(pictures)}, "headline": headline(found), "tables": found}
+    names = [method.name for method in entrants.edits]
+    by_id = {row["id"]: row for row in edits}
+    gallery = [(by_id[id_], out / "gallery" / f"{id_}.png") for id_ in shown if id_ in by_id]
+    texts = {
+        "report.json": json.dumps(told, indent=1, ensure_ascii=False) + "\n",
+        "report.md": page.markdown(told),
+        "index.html": page.web(told, [(row, path) for row, path in gallery if path.exists()], names),
+    }
+    for name, text in texts.items():
+        temporary = out / f".{name}"
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(out / name)
+    return told
+
+
+def headline(found):
+    """Sentences that say what came out, each from the tables alone."""
+    rows = {row["name"]: row["cells"] for row in found.get("edits", {"rows": []})["rows"]}
+    told = []
+    if OURS in rows:
+        mine = rows[OURS]["l2"]
+        told.append(f"An edit differs from its truth by a display L2 of {mine[0]:.0f} [{mine[1]:.0f}, {mine[2]:.0f}] over the mask")
+        if OURS_REFINED in rows:
+            refined = rows[OURS_REFINED]["l2"]
+            more = 100 * (refined[0] / mine[0] - 1)
+            told[-1] += f"; after refinement by {refined[0]:.0f} [{refined[1]:.0f}, {refined[2]:.0f}]: {more:+.0f} %"
+        told[-1] += "."
+        given = [(key, rows[OURS].get(f"l2_true_{key}")) for key in ("light", "normals")]
+        told += [f"With true {key} instead of predicted it would be {cell[0]:.0f}." for key, cell in given if cell]
+    for row in found.get("differences", {"rows": []})["rows"]:
+        name, others = row["name"].split(" − ")
+        if name == (OURS_REFINED if OURS_REFINED in rows else OURS) and others != "the layer alone":
+            low, high = row["cells"]["difference"][1:]
+            told.append(f"Against “{others}” the L2 of “{name}” differs by [{low:.0f}, {high:.0f}]: {row['cells']['verdict']}.")
+    return told
+
+
+def line(told):
+    """One line for the terminal."""
+    return " ".join(told["headline"][:1]) or f"{told['about']['edits']} edits, {', '.join(told['tables'])} by {' '.join(sys.argv[:1])}"

@@ -1,0 +1,184 @@
+"""The whole evaluation: edits drawn, worked through by processes, each one a line as soon as it is done; then the report.
+
+OUT/settings.json   what the figures depend on; a folder made with others is not gone on with
+OUT/pictures.jsonl  one line a source picture: its parts by every method (learn.evaluation.bench)
+OUT/edits.jsonl     one line an edit
+OUT/gallery/        a PNG of each of the first edits
+OUT/report.json, report.md, index.html
+A kill loses the pictures in flight. The same command goes on; a larger --edits adds to what is there.
+"""
+
+import json
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from tqdm import tqdm
+
+from learn.dataset import Records
+from learn.evaluation import pairs, report
+from learn.evaluation.bench import Bench
+from manifests.problems import Problem
+from manifests.store import Lines, file_hash
+
+
+@dataclass(frozen=True)
+class Options:
+    """data, weights, out: paths; baselines: a folder, or None; lpips: a file, or None; gallery: how many edits are shown."""
+
+    data: Path
+    weights: Path
+    out: Path
+    edits: int = 100
+    refine: bool = True
+    baselines: Path | None = None
+    seed: int = 0
+    processes: int = 1
+    gallery: int = 12
+    lpips: Path | None = None
+
+
+def make(options):
+    """Work through what is missing and write the report. Returns its figures. Raises Problem."""
+    records = Records(options.data)
+    kept = [record for record in records.records if record.split == "test"] or records.records
+    chosen = pairs.chosen(kept, options.edits, options.seed)
+    out = Path(options.out)
+    out.mkdir(parents=True, exist_ok=True)
+    settled(out / "settings.json", settings(options))
+    bench = Bench(**arguments(options))  # here first: what is wrong with weights or data is said before any process starts
+    work_through(options, units(out, chosen, options.gallery), bench)
+    rows = [[row for row in read(out / name) if row["id"] in wanted] for name, wanted in names(chosen).items()]
+    about = report.about(options, records, kept, bench.entrants.left_out, bench.perceptual)
+    return report.write(out, *rows, [edit.id for edit in chosen[: options.gallery]], about, bench.entrants)
+
+
+def names(chosen):
+    """{file: ids of its lines}."""
+    return {"pictures.jsonl": {edit.source.id for edit in chosen}, "edits.jsonl": {edit.id for edit in chosen}}
+
+
+def arguments(options):
+    """Of Bench, in every process."""
+    return {
+        "data": options.data,
+        "weights": options.weights,
+        "baselines": options.baselines,
+        "refine": options.refine,
+        "lpips": options.lpips,
+    }
+
+
+def settings(options):
+    """What determines a line's figures: files by their bytes."""
+    folder = options.baselines
+    of_baselines = {} if folder is None else {p.name: file_hash(p) for p in sorted(Path(folder).glob("*.safetensors"))}
+    return {
+        "data": Path(options.data).resolve().name,
+        "materials": file_hash(Path(options.data) / "materials.json"),
+        "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
+        "baselines": of_baselines,
+        "refine": options.refine,
+        "seed": options.seed,
+        "lpips": None if options.lpips is None else file_hash(options.lpips),
+    }
+
+
+def settled(path, wanted):
+    """Write the settings down, or check that they are those of the lines that are there. Raises Problem."""
+    if path.exists():
+        try:
+            there = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise Problem(path, "settings as JSON", str(error), "give another --out") from None
+        other = [key for key in wanted if there.get(key) != wanted[key]]
+        if other:
+            raise Problem(path.parent, "an evaluation of the same settings", f"other {', '.join(other)}", "give another --out")
+        return
+    temporary = path.with_name(f".{path.name}")
+    temporary.write_text(json.dumps(wanted, indent=1) + "\n", encoding="utf-8")
+    temporary.replace(path)
+
+
+def units(out, chosen, gallery):
+    """[(edits of one source picture still to do, whether the picture itself is to do, folder of pictures or None of each)]."""
+    there = {name: {row["id"] for row in read(out / name)} for name in ("pictures.jsonl", "edits.jsonl")}
+    shown = {edit.id for edit in chosen[:gallery]}
+    grouped = {}
+    for edit in chosen:
+        grouped.setdefault(edit.source.id, []).append(edit)
+    found = []
+    for source, edits in grouped.items():
+        todo = [edit for edit in edits if edit.id not in there["edits.jsonl"]]
+        whole = source not in there["pictures.jsonl"]
+        if todo or whole:
+            folder = str(out / "gallery") if any(edit.id in shown for edit in todo) else None
+            found.append((edits[0], todo, whole, folder))
+    return found
+
+
+def work_through(options, todo, bench):
+    """Do the units, and append their lines as they come."""
+    lines = {name: Lines(Path(options.out) / name) for name in ("pictures.jsonl", "edits.jsonl")}
+    total = sum(len(edits) for _, edits, _, _ in todo)
+    try:
+        with tqdm(total=total, desc="edits", unit="edit", smoothing=0.1) as bar:
+            for picture, edits in results(options, todo, bench):
+                for edit in edits:
+                    lines["edits.jsonl"].append(edit)
+                if picture is not None:
+                    lines["pictures.jsonl"].append(picture)
+                bar.update(len(edits))
+    finally:
+        for each in lines.values():
+            each.close()
+
+
+def results(options, todo, bench):
+    """(row of the picture or None, rows of edits), in whatever order they are done."""
+    processes = max(1, min(options.processes, len(todo)))
+    if processes == 1:
+        for unit in todo:
+            yield bench.work(*unit)
+        return
+    threads = max(1, (os.cpu_count() or 1) // processes)
+    context = multiprocessing.get_context("spawn")  # a fork of a process with running threads may hang
+    with ProcessPoolExecutor(processes, context, _begin, (arguments(options), threads)) as pool:
+        try:
+            for done in as_completed([pool.submit(_work, unit) for unit in todo]):
+                yield done.result()
+        except BrokenProcessPool:
+            remedy = "run the same command again with fewer --processes: what was done stays"
+            raise Problem("evaluation", "processes that live", "one that was killed, for want of memory perhaps", remedy) from None
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin(given, threads):
+    global _bench
+    torch.set_num_threads(threads)
+    _bench = Bench(**given)
+
+
+def _work(unit):
+    return _bench.work(*unit)
+
+
+def read(path):
+    """The whole lines of a JSONL file, a torn last one passed over; none if it is not there. Raises Problem for a damaged one."""
+    try:
+        with open(path, "rb") as file:
+            text = file.read()
+    except FileNotFoundError:
+        return []
+    found = []
+    for number, line in enumerate(text.split(b"\n")[:-1], 1):
+        try:
+            found.append(json.loads(line))
+        except ValueError as error:
+            raise Problem(f"{path}:{number}", "a line of JSON", str(error), "remove the line: its edit is made again") from None
+    return found

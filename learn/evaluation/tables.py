@@ -1,0 +1,235 @@
+"""From rows of figures to tables: means, 95 % intervals, and differences between methods on the same edits.
+
+A table is plain JSON: {"title", "note", "columns": [{"key", "label", "digits", "interval"}], "rows": [{"name", "cells": {key: cell}}]}.
+A cell is [mean, low, high], a number, a word, or None where a method has no such figure. Intervals: learn.intervals, over shapes and
+materials (of edits: the wanted ones).
+"""
+
+from functools import partial
+
+import numpy as np
+
+from learn import intervals
+from learn.evaluation.methods import OURS, OURS_REFINED
+
+LIMIT = 1.5  # times the node fit, as learn.agreement judges
+
+
+def column(key, label, digits=3, interval=False):
+    return {"key": key, "label": label, "digits": digits, "interval": interval}
+
+
+LPIPS = column("lpips", "LPIPS ↓", 3)
+PICTURE = [
+    column("l2", "L2 ↓", 1, True),
+    column("l2_frame", "L2, frame ↓", 1),
+    column("ssim", "SSIM ↑", 4, True),
+    column("ssim_frame", "SSIM, frame ↑", 4),
+    column("psnr", "PSNR ↑", 2),
+    column("flip", "ꟻLIP ↓", 3),
+    LPIPS,
+]
+GIVEN = [column("l2_true_light", "L2, light given ↓", 1, True), column("l2_true_normals", "L2, normals given ↓", 1, True)]
+NORMALS = [
+    column("mean_deg", "mean ° ↓", 2, True),
+    column("median_deg", "median ° ↓", 2, True),
+    column("below_11.25", "< 11.25° ↑", 3),
+    column("below_22.5", "< 22.5° ↑", 3),
+    column("below_30", "< 30° ↑", 3),
+    column("cosine", "cosine ↑", 4),
+]
+MATERIAL = [
+    column("brdf_log", "BRDF, log error ↓", 3, True),
+    column("log_l2", "coefficients L2 (log) ↓", 3, True),
+    column("code_l2", "coefficients L2 (codes) ↓", 4),
+]
+LIGHT = [
+    column("direction_deg", "brightest direction, ° ↓", 1, True),
+    column("irradiance", "irradiance, relative ↓", 3, True),
+    column("spheres_l2", "three spheres L2 ↓", 0, True),
+    column("matte_sphere_l2", "matte ↓", 0),
+    column("glossy_sphere_l2", "glossy ↓", 0),
+    column("sharp_sphere_l2", "sharp ↓", 0),
+]
+SHORT = [column("l2", "rendered L2 ↓", 1, True), column("ssim", "rendered SSIM ↑", 4, True), column("flip", "rendered ꟻLIP ↓", 3)]
+
+
+class Rows:
+    """Figures of many pictures or edits, and how they are drawn for intervals."""
+
+    def __init__(self, rows, material):
+        """material: the key of a row's material names."""
+        self.rows = rows
+        names = [["+".join(dict.fromkeys(row[material])) for row in rows], [row["shape"] for row in rows]]
+        self.groups = intervals.groups_of(*reversed(names)) if rows else []
+        self.weights = intervals.draws(self.groups) if rows else None
+
+    def values(self, method, path):
+        """(P,) float64 of one figure, NaN where a row has none; path: keys below the method."""
+        found = np.full(len(self.rows), np.nan)
+        for i, row in enumerate(self.rows):
+            value = row["methods"].get(method, {})
+            for key in path:
+                value = value.get(key) if isinstance(value, dict) else None
+            if value is not None:
+                found[i] = value
+        return found
+
+    def cell(self, method, path):
+        """[mean, low, high] over the rows that have the figure; None if none has."""
+        return self.interval(self.values(method, path))
+
+    def interval(self, values):
+        there = np.isfinite(values)
+        if not there.any():
+            return None
+        weights = self.weights[:, there]
+        return intervals.interval(values[there], weights[weights.sum(1) > 0])
+
+    def methods(self):
+        """Names in order of their first row."""
+        return list(dict.fromkeys(name for row in self.rows for name in row["methods"]))
+
+
+def table(title, note, columns, rows):
+    """A table without the columns that no row fills; None without rows."""
+    kept = [c for c in columns if any(row["cells"].get(c["key"]) is not None for row in rows)]
+    return {"title": title, "note": note, "columns": kept, "rows": rows} if rows and kept else None
+
+
+def by_method(rows, title, note, groups, skip=()):
+    """A table of a row a method. groups: [(path below the method, columns)]; rows without any of these figures are left out."""
+    found = []
+    for name in rows.methods():
+        cells = {c["key"] + suffix: rows.cell(name, (*path, c["key"])) for path, columns, suffix in groups for c in columns}
+        if name not in skip and any(cell is not None for cell in cells.values()):
+            found.append({"name": name, "cells": cells})
+    columns = [c | {"key": c["key"] + suffix} for _, columns, suffix in groups for c in columns]
+    return table(title, note, columns, found)
+
+
+def differences(rows):
+    """Ours, refined and not, against every other row on the same edits: whether the difference of L2 could be nothing."""
+    found = []
+    for mine in (OURS, OURS_REFINED):
+        a = rows.values(mine, ("l2",))
+        for other in rows.methods() if np.isfinite(a).any() else ():
+            b = rows.values(other, ("l2",))
+            if other == mine or (mine == OURS and other == OURS_REFINED) or not np.isfinite(b).any():
+                continue
+            cell = rows.interval(a - b)
+            both = np.isfinite(a + b)
+            of = intervals.ratio(b[both], a[both], [group[both] for group in rows.groups])
+            verdict = "better" if cell[2] < 0 else "worse" if cell[1] > 0 else "undecided: 0 is inside"
+            cells = {"difference": cell, "ratio": of, "won": float((a < b)[both].mean()), "verdict": verdict}
+            found.append({"name": f"{mine} − {other}", "cells": cells})
+    columns = [column("difference", "L2 difference", 1, True), column("ratio", "L2 ratio", 3, True)]
+    columns += [column("won", "edits won", 2), column("verdict", "at 95 %")]
+    note = "Mean over the same edits; the interval of a difference that leaves out 0 decides."
+    return table("Differences on the same edits", note, columns, found)
+
+
+def refinement(rows):
+    """What refinement did to its starts, a row a method, and all together."""
+    refined = [name for name in rows.methods() if any("refinement" in row["methods"].get(name, {}) for row in rows.rows)]
+    groups = {name: [name] for name in refined} | ({"all starts": refined} if len(refined) > 1 else {})
+    found = []
+    for title, names in groups.items():
+        get = partial(_gathered, rows, names)
+        before, after, seconds, finite = (get(("refinement", key)) for key in ("before", "after", "seconds", "finite"))
+        started = np.concatenate([rows.values(name.removesuffix(", refined"), ("rendered_all", "l2")) for name in names])
+        ended = get(("rendered_all", "l2"))
+        there = np.isfinite(before)
+        cells = {
+            "starts": int(there.sum()),
+            "above": int((after[there] > before[there]).sum()),
+            "not_finite": int((finite[there] != 1).sum()),
+            "energy": float(np.median(before[there])),
+            "energy_after": float(np.median(after[there])),
+            "l2": float(np.nanmedian(started)),
+            "l2_after": float(np.nanmedian(ended)),
+            "drop": float(1 - np.nanmedian(ended) / np.nanmedian(started)),
+            "worse_l2": int((ended > started).sum()),
+            "seconds": float(np.median(seconds[there])),
+            "slowest": float(seconds[there].max()),
+        }
+        found.append({"name": title, "cells": cells})
+    columns = [
+        column("starts", "starts", 0),
+        column("above", "ended above start", 0),
+        column("not_finite", "not finite", 0),
+        column("energy", "median energy before", 5),
+        column("energy_after", "after", 5),
+        column("l2", "median L2 of I′ before", 1),
+        column("l2_after", "after", 1),
+        column("drop", "share taken off", 3),
+        column("worse_l2", "L2 higher than before", 0),
+        column("seconds", "median s", 1),
+        column("slowest", "slowest s", 1),
+    ]
+    return table(
+        "Refinement", "Energy: Eq. 6 as learn.refinement states it. I′: the picture rendered again from refined parts.", columns, found
+    )
+
+
+def _gathered(rows, names, path):
+    return np.concatenate([rows.values(name, path) for name in names])
+
+
+def layer(rows):
+    """The edit from true normals, light and label against Cycles, by wanted material, beside what the catalogue says of its nodes."""
+    by = {}
+    for row in rows.rows:
+        by.setdefault(" + ".join(dict.fromkeys(row["wanted"])), []).append(row["layer"])
+    found = [{"name": name, "cells": _layer_cells(by[name])} for name in sorted(by)]
+    found.append({"name": "all", "cells": _layer_cells([row["layer"] for row in rows.rows])})
+    columns = [
+        column("edits", "edits", 0),
+        column("l2", "L2 over the mask", 2),
+        column("l2_inner", "L2 inside", 2),
+        column("net_edits", "with a second seed", 0),
+        column("net_inner", "L2 inside − noise", 2),
+        column("fit_here", "node fit at these pixels", 2),
+        column("node_fit", "node fit, catalogue", 2),
+        column("within", f"within {LIMIT:g} × node fit"),
+    ]
+    note = (
+        "Inside: away from silhouettes, segment borders and creases, where a pixel of Cycles sees one surface. Noise is known, and the row "
+        "judged, where Cycles rendered the truth twice. Node fit: display L2 between label and nodes, the two forms of a material."
+    )
+    return table("True normals, light and label through the layer", note, columns, found)
+
+
+def _layer_cells(rows):
+    def mean(key, among):
+        values = [row[key] for row in among if row.get(key) is not None]
+        return float(np.mean(values)) if values else None
+
+    netted = [row for row in rows if row.get("net_inner") is not None]
+    cells = {"edits": len(rows), "net_edits": len(netted)} | {key: mean(key, rows) for key in ("l2", "l2_inner", "node_fit")}
+    cells |= {key: mean(key, netted) for key in ("net_inner", "fit_here")}
+    if netted and cells["node_fit"] is not None:
+        cells["within"] = "yes" if cells["net_inner"] <= LIMIT * cells["node_fit"] else "no"
+    return cells
+
+
+def all_of(pictures, edits):
+    """{key: table} of rows of pictures.jsonl and edits.jsonl; tables without rows are left out."""
+    P, E = Rows(pictures, "materials"), Rows(edits, "wanted")
+    material_alone = (
+        "The method's material, with true normals and light, rendered again and compared with the picture (the paper's Table 1)."
+    )
+    normals_alone = "The method's normals, with true material and light, rendered again (the paper's Table 2)."
+    light_alone = "The method's light, with true normals and material, rendered again."
+    given = "Light given, normals given: the same edits were that part not predicted but true. It shows where the error comes from."
+    found = {
+        "edits": by_method(E, "Edits against their truth", given, [((), PICTURE, ""), ((), GIVEN, "")]),
+        "differences": differences(E),
+        "refinement": refinement(P),
+        "rerendered": by_method(P, "Pictures rendered again", "All three parts of the method.", [(("rendered_all",), PICTURE, "")]),
+        "material": by_method(P, "Material", material_alone, [(("material",), MATERIAL, ""), (("rendered_material",), SHORT, "_rendered")]),
+        "normals": by_method(P, "Normals", normals_alone, [(("normals",), NORMALS, ""), (("rendered_normals",), SHORT, "_rendered")]),
+        "light": by_method(P, "Light", light_alone, [(("light",), LIGHT, ""), (("rendered_light",), SHORT, "_rendered")]),
+        "layer": layer(E),
+    }
+    return {key: value for key, value in found.items() if value is not None}
