@@ -62,10 +62,10 @@ def sphere(size):
 
 def ball(label, L, size, elevation, exposure):
     """Display picture of a ball of a material, label (108,), under a light map (Hl, Wl, 3)."""
-    n = torch.from_numpy(sphere(size))[None]
+    n, light = torch.from_numpy(sphere(size))[None], torch.as_tensor(L, dtype=torch.float32)[None].contiguous()
     material = torch.as_tensor(label, dtype=torch.float32).exp()[None]
-    with torch.no_grad():
-        radiance = render(n, material, torch.as_tensor(L, dtype=torch.float32)[None], elevation=elevation)
+    with torch.no_grad():  # the integral: of a mirror the sum over texels would show the texels
+        radiance = render(n, material, light, method="quadrature", elevation=elevation)
     return tone.display(radiance[0].numpy(), exposure)
 
 

@@ -35,17 +35,17 @@ class Settings:
     tolerance   of the layer in the finest energy, which accepts or rejects every step
     """
 
-    a: float = 1.0
-    b: float = 10.0
-    c: float = 0.0
+    a: float = 0.1
+    b: float = 0.02
+    c: float = 0.03
     order: tuple = PROPERTIES
     degree: int = 8
     reach: float = 0.3
     tolerance: float = 5e-3
     levels: tuple = (
-        Level(pixels=700, light=(32, 64), method="exact", rounds=3, iterations=12),
-        Level(pixels=1400, light=(64, 128), method="exact", rounds=1, iterations=8),
+        Level(pixels=600, light=(32, 64), method="exact", rounds=2, iterations=8),
+        Level(pixels=1500, light=(64, 128), method="exact", rounds=1, iterations=6),
     )
 
 
-PAPER = Settings()
+PAPER = Settings(a=1.0, b=10.0, c=0.0)

@@ -69,6 +69,6 @@ def test_an_object_is_framed_in_its_middle_at_the_size_asked_for(disc):
     assert framed.radiance.shape == (32, 32, 3)
     assert (abs(rows.mean() - 15.5), abs(columns.mean() - 15.5)) < (1, 1)
     inner = framed.mask & (framed.radiance[..., 0] > 0)
-    np.testing.assert_allclose(framed.radiance[inner], pictures.MEAN_LUMINANCE, rtol=0.05)  # background at 9 does not leak in
+    np.testing.assert_allclose(framed.radiance[inner], 0.5 * framed.exposure, rtol=0.05)  # background at 9 does not leak in
     span = np.ptp(columns) + 1
     assert span == pytest.approx(32 / pictures.MARGIN, abs=2)
