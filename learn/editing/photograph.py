@@ -66,8 +66,9 @@ def opened(path, masks=(), regions=None, balance="none", exposure=None, record=N
         radiance, _ = pictures.read_soft(path, masks[0])
         coverage, labels = _several(masks, radiance.shape[:2])
     if regions is not None:
-        labels = pictures.read_labels(regions, radiance.shape[:2]) * (coverage >= 0.5)
-        _require_pixels(labels, labels.max(initial=0), regions)
+        whole = pictures.read_labels(regions, radiance.shape[:2])
+        labels = whole * (coverage >= 0.5)
+        _require_pixels(labels, whole.max(), regions)
     if np.isin(coverage, (0, 1)).all():
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
     return Photograph(

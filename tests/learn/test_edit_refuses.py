@@ -1,0 +1,178 @@
+"""Bad input to `learn edit` and `learn transfer`: one line with the remedy and exit status 1, or dealt with."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from learn import pictures
+from learn.__main__ import COMMANDS
+from learn.editing import photograph, wanted
+from manifests.command_line import main
+from manifests.problems import Problem
+
+SIZE = (48, 64)
+
+
+@pytest.fixture
+def disc():
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    return (x - 30) ** 2 + (y - 24) ** 2 < 18**2
+
+
+@pytest.fixture
+def files(tmp_path, disc):
+    """A photograph, its mask, and a folder for results."""
+    values = np.clip(60 + 2 * np.mgrid[: SIZE[0], : SIZE[1]][0], 0, 255).astype(np.uint8)
+    Image.fromarray(np.dstack([values] * 3)).save(tmp_path / "photo.png")
+    Image.fromarray(disc.astype(np.uint8) * 255).save(tmp_path / "mask.png")
+    return tmp_path
+
+
+def told(capsys, *arguments):
+    """(exit status, the line on stderr) of a command."""
+    status = main("learn", "test", COMMANDS, [str(a) for a in arguments])
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("learn:")]
+    assert len(lines) <= 1
+    return status, lines[0] if lines else ""
+
+
+def edit(files, *more, photo="photo.png", mask="mask.png", material="brass"):
+    masks = ["--mask", files / mask] if mask else []
+    return ["edit", files / photo, *masks, "--material", material, "--no-refine", "--out", files / "out", *more]
+
+
+def test_no_mask_is_refused_with_the_option_to_give(files, capsys):
+    status, line = told(capsys, *edit(files, mask=None))
+    assert status == 1 and "--mask FILE" in line
+
+
+def test_a_mask_that_is_empty_or_of_another_size_is_refused(files, capsys):
+    Image.new("L", SIZE[::-1]).save(files / "empty.png")
+    Image.new("L", (10, 10), 255).save(files / "other.png")
+    status, line = told(capsys, *edit(files, mask="empty.png"))
+    assert status == 1 and "pixels or more in the mask" in line
+    status, line = told(capsys, *edit(files, mask="other.png"))
+    assert status == 1 and "64 × 48" in line and "10 × 10" in line
+
+
+def test_what_is_no_picture_is_refused(files, capsys):
+    whole = (files / "photo.png").read_bytes()
+    (files / "cut.png").write_bytes(whole[: len(whole) // 2])
+    (files / "text.png").write_text("a picture, honestly")
+    for name in ("cut.png", "text.png", "none.png"):
+        status, line = told(capsys, *edit(files, photo=name))
+        assert status == 1 and name in line and "expected" in line
+
+
+def test_an_unknown_material_lists_the_closest_names(files, capsys):
+    status, line = told(capsys, *edit(files, material="brasss"))
+    assert status == 1 and "did you mean brass" in line
+    assert not (files / "out").exists()
+
+
+def test_nothing_is_overwritten_unless_asked(files, capsys):
+    (files / "out").mkdir()
+    for name in ("edit.json", "edited.png", "normals.png"):
+        (files / "out" / name).write_text("mine")
+        status, line = told(capsys, *edit(files))
+        assert status == 1 and "--overwrite" in line and (files / "out" / name).read_text() == "mine"
+        (files / "out" / name).unlink()
+
+
+def test_numbers_outside_their_range_are_refused(files, capsys):
+    for option, value in (
+        ("--tolerance", "0"),
+        ("--tolerance", "nan"),
+        ("--detail", "2"),
+        ("--exposure", "-1"),
+        ("--white-balance", "1,2"),
+    ):
+        status, line = told(capsys, *edit(files, option, value))
+        assert status == 1 and option in line
+
+
+def test_wrong_usage_ends_with_two(files, capsys):
+    with pytest.raises(SystemExit) as end:
+        main("learn", "test", COMMANDS, ["edit", str(files / "photo.png")])
+    assert end.value.code == 2
+
+
+def test_an_object_of_a_few_pixels_is_refused(files):
+    Image.new("RGB", (4, 4), (90, 80, 70)).save(files / "four.png")
+    Image.fromarray(np.pad(np.full((2, 2), 255, np.uint8), 1)).save(files / "four-mask.png")
+    with pytest.raises(Problem, match="16 pixels or more in the mask expected, found 4"):
+        photograph.opened(files / "four.png", [files / "four-mask.png"])
+
+
+@pytest.mark.parametrize("mode", ["L", "LA", "P", "CMYK", "I;16", "1", "RGBA"])
+def test_any_mode_is_read(files, mode):
+    source = Image.open(files / "photo.png")
+    deep = mode == "I;16"
+    picture = Image.fromarray(np.asarray(source)[..., 0].astype(np.uint16) * 257) if deep else source.convert(mode)
+    name = files / f"mode.{'tiff' if mode == 'CMYK' else 'png'}"
+    picture.save(name)
+    opened = photograph.opened(name, [files / "mask.png"])
+    assert opened.radiance.shape == (*SIZE, 3) and np.isfinite(opened.radiance).all()
+    if mode not in ("1", "P"):
+        seen = photograph.opened(files / "photo.png", [files / "mask.png"]).radiance
+        np.testing.assert_allclose(opened.radiance, seen, atol=0.03)  # CMYK moves a step or two
+
+
+def test_of_an_animation_the_first_frame_is_taken(files):
+    frames = [Image.new("RGB", SIZE[::-1], (shade, shade, shade)) for shade in (200, 10)]
+    frames[0].save(files / "moving.gif", save_all=True, append_images=frames[1:])
+    opened = photograph.opened(files / "moving.gif", [files / "mask.png"])
+    assert opened.radiance.min() > 0.5
+
+
+def test_a_photograph_turned_by_its_camera_is_set_upright(files):
+    picture = Image.new("RGB", (48, 64))
+    exif = picture.getexif()
+    exif[274] = 6  # turn by 90° to see it upright
+    picture.save(files / "turned.jpg", exif=exif)
+    assert photograph.opened(files / "turned.jpg", [files / "mask.png"]).radiance.shape == (*SIZE, 3)
+
+
+def test_too_many_pixels_are_refused_before_they_are_read(files, monkeypatch):
+    monkeypatch.setattr(pictures, "MOST_PIXELS", 1000)
+    with pytest.raises(Problem, match="megapixels"):
+        photograph.opened(files / "photo.png", [files / "mask.png"])
+
+
+def test_regions_that_are_none_are_refused(files):
+    smooth = np.add.outer(np.arange(SIZE[0]), np.arange(SIZE[1])).astype(np.uint8)
+    Image.fromarray(smooth).save(files / "smooth.png")
+    with pytest.raises(Problem, match="1 to 8 values besides 0"):
+        photograph.opened(files / "photo.png", [files / "mask.png"], files / "smooth.png")
+    corner = np.zeros(SIZE, np.uint8)
+    corner[:3, :3] = 5
+    Image.fromarray(corner).save(files / "corner.png")
+    with pytest.raises(Problem, match="region 1"):
+        photograph.opened(files / "photo.png", [files / "mask.png"], files / "corner.png")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "JSON with"),
+        ('{"other": 1}', "JSON with"),
+        ('{"label": [1, 2]}', "108 numbers"),
+        ('{"label": [' + ", ".join(["NaN"] * 108) + "]}", "logarithms"),
+        ('{"label": [' + ", ".join(["5000"] * 108) + "]}", "logarithms"),
+        ("[1]", "JSON with"),
+    ],
+)
+def test_a_material_file_without_a_material_is_refused(tmp_path, text, words):
+    file = tmp_path / "material.json"
+    file.write_text(text)
+    with pytest.raises(Problem, match=words):
+        wanted.label_of(str(file), None)
+
+
+def test_transfer_needs_two_pictures_of_different_names(files, capsys):
+    status, line = told(capsys, "transfer", files / "photo.png", "--out", files / "out")
+    assert status == 1 and "two or more" in line
+    status, line = told(capsys, "transfer", files / "photo.png", files / "photo.png", "--out", files / "out")
+    assert status == 1 and "twice" in line
+    status, line = told(capsys, "transfer", files / "photo.png", files / "mask.png", "--mask-dir", files / "masks", "--out", files / "out")
+    assert status == 1 and "no such file" in line
