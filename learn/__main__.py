@@ -4,7 +4,23 @@ import sys
 
 from manifests.command_line import main
 
-COMMANDS = ("agree", "bench", "chart", "promise", "pace", "calibrate", "train", "predict", "edit", "transfer", "proof", "card", "evaluate")
+COMMANDS = (
+    "agree",
+    "bench",
+    "chart",
+    "promise",
+    "pace",
+    "calibrate",
+    "train",
+    "predict",
+    "edit",
+    "transfer",
+    "proof",
+    "study",
+    "card",
+    "baselines",
+    "evaluate",
+)
 
 if __name__ == "__main__":
     sys.exit(main("learn", __doc__.split(": ", 1)[1], COMMANDS))

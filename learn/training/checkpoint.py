@@ -12,12 +12,14 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
+from learn.baselines.encoder_decoder import EncoderDecoder
+from learn.baselines.separate import Separate
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.paper import Paper
 from manifests.problems import Problem
 
-NETWORKS = {"compact": Compact, "paper": Paper}
+NETWORKS = {network.name: network for network in (Compact, Paper, Separate, EncoderDecoder)}
 LARGEST_FILE = 4 << 30
 
 

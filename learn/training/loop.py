@@ -115,7 +115,7 @@ class Training:
         start = time.process_time()
         prediction = self.predict(self.model, batch, phase.parts)
         after_network = time.process_time()
-        found = losses.terms(prediction, batch, phase.losses, rng, self.network.ranges, self.features)
+        found = self._terms(prediction, batch, phase.losses, rng)
         loss = losses.total(found, phase.losses)
         after_losses = time.process_time()
         self.optimiser.zero_grad(set_to_none=True)
@@ -137,6 +137,9 @@ class Training:
         segments = batch.segments if self.run.data.regions > 1 else None
         with torch.autocast("cpu", torch.bfloat16, enabled=self.run.mixed_precision):
             return model(batch.image, batch.mask, segments, parts, None if "normals" in parts else batch.n)
+
+    def _terms(self, prediction, batch, weights, rng):
+        return losses.terms(prediction, batch, weights, rng, self.network.ranges, self.features)
 
     def averaged(self):
         """A network with the moving average's weights, ready to predict."""

@@ -34,8 +34,8 @@ def of(prediction, batch):
     if prediction.n is not None:
         cosine = (n * batch.n).sum(1).clamp(-1, 1)
         inside = batch.segments > 0
-        found["cosine"] = _means(cosine, inside)
-        found["angle_deg"] = _means(cosine.arccos().rad2deg(), inside)
+        found["cosine"] = means(cosine, inside)
+        found["angle_deg"] = means(cosine.arccos().rad2deg(), inside)
     constant = torch.ones_like(batch.light)
     if prediction.light is not None:
         truth = irradiance(batch.light)
@@ -116,5 +116,5 @@ def picture(n, label, light, batch):
     return radiance.numpy()
 
 
-def _means(values, inside):
+def means(values, inside):
     return ((values * inside).sum((1, 2)) / inside.sum((1, 2))).double().numpy()

@@ -4,6 +4,7 @@ Batch k of a run is a function of (seed, side, k) alone: whoever asks for it, in
 Pictures come in groups of `sharing`, of other shapes and views, that share a material and a light: then they share a reflectance map.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from learn.training import augmentation, lights
 from learn.training.batch import joined
 from learn.training.settings import Data
 from manifests.problems import Problem
+from shaders.dsbrdf import SHAPE
 
 SIDES = {"train": 0, "validation": 1, "test": 2}
 BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
@@ -34,6 +36,12 @@ class Pool:
     maps: list
     side: str
     album: object = None
+
+
+def gloss(label):
+    """The largest γ max(κ, 1) of a label's control values: how narrow its sharpest highlight is."""
+    kappa, gamma = np.exp(label.reshape(SHAPE)).transpose(2, 0, 1, 3)
+    return float((gamma * np.maximum(kappa, 1)).max())
 
 
 class Relit:
@@ -59,6 +67,8 @@ class Relit:
         self.groups = range(groups)[part[0] :: part[1]]
         self.of_group = [len(range(g * data.sharing, min((g + 1) * data.sharing, batch))) for g in range(groups)]
         self.names = sorted(pool.labels)
+        if data.matte_first:
+            self.names.sort(key=lambda name: gloss(pool.labels[name]))
 
     def __getitem__(self, k):
         """The k-th Batch."""
@@ -68,7 +78,7 @@ class Relit:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(SIDES[self.pool.side], k, g)))
         count, training = self.of_group[g], self.pool.side == "train"
         views = self.pool.views[rng.choice(len(self.pool.views), count, replace=count > len(self.pool.views))]
-        chosen = [self.names[i] for i in rng.choice(len(self.names), 2 * self.data.regions)]
+        chosen = [self.names[i] for i in rng.choice(self._admitted(k), 2 * self.data.regions)]
         channels = [rng.permutation(3) if training else np.arange(3) for _ in chosen]
         labels = np.stack([self.pool.labels[name].reshape(3, 36)[c].reshape(108) for name, c in zip(chosen, channels, strict=True)])
         if training:
@@ -83,6 +93,12 @@ class Relit:
             for v in views
         ]
         return [self._example(rng, n[i], segments[i], images[i], label, target, L, names[i], training) for i in range(count)]
+
+    def _admitted(self, k):
+        """How many of the materials batch k may draw from."""
+        if not self.data.matte_first or self.pool.side != "train":
+            return len(self.names)
+        return max(1, math.ceil(len(self.names) * min(1.0, (1 + 2 * k / self.data.matte_first) / 3)))
 
     def _geometry(self, views):
         n = torch.from_numpy(np.stack([self.pool.geometry.normals(v) for v in views]))

@@ -19,6 +19,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     regions        materials a picture, one a segment
     real_lights    share of pictures lit by one map; half of the rest by a mixture of two, half by a computed sky or room
     photograph     augment as a photograph needs: exposure, shift, a nibbled mask, noise, JPEG
+    matte_first    batches over which relit materials are admitted in order of gloss, from the mattest third on; 0: all from the start
     validation_lights, test_lights   names of maps that training never sees; where a run names none at all, a map's hash decides
     """
 
@@ -29,6 +30,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     regions: Annotated[int, Meta(ge=1, le=8)] = 1
     real_lights: Annotated[float, Meta(ge=0, le=1)] = 0.5
     photograph: bool = True
+    matte_first: Annotated[int, Meta(ge=0)] = 0
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()
 
@@ -99,7 +101,7 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     version: Literal[1] = 1
     name: str
     about: str = ""
-    network: Literal["compact", "paper"] = "compact"
+    network: Literal["compact", "paper", "separate", "encoder-decoder"] = "compact"
     size: Annotated[int, Meta(ge=32, le=1024, multiple_of=16)] = 128
     parts: Annotated[tuple[Part, ...], Meta(min_length=1)] = ("normals", "material", "light")
     data: Data = Data()

@@ -1,0 +1,46 @@
+"""`learn study`: what helps normals beyond their own squared difference, at equal processor time."""
+
+from pathlib import Path
+
+
+def register(subparsers):
+    parser = subparsers.add_parser(
+        "study",
+        help="normals: what the layer's picture, features, a curriculum and more shapes add at equal processor time",
+        description="Trains normals by L2 alone, then goes on from there with each variant for the same processor time, and measures all "
+        "on shapes, materials and lights never seen. Writes table.json, table.md, chart.png; run again to continue.",
+    )
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
+    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the table goes")
+    parser.add_argument("--size", type=int, default=64, metavar="PIXELS", help="of the pictures (default 64)")
+    parser.add_argument("--pretraining", type=float, default=60, metavar="S", help="processor time of the pre-training (default 60)")
+    parser.add_argument("--seconds", type=float, default=45, metavar="S", help="processor time of each variant (default 45)")
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="how many seeds (default 3)")
+    parser.add_argument(
+        "--variants", nargs="*", metavar="NAME", help='of learn.training.normals_study; "L2" must be among them (default: all)'
+    )
+    parser.add_argument("--held-out", nargs="*", default=[], metavar="LIGHT", help="names of light maps that only testing sees")
+    parser.set_defaults(run=run)
+
+
+def run(options):
+    import torch
+
+    from learn.training import normals_study, sources
+    from learn.training.settings import Data
+    from manifests.problems import Problem, closest
+
+    torch.set_num_threads(1)
+    names = tuple(options.variants or normals_study.VARIANTS)
+    for name in names:
+        if name not in normals_study.VARIANTS:
+            raise Problem(f"--variants: '{name}'", "a variant", "none of that name", closest(name, normals_study.VARIANTS))
+    if "L2" not in names:
+        raise Problem("--variants", '"L2", which all others are compared with', ", ".join(names), "add it")
+    data = Data(sharing=8, test_lights=tuple(options.held_out))
+    pools = sources.pools(data, options.data, options.lights)
+    found = normals_study.study(data, pools, options.out, options.size, options.pretraining, options.seconds, range(options.seeds), names)
+    for name, row in found["rows"].items():
+        print("{}: render L2 {:.0f}, {:.3f} [{:.3f}, {:.3f}] of L2 alone".format(name, row["l2"][0], *row["ratio"]))
+    print(f"See {options.out / 'table.md'}")
