@@ -20,6 +20,7 @@ def register(subparsers):
     parser.add_argument(
         "--variants", nargs="*", metavar="NAME", help='of learn.training.normals_study; "L2" must be among them (default: all)'
     )
+    parser.add_argument("--batches", type=int, default=12, metavar="N", help="of 16 pictures to measure on (default 12)")
     parser.add_argument("--held-out", nargs="*", default=[], metavar="LIGHT", help="names of light maps that only testing sees")
     parser.set_defaults(run=run)
 
@@ -40,7 +41,9 @@ def run(options):
         raise Problem("--variants", '"L2", which all others are compared with', ", ".join(names), "add it")
     data = Data(sharing=8, test_lights=tuple(options.held_out))
     pools = sources.pools(data, options.data, options.lights)
-    found = normals_study.study(data, pools, options.out, options.size, options.pretraining, options.seconds, range(options.seeds), names)
+    found = normals_study.study(
+        data, pools, options.out, options.size, options.pretraining, options.seconds, range(options.seeds), names, options.batches
+    )
     for name, row in found["rows"].items():
         print("{}: render L2 {:.0f}, {:.3f} [{:.3f}, {:.3f}] of L2 alone".format(name, row["l2"][0], *row["ratio"]))
     print(f"See {options.out / 'table.md'}")
