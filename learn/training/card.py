@@ -8,13 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from PIL import Image
 
 from learn import intervals
 from learn.training import checkpoint, measures, sheet
+from learn.training.cycles import Cycles
 from learn.training.relit import Relit
 from learn.training.settings import Run
 from manifests.reading import decode
 
+BATCH, SEED = 16, 77
 WORDS = {
     "angle_deg": "normals, mean angle (°)",
     "cosine": "normals, mean cosine",
@@ -27,25 +30,51 @@ WORDS = {
 
 
 def make(weights, pools, out, batches, note=""):
-    """Measure weights on the test side; card.md, card.json, sheet.jpg in `out`. pools: learn.training.sources.pools. Returns figures."""
+    """Measure weights on the test side, on relit pictures and, where the pool has an album, on all of its rendered ones.
+
+    pools  learn.training.sources.pools
+    Writes card.md, card.json, sheet.jpg, and sheet-cycles.jpg, to `out`. Returns {"figures", "cycles"}, {figure: [mean, low, high]} each
+    """
     network, metadata = checkpoint.load_network(weights)
-    run, out = decode(json.dumps(metadata["run"]).encode(), Run, weights), Path(out)
+    run, out, test = decode(json.dumps(metadata["run"]).encode(), Run, weights), Path(out), pools["test"]
     out.mkdir(parents=True, exist_ok=True)
-    source, rows, names = Relit(pools["test"], run.data, 16, run.size, 77), [], []
-    for batch in (source[k] for k in range(batches)):
+    relit = Relit(test, run.data, BATCH, run.size, SEED)
+    figures, count = measured(network, run, (relit[k] for k in range(batches)), out / "sheet.jpg")
+    told = {"run": metadata["run"], "pictures": count, "figures": figures, "sizes": _sizes(network, pools), "note": note}
+    if test.album:
+        cycles = Cycles(test, run.data, 1, run.size, SEED)
+        figures, count = measured(network, run, (cycles[k] for k in range(len(test.album))), out / "sheet-cycles.jpg")
+        told |= {"cycles": figures, "cycles_pictures": count, "cycles_about": _of_album(test.album)}
+    (out / "card.json").write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    (out / "card.md").write_text(_page(told), encoding="utf-8")
+    return {key: told[key] for key in ("figures", "cycles") if key in told}
+
+
+def measured(network, run, batches, sheet_path):
+    """({figure: [mean, low, high]}, pictures) over batches; 95 % intervals over shapes and materials. The first ones go on a sheet."""
+    rows, names, shown = [], [], []
+    for batch in batches:
         with torch.no_grad():
             prediction = network(batch.image, batch.mask, batch.segments if run.data.regions > 1 else None, run.parts)
         rows.append(measures.of(prediction, batch))
         names += batch.names
-        if len(rows) == 1:
-            sheet.write(out / "sheet.jpg", batch, prediction)
+        if sum(len(each.names) for each, _ in shown) < sheet.ROWS:
+            shown.append((batch, prediction))
+    Image.fromarray(np.concatenate([sheet.cells(*each) for each in shown])[: sheet.ROWS * run.size]).save(sheet_path, quality=90)
     values = {key: np.concatenate([row[key] for row in rows]) for key in rows[0]}
     resampled = intervals.draws(intervals.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1))))
-    figures = {key: intervals.interval(value, resampled) for key, value in values.items()}
-    told = {"run": metadata["run"], "pictures": len(names), "figures": figures, "sizes": _sizes(network, pools), "note": note}
-    (out / "card.json").write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    (out / "card.md").write_text(_page(told), encoding="utf-8")
-    return figures
+    return {key: intervals.interval(value, resampled) for key, value in values.items()}, len(names)
+
+
+def _of_album(album):
+    """How its pictures were made."""
+
+    def of(get):
+        return sorted({get(record) for record in album.chosen})
+
+    counts = [len(of(get)) for get in (lambda r: r.shape, lambda r: r.materials, lambda r: r.light)]
+    how = [", ".join(map(str, of(get))) for get in (lambda r: r.tier, lambda r: r.samples, lambda r: r.camera.pixel)]
+    return "{} shapes, {} materials, {} lights; tier {}, {} samples, pixels: {}".format(*counts, *how)
 
 
 def _sizes(network, pools):
@@ -78,8 +107,17 @@ def _page(told):
         "| | mean | 95 % |",
         "|---|---|---|",
     ]
-    for key, (mean, low, high) in told["figures"].items():
-        lines.append(f"| {WORDS.get(key, key)} | {mean:.4g} | {low:.4g} – {high:.4g} |")
+    lines += _rows(told["figures"])
+    if "cycles" in told:
+        lines += [
+            "",
+            f"On {told['cycles_pictures']} pictures that Cycles rendered ({told['cycles_about']}), where I and O are Cycles' pictures, O the "
+            "same shape, view and light in another material:",
+            "",
+            "| | mean | 95 % |",
+            "|---|---|---|",
+            *_rows(told["cycles"]),
+        ]
     lines += [
         "",
         told["note"],
@@ -87,3 +125,7 @@ def _page(told):
         "Rows of sheet.jpg: picture, predicted and true normals, predicted and true light, true and predicted material, I′, O′, true O.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _rows(figures):
+    return [f"| {WORDS.get(key, key)} | {mean:.4g} | {low:.4g} – {high:.4g} |" for key, (mean, low, high) in figures.items()]

@@ -15,7 +15,14 @@ ROWS = 6
 
 
 def write(path, batch, prediction):
-    """The first rows of a batch as a JPEG, and as an array (H, W, 3) uint8. Parts that were not predicted are shown as true."""
+    """The first rows of a batch as a JPEG; returns them as `cells` does."""
+    found = cells(batch, prediction)
+    Image.fromarray(found).save(path, quality=90)
+    return found
+
+
+def cells(batch, prediction):
+    """(rows H, columns W, 3) uint8 of the first rows of a batch. Parts that were not predicted are shown as true."""
     n = batch.n if prediction.n is None else prediction.n
     label = batch.label if prediction.label is None else prediction.label
     light = batch.light if prediction.light is None else prediction.light
@@ -30,7 +37,7 @@ def write(path, batch, prediction):
         exposure, other = tone.auto_exposure(true_image[i], mask), tone.auto_exposure(true_target[i], mask)
         seen = tone.display(batch.image[i].movedim(0, -1).numpy(), exposure)
         size = len(mask)
-        cells = [
+        row = [
             seen,
             _normals(n[i], mask),
             _normals(batch.n[i], mask),
@@ -42,10 +49,8 @@ def write(path, batch, prediction):
             tone.display(target[i], other),
             tone.display(true_target[i], other),
         ]
-        rows.append(np.concatenate([np.clip(c, 0, 255) for c in cells], 1))
-    cells = np.concatenate(rows).astype(np.uint8)
-    Image.fromarray(cells).save(path, quality=90)
-    return cells
+        rows.append(np.concatenate([np.clip(c, 0, 255) for c in row], 1))
+    return np.concatenate(rows).astype(np.uint8)
 
 
 def parts(batch, prediction, again, exposure):
