@@ -47,6 +47,7 @@ def run(options):
     import msgspec
     import torch
 
+    from learn.baselines.swap import SwapTraining
     from learn.training import loop, settings, sources
     from manifests.reading import read
 
@@ -60,9 +61,8 @@ def run(options):
     pools = sources.pools(chosen.data, options.data, options.lights, pictures=options.pictures, skip_bad=options.skip_bad)
     if left_out := sources.skipped(pools):
         print(f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}", file=sys.stderr)
-    training = loop.Training(
-        chosen, pools, options.out, options.sheet_every, options.checkpoint_every, options.workers, options.tensorboard
-    )
+    kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
+    training = kind(chosen, pools, options.out, options.sheet_every, options.checkpoint_every, options.workers, options.tensorboard)
     figures = training.train()
     if figures:
         print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))

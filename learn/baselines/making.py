@@ -1,0 +1,50 @@
+"""From a dataset and light maps to the baselines' files: what `learn baselines` does for each name."""
+
+import shutil
+
+import msgspec
+
+from learn.baselines import FILES, priors
+from learn.baselines.swap import SwapTraining
+from learn.training import checkpoint, loop, settings, sources
+from manifests.reading import decode, read
+
+FILE_OF = {"lombardi": FILES["Lombardi-like"], "baseline-1": FILES["Baseline 1"], "baseline-2": FILES["Baseline 2"]}
+
+
+def make(name, preset, options):
+    """Make one file in options.out, and say so in a line. options: as learn.commands.baselines parses them."""
+    target = options.out / FILE_OF[name]
+    if target.exists():
+        return f"{target} is there already"
+    options.out.mkdir(parents=True, exist_ok=True)
+    run = None if preset is None else resolved(read(preset, settings.Run), options)
+    pools = sources.pools(held_out(options, settings.Data() if run is None else run.data), options.data, options.lights)
+    if run is None:
+        pool = pools["train"]
+        priors.save(
+            target, priors.fitted(list(pool.labels.values()), pool.maps), {"materials": sorted(pool.labels), "maps": len(pool.maps)}
+        )
+        return f"{target}: {len(pool.labels)} materials, {len(pool.maps)} light maps"
+    kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
+    folder = options.out / name
+    figures = kind(run, pools, folder, workers=options.workers).train()
+    shutil.copyfile(folder / "weights.safetensors", temporary := target.with_suffix(".partial"))
+    temporary.replace(target)
+    return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())
+
+
+def resolved(run, options):
+    """A preset with the steps and the held-out lights that were asked for."""
+    if options.steps is not None:
+        run = msgspec.structs.replace(run, schedule=msgspec.structs.replace(run.schedule, steps=options.steps))
+    return msgspec.structs.replace(run, data=held_out(options, run.data))
+
+
+def held_out(options, data):
+    """data with the held-out lights of the weights options.like, if there are any."""
+    if options.like is None:
+        return data
+    _, metadata = checkpoint.load(options.like)
+    like = decode(metadata.get("run", "{}").encode(), settings.Run, options.like).data
+    return msgspec.structs.replace(data, validation_lights=like.validation_lights, test_lights=like.test_lights)

@@ -1,0 +1,89 @@
+"""The baselines as rows of a table: name, parts(batch), edit(batch, label), as learn.evaluation.methods.Method has them.
+
+batch  learn.training.batch.Batch of one; label (S, 108) natural logarithms
+
+Networks see every picture at the size they were trained on, and what they say by pixel is interpolated back.
+"""
+
+from dataclasses import replace
+
+import torch
+from torch.nn import functional as F
+
+from learn.baselines import posterior, priors
+from learn.baselines.encoder_decoder import EncoderDecoder, radiance
+from learn.baselines.separate import Separate
+from learn.evaluation.methods import Layered, network
+from learn.networks.prediction import Prediction
+from learn.training import checkpoint
+from manifests.problems import Problem
+
+
+def load(name, path):
+    """The method of that name from its file. Raises Problem."""
+    if name == "Lombardi-like":
+        known = priors.load(path)
+        return Layered(name, lambda batch: posterior.prediction(batch, known))
+    net, metadata = checkpoint.load_network(path)
+    expected = Separate if name == "Baseline 2" else EncoderDecoder
+    if not isinstance(net, expected):
+        raise Problem(path, f"weights of {name}: network '{expected.name}'", f"'{net.name}'", "train it: python -m learn baselines")
+    size = int(metadata["size"])
+    return Layered(name, predicting(net, size)) if name == "Baseline 2" else Swapped(name, net, size)
+
+
+def predicting(net, size):
+    """Batch → Prediction of a learn.baselines.separate.Separate trained at `size`."""
+    predict = network(net)
+
+    def at_size(batch):
+        found = predict(resized(batch, size))
+        return found._replace(n=F.normalize(interpolated(found.n, batch.image.shape[-2:]), dim=1))
+
+    return at_size
+
+
+def resized(batch, size):
+    """The batch's picture, mask and segments at another size, its other truth as it was; the object's colour is averaged over itself."""
+    if batch.image.shape[-1] == size:
+        return batch
+    covered = F.interpolate(batch.mask, (size, size), mode="area")
+    image = F.interpolate(batch.image * batch.mask, (size, size), mode="area") / covered.clamp(min=1e-3)
+    segments = F.interpolate(batch.segments[:, None].float(), (size, size), mode="nearest-exact")[:, 0].long()
+    mask = (covered >= 0.5).float()
+    return replace(batch, image=image * mask, mask=mask, segments=segments)
+
+
+def interpolated(pixels, size):
+    """(B, C, H, W) at another size."""
+    return pixels if pixels.shape[-2:] == tuple(size) else F.interpolate(pixels, tuple(size), mode="bilinear")
+
+
+class Swapped:
+    """Baseline 1: knows a material, and draws edits without normals or light. A picture of several regions is drawn one by one."""
+
+    def __init__(self, name, net, size):
+        self.name, self.net, self.size = name, net, size
+
+    def parts(self, batch):
+        """A Prediction with nothing but the material."""
+        seen = resized(batch, self.size)
+        with torch.no_grad():
+            read = [self.net(seen.image * region, region, batch.label[:, :1]) for region in regions(seen)]
+        code, label = (torch.cat([getattr(r, field) for r in read], 1) for field in ("code", "label"))
+        return Prediction(None, code, label, None, None)
+
+    def edit(self, batch, label):
+        """(H, W, 3) numpy linear radiance, zeros outside the mask."""
+        seen, picture = resized(batch, self.size), torch.zeros_like(batch.image)
+        with torch.no_grad():
+            for region, at_size, wanted in zip(regions(batch), regions(seen), label, strict=True):
+                drawn = radiance(self.net(seen.image * at_size, at_size, wanted[None, None]).picture)
+                picture += interpolated(drawn, picture.shape[-2:]) * region
+        return picture[0].movedim(0, -1).numpy()
+
+
+def regions(batch):
+    """[(1, 1, H, W) float]: the mask, or its part in each segment."""
+    count = batch.label.shape[1]
+    return [batch.mask] if count == 1 else [batch.mask * (batch.segments == s + 1)[:, None] for s in range(count)]

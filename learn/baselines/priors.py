@@ -1,0 +1,119 @@
+"""What is likely before a picture is seen: Gaussians over materials and lights, fitted to the training side alone.
+
+material  label = mean + z U, z (K,) standard normal, rows of U the principal directions of the training labels, scaled by their spread,
+          under every exchange of colour channels; the smallest are left out once 1 − KEPT of the variance remains
+light     log L = Σ_j (μ_j + σ_j z_j) Y_j over spherical harmonics up to DEGREE, in three colour axes, then unit mean luminance. μ_j is the
+          training maps' mean where it does not turn with the light (m = 0), else 0; σ_j is one number a degree and axis: that light is
+          smooth, bright above and nearly grey is all that it says
+noise     standard deviation of compressed radiance about the layer's; not fitted but set: see NOISE
+
+J harmonics, K directions, M materials, N maps
+"""
+
+import itertools
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from learn.networks.coding import unit_mean
+from learn.refinement.coordinates import spherical_harmonics
+from learn.training import checkpoint
+from manifests.problems import Problem
+from shaders import envmap
+
+FORMAT = "brdfactory priors 1"
+KEPT = 0.99
+DEGREE = 10
+NOISE = 0.03  # of log(1 + 8 I)/log 9: what a sum over 32×64 lights leaves between layer and picture
+DARKEST = 1e-2  # of the mean: darker texels count as this dark, for log has no floor of its own
+AXES = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]) / np.sqrt([[3], [2], [6]])  # brightness, red against green, yellow against blue
+
+
+@dataclass(frozen=True)
+class Priors:
+    """mean (108,), directions (K, 108), medoids (T, K) z of typical training materials, light_mean and light_spread (J, 3)."""
+
+    mean: torch.Tensor
+    directions: torch.Tensor
+    medoids: torch.Tensor
+    light_mean: torch.Tensor
+    light_spread: torch.Tensor
+
+    def label(self, z):
+        """(…, 108) of z (…, K)."""
+        return self.mean + z @ self.directions
+
+    def light(self, z, height, width):
+        """(1, 3, height, width) linear radiance of unit mean luminance, of z (J, 3)."""
+        waves = torch.from_numpy(spherical_harmonics(height, width, DEGREE)).to(z)
+        axes = torch.as_tensor(AXES).to(z)
+        log = torch.einsum("ja,ac,jhw->chw", self.light_mean.to(z) + self.light_spread.to(z) * z, axes, waves)
+        solid_angle = torch.as_tensor(envmap.row_solid_angles(height, width)).to(z)
+        return unit_mean(log.clamp(-10, 10).exp()[None], solid_angle)
+
+
+def fitted(labels, maps):
+    """Priors of training labels [(108,)] and maps [(64, 128, 3)]."""
+    mean, directions = _principal(np.stack(labels).astype(np.float64))
+    z = (np.stack(labels) - mean) @ np.linalg.pinv(directions)
+    mu, spread = _light(maps)
+    numbers = (mean, directions, _medoids(z, 8), mu, spread)
+    return Priors(*(torch.from_numpy(np.ascontiguousarray(x)).double() for x in numbers))
+
+
+def _principal(labels):
+    """mean (108,), directions (K, 108): σ_k u_k, the largest first."""
+    orders = itertools.permutations(range(3))
+    all_labels = np.concatenate([labels.reshape(-1, 3, 36)[:, list(order)].reshape(-1, 108) for order in orders])
+    mean = all_labels.mean(0)
+    _, spread, directions = np.linalg.svd(all_labels - mean, full_matrices=False)
+    variance = np.cumsum(spread**2) / (spread**2).sum()
+    count = int(np.searchsorted(variance, KEPT)) + 1
+    return mean, (spread[:count, None] / np.sqrt(len(all_labels))) * directions[:count]
+
+
+def _medoids(z, count):
+    """(count, K): the training materials that together lie nearest to all others, found one by one."""
+    distance = np.linalg.norm(z[:, None] - z[None], axis=-1)
+    nearest, chosen = np.full(len(z), np.inf), []
+    for _ in range(min(count, len(z))):
+        gain = np.minimum(nearest, distance).sum(1)
+        chosen.append(int(gain.argmin()))
+        nearest = np.minimum(nearest, distance[chosen[-1]])
+    return z[chosen]
+
+
+def _light(maps):
+    """mean, spread (J, 3) over harmonics and colour axes: least squares of each map's log radiance, weighed by solid angle."""
+    height, width = 32, 64
+    waves = spherical_harmonics(height, width, DEGREE).astype(np.float64).reshape(-1, height * width)
+    weight = np.repeat(envmap.row_solid_angles(height, width), width) / (4 * np.pi)
+    solve = np.linalg.solve((waves * weight) @ waves.T, waves * weight)
+    logs = [np.log(np.maximum(envmap.resize(L, height, width), DARKEST)).reshape(-1, 3) @ AXES.T for L in maps]
+    found = np.stack([solve @ log for log in logs])  # (N, J, 3)
+    degree, order = _degrees()
+    mean = np.where((order == 0)[:, None], found.mean(0), 0.0)
+    squared = ((found - mean) ** 2).mean(0)
+    return mean, np.sqrt(np.stack([squared[degree == degree[j]].mean(0) for j in range(len(degree))]))
+
+
+def _degrees():
+    """(J,) degree and order of each harmonic, in the order of learn.refinement.coordinates.spherical_harmonics."""
+    each = [(degree, m) for m in range(DEGREE + 1) for degree in range(m, DEGREE + 1) for _ in range(1 if m == 0 else 2)]
+    return np.array(each).T
+
+
+def save(path, priors, told):
+    """told: what they were fitted to, for whoever reads the file."""
+    checkpoint.save(path, vars(priors), {"format": FORMAT, "fitted": json.dumps(told)})
+
+
+def load(path):
+    """Priors of a file. Raises Problem."""
+    tensors, metadata = checkpoint.load(path)
+    names = Priors.__dataclass_fields__
+    if metadata.get("format") != FORMAT or set(tensors) != set(names):
+        raise Problem(path, "priors", metadata.get("format", "something else"), "fit them: python -m learn baselines")
+    return Priors(**tensors)

@@ -1,0 +1,114 @@
+"""Baseline 2 of Section 4.5: three networks that share nothing and never see the layer, each trained by its own L2 loss.
+
+Each has its own encoder, of the compact network's family, and reads the masked picture alone: no reflectance map, which would hand the
+normals' answer to the other two. They stand in one module because they see the same batches; no weight and no gradient passes between them.
+
+B pictures, S segments; features of widths WIDTHS at H/2, H/4, H/8, H/16. Material and light begin at H/4, their pixels laid into channels,
+for they need no edge to the pixel: that takes two thirds off their cost.
+"""
+
+from itertools import pairwise
+
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from learn.networks.coding import light_of, picture_code, unit_mean
+from learn.networks.compact import LIGHT_WIDTHS, Residual, convolution
+from learn.networks.prediction import Coded, Prediction
+
+WIDTHS = (32, 64, 128, 192)
+CELLS = 4  # a side of the features that the two heads read: where in the picture something was seen
+HIDDEN = 256
+
+
+class Encoder(nn.Module):
+    """Features of a picture code (B, 4, H, W) at H/first, H/(2 first), …, one size for each width."""
+
+    def __init__(self, widths=WIDTHS, first=2):
+        super().__init__()
+        self.first = first
+        before = (4 * first**2, *widths)
+        self.down = nn.ModuleList(convolution(a, b, 1 if i == 0 else 2) for i, (a, b) in enumerate(pairwise(before)))
+        self.deepen = nn.ModuleList(Residual(width) for width in widths)
+
+    def forward(self, x):
+        features, x = [], F.pixel_unshuffle(x, self.first)
+        for down, deepen in zip(self.down, self.deepen, strict=True):
+            x = deepen(down(x))
+            features.append(x)
+        return features
+
+
+class Decoder(nn.Module):
+    """Three channels at the picture's size, from features at all four sizes."""
+
+    def __init__(self, widths=WIDTHS):
+        super().__init__()
+        self.up = nn.ModuleList(convolution(a + b, a) for a, b in pairwise(widths))
+        self.last = nn.Conv2d(widths[0], 12, 3, 1, 1)
+
+    def forward(self, features):
+        x = features[-1]
+        for up, beside in zip(reversed(self.up), reversed(features[:-1]), strict=True):
+            x = up(torch.cat([beside, F.interpolate(x, scale_factor=2.0)], 1))
+        return F.pixel_shuffle(self.last(x), 2).float()
+
+
+def read_off(outputs):
+    """Layers from the deepest features to `outputs` numbers: one more halving, CELLS² cells, two fully connected layers with dropout."""
+    return nn.Sequential(
+        convolution(WIDTHS[-1], 128, 2),
+        nn.AdaptiveAvgPool2d(CELLS),
+        nn.Flatten(),
+        nn.Linear(128 * CELLS * CELLS, HIDDEN),
+        nn.ReLU(),
+        nn.Dropout(0.1),
+        nn.Linear(HIDDEN, outputs),
+    )
+
+
+class Separate(Coded):
+    """Normals, material and light of masked pictures by three networks; arguments and result as learn.networks.compact.Compact.
+
+    `n` is not read: nothing here is laid out over normals.
+    """
+
+    name = "separate"
+
+    def __init__(self, ranges):
+        super().__init__(ranges)
+        self.normals = nn.ModuleList([Encoder(), Decoder()])
+        self.material = nn.ModuleList([Encoder(WIDTHS[1:], 4), read_off(108)])
+        self.light = nn.ModuleList([Encoder(WIDTHS[1:], 4), read_off(LIGHT_WIDTHS[0] * 32)])
+        self.widen = nn.ModuleList(convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
+        self.last = nn.Conv2d(LIGHT_WIDTHS[-1], 12, 3, 1, 1)
+
+    def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None):
+        x = picture_code(image, mask)
+        code = light_code = label = light = None
+        if "material" in parts:
+            count = 1 if segments is None else max(int(segments.max()), 1)
+            regions = [mask if segments is None else mask * (segments == s + 1)[:, None] for s in range(count)]
+            code = torch.stack([self._code(picture_code(image, region)) for region in regions], 1)
+            label = self.ranges.label(code)
+        if "light" in parts:
+            light_code = self._light(x)
+            light = unit_mean(light_of(light_code), self.row_solid_angle)
+        return Prediction(self._normals(x) if "normals" in parts else None, code, label, light_code, light)
+
+    def _normals(self, x):
+        encode, decode = self.normals
+        x = decode(encode(x))
+        return F.normalize(torch.cat([x[:, :2], F.softplus(x[:, 2:]) + 1e-3], 1), dim=1)
+
+    def _code(self, x):
+        encode, read = self.material
+        return torch.tanh(read(encode(x)[-1]).float())
+
+    def _light(self, x):
+        encode, read = self.light
+        x = F.relu(read(encode(x)[-1])).reshape(-1, LIGHT_WIDTHS[0], 4, 8)
+        for widen in self.widen:
+            x = widen(F.interpolate(x, scale_factor=2.0, mode="bilinear"))
+        return F.softplus(F.pixel_shuffle(self.last(x), 2).float())

@@ -1,0 +1,41 @@
+"""`learn baselines`: everything that the comparison of Section 4.5 needs besides our own weights."""
+
+from pathlib import Path
+
+RUNS = Path(__file__).parents[2] / "manifests" / "runs"
+PRESETS = {"baseline-1": "baseline-1-compact", "baseline-2": "baseline-2-compact"}
+
+
+def register(subparsers):
+    parser = subparsers.add_parser(
+        "baselines",
+        help="train the methods that the paper compares with",
+        description="Fits the priors of the Lombardi-like method (seconds) and trains Baseline 1 and Baseline 2 (an hour or so each on one "
+        "processor core), on the same data and the same split as weights that you have. Writes lombardi.safetensors, "
+        "baseline-1.safetensors and baseline-2.safetensors into DIR: what `python -m learn evaluate --baselines DIR` reads. Run the same "
+        "command again to continue; what is finished is kept.",
+    )
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the three files go, and a folder for each training")
+    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps, each a (64, 128, 3) array")
+    parser.add_argument(
+        "--like", type=Path, metavar="WEIGHTS", help="hold out the lights that these weights' run held out (default: the presets')"
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=("lombardi", *PRESETS), default=("lombardi", *PRESETS), metavar="NAME", help="some of the three"
+    )
+    parser.add_argument("--steps", type=int, metavar="N", help="of each training, other than its preset says")
+    parser.add_argument("--threads", type=int, default=1, metavar="N", help="of the network (default 1)")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes that relight (default 1; 0: none)")
+    parser.set_defaults(run=run)
+
+
+def run(options):
+    import torch
+
+    from learn.baselines import making
+
+    torch.set_num_threads(options.threads)
+    for name in options.only:
+        preset = None if name == "lombardi" else RUNS / f"{PRESETS[name]}.json"
+        print(making.make(name, preset, options))
