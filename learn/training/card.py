@@ -111,8 +111,8 @@ def _page(told):
     if "cycles" in told:
         lines += [
             "",
-            f"On {told['cycles_pictures']} pictures that Cycles rendered ({told['cycles_about']}), where I and O are Cycles' pictures, O the "
-            "same shape, view and light in another material:",
+            f"On {told['cycles_pictures']} pictures that Cycles rendered ({told['cycles_about']}), where I and O are Cycles' pictures, O "
+            "the same shape, view and light in another material:",
             "",
             "| | mean | 95 % |",
             "|---|---|---|",

@@ -1,0 +1,243 @@
+"""Rendered pictures as a source: sides, partners, order, mixtures; and bad data told, or left out and counted, before training starts."""
+
+import json
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from learn.dataset import Records
+from learn.geometry import Geometry
+from learn.training import losses, measures, preflight, sources
+from learn.training.cycles import Album, Cycles, Mix, fits
+from learn.training.relit import Pool, Relit
+from learn.training.settings import Data, Losses, Run
+from manifests import materials
+from manifests.problems import Problem
+from manifests.schema import ShapeEntry
+from manifests.store import Store
+from shaders import envmap
+from tests.learn import synthetic
+
+SIZE = 32
+
+
+@pytest.fixture
+def store(tmp_path):
+    """Two materials under one light at two rotations, a picture each."""
+    return written(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def album(tmp_path_factory):
+    return album_of(written(tmp_path_factory.mktemp("pictures")).folder)
+
+
+def written(folder):
+    both = [synthetic.matte("dark", 0.2), synthetic.matte("light", 0.8)]
+    store = synthetic.write_dataset(folder, both, np.random.default_rng(3), size=SIZE, seeds=1, noise=0.0)
+    shape = ShapeEntry(hash="s" * 64, category="sphere", side="train", role="train", segments=1, licence="CC0")
+    store.write_json("dataset.json", msgspec.structs.replace(store.dataset(), shapes={"sphere": shape}))
+    return store
+
+
+def album_of(folder):
+    records = Records(folder)
+    return Album(records, Geometry(folder, progress=False), records.records)
+
+
+def pool(album, side="train"):
+    labels = {name: album.records.label(name) for name in ("dark", "light")}
+    return Pool(album.geometry, np.arange(1), labels, [album.records.light("sky")], side, album)
+
+
+def test_a_pictures_target_is_the_record_of_the_other_material_under_the_same_light(album):
+    batch = Cycles(pool(album, "test"), Data(), 4, SIZE, 5)[0]
+    for i, name in enumerate(batch.names):
+        record = next(r for r in album.records.records if r.id in name)
+        other = next(r for r in album.records.records if r.rotation_texels == record.rotation_texels and r.materials != record.materials)
+        mask = batch.mask[i, 0].numpy()[..., None]
+        assert np.array_equal(batch.image[i].movedim(0, -1).numpy(), album.records.image(record) * mask)
+        assert np.array_equal(batch.target[i].movedim(0, -1).numpy(), album.records.image(other) * mask)
+        assert np.array_equal(batch.target_label[i, 0].numpy(), album.records.label(other.materials[0]))
+        rolled = envmap.roll(album.records.light("sky"), record.rotation_texels)
+        assert np.array_equal(batch.light[i].movedim(0, -1).numpy(), rolled)
+
+
+def test_without_a_partner_the_layer_renders_the_target(album):
+    lonely = Album(album.records, album.geometry, album.records.records[:1])
+    batch = Cycles(pool(lonely, "test"), Data(), 1, SIZE, 5)[0]
+    mine = measures.picture(batch.n, batch.target_label, batch.light, batch)
+    truth = batch.target.movedim(1, -1).numpy()
+    assert np.abs(mine - truth).mean() / truth.mean() < 0.03  # two methods at 1e-2 and 2e-2
+
+
+def test_an_epoch_shows_each_picture_once_and_parts_make_the_whole(album):
+    source = Cycles(pool(album), Data(), 2, SIZE, 5)
+    for epoch in (0, 1):
+        assert sorted(name.split(" ")[3] for k in (0, 1) for name in source[2 * epoch + k].names) == sorted(r.id for r in album.chosen)
+    parts = [Cycles(pool(album), Data(), 2, SIZE, 5, (i, 2))[3] for i in (0, 1)]
+    assert torch.equal(torch.cat([part.image for part in parts]), source[3].image)
+
+
+def test_augmentation_moves_picture_truth_and_target_together(album):
+    batch = Cycles(pool(album), Data(), 4, SIZE, 7)[0]
+    inside = (batch.segments > 0)[:, None]
+    assert ((batch.n.norm(dim=1, keepdim=True) > 0.5) == inside).all()
+    assert (batch.picture * ~inside).abs().max() == 0
+    mine = measures.picture(batch.n, batch.label, batch.light, batch)  # channels of picture, label and light permuted alike
+    truth = batch.picture.movedim(1, -1).numpy()
+    assert np.abs(mine - truth).mean() / truth.mean() < 0.03
+
+
+def test_the_loss_compares_with_the_rendered_picture(album):
+    batch = Cycles(pool(album, "test"), Data(), 2, SIZE, 5)[0]
+    from learn.networks.prediction import Prediction
+
+    wanted = Losses(normals=0, material=0, image=1, target=1, pixels=64, layer_light=(64, 128))
+    nothing = Prediction(None, None, None, None, None)
+    found = losses.terms(nothing, batch, wanted, torch.Generator().manual_seed(0), None)
+    assert max(found.values()) < 1e-6  # the parts are true, and the pictures are the layer's own in half precision
+    brighter = losses.terms(nothing, replace(batch, picture=batch.picture * 2), wanted, torch.Generator().manual_seed(0), None)
+    assert brighter["image"] > 1e-3
+
+
+def test_a_mix_takes_its_share_evenly_and_leaves_out_no_batch_of_either():
+    class Numbered:
+        def __init__(self, name):
+            self.name = name
+
+        def __getitem__(self, k):
+            return self.name, k
+
+    mix = Mix(Numbered("relit"), Numbered("cycles"), 0.25)
+    seen = [mix[k] for k in range(40)]
+    assert [k for name, k in seen if name == "cycles"] == list(range(10))
+    assert [k for name, k in seen if name == "relit"] == list(range(30))
+    assert all(sum(name == "cycles" for name, _ in seen[k : k + 4]) == 1 for k in range(0, 40, 4))
+
+
+def test_records_of_more_materials_than_regions_do_not_fit(album):
+    record = album.records.records[0]
+    of = lambda *names: msgspec.structs.replace(record, materials=names)  # noqa: E731 -- three uses
+    assert fits(of("a", "a"), 1)
+    assert not fits(of("a", "b"), 1)
+    assert fits(of("a", "b", "a"), 2)
+
+
+def test_the_source_is_what_the_run_says(album):
+    of = lambda **data: sources.source_of(pool(album), Run(name="t", size=SIZE, data=Data(sharing=2, **data)), 4, 1)  # noqa: E731
+    assert isinstance(of(), Relit)
+    assert isinstance(of(source="pictures"), Cycles)
+    assert isinstance(of(source="mix"), Mix)
+
+
+def test_no_picture_of_a_held_out_material_trains(store):
+    catalogue = materials.load_catalogue()
+    test = next(m for m in catalogue.values() if m.split == "test")
+    records = [msgspec.structs.replace(r, materials=(test.name,)) if r.materials == ("dark",) else r for r in store.records()]
+    entries = {e.name: e for e in materials.read_catalogue(store.folder / "materials.json").materials}
+    (store.folder / "materials.json").unlink()
+    renamed = [msgspec.structs.replace(entries["dark"], name=test.name), entries["light"]]
+    materials.write(materials.Catalogue(title="t", credit="none", materials=tuple(renamed)), store.folder / "materials.json")
+    rewrite(store, records)
+    maps = {"sky": ("train", Records(store.folder).light("sky"))}
+    found = sources._albums(Data(source="pictures"), store.folder, Geometry(store.folder, progress=False), maps, False, False)
+    assert {r.materials for r in found["train"].chosen} == {("light",)}
+    held = {"other name": ("test", envmap.roll(maps["sky"][1], 17))}
+    with pytest.raises(Problem, match="pictures for training"):
+        sources._albums(Data(source="pictures"), store.folder, Geometry(store.folder, progress=False), held, False, False)
+
+
+# Bad data
+
+
+def rewrite(store, records):
+    (path,) = store.record_files()
+    path.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
+
+
+def first(store):
+    return min(store.records(), key=lambda record: record.id)
+
+
+def damage(store, kind):
+    """Make one record's picture bad; returns the file."""
+    record = first(store)
+    path = store.folder / record.image
+    if kind == "missing":
+        path.unlink()
+    elif kind == "truncated":
+        path.write_bytes(path.read_bytes()[:-700])
+    elif kind == "not finite":
+        image = Records(store.folder).image(record)
+        image[SIZE // 2, SIZE // 2] = np.nan
+        synthetic.write_exr(path, {name: image[..., k].astype(np.float16) for k, name in enumerate("RGB")})
+    return path
+
+
+@pytest.mark.parametrize("kind", ["missing", "truncated", "not finite"])
+def test_a_bad_picture_stops_before_training_or_is_left_out_and_counted(store, kind):
+    path = damage(store, kind)
+    records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
+    with pytest.raises(Problem, match=path.name) as told:
+        preflight.checked(records, records.records, geometry, progress=False)
+    assert "\n" not in str(told.value)
+    good, skipped = preflight.checked(records, records.records, geometry, skip_bad=True, progress=False)
+    assert set(skipped) == {first(store).id}
+    assert {r.id for r in good} == {r.id for r in records.records} - set(skipped)
+
+
+def test_a_picture_that_was_good_is_checked_again_once_it_changed(store):
+    records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
+    preflight.checked(records, records.records, geometry, progress=False)
+    damage(store, "truncated")
+    with pytest.raises(Problem, match="whole OpenEXR"):
+        preflight.checked(records, records.records, geometry, progress=False)
+
+
+@pytest.mark.parametrize("kind", ["empty", "not finite", "truncated"])
+def test_bad_geometry_is_told_or_left_out_and_counted(store, kind):
+    record = first(store)
+    path = store.folder / record.geometry
+    if kind == "truncated":
+        path.write_bytes(path.read_bytes()[:-700])
+    else:
+        normals, _, segments = Records(store.folder).geometry(record)
+        if kind == "not finite":
+            normals[SIZE // 2, SIZE // 2] = np.inf
+        segments = segments * (kind != "empty")
+        channels = {f"normal.{axis}": normals[..., k] for k, axis in enumerate("XYZ")}
+        synthetic.write_exr(path, channels | {"depth.Z": normals[..., 2], "segment": segments.astype(np.uint32)})
+    with pytest.raises(Problem, match=path.name) as told:
+        Geometry(store.folder, progress=False)
+    assert "\n" not in str(told.value)
+    with pytest.raises(Problem, match="geometry that can be used"):  # nothing else is there
+        Geometry(store.folder, progress=False, skip_bad=True)
+
+
+def test_views_that_are_left_out_leave_the_others_as_they_are(store):
+    records = list(store.records())
+    other = msgspec.structs.replace(records[0], geometry="geometry/xx/gone.exr", geometry_hash="h" * 64, shape_hash="t" * 64, viewpoint=1)
+    rewrite(store, [other, *records])
+    found = Geometry(store.folder, progress=False, skip_bad=True)
+    assert set(found.skipped) == {"h" * 64}
+    assert [view.hash for view in found.views] == ["g" * 64]
+    again = Geometry(store.folder, progress=False, skip_bad=True)  # from what is packed
+    assert np.array_equal(again.normals(0), found.normals(0))
+    assert again.skipped == found.skipped
+    with pytest.raises(Problem, match=r"gone\.exr"):
+        Geometry(store.folder, progress=False)
+    good, skipped = preflight.checked(Records(store.folder), [other], found, skip_bad=True, progress=False)
+    assert not good
+    assert len(skipped) == 1
+
+
+def test_a_dataset_of_another_schema_version_is_refused_in_one_line(store):
+    path = store.folder / "dataset.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 99}))
+    with pytest.raises(Problem, match=r"schema version 1 expected, found 99") as told:
+        sources.pools(Data(), Store(store.folder).folder, progress=False)
+    assert "\n" not in str(told.value)
