@@ -8,7 +8,6 @@ Normals come at the network's size (128² as a rule), are continued beyond the m
 scaled to unit length; the layer renders them on a grid as fine as the photograph between FINEST and COARSEST.
 """
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,16 +16,14 @@ import torch.nn.functional as F
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn import pictures, prediction
+from learn.editing.method import method_for
 from learn.editing.photograph import Photograph
 from learn.layer import render
-from learn.methods.quadrature import BROAD
 from learn.networks.prediction import Prediction
 from learn.refinement import Refined, refine
 from learn.training.batch import Batch
-from shaders.dsbrdf import SHAPE
 
 COARSEST, FINEST = 256, 1024  # rows of the grid rendered: smaller objects are supersampled; normals have no detail finer than this
-FAINT = 1e-4  # of expm1(κ): a lobe below it is not seen
 CLEAR = 0.02  # coverage under which a pixel is background
 DETAIL_WIDTH = 1.5  # network pixels: what is finer than this, normals do not have
 LARGEST_DETAIL = 1.5  # factor
@@ -138,13 +135,6 @@ class Painter:
             fine = [(log[..., k] - gaussian_filter(log[..., k] * weight, width) / share) * weight for k in range(3)]
             self._ratio = np.exp(np.clip(np.stack(fine, -1), -np.log(LARGEST_DETAIL), np.log(LARGEST_DETAIL)))
         return self._ratio
-
-
-def method_for(label):
-    """The layer's method for labels (..., 108): the sum over texels, or where a lobe is narrower than they are, the integral."""
-    kappa, log_gamma = label.reshape(*label.shape[:-1], *SHAPE).unbind(-2)
-    narrow = (log_gamma.amax(-1) > math.log(BROAD)) & (kappa.exp().amax(-1) > FAINT)
-    return "quadrature" if bool(narrow.any()) else "auto"
 
 
 def _enlarged(n, mask, size):

@@ -14,7 +14,7 @@ from learn.training import checkpoint
 from manifests.problems import Problem
 from shaders import tone
 
-TILE = 224
+TILE, BALL = 224, 128
 PARTS = ("normals.exr", "normals.png", "light.exr", "light.png", "rendering.png", "material.json", "ball.png", "reflectance.png")
 
 
@@ -155,7 +155,7 @@ def save(path, picture):
     temporary.replace(path)
 
 
-def material_ball(label, found, size=TILE):
+def material_ball(label, found, size=BALL):
     return sheet.ball(label, sheet.room(), size, found.batch.elevation, 0.8)
 
 
@@ -166,7 +166,7 @@ def reflectance(found):
     n = found.parts.n[0].movedim(0, -1).numpy()
     tiles = [("observed", sheet.observed(found.framed.radiance, n, mask, TILE, bright))]
     stages = [("predicted", found.start)] + ([("refined", found.refined.prediction)] if found.refined else [])
-    return tiles + [(name, sheet.ball(p.label[0, 0], p.light[0].movedim(0, -1), TILE, elevation, bright)) for name, p in stages]
+    return tiles + [(name, sheet.ball(p.label[0, 0], p.light[0].movedim(0, -1), BALL, elevation, bright)) for name, p in stages]
 
 
 def lines(found, again, edits, pick, truths, shown):

@@ -8,6 +8,7 @@ import torch
 from PIL import Image, ImageDraw
 from scipy.ndimage import distance_transform_edt
 
+from learn.editing.method import method_for
 from learn.layer import render
 from shaders import tone
 
@@ -63,9 +64,9 @@ def sphere(size):
 def ball(label, L, size, elevation, exposure):
     """Display picture of a ball of a material, label (108,), under a light map (Hl, Wl, 3)."""
     n, light = torch.from_numpy(sphere(size))[None], torch.as_tensor(L, dtype=torch.float32)[None].contiguous()
-    material = torch.as_tensor(label, dtype=torch.float32).exp()[None]
-    with torch.no_grad():  # the integral: of a mirror the sum over texels would show the texels
-        radiance = render(n, material, light, method="quadrature", elevation=elevation)
+    label = torch.as_tensor(label, dtype=torch.float32)
+    with torch.no_grad():
+        radiance = render(n, label.exp()[None], light, method=method_for(label), elevation=elevation)
     return tone.display(radiance[0].numpy(), exposure)
 
 
