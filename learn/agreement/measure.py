@@ -150,11 +150,16 @@ def shared(errors):
 
 
 def similarity(a, b, mask):
-    """SSIM of display values, window 7, mean over the mask; None where the picture is smaller than the window."""
-    if min(mask.shape) < 7:
+    """SSIM of display values, mean over the mask; None where the picture is smaller than the window."""
+    values = similarity_map(a, b)
+    return None if values is None else float(values[mask].mean())
+
+
+def similarity_map(a, b):
+    """SSIM (H, W) of display values at each pixel, window 7; None where the picture is smaller than the window."""
+    if min(a.shape[:2]) < 7:
         return None
-    _, values = structural_similarity(a, b, data_range=255.0, channel_axis=-1, full=True)
-    return float(values[mask].mean())
+    return structural_similarity(a, b, data_range=255.0, channel_axis=-1, full=True)[1].mean(-1)
 
 
 def measure(condition, pictures, layer, entries):

@@ -10,7 +10,8 @@ import numpy as np
 import torch
 
 from learn.agreement import surface
-from learn.agreement.measure import squared
+from learn.agreement.causes import take_apart
+from learn.agreement.measure import Layer, shared, squared
 from learn.dataset import Records
 from learn.evaluation import gallery, intrinsics, methods, metrics, pairs, perceptual
 from learn.training import checkpoint
@@ -27,6 +28,7 @@ class Bench:
 
     def __init__(self, data, weights, baselines=None, refine=True, lpips=None):
         self.records = Records(data)
+        self.repeats = pairs.repeats(self.records.records)
         net, metadata = checkpoint.load_network(weights)
         self.size, self.ranges, self.perceptual = int(metadata["size"]), net.ranges, perceptual.of_file(lpips)
         if refine:
@@ -52,19 +54,23 @@ class Bench:
     def _taken_apart(self, record, batch):
         truth = batch.image[0].movedim(0, -1).numpy()
         row = {"id": record.id, "methods": {}} | told(record)
+        done = {}  # many methods share a part: what was measured of it once is not measured again
         for method in (*self.entrants.edits, *self.entrants.parts):
             start = time.perf_counter()
             parts = method.parts(batch)
             seconds = time.perf_counter() - start
             if parts is None:
                 continue
-            row["methods"][method.name] = {"seconds": seconds} | self._parts(parts, batch, truth)
+            row["methods"][method.name] = {"seconds": seconds} | self._parts(parts, batch, truth, done)
             if isinstance(method, methods.Refined):
                 row["methods"][method.name]["refinement"] = refinement(method.told)
         return row
 
-    def _parts(self, parts, batch, truth):
-        """The figures of a Prediction; what was given to the method, or is not told apart by it, is left out."""
+    def _parts(self, parts, batch, truth, done):
+        """The figures of a Prediction; what was given to the method, or is not told apart by it, is left out.
+
+        done  {what and of which tensors: figures} of earlier methods, added to
+        """
         inside = batch.segments[0] > 0
         found, predicted = {}, {}
         if parts.n is not None and parts.n is not batch.n:
@@ -74,13 +80,18 @@ class Bench:
             found["material"] = intrinsics.material(parts.label[0].float(), batch.label[0], self.ranges)
             predicted["material"] = (batch.n, parts.label, batch.light)
         if parts.light is not None and parts.light is not batch.light:
-            found["light"] = intrinsics.light(parts.light[0].float(), batch.light[0], batch.elevation)
+            key = ("light", id(parts.light))
+            if key not in done:
+                done[key] = intrinsics.light(parts.light[0].float(), batch.light[0], batch.elevation)
+            found["light"] = done[key]
             predicted["light"] = (batch.n, batch.label, parts.light)
         if parts.n is not None and parts.label is not None and parts.light is not None:
             predicted["all"] = (parts.n, parts.label, parts.light)
-        for name, (n, label, light) in predicted.items():
-            picture = methods.rendered(n, label, light, batch)
-            found[f"rendered_{name}"] = metrics.compare(picture, truth, inside.numpy(), self.perceptual)
+        for name, three in predicted.items():
+            key = ("rendered", *map(id, three))
+            if key not in done:
+                done[key] = metrics.compare(methods.rendered(*three, batch), truth, inside.numpy(), self.perceptual)
+            found[f"rendered_{name}"] = done[key]
         return found
 
     def _edited(self, edit, batch, folder):
@@ -94,28 +105,40 @@ class Bench:
             start = time.perf_counter()
             picture = method.edit(batch, label)
             seconds = time.perf_counter() - start
-            figures = metrics.compare(picture, truth, mask, self.perceptual) | with_truth(method, batch, label, truth, mask)
+            figures = metrics.compare(picture, truth, mask, self.perceptual)
+            figures |= with_truth(method, batch, label, truth, mask, figures["l2"])
             row["methods"][method.name] = figures | {"seconds": seconds}
             shown[method.name] = picture
         alone = shown[self.entrants.edits[-1].name]
-        row["layer"] = self._layer(edit, alone, truth, mask)
+        row["layer"] = self._layer(edit, alone, mask)
         if folder is not None:
             gallery.write(Path(folder) / f"{edit.id}.png", batch, truth, shown, mask)
         return row
 
-    def _layer(self, edit, picture, truth, mask):
-        """How far the layer's edit from true parts is off, over the mask and away from edges, and what the catalogue says of its nodes."""
-        normals, depth, segments = self.records.geometry(edit.truth)
-        camera = edit.truth.camera
-        inner = surface.inner(normals, segments, depth, 2 * camera.half_extent / max(camera.size)) & mask
-        exposure = tone.auto_exposure(truth, mask)
-        error = squared(tone.display(picture, exposure), tone.display(truth, exposure))
-        fits = [self.records.material(name).errors.nodes_vs_label.display_l2 for name in edit.truth.materials]
-        return {
+    def _layer(self, edit, picture, mask):
+        """How far the layer's edit from true parts is off, over the mask and away from edges, and what the catalogue says of its nodes.
+
+        With a second seed of the truth: net_inner, the same less noise, and fit_here, label against nodes at these very pixels.
+        """
+        sample, camera = self.records.load(edit.truth), edit.truth.camera
+        pixel = 2 * camera.half_extent / max(camera.size)
+        inner = surface.inner(sample.n.numpy(), sample.segments.numpy(), sample.depth.numpy(), pixel) & mask
+        pictures = np.stack([self.records.image(record) for record in self.repeats[pairs.scene(edit.truth), edit.truth.materials]])
+        exposure = tone.auto_exposure(sample.image.numpy(), mask)
+        shown, right = tone.display(picture, exposure), tone.display(pictures, exposure)
+        error = squared(shown, right).mean(0)
+        entries = [self.records.material(name) for name in edit.truth.materials]
+        fits = [entry.errors.nodes_vs_label.display_l2 for entry in entries]
+        found = {
             "l2": float(error[mask].mean()),
             "l2_inner": float(error[inner].mean()) if inner.any() else None,
             "node_fit": float(np.mean([np.mean(fit) for fit in fits])) if all(fits) else None,
         }
+        if len(pictures) > 1 and inner.any():
+            layer = Layer(picture, picture, picture, mask, inner, inner)
+            causes = take_apart(sample, pictures, layer, [entry.mixture for entry in entries], exposure)
+            found |= {"net_inner": float(shared(right - shown)[inner].mean()), "fit_here": causes["node_fit"]}
+        return found
 
 
 def told(record):
@@ -132,14 +155,20 @@ def told(record):
     }
 
 
-def with_truth(method, batch, label, truth, mask):
-    """{"l2_true_light", "l2_true_normals"}: the edit's L2 were one of the two not predicted but given; {} for methods without parts."""
+def with_truth(method, batch, label, truth, mask, l2):
+    """{"l2_true_light", "l2_true_normals"}: the edit's L2 were one of the two not predicted but given; {} for methods without parts.
+
+    l2  of the edit itself, which it is where the part was given anyway
+    """
     parts = method.parts(batch)
     if parts is None or parts.n is None or parts.light is None or isinstance(method, methods.MeanMaterial):
         return {}
-    lit = methods.rendered(parts.n, label, batch.light, batch)
-    shaped = methods.rendered(batch.n, label, parts.light, batch)
-    return {name: metrics.display_l2(p, truth, mask) for name, p in (("l2_true_light", lit), ("l2_true_normals", shaped))}
+    found = {"l2_true_light": l2, "l2_true_normals": l2}
+    if parts.light is not batch.light:
+        found["l2_true_light"] = metrics.display_l2(methods.rendered(parts.n, label, batch.light, batch), truth, mask)
+    if parts.n is not batch.n:
+        found["l2_true_normals"] = metrics.display_l2(methods.rendered(batch.n, label, parts.light, batch), truth, mask)
+    return found
 
 
 def refinement(refined):

@@ -12,7 +12,7 @@ lpips       only with weights (learn.evaluation.perceptual)
 
 import numpy as np
 
-from learn.agreement.measure import similarity, squared
+from learn.agreement.measure import similarity_map, squared
 from shaders import tone
 
 LEAST_L2 = 0.01  # of PSNR
@@ -26,14 +26,13 @@ def compare(picture, truth, mask, perceptual=None):
     """
     exposure = tone.auto_exposure(truth, mask)
     shown, right = tone.display(picture, exposure), tone.display(truth, exposure)
-    everywhere = np.ones_like(mask)
     error = squared(shown, right)
-    l2 = float(error[mask].mean())
+    l2, alike = float(error[mask].mean()), similarity_map(shown, right)
     found = {
         "l2": l2,
         "l2_frame": float(error.mean()),
-        "ssim": similarity(shown, right, mask),
-        "ssim_frame": similarity(shown, right, everywhere),
+        "ssim": None if alike is None else float(alike[mask].mean()),
+        "ssim_frame": None if alike is None else float(alike.mean()),
         "psnr": float(10 * np.log10(255.0**2 / max(l2, LEAST_L2))),
         "flip": float(flip(shown, right)[mask].mean()),
     }

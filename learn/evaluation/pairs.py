@@ -49,6 +49,14 @@ def found(records):
     return {id_: pairs for id_, pairs in edits.items() if pairs}
 
 
+def repeats(records):
+    """{(scene, materials): records that differ in their seed alone}: two or more of them show the noise."""
+    groups = defaultdict(list)
+    for record in records:
+        groups[scene(record), record.materials].append(record)
+    return groups
+
+
 def chosen(records, count, seed):
     """The first `count` edits of an order that a seed determines: shape after shape in turn, each time another picture, all edits of it.
 

@@ -1,0 +1,199 @@
+"""The evaluation on a small dataset whose pictures are computed here: what is true must come out as true, and nothing twice."""
+
+import json
+import re
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+from synthetic import matte, write_dataset, write_exr
+
+from learn.dataset import Records
+from learn.evaluation import bench, methods, pairs, run
+from learn.layer import render
+from learn.networks.coding import Ranges
+from learn.networks.compact import Compact
+from learn.networks.prediction import Prediction
+from learn.training.checkpoint import save_weights
+from manifests.problems import Problem
+from manifests.store import Lines
+
+SIZE = 32
+ALBEDOS = {"dark": 0.1, "middle": 0.4, "bright": 0.8}
+HALF_FLOATS = 0.05  # display L2: pictures are stored with 11 bits, and rendered by two tolerances of the quadrature
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """A compact network that knows nothing."""
+    torch.manual_seed(3)
+    labels = torch.stack([torch.tensor(matte("a", albedo).label) for albedo in ALBEDOS.values()]).float()
+    network, path = Compact(Ranges.of(labels)), tmp_path_factory.mktemp("weights") / "weights.safetensors"
+    save_weights(path, network, network.state_dict(), "{}", SIZE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Three matte materials on a sphere, under one light in two turns, twice each: twelve pictures, six different ones."""
+    folder = tmp_path_factory.mktemp("data")
+    entries = [matte(name, albedo) for name, albedo in ALBEDOS.items()]
+    write_dataset(folder, entries, np.random.default_rng(1), size=SIZE, noise=0.0, rotations=(0, 40), method="quadrature")
+    return folder
+
+
+@pytest.fixture
+def options(data, weights, tmp_path):
+    return run.Options(data, weights, tmp_path / "out", edits=4, refine=False, gallery=1)
+
+
+def test_pairs_differ_in_nothing_but_the_material(data):
+    records = Records(data).records
+    edits = [edit for group in pairs.found(records).values() for edit in group]
+    assert len(edits) == 2 * 3 * 2  # two turns of the light, three materials, two others for each; no pair of two seeds
+    for edit in edits:
+        a, b = edit.source, edit.truth
+        assert a.materials != b.materials
+        assert (a.geometry, a.light, a.rotation_texels, a.tier, a.camera) == (b.geometry, b.light, b.rotation_texels, b.tier, b.camera)
+
+
+def test_more_edits_begin_with_the_same_ones(data):
+    records = Records(data).records
+    few, many = (pairs.chosen(records, count, 5) for count in (3, 9))
+    assert few == many[:3] and len(many) == 9
+    assert pairs.chosen(records, 9, 6) != many  # a seed is heard
+
+
+def test_pictures_without_a_partner_are_refused(tmp_path):
+    write_dataset(tmp_path, [matte()], np.random.default_rng(1), size=SIZE, rotations=(0,), seeds=2)
+    with pytest.raises(Problem, match="differ in nothing but the material"):
+        pairs.chosen(Records(tmp_path).records, 5, 0)
+
+
+def told_the_truth(net):
+    """A network's place taken by the truth."""
+
+    def predict(batch):
+        return Prediction(batch.n.clone(), None, batch.label.clone(), None, batch.light.clone())
+
+    return predict
+
+
+def test_truth_in_the_tables_say_so(options, monkeypatch):
+    monkeypatch.setattr(methods, "network", told_the_truth)
+    tables = run.make(options)["tables"]
+    edits = {row["name"]: row["cells"] for row in tables["edits"]["rows"]}
+    assert edits["ours"]["l2"][0] < HALF_FLOATS and edits["ours"]["ssim"][0] > 0.999
+    assert edits["ours"]["l2"] == edits["the layer alone"]["l2"]
+    for trivial in ("input unchanged", "mean material, true normals and light"):
+        assert edits[trivial]["l2"][0] > 20
+    parts = {
+        key: {row["name"]: row["cells"] for row in tables[key]["rows"]}["ours"] for key in ("normals", "material", "light", "rerendered")
+    }
+    assert parts["normals"]["mean_deg"][0] < 0.1  # arccos of 1 − 6e-8 is 0.02°
+    assert parts["material"]["brdf_log"][0] == 0 and parts["light"]["spheres_l2"][0] == 0
+    assert parts["rerendered"]["l2"][0] < HALF_FLOATS
+    layer = tables["layer"]["rows"][-1]["cells"]
+    assert layer["l2_inner"] < HALF_FLOATS and layer["net_edits"] == 4  # every truth has a second seed here
+
+
+def test_a_false_light_is_told_from_false_normals(data, weights):
+    """With the truth but for its light, giving the light takes all error off and giving the normals none."""
+    work = bench.Bench(data, weights, refine=False)
+    edit = pairs.chosen(work.records.records, 1, 0)[0]
+    batch, label = pairs.shown(work.records, edit), pairs.wanted(work.records, edit)
+    wrong = methods.Layered("wrong light", lambda b: Prediction(b.n.clone(), None, None, None, b.light.flip(-2)))
+    truth, mask = work.records.image(edit.truth), (batch.segments[0] > 0).numpy()
+    l2 = bench.metrics.display_l2(wrong.edit(batch, label), truth, mask)
+    found = bench.with_truth(wrong, batch, label, truth, mask, l2)
+    assert l2 > 1 and found["l2_true_light"] < HALF_FLOATS and found["l2_true_normals"] == pytest.approx(l2, rel=1e-4)
+
+
+def without_seconds(rows):
+    return [json.loads(re.sub(r'"seconds": [\d.e-]+', '"seconds": 0', json.dumps(row))) for row in sorted(rows, key=lambda r: r["id"])]
+
+
+def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, tmp_path):
+    calls, work = [], bench.Bench.work
+    monkeypatch.setattr(bench.Bench, "work", lambda self, first, edits, *rest: calls.append(edits) or work(self, first, edits, *rest))
+    whole = run.make(options)
+    made = [edit.id for edits in calls for edit in edits]
+    assert len(made) == len(set(made)) == 4
+    out = tmp_path / "torn"
+    run.make(replace(options, out=out, edits=3))
+    with open(out / "edits.jsonl", "r+b") as file:
+        file.truncate(file.seek(0, 2) - 20)  # as a kill leaves it
+    calls.clear()
+    again = run.make(replace(options, out=out))
+    assert sorted(edit.id for edits in calls for edit in edits) == sorted(made[2:])  # the torn one and the new one
+    for name in ("edits.jsonl", "pictures.jsonl"):
+        assert without_seconds(run.read(out / name)) == without_seconds(run.read(options.out / name))
+    assert again["tables"]["edits"] == whole["tables"]["edits"]
+    calls.clear()
+    run.make(replace(options, out=out))
+    assert not calls
+
+
+def test_an_evaluation_of_other_settings_is_not_gone_on_with(options):
+    run.make(replace(options, edits=1))
+    with pytest.raises(Problem, match="other seed"):
+        run.make(replace(options, edits=1, seed=1))
+
+
+def test_what_is_missing_is_left_out_by_name(options, tmp_path):
+    (tmp_path / "none").mkdir()
+    told = run.make(replace(options, baselines=tmp_path / "none"))
+    assert {"Baseline 1", "Baseline 2", "LPIPS", "refined rows"} <= set(told["about"]["missing"])
+    assert not any("Baseline" in row["name"] or "refined" in row["name"] for row in told["tables"]["edits"]["rows"])
+    assert "lpips" not in [column["key"] for column in told["tables"]["edits"]["columns"]]
+    text = (options.out / "report.md").read_text()
+    assert "Left out: Baseline 2: no baseline-2.safetensors" in text and "Left out: LPIPS" in text
+
+
+def test_the_page_stands_alone(options):
+    run.make(options)
+    text = (options.out / "index.html").read_text()
+    assert len(re.findall("<figure>", text)) == options.gallery and "src='data:image/png" in text
+    assert not re.search(r"(src|href)=['\"](?!data:)", text)
+    assert json.loads((options.out / "report.json").read_text())["tables"].keys() >= {"edits", "differences", "layer"}
+
+
+def test_weights_of_another_size_are_refused(data, options, weights, tmp_path):
+    network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
+    save_weights(tmp_path / "other.safetensors", network, network.state_dict(), "{}", 64)
+    with pytest.raises(Problem, match="64 × 64 pixels, as the weights were trained"):
+        run.make(replace(options, weights=tmp_path / "other.safetensors"))
+
+
+@pytest.fixture
+def two_regions(data, tmp_path):
+    """The sphere's left half in one material and its right in another: three pictures of it under one light."""
+    records = Records(data)
+    record = records.records[0]
+    normals, depth, segments = records.geometry(record)
+    segments = segments * np.where(np.arange(SIZE) < SIZE // 2, 1, 2)
+    store = write_dataset(tmp_path / "two", [matte(n, a) for n, a in ALBEDOS.items()], np.random.default_rng(1), size=SIZE, rotations=(0,))
+    channels = {f"normal.{axis}": normals[..., k] for k, axis in enumerate("XYZ")}
+    write_exr(store.folder / record.geometry, channels | {"depth.Z": depth, "segment": segments.astype(np.uint32)})
+    (store.folder / "records" / "worker-00.jsonl").unlink()
+    lines, L = Lines(store.folder / "records" / "worker-00.jsonl"), torch.from_numpy(Records(store.folder).light("sky"))[None]
+    for k, names in enumerate((("dark", "bright"), ("bright", "middle"), ("middle", "middle"))):
+        m = torch.from_numpy(np.stack([records.label(name) for name in names]))[None].exp()
+        seen = render(torch.from_numpy(normals)[None], m, L, segments=torch.from_numpy(segments)[None], method="quadrature")[0].numpy()
+        write_exr(store.folder / f"images/two-{k}.exr", {c: seen[..., i].astype(np.float16) for i, c in enumerate("RGB")})
+        lines.append(msgspec.structs.replace(record, id=f"two-{k}", materials=names, image=f"images/two-{k}.exr", rotation_texels=0))
+    lines.close()
+    return store.folder
+
+
+def test_each_region_gets_its_own_material(two_regions, weights):
+    work = bench.Bench(two_regions, weights, refine=False)
+    edits = pairs.chosen(work.records.records, 6, 0)
+    assert len(edits) == 6 and all(edit.several for edit in edits)
+    for edit in edits:
+        assert pairs.shown(work.records, edit).label.shape == (1, 2, 108) == (1, *pairs.wanted(work.records, edit).shape)
+        _, (row,) = work.work(edit, [edit], False)
+        assert row["methods"]["the layer alone"]["l2"] < HALF_FLOATS < 20 < row["methods"]["input unchanged"]["l2"]
+        assert np.isfinite(row["methods"]["ours"]["l2"])
