@@ -15,6 +15,7 @@ COMMANDS = (
     "predict",
     "edit",
     "transfer",
+    "refinement",
     "proof",
     "study",
     "card",

@@ -5,11 +5,12 @@ import math
 from learn.methods.quadrature import BROAD
 from shaders.dsbrdf import SHAPE
 
-FAINT = 1e-4  # of expm1(κ): a lobe below it is not seen
+FAINT = 2e-3  # of a lobe's albedo: one below it is not seen
 
 
 def method_for(label):
     """The method's name for labels (..., 108), a tensor."""
     kappa, log_gamma = label.reshape(*label.shape[:-1], *SHAPE).unbind(-2)
-    narrow = (log_gamma.amax(-1) > math.log(BROAD)) & (kappa.exp().amax(-1) > FAINT)
+    albedo = kappa.exp().expm1() * 8 * math.pi / (log_gamma.exp() + 2)  # of cos^γ about the normal's mirror direction, seen from above
+    narrow = (log_gamma > math.log(BROAD)) & (albedo > FAINT)
     return "quadrature" if bool(narrow.any()) else "auto"

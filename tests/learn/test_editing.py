@@ -12,6 +12,7 @@ from PIL import Image
 from learn.__main__ import COMMANDS
 from learn.editing import apart, edit, photograph, sheet, transfer, wanted
 from learn.editing.apart import Painter
+from learn.editing.method import method_for
 from learn.layer import render
 from learn.networks.prediction import Prediction
 from manifests.command_line import main
@@ -176,6 +177,11 @@ def test_materials_are_given_to_regions_in_their_order():
         edit.choices("brass+keep+keep", 2, None)
 
 
+def test_mirrors_are_shown_by_the_integral_and_fabrics_by_the_sum():
+    found = {name: method_for(torch.from_numpy(label_of(name))) for name in ("chrome", "red-fabric", "blue-rubber")}
+    assert found == {"chrome": "quadrature", "red-fabric": "auto", "blue-rubber": "auto"}
+
+
 def test_the_observed_reflectance_map_of_a_ball_is_its_picture():
     n, inside = ball(128, 62)
     colour = np.where(inside[..., None], n * 0.5 + 0.5, 0)
@@ -197,10 +203,10 @@ def test_edit_and_transfer_write_what_they_say(tmp_path, capsys):
         picture = tone.display(radiance * gain, 1.0)
         Image.fromarray(np.dstack([picture, 255.0 * inside]).astype(np.uint8)).save(tmp_path / f"{name}.png")
     a, b, out = tmp_path / "a.png", tmp_path / "b.png", tmp_path / "edit"
-    assert main("learn", "t", COMMANDS, ["edit", str(a), "--material", "brass", str(b), "--no-refine", "--out", str(out)]) == 0
+    assert main("learn", "t", COMMANDS, ["edit", str(a), "--material", "red-fabric", str(b), "--no-refine", "--out", str(out)]) == 0
     told = json.loads((out / "edit.json").read_text())
-    assert told["refined"] is None and told["materials"] == ["brass", str(b)]
-    with Image.open(out / "edited-brass.png") as picture:
+    assert told["refined"] is None and told["materials"] == ["red-fabric", str(b)]
+    with Image.open(out / "edited-red-fabric.png") as picture:
         assert (picture.size, picture.mode) == ((SIZE, SIZE), "RGBA")
     assert {"sheet.png", "normals.exr", "light.exr", "ball.png", "reflectance.png", "material.json"} <= {p.name for p in out.iterdir()}
     assert main("learn", "t", COMMANDS, ["transfer", str(a), str(b), "--no-refine", "--out", str(tmp_path / "swap")]) == 0

@@ -1,0 +1,48 @@
+"""`learn refinement`: what refinement does against its weights, from bad starts, and how long it takes."""
+
+from pathlib import Path
+
+
+def register(subparsers):
+    parser = subparsers.add_parser(
+        "refinement",
+        help="measure refinement: against its weights, from bad starts, and its time",
+        description="Refines pictures of a dataset in which scenes were rendered in several materials, so that the truth of an edit is "
+        "known. Writes study.json and study.png (re-rendering, edit, normals and light against each weight), starts.json (bad starts) "
+        "and times.json. The same command again continues the study.",
+    )
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset with pictures")
+    parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the figures go")
+    parser.add_argument("--pictures", type=int, default=12, metavar="N", help="of the study (default 12)")
+    parser.add_argument("--starts", type=int, default=100, metavar="N", help="refinements from bad starts (default 100; 0: none)")
+    parser.add_argument("--only", nargs="*", metavar="SETTING", help="default, a=0.1, b=0.02 …: these alone (default: all; none: no study)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="which pictures")
+    parser.set_defaults(run=run)
+
+
+def run(options):
+    from learn.dataset import Records
+    from learn.evaluation.methods import network
+    from learn.prediction import WEIGHTS
+    from learn.refinement import chart, starts, study
+    from learn.training import checkpoint
+
+    net, _ = checkpoint.load_network(options.weights or WEIGHTS)
+    predict = network(net)
+    options.out.mkdir(parents=True, exist_ok=True)
+    known = study.cases(Records(options.data), options.pictures, options.seed)
+    if options.only is None or options.only:
+        told = study.weights(predict, known, options.out, options.only)
+        chart.chart(told, options.out / "study.png")
+    batch = known[0][0]
+    times = {f"{len(b.image[0, 0])}": study.timed(predict, b) for b in (batch, study.doubled(batch))}
+    study.write(options.out / "times.json", times)
+    for size, seconds in times.items():
+        print(f"{size}²: prediction {seconds['predict']:.2f} s, refinement {seconds['refine']:.1f} s")
+    if options.starts:
+        told = starts.measured(predict, known, options.starts, options.out)
+        print(
+            f"{told['starts']} starts: {told['above_their_start']} ended above, {told['not_finite']} not finite, re-rendering's median "
+            f"display L2 {told['image_median'][0]:.0f} → {told['image_median'][1]:.0f} ({100 * told['median_change']:+.0f} %)"
+        )
