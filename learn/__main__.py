@@ -18,6 +18,7 @@ COMMANDS = (
     "refinement",
     "proof",
     "study",
+    "steps",
     "card",
     "baselines",
     "evaluate",
