@@ -74,3 +74,20 @@ def test_what_is_missing_or_damaged_is_told_in_one_line_and_no_page_is_left(tmp_
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 3 and "none.png" in told[0] and "JSON expected" in told[1] and "learn agree" in told[2]
     assert not out.exists()
+
+
+def test_predictions_stand_on_the_page_with_what_they_are_and_without_any_nothing_is_said_of_them(tmp_path, agreement):
+    sheet = tmp_path / "parts" / "sheet.png"
+    sheet.parent.mkdir()
+    sheet.write_bytes(b"")
+    shown = page.page(tmp_path / "index.html", [], agreement, "t", [sheet])
+    assert "What a network reads" in shown
+    assert "href='parts/sheet.png'" in shown
+    assert "What a network reads" not in page.page(tmp_path / "index.html", [], agreement, "t")
+
+
+def test_a_prediction_that_is_not_there_is_told(tmp_path, agreement, capsys):
+    arguments = ["--out", str(tmp_path / "index.html"), "--agreement", str(agreement), "--prediction", str(tmp_path / "gone.png")]
+    assert page.main(arguments) == 1
+    assert "gone.png" in capsys.readouterr().err
+    assert not (tmp_path / "index.html").exists()

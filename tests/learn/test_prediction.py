@@ -1,0 +1,91 @@
+"""What `learn predict` writes: parts that can be read back, of a picture or a record of a dataset, and nothing over earlier ones."""
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from learn import prediction
+from learn.networks.coding import Ranges
+from learn.networks.compact import Compact
+from learn.training import checkpoint
+from learn.training.settings import Run
+from manifests import exr
+from manifests.materials import load_catalogue
+from manifests.problems import Problem
+from shaders import envmap
+from tests.learn.test_cycles_source import written
+
+SIZE = 32
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    path = tmp_path_factory.mktemp("weights") / "w.safetensors"
+    torch.manual_seed(0)
+    labels = torch.from_numpy(np.stack([m.label.reshape(-1) for m in load_catalogue().values()])).float()
+    network = Compact(Ranges.of(labels))
+    run = Run(name="tiny", size=SIZE)
+    checkpoint.save_weights(path, network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def predicted(weights, tmp_path_factory):
+    """The folder of a prediction of a record, and the dataset it is of."""
+    store, out = written(tmp_path_factory.mktemp("data")), tmp_path_factory.mktemp("out")
+    prediction.write(store.folder, None, weights, out)
+    return out, store
+
+
+def test_normals_are_unit_inside_the_mask_and_nothing_outside(predicted):
+    channels = exr.read(predicted[0] / "normals.exr")
+    lengths = np.linalg.norm(np.stack([channels[axis].astype(np.float32) for axis in "XYZ"], -1), axis=-1)
+    mask = np.asarray(Image.open(predicted[0] / "mask.png")) > 127
+    assert mask.any()
+    assert np.abs(lengths[mask] - 1).max() < 2e-3  # half floats
+    assert lengths[~mask].max() == 0
+
+
+def test_the_light_is_a_whole_map_of_unit_mean(predicted):
+    channels = exr.read(predicted[0] / "light.exr")
+    L = np.stack([channels[c].astype(np.float32) for c in "RGB"], -1)
+    assert L.shape == (64, 128, 3)
+    assert envmap.mean_radiance(L) @ envmap.LUMINANCE == pytest.approx(1, rel=2e-3)  # half floats
+
+
+def test_the_material_is_a_label_with_the_catalogues_nearest(predicted):
+    told = json.loads((predicted[0] / "material.json").read_text())
+    assert len(told["label"]) == 108
+    assert np.isfinite(told["label"]).all()
+    catalogue = load_catalogue()
+    assert len(told["nearest"]) == prediction.NEAREST
+    assert set(told["nearest"]) <= set(catalogue)
+    assert told["run"] == "tiny"
+
+
+def test_every_part_has_its_picture_and_the_sheet_all_of_them(predicted):
+    names = ("picture", "normals", "light", "material", "rendering")
+    sizes = {Image.open(predicted[0] / f"{name}.png").size for name in names}
+    assert sizes == {(SIZE, SIZE)}
+    assert Image.open(predicted[0] / "sheet.png").size == (len(names) * SIZE, SIZE)
+
+
+def test_an_earlier_prediction_stays_unless_it_may_go(predicted, weights):
+    out, store = predicted
+    with pytest.raises(Problem, match="--overwrite"):
+        prediction.write(store.folder, None, weights, out)
+    before = (out / "material.json").read_bytes()
+    prediction.write(store.folder, None, weights, out, overwrite=True)
+    assert (out / "material.json").read_bytes() == before  # the same picture, the same parts
+
+
+def test_a_dataset_without_records_is_told(weights, tmp_path):
+    store = written(tmp_path / "data")
+    for path in store.record_files():
+        path.write_bytes(b"")
+    with pytest.raises(Problem, match="records expected, found none"):
+        prediction.write(store.folder, None, weights, tmp_path / "out")
