@@ -111,7 +111,7 @@ class Compact(Coded):
         x = self.illumination(x).reshape(-1, LIGHT_WIDTHS[0], 4, 8)
         for widen in self.widen:
             x = widen(F.interpolate(x, scale_factor=2.0, mode="bilinear"))
-        return F.softplus((F.pixel_shuffle(self.light(x), 2) if self.light.out_channels == 12 else self.light(x)).float())
+        return F.softplus(F.pixel_shuffle(self.light(x), 2).float())
 
 
 def _mean_over(mask, features):

@@ -62,13 +62,6 @@ def load_network(path):
             path, f"weights of {' or '.join(NETWORKS)}", metadata.get("network", "others"), "use weights that `learn train` wrote"
         )
     network = NETWORKS[metadata["network"]](Ranges(torch.zeros(108), torch.ones(108)))
-    if "widen.3.0.weight" in tensors:  # weights of before the shuffled light head
-        from torch import nn
-
-        from learn.networks.compact import convolution
-
-        network.widen.append(convolution(32, 24))
-        network.light = nn.Conv2d(24, 3, 3, 1, 1)
     fill(network, tensors, path)
     return network.eval(), metadata | {"run": json.loads(metadata.get("run", "{}")), "ranges": network.ranges}
 
