@@ -44,8 +44,10 @@ def read(path, mask_path=None):
     return radiance, coverage >= 0.5
 
 
-def read_soft(path, mask_path=None):
+def read_soft(path, mask_path=None, regions=None):
     """radiance (H, W, 3), coverage (H, W) in [0, 1]: how much of each pixel the object covers, from a mask's grey or a picture's alpha.
+
+    regions  a label image's file: without a mask and transparency the object is all its regions
 
     Raises  Problem: no such file, no picture, no mask, an empty one, one of another size
     """
@@ -55,6 +57,8 @@ def read_soft(path, mask_path=None):
         coverage = read_mask(mask_path, radiance.shape[:2])
     elif (alpha < 0.5).any():
         coverage = alpha
+    elif regions is not None:
+        coverage = (read_labels(regions, radiance.shape[:2]) > 0).astype(np.float32)
     else:
         raise Problem(path, "a mask, or transparency around the object", "neither", "give --mask FILE: white where the object is")
     if (coverage >= 0.5).sum() < LEAST_PIXELS:
