@@ -1,7 +1,7 @@
 """The way down Eq. 6: one property at a time, coarse to fine, and only what lowers the whole energy is kept.
 
 Each round moves the material, then the light, then the normals by L-BFGS (scipy's, whose line search keeps the strong Wolfe conditions).
-Material first: normals that were freed first moved from 9° to 50° off.
+Material first: normals that were freed first moved from 9° to 50° off. Once each fits the others a level may go on in all three at once.
 """
 
 import math
@@ -57,20 +57,24 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
     history = []
     for number, level in enumerate(settings.levels):
         where = energy.pixels(level.pixels)
-        for turn in range(level.rounds):
-            for step in settings.order:
-                names = (step,) if isinstance(step, str) else step
-                tried = z | descended(energy, maps, z, names, level, where)
-                reached = energy.finest(state_of(maps, tried))
-                accepted = math.isfinite(reached["total"]) and reached["total"] < best["total"]
-                if accepted:
-                    z, best = tried, reached
-                told = {"level": number, "round": turn, "property": "+".join(names), "accepted": accepted}
-                history.append(told | {"total": reached["total"]})
+        for turn, names, iterations in steps(level, settings.order):
+            tried = z | descended(energy, maps, z, names, level, where, iterations)
+            reached = energy.finest(state_of(maps, tried))
+            accepted = math.isfinite(reached["total"]) and reached["total"] < best["total"]
+            if accepted:
+                z, best = tried, reached
+            told = {"level": number, "round": turn, "property": "+".join(names), "accepted": accepted}
+            history.append(told | {"total": reached["total"]})
     state = state_of(maps, z)
     n = torch.where(inside[:, None], state.n, prediction.n)
     refined = Prediction(n, None, state.label.to(prediction.label.dtype), torch.log1p(state.light), state.light)
     return Refined(refined, before, best, history, time.perf_counter() - began)
+
+
+def steps(level, order):
+    """(round, properties, iterations) of a level, in turn."""
+    found = [(turn, (name,), level.iterations) for turn in range(level.rounds) for name in order]
+    return found + ([(level.rounds, tuple(order), level.together)] if level.together and order else [])
 
 
 def state_of(maps, z, known=None):
@@ -82,7 +86,7 @@ def state_of(maps, z, known=None):
     return State(**fields) if known is None else replace(known, **fields)
 
 
-def descended(energy, maps, z, names, level, where):
+def descended(energy, maps, z, names, level, where, iterations):
     """{name: vector} of the named properties after L-BFGS at one level; where it meets no finite energy it stays."""
     sizes = [len(z[name]) for name in names]
     still = state_of(maps, z)
@@ -101,5 +105,5 @@ def descended(energy, maps, z, names, level, where):
         return value.item(), slope.astype(np.float64)
 
     x = np.concatenate([z[name] for name in names])
-    options = {"maxiter": level.iterations, "maxfun": MOST_EVALUATIONS * level.iterations, "maxcor": 10}
+    options = {"maxiter": iterations, "maxfun": MOST_EVALUATIONS * iterations, "maxcor": 10}
     return parts(minimize(value_and_slope, x, jac=True, method="L-BFGS-B", options=options).x)

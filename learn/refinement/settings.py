@@ -14,6 +14,7 @@ class Level:
     method      of learn.layer.render
     rounds      through the properties
     iterations  of L-BFGS, each time for each property
+    together    iterations of L-BFGS in all properties at once, after the rounds: one at a time creeps along valleys between two of them
     """
 
     pixels: int
@@ -21,6 +22,7 @@ class Level:
     method: str
     rounds: int
     iterations: int
+    together: int = 0
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class Settings:
 
     a, b        of normals and of light, Eq. 6
     c           of the material; Eq. 6 has none: 0
-    order       one property after another in each round; what is not named stays as predicted. A tuple inside moves its properties together
+    order       one property after another in each round; what is not named stays as predicted
     degree      of the spherical harmonics that the light's logarithm is changed by
     reach       the most that a normal may be moved, in the disk of learn.refinement.coordinates
     tolerance   of the layer in the finest energy, which accepts or rejects every step
@@ -43,8 +45,8 @@ class Settings:
     reach: float = 0.3
     tolerance: float = 5e-3
     levels: tuple = (
-        Level(pixels=600, light=(32, 64), method="exact", rounds=2, iterations=8),
-        Level(pixels=1500, light=(64, 128), method="exact", rounds=1, iterations=6),
+        Level(pixels=600, light=(32, 64), method="exact", rounds=1, iterations=6, together=30),
+        Level(pixels=1500, light=(64, 128), method="exact", rounds=0, iterations=0, together=8),
     )
 
 
