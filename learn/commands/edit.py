@@ -13,7 +13,9 @@ def register(subparsers):
         "again in other materials, before its own background and at its own size. Beside the edited picture it writes what it found: "
         "normals, light, the material on a ball, and one sheet of all.",
     )
-    parser.add_argument("photo", type=Path, metavar="PHOTO", help="PNG, JPEG, TIFF, EXR …, of any size; a dataset's folder; or example:espresso-cup")
+    parser.add_argument(
+        "photo", type=Path, metavar="PHOTO", help="PNG, JPEG, TIFF, EXR …, of any size; a dataset's folder; or example:espresso-cup"
+    )
     parser.add_argument(
         "--mask",
         action="append",
