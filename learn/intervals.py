@@ -40,6 +40,13 @@ def interval(values, weights):
     return [float(values.mean()), *(float(x) for x in np.percentile(means, LEVELS))]
 
 
+def relative(a, b, weights):
+    """[mean b / mean a, low, high] of values (P,) by weights (D, P) of `draws`; a > 0."""
+    a, b = (np.asarray(values, np.float64) for values in (a, b))
+    found = (weights @ b) / (weights @ a)
+    return [float(b.mean() / a.mean()), *(float(x) for x in np.percentile(found, LEVELS))]
+
+
 def ratio(a, b, groups, count=DRAWS, seed=0):
     """[mean b / mean a, low, high] of values (P,), or (R, P) of R runs, which are then drawn too."""
     rng = np.random.default_rng(seed)

@@ -61,8 +61,7 @@ class Rows:
         """material: the key of a row's material names."""
         self.rows = rows
         names = [["+".join(dict.fromkeys(row[material])) for row in rows], [row["shape"] for row in rows]]
-        self.groups = intervals.groups_of(*reversed(names)) if rows else []
-        self.weights = intervals.draws(self.groups) if rows else None
+        self.weights = intervals.draws(intervals.groups_of(*reversed(names))) if rows else None
 
     def values(self, method, path):
         """(P,) float64 of one figure, NaN where a row has none; path: keys below the method."""
@@ -81,10 +80,14 @@ class Rows:
 
     def interval(self, values):
         there = np.isfinite(values)
-        if not there.any():
-            return None
+        return intervals.interval(values[there], self.drawn(there)) if there.any() else None
+
+    def drawn(self, there):
+        """The draws, of the rows that are there (P,) bool alone."""
+        if there.all():
+            return self.weights
         weights = self.weights[:, there]
-        return intervals.interval(values[there], weights[weights.sum(1) > 0])
+        return weights[weights.sum(1) > 0]
 
     def methods(self):
         """Names in order of their first row."""
@@ -117,9 +120,8 @@ def differences(rows):
             b = rows.values(other, ("l2",))
             if other == mine or (mine == OURS and other == OURS_REFINED) or not np.isfinite(b).any():
                 continue
-            cell = rows.interval(a - b)
-            both = np.isfinite(a + b)
-            of = intervals.ratio(b[both], a[both], [group[both] for group in rows.groups])
+            cell, both = rows.interval(a - b), np.isfinite(a + b)
+            of = intervals.relative(b[both], a[both], rows.drawn(both))
             verdict = "better" if cell[2] < 0 else "worse" if cell[1] > 0 else "undecided: 0 is inside"
             cells = {"difference": cell, "ratio": of, "won": float((a < b)[both].mean()), "verdict": verdict}
             found.append({"name": f"{mine} − {other}", "cells": cells})

@@ -47,5 +47,5 @@ def test_the_ratio_of_a_multiple_is_certain(rng):
 
 def test_draws_that_keep_no_picture_are_left_out():
     """Two pictures that share neither shape nor material: half of all draws pick a shape and the other one's material."""
-    weights = intervals.draws(intervals.groups_of("ab", "cd"), 400)
+    weights = intervals.draws(intervals.groups_of(list("ab"), list("cd")), 400)
     assert (weights.sum(1) > 0).all() and 250 < len(weights) < 400  # of the 16 equally likely draws, 2 keep nothing
