@@ -27,6 +27,13 @@ from tests.learn import synthetic
 SIZE = 32
 
 
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """A search of fewer evaluations, pixels and lights."""
+    monkeypatch.setattr(posterior, "STAGES", (((8, 16), 20), ((16, 32), 15)))
+    monkeypatch.setattr(posterior, "PIXELS", 48)
+
+
 @pytest.fixture(scope="module")
 def pools(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
