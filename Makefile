@@ -8,7 +8,7 @@ WORKERS ?= 2
 
 .PHONY: help demo demo-small test lint clean
 help:
-	@echo "make demo    install into $(VENV)/, render a small data set, check that two renderers agree; then open $(OUT)/index.html"
+	@echo "make demo    install into $(VENV)/, render a small data set, check that two renderers agree, edit a picture and a photograph; then open $(OUT)/index.html"
 	@echo "make demo-small  the same with the smallest job: eight pictures"
 	@echo "make test    install into $(VENV)/ and run the tests"
 	@echo "make lint    check the code's style"
@@ -34,7 +34,9 @@ demo: $(VENV)/installed
 	$(VENV)/bin/python -m learn agree $(OUT)/data --out $(OUT)/agreement $(AGREE_FLAGS)
 	$(VENV)/bin/python -m learn predict $(OUT)/data --out $(OUT)/prediction --overwrite
 	$(VENV)/bin/python -m learn predict $(OUT)/prediction/picture.png --mask $(OUT)/prediction/mask.png --out $(OUT)/photograph --overwrite
-	$(VENV)/bin/python -m manifests.page --title "brdfactory: $(JOB)" --sheet $(OUT)/preview/sheet.png --prediction $(OUT)/prediction/sheet.png --prediction $(OUT)/photograph/sheet.png --agreement $(OUT)/agreement --out $(OUT)/index.html
+	$(VENV)/bin/python -m learn edit $(OUT)/data --material green-latex nickel --out $(OUT)/edit --overwrite
+	$(VENV)/bin/python -m learn edit example:espresso-cup --material dark-blue-paint+keep gold-metallic-paint3+dark-blue-paint --out $(OUT)/cup --overwrite
+	$(VENV)/bin/python -m manifests.page --title "brdfactory: $(JOB)" --sheet $(OUT)/preview/sheet.png --prediction $(OUT)/prediction/sheet.png --prediction $(OUT)/photograph/sheet.png --edit $(OUT)/edit/sheet.png --edit $(OUT)/cup/sheet.png --agreement $(OUT)/agreement --out $(OUT)/index.html
 	@echo "Done: open $(OUT)/index.html"
 
 demo-small:

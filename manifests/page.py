@@ -97,8 +97,12 @@ def causes(found):
     return f"<div class=scroll><table><tr><th>cause, direct tier</th><th>L2</th></tr>{rows}</table></div>" if rows else ""
 
 
-def page(out, sheets, agreement, title, predictions=()):
-    """The page's text. sheets, predictions: paths of pictures; agreement: folder of the report; links are relative to out's folder."""
+def page(out, sheets, agreement, title, predictions=(), edits=()):
+    """The page's text; its links are relative to out's folder.
+
+    sheets, predictions, edits   paths of pictures
+    agreement                    folder of the report
+    """
     report = read(agreement / "report.json", "python -m learn agree DIR --out DIR2")
     summary, about = report["summary"], report["about"]
 
@@ -117,6 +121,11 @@ def page(out, sheets, agreement, title, predictions=()):
         ]
         parts += ["them again; above from the record's radiance, below from a picture file, whose exposure nobody knows.</p>"]
         parts += [f"<p><a href='{link(sheet)}'><img class=sheet src='{link(sheet)}' alt='prediction'></a></p>" for sheet in predictions]
+    if edits:
+        parts += ["<h2>The same object in another material</h2>"]
+        parts += ["<p>What was read from one picture, refined until it explains that picture, and rendered again in other materials: "]
+        parts += ["a record's, beside what Cycles makes of the same edit where it was rendered; then a photograph, where nobody knows.</p>"]
+        parts += [f"<p><a href='{link(sheet)}'><img class=sheet src='{link(sheet)}' alt='edit'></a></p>" for sheet in edits]
     parts += ["<h2>How far Cycles and the layer are apart</h2>"]
     parts += [table(name, summary["breakdowns"][name]) for name in SHOWN if summary["breakdowns"].get(name)]
     parts += ["<h2>Why</h2>", causes(summary.get("causes") or {})]
@@ -132,15 +141,16 @@ def main(arguments=None):
     parser.add_argument(
         "--prediction", action="append", type=Path, default=[], metavar="PNG", help="a sheet of `learn predict`; repeatable"
     )
+    parser.add_argument("--edit", action="append", type=Path, default=[], metavar="PNG", help="a sheet of `learn edit`; repeatable")
     parser.add_argument("--agreement", required=True, type=Path, metavar="DIR", help="what `python -m learn agree` wrote")
     parser.add_argument("--title", default="brdfactory", help="the page's heading (default: %(default)s)")
     parser.add_argument("--out", required=True, type=Path, metavar="HTML", help="the page to write")
     options = parser.parse_args(arguments)
     try:
-        absent = [sheet for sheet in (*options.sheet, *options.prediction) if not sheet.is_file()]
+        absent = [sheet for sheet in (*options.sheet, *options.prediction, *options.edit) if not sheet.is_file()]
         if absent:
             raise Problem(absent[0], "a picture", "none", "run `python -m factory preview DIR` first")
-        text = page(options.out, options.sheet, options.agreement, options.title, options.prediction)
+        text = page(options.out, options.sheet, options.agreement, options.title, options.prediction, options.edit)
         options.out.parent.mkdir(parents=True, exist_ok=True)
         unfinished = options.out.with_name(options.out.name + ".part")
         unfinished.write_text(text, encoding="utf-8")

@@ -91,3 +91,13 @@ def test_a_prediction_that_is_not_there_is_told(tmp_path, agreement, capsys):
     assert page.main(arguments) == 1
     assert "gone.png" in capsys.readouterr().err
     assert not (tmp_path / "index.html").exists()
+
+
+def test_edits_stand_on_the_page_only_where_there_are_some(tmp_path, agreement, capsys):
+    out, edit = tmp_path / "index.html", tmp_path / "edit.png"
+    edit.write_bytes(b"")
+    assert run(out, agreement) == 0 and "another material" not in out.read_text()
+    assert page.main(["--out", str(out), "--agreement", str(agreement), "--edit", str(edit)]) == 0
+    assert "another material" in out.read_text() and "src='edit.png'" in out.read_text()
+    assert page.main(["--out", str(out), "--agreement", str(agreement), "--edit", str(tmp_path / "gone.png")]) == 1
+    assert "gone.png" in capsys.readouterr().err
