@@ -42,10 +42,11 @@ def trained(run, pools, tests, folder, workers=1):
     network = training.averaged()
     rows = [row for batch in tests for row in _rows(training, network, batch)]
     found = {"steps": training.step, "seconds": training.used, "run": msgspec.to_builtins(run), "rows": rows}
-    (folder / "result.new").write_text(json.dumps(found))
+    text = json.dumps(found)
+    (folder / "result.new").write_text(text)
     (folder / "result.new").replace(folder / "result.json")
     (folder / "checkpoint.safetensors").unlink(missing_ok=True)
-    return found
+    return json.loads(text)
 
 
 def _rows(training, network, batch):
