@@ -3,7 +3,6 @@
 A row of figures is plain JSON: {"methods": {name: {group: {figure: value}}}, …}. What a method does not do is left out of its row.
 """
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -56,12 +55,10 @@ class Bench:
         row = {"id": record.id, "methods": {}} | told(record)
         done = {}  # many methods share a part: what was measured of it once is not measured again
         for method in (*self.entrants.edits, *self.entrants.parts):
-            start = time.perf_counter()
             parts = method.parts(batch)
-            seconds = time.perf_counter() - start
             if parts is None:
                 continue
-            row["methods"][method.name] = {"seconds": seconds} | self._parts(parts, batch, truth, done)
+            row["methods"][method.name] = self._parts(parts, batch, truth, done)
             if isinstance(method, methods.Refined):
                 row["methods"][method.name]["refinement"] = refinement(method.told)
         return row
@@ -102,12 +99,10 @@ class Bench:
         row |= told(edit.source) | {"wanted": list(edit.truth.materials)}
         shown = {}
         for method in self.entrants.edits:
-            start = time.perf_counter()
             picture = method.edit(batch, label)
-            seconds = time.perf_counter() - start
             figures = metrics.compare(picture, truth, mask, self.perceptual)
             figures |= with_truth(method, batch, label, truth, mask, figures["l2"])
-            row["methods"][method.name] = figures | {"seconds": seconds}
+            row["methods"][method.name] = figures
             shown[method.name] = picture
         alone = shown[self.entrants.edits[-1].name]
         row["layer"] = self._layer(edit, alone, mask)

@@ -100,12 +100,12 @@ def table(title, note, columns, rows):
     return {"title": title, "note": note, "columns": kept, "rows": rows} if rows and kept else None
 
 
-def by_method(rows, title, note, groups, skip=()):
-    """A table of a row a method. groups: [(path below the method, columns)]; rows without any of these figures are left out."""
+def by_method(rows, title, note, groups):
+    """A table of a row a method. groups: [(path below the method, columns, suffix of their keys)]; rows without any figure are left out."""
     found = []
     for name in rows.methods():
         cells = {c["key"] + suffix: rows.cell(name, (*path, c["key"])) for path, columns, suffix in groups for c in columns}
-        if name not in skip and any(cell is not None for cell in cells.values()):
+        if any(cell is not None for cell in cells.values()):
             found.append({"name": name, "cells": cells})
     columns = [c | {"key": c["key"] + suffix} for _, columns, suffix in groups for c in columns]
     return table(title, note, columns, found)
@@ -184,13 +184,15 @@ def layer(rows):
     for row in rows.rows:
         by.setdefault(" + ".join(dict.fromkeys(row["wanted"])), []).append(row["layer"])
     found = [{"name": name, "cells": _layer_cells(by[name])} for name in sorted(by)]
-    found.append({"name": "all", "cells": _layer_cells([row["layer"] for row in rows.rows])})
+    net = np.array([np.nan if row["layer"].get("net_inner") is None else row["layer"]["net_inner"] for row in rows.rows])
+    every = _layer_cells([row["layer"] for row in rows.rows]) | {"net_inner": rows.interval(net)}
+    found.append({"name": "all", "cells": every})
     columns = [
         column("edits", "edits", 0),
         column("l2", "L2 over the mask", 2),
         column("l2_inner", "L2 inside", 2),
         column("net_edits", "with a second seed", 0),
-        column("net_inner", "L2 inside − noise", 2),
+        column("net_inner", "L2 inside − noise", 2, True),
         column("fit_here", "node fit at these pixels", 2),
         column("node_fit", "node fit, catalogue", 2),
         column("within", f"within {LIMIT:g} × node fit"),
