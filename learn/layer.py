@@ -14,7 +14,7 @@ Pixels whose normal does not face the viewer (n·v ≤ learn.methods.HORIZON) co
 
 import torch
 
-from learn import methods
+from learn import layer_pixels, methods
 from learn.layer_inputs import checked, compact
 from shaders.frames import ELEVATION
 
@@ -41,7 +41,7 @@ def render(n, material, light, view=None, segments=None, mask=None, method="auto
         radiance = work(batch, tolerance)
     else:  # nothing to render, yet every argument keeps its place in the graph and gets a zero gradient
         radiance = batch.n + 0 * (batch.m.sum() + batch.light.sum() + (0 if view is None else batch.view.sum()))
-    picture = radiance.new_zeros(inputs.mask.numel(), 3).index_copy(0, index, radiance)
+    picture = layer_pixels.spread(radiance, index, inputs.mask.numel())
     return picture.reshape(n.shape).to(n.dtype)
 
 

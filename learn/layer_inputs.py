@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
+from learn import layer_pixels
 from learn.methods import HORIZON, Batch
 from shaders.dsbrdf import SHAPE, SIZE
 from shaders.frames import camera_from_light
@@ -17,7 +18,10 @@ LENGTH_TOLERANCE = 1e-2  # of unit vectors: half-float files are within 1e-3; an
 
 @dataclass(frozen=True)
 class Inputs:
-    """The layer's arguments in the dtype they are summed in: m (B, S, 108), mask (B, H, W) bool, segments (B, H, W) or None."""
+    """The layer's arguments in the dtype they are summed in: m (B, S, 108), mask (B, H, W) bool, segments (B, H, W) or None.
+
+    seen  (B, H, W) bool: inside the mask and facing the viewer; None: not known yet
+    """
 
     n: torch.Tensor
     m: torch.Tensor
@@ -26,6 +30,7 @@ class Inputs:
     segments: torch.Tensor | None
     mask: torch.Tensor
     elevation: float
+    seen: torch.Tensor | None = None
 
 
 def refuse(argument, rule, found):
@@ -83,13 +88,25 @@ def checked(n, material, light, view, segments, mask, tolerance, elevation):
     ):
         if not right(value):
             refuse(argument, "a positive number" if argument == "tolerance" else "radians in [-π/2, π/2]", value)
-    mask = (n.detach() != 0).any(-1) if mask is None else mask
-    mask = mask if segments is None else mask & (segments > 0)
-    check_lengths(n.detach(), None if view is None else view.detach(), mask)
-    check_values(material.detach(), light.detach())
+    if segments is not None:
+        mask = ((n.detach() != 0).any(-1) if mask is None else mask) & (segments > 0)
     dtype = torch.promote_types(n.dtype, torch.float32)
     m = material.reshape(images, -1, SIZE).to(dtype)
-    return Inputs(n.to(dtype), m, light.to(dtype), None if view is None else view.to(dtype), segments, mask, elevation)
+    check_values(material.detach(), light.detach())
+    n, light, view = n.to(dtype), light.to(dtype), None if view is None else view.to(dtype)
+    mask, seen = found_by_kernel(n, view, mask) if layer_pixels.has_kernels(n) else (mask, None)
+    if seen is None:  # no kernel, or something is wrong and has to be named
+        mask = (n.detach() != 0).any(-1) if mask is None else mask
+        check_lengths(n.detach(), None if view is None else view.detach(), mask)
+    return Inputs(n, m, light, view, segments, mask, elevation, seen)
+
+
+def found_by_kernel(n, view, mask):
+    """mask (as given, or where n is not 0) and seen (B, H, W) bool; seen is None if a length inside the mask is wrong."""
+    states = torch.from_numpy(layer_pixels.states(n, view, mask, LENGTH_TOLERANCE, HORIZON)).reshape(n.shape[:3])
+    if states.numel() and states.max() == layer_pixels.WRONG:
+        return mask, None
+    return states > layer_pixels.OUTSIDE if mask is None else mask, states == layer_pixels.SEEN
 
 
 def check_segments(segments, picture, materials):
@@ -114,10 +131,27 @@ def check_lengths(n, view, mask):
 
 
 def check_values(material, light):
-    require_values("light", light, "finite radiance ≥ 0", (light >= 0) & light.isfinite())
     kappa, gamma = material.reshape(*material.shape[:-1], *SHAPE).unbind(-2)
+    if within(light) and within(kappa) and within(gamma, above=True):
+        return
+    require_values("light", light, "finite radiance ≥ 0", (light >= 0) & light.isfinite())
     require_values("material", kappa, "finite κ ≥ 0 (control values, not logarithms)", (kappa >= 0) & kappa.isfinite())
     require_values("material", gamma, "finite γ > 0 (control values, not logarithms)", (gamma > 0) & gamma.isfinite())
+
+
+def within(values, above=False):
+    """Whether all values are finite and at least 0, or above it; NaN is neither."""
+    if not values.numel():
+        return True
+    if values.stride(0) == 0:  # one tensor expanded over the batch
+        values = values[:1]
+    low, high = (x.item() for x in values.aminmax())
+    return (low > 0 if above else low >= 0) and high < math.inf
+
+
+def unit(vectors, index):
+    """(N, 3) unit vectors of pictures (B, H, W, 3) at flat places index (N,); None of None."""
+    return None if vectors is None else layer_pixels.unit(vectors.reshape(-1, 3), index)
 
 
 def compact(inputs):
@@ -125,14 +159,13 @@ def compact(inputs):
 
     Returns  a learn.methods.Batch of P pixels; index (P,) of each among the B·H·W pixels
     """
-    index = inputs.mask.reshape(-1).nonzero().squeeze(-1)
-
-    def unit(x):
-        return None if x is None else torch.nn.functional.normalize(x.reshape(-1, 3).index_select(0, index), dim=-1)
-
-    with torch.no_grad():  # who faces the viewer is found first, so that the graph holds one selection only
-        n, view = unit(inputs.n), unit(inputs.view)
-        index = index[(n[:, 2] if view is None else (n * view).sum(-1)) > HORIZON]
+    if inputs.seen is None:  # who faces the viewer is found first, so that the graph holds one selection only
+        index = inputs.mask.reshape(-1).nonzero().squeeze(-1)
+        with torch.no_grad():
+            n, view = unit(inputs.n, index), unit(inputs.view, index)
+            index = index[(n[:, 2] if view is None else (n * view).sum(-1)) > HORIZON]
+    else:
+        index = inputs.seen.reshape(-1).nonzero().squeeze(-1)
     pixels = inputs.mask[0].numel()
     segments = inputs.m.shape[1]
     if inputs.segments is None:  # by image, as they lie
@@ -147,8 +180,8 @@ def compact(inputs):
             index, group = index[order], group[order]
         present, counts = torch.unique_consecutive(group, return_counts=True)
     batch = Batch(
-        n=unit(inputs.n),
-        view=unit(inputs.view),
+        n=unit(inputs.n, index),
+        view=unit(inputs.view, index),
         m=inputs.m.reshape(-1, *SHAPE)[present],
         light=inputs.light,
         counts=tuple(counts.tolist()),

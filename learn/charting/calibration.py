@@ -1,6 +1,7 @@
 """The numbers by which `auto` plans, fitted on this machine: a map's error by spacing and sharpness, and seconds of each kind of work.
 
 map_error  of_lobe · (h √g)^power + of_light · h², h the spacing of nodes in radians, g ≥ least_sharpness
+light_error  of a light whose texels are interpolated between larger ones: of_lobe · (h √g)^power + of_horizon · h², h their rows' spacing
 seconds    of the culled sum: pixels · (lights · share · pair + pixel) + call, share that of the cone · / √g + block; of a look-up a pixel
 """
 
@@ -11,7 +12,7 @@ import numpy as np
 import torch
 
 from learn.charting import cases
-from learn.methods import directional, lobe_shapes, reflectance_map
+from learn.methods import directional, lobe_shapes, planned, reflectance_map
 
 SIZES = (16, 24, 32, 48, 64, 96)
 SHARPNESS = (0.5, 2.0, 8.0, 32.0, 128.0, 512.0)
@@ -21,7 +22,7 @@ SUMMED = (4.0, 100.0, 1000.0, 1e4, 1e5)
 def fit():
     """The content of learn/methods/calibration.json."""
     torch.set_num_threads(1)
-    return {"map_error": map_error(), "seconds": seconds()}
+    return {"map_error": map_error(), "light_error": light_error(), "seconds": seconds()}
 
 
 def one_lobe(sharpness, kappa=0.3):
@@ -52,6 +53,27 @@ def map_error():
     of_light = float(np.quantile((error / h**2)[x < 0.25], 0.9))
     of_lobe = float(np.quantile((error / x**power)[inside], 0.9))
     return {"of_lobe": of_lobe, "power": float(power), "least_sharpness": least, "of_light": of_light}
+
+
+def light_error():
+    """The same for coarse lights, under one lit texel: there nothing cancels. The broadest lobe has the horizon's error alone."""
+    n = cases.sphere(64)
+    n = n[(n != 0).any(-1)].numpy()
+    points = []
+    for g in SHARPNESS:
+        scene = planned.Scene(
+            n, one_lobe(g).double().numpy(), cases.computed_lights()["one texel"].astype(np.float32), tuple(np.eye(3).ravel())
+        )
+        truth = scene.at(n, (0,)).radiance
+        for level in (1, 2):
+            error = np.abs(scene.at(n, (0,), level).radiance - truth).mean() / truth.mean()
+            points.append((np.pi / 2 * 2**level / cases.SIZE[0], g, error))
+    h, g, error = np.array(points).T
+    of_horizon = float(np.median((error / h**2)[g == min(SHARPNESS)]))
+    x, rest = h * np.sqrt(g), error - of_horizon * h**2
+    inside = (x > 0.2) & (x < 1.0) & (rest > 0)
+    power, of_lobe = np.polyfit(np.log(x[inside]), np.log(rest[inside]), 1)
+    return {"of_lobe": float(np.exp(of_lobe)), "power": float(power), "of_horizon": of_horizon}
 
 
 def seconds():

@@ -5,29 +5,34 @@ cones     (wide blocks, CONE_ROWS, 16), one lane a block of lights: the cones th
           angle), its energy in the brightest channel, and of each lobe the least γ and the largest κ log2 e
 many      lobes that are summed, 1 to 3: lobes (blocks, many, 3, 2, 16) holds no others; the cones' rows and the cuts know the first `many`
 size      pixels of a tile, TILE at most
-tiles     (T, 5): axis, cos and sin of the half angle of the cone that holds a tile's normals
 budget    (1,) radiance that may be left out of any pixel
 room      entries that the list of one tile may have; one for each block of lights is always enough
 lengths   (T,) int32: how many entries a tile has
 entries   (T, room) int32: block numbers
-cuts      (T, room, 3): log2 c at or below which a lobe is left out of a block
+cuts      (T, room, 4): log2 c at or below which a lobe is left out of a block; the least n·axis, axis that of the block's cone about h,
+          at which a pixel can have any lobe's c above that
+axes      (blocks, 3): these axes
 
 For a block, Σ_s expm1(κ c^γ) max(0, n·w) E ≤ its value at the largest c and n·w that the two cones allow. What is skipped sums to at
 most `budget` a pixel and channel: a threshold on that bound is lowered until it does. What a list still holds is tested again pixel
-by pixel, against the log2 c at which the bound meets the threshold.
+by pixel, sixteen pixels at once by the block's cone and then one by one, against the log2 c at which the bound meets the threshold.
 """
+
+import math
 
 from numba import njit, types
 
 from learn.engines.distant import LN2, add_to, cosine, half_offset, peak_cosine
-from learn.engines.exponentials import exp2, exp2m1, log2
+from learn.engines.exponentials import LOWEST, exp2, exp2m1, log2
 from learn.engines.vector import (
     FLOAT_POINTER,
     anywhere,
+    bits,
     fma,
     lane_max,
     lane_sum,
     load,
+    lowest_bit,
     maximum,
     minimum,
     splat,
@@ -39,17 +44,19 @@ from learn.engines.vector import (
 )
 
 TILE = 64  # pixels of one list at most
+SCRATCH = 51 * TILE  # floats: a tile's sums (TILE, 3, 16) and its normals (3, TILE)
 CHUNKS = 4  # of tiles at most, in the backward pass: the most threads it can use
 CONE_ROWS = 17
 LARGEST = 72.13475  # MAX_EXPONENT log2 e
 FLOOR = -64.0  # log2 of c^γ: products with smaller powers would be denormal, and slow
 NEVER, ALWAYS = 1.0, -1e30  # as a cut: above and below any log2 c
+WIDENED = 1e-4  # radians by which the cone of a tile's normals is widened against rounding
 SLACK = 2e-6  # on cosines, for rounding
 INT_POINTER = types.CPointer(types.int32)
 
-SELECT = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 5, *[INT_POINTER] * 2)
-FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 7, *[INT_POINTER] * 2)
-BACKWARD = types.void(*[types.int64] * 9, *[FLOAT_POINTER] * 10, *[INT_POINTER] * 2)
+SELECT = types.void(*[types.int64] * 7, *[FLOAT_POINTER] * 5, *[INT_POINTER] * 2)
+FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 8, *[INT_POINTER] * 2)
+BACKWARD = types.void(*[types.int64] * 10, *[FLOAT_POINTER] * 11, *[INT_POINTER] * 2)
 
 
 @njit(forceinline=True)
@@ -58,6 +65,31 @@ def nearest_cosine(axis, cos_a, sin_a, cos_b, sin_b):
     cos_sum, sin_sum = cos_a * cos_b - sin_a * sin_b, sin_a * cos_b + cos_a * sin_b
     apart = fma(axis, cos_sum, sqrt(maximum(1.0 - axis * axis, 0.0)) * sin_sum)
     return choose(axis > cos_sum, 1.0, minimum(apart + SLACK, 1.0))
+
+
+@njit(forceinline=True)
+def least_cosine(log_c, cos_b, sin_b):
+    """The least cosine with the axis of a cone (half angle b) of a vector that is within arccos c of one in the cone; log2 c given."""
+    one_minus_c = 0.0 - exp2m1(maximum(log_c, LOWEST))
+    c, sine = 1.0 - one_minus_c, sqrt(maximum(one_minus_c * (2.0 - one_minus_c), 0.0))
+    whole = fma(sine, cos_b, c * sin_b) < 0.0  # the sum of the angles is beyond π
+    return choose(whole, ALWAYS, c * cos_b - sine * sin_b - SLACK)
+
+
+@njit(forceinline=True)
+def unpack(n, start, count, scratch, o):
+    """The normals of a tile as three rows behind its sums, which begin at offset o; 0 beyond their count."""
+    for j in range(TILE):
+        for i in range(3):
+            scratch[o + 48 * TILE + TILE * i + j] = n[3 * (start + j) + i] if j < count else types.float32(0.0)
+
+
+@njit(forceinline=True)
+def pixels_near(scratch, o, count, axes, block, reach):
+    """Which of sixteen pixels (at most `count`), whose normals lie at offset o, a block can matter to, as bits."""
+    x, y, z = load(scratch, o), load(scratch, o + TILE), load(scratch, o + 2 * TILE)
+    axis = fma(x, axes[3 * block], fma(y, axes[3 * block + 1], z * axes[3 * block + 2]))
+    return bits(axis > reach) & ((1 << min(16, count)) - 1)
 
 
 @njit(forceinline=True)
@@ -80,11 +112,29 @@ def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
     return f + value, fma(x * exponent, gamma, slope)
 
 
-def select(first, last, wide_blocks, room, many, budget, tiles, cones, scratch, cuts, lengths, entries):
+@njit(forceinline=True)
+def cone_about(n, start, count):
+    """Axis, cos and sin of the half angle of a cone that holds the normals start … start + count − 1, a little widened."""
+    x, y, z = 0.0, 0.0, 0.0
+    for p in range(start, start + count):
+        x, y, z = x + n[3 * p], y + n[3 * p + 1], z + n[3 * p + 2]
+    length = math.sqrt(x * x + y * y + z * z)
+    if length < 1e-6:  # normals that cancel: the whole sphere
+        return types.float32(0.0), types.float32(0.0), types.float32(1.0), types.float32(-1.0), types.float32(0.0)
+    x, y, z, least = x / length, y / length, z / length, 1.0
+    for p in range(start, start + count):
+        least = min(least, x * n[3 * p] + y * n[3 * p + 1] + z * n[3 * p + 2])
+    sine = math.sqrt(max(1.0 - least * least, 0.0))
+    wider, further = least - WIDENED * sine, sine + WIDENED * least
+    if wider < -1.0 or further < 0.0:
+        wider, further = -1.0, 0.0
+    return types.float32(x), types.float32(y), types.float32(z), types.float32(wider), types.float32(further)
+
+
+def select(first, last, pixels, size, wide_blocks, room, many, budget, n, cones, scratch, cuts, lengths, entries):
     """The list of each tile first … last − 1; scratch holds 6 · wide_blocks · 16 floats."""
     for tile in range(first, last):
-        t = 5 * tile
-        nx, ny, nz, cos_n, sin_n = tiles[t], tiles[t + 1], tiles[t + 2], tiles[t + 3], tiles[t + 4]
+        nx, ny, nz, cos_n, sin_n = cone_about(n, tile * size, min(size, pixels - tile * size))
         for wide_block in range(wide_blocks):
             o = 16 * CONE_ROWS * wide_block
             axis = fma(load(cones, o), nx, fma(load(cones, o + 16), ny, load(cones, o + 32) * nz))
@@ -118,6 +168,7 @@ def select(first, last, wide_blocks, room, many, budget, tiles, cones, scratch, 
                 highest = maximum(highest, load(scratch, b + 16 * s))
             if not anywhere(highest > threshold):
                 continue
+            reach = splat(NEVER)
             for s in range(many):  # the log2 c at which weight · (2^(κ c^γ) − 1) meets the threshold
                 share = threshold / maximum(load(scratch, 16 * (6 * wide_block + 3 + s)), 1e-30)
                 inverse = 1.0 / (1.0 + share)  # log2 takes numbers up to 1
@@ -127,6 +178,8 @@ def select(first, last, wide_blocks, room, many, budget, tiles, cones, scratch, 
                 cut = choose(threshold * splat(1.0) > 0.0, cut, ALWAYS)
                 wanted = load(scratch, 16 * (6 * wide_block + s)) > threshold
                 store(scratch, 16 * (6 * wide_block + 3 + s), choose(wanted, cut, NEVER))
+                reach = minimum(reach, choose(wanted, least_cosine(cut, load(cones, o + 128), load(cones, o + 144)), NEVER))
+            store(scratch, b, reach)
             for lane in range(16):
                 block, q = 16 * wide_block + lane, 96 * wide_block + 48 + lane
                 entry, listed = room * tile + count, False
@@ -135,45 +188,51 @@ def select(first, last, wide_blocks, room, many, budget, tiles, cones, scratch, 
                 if block < room and listed:
                     entries[entry] = block
                     for s in range(many):
-                        cuts[3 * entry + s] = scratch[q + 16 * s]
+                        cuts[4 * entry + s] = scratch[q + 16 * s]
+                    cuts[4 * entry + 3] = scratch[b + lane]
                     count += 1
         lengths[tile] = count
 
 
-def forward(first, last, pixels, size, room, many, n, geometry, energy, lobes, scratch, radiance, cuts, lengths, entries):
-    """Radiance (P, 3) of pixel tiles first … last − 1; scratch holds (TILE, 3, 16)."""
+def forward(first, last, pixels, size, room, many, n, axes, geometry, energy, lobes, scratch, radiance, cuts, lengths, entries):
+    """Radiance (P, 3) of pixel tiles first … last − 1; scratch holds SCRATCH floats."""
     for tile in range(first, last):
         start = tile * size
         count = min(size, pixels - start)
         for i in range(3 * count):
             store(scratch, 16 * i, splat(0.0))
+        unpack(n, start, count, scratch, 0)
         for i in range(room * tile, room * tile + lengths[tile]):
             block = entries[i]
             g, e = 144 * block, 48 * block
-            for j in range(count):
-                p = 3 * (start + j)
-                nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                n_w = cosine(geometry, g, nx, ny, nz)
-                if not anywhere(n_w > 0.0):
-                    continue
-                x, y, z = half_offset(geometry, g, nx, ny, nz)
-                log_c = peak_cosine(x, y, z)[1]
-                nearest, seen = lane_max(log_c), False
-                f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
-                for s in range(many):
-                    if nearest > cuts[3 * i + s]:
-                        seen = True
-                        o = 96 * (many * block + s)
-                        f0 = f0 + lobe(lobes, o, log_c)
-                        f1 = f1 + lobe(lobes, o + 32, log_c)
-                        f2 = f2 + lobe(lobes, o + 64, log_c)
-                if not seen:
-                    continue
-                n_w = maximum(n_w, 0.0)
-                a = 48 * j
-                add_to(scratch, a, f0 * n_w * load(energy, e))
-                add_to(scratch, a + 16, f1 * n_w * load(energy, e + 16))
-                add_to(scratch, a + 32, f2 * n_w * load(energy, e + 32))
+            for group in range(0, count, 16):
+                near = pixels_near(scratch, 48 * TILE + group, count - group, axes, block, cuts[4 * i + 3])
+                while near:
+                    j = group + lowest_bit(near)
+                    near &= near - 1
+                    p = 3 * (start + j)
+                    nx, ny, nz = n[p], n[p + 1], n[p + 2]
+                    n_w = cosine(geometry, g, nx, ny, nz)
+                    if not anywhere(n_w > 0.0):
+                        continue
+                    x, y, z = half_offset(geometry, g, nx, ny, nz)
+                    log_c = peak_cosine(x, y, z)[1]
+                    nearest, seen = lane_max(log_c), False
+                    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+                    for s in range(many):
+                        if nearest > cuts[4 * i + s]:
+                            seen = True
+                            o = 96 * (many * block + s)
+                            f0 = f0 + lobe(lobes, o, log_c)
+                            f1 = f1 + lobe(lobes, o + 32, log_c)
+                            f2 = f2 + lobe(lobes, o + 64, log_c)
+                    if not seen:
+                        continue
+                    n_w = maximum(n_w, 0.0)
+                    a = 48 * j
+                    add_to(scratch, a, f0 * n_w * load(energy, e))
+                    add_to(scratch, a + 16, f1 * n_w * load(energy, e + 16))
+                    add_to(scratch, a + 32, f2 * n_w * load(energy, e + 32))
         for i in range(3 * count):
             radiance[3 * start + i] = lane_sum(load(scratch, 16 * i))
 
@@ -188,7 +247,9 @@ def backward(
     room,
     many,
     chunks,
+    with_n,
     n,
+    axes,
     geometry,
     energy,
     lobes,
@@ -203,13 +264,14 @@ def backward(
 ):
     """Derivatives of Σ g·I from the pixels of tile chunks first … last − 1; what the forward pass knew is computed again.
 
-    scratch      (chunks, TILE, 3, 16)
+    scratch      (chunks, SCRATCH)
+    with_n       0 if by_n is not wanted
     by_n         (P, 3) out, tangential up to a radial part
     energy_sums  (chunks, blocks, 3, 16) out: Σ_p g F max(0, n·w)
     lobe_sums    (chunks, blocks, many, 3, 2, 16) out: Σ_p g max(0, n·w) x c^γ, and the same times log2 c
     """
     for chunk in range(first, last):
-        base_e, base_l, sums = 48 * blocks * chunk, 96 * many * blocks * chunk, 48 * TILE * chunk
+        base_e, base_l, sums = 48 * blocks * chunk, 96 * many * blocks * chunk, SCRATCH * chunk
         for i in range(3 * blocks):
             store(energy_sums, base_e + 16 * i, splat(0.0))
         for i in range(6 * many * blocks):
@@ -219,46 +281,53 @@ def backward(
             count = min(size, pixels - start)
             for i in range(3 * count):
                 store(scratch, sums + 16 * i, splat(0.0))
+            unpack(n, start, count, scratch, sums)
             for i in range(room * tile, room * tile + lengths[tile]):
                 block = entries[i]
                 o = 144 * block
-                for j in range(count):
-                    p = 3 * (start + j)
-                    nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                    n_w = cosine(geometry, o, nx, ny, nz)
-                    visible = n_w > 0.0
-                    if not anywhere(visible):
-                        continue
-                    x, y, z = half_offset(geometry, o, nx, ny, nz)
-                    c, log_c = peak_cosine(x, y, z)
-                    nearest, seen = lane_max(log_c), False
-                    n_w = maximum(n_w, 0.0)
-                    g0, g1, g2 = g[p], g[p + 1], g[p + 2]
-                    w0, w1, w2 = n_w * g0, n_w * g1, n_w * g2
-                    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
-                    d0, d1, d2 = splat(0.0), splat(0.0), splat(0.0)
-                    for s in range(many):
-                        if nearest > cuts[3 * i + s]:
-                            seen = True
-                            t = 96 * (many * block + s)
-                            q = base_l + t
-                            f0, d0 = lobe_backward(lobes, t, log_c, w0, lobe_sums, q, f0, d0)
-                            f1, d1 = lobe_backward(lobes, t + 32, log_c, w1, lobe_sums, q + 32, f1, d1)
-                            f2, d2 = lobe_backward(lobes, t + 64, log_c, w2, lobe_sums, q + 64, f2, d2)
-                    if not seen:
-                        continue
-                    e = base_e + 48 * block
-                    add_to(energy_sums, e, f0 * w0)
-                    add_to(energy_sums, e + 16, f1 * w1)
-                    add_to(energy_sums, e + 32, f2 * w2)
-                    e = 48 * block
-                    e0, e1, e2 = load(energy, e), load(energy, e + 16), load(energy, e + 32)
-                    by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
-                    by_w = choose(visible, by_w, 0.0)
-                    by_c = fma(d0 * w0, e0, fma(d1 * w1, e1, d2 * w2 * e2)) * LN2 / c
-                    a = sums + 48 * j
-                    add_to(scratch, a, fma(by_w, load(geometry, o), by_c * x))
-                    add_to(scratch, a + 16, fma(by_w, load(geometry, o + 16), by_c * y))
-                    add_to(scratch, a + 32, fma(by_w, load(geometry, o + 32), by_c * z))
-            for i in range(3 * count):
+                for group in range(0, count, 16):
+                    near = pixels_near(scratch, sums + 48 * TILE + group, count - group, axes, block, cuts[4 * i + 3])
+                    while near:
+                        j = group + lowest_bit(near)
+                        near &= near - 1
+                        p = 3 * (start + j)
+                        nx, ny, nz = n[p], n[p + 1], n[p + 2]
+                        n_w = cosine(geometry, o, nx, ny, nz)
+                        visible = n_w > 0.0
+                        if not anywhere(visible):
+                            continue
+                        x, y, z = half_offset(geometry, o, nx, ny, nz)
+                        c, log_c = peak_cosine(x, y, z)
+                        nearest, seen = lane_max(log_c), False
+                        n_w = maximum(n_w, 0.0)
+                        g0, g1, g2 = g[p], g[p + 1], g[p + 2]
+                        w0, w1, w2 = n_w * g0, n_w * g1, n_w * g2
+                        f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+                        d0, d1, d2 = splat(0.0), splat(0.0), splat(0.0)
+                        for s in range(many):
+                            if nearest > cuts[4 * i + s]:
+                                seen = True
+                                t = 96 * (many * block + s)
+                                q = base_l + t
+                                f0, d0 = lobe_backward(lobes, t, log_c, w0, lobe_sums, q, f0, d0)
+                                f1, d1 = lobe_backward(lobes, t + 32, log_c, w1, lobe_sums, q + 32, f1, d1)
+                                f2, d2 = lobe_backward(lobes, t + 64, log_c, w2, lobe_sums, q + 64, f2, d2)
+                        if not seen:
+                            continue
+                        e = base_e + 48 * block
+                        add_to(energy_sums, e, f0 * w0)
+                        add_to(energy_sums, e + 16, f1 * w1)
+                        add_to(energy_sums, e + 32, f2 * w2)
+                        if not with_n:
+                            continue
+                        e = 48 * block
+                        e0, e1, e2 = load(energy, e), load(energy, e + 16), load(energy, e + 32)
+                        by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
+                        by_w = choose(visible, by_w, 0.0)
+                        by_c = fma(d0 * w0, e0, fma(d1 * w1, e1, d2 * w2 * e2)) * LN2 / c
+                        a = sums + 48 * j
+                        add_to(scratch, a, fma(by_w, load(geometry, o), by_c * x))
+                        add_to(scratch, a + 16, fma(by_w, load(geometry, o + 16), by_c * y))
+                        add_to(scratch, a + 32, fma(by_w, load(geometry, o + 32), by_c * z))
+            for i in range(3 * count * with_n):
                 by_n[3 * start + i] = lane_sum(load(scratch, sums + 16 * i))

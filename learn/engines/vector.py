@@ -191,6 +191,26 @@ def anywhere(typing, condition):
     return types.boolean(condition), generate
 
 
+@intrinsic
+def bits(typing, condition):
+    """The Mask as an integer: bit i is lane i."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.zext(builder.bitcast(arguments[0], ir.IntType(LANES)), ir.IntType(64))
+
+    return types.int64(condition), generate
+
+
+@intrinsic
+def lowest_bit(typing, number):
+    """The place of the lowest bit that is set, of an int64 that is not 0."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), generate
+
+
 def _address(context, builder, pointer, index, index_type):
     offset = context.cast(builder, index, index_type, types.intp)
     return builder.bitcast(builder.gep(pointer, [offset]), FLOATS.as_pointer())

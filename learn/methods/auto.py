@@ -1,11 +1,12 @@
-"""The cheapest way that keeps the tolerance: planned from a few numbers about the lobes, then checked on sample pixels.
+"""The cheapest way that keeps the tolerance: planned from a few numbers about lobes and light, then checked on sample pixels.
 
 Distant viewer: f is a sum over lobes, and each lobe goes its own way, the one of less predicted time: through a reflectance map, the
-smallest whose predicted error is within MAP_SHARE × tolerance, or through the culled sum at the pixels. The whole is then compared with
-the exact sum on SAMPLE pixels, the same every time; if the mean error there exceeds CHECK × tolerance, the part that errs most is done
-again: with a larger map, or the sum at the pixels where a map no longer pays, and culling held to what its bound guarantees.
+smallest whose predicted error is within MAP_SHARE × tolerance, or through the culled sum at the pixels; broad lobes see the light through
+larger texels (learn/methods/coarse.py), whose derivative is as good as their value. The whole is then compared with the exact sum on SAMPLE
+pixels, the same every time; where the mean error there, with its uncertainty, exceeds CHECK × tolerance, the part that errs most is done
+again: with more lights, a larger map, or the sum at the pixels where a map no longer pays, and culling held to less. Where the compiled
+kernels do not serve (float64, numba missing, CUDA) the sum is exact.
 
-Where the light's own derivative is not wanted, the lights are first cut to as few as the sample allows (learn/methods/median_cut.py).
 View per pixel: the light is cut in the same way, for all lobes or for the broad ones (learn/methods/hybrid.py); if the light's
 derivative is wanted too, which a cut light gives coarsely, the sum is exact.
 
@@ -23,22 +24,38 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from learn.methods import Batch, Card, directional, hybrid, load, lobe_shapes, median_cut, merged, per_group, reflectance_map
+from learn.methods import (
+    Batch,
+    Card,
+    coarse,
+    directional,
+    hybrid,
+    load,
+    lobe_shapes,
+    median_cut,
+    merged,
+    per_group,
+    planned,
+    reflectance_map,
+)
 
 CARD = Card(
     name="auto",
-    approximates="whatever the tolerance allows: reflectance map, culled sum, few lights, or the exact sum",
+    approximates="whatever the tolerance allows: reflectance maps, culled sum, coarser lights, or the exact sum",
     error=1e-2,
     cost="the least that its model predicts, plus a check of 64 pixels",
     memory="as the method chosen",
     gradient=0.1,
 )
-MAP_SHARE, CHECK = 0.8, 0.75  # of the tolerance
-CULL_NODES, CULL_PIXELS, GUARANTEED = 3.0, 10.0, 0.5  # times the tolerance: culling's bound is far above what it leaves out in the mean
-CUT_SHARE = 0.5  # of the tolerance, for fewer lights
+MAP_SHARE, LIGHT_SHARE, CHECK = 0.5, 0.15, 0.8  # of the tolerance
+COARSEST = 2  # level of the light: coarser ones save nothing that shows
+SOFT = 0.8  # standard deviation of what texels of a size can follow, in texels
+CULL_NODES, CULL_PIXELS, GUARANTEED = 8.0, 20.0, 0.5  # times the tolerance: culling's bound is far above what it leaves out in the mean
 SAMPLE = 64
 GROWTH = 1.4  # of the map's size where the check fails
 CUTS = (64, 256, 1024)
+SIZES = np.unique(np.geomspace(reflectance_map.SMALLEST, reflectance_map.LARGEST, 66).astype(int))  # of maps, 6 % apart
+ALONE = 24  # size of the largest map below which all maps take it
 CHEAP = 24  # pixels below which nothing is worth planning
 
 
@@ -53,16 +70,11 @@ def radiance(batch: Batch, tolerance):
         return load("exact").radiance(batch, tolerance)
     if batch.view is not None:
         return per_group(batch, lambda g, *_: few_lights(part(batch, g), tolerance))
-    batch = merged(batch)
-
-    def one_group(g, n, view, m, light):
-        lights, E = directional.of_map(light, batch.camera_from_light)
-        # A cut light has the derivative of whole regions only: it serves where the light's own is not wanted.
-        wanted = torch.is_grad_enabled() and light.requires_grad
-        few = [] if wanted else [functools.partial(median_cut.cut, light, batch.camera_from_light, count) for count in CUTS]
-        return distant(n, m, E, lights, few, tolerance)
-
-    return per_group(batch, one_group)
+    if not reflectance_map.has_kernel(batch.n):
+        return load("exact").radiance(batch, tolerance)
+    batch, rotation = merged(batch), tuple(batch.camera_from_light.flatten().tolist())
+    plan = functools.partial(planned_sums, rotation=rotation, tolerance=tolerance)
+    return per_group(batch, lambda g, n, view, m, light: planned.radiance(n, m, light, plan))
 
 
 def part(batch, g):
@@ -71,70 +83,33 @@ def part(batch, g):
     return replace(batch, n=n, view=view, m=batch.m[g : g + 1], counts=batch.counts[g : g + 1], light_of=batch.light_of[g : g + 1])
 
 
-def distant(n, m, E, lights, few, tolerance):
-    """Radiance (P, 3) of one group for a distant viewer; few: functions that give fewer lights and their E, the fewest first."""
-    present = lobe_shapes.sharpness(m) > 0
-    if not present.any():
-        return n * 0 + 0 * (m.sum() + E.sum())
-    pick = directional.sample(len(n), SAMPLE, n.device)
-    with torch.no_grad():
-        truth = directional.radiance(n[pick], None, m, E, lights)
-        level = truth.mean().item()
-        for cut in few:
-            fewer, energy = cut()
-            error = directional.radiance(n[pick], None, m, energy, fewer) - truth
-            if good(error.abs(), level, CUT_SHARE * tolerance):
-                lights, E = fewer, energy
-                break
-    sizes = best_plan(m, len(n), len(E), tolerance)
-    sums = [
-        Sum(n, m, E, lights, tuple(np.flatnonzero(sizes == size).tolist()), int(size), tolerance * level)
-        for size in sorted(set(sizes[sizes >= 0]))
-    ]
-    while not good((sum(part.sampled(pick) for part in sums) - truth).abs(), level, tolerance):
-        open_to_change = [part for part in sums if part.size or part.culled > GUARANTEED]
+def planned_sums(n, m, light, light_gradient, rotation, tolerance):
+    """`planned.Sums` of one group for a distant viewer, arrays as there, that keep the tolerance on the sample."""
+    scene = planned.Scene(n, m, light, rotation, light_gradient)
+    pick = directional.sample(len(n), SAMPLE).numpy()
+    lobes = np.flatnonzero(lobe_shapes.sharpness(m) > 0).tolist()
+    truths = {s: scene.at(n[pick], (s,)).radiance for s in lobes}
+    truth = sum(truths.values()) if lobes else 0.0 * n[pick]
+    level = float(truth.mean())
+    scene.budget = tolerance * level
+    ways, known = best_plan(scene, lobes, tolerance), {}
+    sums = planned.Sums(scene, ways, known)
+    while not good(np.abs(sums.at_sample(pick) - truth), level, tolerance):
+        open_to_change = [part for part in sums.parts() if better(part.way, len(n)) != part.way]
         if not open_to_change:
             break
-        max(open_to_change, key=lambda part: part.error(pick)).improve()
-    return sum(part.radiance() for part in sums)
+        worst = max(open_to_change, key=lambda part: part.error(pick, sum(truths[s] for s in part.way.lobes)))
+        ways[ways.index(worst.way)] = better(worst.way, len(n))
+        sums = planned.Sums(scene, ways, known)
+    return sums
 
 
-class Sum:
-    """Radiance of some lobes, by a map of a size or, where it is 0, at the pixels: tried on a few of them, then on all.
-
-    A map's nodes are computed once for both; so is the sum at the pixels.
-    """
-
-    def __init__(self, n, m, E, lights, lobes, size, budget):
-        self.n, self.m, self.E, self.lights, self.lobes, self.budget = n, m, E, lights, lobes, budget
-        self.plan(size, CULL_NODES if size else CULL_PIXELS)
-
-    def plan(self, size, culled):
-        self.size, self.culled = size, culled
-        self.nodes = reflectance_map.needed_nodes(self.n.detach(), size) if size else None
-        at = reflectance_map.normals(self.nodes, size).to(self.n) if size else self.n
-        self.values = self.exact(at, culled * self.budget)
-
-    def exact(self, n, left_out=0.0):
-        return directional.radiance(n, None, self.m, self.E, self.lights, left_out, self.lobes)
-
-    def radiance(self):
-        """(P, 3), differentiable."""
-        return reflectance_map.look_up(self.n, self.values, self.nodes, self.size) if self.size else self.values
-
-    @torch.no_grad()
-    def sampled(self, pick):
-        """The same at pixels pick (S,)."""
-        return reflectance_map.look_up(self.n[pick], self.values, self.nodes, self.size) if self.size else self.values[pick]
-
-    @torch.no_grad()
-    def error(self, pick):
-        """Mean absolute error at pixels pick (S,)."""
-        return (self.sampled(pick) - self.exact(self.n[pick])).abs().mean().item()
-
-    def improve(self):
-        """A larger map where there is one, and no more left out than is guaranteed to matter little."""
-        self.plan(grown(self.size, len(self.n)) if self.size else 0, GUARANTEED)
+def better(way, pixels):
+    """A way that errs less: more lights, a larger map where there is one, less left out; the same if there is none."""
+    culled = max(way.culled / 5, GUARANTEED)
+    if way.size:
+        way = replace(way, size=grown(way.size, pixels))
+    return replace(way, level=max(way.level - 1, 0), culled=culled)
 
 
 def grown(size, pixels):
@@ -144,39 +119,69 @@ def grown(size, pixels):
 
 
 def good(error, level, tolerance):
-    """Whether errors (S, 3) on a sample keep the tolerance with room for what the sample did not see."""
-    return error.mean().item() <= CHECK * tolerance * level and error.max().item() <= 30 * tolerance * level
+    """Whether errors (S, 3) on a sample keep the tolerance with room for what the sample did not see: the more, the more they differ."""
+    by_pixel = error.mean(-1)
+    doubt = float(by_pixel.std()) / math.sqrt(len(by_pixel))
+    return float(by_pixel.mean()) + doubt <= CHECK * tolerance * level and float(error.max()) <= 30 * tolerance * level
 
 
-def best_plan(m, pixels, lights, tolerance):
-    """Size of the map for each lobe (3,): 0 where it is summed at the pixels, −1 where it reflects nothing. m (3, 3, 2, 6)."""
-    sharp, strength = lobe_shapes.sharpness(m), lobe_shapes.strength(m)
+def best_plan(scene, lobes, tolerance):
+    """The `planned.Way`s of a scene's lobes that reflect anything."""
+    sharp, strength = lobe_shapes.sharpness(scene.m), lobe_shapes.strength(scene.m)
     share = np.clip(3 * strength / max(strength.sum(), 1e-300), 0.1, 1.0)
-    sizes = np.full(3, -1)
-    for s in np.flatnonzero(sharp > 0):
-        size = map_size(sharp[s], MAP_SHARE * tolerance / share[s])
-        nodes = min(node_count(size), 16 * pixels)
-        by_map = sum_seconds(sharp[s], nodes, lights, tolerance) + pixels * calibration()["seconds"]["look_up"]
-        pays = size <= reflectance_map.LARGEST and nodes < pixels and by_map < sum_seconds(sharp[s], pixels, lights, tolerance)
-        sizes[s] = size if pays else 0
-    if (sizes > 0).sum() > 1 and sizes[sizes > 0].max() < 1.5 * sizes[sizes > 0].min():
-        sizes[sizes > 0] = sizes.max()  # lobes of like width share a map's geometry
-    return sizes
+    sizes, levels, pixels = np.full(3, -1), np.zeros(3, int), len(scene.n)
+    detail = scene.light.detail()
+    for s in lobes:
+        levels[s] = coarsest(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
+        lights = scene.light.size[0] * scene.light.size[1] >> 2 * levels[s]
+        sizes[s] = map_size(sharp[s], MAP_SHARE * tolerance / share[s], detail, scene.light.size[0])
+        by_map = sum_seconds(sharp[s], node_count(sizes[s]), lights, tolerance)
+        if sizes[s] > reflectance_map.LARGEST or by_map > sum_seconds(sharp[s], pixels, lights, tolerance):
+            sizes[s] = 0
+    if (mapped := sizes > 0).sum() > 1:  # lobes of like width share a map's geometry; a map is not resampled at a small one's nodes
+        sizes[mapped & ((1.3 * sizes > sizes.max()) | (sizes.max() < ALONE))] = sizes.max()
+    groups = {}
+    for s in lobes:
+        groups.setdefault((int(sizes[s]), int(levels[s])), []).append(s)
+    return [planned.Way(tuple(lobes), size, level, CULL_NODES if size else CULL_PIXELS) for (size, level), lobes in groups.items()]
 
 
-def map_size(sharp, error):
+def coarsest(sharp, error, light_size):
+    """The coarsest level of the light whose predicted error for a lobe is within `error`."""
+    level = 0
+    while level < COARSEST and coarse.has_level(*light_size, level + 1) and light_error(light_size[0] >> level + 1, sharp) <= error:
+        level += 1
+    return level
+
+
+def light_error(rows, sharp):
+    """Predicted relative error of a light interpolated between so many rows: by the lobe's width, and by the horizon's edge."""
+    fit, spacing = calibration()["light_error"], math.pi / (2 * rows)
+    return fit["of_lobe"] * (spacing * math.sqrt(sharp)) ** fit["power"] + fit["of_horizon"] * spacing**2
+
+
+def map_size(sharp, error, detail=(1.0,), rows=64):
     """The smallest map whose predicted error is within `error`; LARGEST + 1 if there is none."""
-    size = reflectance_map.SMALLEST
-    while size <= reflectance_map.LARGEST and map_error(size, sharp) > error:
-        size = math.ceil(size * 1.08)
-    return min(size, reflectance_map.LARGEST + 1)
+    enough = np.flatnonzero(map_error(SIZES, sharp, detail, rows) <= error)
+    return int(SIZES[enough[0]]) if len(enough) else reflectance_map.LARGEST + 1
 
 
-def map_error(size, sharp):
-    """Predicted relative error of a map for a lobe of given sharpness: that of bicubic interpolation, and of the light's detail."""
+def map_error(size, sharp, detail=(1.0,), rows=64):
+    """Predicted relative error of maps of some sizes for a lobe, by bicubic interpolation of what the lobe makes of the light.
+
+    detail, rows  parts of the light by how fast they vary (coarse.Light.detail), and rows of its map. What varies slowly makes a highlight
+                  that is wider than the lobe, unless the lobe is so narrow that the sum over texels shows them one by one
+    """
     fit = calibration()["map_error"]
-    spacing = 2 * math.sqrt(2) / (size - 5)
-    return fit["of_lobe"] * (spacing * math.sqrt(max(sharp, fit["least_sharpness"]))) ** fit["power"] + fit["of_light"] * spacing**2
+    spacing, texel = 2 * math.sqrt(2) / (size - 5), math.pi / (2 * rows)
+    alone = min(2 * math.exp(-2 * (math.pi / texel) ** 2 / sharp), 1.0)
+    error = fit["of_light"] * spacing**2
+    for k, part in enumerate(detail):
+        softness = SOFT * texel * 2**k if k else 0.0
+        for share, wide in ((part * (1 - alone), softness), (part * alone, 0.0)):
+            seen = 1 / (1 / max(sharp, 1e-9) + wide**2)
+            error += share * fit["of_lobe"] * (spacing * math.sqrt(max(seen, fit["least_sharpness"]))) ** fit["power"]
+    return error
 
 
 def node_count(size):
@@ -211,5 +216,5 @@ def few_lights(batch, tolerance):
                 functools.partial(hybrid.with_lights, count=count, left_out=0.25 * tolerance),
             )
         ]
-        chosen = next((way for way in ways if good((way(sampled) - truth).abs(), level, tolerance)), None)
+        chosen = next((way for way in ways if good((way(sampled) - truth).abs().numpy(), level, tolerance)), None)
     return chosen(batch) if chosen else exact(batch, tolerance)

@@ -41,12 +41,14 @@ class Lights:
     w         (T, 3) float64
     geometry  (blocks, 9, 16) float32: w, h, and what rounding took off h; the last block is filled up with its last light
     cones     (blocks, 10) float64: axis, cos and sin of the half angle of the cone about w, then about h
+    axes      (blocks, 3) float32: the axes of the cones about h
     basis     (16 · blocks, 6) float64: the spline's basis at each light's θ_d
     """
 
     w: np.ndarray
     geometry: np.ndarray
     cones: np.ndarray
+    axes: np.ndarray
     basis: np.ndarray
 
     @property
@@ -60,7 +62,7 @@ def lights_at(w):
     h, theta_d = half_angles(filled, VIEWER)
     rest = h.T - h.T.astype(np.float32)
     cones = np.concatenate([cone(filled.reshape(-1, LANES, 3)), cone(h.reshape(-1, LANES, 3))], -1)
-    return Lights(w, blocked(np.concatenate([filled.T, h.T, rest])), cones, basis(theta_d))
+    return Lights(w, blocked(np.concatenate([filled.T, h.T, rest])), cones, np.ascontiguousarray(cones[:, 5:8], np.float32), basis(theta_d))
 
 
 def cone(vectors):
@@ -126,33 +128,45 @@ class ListedSum(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, n, m, E, lights, left_out, lobes):
-        order = by_place(n.numpy())
-        sorted_n = np.ascontiguousarray(n.numpy()[order])
-        tables = Tables(m.double().numpy(), E.numpy(), lights, ctx.needs_input_grad[2], lobes)
-        out, lists = np.empty_like(sorted_n), []
-        for start in range(0, len(order), PASS):
-            part = sorted_n[start : start + PASS]
-            lists.append(select(part, tables, left_out))
-            run_forward(part, tables, lists[-1], out[start : start + PASS])
-        ctx.lists, ctx.tables, ctx.order, ctx.sorted_n = lists, tables, order, sorted_n
-        radiance = np.empty_like(out)
-        radiance[order] = out
-        return torch.from_numpy(radiance)
+        tables = Tables(m.double().numpy(), energy_blocks(E.numpy(), lights), lights, ctx.needs_input_grad[2], lobes)
+        ctx.listing = Listing(n.numpy(), tables, left_out)
+        return torch.from_numpy(ctx.listing.radiance)
 
     @staticmethod
     @once_differentiable
     def backward(ctx, g):
-        tables, order = ctx.tables, ctx.order
-        g = np.ascontiguousarray(g.numpy()[order])
-        by_sorted_n, by_m, by_E = np.empty_like(g), np.zeros((3, 3, 2, 6)), 0
-        for start, lists in zip(range(0, len(order), PASS), ctx.lists, strict=True):
+        by_n, by_m, by_E = ctx.listing.backward(g.numpy())
+        return torch.from_numpy(by_n), torch.from_numpy(by_m).float(), torch.from_numpy(by_E), None, None, None
+
+
+class Listing:
+    """Radiance (P, 3) at normals n (P, 3) by the lights of each tile's list, and the way back; arrays are numpy, float32."""
+
+    def __init__(self, n, tables, left_out):
+        self.tables, self.order = tables, by_place(n)
+        self.n, self.lists = np.ascontiguousarray(n[self.order]), []
+        out = np.empty_like(self.n)
+        for start in range(0, len(n), PASS):
+            part = self.n[start : start + PASS]
+            self.lists.append(select(part, tables, left_out))
+            run_forward(part, tables, self.lists[-1], out[start : start + PASS])
+        self.radiance = np.empty_like(out)
+        self.radiance[self.order] = out
+
+    def backward(self, g, with_n=True):
+        """Derivatives of Σ g·radiance: by n (P, 3) or None, by m (3, 3, 2, 6) float64, by E (T, 3)."""
+        g = np.ascontiguousarray(g[self.order])
+        by_sorted_n, by_m, by_E = np.empty_like(g), np.zeros((3, 3, 2, 6)), np.zeros((len(self.tables.lights.w), 3), np.float32)
+        for start, lists in zip(range(0, len(g), PASS), self.lists, strict=True):
             part = slice(start, start + PASS)
-            energy_sums, lobe_sums = run_backward(ctx.sorted_n[part], tables, lists, g[part], by_sorted_n[part])
-            by_m += tables.material_gradient(lobe_sums)
-            by_E = by_E + unblocked(energy_sums)[:, : len(tables.lights.w)].T
+            energy_sums, lobe_sums = run_backward(self.n[part], self.tables, lists, g[part], by_sorted_n[part], with_n)
+            by_m += self.tables.material_gradient(lobe_sums)
+            by_E += unblocked(energy_sums)[:, : len(by_E)].T
+        if not with_n:
+            return None, by_m, by_E
         by_n = np.empty_like(by_sorted_n)
-        by_n[order] = by_sorted_n
-        return torch.from_numpy(by_n), torch.from_numpy(by_m).float(), torch.from_numpy(by_E).float(), None, None, None
+        by_n[self.order] = by_sorted_n
+        return by_n, by_m, by_E
 
 
 class ViewedSum(torch.autograd.Function):
@@ -161,9 +175,7 @@ class ViewedSum(torch.autograd.Function):
     @staticmethod
     def forward(ctx, n, view, m, E, lights):
         ctx.save_for_backward(n, view, m)
-        rows = np.zeros((3, 16 * lights.blocks))
-        rows[:, : len(lights.w)] = E.numpy().T
-        energy = blocked(rows)
+        energy = energy_blocks(E.numpy(), lights)
         ctx.lights, ctx.energy = lights, (energy, cutoff(energy))
         arrays = (np.ascontiguousarray(a.numpy()) for a in (n, view))
         return torch.from_numpy(
@@ -189,14 +201,19 @@ def slab(lights):
     return Slab(None, None, lights.blocks, lights.geometry, general, lights.basis)
 
 
+def energy_blocks(E, lights):
+    """E (T, 3), numpy, as (blocks, 3, 16) float32; the lights that fill up the last block are dark."""
+    rows = np.zeros((3, 16 * lights.blocks), np.float32)
+    rows[:, : len(E)] = E.T
+    return blocked(rows)
+
+
 class Tables:
     """Some lobes of a material at each light: lobes (blocks, many, 3, 2, 16) and energy (blocks, 3, 16) as in learn.engines.culled."""
 
-    def __init__(self, m, E, lights, light_gradient, lobes=ALL_LOBES):
-        self.lights, self.light_gradient, self.numbers, self.many = lights, light_gradient, list(lobes), len(lobes)
-        rows = np.zeros((3, 16 * lights.blocks))
-        rows[:, : len(E)] = E.T
-        self.energy = blocked(rows)
+    def __init__(self, m, energy, lights, light_gradient, lobes=ALL_LOBES):
+        self.lights, self.light_gradient, self.energy = lights, light_gradient, energy
+        self.numbers, self.many = list(lobes), len(lobes)
         curves = lobe_first(m)[self.numbers].reshape(6 * self.many, 6) @ lights.basis.T
         self.gamma = curves[0::2]
         self.bounded = curves[1::2] > MAX_EXPONENT
@@ -211,7 +228,7 @@ class Tables:
         by_lobe = (many, 3, blocks, LANES)
         rows = np.zeros((culled.CONE_ROWS, -(-blocks // LANES) * LANES))
         rows[:10, :blocks] = self.lights.cones.T
-        brightest = self.energy.sum(-1).max(-1)
+        brightest = np.abs(self.energy).sum(-1).max(-1)  # a light gathered from others may be negative (learn/methods/coarse.py)
         # A dark block matters too where the light's own derivative is wanted: it counts as one of a tenth of the mean.
         rows[10, :blocks] = np.maximum(brightest, 0.1 * brightest.mean() or 1.0) if self.light_gradient else brightest
         rows[11 : 11 + many, :blocks] = self.gamma.reshape(by_lobe).min((1, 3))
@@ -247,17 +264,14 @@ def select(n, tables, left_out):
     """Each tile's list, as learn.engines.culled has it: cuts, lengths, entries."""
     size = tile_size(len(n))
     tiles = -(-len(n) // size)
-    padded = np.concatenate([n, np.broadcast_to(n[-1], (tiles * size - len(n), 3))]).reshape(tiles, size, 3)
-    around = np.ascontiguousarray(cone(padded.astype(np.float64)), dtype=np.float32)
     cones = tables.cones()
     room, budget = tables.lights.blocks, np.array([left_out], np.float32)
-    cuts, lengths, entries = np.empty((tiles, room, 3), np.float32), np.empty(tiles, np.int32), np.empty((tiles, room), np.int32)
+    cuts, lengths, entries = np.empty((tiles, room, 4), np.float32), np.empty(tiles, np.int32), np.empty((tiles, room), np.int32)
 
     def kernel(first, last):
         scratch = np.empty(cones.shape[0] * 6 * LANES, np.float32)
-        machine_code.call(
-            "culled.select", first, last, len(cones), room, tables.many, budget, around, cones, scratch, cuts, lengths, entries
-        )
+        sizes = first, last, len(n), size, len(cones), room, tables.many
+        machine_code.call("culled.select", *sizes, budget, n, cones, scratch, cuts, lengths, entries)
 
     workers = torch.get_num_threads()
     threads.run(kernel, threads.split(tiles, workers), workers)
@@ -268,26 +282,26 @@ def run_forward(n, tables, lists, out):
     cuts, lengths, entries = lists
 
     def kernel(first, last):
-        scratch = np.empty(culled.TILE * 48, np.float32)
+        scratch = np.empty(culled.SCRATCH, np.float32)
         sizes = first, last, len(n), tile_size(len(n)), tables.lights.blocks, tables.many
-        arrays = n, tables.lights.geometry, tables.energy, tables.lobes, scratch, out
+        arrays = n, tables.lights.axes, tables.lights.geometry, tables.energy, tables.lobes, scratch, out
         machine_code.call("culled.forward", *sizes, *arrays, cuts, lengths, entries)
 
     workers = torch.get_num_threads()
     threads.run(kernel, threads.split(len(lengths), 8 * workers), workers)
 
 
-def run_backward(n, tables, lists, g, by_n):
-    """Energy sums (blocks, 3, 16) and lobe sums (blocks, many, 3, 2, 16); by_n is written."""
+def run_backward(n, tables, lists, g, by_n, with_n=True):
+    """Energy sums (blocks, 3, 16) and lobe sums (blocks, many, 3, 2, 16); by_n is written if wanted."""
     cuts, lengths, entries = lists
     blocks, many = tables.lights.blocks, tables.many
     chunks = min(culled.CHUNKS, 1 + len(n) // FEW)  # by the pixels, never by the threads: sums must come out the same
     energy_sums, lobe_sums = np.empty((chunks, blocks, 3, LANES), np.float32), np.empty((chunks, blocks, many, 3, 2, LANES), np.float32)
-    scratch = np.empty(chunks * culled.TILE * 48, np.float32)
+    scratch = np.empty(chunks * culled.SCRATCH, np.float32)
 
     def kernel(first, last):
-        sizes = first, last, len(n), tile_size(len(n)), len(lengths), blocks, blocks, many, chunks
-        arrays = n, tables.lights.geometry, tables.energy, tables.lobes, scratch, g, by_n, energy_sums, lobe_sums
+        sizes = first, last, len(n), tile_size(len(n)), len(lengths), blocks, blocks, many, chunks, int(with_n)
+        arrays = n, tables.lights.axes, tables.lights.geometry, tables.energy, tables.lobes, scratch, g, by_n, energy_sums, lobe_sums
         machine_code.call("culled.backward", *sizes, *arrays, cuts, lengths, entries)
 
     workers = torch.get_num_threads()

@@ -28,8 +28,8 @@ def strength(m):
 
 
 def controls(m):
-    """κ and γ (3, 3, 6), numpy float64."""
-    m = m.detach().double().cpu().numpy()
+    """κ and γ (3, 3, 6), numpy float64, of a tensor or an array."""
+    m = m.detach().double().cpu().numpy() if isinstance(m, torch.Tensor) else m
     return np.minimum(m[:, :, 0], MAX_EXPONENT), m[:, :, 1]
 
 

@@ -10,6 +10,7 @@ Gradients in n pass through the weights, those in m and L through the nodes' sum
 light (tensors expanded over the batch, or equal ones that need no gradient) share a map.
 """
 
+import functools
 import math
 
 import numpy as np
@@ -101,6 +102,17 @@ def normals(nodes, size):
     return torch.cat([p * (1.0 + z).clamp(min=0).sqrt(), z], -1)
 
 
+def normals_of(nodes, size):
+    """The same in numpy, float32."""
+    return grid(size)[nodes]
+
+
+@functools.lru_cache(maxsize=16)
+def grid(size):
+    """Normals (size², 3) float32 of all nodes of a map."""
+    return normals(torch.arange(size * size), size).float().numpy()
+
+
 def look_up(n, values, nodes, size):
     """(P, 3) at normals n (P, 3) in the map that has values (N, 3) at flat indices nodes (N,), which hold all that n needs."""
     if has_kernel(n):
@@ -122,33 +134,48 @@ def sliced(pixels, kernel):
     threads.run(kernel, threads.split(pixels, workers), workers)
 
 
+def table(values, nodes, size):
+    """(size², 4) float32 for the kernels, from values (N, 3) at nodes (N,)."""
+    found = np.zeros((size * size, 4), np.float32)
+    found[nodes, :3] = values
+    return found
+
+
+def read(n, table, size):
+    """(P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
+    out = np.empty((len(n), 3), np.float32)
+    sliced(len(n), lambda first, last: machine_code.call("interpolation.forward", first, last, size, n, table, out))
+    return out
+
+
+def read_backward(n, table, size, g, nodes):
+    """Derivatives of Σ g·out: by n (P, 3), and by the values at nodes (N, 3)."""
+    by_n = np.empty((len(n), 3), np.float32)
+    by_table = np.zeros((interpolation.CHUNKS, *table.shape), np.float32)
+
+    def kernel(first, last):
+        machine_code.call("interpolation.backward", first, last, len(n), size, n, table, g, by_n, by_table)
+
+    workers = torch.get_num_threads()
+    threads.run(kernel, threads.split(interpolation.CHUNKS, interpolation.CHUNKS), workers)
+    by_values = by_table[0, nodes, :3]
+    for chunk in by_table[1:]:
+        by_values += chunk[nodes, :3]
+    return by_n, by_values
+
+
 class LookUp(torch.autograd.Function):
     """n (P, 3), values (N, 3) at nodes (N,), size → (P, 3) by learn.engines.interpolation."""
 
     @staticmethod
     def forward(ctx, n, values, nodes, size):
         n, nodes = n.contiguous().numpy(), nodes.numpy()
-        table = np.zeros((size * size, 4), np.float32)
-        table[nodes, :3] = values.numpy()
-        ctx.kept = n, nodes, table, size
-        out = np.empty((len(n), 3), np.float32)
-        sliced(len(n), lambda first, last: machine_code.call("interpolation.forward", first, last, size, n, table, out))
-        return torch.from_numpy(out)
+        ctx.kept = n, table(values.numpy(), nodes, size), size, nodes
+        return torch.from_numpy(read(*ctx.kept[:3]))
 
     @staticmethod
     @once_differentiable
     def backward(ctx, g):
-        n, nodes, table, size = ctx.kept
-        by_n = np.empty((len(n), 3), np.float32)
-        by_table = np.zeros((interpolation.CHUNKS, *table.shape), np.float32)
-        arrays = n, table, g.contiguous().numpy(), by_n, by_table
-
-        def kernel(first, last):
-            machine_code.call("interpolation.backward", first, last, len(n), size, *arrays)
-
-        workers = torch.get_num_threads()
-        threads.run(kernel, threads.split(interpolation.CHUNKS, interpolation.CHUNKS), workers)
-        by_values = by_table[0, nodes, :3]
-        for chunk in by_table[1:]:
-            by_values += chunk[nodes, :3]
+        n, values, size, nodes = ctx.kept
+        by_n, by_values = read_backward(n, values, size, np.ascontiguousarray(g.numpy()), nodes)
         return torch.from_numpy(by_n), torch.from_numpy(by_values), None, None

@@ -1,0 +1,82 @@
+"""Pixels picked out of pictures and put back, as differentiable steps: by learn.engines.pixels in float32 on the CPU, else by torch.
+
+vectors  (P, 3) normals or views of all pixels;  index (N,) places of the pixels that are seen
+"""
+
+import numpy as np
+import torch
+from torch.autograd.function import once_differentiable
+
+from learn.engines import machine_code, threads
+
+OUTSIDE, AWAY, SEEN, WRONG = range(4)  # states of a pixel, those of learn.engines.pixels, which needs numba to be read
+LEAST = 16384  # pixels that are worth a thread of their own
+
+
+def has_kernels(tensor):
+    """Whether the kernels serve; under torch.compile torch's own operators do, which it can see into."""
+    right = tensor.dtype == torch.float32 and tensor.device.type == "cpu"
+    return right and not torch.compiler.is_compiling() and machine_code.is_available()
+
+
+def run(name, count, *arguments):
+    """A kernel over range(count), on as many threads as torch may use."""
+    workers = torch.get_num_threads()
+    slices = threads.split(count, min(workers, 1 + count // LEAST))
+    threads.run(lambda first, last: machine_code.call(name, first, last, *arguments), slices, workers)
+
+
+def states(n, view, mask, tolerance, horizon):
+    """State (P,) uint8 of each pixel as learn.engines.pixels has it; n, view (…, 3) float32, mask (…) bool; view and mask may be None."""
+    n, view, mask = (None if x is None else x.detach().contiguous().numpy() for x in (n, view, mask))
+    found, limits = np.empty(n.size // 3, np.uint8), np.array([tolerance, horizon], np.float32)
+    run("pixels.look", len(found), int(view is not None), int(mask is not None), n, view, limits, mask, found)
+    return found
+
+
+def unit(vectors, index):
+    """(N, 3) vectors at index, scaled to unit length."""
+    if has_kernels(vectors):
+        return Unit.apply(vectors, index)
+    return torch.nn.functional.normalize(vectors.index_select(0, index), dim=-1)
+
+
+def spread(radiance, index, pixels):
+    """(P, 3) with radiance (N, 3) at index, 0 elsewhere."""
+    if has_kernels(radiance):
+        return Spread.apply(radiance, index, pixels)
+    return radiance.new_zeros(pixels, 3).index_copy(0, index, radiance)
+
+
+class Unit(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, vectors, index):
+        given, places = vectors.contiguous().numpy(), index.numpy()
+        found, length = np.empty((len(places), 3), np.float32), np.empty(len(places), np.float32)
+        run("pixels.unit", len(places), given, places, found, length)
+        ctx.kept = places, found, length, len(given)
+        return torch.from_numpy(found)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, g):
+        places, found, length, pixels = ctx.kept
+        by_vectors = np.zeros((pixels, 3), np.float32)
+        run("pixels.unit_backward", len(places), places, found, length, g.contiguous().numpy(), by_vectors)
+        return torch.from_numpy(by_vectors), None
+
+
+class Spread(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, radiance, index, pixels):
+        ctx.places = index.numpy()
+        picture = np.zeros((pixels, 3), np.float32)
+        run("pixels.spread", len(ctx.places), ctx.places, radiance.contiguous().numpy(), picture)
+        return torch.from_numpy(picture)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, g):
+        values = np.empty((len(ctx.places), 3), np.float32)
+        run("pixels.pick", len(ctx.places), ctx.places, g.contiguous().numpy(), values)
+        return torch.from_numpy(values), None, None

@@ -1,0 +1,142 @@
+"""Coarse lights are exact for what is smooth; planned radiance has the derivatives of the sum; pixels are picked as torch would."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from card_scenes import MATERIALS, light, material, sphere
+
+from learn import layer_pixels
+from learn.charting import cases
+from learn.layer import render
+from learn.methods import auto, coarse, directional, lobe_shapes, planned, reflectance_map
+from shaders.envmap import directions
+from shaders.frames import camera_from_light
+
+ROTATION = tuple(camera_from_light().flatten().tolist())
+RANDOM = np.random.default_rng(2)
+
+
+@pytest.mark.parametrize("level", [1, 2])
+def test_a_coarse_lights_gradient_is_the_adjoint_of_its_energy(level):
+    E, g = RANDOM.normal(size=(32, 64, 3)), RANDOM.normal(size=(32 >> level, 64 >> level, 3))
+    np.testing.assert_allclose(
+        (coarse.energy(E, level) * g).sum(), (E * coarse.gradient(g, 32, 64, level)).sum(), rtol=1e-5
+    )  # float32 weights
+
+
+@pytest.mark.parametrize("texel", [(0, 5), (31, 63), (12, 0), (16, 40)], ids=["zenith", "nadir", "seam", "middle"])
+def test_a_coarse_light_keeps_energy_and_direction(texel):
+    E = np.zeros((32, 64, 3))
+    E[texel] = 1.0
+    found = coarse.energy(E, 1)
+    np.testing.assert_allclose(found.sum((0, 1)), 1.0, rtol=1e-6)
+    mean = (found[..., :1] * directions(16, 32)[0]).sum((0, 1))
+    # Catmull–Rom follows sines of two texels' spacing, 0.2 rad, to its third power and better
+    assert np.linalg.norm(mean - directions(32, 64)[0][texel]) < 5e-3
+
+
+def test_detail_tells_a_lit_texel_from_a_smooth_sky():
+    parts = {name: coarse.Light(L.astype(np.float32), ROTATION).detail() for name, L in cases.computed_lights().items()}
+    for found in parts.values():
+        assert sum(found) == pytest.approx(1.0) and min(found) >= 0
+    assert parts["sky"][0] < 0.01 < 0.5 < parts["sun in a texel"][0] < parts["one texel"][0] == 1.0
+
+
+def one_lobe(sharpness):
+    m = np.ones((3, 3, 2, 6))
+    m[:, :, 0] = 0.0
+    m[:, 0, 0], m[:, 0, 1] = 0.3, sharpness * -math.expm1(-0.3) / 0.3
+    assert lobe_shapes.sharpness(m)[0] == pytest.approx(sharpness)
+    return m
+
+
+@pytest.mark.parametrize("sharpness, level, limit", [(8.0, 1, 1e-3), (8.0, 2, 3e-3), (50.0, 1, 5e-3)])
+def test_a_broad_lobe_hardly_sees_that_its_light_is_coarse(sharpness, level, limit):
+    n = sphere(24)[(sphere(24) != 0).any(-1)].numpy()
+    for L in cases.computed_lights().values():
+        scene = planned.Scene(n, one_lobe(sharpness), L.astype(np.float32), ROTATION)
+        fine, seen = scene.at(n, (0,)).radiance, scene.at(n, (0,), level).radiance
+        error = np.abs(seen - fine).mean() / fine.mean()
+        assert error < limit
+        assert error < 2 * auto.light_error(
+            64 >> level, sharpness
+        )  # what auto plans by, with room for other lobes than those it was fitted to
+
+
+def leaves(name, lobes, dtype):
+    return [x.to(dtype).requires_grad_() for x in (sphere(40), material(*lobes), light(name))]
+
+
+@pytest.mark.parametrize("kind", MATERIALS)
+def test_planned_radiance_has_the_derivatives_of_the_sum(kind):
+    found = []
+    for method, dtype in (("auto", torch.float32), ("exact", torch.float64)):
+        given = leaves("lamps", MATERIALS[kind], dtype)
+        seen = render(*given, method=method, tolerance=1e-2)
+        weight = torch.linspace(0.5, 1.5, seen.numel(), dtype=dtype).reshape(seen.shape)
+        found.append(torch.autograd.grad((seen * weight).sum(), given))
+    for ours, truth in zip(*found, strict=True):
+        # The picture may be off by 1e-2; a derivative by n is one of interpolation's weights, of one order less
+        assert (ours.double() - truth).abs().mean() <= 0.1 * truth.abs().mean()
+
+
+def test_planned_ways_add_up_whatever_their_maps_and_lights():
+    n = sphere(40)[(sphere(40) != 0).any(-1)].numpy()
+    m = material(*MATERIALS["glossy"]).double().numpy().reshape(3, 3, 2, 6)
+    scene = planned.Scene(n, m, light("sky")[0].numpy(), ROTATION)
+    truth = scene.at(n, directional.ALL_LOBES).radiance
+    for sizes, levels in (((0, 0, 0), (0, 0, 0)), ((40, 40, 40), (1, 0, 0)), ((30, 40, 0), (1, 0, 0)), ((30, 50, 60), (1, 0, 0))):
+        ways = [planned.Way((s,), size, level, 0.0) for s, (size, level) in enumerate(zip(sizes, levels, strict=True))]
+        seen = planned.Sums(scene, ways, {}).radiance()
+        assert np.abs(seen - truth).mean() <= 5e-3 * truth.mean()
+
+
+def test_planned_radiance_does_not_depend_on_the_number_of_threads():
+    found, before = [], torch.get_num_threads()
+    for workers in (1, 2):
+        torch.set_num_threads(workers)
+        given = leaves("lamps", MATERIALS["glossy"], torch.float32)
+        seen = render(*given)
+        found.append([seen, *torch.autograd.grad(seen.sum(), given)])
+    torch.set_num_threads(before)
+    for one, other in zip(*found, strict=True):
+        assert torch.equal(one, other)
+
+
+def test_pixels_are_scaled_and_put_back_as_torch_would():
+    vectors = torch.randn(50, 3, generator=torch.Generator().manual_seed(3))
+    index = torch.tensor([0, 7, 8, 30, 49])
+    found = []
+    for step, back in (
+        (layer_pixels.unit, layer_pixels.spread),
+        (lambda v, i: torch.nn.functional.normalize(v[i], dim=-1), lambda r, i, p: r.new_zeros(p, 3).index_copy(0, i, r)),
+    ):
+        given = vectors.clone().requires_grad_()
+        seen = back(step(given, index) ** 2, index, 50)
+        found.append([seen, *torch.autograd.grad((seen * torch.arange(150).reshape(50, 3)).sum(), given)])
+    for ours, torchs in zip(*found, strict=True):
+        torch.testing.assert_close(ours, torchs, rtol=1e-4, atol=4e-5)  # what cancels are float32 numbers up to 300
+
+
+def test_the_state_of_a_pixel_is_that_of_its_vectors():
+    n = torch.tensor([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 0, 1.02], [float("nan"), 0, 1], [0.6, 0, 0.8], [0, 0, 0]])
+    mask = torch.tensor([True, True, True, True, True, False, False])
+    outside, away, seen, wrong = layer_pixels.OUTSIDE, layer_pixels.AWAY, layer_pixels.SEEN, layer_pixels.WRONG
+    assert layer_pixels.states(n, None, None, 1e-2, 1e-4).tolist() == [outside, seen, away, wrong, wrong, seen, outside]
+    assert layer_pixels.states(n, None, mask, 1e-2, 1e-4).tolist() == [wrong, seen, away, wrong, wrong, outside, outside]
+    view = torch.tensor([[0.0, 0, 1]]).expand(7, 3).clone()
+    view[1], view[5] = torch.tensor([0.0, 0, -1]), torch.tensor([0.0, 0, 2])
+    assert layer_pixels.states(n, view, None, 1e-2, 1e-4).tolist() == [outside, away, away, wrong, wrong, wrong, outside]
+
+
+def test_states_are_those_of_the_kernel():
+    pixels = pytest.importorskip("learn.engines.pixels", reason="numba is not installed")
+    names = ("OUTSIDE", "AWAY", "SEEN", "WRONG")
+    assert [getattr(pixels, name) for name in names] == [getattr(layer_pixels, name) for name in names]
+
+
+def test_a_grid_of_normals_is_that_of_its_nodes():
+    nodes = torch.tensor([0, 5, 77, 143])
+    np.testing.assert_array_equal(reflectance_map.normals_of(nodes.numpy(), 12), reflectance_map.normals(nodes, 12).float().numpy())
