@@ -1,0 +1,149 @@
+"""The commands that publish figures: proof, study, card and step times, each run small, and their statistics on figures that are known."""
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from learn.networks.coding import Ranges
+from learn.networks.compact import Compact
+from learn.timing import steps
+from learn.training import card, checkpoint, lights, normals_study, proof, variants
+from learn.training.relit import Pool, Relit, gloss
+from learn.training.settings import Data, Losses, Run, Schedule
+from manifests.problems import Problem
+from tests.learn.test_cycles_source import album_of, written
+
+SIZE = 32
+
+
+@pytest.fixture(scope="module")
+def pools(tmp_path_factory):
+    """Three sides of the one shape there is: what is measured here is not worth knowing, only that it is measured."""
+    album = album_of(written(tmp_path_factory.mktemp("experiments")).folder)
+    labels = {name: album.records.label(name) for name in ("dark", "light")}
+    maps = [lights.computed(np.random.default_rng(2)).astype(np.float32)]
+    return {side: Pool(album.geometry, np.arange(1), labels, maps, side, album) for side in ("train", "validation", "test")}
+
+
+def result(l2, seed=0):
+    """A result of `variants.trained` on 6 shapes × 4 materials."""
+    rng = np.random.default_rng(seed)
+    rows = [{"shape": f"s{i}", "material": f"m{j}", "l2": l2 * rng.uniform(0.5, 1.5), "ssim": 0.5} for i in range(6) for j in range(4)]
+    return {"rows": rows, "steps": 1}
+
+
+def test_a_variant_twice_as_good_has_a_ratio_of_one_half_and_one_like_it_has_an_interval_about_one():
+    a = [result(100.0, seed) for seed in (1, 2)]
+    half = [{"rows": [row | {"l2": row["l2"] / 2} for row in each["rows"]]} for each in a]
+    assert variants.ratio(a, half) == pytest.approx([0.5, 0.5, 0.5])
+    mean, low, high = variants.ratio(a, [result(100.0, seed) for seed in (3, 4)])
+    assert low < 1 < high
+    assert low < mean < high
+    assert variants.figures(a)["ssim"] == pytest.approx([0.5, 0.5, 0.5])
+
+
+def test_pictures_like_the_truth_have_no_l2_and_the_frame_dilutes_the_rest():
+    truth = np.zeros((16, 16, 3))
+    truth[4:12, 4:12] = 0.5
+    mask = truth[..., 0] > 0
+    assert variants._compared(truth, truth, mask) == pytest.approx({"l2": 0, "l2_frame": 0, "ssim": 1})
+    found = variants._compared(truth * 0.9, truth, mask)
+    assert found["l2"] > 0
+    assert found["l2_frame"] == pytest.approx(found["l2"] / 4)
+
+
+def test_a_variant_ends_by_its_clock_and_is_not_trained_again(pools, tmp_path):
+    run = proof.settings("normals", "combined", Data(sharing=2), SIZE, 0.4, seed=1)
+    tests = variants.held_out(pools, run.data, SIZE, 1)
+    found = variants.trained(run, pools, tests, tmp_path, workers=0)
+    assert found["seconds"] >= 0.4
+    assert 1 <= found["steps"] < 100  # of a million that it may make
+    assert {"l2", "l2_frame", "ssim", "angle_deg", "cosine"} <= set(found["rows"][0])
+    assert len(found["rows"]) == variants.BATCH
+    assert not (tmp_path / "checkpoint.safetensors").exists()
+    assert variants.trained(run, None, None, tmp_path) == found
+
+
+def test_a_report_has_every_variant_with_its_interval(tmp_path):
+    results = {
+        part: {v: [result(100.0 * (i + 1), seed) for seed in (1, 2, 3)] for i, v in enumerate(of_part)}
+        for part, of_part in proof.VARIANTS.items()
+    }
+    summary = proof.report(tmp_path, results, {"seconds": 1.0, "size": SIZE, "seeds": 3})
+    told = (tmp_path / "report.md").read_text()
+    assert json.loads((tmp_path / "report.json").read_text())["material"]["ratios"].keys() == summary["material"]["ratios"].keys()
+    assert set(summary["material"]["ratios"]) == {"combined / standalone", "control / standalone", "combined / control"}
+    for part, of_part in proof.VARIANTS.items():
+        assert all(f"| {part} | {variant} |" in told for variant in of_part)
+
+
+def test_a_study_writes_its_table_and_chart(tmp_path):
+    summary = normals_study.report(
+        tmp_path,
+        {
+            name: [result(l2) | {"rows": [r | {"angle_deg": l2, "cosine": 0.9, "l2_frame": 1.0} for r in result(l2)["rows"]]}]
+            for name, l2 in (("L2", 100.0), ("pixels", 90.0))
+        },
+        {"pretraining": 1.0, "seconds": 1.0, "size": SIZE, "seeds": 1, "shapes": 250},
+    )
+    assert summary["rows"]["pixels"]["ratio"] == pytest.approx([0.9] * 3)
+    assert "| pixels | 90" in (tmp_path / "table.md").read_text()
+    assert (tmp_path / "chart.png").stat().st_size > 1000
+
+
+def test_fewer_shapes_than_a_variant_asks_for_are_told(pools):
+    with pytest.raises(Problem, match="60 training shapes expected, found 1"):
+        normals_study._limited(pools, 60)
+
+
+def test_every_variant_is_a_run_that_can_be_read_back():
+    for name, weights in normals_study.VARIANTS.items():
+        run = normals_study.settings(name, Data(), 64, 1.0, 0, 1e-3, None, weights, 5)
+        assert msgspec.json.decode(msgspec.json.encode(run), type=Run) == run
+
+
+def test_matte_first_draws_the_mattest_third_at_first_and_all_in_the_end(pools):
+    rng = np.random.default_rng(0)
+    labels = {f"m{i}": rng.normal(0, 1, 108).astype(np.float32) for i in range(9)}
+    order = sorted(labels, key=lambda name: gloss(labels[name]))
+    pool = Pool(pools["train"].geometry, np.arange(1), labels, pools["train"].maps, "train")
+    source = Relit(pool, Data(sharing=1, matte_first=10), 1, SIZE, 1)
+    assert source.names[: source._admitted(0)] == order[:3]
+    assert (source._admitted(10), source._admitted(1000)) == (9, 9)
+
+
+def test_gloss_is_the_narrowest_lobes():
+    m = np.full((3, 3, 2, 6), 1.0)
+    m[:, 1, 1] = 400.0  # γ of the second lobe
+    m[:, 1, 0] = 3.0  # κ: κ c^γ falls twice as fast in its logarithm as c^γ does
+    assert gloss(np.log(m).reshape(108).astype(np.float32)) == pytest.approx(1200, rel=1e-4)
+
+
+def test_a_card_measures_relit_and_rendered_pictures_apart(pools, tmp_path):
+    network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
+    run = Run(name="tiny", size=SIZE, data=Data(sharing=2))
+    checkpoint.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE)
+    found = card.make(tmp_path / "w.safetensors", pools, tmp_path, batches=1, note="a note to readers")
+    assert {"angle_deg", "irradiance", "image_l2", "target_l2", "control_l2"} <= set(found["figures"])
+    assert set(found["cycles"]) == set(found["figures"])
+    told = json.loads((tmp_path / "card.json").read_text())
+    assert (told["pictures"], told["cycles_pictures"]) == (16, 4)
+    text = (tmp_path / "card.md").read_text()
+    assert "a note to readers" in text
+    assert "4 pictures that Cycles rendered" in text
+    assert (tmp_path / "sheet.jpg").exists()
+    assert (tmp_path / "sheet-cycles.jpg").exists()
+
+
+def test_step_times_cover_every_part_and_add_up(pools, tmp_path):
+    terms = Losses(albedo=0.3, light_log=0.3, light_rendered=1, image=1, target=1, pixels=8, layer_light=(8, 16))
+    run = Run(name="tiny", size=SIZE, data=Data(sharing=2), losses=terms, schedule=Schedule(steps=4, batch=2))
+    found = steps.measure(run, pools, tmp_path, tmp_path / "scratch", 1, 4)
+    parts = {"data", "network", "normals and material terms", "light terms", "layer", "optimiser"}
+    assert set(found["step"]) == parts | {"total"}
+    assert found["step"]["total"] == pytest.approx(sum(found["step"][part] for part in parts))
+    assert found["relit"]["images"] == 4
+    assert "| layer |" in (tmp_path / "step-time.md").read_text()
