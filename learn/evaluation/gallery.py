@@ -18,7 +18,7 @@ def write(path, batch, truth, pictures, mask):
 
     pictures  {name: (H, W, 3) radiance}, in the order of the columns
     """
-    exposure = tone.auto_exposure(truth, mask)
+    exposure, window = tone.auto_exposure(truth, mask), around(mask)
     seen = batch.image[0].movedim(0, -1).numpy()
     right = tone.display(truth, exposure)
     empty = np.full((*mask.shape, 3), BACKGROUND)
@@ -27,7 +27,7 @@ def write(path, batch, truth, pictures, mask):
         shown = tone.display(picture, exposure)
         above.append(cut(shown, mask))
         below.append(cut(heat(np.sqrt(((shown - right) ** 2).mean(-1))), mask))
-    sheet = np.concatenate([np.concatenate(above, 1), np.concatenate(below, 1)], 0)
+    sheet = np.concatenate([np.concatenate([cell[window] for cell in row], 1) for row in (above, below)], 0)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}")
     Image.fromarray(np.clip(np.rint(sheet), 0, 255).astype(np.uint8)).save(temporary, "PNG")
@@ -39,6 +39,16 @@ def cells(path, count):
     sheet = np.asarray(Image.open(path).convert("RGB"))
     H, W = sheet.shape[0] // 2, sheet.shape[1] // count
     return [(sheet[:H, k * W : (k + 1) * W], sheet[H:, k * W : (k + 1) * W]) for k in range(count)]
+
+
+def around(mask):
+    """The square about the object, as two slices; the frame where it is larger."""
+    rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
+    side = min(max(np.ptp(rows), np.ptp(columns)) + 7, *mask.shape)
+    top, left = (
+        np.clip((at[0] + at[-1] + 1 - side) // 2, 0, size - side) for at, size in ((rows, mask.shape[0]), (columns, mask.shape[1]))
+    )
+    return np.s_[top : top + side, left : left + side]
 
 
 def cut(display, mask):

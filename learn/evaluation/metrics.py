@@ -6,7 +6,7 @@ to 1, clipped, and through the sRGB curve (shaders.tone). All figures are of dis
 l2          the paper's: mean over the mask's pixels of the mean over channels of the squared difference; l2_frame: over the full frame
 ssim        structural similarity, windows of 7 (scikit-image), mean over the mask; ssim_frame: over the full frame
 psnr        10 log₁₀ (255² / l2) in dB, at most 68: rounding to whole display values alone is 59
-flip        ꟻLIP (Andersson et al. 2020; package flip-evaluator) at 67 pixels a degree, mean over the mask: 0 alike, 1 at most
+flip        FLIP (Andersson et al. 2020; package flip-evaluator) at 67 pixels a degree, mean over the mask: 0 alike, 1 at most
 lpips       only with weights (learn.evaluation.perceptual)
 """
 
@@ -45,7 +45,7 @@ def display_l2(picture, truth, mask):
 
 
 def flip(shown, right):
-    """ꟻLIP's error map (H, W) in [0, 1] of display values."""
+    """FLIP's error map (H, W) in [0, 1] of display values."""
     from flip_evaluator import evaluate
 
     test, reference = (np.ascontiguousarray(x / 255.0, np.float32) for x in (shown, right))

@@ -18,10 +18,11 @@ p,ul{max-width:78ch}
 .soft,.note{color:var(--soft)}
 .note{margin:.1rem 0 .7rem;font-size:.92rem}
 .scroll{overflow-x:auto}
-table{border-collapse:collapse;font-size:.87rem;font-variant-numeric:tabular-nums;background:var(--card)}
-th,td{padding:.32rem .8rem;text-align:right;border-bottom:1px solid var(--line);white-space:nowrap}
+table{border-collapse:collapse;font-size:.84rem;font-variant-numeric:tabular-nums;background:var(--card)}
+th,td{padding:.32rem .55rem;text-align:right;border-bottom:1px solid var(--line);white-space:nowrap}
+th{white-space:normal;min-width:3.4rem}
 th:first-child,td:first-child{text-align:left}
-th{color:var(--soft);font-weight:600;vertical-align:bottom}
+th{color:var(--soft);font-weight:600;vertical-align:bottom;line-height:1.25}
 tr.mine{background:var(--mine)}
 tr.mine td:first-child{font-weight:600}
 td.best{font-weight:700}

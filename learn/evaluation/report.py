@@ -1,7 +1,6 @@
 """The evaluation's report: report.json holds every table, report.md and index.html tell of them."""
 
 import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
@@ -73,14 +72,21 @@ def headline(found):
         told[-1] += "."
         given = [(key, rows[OURS].get(f"l2_true_{key}")) for key in ("light", "normals")]
         told += [f"With true {key} instead of predicted it would be {cell[0]:.0f}." for key, cell in given if cell]
-    for row in found.get("differences", {"rows": []})["rows"]:
-        name, others = row["name"].split(" − ")
-        if name == (OURS_REFINED if OURS_REFINED in rows else OURS) and others != "the layer alone":
-            low, high = row["cells"]["difference"][1:]
-            told.append(f"Against “{others}” the L2 of “{name}” differs by [{low:.0f}, {high:.0f}]: {row['cells']['verdict']}.")
-    return told
+    return [*told, _judged(found, OURS_REFINED if OURS_REFINED in rows else OURS)] if "differences" in found else told
+
+
+def _judged(found, mine):
+    """Whom the intervals say that `mine` is better than, worse than, or not to be told from."""
+    said = {}
+    for row in found["differences"]["rows"]:
+        name, other = row["name"].split(" − ")
+        if name == mine and other != "the layer alone":
+            said.setdefault(row["cells"]["verdict"].split(":")[0], []).append(f"“{other}”")
+    words = {"better": "better than", "worse": "worse than", "undecided": "not to be told from"}
+    judged = "; ".join(f"{words[verdict]} {', '.join(others)}" for verdict, others in said.items())
+    return f"By 95 % intervals of the difference on the same edits, “{mine}” is {judged}."
 
 
 def line(told):
     """One line for the terminal."""
-    return " ".join(told["headline"][:1]) or f"{told['about']['edits']} edits, {', '.join(told['tables'])} by {' '.join(sys.argv[:1])}"
+    return told["headline"][0] if told["headline"] else f"{told['about']['edits']} edits"

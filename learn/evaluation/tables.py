@@ -26,7 +26,7 @@ PICTURE = [
     column("ssim", "SSIM ↑", 4, True),
     column("ssim_frame", "SSIM, frame ↑", 4),
     column("psnr", "PSNR ↑", 2),
-    column("flip", "ꟻLIP ↓", 3),
+    column("flip", "FLIP ↓", 3),
     LPIPS,
 ]
 GIVEN = [column("l2_true_light", "L2, light given ↓", 1, True), column("l2_true_normals", "L2, normals given ↓", 1, True)]
@@ -51,7 +51,7 @@ LIGHT = [
     column("glossy_sphere_l2", "glossy ↓", 0),
     column("sharp_sphere_l2", "sharp ↓", 0),
 ]
-SHORT = [column("l2", "rendered L2 ↓", 1, True), column("ssim", "rendered SSIM ↑", 4, True), column("flip", "rendered ꟻLIP ↓", 3)]
+SHORT = [column("l2", "rendered L2 ↓", 1, True), column("ssim", "rendered SSIM ↑", 4, True), column("flip", "rendered FLIP ↓", 3)]
 
 
 class Rows:
@@ -108,7 +108,12 @@ def by_method(rows, title, note, groups):
         if any(cell is not None for cell in cells.values()):
             found.append({"name": name, "cells": cells})
     columns = [c | {"key": c["key"] + suffix} for _, columns, suffix in groups for c in columns]
-    return table(title, note, columns, found)
+    return table(title, note, columns, [row for row in found if not borrowed(row, found)])
+
+
+def borrowed(row, rows):
+    """Whether these figures are those of a part that the method took over from another row, the one with the shorter name."""
+    return any(other["cells"] == row["cells"] and len(other["name"]) < len(row["name"]) for other in rows)
 
 
 def differences(rows):
