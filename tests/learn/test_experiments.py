@@ -31,7 +31,8 @@ def pools(tmp_path_factory):
 def result(l2, seed=0):
     """A result of `variants.trained` on 6 shapes × 4 materials."""
     rng = np.random.default_rng(seed)
-    rows = [{"shape": f"s{i}", "material": f"m{j}", "l2": l2 * rng.uniform(0.5, 1.5), "ssim": 0.5} for i in range(6) for j in range(4)]
+    groups = [{"shape": f"s{i}", "material": f"m{j}"} for i in range(6) for j in range(4)]
+    rows = [each | {"l2": l2 * rng.uniform(0.5, 1.5), "l2_frame": 1.0, "ssim": 0.5, "angle_deg": 20.0, "cosine": 0.9} for each in groups]
     return {"rows": rows, "steps": 1}
 
 
@@ -81,16 +82,10 @@ def test_a_report_has_every_variant_with_its_interval(tmp_path):
 
 
 def test_a_study_writes_its_table_and_chart(tmp_path):
-    summary = normals_study.report(
-        tmp_path,
-        {
-            name: [result(l2) | {"rows": [r | {"angle_deg": l2, "cosine": 0.9, "l2_frame": 1.0} for r in result(l2)["rows"]]}]
-            for name, l2 in (("L2", 100.0), ("pixels", 90.0))
-        },
-        {"pretraining": 1.0, "seconds": 1.0, "size": SIZE, "seeds": 1, "shapes": 250},
-    )
+    about = {"pretraining": 1.0, "seconds": 1.0, "size": SIZE, "seeds": 1, "shapes": 250}
+    summary = normals_study.report(tmp_path, {"L2": [result(100.0)], "pixels": [result(90.0)]}, about)
     assert summary["rows"]["pixels"]["ratio"] == pytest.approx([0.9] * 3)
-    assert "| pixels | 90" in (tmp_path / "table.md").read_text()
+    assert "| 0.900 [0.900, 0.900] | 20.00" in (tmp_path / "table.md").read_text()
     assert (tmp_path / "chart.png").stat().st_size > 1000
 
 
