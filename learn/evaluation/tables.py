@@ -230,7 +230,10 @@ def all_of(pictures, edits):
     )
     normals_alone = "The method's normals, with true material and light, rendered again (the paper's Table 2)."
     light_alone = "The method's light, with true normals and material, rendered again."
-    given = "Light given, normals given: the same edits were that part not predicted but true. It shows where the error comes from."
+    given = (
+        "Light given, normals given: the same edits were that part not predicted but true. It shows where the error comes from. "
+        "Lombardi-like is given true normals, as in the paper."
+    )
     found = {
         "edits": by_method(E, "Edits against their truth", given, [((), PICTURE, ""), ((), GIVEN, "")]),
         "differences": differences(E),
