@@ -112,8 +112,8 @@ def by_method(rows, title, note, groups):
 
 
 def borrowed(row, rows):
-    """Whether these figures are those of a part that the method took over from another row, the one with the shorter name."""
-    return any(other["cells"] == row["cells"] and len(other["name"]) < len(row["name"]) for other in rows)
+    """Whether a method "… of another" shows no figure but that other's: a part it took over."""
+    return any(other is not row and row["name"].endswith(f"of {other['name']}") and other["cells"] == row["cells"] for other in rows)
 
 
 def differences(rows):

@@ -195,5 +195,7 @@ def test_each_region_gets_its_own_material(two_regions, weights):
     for edit in edits:
         assert pairs.shown(work.records, edit).label.shape == (1, 2, 108) == (1, *pairs.wanted(work.records, edit).shape)
         _, (row,) = work.work(edit, [edit], False)
-        assert row["methods"]["the layer alone"]["l2"] < HALF_FLOATS < 20 < row["methods"]["input unchanged"]["l2"]
+        assert (
+            row["methods"]["the layer alone"]["l2"] < HALF_FLOATS < 1 < row["methods"]["input unchanged"]["l2"]
+        )  # bright clips: 4, not 1000
         assert np.isfinite(row["methods"]["ours"]["l2"])
