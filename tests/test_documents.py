@@ -22,8 +22,21 @@ SMALLER = [
     (r"--samples \d+", "--samples 4"),
     (r"--workers \d+", "--workers 1"),
     (r"^(python -m learn agree .*)$", r"\1 --limit 2"),
+    (r"^(python -m learn (edit|transfer) .*)$", r"\1 --no-refine"),  # tests/learn/test_editing.py refines
 ]
 USERS_FILES = {"my-chair.obj": "manifests/jobs/meshes/vase.obj"}  # what a reader has and we do not
+
+
+def photographs(folder):
+    """A reader's pictures: a shaded ball, with a mask beside it and cut out."""
+    y, x = np.mgrid[-1:1:48j, -1:1:48j]
+    inside = x * x + y * y < 0.7
+    shade = np.where(inside, 90 + 80 * np.sqrt(np.clip(0.7 - x * x - y * y, 0, 1)) - 60 * y, 30)
+    picture = np.repeat(np.clip(shade, 0, 255).astype(np.uint8)[..., None], 3, -1)
+    Image.fromarray(picture).save(folder / "photo.jpg")
+    Image.fromarray((255 * inside).astype(np.uint8)).save(folder / "mask.png")
+    for name in "abc":
+        Image.fromarray(np.dstack([picture, (255 * inside).astype(np.uint8)])).save(folder / f"{name}.png")
 
 
 def blocks(root, document, language):
@@ -58,6 +71,7 @@ def test_every_command_of_the_documents_runs(root, tmp_path):
         pytest.importorskip(module)
     for name, source in USERS_FILES.items():
         shutil.copy(root / source, tmp_path / name)
+    photographs(tmp_path)
     Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(tmp_path / "not-a-map.png")
     environment = {**os.environ, "PYTHONPATH": str(root), "PATH": f"{os.path.dirname(sys.executable)}{os.pathsep}{os.environ['PATH']}"}
     ran = 0
