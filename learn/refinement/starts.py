@@ -3,6 +3,7 @@
 starts.json  how many ended above their start, how many were not finite, how the re-rendering changed, by kind of start
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ def measured(predict, known, count, out, settings=Settings()):  # noqa: B008 -- 
         mask = (batch.segments[0] > 0).numpy()
         level = tone.auto_exposure(seen, mask)
         image = [float(tone.display_l2(picture(p, p.label[0], batch), seen, level, mask)) for p in (start, told.prediction)]
-        finite = all(bool(torch.isfinite(part).all()) for part in parts) and np.isfinite(told.after["total"])
+        finite = all(bool(torch.isfinite(part).all()) for part in parts) and math.isfinite(told.after["total"])
         rows.append({"kind": kind, "energy": [told.before["total"], told.after["total"]], "finite": finite, "image": image})
         rows[-1]["seconds"] = told.seconds
     images = np.array([row["image"] for row in rows])
