@@ -106,7 +106,6 @@ def written(out, found, painter, edits, pick, names, metadata, how):
     pictures.write_exr(out / "light.exr", L)
     save(out / "normals.png", sheet.normals(n, mask))
     save(out / "light.png", sheet.light(L))
-    again = opened.radiance * 1.0
     again = painter.edited([label.numpy() for label in parts.label[0].float()])
     shown = exposure_of(opened)
     save(out / "rendering.png", tone.display(again, shown))
