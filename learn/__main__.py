@@ -2,6 +2,7 @@
 
 import sys
 
+from learn.memory import keep_freed
 from manifests.command_line import main
 
 COMMANDS = (
@@ -25,4 +26,5 @@ COMMANDS = (
 )
 
 if __name__ == "__main__":
+    keep_freed()
     sys.exit(main("learn", __doc__.split(": ", 1)[1], COMMANDS))

@@ -29,13 +29,30 @@ def split(count, slices):
 
 
 def run(function, bounds, threads):
-    """function(first, last) for each pair of bounds, on up to `threads` threads; the first exception is raised."""
-    if threads <= 1 or len(bounds) <= 1:
+    """function(first, last) for each pair of bounds, on up to `threads` threads, this one among them; the first exception is raised.
+
+    Each thread takes the next slice when it is done with one: a helper that wakes late leaves the others its share, and the caller waits
+    only for slices that somebody is at.
+    """
+    helpers = min(threads, len(bounds)) - 1
+    if helpers <= 0:
         for first, last in bounds:
             function(first, last)
         return
     with _lock:
         pool = _pools.setdefault(threads, None) or ThreadPoolExecutor(threads, thread_name_prefix="brdfactory")
         _pools[threads] = pool
-    for done in [pool.submit(function, first, last) for first, last in bounds]:
-        done.result()
+    following = iter(bounds).__next__  # one bytecode: two threads never get the same slice
+
+    def work():
+        try:
+            while True:
+                function(*following())
+        except StopIteration:
+            return
+
+    others = [pool.submit(work) for _ in range(helpers)]
+    work()
+    for other in others:
+        if not other.cancel():
+            other.result()

@@ -88,8 +88,7 @@ def planned_sums(n, m, light, light_gradient, rotation, tolerance):
     scene = planned.Scene(n, m, light, rotation, light_gradient)
     pick = directional.sample(len(n), SAMPLE).numpy()
     lobes = np.flatnonzero(lobe_shapes.sharpness(m) > 0).tolist()
-    truths = {s: scene.at(n[pick], (s,)).radiance for s in lobes}
-    truth = sum(truths.values()) if lobes else 0.0 * n[pick]
+    truth = scene.at(n[pick], tuple(lobes)).radiance if lobes else 0.0 * n[pick]
     level = float(truth.mean())
     scene.budget = tolerance * level
     ways, known = best_plan(scene, lobes, tolerance), {}
@@ -98,7 +97,7 @@ def planned_sums(n, m, light, light_gradient, rotation, tolerance):
         open_to_change = [part for part in sums.parts() if better(part.way, len(n)) != part.way]
         if not open_to_change:
             break
-        worst = max(open_to_change, key=lambda part: part.error(pick, sum(truths[s] for s in part.way.lobes)))
+        worst = max(open_to_change, key=lambda part: part.error(pick, scene.at(n[pick], part.way.lobes).radiance))
         ways[ways.index(worst.way)] = better(worst.way, len(n))
         sums = planned.Sums(scene, ways, known)
     return sums

@@ -288,7 +288,7 @@ def run_forward(n, tables, lists, out):
         machine_code.call("culled.forward", *sizes, *arrays, cuts, lengths, entries)
 
     workers = torch.get_num_threads()
-    threads.run(kernel, threads.split(len(lengths), 8 * workers), workers)
+    threads.run(kernel, threads.split(len(lengths), 2 * workers), workers)
 
 
 def run_backward(n, tables, lists, g, by_n, with_n=True):
@@ -305,7 +305,7 @@ def run_backward(n, tables, lists, g, by_n, with_n=True):
         machine_code.call("culled.backward", *sizes, *arrays, cuts, lengths, entries)
 
     workers = torch.get_num_threads()
-    threads.run(kernel, threads.split(chunks, chunks), workers)
+    threads.run(kernel, threads.split(chunks, workers), workers)
     return added(energy_sums), added(lobe_sums)
 
 

@@ -157,7 +157,7 @@ def read_backward(n, table, size, g, nodes):
         machine_code.call("interpolation.backward", first, last, len(n), size, n, table, g, by_n, by_table)
 
     workers = torch.get_num_threads()
-    threads.run(kernel, threads.split(interpolation.CHUNKS, interpolation.CHUNKS), workers)
+    threads.run(kernel, threads.split(interpolation.CHUNKS, workers), workers)
     by_values = by_table[0, nodes, :3]
     for chunk in by_table[1:]:
         by_values += chunk[nodes, :3]
