@@ -3,7 +3,8 @@
 Each variant is trained with the same network, data and seed for the same processor time, and measured on shapes, materials and lights
 that it never saw. What is not predicted is given true, so that each part stands alone.
 
-material   standalone: squared difference of codes; combined: with I' through the layer; control: with the log-albedo term and no layer
+material   standalone: squared difference of codes; combined: with I' through the layer; control: with the log-albedo term and no layer;
+           both: the log-albedo term and the layer
 normals    standalone: squared difference of normals; combined: with I' through the layer
 """
 
@@ -22,6 +23,7 @@ VARIANTS = {
         "standalone": {"material": 1.0},
         "combined": {"material": 1.0, "image": 10.0},
         "control": {"material": 1.0, "albedo": 0.3},
+        "both": {"material": 1.0, "albedo": 0.3, "image": 10.0},
     },
     "normals": {"standalone": {"normals": 1.0}, "combined": {"normals": 1.0, "image": 3.0}},
 }
@@ -64,7 +66,8 @@ def report(out, results, about):
     summary = {}
     for part, of_part in results.items():
         summary[part] = {v: variants.figures(found) | {"steps": [r["steps"] for r in found]} for v, found in of_part.items()}
-        pairs = [("standalone", v) for v in of_part if v != "standalone"] + ([("control", "combined")] if "control" in of_part else [])
+        pairs = [("standalone", v) for v in of_part if v != "standalone"]
+        pairs += [("control", v) for v in ("combined", "both") if {"control", v} <= of_part.keys()]
         summary[part]["ratios"] = {f"{b} / {a}": variants.ratio(of_part[a], of_part[b]) for a, b in pairs}
     pictures = len(next(iter(next(iter(results.values())).values()))[0]["rows"])
     summary["about"] = made_by() | about | {"pictures": pictures}

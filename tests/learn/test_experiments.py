@@ -76,7 +76,8 @@ def test_a_report_has_every_variant_with_its_interval(tmp_path):
     summary = proof.report(tmp_path, results, {"seconds": 1.0, "size": SIZE, "seeds": 3})
     told = (tmp_path / "report.md").read_text()
     assert json.loads((tmp_path / "report.json").read_text())["material"]["ratios"].keys() == summary["material"]["ratios"].keys()
-    assert set(summary["material"]["ratios"]) == {"combined / standalone", "control / standalone", "combined / control"}
+    pairs = {"combined / standalone", "control / standalone", "both / standalone", "combined / control", "both / control"}
+    assert set(summary["material"]["ratios"]) == pairs
     for part, of_part in proof.VARIANTS.items():
         assert all(f"| {part} | {variant} |" in told for variant in of_part)
 
