@@ -13,9 +13,8 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from learn.networks.coding import light_of, picture_code, unit_mean
 from learn.networks.compact import LIGHT_WIDTHS, Residual, convolution
-from learn.networks.prediction import Coded, Prediction
+from learn.networks.prediction import Apart
 
 WIDTHS = (32, 64, 128, 192)
 CELLS = 4  # a side of the features that the two heads read: where in the picture something was seen
@@ -68,11 +67,8 @@ def read_off(outputs):
     )
 
 
-class Separate(Coded):
-    """Normals, material and light of masked pictures by three networks; arguments and result as learn.networks.compact.Compact.
-
-    `n` is not read: nothing here is laid out over normals.
-    """
+class Separate(Apart):
+    """Normals, material and light of masked pictures by three networks."""
 
     name = "separate"
 
@@ -84,31 +80,17 @@ class Separate(Coded):
         self.widen = nn.ModuleList(convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
         self.last = nn.Conv2d(LIGHT_WIDTHS[-1], 12, 3, 1, 1)
 
-    def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None):
-        x = picture_code(image, mask)
-        code = light_code = label = light = None
-        if "material" in parts:
-            count = 1 if segments is None else max(int(segments.max()), 1)
-            regions = [mask if segments is None else mask * (segments == s + 1)[:, None] for s in range(count)]
-            code = torch.stack([self._code(picture_code(image, region)) for region in regions], 1)
-            label = self.ranges.label(code)
-        if "light" in parts:
-            light_code = self._light(x)
-            light = unit_mean(light_of(light_code), self.row_solid_angle)
-        return Prediction(self._normals(x) if "normals" in parts else None, code, label, light_code, light)
-
     def _normals(self, x):
         encode, decode = self.normals
-        x = decode(encode(x))
-        return F.normalize(torch.cat([x[:, :2], F.softplus(x[:, 2:]) + 1e-3], 1), dim=1)
+        return decode(encode(x))
 
     def _code(self, x):
         encode, read = self.material
-        return torch.tanh(read(encode(x)[-1]).float())
+        return read(encode(x)[-1])
 
     def _light(self, x):
         encode, read = self.light
         x = F.relu(read(encode(x)[-1])).reshape(-1, LIGHT_WIDTHS[0], 4, 8)
         for widen in self.widen:
             x = widen(F.interpolate(x, scale_factor=2.0, mode="bilinear"))
-        return F.softplus(F.pixel_shuffle(self.last(x), 2).float())
+        return F.pixel_shuffle(self.last(x), 2)

@@ -14,9 +14,8 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from learn.networks.coding import light_of, picture_code, unit_mean
 from learn.networks.compact import convolution
-from learn.networks.prediction import Coded, Prediction
+from learn.networks.prediction import Apart
 
 HALVINGS = (32, 64, 128, 256, 256, 512, 512)
 START = 0.08
@@ -43,8 +42,8 @@ class Scale(nn.Module):
         return self.layers(torch.cat([F.interpolate(x, size, mode="bilinear"), F.interpolate(picture, size, mode="area")], 1))
 
 
-class Paper(Coded):
-    """Normals, material and light of masked pictures by three separate networks; arguments and result as learn.networks.compact.Compact."""
+class Paper(Apart):
+    """Normals, material and light of masked pictures by the paper's networks."""
 
     name = "paper"
 
@@ -65,21 +64,13 @@ class Paper(Coded):
             if parameter.ndim > 1:
                 nn.init.uniform_(parameter, -START, START)
 
-    def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None):
-        x = picture_code(image, mask)
-        code = light_code = label = light = None
-        if "material" in parts:
-            count = 1 if segments is None else max(int(segments.max()), 1)
-            regions = [mask if segments is None else mask * (segments == s + 1)[:, None] for s in range(count)]
-            code = torch.stack([torch.tanh(self.material(picture_code(image, region)).float()) for region in regions], 1)
-            label = self.ranges.label(code)
-        if "light" in parts:
-            light_code = F.softplus(self.light(self.illumination(x).reshape(-1, 128, 4, 8)).float())
-            light = unit_mean(light_of(light_code), self.row_solid_angle)
-        return Prediction(self._normals(x) if "normals" in parts else None, code, label, light_code, light)
-
     def _normals(self, x):
         H, W = x.shape[-2:]
         y = self.third(self.second(self.coarse(x), x, (H // 8, W // 8)), x, (H // 4, W // 4))
-        y = self.fourth(torch.cat([F.interpolate(y, (H, W), mode="bilinear"), x], 1)).float()
-        return F.normalize(torch.cat([y[:, :2], F.softplus(y[:, 2:]) + 1e-3], 1), dim=1)
+        return self.fourth(torch.cat([F.interpolate(y, (H, W), mode="bilinear"), x], 1))
+
+    def _code(self, x):
+        return self.material(x)
+
+    def _light(self, x):
+        return self.light(self.illumination(x).reshape(-1, 128, 4, 8))

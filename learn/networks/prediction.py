@@ -3,8 +3,9 @@
 from typing import NamedTuple
 
 import torch
+from torch.nn import functional as F
 
-from learn.networks.coding import Ranges
+from learn.networks.coding import Ranges, light_of, picture_code, unit_mean
 from shaders.envmap import row_solid_angles
 
 
@@ -37,3 +38,30 @@ class Coded(torch.nn.Module):
     @property
     def ranges(self):
         return Ranges(self.label_centre, self.label_half)
+
+
+class Apart(Coded):
+    """Normals, material and light by networks that share nothing: each of `_normals`, `_code` and `_light` reads a picture code of its own.
+
+    Arguments and result of the forward pass as learn.networks.compact.Compact; `n` is not read, for nothing is laid out over normals.
+
+    _normals  picture code (B, 4, H, W) → (B, 3, H, W), of any length, before n_z is made positive
+    _code     picture code of one region → (B, 108) before tanh
+    _light    picture code → (B, 3, 64, 128) before softplus
+    """
+
+    def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None):
+        x = picture_code(image, mask)
+        normals = code = light_code = label = light = None
+        if "normals" in parts:
+            raw = self._normals(x).float()
+            normals = F.normalize(torch.cat([raw[:, :2], F.softplus(raw[:, 2:]) + 1e-3], 1), dim=1)
+        if "material" in parts:
+            count = 1 if segments is None else max(int(segments.max()), 1)
+            regions = [mask if segments is None else mask * (segments == s + 1)[:, None] for s in range(count)]
+            code = torch.stack([torch.tanh(self._code(picture_code(image, region)).float()) for region in regions], 1)
+            label = self.ranges.label(code)
+        if "light" in parts:
+            light_code = F.softplus(self._light(x).float())
+            light = unit_mean(light_of(light_code), self.row_solid_angle)
+        return Prediction(normals, code, label, light_code, light)
