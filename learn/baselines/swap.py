@@ -69,7 +69,8 @@ class SwapTraining(Training):
             batches = [source[k] for k in range(VALIDATION_BATCHES)]
             edits = [self.predict(network, batch) for batch in batches]
         sheet(self.out / f"sheet-{self.step:07d}.jpg", batches[0], edits[0])
-        checkpoint.save_weights(self.out / "weights.safetensors", self.network, self.average, msgspec.json.encode(run).decode(), run.size)
+        run_json = msgspec.json.encode(run).decode()
+        checkpoint.save_weights(self.out / "weights.safetensors", self.network, self.average, run_json, run.size, self.step)
         found = [figures(edit, batch, network.ranges) for edit, batch in zip(edits, batches, strict=True)]
         return {name: float(np.mean([f[name] for f in found])) for name in found[0]}
 

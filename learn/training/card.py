@@ -40,7 +40,14 @@ def make(weights, pools, out, batches, note=""):
     out.mkdir(parents=True, exist_ok=True)
     relit = Relit(test, run.data, BATCH, run.size, SEED)
     figures, count = measured(network, run, (relit[k] for k in range(batches)), out / "sheet.jpg")
-    told = {"run": metadata["run"], "pictures": count, "figures": figures, "sizes": _sizes(network, pools), "note": note}
+    told = {
+        "run": metadata["run"],
+        "step": metadata.get("step"),
+        "pictures": count,
+        "figures": figures,
+        "sizes": _sizes(network, pools),
+        "note": note,
+    }
     if test.album:
         cycles = Cycles(test, run.data, 1, run.size, SEED)
         figures, count = measured(network, run, (cycles[k] for k in range(len(test.album))), out / "sheet-cycles.jpg")
@@ -86,11 +93,16 @@ def _sizes(network, pools):
     return told
 
 
+def _steps(told):
+    planned = f"{told['run']['schedule']['steps']} steps"
+    return f"{told['step']} of {planned}" if told["step"] else f"up to {planned}"
+
+
 def _page(told):
     run, sizes = told["run"], told["sizes"]
     lines = [f"# {run['name']}: {run.get('about', '')}", ""]
     lines += [
-        f"{sizes['parameters'] / 1e6:.1f} M parameters, {run['size']} × {run['size']} pixels, {run['schedule']['steps']} steps of "
+        f"{sizes['parameters'] / 1e6:.1f} M parameters, {run['size']} × {run['size']} pixels, {_steps(told)} of "
         f"{run['schedule']['batch']} relit pictures.",
         "",
         "| side | shapes | views | materials | light maps |",

@@ -1,7 +1,7 @@
 """Weights on disk: safetensors only, nothing is ever unpickled, and each file is written beside the old one and renamed.
 
 checkpoint.safetensors  all a run needs to go on: network, moving average, optimiser; metadata: step, skipped steps, the run
-weights.safetensors     what a user needs: the moving average in half precision; metadata: network, size, and the run as JSON
+weights.safetensors     what a user needs: the moving average in half precision; metadata: network, size, step, and the run as JSON
 """
 
 import json
@@ -48,10 +48,11 @@ def load(path):
         raise Problem(path, "weights in a .safetensors file", str(error), "weights in other formats are never read; convert them") from None
 
 
-def save_weights(path, network, state, run_json, size):
-    """The weights a user needs. state: the moving average's tensors by name."""
+def save_weights(path, network, state, run_json, size, step=None):
+    """The weights a user needs. state: the moving average's tensors by name; step: how many the run had made."""
     half = {name: t.half() if t.is_floating_point() and t.ndim > 1 else t for name, t in state.items()}
-    save(path, half, {"format": "brdfactory weights 1", "network": network.name, "size": str(size), "run": run_json})
+    told = {} if step is None else {"step": str(step)}
+    save(path, half, {"format": "brdfactory weights 1", "network": network.name, "size": str(size), "run": run_json} | told)
 
 
 def load_network(path):

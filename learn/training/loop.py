@@ -180,9 +180,8 @@ class Training:
             figures |= dead.figures()
             shown = source_of(pool, self.run, batch, 1)[0]
             self.journal.show(self.step - 1, sheet.write(self.out / f"sheet-{self.step:07d}.jpg", shown, self.predict(network, shown)))
-        checkpoint.save_weights(
-            self.out / "weights.safetensors", self.network, self.average, msgspec.json.encode(self.run).decode(), self.run.size
-        )
+        run_json = msgspec.json.encode(self.run).decode()
+        checkpoint.save_weights(self.out / "weights.safetensors", self.network, self.average, run_json, self.run.size, self.step)
         return figures
 
     def _save(self):
