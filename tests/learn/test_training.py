@@ -253,3 +253,16 @@ def test_a_nibbled_mask_loses_its_rim_at_most(rng):
         nibbled = augmentation.nibbled(rng, mask)
         assert (nibbled <= mask).all()
         assert nibbled[5:11, 5:11].all()
+
+
+def test_what_stays_in_register_moves_with_the_picture():
+    mask = np.zeros((64, 64), bool)
+    mask[20:40, 10:50] = True
+    moved = 0
+    for seed in range(20):
+        truth = torch.from_numpy(mask.astype(np.float32))[..., None]
+        _, seen_mask, (seen_truth,) = augmentation.seen(np.random.default_rng(seed), np.ones((64, 64, 3)), mask, [truth], True)
+        inside = seen_truth[..., 0].numpy() > 0
+        assert not (seen_mask & ~inside).any()
+        moved += not np.array_equal(inside, mask)
+    assert moved > 10  # of 20; a shift of at most two pixels stays where it is in one case of 25
