@@ -33,7 +33,7 @@ def test_each_stage_warms_up_anew_and_ends_slow():
         return schedule.rate(STAGED, phase, step, (step - phase.first) / phase.steps)[0]
 
     assert rate(1) > rate(0)
-    assert rate(9) < 0.05 < rate(11)
+    assert rate(9) < 0.05 < rate(10) < rate(11)
     assert rate(16) > 0.9
     assert rate(34) < 0.05
 
@@ -105,6 +105,10 @@ def test_dead_units_are_the_channels_that_never_light_up():
         with torch.no_grad():
             layer.bias.fill_(1.0)
         network(torch.zeros(2, 1, 3, 3))  # alive once is alive
+        assert dead.figures() == {"dead_units": 0.0}
+        with torch.no_grad():
+            layer.bias.fill_(-1.0)
+        network(torch.zeros(2, 1, 3, 3))
         assert dead.figures() == {"dead_units": 0.0}
     assert not network[1]._forward_hooks
 
