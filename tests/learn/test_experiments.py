@@ -121,7 +121,7 @@ def test_gloss_is_the_narrowest_lobes():
 def test_a_card_measures_relit_and_rendered_pictures_apart(pools, tmp_path):
     network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
     run = Run(name="tiny", size=SIZE, data=Data(sharing=2))
-    checkpoint.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE)
+    checkpoint.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7)
     found = card.make(tmp_path / "w.safetensors", pools, tmp_path, batches=1, note="a note to readers")
     assert {"angle_deg", "irradiance", "image_l2", "target_l2", "control_l2"} <= set(found["figures"])
     assert set(found["cycles"]) == set(found["figures"])
@@ -129,6 +129,7 @@ def test_a_card_measures_relit_and_rendered_pictures_apart(pools, tmp_path):
     assert (told["pictures"], told["cycles_pictures"]) == (16, 4)
     text = (tmp_path / "card.md").read_text()
     assert "a note to readers" in text
+    assert f"7 of {run.schedule.steps} steps" in text
     assert "4 pictures that Cycles rendered" in text
     assert (tmp_path / "sheet.jpg").exists()
     assert (tmp_path / "sheet-cycles.jpg").exists()
