@@ -6,6 +6,7 @@ Each rule raises a ValueError that names the argument, the rule and what was fou
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from learn import layer_pixels
@@ -103,10 +104,11 @@ def checked(n, material, light, view, segments, mask, tolerance, elevation):
 
 def found_by_kernel(n, view, mask):
     """mask (as given, or where n is not 0) and seen (B, H, W) bool; seen is None if a length inside the mask is wrong."""
-    states = torch.from_numpy(layer_pixels.states(n, view, mask, LENGTH_TOLERANCE, HORIZON)).reshape(n.shape[:3])
-    if states.numel() and states.max() == layer_pixels.WRONG:
+    states = layer_pixels.states(n, view, mask, LENGTH_TOLERANCE, HORIZON).reshape(n.shape[:3])
+    if states.size and states.max() == layer_pixels.WRONG:
         return mask, None
-    return states > layer_pixels.OUTSIDE if mask is None else mask, states == layer_pixels.SEEN
+    mask = torch.from_numpy(states > layer_pixels.OUTSIDE) if mask is None else mask
+    return mask, torch.from_numpy(states == layer_pixels.SEEN)
 
 
 def check_segments(segments, picture, materials):
@@ -165,7 +167,7 @@ def compact(inputs):
             n, view = unit(inputs.n, index), unit(inputs.view, index)
             index = index[(n[:, 2] if view is None else (n * view).sum(-1)) > HORIZON]
     else:
-        index = inputs.seen.reshape(-1).nonzero().squeeze(-1)
+        index = torch.from_numpy(np.flatnonzero(inputs.seen.numpy()))
     pixels = inputs.mask[0].numel()
     segments = inputs.m.shape[1]
     if inputs.segments is None:  # by image, as they lie

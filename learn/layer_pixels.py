@@ -1,6 +1,9 @@
 """Pixels picked out of pictures and put back, as differentiable steps: by learn.engines.pixels in float32 on the CPU, else by torch.
 
 vectors  (P, 3) normals or views of all pixels;  index (N,) places of the pixels that are seen
+
+On the way to the kernels numpy does what torch could do too: torch's operators wake OpenMP's threads for as few as 32,768 numbers, and
+these wait for more work spinning, in the way of the kernels' own threads (docs/log.md, 2026-11-21).
 """
 
 import numpy as np
@@ -19,6 +22,11 @@ def has_kernels(tensor):
     return right and not torch.compiler.is_compiling() and machine_code.is_available()
 
 
+def in_order(tensor):
+    """A tensor as a numpy array in C order."""
+    return np.ascontiguousarray(tensor.numpy())
+
+
 def run(name, count, *arguments):
     """A kernel over range(count), on as many threads as torch may use."""
     workers = torch.get_num_threads()
@@ -28,7 +36,7 @@ def run(name, count, *arguments):
 
 def states(n, view, mask, tolerance, horizon):
     """State (P,) uint8 of each pixel as learn.engines.pixels has it; n, view (…, 3) float32, mask (…) bool; view and mask may be None."""
-    n, view, mask = (None if x is None else x.detach().contiguous().numpy() for x in (n, view, mask))
+    n, view, mask = (None if x is None else in_order(x.detach()) for x in (n, view, mask))
     found, limits = np.empty(n.size // 3, np.uint8), np.array([tolerance, horizon], np.float32)
     run("pixels.look", len(found), int(view is not None), int(mask is not None), n, view, limits, mask, found)
     return found
@@ -51,7 +59,7 @@ def spread(radiance, index, pixels):
 class Unit(torch.autograd.Function):
     @staticmethod
     def forward(ctx, vectors, index):
-        given, places = vectors.contiguous().numpy(), index.numpy()
+        given, places = in_order(vectors), index.numpy()
         found, length = np.empty((len(places), 3), np.float32), np.empty(len(places), np.float32)
         run("pixels.unit", len(places), given, places, found, length)
         ctx.kept = places, found, length, len(given)
@@ -62,7 +70,7 @@ class Unit(torch.autograd.Function):
     def backward(ctx, g):
         places, found, length, pixels = ctx.kept
         by_vectors = np.zeros((pixels, 3), np.float32)
-        run("pixels.unit_backward", len(places), places, found, length, g.contiguous().numpy(), by_vectors)
+        run("pixels.unit_backward", len(places), places, found, length, in_order(g), by_vectors)
         return torch.from_numpy(by_vectors), None
 
 
@@ -71,12 +79,12 @@ class Spread(torch.autograd.Function):
     def forward(ctx, radiance, index, pixels):
         ctx.places = index.numpy()
         picture = np.zeros((pixels, 3), np.float32)
-        run("pixels.spread", len(ctx.places), ctx.places, radiance.contiguous().numpy(), picture)
+        run("pixels.spread", len(ctx.places), ctx.places, in_order(radiance), picture)
         return torch.from_numpy(picture)
 
     @staticmethod
     @once_differentiable
     def backward(ctx, g):
         values = np.empty((len(ctx.places), 3), np.float32)
-        run("pixels.pick", len(ctx.places), ctx.places, g.contiguous().numpy(), values)
+        run("pixels.pick", len(ctx.places), ctx.places, in_order(g), values)
         return torch.from_numpy(values), None, None

@@ -87,13 +87,13 @@ def load(name):
 
 def by_group(batch, function):
     """Radiance (P, 3) by a function of one group: function(n (p, 3), view (p, 3) or None, m (3, 3, 2, 6), light (Hl, Wl, 3)) → (p, 3)."""
-    n = batch.n.split(batch.counts)
-    view = batch.view.split(batch.counts) if batch.view is not None else [None] * len(n)
-    return torch.cat([function(n[g], view[g], batch.m[g], batch.light[batch.light_of[g]]) for g in range(len(n))])
+    return per_group(batch, lambda _, *arguments: function(*arguments))
 
 
 def per_group(batch, function):
     """As `by_group`, with the group's number as the first argument."""
+    if len(batch.counts) == 1:  # without a copy, for which torch would wake its threads (learn/layer_pixels.py)
+        return function(0, batch.n, batch.view, batch.m[0], batch.light[batch.light_of[0]])
     n = batch.n.split(batch.counts)
     view = batch.view.split(batch.counts) if batch.view is not None else [None] * len(n)
     return torch.cat([function(g, n[g], view[g], batch.m[g], batch.light[batch.light_of[g]]) for g in range(len(n))])

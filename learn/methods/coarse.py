@@ -11,10 +11,9 @@ import functools
 
 import numpy as np
 
+from learn.engines import machine_code
 from learn.methods import directional
 from shaders.envmap import LUMINANCE, directions
-
-MARGIN = 2  # rows beyond each pole that weights may reach
 
 
 def has_level(height, width, level):
@@ -24,57 +23,41 @@ def has_level(height, width, level):
 
 
 @functools.lru_cache(maxsize=8)
-def weights(height, width, level):
-    """Matrices of rows (coarse height + 2 MARGIN, height) and of columns (width, coarse width), float32."""
-    return stencil(height, level, False), np.ascontiguousarray(stencil(width, level, True).T)
-
-
-def stencil(count, level, turns):
-    """Weight of each coarse place (rows) for each fine one (columns): cyclic, or with MARGIN places more at both ends."""
+def stencil(level):
+    """Weights (4 · 2^level,) float32 of the fine places from 3/2 · 2^level before a coarse one's first on: the same for each."""
     step = 2**level
-    place = (np.arange(count) + 0.5) / step - 0.5
-    corner = np.floor(place).astype(int)
-    t = place - corner
-    found = np.zeros((count // step + (0 if turns else 2 * MARGIN), count))
-    four = 0.5 * np.stack([((2 - t) * t - 1) * t, (3 * t - 5) * t * t + 2, ((4 - 3 * t) * t + 1) * t, (t - 1) * t * t])
-    for i in range(4):
-        row = corner + i - 1
-        np.add.at(found, (row % (count // step) if turns else row + MARGIN, np.arange(count)), four[i])
-    return found.astype(np.float32)
+    x = np.abs((np.arange(4 * step) + 0.5) / step - 2.0)
+    near, far = (1.5 * x - 2.5) * x * x + 1.0, ((2.5 - 0.5 * x) * x - 4.0) * x + 2.0
+    return np.where(x < 1, near, far).astype(np.float32)
 
 
 def energy(E, level):
-    """Coarse energies (coarse height, coarse width, 3) of E (height, width, 3)."""
-    rows, columns = weights(*E.shape[:2], level)
-    along = np.tensordot(rows, np.einsum("hwk,wc->hck", E, columns, optimize=True), 1)
-    half = along.shape[1] // 2
-    found = along[MARGIN:-MARGIN]
-    for i in range(MARGIN):  # beyond a pole lies the same row's other half
-        found[i] += np.roll(along[MARGIN - 1 - i], half, 0)
-        found[-1 - i] += np.roll(along[len(along) - MARGIN + i], half, 0)
+    """Coarse energies (planes, coarse height, coarse width) of E (planes, height, width), float32."""
+    planes, height, width = E.shape
+    found, along = np.empty((planes, height >> level, width >> level), np.float32), np.empty(width, np.float32)
+    machine_code.call("coarsening.gather", 0, planes, height, width, 2**level, stencil(level), E, along, found)
     return found
 
 
-def gradient(by_coarse, height, width, level):
-    """Derivative (height, width, 3) by E, from the one (coarse height, coarse width, 3) by the coarse energies."""
-    rows, columns = weights(height, width, level)
-    half = by_coarse.shape[1] // 2
-    above = [np.roll(by_coarse[MARGIN - 1 - i], half, 0) for i in range(MARGIN)]
-    below = [np.roll(by_coarse[-1 - i], half, 0) for i in range(MARGIN)]
-    along = np.concatenate([np.stack(above), by_coarse, np.stack(below)])
-    return np.einsum("hck,wc->hwk", np.tensordot(rows.T, along, 1), columns, optimize=True)
+def gradient(by_coarse, level):
+    """Derivative (planes, height, width) by E, from the one (planes, coarse height, coarse width) by the coarse energies."""
+    planes, height, width = len(by_coarse), by_coarse.shape[1] << level, by_coarse.shape[2] << level
+    found, along = np.empty((planes, height, width), np.float32), np.empty(width, np.float32)
+    machine_code.call("coarsening.scatter", 0, planes, height, width, 2**level, stencil(level), by_coarse, along, found)
+    return found
 
 
 class Light:
     """A light map at several levels of detail, level 0 its own texels: `Lights`, energy in blocks, and the way back from them.
 
     light  (height, width, 3) float32 numpy;  rotation  nine numbers, camera_from_light
+    E      (3, height, width) radiance × solid angle
     """
 
     def __init__(self, light, rotation):
         self.height, self.width = self.size = light.shape[:2]
         self.rotation, self.solid_angle = rotation, solid_angles(self.height, self.width)
-        self.E = light * self.solid_angle
+        self.E = np.ascontiguousarray(light.transpose(2, 0, 1)) * self.solid_angle
         self.known = {}
 
     def at(self, level):
@@ -82,7 +65,7 @@ class Light:
         if level not in self.known:
             lights, order = self.places(level)
             E = energy(self.E, level) if level else self.E
-            self.known[level] = lights, directional.energy_blocks(E.reshape(-1, 3)[order], lights)
+            self.known[level] = lights, directional.energy_blocks(E.reshape(3, -1)[:, order], lights)
         return self.known[level]
 
     def detail(self):
@@ -91,13 +74,12 @@ class Light:
         Part k lives on texels of level k, finer than those of level k + 1 can follow. One lit texel loses twice its energy: it is half
         of what is lost that counts.
         """
-        brightness = (self.E @ LUMINANCE.astype(np.float32))[..., None]
+        brightness = np.tensordot(LUMINANCE.astype(np.float32), self.E, 1)[None]
         total, seen, parts = float(brightness.sum()) or 1.0, brightness, []
         for level in range(1, 4):
             if not has_level(*self.size, level):
                 break
-            share = energy(self.solid_angle, level)
-            smooth = gradient(energy(brightness, level) / share, *self.size, level) * self.solid_angle
+            smooth = gradient(energy(brightness, level) / shares(*self.size, level), level) * self.solid_angle
             parts.append(min(0.5 * float(np.abs(seen - smooth).sum()) / total, 1.0 - sum(parts)))
             seen = smooth
         return [*parts, 1.0 - sum(parts)]
@@ -107,14 +89,20 @@ class Light:
         return lights, order.numpy()
 
     def gradient(self, by_E, level):
-        """Derivative (height, width, 3) by the light, from the one (T, 3) by a level's energies."""
+        """Derivative (3, height, width) by the light, from the one (3, T) by a level's energies."""
         by_texel = np.empty_like(by_E)
-        by_texel[self.places(level)[1]] = by_E
-        by_texel = by_texel.reshape(self.height >> level, self.width >> level, 3)
-        return (gradient(by_texel, self.height, self.width, level) if level else by_texel) * self.solid_angle
+        by_texel[:, self.places(level)[1]] = by_E
+        by_texel = by_texel.reshape(3, self.height >> level, self.width >> level)
+        return (gradient(by_texel, level) if level else by_texel) * self.solid_angle
 
 
 @functools.lru_cache(maxsize=8)
 def solid_angles(height, width):
-    """(height, width, 1) float32."""
-    return directions(height, width)[1].astype(np.float32)[..., None]
+    """(1, height, 1) or (1, height, width) float32."""
+    return directions(height, width)[1].astype(np.float32)[None]
+
+
+@functools.lru_cache(maxsize=8)
+def shares(height, width, level):
+    """Solid angle (1, coarse height, coarse width) that each coarse place stands for."""
+    return energy(np.ascontiguousarray(np.broadcast_to(solid_angles(height, width), (1, height, width))), level)

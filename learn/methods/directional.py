@@ -19,7 +19,7 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from learn.engines import cpu, culled, machine_code, threads
-from learn.engines.lights import LANES, LN2, LOG2_E, Slab, blocked, cutoff, general_tables, lobe_first, unblocked
+from learn.engines.lights import LANES, Slab, blocked, cutoff, general_tables, lobe_first, unblocked
 from learn.methods import lobe_shapes
 from learn.methods.exact import ExactSum
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
@@ -40,9 +40,9 @@ class Lights:
 
     w         (T, 3) float64
     geometry  (blocks, 9, 16) float32: w, h, and what rounding took off h; the last block is filled up with its last light
-    cones     (blocks, 10) float64: axis, cos and sin of the half angle of the cone about w, then about h
+    cones     (wide blocks, CONE_ROWS, 16) float32 for learn.engines.culled: the cones about w and about h; the material's rows are 0
     axes      (blocks, 3) float32: the axes of the cones about h
-    basis     (16 · blocks, 6) float64: the spline's basis at each light's θ_d
+    basis     (blocks, 6, 16) float32: the spline's basis at each light's θ_d
     """
 
     w: np.ndarray
@@ -62,7 +62,10 @@ def lights_at(w):
     h, theta_d = half_angles(filled, VIEWER)
     rest = h.T - h.T.astype(np.float32)
     cones = np.concatenate([cone(filled.reshape(-1, LANES, 3)), cone(h.reshape(-1, LANES, 3))], -1)
-    return Lights(w, blocked(np.concatenate([filled.T, h.T, rest])), cones, np.ascontiguousarray(cones[:, 5:8], np.float32), basis(theta_d))
+    rows = np.zeros((culled.CONE_ROWS, len(cones) + -len(cones) % LANES))
+    rows[:10, : len(cones)] = cones.T
+    axes = np.ascontiguousarray(cones[:, 5:8], np.float32)
+    return Lights(w, blocked(np.concatenate([filled.T, h.T, rest])), blocked(rows), axes, blocked(basis(theta_d).T))
 
 
 def cone(vectors):
@@ -128,7 +131,7 @@ class ListedSum(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, n, m, E, lights, left_out, lobes):
-        tables = Tables(m.double().numpy(), energy_blocks(E.numpy(), lights), lights, ctx.needs_input_grad[2], lobes)
+        tables = Tables(m.double().numpy(), energy_blocks(E.numpy().T, lights), lights, ctx.needs_input_grad[2], lobes)
         ctx.listing = Listing(n.numpy(), tables, left_out)
         return torch.from_numpy(ctx.listing.radiance)
 
@@ -136,7 +139,7 @@ class ListedSum(torch.autograd.Function):
     @once_differentiable
     def backward(ctx, g):
         by_n, by_m, by_E = ctx.listing.backward(g.numpy())
-        return torch.from_numpy(by_n), torch.from_numpy(by_m).float(), torch.from_numpy(by_E), None, None, None
+        return torch.from_numpy(by_n), torch.from_numpy(by_m).float(), torch.from_numpy(by_E.T.copy()), None, None, None
 
 
 class Listing:
@@ -144,7 +147,7 @@ class Listing:
 
     def __init__(self, n, tables, left_out):
         self.tables, self.order = tables, by_place(n)
-        self.n, self.lists = np.ascontiguousarray(n[self.order]), []
+        self.n, self.lists = n.take(self.order, 0), []
         out = np.empty_like(self.n)
         for start in range(0, len(n), PASS):
             part = self.n[start : start + PASS]
@@ -154,14 +157,14 @@ class Listing:
         self.radiance[self.order] = out
 
     def backward(self, g, with_n=True):
-        """Derivatives of Σ g·radiance: by n (P, 3) or None, by m (3, 3, 2, 6) float64, by E (T, 3)."""
-        g = np.ascontiguousarray(g[self.order])
-        by_sorted_n, by_m, by_E = np.empty_like(g), np.zeros((3, 3, 2, 6)), np.zeros((len(self.tables.lights.w), 3), np.float32)
+        """Derivatives of Σ g·radiance: by n (P, 3) or None, by m (3, 3, 2, 6) float64, by E (3, T)."""
+        g = g.take(self.order, 0)
+        by_sorted_n, by_m, by_E = np.empty_like(g), np.zeros((3, 3, 2, 6)), np.zeros((3, len(self.tables.lights.w)), np.float32)
         for start, lists in zip(range(0, len(g), PASS), self.lists, strict=True):
             part = slice(start, start + PASS)
             energy_sums, lobe_sums = run_backward(self.n[part], self.tables, lists, g[part], by_sorted_n[part], with_n)
             by_m += self.tables.material_gradient(lobe_sums)
-            by_E += unblocked(energy_sums)[:, : len(by_E)].T
+            by_E += unblocked(energy_sums)[:, : by_E.shape[1]]
         if not with_n:
             return None, by_m, by_E
         by_n = np.empty_like(by_sorted_n)
@@ -175,7 +178,7 @@ class ViewedSum(torch.autograd.Function):
     @staticmethod
     def forward(ctx, n, view, m, E, lights):
         ctx.save_for_backward(n, view, m)
-        energy = energy_blocks(E.numpy(), lights)
+        energy = energy_blocks(E.numpy().T, lights)
         ctx.lights, ctx.energy = lights, (energy, cutoff(energy))
         arrays = (np.ascontiguousarray(a.numpy()) for a in (n, view))
         return torch.from_numpy(
@@ -198,52 +201,37 @@ def slab(lights):
     """What learn.engines.cpu wants to know of lights for a view per pixel."""
     w = np.concatenate([lights.w, np.broadcast_to(lights.w[-1], (-len(lights.w) % LANES, 3))]).T
     general = blocked(np.concatenate([w, w - w.astype(np.float32)]))
-    return Slab(None, None, lights.blocks, lights.geometry, general, lights.basis)
+    return Slab(None, None, lights.blocks, lights.geometry, general, None)
 
 
 def energy_blocks(E, lights):
-    """E (T, 3), numpy, as (blocks, 3, 16) float32; the lights that fill up the last block are dark."""
+    """E (3, T), numpy, as (blocks, 3, 16) float32; the lights that fill up the last block are dark."""
     rows = np.zeros((3, 16 * lights.blocks), np.float32)
-    rows[:, : len(E)] = E.T
+    rows[:, : E.shape[1]] = E
     return blocked(rows)
 
 
 class Tables:
-    """Some lobes of a material at each light: lobes (blocks, many, 3, 2, 16) and energy (blocks, 3, 16) as in learn.engines.culled."""
+    """Some lobes of a material m (3, 3, 2, 6) at each light of energy (blocks, 3, 16), as learn.engines.culled wants to know them.
+
+    lobes  (blocks, many, 3, 2, 16);  cones  (wide blocks, CONE_ROWS, 16)
+    """
 
     def __init__(self, m, energy, lights, light_gradient, lobes=ALL_LOBES):
-        self.lights, self.light_gradient, self.energy = lights, light_gradient, energy
-        self.numbers, self.many = list(lobes), len(lobes)
-        curves = lobe_first(m)[self.numbers].reshape(6 * self.many, 6) @ lights.basis.T
-        self.gamma = curves[0::2]
-        self.bounded = curves[1::2] > MAX_EXPONENT
-        curves[1::2] = np.minimum(curves[1::2], MAX_EXPONENT)
-        self.kappa = curves[1::2].copy()
-        curves[1::2] *= LOG2_E
-        self.lobes = blocked(curves)
-
-    def cones(self):
-        """(wide blocks, CONE_ROWS, 16) float32: what learn.engines.culled.select knows of each block."""
-        blocks, many = self.lights.blocks, self.many
-        by_lobe = (many, 3, blocks, LANES)
-        rows = np.zeros((culled.CONE_ROWS, -(-blocks // LANES) * LANES))
-        rows[:10, :blocks] = self.lights.cones.T
-        brightest = np.abs(self.energy).sum(-1).max(-1)  # a light gathered from others may be negative (learn/methods/coarse.py)
-        # A dark block matters too where the light's own derivative is wanted: it counts as one of a tenth of the mean.
-        rows[10, :blocks] = np.maximum(brightest, 0.1 * brightest.mean() or 1.0) if self.light_gradient else brightest
-        rows[11 : 11 + many, :blocks] = self.gamma.reshape(by_lobe).min((1, 3))
-        rows[14 : 14 + many, :blocks] = LOG2_E * self.kappa.reshape(by_lobe).max((1, 3))
-        return np.ascontiguousarray(rows.reshape(culled.CONE_ROWS, -1, LANES).transpose(1, 0, 2), dtype=np.float32)
+        self.lights, self.energy, self.numbers, self.many = lights, energy, list(lobes), len(lobes)
+        self.lobes, self.cones = np.empty((lights.blocks, self.many, 3, 2, LANES), np.float32), lights.cones.copy()
+        chosen = np.ascontiguousarray(lobe_first(m)[self.numbers], np.float32)
+        machine_code.call("tables.make", 0, lights.blocks, self.many, chosen, lights.basis, energy, self.lobes, self.cones)
+        if light_gradient:  # a dark block matters too: it counts as one of a tenth of the mean
+            brightness = self.cones[:, 10]
+            np.maximum(brightness, 0.1 * brightness.sum() / lights.blocks or 1.0, out=brightness)
 
     def material_gradient(self, lobe_sums):
-        """(3, 3, 2, 6) by m, from the sums of learn.engines.culled.backward, chunks added up."""
-        sums = unblocked(lobe_sums.reshape(-1, 6 * self.many, LANES)).reshape(self.many, 3, 2, -1)
-        sums = sums * unblocked(self.energy).astype(np.float64)[:, None]
-        by_lobe = (self.many, 3, -1)
-        by_kappa = np.where(self.bounded.reshape(by_lobe), 0.0, sums[:, :, 0])
-        by_gamma = sums[:, :, 1] * self.kappa.reshape(by_lobe) * LN2
-        by_m = np.zeros((3, 3, 2, 6))
-        by_m[self.numbers] = np.stack([by_gamma, by_kappa], 2) @ self.lights.basis
+        """(3, 3, 2, 6) float64 by m, from the sums (chunks, blocks, many, 3, 2, 16) of learn.engines.culled.backward."""
+        sums, by_m = np.empty((self.many, 3, 2, 6, LANES), np.float32), np.zeros((3, 3, 2, 6))
+        sizes = self.many, self.lights.blocks, len(lobe_sums), lobe_sums[0].size
+        machine_code.call("tables.gradient", *sizes, self.lights.basis, self.energy, self.lobes, lobe_sums, sums)
+        by_m[self.numbers] = sums.sum(-1, dtype=np.float64)
         return lobe_first(by_m)
 
 
@@ -264,7 +252,7 @@ def select(n, tables, left_out):
     """Each tile's list, as learn.engines.culled has it: cuts, lengths, entries."""
     size = tile_size(len(n))
     tiles = -(-len(n) // size)
-    cones = tables.cones()
+    cones = tables.cones
     room, budget = tables.lights.blocks, np.array([left_out], np.float32)
     cuts, lengths, entries = np.empty((tiles, room, 4), np.float32), np.empty(tiles, np.int32), np.empty((tiles, room), np.int32)
 
@@ -292,7 +280,7 @@ def run_forward(n, tables, lists, out):
 
 
 def run_backward(n, tables, lists, g, by_n, with_n=True):
-    """Energy sums (blocks, 3, 16) and lobe sums (blocks, many, 3, 2, 16); by_n is written if wanted."""
+    """Energy sums (blocks, 3, 16) and lobe sums (chunks, blocks, many, 3, 2, 16); by_n is written if wanted."""
     cuts, lengths, entries = lists
     blocks, many = tables.lights.blocks, tables.many
     chunks = min(culled.CHUNKS, 1 + len(n) // FEW)  # by the pixels, never by the threads: sums must come out the same
@@ -306,7 +294,7 @@ def run_backward(n, tables, lists, g, by_n, with_n=True):
 
     workers = torch.get_num_threads()
     threads.run(kernel, threads.split(chunks, workers), workers)
-    return added(energy_sums), added(lobe_sums)
+    return added(energy_sums), lobe_sums
 
 
 def added(parts):

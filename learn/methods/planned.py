@@ -49,8 +49,8 @@ class Sum:
     def __init__(self, scene, way, within):
         """within: (N, 3) normals that the map must serve; the pixels themselves where there is none."""
         self.scene, self.way = scene, way
-        self.nodes = reflectance_map.needed_nodes(torch.from_numpy(within), way.size).numpy() if way.size else None
-        self.normals = reflectance_map.normals_of(self.nodes, way.size) if way.size else scene.n
+        self.nodes = reflectance_map.nodes_for(within, way.size) if way.size else None
+        self.normals = reflectance_map.normals(self.nodes, way.size).astype(np.float32) if way.size else scene.n
         self.listing = scene.at(self.normals, way.lobes, way.level, way.culled * scene.budget)
         self.values = self.listing.radiance
 
@@ -123,7 +123,7 @@ class Sums:
             by_n = by_n if by_part_n is None else by_part_n if by_n is None else by_n + by_part_n
             by_m += by_part_m
             by_light = by_light + self.scene.light.gradient(by_E, part.way.level)
-        return by_n, by_m, by_light
+        return by_n, by_m, np.ascontiguousarray(by_light.transpose(1, 2, 0))
 
 
 class Planned(torch.autograd.Function):

@@ -10,7 +10,6 @@ Gradients in n pass through the weights, those in m and L through the nodes' sum
 light (tensors expanded over the batch, or equal ones that need no gradient) share a map.
 """
 
-import functools
 import math
 
 import numpy as np
@@ -66,7 +65,7 @@ def size_for(sharpness, tolerance):
 def with_nodes(n, size, at_nodes):
     """Radiance looked up in a map whose nodes have radiance at_nodes(normals (N, 3)) → (N, 3); differentiable through both."""
     needed = needed_nodes(n.detach(), size)
-    return look_up(n, at_nodes(normals(needed, size).to(n)), needed, size)
+    return look_up(n, at_nodes(torch.from_numpy(normals(needed.cpu().numpy(), size)).to(n)), needed, size)
 
 
 def has_kernel(n):
@@ -82,35 +81,37 @@ def places(n, size):
 def needed_nodes(n, size):
     """Flat indices (N,) of the nodes that have a weight for some pixel, in the order of the map."""
     if has_kernel(n):
-        touched, given = np.zeros((size, size), np.float32), n.contiguous().numpy()
-        sliced(len(n), lambda first, last: machine_code.call("interpolation.touch", first, last, size, given, touched))
-        touched = torch.from_numpy(touched) > 0
-    else:
-        corner = places(n, size).floor().long().clamp(1, size - 3)
-        touched = torch.zeros(size, size, dtype=torch.bool, device=n.device)
-        touched.view(-1)[corner[:, 0] * size + corner[:, 1]] = True
-    for axis in (0, 1):
-        touched = touched.roll(-1, axis) | touched | touched.roll(1, axis) | touched.roll(2, axis)
-    return touched.view(-1).nonzero().squeeze(-1)
+        return torch.from_numpy(nodes_for(np.ascontiguousarray(n.numpy()), size))
+    corner = places(n, size).floor().long().clamp(1, size - 3)
+    touched = np.zeros((size, size), bool)
+    touched[tuple(corner.T.cpu().numpy())] = True
+    return torch.from_numpy(weighted(touched)).to(n.device)
+
+
+def nodes_for(n, size):
+    """The same by learn.engines.interpolation, in numpy."""
+    touched = np.zeros((size, size), np.float32)
+    sliced(len(n), lambda first, last: machine_code.call("interpolation.touch", first, last, size, n, touched))
+    return weighted(touched > 0)
+
+
+def weighted(touched):
+    """Flat indices (N,) of the nodes that have a weight, where touched (size, size) marks the node before some pixel's place."""
+    for _ in range(2):  # along columns, then along rows: one before that node, two after
+        near = touched.copy()
+        near[:-1] |= touched[1:]
+        near[1:] |= touched[:-1]
+        near[2:] |= touched[:-2]
+        touched = near.T
+    return np.flatnonzero(touched)
 
 
 def normals(nodes, size):
-    """Unit normals (N, 3) of flat node indices, float64; outside the disk |p| < √2 they look away from the viewer."""
-    place = torch.stack([nodes % size, torch.div(nodes, size, rounding_mode="floor")], -1).double()
-    p = (place - MARGIN) * (2.0 / (size - 1 - 2 * MARGIN)) - 1.0
-    z = 1.0 - (p * p).sum(-1, keepdim=True)
-    return torch.cat([p * (1.0 + z).clamp(min=0).sqrt(), z], -1)
-
-
-def normals_of(nodes, size):
-    """The same in numpy, float32."""
-    return grid(size)[nodes]
-
-
-@functools.lru_cache(maxsize=16)
-def grid(size):
-    """Normals (size², 3) float32 of all nodes of a map."""
-    return normals(torch.arange(size * size), size).float().numpy()
+    """Unit normals (N, 3) of flat node indices, float64 numpy; outside the disk |p| < √2 they look away from the viewer."""
+    row, column = np.divmod(nodes, size)
+    p = (np.stack([column, row], -1) - MARGIN) * (2.0 / (size - 1 - 2 * MARGIN)) - 1.0
+    z = 1.0 - (p * p).sum(-1, keepdims=True)
+    return np.concatenate([p * np.sqrt(np.maximum(1.0 + z, 0.0)), z], -1)
 
 
 def look_up(n, values, nodes, size):

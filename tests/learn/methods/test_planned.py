@@ -10,7 +10,7 @@ from card_scenes import MATERIALS, light, material, sphere
 from learn import layer_pixels
 from learn.charting import cases
 from learn.layer import render
-from learn.methods import auto, coarse, directional, lobe_shapes, planned, reflectance_map
+from learn.methods import auto, coarse, directional, lobe_shapes, planned
 from shaders.envmap import directions
 from shaders.frames import camera_from_light
 
@@ -20,21 +20,25 @@ RANDOM = np.random.default_rng(2)
 
 @pytest.mark.parametrize("level", [1, 2])
 def test_a_coarse_lights_gradient_is_the_adjoint_of_its_energy(level):
-    E, g = RANDOM.normal(size=(32, 64, 3)), RANDOM.normal(size=(32 >> level, 64 >> level, 3))
-    np.testing.assert_allclose(
-        (coarse.energy(E, level) * g).sum(), (E * coarse.gradient(g, 32, 64, level)).sum(), rtol=1e-5
-    )  # float32 weights
+    E, g = (RANDOM.normal(size=(3, 32 >> k, 64 >> k)).astype(np.float32) for k in (0, level))
+    forward, back = (coarse.energy(E, level) * g).sum(dtype=np.float64), (E * coarse.gradient(g, level)).sum(dtype=np.float64)
+    np.testing.assert_allclose(forward, back, rtol=1e-5)  # float32 sums
 
 
 @pytest.mark.parametrize("texel", [(0, 5), (31, 63), (12, 0), (16, 40)], ids=["zenith", "nadir", "seam", "middle"])
 def test_a_coarse_light_keeps_energy_and_direction(texel):
-    E = np.zeros((32, 64, 3))
-    E[texel] = 1.0
-    found = coarse.energy(E, 1)
-    np.testing.assert_allclose(found.sum((0, 1)), 1.0, rtol=1e-6)
-    mean = (found[..., :1] * directions(16, 32)[0]).sum((0, 1))
+    E = np.zeros((1, 32, 64), np.float32)
+    E[0][texel] = 1.0
+    found = coarse.energy(E, 1)[0]
+    np.testing.assert_allclose(found.sum(), 1.0, rtol=1e-6)
+    mean = (found[..., None] * directions(16, 32)[0]).sum((0, 1))
     # Catmull–Rom follows sines of two texels' spacing, 0.2 rad, to its third power and better
     assert np.linalg.norm(mean - directions(32, 64)[0][texel]) < 5e-3
+
+
+def test_a_coarse_light_is_turned_with_the_fine_one():
+    E = RANDOM.random((1, 32, 64)).astype(np.float32)
+    np.testing.assert_array_equal(coarse.energy(np.roll(E, 20, 2), 2), np.roll(coarse.energy(E, 2), 5, 2))
 
 
 def test_detail_tells_a_lit_texel_from_a_smooth_sky():
@@ -135,8 +139,3 @@ def test_states_are_those_of_the_kernel():
     pixels = pytest.importorskip("learn.engines.pixels", reason="numba is not installed")
     names = ("OUTSIDE", "AWAY", "SEEN", "WRONG")
     assert [getattr(pixels, name) for name in names] == [getattr(layer_pixels, name) for name in names]
-
-
-def test_a_grid_of_normals_is_that_of_its_nodes():
-    nodes = torch.tensor([0, 5, 77, 143])
-    np.testing.assert_array_equal(reflectance_map.normals_of(nodes.numpy(), 12), reflectance_map.normals(nodes, 12).float().numpy())
