@@ -13,7 +13,7 @@ from torch.autograd.function import once_differentiable
 from learn.engines import machine_code, threads
 
 OUTSIDE, AWAY, SEEN, WRONG = range(4)  # states of a pixel, those of learn.engines.pixels, which needs numba to be read
-LEAST = 16384  # pixels that are worth a thread of their own
+PIXEL = 6e-9  # seconds that a kernel needs for each
 
 
 def has_kernels(tensor):
@@ -29,9 +29,8 @@ def in_order(tensor):
 
 def run(name, count, *arguments):
     """A kernel over range(count), on as many threads as torch may use."""
-    workers = torch.get_num_threads()
-    slices = threads.split(count, min(workers, 1 + count // LEAST))
-    threads.run(lambda first, last: machine_code.call(name, first, last, *arguments), slices, workers)
+    workers = threads.worth(torch.get_num_threads(), count * PIXEL)
+    threads.run(lambda first, last: machine_code.call(name, first, last, *arguments), threads.split(count, workers), workers)
 
 
 def states(n, view, mask, tolerance, horizon):

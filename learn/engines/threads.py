@@ -1,22 +1,26 @@
-"""Slices of a kernel's work on a pool of Python threads.
+"""Slices of a kernel's work on a few Python threads.
 
 The kernels run outside Python's lock, so plain threads serve: OpenMP and numba's own threading layers kill or hang a DataLoader's
-forked worker, or abort under two callers. A forked child has none of its parent's threads: it starts its own pool.
+forked worker, or abort under two callers. A forked child has none of its parent's threads: it starts its own.
+
+A run of the kernels behind `auto` takes 0.1 to 5 ms, and waking a thread 0.05: what is shorter than `WORTHWHILE` is not shared.
 """
 
 import itertools
 import os
+import queue
 import threading
-from concurrent.futures import ThreadPoolExecutor
 
+WORTHWHILE = 3e-4  # seconds of work for each further thread
 _lock = threading.Lock()
-_pools = {}  # number of threads → pool
+_tasks = queue.SimpleQueue()
+_helpers = []
 
 
 def _forget():
-    global _lock
-    _lock = threading.Lock()
-    _pools.clear()
+    global _lock, _tasks
+    _lock, _tasks = threading.Lock(), queue.SimpleQueue()
+    _helpers.clear()
 
 
 os.register_at_fork(after_in_child=_forget)
@@ -26,6 +30,39 @@ def split(count, slices):
     """Bounds (first, last) of `slices` nearly equal parts of range(count), empty ones left out."""
     bounds = [count * i // slices for i in range(slices + 1)]
     return [(a, b) for a, b in itertools.pairwise(bounds) if a < b]
+
+
+def worth(threads, seconds):
+    """How many of so many threads a work of about `seconds` on one is worth."""
+    return max(1, min(threads, int(seconds / WORTHWHILE)))
+
+
+class _Task:
+    """Work offered to a helper, until the caller takes it back; what it raises is kept for the caller."""
+
+    def __init__(self, work):
+        self.work, self.offered, self.done, self.error = work, threading.Lock(), threading.Lock(), None
+        self.done.acquire()
+
+    def run(self):
+        if self.offered.acquire(blocking=False):
+            try:
+                self.work()
+            except BaseException as error:
+                self.error = error
+            self.done.release()
+
+    def finish(self):
+        """Back to the caller: at once if no helper has begun, else when it has ended."""
+        if not self.offered.acquire(blocking=False):
+            self.done.acquire()
+        if self.error:
+            raise self.error
+
+
+def _help(tasks):
+    while True:
+        tasks.get().run()
 
 
 def run(function, bounds, threads):
@@ -40,8 +77,9 @@ def run(function, bounds, threads):
             function(first, last)
         return
     with _lock:
-        pool = _pools.setdefault(threads, None) or ThreadPoolExecutor(threads, thread_name_prefix="brdfactory")
-        _pools[threads] = pool
+        while len(_helpers) < helpers:
+            _helpers.append(threading.Thread(target=_help, args=(_tasks,), name="brdfactory", daemon=True))
+            _helpers[-1].start()
     following = iter(bounds).__next__  # one bytecode: two threads never get the same slice
 
     def work():
@@ -51,8 +89,11 @@ def run(function, bounds, threads):
         except StopIteration:
             return
 
-    others = [pool.submit(work) for _ in range(helpers)]
-    work()
-    for other in others:
-        if not other.cancel():
-            other.result()
+    offers = [_Task(work) for _ in range(helpers)]
+    for offer in offers:
+        _tasks.put(offer)
+    try:
+        work()
+    finally:
+        for offer in offers:
+            offer.finish()

@@ -74,7 +74,8 @@ class Light:
         Part k lives on texels of level k, finer than those of level k + 1 can follow. One lit texel loses twice its energy: it is half
         of what is lost that counts.
         """
-        brightness = np.tensordot(LUMINANCE.astype(np.float32), self.E, 1)[None]
+        weights = LUMINANCE.astype(np.float32)[:, None, None]
+        brightness = (weights * self.E).sum(0, keepdims=True)  # not by BLAS, whose threads spin as torch's do (learn/layer_pixels.py)
         total, seen, parts = float(brightness.sum()) or 1.0, brightness, []
         for level in range(1, 4):
             if not has_level(*self.size, level):

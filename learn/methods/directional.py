@@ -31,6 +31,7 @@ PASS = 65536  # pixels whose lists are held at a time
 ALL_LOBES = (0, 1, 2)
 LARGEST_CONTROL = torch.tensor([MAX_EXPONENT, math.inf])[:, None]  # of κ and of γ
 VIEWER = np.array([0.0, 0.0, 1.0])
+TESTED, LISTED = 7e-8, 1e-8  # seconds to test sixteen blocks for a tile, and to sum a listed block for a pixel of it
 SLACK = 1e-5  # radians by which cones are widened against rounding
 
 
@@ -261,7 +262,7 @@ def select(n, tables, left_out):
         sizes = first, last, len(n), size, len(cones), room, tables.many
         machine_code.call("culled.select", *sizes, budget, n, cones, scratch, cuts, lengths, entries)
 
-    workers = torch.get_num_threads()
+    workers = threads.worth(torch.get_num_threads(), tiles * len(cones) * TESTED)
     threads.run(kernel, threads.split(tiles, workers), workers)
     return cuts, lengths, entries
 
@@ -275,7 +276,7 @@ def run_forward(n, tables, lists, out):
         arrays = n, tables.lights.axes, tables.lights.geometry, tables.energy, tables.lobes, scratch, out
         machine_code.call("culled.forward", *sizes, *arrays, cuts, lengths, entries)
 
-    workers = torch.get_num_threads()
+    workers = threads.worth(torch.get_num_threads(), int(lengths.sum()) * tile_size(len(n)) * LISTED)
     threads.run(kernel, threads.split(len(lengths), 2 * workers), workers)
 
 
@@ -292,7 +293,7 @@ def run_backward(n, tables, lists, g, by_n, with_n=True):
         arrays = n, tables.lights.axes, tables.lights.geometry, tables.energy, tables.lobes, scratch, g, by_n, energy_sums, lobe_sums
         machine_code.call("culled.backward", *sizes, *arrays, cuts, lengths, entries)
 
-    workers = torch.get_num_threads()
+    workers = threads.worth(torch.get_num_threads(), int(lengths.sum()) * tile_size(len(n)) * LISTED)
     threads.run(kernel, threads.split(chunks, workers), workers)
     return added(energy_sums), lobe_sums
 

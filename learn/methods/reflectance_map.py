@@ -30,6 +30,7 @@ CARD = Card(
 )
 SMALLEST, LARGEST = 12, 512
 MARGIN = 2
+TOUCH, READ, READ_BACKWARD = 7e-9, 2.3e-8, 6e-8  # seconds of a kernel for each pixel
 
 
 def radiance(batch: Batch, tolerance):
@@ -91,7 +92,7 @@ def needed_nodes(n, size):
 def nodes_for(n, size):
     """The same by learn.engines.interpolation, in numpy."""
     touched = np.zeros((size, size), np.float32)
-    sliced(len(n), lambda first, last: machine_code.call("interpolation.touch", first, last, size, n, touched))
+    sliced(len(n), TOUCH, lambda first, last: machine_code.call("interpolation.touch", first, last, size, n, touched))
     return weighted(touched > 0)
 
 
@@ -129,9 +130,9 @@ def look_up(n, values, nodes, size):
     return torch.einsum("pi,pj,pijk->pk", weights[:, 0], weights[:, 1], table[index])
 
 
-def sliced(pixels, kernel):
-    """kernel(first, last) over all pixels, on as many threads as torch may use."""
-    workers = torch.get_num_threads()
+def sliced(pixels, seconds, kernel):
+    """kernel(first, last) over all pixels of so many seconds each, on as many threads as torch may use."""
+    workers = threads.worth(torch.get_num_threads(), pixels * seconds)
     threads.run(kernel, threads.split(pixels, workers), workers)
 
 
@@ -145,7 +146,7 @@ def table(values, nodes, size):
 def read(n, table, size):
     """(P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
     out = np.empty((len(n), 3), np.float32)
-    sliced(len(n), lambda first, last: machine_code.call("interpolation.forward", first, last, size, n, table, out))
+    sliced(len(n), READ, lambda first, last: machine_code.call("interpolation.forward", first, last, size, n, table, out))
     return out
 
 
@@ -157,7 +158,7 @@ def read_backward(n, table, size, g, nodes):
     def kernel(first, last):
         machine_code.call("interpolation.backward", first, last, len(n), size, n, table, g, by_n, by_table)
 
-    workers = torch.get_num_threads()
+    workers = threads.worth(torch.get_num_threads(), len(n) * READ_BACKWARD)
     threads.run(kernel, threads.split(interpolation.CHUNKS, workers), workers)
     by_values = by_table[0, nodes, :3]
     for chunk in by_table[1:]:
