@@ -105,7 +105,7 @@ def planned_sums(n, m, light, light_gradient, rotation, tolerance):
 
 def better(way, pixels):
     """A way that errs less: more lights, a larger map where there is one, less left out; the same if there is none."""
-    culled = max(way.culled / 5, GUARANTEED)
+    culled = max(way.culled / 2.5, GUARANTEED)
     if way.size:
         way = replace(way, size=grown(way.size, pixels))
     return replace(way, level=max(way.level - 1, 0), culled=culled)

@@ -17,12 +17,17 @@ def made_by():
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=here, check=False).stdout.strip()
     versions = {name: importlib.metadata.version(name) for name in ("torch", "numba", "llvmlite")}
     return {
-        "command": "python -m learn " + " ".join(sys.argv[1:]),
+        "command": " ".join(["python -m learn", *(named(argument) for argument in sys.argv[1:])]),
         "commit": commit or "none",
         "date": datetime.date.today().isoformat(),
         "machine": f"{processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}",
         "versions": versions,
     }
+
+
+def named(argument):
+    """An argument as it is published: of a path on this machine the last part alone."""
+    return f"…/{Path(argument).name}" if os.path.isabs(argument) else argument
 
 
 def processor():

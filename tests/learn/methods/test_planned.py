@@ -109,6 +109,24 @@ def test_planned_radiance_does_not_depend_on_the_number_of_threads():
         assert torch.equal(one, other)
 
 
+def test_planned_pictures_are_the_same_alone_and_in_a_batch():
+    """To the last bit, values and derivatives; pictures that share a map, being of one material and one light, are not meant."""
+    kinds = ("matte", "glossy", "satin")
+    n = torch.cat([sphere(size) for size in (40, 40, 40)])
+    m = torch.cat([material(*MATERIALS[kind]) for kind in kinds]).float()
+    L = torch.cat([light(name) for name in ("lamps", "sky", "lamps")]).float()
+
+    def rendered(part):
+        given = [x[part].float().clone().requires_grad_() for x in (n, m, L)]
+        seen = render(*given)
+        return [seen, *torch.autograd.grad((seen * seen.detach()).sum(), given)]
+
+    together = rendered(slice(0, 3))
+    for part in (slice(0, 1), slice(1, 3)):
+        for whole, alone in zip(together, rendered(part), strict=True):
+            assert torch.equal(whole[part], alone)
+
+
 def test_pixels_are_scaled_and_put_back_as_torch_would():
     vectors = torch.randn(50, 3, generator=torch.Generator().manual_seed(3))
     index = torch.tensor([0, 7, 8, 30, 49])
