@@ -48,12 +48,14 @@ def test_the_frame_counts_what_the_mask_leaves_out(pictures):
 
 
 def test_ssim_and_psnr_are_scikit_images(pictures):
-    picture, truth, _ = pictures
+    picture, truth, inside = pictures
     mask = np.ones(truth.shape[:2], bool)
     a, b = shown(picture, truth, mask)
-    _, values = structural_similarity(a, b, data_range=255.0, channel_axis=-1, full=True)
     found = metrics.compare(picture, truth, mask)
+    _, values = structural_similarity(a, b, data_range=255.0, channel_axis=-1, full=True)
     assert found["ssim"] == found["ssim_frame"] == pytest.approx(values.mean(), rel=1e-12)
+    _, values = structural_similarity(*shown(picture, truth, inside), data_range=255.0, channel_axis=-1, full=True)
+    assert metrics.compare(picture, truth, inside)["ssim"] == pytest.approx(values.mean(-1)[inside].mean(), rel=1e-12)
     assert found["psnr"] == pytest.approx(peak_signal_noise_ratio(b, a, data_range=255), rel=1e-12)
 
 
