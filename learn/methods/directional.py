@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
+from learn import layer_pixels
 from learn.engines import cpu, culled, machine_code, threads
 from learn.engines.lights import LANES, Slab, blocked, cutoff, general_tables, lobe_first, unblocked
 from learn.methods import lobe_shapes
@@ -31,6 +32,7 @@ PASS = 65536  # pixels whose lists are held at a time
 ALL_LOBES = (0, 1, 2)
 LARGEST_CONTROL = torch.tensor([MAX_EXPONENT, math.inf])[:, None]  # of κ and of γ
 VIEWER = np.array([0.0, 0.0, 1.0])
+SPREAD_BITS = np.array([int(f"{number:b}", 4) for number in range(256)], np.uint16)  # eight bits over the even places of sixteen
 TESTED, LISTED = 7e-8, 1e-8  # seconds to test sixteen blocks for a tile, and to sum a listed block for a pixel of it
 SLACK = 1e-5  # radians by which cones are widened against rounding
 
@@ -154,8 +156,7 @@ class Listing:
             part = self.n[start : start + PASS]
             self.lists.append(select(part, tables, left_out))
             run_forward(part, tables, self.lists[-1], out[start : start + PASS])
-        self.radiance = np.empty_like(out)
-        self.radiance[self.order] = out
+        self.radiance = put_back(out, self.order)
 
     def backward(self, g, with_n=True):
         """Derivatives of Σ g·radiance: by n (P, 3) or None, by m (3, 3, 2, 6) float64, by E (3, T)."""
@@ -168,9 +169,7 @@ class Listing:
             by_E += unblocked(energy_sums)[:, : by_E.shape[1]]
         if not with_n:
             return None, by_m, by_E
-        by_n = np.empty_like(by_sorted_n)
-        by_n[self.order] = by_sorted_n
-        return by_n, by_m, by_E
+        return put_back(by_sorted_n, self.order), by_m, by_E
 
 
 class ViewedSum(torch.autograd.Function):
@@ -238,10 +237,15 @@ class Tables:
 
 def by_place(n):
     """An order (P,) of pixels in which neighbours have like normals: along a Morton curve over the normals' x and y."""
-    grid = np.clip((n[:, :2] + 1.0) * 128.0, 0, 255).astype(np.uint16)
-    for shift, bits in ((4, 0x0F0F), (2, 0x3333), (1, 0x5555)):  # spread eight bits over the even places of sixteen
-        grid = (grid | (grid << shift)) & bits
-    return np.argsort(grid[:, 0] | (grid[:, 1] << 1), kind="stable")
+    grid = (n[:, :2] * 127.5 + 128.0).clip(0, 255).astype(np.uint8)
+    return np.argsort(SPREAD_BITS[grid[:, 0]] | (SPREAD_BITS[grid[:, 1]] << 1), kind="stable")
+
+
+def put_back(values, order):
+    """(P, 3) with values (P, 3) at the places order (P,)."""
+    found = np.empty_like(values)
+    layer_pixels.run("pixels.spread", len(order), order, values, found)
+    return found
 
 
 def tile_size(pixels):
