@@ -16,6 +16,7 @@ COMMANDS = (
     "predict",
     "edit",
     "transfer",
+    "likely",
     "refinement",
     "proof",
     "study",

@@ -1,6 +1,6 @@
 """Refinement of a prediction on its own picture (Eq. 6)."""
 
 from learn.refinement.loop import Refined, refine
-from learn.refinement.settings import PAPER, Settings
+from learn.refinement.settings import NEAR, PAPER, Settings
 
-__all__ = ["PAPER", "Refined", "Settings", "refine"]
+__all__ = ["NEAR", "PAPER", "Refined", "Settings", "refine"]

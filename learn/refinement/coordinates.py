@@ -1,4 +1,4 @@
-"""What L-BFGS moves: for each property a vector z, 0 at the prediction, in units in which one step means the same in every direction.
+"""What L-BFGS moves in Eq. 6: for each property a vector z, 0 at the prediction, in units in which one step means the same everywhere.
 
 material  label* = label' + Σ z_k σ_k u_k: principal directions u of the training materials' labels, σ their spread; float64
 light     log L* = log L' + Σ z_j Y_j / (1 + l): real spherical harmonics, by degree l less, then scaled to unit mean luminance; so L* > 0,
@@ -32,6 +32,7 @@ class Material:
         self.start = label.detach().double()
         self.directions = torch.from_numpy(principal_directions())
         self.shape = (label.shape[1], len(self.directions))
+        self.predicted = torch.zeros(self.shape, dtype=torch.float64)
 
     def __call__(self, z):
         return self.start + (z @ self.directions)[None]
@@ -57,6 +58,7 @@ class Light:
         self.waves = torch.from_numpy(spherical_harmonics(H, W, degree))
         self.solid_angle = torch.as_tensor(envmap.row_solid_angles(H, W), dtype=light.dtype)
         self.shape = (len(self.waves), 3)
+        self.predicted = torch.zeros(self.shape, dtype=torch.float64)
 
     def __call__(self, z):
         change = torch.einsum("jc,jhw->chw", z.to(self.waves), self.waves).clamp(-LARGEST_CHANGE, LARGEST_CHANGE)
@@ -90,12 +92,10 @@ class Normals:
     def __init__(self, n, mask, reach):
         self.size = n.shape[-2:]
         self.reach = reach
-        n = torch.where(mask[:, None], n.detach(), n.new_tensor([0.0, 0.0, 1.0])[:, None, None])
-        self.start = F.normalize(n, dim=1)
-        p = self.start[:, :2] / (1 + self.start[:, 2:].clamp(min=0))
-        self.p = p * (RIM / p.norm(dim=1, keepdim=True).clamp(min=1e-12)).clamp(max=1)
+        self.p = disk(n, mask)
         self.grids = [(g, g) for g in GRIDS if g < min(self.size)] + [tuple(self.size)]
         self.shape = (sum(2 * h * w for h, w in self.grids),)
+        self.predicted = torch.zeros(self.shape, dtype=torch.float64)
 
     def __call__(self, z):
         change, first = 0, 0
@@ -103,7 +103,23 @@ class Normals:
             grid = z[first : first + 2 * h * w].reshape(1, 2, h, w).to(self.p)
             change = change + (grid if (h, w) == tuple(self.size) else F.interpolate(grid, self.size, mode="bilinear"))
             first += 2 * h * w
-        p = self.p + self.reach * torch.tanh(change / self.reach)
-        p = p * (RIM / p.norm(dim=1, keepdim=True).clamp(min=1e-12)).clamp(max=1)
-        squared = (p * p).sum(1, keepdim=True)
-        return torch.cat([2 * p, 1 - squared], 1) / (1 + squared)
+        return hemisphere(self.p + self.reach * torch.tanh(change / self.reach))
+
+
+def disk(n, mask):
+    """(1, 2, H, W): normals (1, 3, H, W) in the disk, held off its rim; outside the mask (1, H, W) they face the viewer."""
+    n = torch.where(mask[:, None], n.detach(), n.new_tensor([0.0, 0.0, 1.0])[:, None, None])
+    n = F.normalize(n, dim=1)
+    return held(n[:, :2] / (1 + n[:, 2:].clamp(min=0)))
+
+
+def held(p):
+    """p (1, 2, H, W) brought to |p| ≤ RIM; the root of a sum, for torch's norm takes ten times as long along this axis."""
+    return p * (RIM / (p * p).sum(1, keepdim=True).clamp(min=1e-24).sqrt()).clamp(max=1)
+
+
+def hemisphere(p):
+    """(1, 3, H, W) unit normals of p in the disk."""
+    p = held(p)
+    squared = (p * p).sum(1, keepdim=True)
+    return torch.cat([2 * p, 1 - squared], 1) / (1 + squared)

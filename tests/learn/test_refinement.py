@@ -10,16 +10,19 @@ import torch.nn.functional as F
 
 from learn.layer import render
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, refine
+from learn.refinement import NEAR, Settings, likely, likely_coordinates, refine
 from learn.refinement.coordinates import Light, Material, Normals, principal_directions, spherical_harmonics
 from learn.refinement.energy import Energy, State
+from learn.refinement.loop import LIKELY as LIKELY_FILE
 from learn.refinement.settings import Level
 from learn.training.batch import Batch
 from manifests.materials import load_catalogue
 from shaders import envmap
 
 SIZE, ELEVATION = 24, 0.349
-QUICK = Settings(levels=(Level(pixels=120, light=(16, 32), method="exact", rounds=1, iterations=4),))
+LEVELS = (Level(pixels=120, light=(16, 32), method="exact", rounds=1, iterations=4),)
+QUICK = replace(NEAR, levels=LEVELS)
+LIKELY = Settings(levels=(replace(LEVELS[0], rounds=0, together=8),))
 
 
 def sky(seed=0):
@@ -60,10 +63,11 @@ def spoiled(prediction, seed):
     return Prediction(F.normalize(n, dim=1), None, label, None, light)
 
 
+@pytest.mark.parametrize("settings", [QUICK, LIKELY], ids=["near", "likely"])
 @pytest.mark.parametrize("seed", range(6))
-def test_no_start_however_bad_ends_above_itself_or_leaves_the_domain(scene, seed):
+def test_no_start_however_bad_ends_above_itself_or_leaves_the_domain(scene, seed, settings):
     batch, truth = scene
-    found = refine(batch, spoiled(truth, seed), QUICK)
+    found = refine(batch, spoiled(truth, seed), settings)
     assert found.after["total"] <= found.before["total"]
     n, inside = found.prediction.n[0], batch.segments[0] > 0
     assert all(torch.isfinite(part).all() for part in (found.prediction.label, found.prediction.light, n[:, inside]))
@@ -92,17 +96,17 @@ def test_a_wrong_albedo_is_found_again_when_only_the_material_may_move(scene):
     batch, truth = scene
     dark = truth._replace(label=truth.label - torch.tensor([0.5, 0.0]).repeat_interleave(6).repeat(9))
     level = Level(pixels=0, light=(64, 128), method="exact", rounds=1, iterations=15)
-    found = refine(batch, dark, Settings(order=("material",), c=0.0, levels=(level,)))
+    found = refine(batch, dark, replace(NEAR, order=("material",), c=0.0, levels=(level,)))
     assert found.after["image"] < 0.02 * found.before["image"]
-    assert torch.equal(found.prediction.light, refine(batch, dark, Settings(order=(), levels=(level,))).prediction.light)
+    assert torch.equal(found.prediction.light, refine(batch, dark, replace(NEAR, order=(), levels=(level,))).prediction.light)
 
 
 def test_the_energy_does_not_grow_with_the_picture_or_the_map(scene):
     batch, truth = scene
-    start = State(truth.label.double(), truth.light, truth.n, torch.zeros(1, 3))
+    start = State(truth.label.double(), truth.light, truth.n, {"material": torch.zeros(1, 3)})
     n = F.normalize(truth.n + 0.1, dim=1)
-    moved = State(truth.label.double() + 0.3, truth.light * 1.5, n, torch.ones(1, 3))
-    energy = Energy(batch, start, Settings())
+    moved = State(truth.label.double() + 0.3, truth.light * 1.5, n, {"material": torch.ones(1, 3)})
+    energy = Energy(batch, start, NEAR)
     whole, part = energy.terms(moved, energy.inside), energy.terms(moved, energy.pixels(100), (32, 64), "exact")
     for name in whole:
         assert float(part[name]) == pytest.approx(float(whole[name]), rel=0.15), name  # a hundred of 350 pixels
@@ -140,6 +144,40 @@ def test_coordinates_at_zero_are_the_prediction(scene):
     again = normals(torch.zeros(normals.shape, dtype=torch.float64))
     seen = inside & (truth.n[:, 2] > 0.2)  # nearer the rim they are drawn in
     np.testing.assert_allclose(again.movedim(1, -1)[seen], truth.n.movedim(1, -1)[seen], atol=1e-6)
+
+
+def test_where_mistakes_are_likely_the_prediction_has_a_place_too(scene):
+    _, truth = scene
+    known = likely.load(LIKELY_FILE)
+    maps = {
+        "material": (likely_coordinates.Material(truth.label, known), truth.label),
+        "light": (likely_coordinates.Light(truth.light, known), truth.light),
+    }
+    for name, (to_property, predicted) in maps.items():
+        np.testing.assert_allclose(to_property(to_property.predicted), predicted, rtol=2e-3, atol=2e-3, err_msg=name)  # float32 constants
+        assert float((to_property.predicted**2).sum()) > 0.1, name  # the truth is expected elsewhere
+
+
+def test_a_model_of_mistakes_is_found_again_from_what_it_made():
+    rng = np.random.default_rng(0)
+    said = rng.normal(size=(20000, 4))
+    step, shift, spread = (
+        rng.normal(size=(4, 4)),
+        rng.normal(size=4),
+        np.diag([2.0, 1.0, 0.5, 0.1]) @ np.linalg.qr(rng.normal(size=(4, 4)))[0],
+    )
+    found = likely.model(said, said @ step.T + shift + rng.normal(size=(20000, 4)) @ spread)
+    np.testing.assert_allclose(found[0], step, atol=0.06)  # ridge of 1 %, and 2/√20000
+    np.testing.assert_allclose(found[1], shift, atol=0.06)
+    np.testing.assert_allclose(found[2].T @ found[2], spread.T @ spread, atol=0.1)
+
+
+def test_mirrored_maps_have_mirrored_coordinates():
+    w, _ = envmap.directions(32, 64)
+    L = np.exp(w @ np.array([1.0, 0.5, 0.2]))[..., None] * np.ones(3)
+    mirror = np.exp(w @ np.array([-1.0, 0.5, 0.2]))[..., None] * np.ones(3)
+    mine, other = likely.light_coordinates([L, mirror])[:, 0]
+    np.testing.assert_allclose(likely.mirrored(mine[None])[1], other, atol=1e-6)
 
 
 def test_material_directions_span_the_training_materials_and_know_no_test_one():
