@@ -16,7 +16,12 @@ def register(subparsers):
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the figures go")
     parser.add_argument("--pictures", type=int, default=12, metavar="N", help="of the study (default 12)")
     parser.add_argument("--starts", type=int, default=100, metavar="N", help="refinements from bad starts (default 100; 0: none)")
-    parser.add_argument("--only", nargs="*", metavar="SETTING", help="default, a=0.1, b=0.02 …: these alone (default: all; none: no study)")
+    parser.add_argument(
+        "--only",
+        nargs="*",
+        metavar="SETTING",
+        help="default, near, paper, a=0.15 …: these alone (default: all; none: no study)",
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="which pictures")
     parser.set_defaults(run=run)
 
