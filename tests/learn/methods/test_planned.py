@@ -10,7 +10,7 @@ from card_scenes import MATERIALS, light, material, sphere
 from learn import layer_pixels
 from learn.charting import cases
 from learn.layer import render
-from learn.methods import auto, coarse, directional, lobe_shapes, planned
+from learn.methods import auto, coarse, directional, exact, lobe_shapes, planned
 from shaders.envmap import directions
 from shaders.frames import camera_from_light
 
@@ -84,6 +84,40 @@ def test_planned_radiance_has_the_derivatives_of_the_sum(kind):
     for ours, truth in zip(*found, strict=True):
         # The picture may be off by 1e-2; a derivative by n is one of interpolation's weights, of one order less
         assert (ours.double() - truth).abs().mean() <= 0.1 * truth.abs().mean()
+
+
+def test_a_listed_sum_of_some_lobes_has_the_exact_derivatives():
+    n = sphere(24)[(sphere(24) != 0).any(-1)]
+    m = material(*MATERIALS["satin"]).double().reshape(3, 3, 2, 6)
+    scene, lobes, E = planned.Scene(n.numpy(), m.numpy(), light("sky")[0].numpy(), ROTATION), (0, 2), light("sky")[0].double()
+    listing = scene.at(n.numpy(), lobes)
+    w, energy = exact.texels(E, torch.tensor(ROTATION, dtype=torch.float64).reshape(3, 3))
+    given = [n.double().requires_grad_(), m.requires_grad_(), energy.requires_grad_()]
+    truth = exact.ExactSum.apply(given[0], None, lobe_shapes.only(given[1], np.isin(range(3), lobes)), given[2], w)
+    np.testing.assert_allclose(listing.radiance, truth.detach(), rtol=1e-4)
+    g = torch.linspace(0.5, 1.5, truth.numel()).reshape(truth.shape)
+    _, by_m, by_E = listing.backward(g.numpy())
+    _, true_by_m, true_by_energy = torch.autograd.grad((truth * g.double()).sum(), given)
+    for kind in (0, 1):  # κ and γ apart: the one is far larger
+        np.testing.assert_allclose(by_m[:, :, kind], true_by_m[:, :, kind], rtol=1e-4, atol=1e-5 * true_by_m[:, :, kind].abs().max())
+    order = scene.light.places(0)[1]
+    np.testing.assert_allclose(by_E.T, true_by_energy[order], rtol=1e-4, atol=1e-5 * true_by_energy.max())
+
+
+def test_a_tables_cones_bound_every_light_of_a_block():
+    """Also where a coarse light is negative: one lit texel makes its neighbours so."""
+    L = np.zeros((32, 64, 3), np.float32)
+    L[9, 21] = 1.0, 2.0, 0.5
+    m = material(*MATERIALS["glossy"]).double().reshape(3, 3, 2, 6).numpy()
+    scene = planned.Scene(np.float32([[0, 0, 1]]), m, L, ROTATION, light_gradient=False)
+    scene.at(scene.n, (1, 2), level=1)
+    tables = scene.tables[(1, 2), 1]
+    assert tables.energy.min() < 0
+    rows = tables.cones.transpose(1, 0, 2).reshape(len(tables.cones[0]), -1)[:, : tables.lights.blocks]
+    np.testing.assert_allclose(rows[10], np.abs(tables.energy).sum(-1).max(-1), rtol=1e-6)
+    gamma, kappa = tables.lobes.transpose(3, 1, 0, 2, 4)  # of (blocks, lobes, channels, lanes)
+    np.testing.assert_array_equal(rows[11:13], gamma.min((-1, -2)))
+    np.testing.assert_array_equal(rows[14:16], kappa.max((-1, -2)))
 
 
 def test_planned_ways_add_up_whatever_their_maps_and_lights():
