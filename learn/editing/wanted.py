@@ -16,6 +16,7 @@ from shaders.dsbrdf import SIZE
 KEEP = "keep"
 LARGEST_LABEL = 14.0  # log γ of the sharpest lobe that the layer is tested with is 11.5
 LARGEST_JSON = 1 << 20
+REMEDY = "write one: python -m learn predict PHOTO --out DIR"
 
 
 def label_of(text, predict):
@@ -44,15 +45,15 @@ def _from_json(path):
         told = json.loads(path.read_text(encoding="utf-8"))
         labels = np.asarray(told.get("labels") or [told["label"]], np.float32)
     except FileNotFoundError:
-        raise Problem(path, "a material.json", "no such file", "write one: python -m learn predict PHOTO --out DIR") from None
+        raise Problem(path, "a material.json", "no such file", REMEDY) from None
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise Problem(path, f'JSON with "label": {SIZE} numbers', f"{type(error).__name__}: {error}", "see docs/editing.md") from None
+        raise Problem(path, f'JSON with "label": {SIZE} numbers', f"{type(error).__name__}: {error}", REMEDY) from None
     except ValueError as error:
         if isinstance(error, Problem):
             raise
-        raise Problem(path, f'JSON with "label": {SIZE} numbers', str(error), "see docs/editing.md") from None
+        raise Problem(path, f'JSON with "label": {SIZE} numbers', str(error), REMEDY) from None
     if labels.ndim != 2 or labels.shape[1] != SIZE:
-        raise Problem(path, f"{SIZE} numbers in each label", f"{labels.shape[-1]}", "see docs/editing.md")
+        raise Problem(path, f"{SIZE} numbers in each label", f"{labels.shape[-1]}", REMEDY)
     if not (np.isfinite(labels).all() and labels.max() <= LARGEST_LABEL):
         found = f"{labels[~(labels <= LARGEST_LABEL)][0]:g}"
         raise Problem(path, f"natural logarithms up to {LARGEST_LABEL}", found, "is this m itself? a label holds its logarithms")

@@ -5,8 +5,8 @@
 held "likely": near where the truth may be expected, given the prediction (learn.refinement.likely)
 image     mean over pixels and channels of o² log(1 + (C(I*) − C(I))²/o²), o settings.outlier: where normals are far off, no light
           explains a pixel
-others    |z|²/(2 EVIDENCE), z as in learn.refinement.likely_coordinates; with a = b = c = 1 and without outliers E is
-          −log of the posterior over EVIDENCE, if mistakes are as large as those that were measured
+others    |z|²/(2 EVIDENCE), z as in learn.refinement.likely_coordinates, the material's with its albedo; with a = b = c = 1 and
+          without outliers E is −log of the posterior over EVIDENCE, if mistakes are as large as those that were measured
 
 held "near": Eq. 6, each term a mean, so that a weight means the same at any size of picture and map
 image     mean over pixels and channels of (C(I*) − C(I))²
@@ -33,7 +33,7 @@ EVIDENCE = 6e4  # pixels over twice the variance of C(I*) − C(I): 108 pixels a
 
 @dataclass(frozen=True)
 class State:
-    """label (1, S, 108) float64, light (1, 3, 64, 128), n (1, 3, H, W), and the z of each by name."""
+    """label (1, S, 108) float64, light (1, 3, 64, 128), n (1, 3, H, W), and by name how far each is from where it is held."""
 
     label: torch.Tensor
     light: torch.Tensor

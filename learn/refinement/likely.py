@@ -4,6 +4,8 @@ For each property a linear model with normal residuals: y = A y' + b + Σ_k z_k 
 where the truth is to be expected (a network's mistakes are not all around 0) and which changes are likely (z small) or not.
 
 material  y: coordinates of the label along the principal directions of the training labels, under every exchange of colour channels
+          and apart from them y: log albedo in three colour axes, which predictions know far better than the labels that make it:
+          normal labels alone would spread it three to five times as wide as it was measured
 light     y: harmonics up to DEGREE of log(blurred light + FLOOR), in three colour axes; blurred by e^{SHARP (cos − 1)}, so that a lamp
           counts by its light and not by the log of its few texels. Brightness apart from the two of colour, which are alike and have
           no b. Maps and their mirror images count; brightness of degree 0 is left out, for maps are scaled to unit mean
@@ -25,6 +27,7 @@ from scipy.optimize import nnls
 
 from learn.refinement.coordinates import spherical_harmonics
 from learn.training import checkpoint
+from learn.training.losses import log_albedo
 from manifests.problems import Problem
 from shaders import envmap
 
@@ -47,6 +50,7 @@ class Likely:
     """float32 tensors of the models above; spreads have a direction s_k a row.
 
     label_mean (108,), label_directions (K, 108), label_step (K, K), label_shift (K,), label_spread (K', K)
+    albedo_step (3, 3), albedo_shift (3,), albedo_spread (3, 3)
     bright_step (J−1, J−1), bright_shift (J−1,), bright_spread (J', J−1); tint_step (J, J), tint_spread (J'', J)
     normals_spread (5,) of GRIDS
     """
@@ -56,6 +60,9 @@ class Likely:
     label_step: torch.Tensor
     label_shift: torch.Tensor
     label_spread: torch.Tensor
+    albedo_step: torch.Tensor
+    albedo_shift: torch.Tensor
+    albedo_spread: torch.Tensor
     bright_step: torch.Tensor
     bright_shift: torch.Tensor
     bright_spread: torch.Tensor
@@ -106,25 +113,15 @@ def fitted(samples, training_labels):
     mean, directions = principal(np.stack(training_labels).astype(np.float64))
     true, said = (_labels(samples[name], mean, directions) for name in ("label", "predicted_label"))
     label_step, label_shift, label_spread = model(said, true)
+    albedo = model(*(_albedos(samples[name]) for name in ("predicted_label", "label")))
     true, said = (light_coordinates(samples[name]) for name in ("light", "predicted_light"))
     bright = [mirrored(y[:, 0])[:, 1:] for y in (said, true)]
     tint = [np.concatenate([sign * mirrored(y[:, a]) for a in (1, 2) for sign in (1, -1)]) for y in (said, true)]
     bright_step, bright_shift, bright_spread = model(*bright)
     tint_step, _, tint_spread = model(*tint)
     spread = _grids(samples["disk"] - samples["predicted_disk"], samples["inside"])
-    found = (
-        mean,
-        directions,
-        label_step,
-        label_shift,
-        label_spread,
-        bright_step,
-        bright_shift,
-        bright_spread,
-        tint_step,
-        tint_spread,
-        spread,
-    )
+    labels = (mean, directions, label_step, label_shift, label_spread, *albedo)
+    found = (*labels, bright_step, bright_shift, bright_spread, tint_step, tint_spread, spread)
     return Likely(*(torch.from_numpy(np.ascontiguousarray(x)).float() for x in found))
 
 
@@ -145,6 +142,17 @@ def _labels(labels, mean, directions):
     """(6 N, K) coordinates of labels (N, 108) under every exchange of channels."""
     every = [_exchanged(labels.astype(np.float64), order) for order in itertools.permutations(range(3))]
     return (np.concatenate(every) - mean) @ np.linalg.pinv(directions)
+
+
+def _albedos(labels):
+    """(6 N, 3) log albedo in AXES of labels (N, 108) under every exchange of channels."""
+    every = np.concatenate([_exchanged(labels, order) for order in itertools.permutations(range(3))])
+    return albedo_axes(torch.from_numpy(every).double()).numpy()
+
+
+def albedo_axes(label):
+    """(…, 3) log albedo, lit and seen along the normal, of labels (…, 108) in AXES."""
+    return log_albedo(label) @ torch.from_numpy(AXES.T).to(label)
 
 
 def mirrored(y):

@@ -2,7 +2,7 @@
 
 z = 0 is where the truth is to be expected, given the prediction; `predicted` is the z of the prediction itself.
 
-material  label* = label' + what is expected to be missing + Σ z_k s_k; float64
+material  label* = label' + what is expected to be missing + Σ z_k s_k; float64; and its albedo's distance counts beside z
 light     log L* = log L' + the same over harmonics in three colour axes, then scaled to unit mean luminance; L' keeps its finer detail
 normals   p* = p' + Σ of grids, each times its spread, p as in learn.refinement.coordinates
 """
@@ -13,7 +13,7 @@ import torch.nn.functional as F
 
 from learn.networks.coding import unit_mean
 from learn.refinement.coordinates import LARGEST_CHANGE, LEAST_LIGHT, disk, hemisphere
-from learn.refinement.likely import AXES, GRIDS, light_coordinates, waves
+from learn.refinement.likely import AXES, GRIDS, albedo_axes, light_coordinates, waves
 from shaders import envmap
 
 
@@ -28,9 +28,16 @@ class Material:
         self.directions = likely.label_spread.double() @ directions
         self.predicted = _solved(likely.label_spread, -missing)
         self.shape = tuple(self.predicted.shape)
+        said = albedo_axes(label[0].double())
+        self.albedo = said @ likely.albedo_step.double().T + likely.albedo_shift.double()
+        self.narrow = torch.linalg.pinv(likely.albedo_spread.double())
 
     def __call__(self, z):
         return self.start + (z @ self.directions)[None]
+
+    def unlikely(self, z, label):
+        """(S, K' + 3): z, and how far the label's albedo is from where it is expected, in units of its spread."""
+        return torch.cat([z, (albedo_axes(label[0]) - self.albedo) @ self.narrow], -1)
 
 
 class Light:

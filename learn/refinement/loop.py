@@ -100,7 +100,10 @@ def state_of(maps, z, known=None):
     """State of vectors {name: (Z,) numpy or tensor}; what `z` does not name is taken from the State `known`."""
     moved = {name: torch.as_tensor(z[name]).reshape(m.shape) for name, m in maps.items() if name in z}
     fields = {FIELDS[name]: maps[name](value) for name, value in moved.items()}
-    fields["z"] = ({} if known is None else known.z) | moved
+    apart = {
+        name: maps[name].unlikely(value, fields["label"]) if hasattr(maps[name], "unlikely") else value for name, value in moved.items()
+    }
+    fields["z"] = ({} if known is None else known.z) | apart
     return State(**fields) if known is None else replace(known, **fields)
 
 

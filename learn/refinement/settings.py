@@ -41,7 +41,7 @@ class Settings:
     held: str = "likely"
     a: float = 0.45
     b: float = 0.45
-    c: float = 2.8
+    c: float = 1.0
     outlier: float = 0.1
     order: tuple = PROPERTIES
     degree: int = 8
