@@ -4,6 +4,7 @@ import csv
 import html
 import io
 import statistics
+import textwrap
 
 from learn.charting import front
 
@@ -56,7 +57,7 @@ def picture(rows, caption):
 
     names = list(dict.fromkeys(row["method"] for row in rows))
     figure = Figure(figsize=(21, 6.5 * len(cameras(rows))), layout="constrained")
-    figure.suptitle(caption, fontsize=9)
+    figure.suptitle(textwrap.fill(caption, 250), fontsize=9)
     axes = figure.subplots(len(cameras(rows)), len(PANELS), squeeze=False)
     colours = matplotlib.colormaps["tab20"].colors
     for line, camera in zip(axes, cameras(rows), strict=True):
