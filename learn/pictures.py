@@ -111,7 +111,7 @@ def _pixels(path):
             if picture.mode == "F":
                 raise Problem(path, "8 or 16 bit values", "floating point", "save it as EXR")
             deep = picture.mode.startswith("I")
-            values = np.asarray(picture, np.float32) / 65535 if deep else np.asarray(picture.convert("RGBA"), np.float32) / 255
+            values = np.asarray(picture, np.float32) / 65535 if deep else np.asarray(picture.convert("RGBA"))
     except FileNotFoundError:
         raise Problem(path, "a picture", "no such file", "check the name") from None
     except (UnidentifiedImageError, OSError, SyntaxError, EOFError, ValueError, Image.DecompressionBombError) as error:
@@ -120,10 +120,14 @@ def _pixels(path):
         found = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
         raise Problem(path, "a picture that Pillow or OpenEXR reads", found, "save it as PNG, JPEG or EXR") from None
     if deep:
-        values = np.stack([values] * 3 + [np.ones_like(values)], -1)
-    rgb = values[..., :3]
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    return linear.astype(np.float32), values[..., 3]
+        return np.repeat(_linear(values)[..., None], 3, -1), np.ones(values.shape, np.float32)
+    table = _linear(np.arange(256) / 255)  # one look-up a value: of twenty megapixels the power would take seconds and gigabytes
+    return table[values[..., :3]], values[..., 3].astype(np.float32) / 255
+
+
+def _linear(values):
+    """float32 linear values of display values in [0, 1]: the sRGB curve backwards."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 def _exr_pixels(path):

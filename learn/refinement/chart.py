@@ -26,7 +26,7 @@ def chart(told, path):
             axis.axvline(getattr(about(letter), letter[-1]), color="grey", linewidth=0.5)
             axis.set_xscale("symlog", linthresh=1e-3)
             axis.set_ylim(bottom=0)
-            axis.set_xlabel(letter.replace("near ", "Eq. 6, "))
+            axis.set_xlabel(letter)
             if j == 0:
                 axis.set_ylabel(label)
     axes[0][0].legend(fontsize=7)

@@ -1,6 +1,6 @@
 """What refinement may do, and how hard it is held to the prediction."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 PROPERTIES = ("material", "light", "normals")
 
@@ -29,7 +29,7 @@ class Level:
 class Settings:
     """What holds the properties, weights of learn.refinement.energy's terms, and the way down.
 
-    held        "likely": by the mistakes that were measured; "near": by the distance from the prediction, Eq. 6
+    held        "near": by the distance from the prediction, Eq. 6; "likely": by the mistakes that were measured
     a, b, c     of normals, light and material; Eq. 6 has no c
     outlier     difference of compressed pictures from which on a pixel counts less and less; 0: squares throughout
     order       one property after another in each round; what is not named stays where it starts
@@ -38,32 +38,33 @@ class Settings:
     tolerance   of the layer in the finest energy, which decides what is kept
     """
 
-    held: str = "likely"
-    a: float = 0.45
-    b: float = 0.45
-    c: float = 1.0
-    outlier: float = 0.1
+    held: str = "near"
+    a: float = 0.1
+    b: float = 0.02
+    c: float = 0.03
+    outlier: float = 0.0
     order: tuple = PROPERTIES
     degree: int = 8
-    reach: float = 0.5
+    reach: float = 0.3
     tolerance: float = 5e-3
     levels: tuple = (
-        Level(pixels=300, light=(16, 32), method="exact", rounds=0, iterations=0, together=80),
-        Level(pixels=400, light=(32, 64), method="exact", rounds=0, iterations=0, together=40),
-        Level(pixels=500, light=(64, 128), method="exact", rounds=0, iterations=0, together=20),
+        Level(pixels=600, light=(32, 64), method="exact", rounds=1, iterations=6, together=30),
+        Level(pixels=1500, light=(64, 128), method="exact", rounds=0, iterations=0, together=8),
     )
 
 
-NEAR = Settings(
-    held="near",
-    a=0.1,
-    b=0.02,
-    c=0.03,
-    outlier=0.0,
-    reach=0.3,
+PAPER = Settings(a=1.0, b=10.0, c=0.0)
+LIKELY = Settings(
+    held="likely",
+    a=0.45,
+    b=0.45,
+    c=1.0,
+    outlier=0.1,
+    reach=0.5,
     levels=(
-        Level(pixels=600, light=(32, 64), method="exact", rounds=1, iterations=6, together=30),
-        Level(pixels=1500, light=(64, 128), method="exact", rounds=0, iterations=0, together=8),
+        Level(pixels=300, light=(16, 32), method="exact", rounds=0, iterations=0, together=80),
+        Level(pixels=400, light=(32, 64), method="exact", rounds=0, iterations=0, together=40),
+        Level(pixels=500, light=(64, 128), method="exact", rounds=0, iterations=0, together=20),
     ),
 )
-PAPER = replace(NEAR, a=1.0, b=10.0, c=0.0)
+NAMED = {"default": Settings(), "paper": PAPER, "likely": LIKELY}

@@ -1,7 +1,7 @@
 """What refinement does on pictures whose truth is known, weight by weight, and how long it takes.
 
 rows.jsonl  a line for each picture and setting: a study is continued by what it holds
-study.json  medians and means over pictures against a, b and c, one weight at a time about the defaults, and about Eq. 6's
+study.json  medians and means over pictures against a, b and c, one weight at a time about the defaults, and about LIKELY's
 
 Display L2 over the mask, exposure from the truth; edit: the mean over the other materials that the dataset has of the same scene.
 """
@@ -19,26 +19,26 @@ from tqdm import tqdm
 
 from learn.evaluation import pairs
 from learn.layer import render
-from learn.refinement import NEAR, PAPER, Settings, refine
+from learn.refinement import LIKELY, NAMED, Settings, refine
 from learn.training.measures import irradiance
 from manifests.problems import Problem
 from manifests.store import Lines
 from shaders import tone
 
 SWEEPS = {
-    "a": (0.05, 0.15, 0.45, 1.5, 5.0),
-    "b": (0.05, 0.15, 0.45, 1.5, 5.0),
-    "c": (0.1, 0.3, 1.0, 3.0),
-    "near a": (0.01, 0.1, 1.0),
-    "near b": (0.002, 0.02, 0.2, 10.0),
+    "a": (0.01, 0.1, 1.0),
+    "b": (0.002, 0.02, 0.2, 10.0),
+    "c": (0.0, 0.03, 0.3),
+    "likely a": (0.15, 0.45, 1.5),
+    "likely b": (0.15, 0.45, 1.5),
+    "likely c": (0.3, 1.0, 3.0),
 }
-NAMED = {"default": Settings(), "near": NEAR, "paper": PAPER}
 FIGURES = ("image", "edit", "angle_deg", "light")
 TOLERANCE = 2e-2
 
 
 def settings_of(name):
-    """Settings of a name such as "a=0.1", "near b=0.2", or of NAMED. Raises Problem."""
+    """Settings of a name such as "a=0.1", "likely b=0.15", or of NAMED. Raises Problem."""
     if name in NAMED:
         return NAMED[name]
     weight, _, value = name.partition("=")
@@ -52,7 +52,7 @@ def settings_of(name):
 
 def about(weight):
     """The Settings that a weight of SWEEPS is moved about."""
-    return NEAR if weight.startswith("near ") else Settings()
+    return LIKELY if weight.startswith("likely ") else Settings()
 
 
 def names():

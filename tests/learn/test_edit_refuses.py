@@ -1,5 +1,8 @@
 """Bad input to `learn edit` and `learn transfer`: one line with the remedy and exit status 1, or dealt with."""
 
+import struct
+import zlib
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -9,6 +12,7 @@ from learn.__main__ import COMMANDS
 from learn.editing import photograph, wanted
 from manifests.command_line import main
 from manifests.problems import Problem
+from shaders import tone
 
 SIZE = (48, 64)
 
@@ -176,3 +180,33 @@ def test_transfer_needs_two_pictures_of_different_names(files, capsys):
     assert status == 1 and "twice" in line
     status, line = told(capsys, "transfer", files / "photo.png", files / "mask.png", "--mask-dir", files / "masks", "--out", files / "out")
     assert status == 1 and "no such file" in line
+
+
+def deep_png(path, values):
+    """A 16-bit RGB PNG of (H, W, 3) uint16, which Pillow can read and cannot write."""
+    height, width = values.shape[:2]
+    lines = b"".join(b"\0" + line.astype(">u2").tobytes() for line in values)
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]
+    told = [struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(told))
+
+
+def test_sixteen_bit_colour_keeps_its_upper_eight_bits(files):
+    values = np.random.default_rng(0).integers(0, 1 << 16, (*SIZE, 3), dtype=np.uint16)
+    deep_png(files / "deep.png", values)
+    radiance, _ = pictures.read(files / "deep.png", files / "mask.png")
+    np.testing.assert_allclose(tone.srgb(radiance), values / 65535, atol=1 / 255)  # the lower eight are gone
+
+
+def test_a_picture_of_twenty_megapixels_is_cut_to_its_object(files):
+    height, width = 3648, 5472
+    values = np.full((height, width, 3), 40, np.uint8)
+    values[1000:2000, 3000:4500] = (200, 100, 50)
+    mask = np.zeros((height, width), np.uint8)
+    mask[1000:2000, 3000:4500] = 255
+    Image.fromarray(values).save(files / "large.png", compress_level=1)
+    Image.fromarray(mask).save(files / "large-mask.png", compress_level=1)
+    framed = pictures.framed(*pictures.read(files / "large.png", files / "large-mask.png"), 128, 1.0)
+    assert framed.radiance.shape == (128, 128, 3) and framed.box[2] == pytest.approx(1500 * pictures.MARGIN, rel=0.02)
+    seen = tone.display(framed.radiance[60:68, 60:68], 1.0)
+    np.testing.assert_allclose(seen, np.broadcast_to([200, 100, 50], seen.shape), atol=1)

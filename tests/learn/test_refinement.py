@@ -10,7 +10,8 @@ import torch.nn.functional as F
 
 from learn.layer import render
 from learn.networks.prediction import Prediction
-from learn.refinement import NEAR, Settings, likely, likely_coordinates, refine
+from learn.refinement import LIKELY as HELD_LIKELY
+from learn.refinement import Settings, likely, likely_coordinates, refine
 from learn.refinement.coordinates import Light, Material, Normals, principal_directions, spherical_harmonics
 from learn.refinement.energy import Energy, State
 from learn.refinement.loop import LIKELY as LIKELY_FILE
@@ -21,8 +22,8 @@ from shaders import envmap
 
 SIZE, ELEVATION = 24, 0.349
 LEVELS = (Level(pixels=120, light=(16, 32), method="exact", rounds=1, iterations=4),)
-QUICK = replace(NEAR, levels=LEVELS)
-LIKELY = Settings(levels=(replace(LEVELS[0], rounds=0, together=8),))
+QUICK = replace(Settings(), levels=LEVELS)
+LIKELY = replace(HELD_LIKELY, levels=(replace(LEVELS[0], rounds=0, together=8),))
 
 
 def sky(seed=0):
@@ -96,9 +97,9 @@ def test_a_wrong_albedo_is_found_again_when_only_the_material_may_move(scene):
     batch, truth = scene
     dark = truth._replace(label=truth.label - torch.tensor([0.5, 0.0]).repeat_interleave(6).repeat(9))
     level = Level(pixels=0, light=(64, 128), method="exact", rounds=1, iterations=15)
-    found = refine(batch, dark, replace(NEAR, order=("material",), c=0.0, levels=(level,)))
+    found = refine(batch, dark, replace(Settings(), order=("material",), c=0.0, levels=(level,)))
     assert found.after["image"] < 0.02 * found.before["image"]
-    assert torch.equal(found.prediction.light, refine(batch, dark, replace(NEAR, order=(), levels=(level,))).prediction.light)
+    assert torch.equal(found.prediction.light, refine(batch, dark, replace(Settings(), order=(), levels=(level,))).prediction.light)
 
 
 def test_the_energy_does_not_grow_with_the_picture_or_the_map(scene):
@@ -106,7 +107,7 @@ def test_the_energy_does_not_grow_with_the_picture_or_the_map(scene):
     start = State(truth.label.double(), truth.light, truth.n, {"material": torch.zeros(1, 3)})
     n = F.normalize(truth.n + 0.1, dim=1)
     moved = State(truth.label.double() + 0.3, truth.light * 1.5, n, {"material": torch.ones(1, 3)})
-    energy = Energy(batch, start, NEAR)
+    energy = Energy(batch, start, Settings())
     whole, part = energy.terms(moved, energy.inside), energy.terms(moved, energy.pixels(100), (32, 64), "exact")
     for name in whole:
         assert float(part[name]) == pytest.approx(float(whole[name]), rel=0.15), name  # a hundred of 350 pixels
