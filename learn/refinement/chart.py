@@ -6,7 +6,7 @@ LABELS = ("re-rendering, display L2", "edit, display L2", "normals, mean angle (
 
 
 def chart(told, path):
-    """Median figures after refinement against each weight, over those before; the default's value is marked. No weight moved: no chart."""
+    """Figures after refinement against each weight, beside those before; the default's value is shaded. No weight moved: no chart."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -15,21 +15,25 @@ def chart(told, path):
     letters = [letter for letter in SWEEPS if any(name.startswith(f"{letter}=") for name in told)]
     if not letters:
         return
-    figure, axes = plt.subplots(len(FIGURES), len(letters), figsize=(4 * len(letters), 10), squeeze=False, sharey="row")
+    figure, axes = plt.subplots(len(FIGURES), len(letters), figsize=(2.6 * len(letters), 9), squeeze=False, sharey="row", sharex="col")
     for j, letter in enumerate(letters):
         swept = sorted((float(name.partition("=")[2]), name) for name in told if name.startswith(f"{letter}="))
+        values = [value for value, _ in swept]
         for i, (key, label) in enumerate(zip(FIGURES, LABELS, strict=True)):
             axis = axes[i][j]
-            axis.plot([x for x, _ in swept], [told[name][key][1] for _, name in swept], "o-", label="refined, median")
-            axis.plot([x for x, _ in swept], [told[name][key][3] for _, name in swept], "x:", label="refined, mean")
-            axis.axhline(told[swept[0][1]][key][0], color="grey", label="predicted, median")
-            axis.axvline(getattr(about(letter), letter[-1]), color="grey", linewidth=0.5)
-            axis.set_xscale("symlog", linthresh=1e-3)
-            axis.set_ylim(bottom=0)
-            axis.set_xlabel(letter)
+            before, after, mean_before, mean_after = zip(*(told[name][key] for _, name in swept), strict=True)
+            axis.plot(after, "o-", color="C0", label="refined, median")
+            axis.plot(mean_after, "x:", color="C1", label="refined, mean")
+            axis.axhline(before[0], color="C0", linewidth=0.8, label="predicted, median")
+            axis.axhline(mean_before[0], color="C1", linewidth=0.8, linestyle=":", label="predicted, mean")
+            axis.axvspan(*(values.index(getattr(about(letter), letter[-1])) + side for side in (-0.2, 0.2)), color="0.92", zorder=0)
+            axis.set_xticks(range(len(values)), [f"{value:g}" for value in values])
             if j == 0:
                 axis.set_ylabel(label)
+        axes[-1][j].set_xlabel(letter)
+    for row in axes:
+        row[0].set_ylim(bottom=0)
     axes[0][0].legend(fontsize=7)
     figure.tight_layout()
-    figure.savefig(path, dpi=80)
+    figure.savefig(path, dpi=100)
     plt.close(figure)
