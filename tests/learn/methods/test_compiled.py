@@ -4,6 +4,7 @@ import pytest
 import torch
 from card_scenes import MATERIALS, light, material, sphere
 
+from learn import methods
 from learn.layer import RenderLayer
 
 
@@ -18,7 +19,7 @@ class Model(torch.nn.Module):
 
 
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # torch's own, while it traces
-@pytest.mark.parametrize("name", ["auto", "culled", "quadrature", "monte_carlo_brdf"])  # planned, listed, by taps, sampled
+@pytest.mark.parametrize("name", methods.NAMES)
 def test_a_compiled_model_gives_what_the_plain_one_gives(name):
     given, model = (sphere(8), material(*MATERIALS["satin"]), light("sky")), Model(name)
     plain = model(*given)
