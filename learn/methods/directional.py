@@ -237,8 +237,8 @@ class Tables:
 
 def by_place(n):
     """An order (P,) of pixels in which neighbours have like normals: along a Morton curve over the normals' x and y."""
-    grid = (n[:, :2] * 127.5 + 128.0).clip(0, 255).astype(np.uint8)
-    return np.argsort(SPREAD_BITS[grid[:, 0]] | (SPREAD_BITS[grid[:, 1]] << 1), kind="stable")
+    x, y = ((np.ascontiguousarray(n[:, axis]) * np.float32(127.5) + np.float32(128.0)).astype(np.uint8) for axis in (0, 1))
+    return np.argsort(SPREAD_BITS.take(x) | (SPREAD_BITS << 1).take(y), kind="stable")
 
 
 def put_back(values, order):

@@ -109,10 +109,13 @@ def weighted(touched):
 
 def normals(nodes, size):
     """Unit normals (N, 3) of flat node indices, float64 numpy; outside the disk |p| < √2 they look away from the viewer."""
+    line = (np.arange(size) - MARGIN) * (2.0 / (size - 1 - 2 * MARGIN)) - 1.0
     row, column = np.divmod(nodes, size)
-    p = (np.stack([column, row], -1) - MARGIN) * (2.0 / (size - 1 - 2 * MARGIN)) - 1.0
-    z = 1.0 - (p * p).sum(-1, keepdims=True)
-    return np.concatenate([p * np.sqrt(np.maximum(1.0 + z, 0.0)), z], -1)
+    x, y, found = line[column], line[row], np.empty((len(nodes), 3))
+    z = 1.0 - (x * x + y * y)
+    stretch = np.sqrt(np.maximum(1.0 + z, 0.0))
+    found[:, 0], found[:, 1], found[:, 2] = x * stretch, y * stretch, z
+    return found
 
 
 def look_up(n, values, nodes, size):
@@ -160,10 +163,9 @@ def read_backward(n, table, size, g, nodes):
 
     workers = threads.worth(torch.get_num_threads(), len(n) * READ_BACKWARD)
     threads.run(kernel, threads.split(interpolation.CHUNKS, workers), workers)
-    by_values = by_table[0, nodes, :3]
     for chunk in by_table[1:]:
-        by_values += chunk[nodes, :3]
-    return by_n, by_values
+        by_table[0] += chunk
+    return by_n, np.ascontiguousarray(by_table[0].take(nodes, 0)[:, :3])
 
 
 class LookUp(torch.autograd.Function):
