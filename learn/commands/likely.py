@@ -8,7 +8,7 @@ def register(subparsers):
         "likely",
         help="measure the mistakes that refinement expects of a network",
         description="Relights shapes, materials and lights of the training side, predicts them, and writes how predictions differ from the "
-        "truth: what refinement holds material, light and normals by. Run it again when the network is another one. Two minutes.",
+        "truth: what refinement holds material, light and normals by. Run it again when the network is another one. Some minutes.",
     )
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
     parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps, each a (64, 128, 3) array")
@@ -22,9 +22,8 @@ def register(subparsers):
 def run(options):
     from learn.prediction import WEIGHTS
     from learn.refinement import likely, measuring
-    from learn.refinement.loop import LIKELY
 
-    weights, out = options.weights or WEIGHTS, options.out or LIKELY
+    weights, out = options.weights or WEIGHTS, options.out or likely.FILE
     found, told = measuring.measured(weights, options.data, options.lights, options.pictures, options.seed)
     likely.save(out, found, told | {"weights": Path(weights).name})
     spreads = ", ".join(f"{s:.3f}" for s in found.normals_spread.tolist())

@@ -236,7 +236,7 @@ class Tables:
 
 
 def by_place(n):
-    """An order (P,) of pixels in which neighbours have like normals: along a Morton curve over the normals' x and y."""
+    """An order (P,) of pixels in which neighbours have like unit normals (P, 3): along a Morton curve over the normals' x and y."""
     x, y = ((np.ascontiguousarray(n[:, axis]) * np.float32(127.5) + np.float32(128.0)).astype(np.uint8) for axis in (0, 1))
     return np.argsort(SPREAD_BITS.take(x) | (SPREAD_BITS << 1).take(y), kind="stable")
 

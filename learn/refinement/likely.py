@@ -19,6 +19,7 @@ import functools
 import itertools
 import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -31,6 +32,7 @@ from learn.training.losses import log_albedo
 from manifests.problems import Problem
 from shaders import envmap
 
+FILE = Path(__file__).parents[1] / "weights" / "likely.safetensors"  # of the weights that come with this package
 FORMAT = "brdfactory likely mistakes 1"
 DEGREE = 8
 SHARP = 20.0  # of the blur, about 13° wide: as fine as harmonics of this degree

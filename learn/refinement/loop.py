@@ -10,7 +10,6 @@ where the next one starts even if the whole map does not confirm it; of all ends
 import math
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -22,7 +21,6 @@ from learn.refinement.coordinates import Light, Material, Normals
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Settings
 
-LIKELY = Path(__file__).parents[1] / "weights" / "likely.safetensors"
 FIELDS = {"material": "label", "light": "light", "normals": "n"}
 MOST_EVALUATIONS = 2  # for each iteration: a line search that needs more is stopped
 
@@ -82,7 +80,7 @@ def coordinates(prediction, inside, settings):
     if settings.held == "near":
         light, normals = Light(prediction.light, settings.degree), Normals(prediction.n, inside, settings.reach)
         return {"material": Material(prediction.label), "light": light, "normals": normals}
-    known = likely.load(LIKELY)
+    known = likely.load(likely.FILE)
     return {
         "material": likely_coordinates.Material(prediction.label, known),
         "light": likely_coordinates.Light(prediction.light, known),

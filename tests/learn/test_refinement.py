@@ -14,7 +14,6 @@ from learn.refinement import LIKELY as HELD_LIKELY
 from learn.refinement import Settings, likely, likely_coordinates, refine
 from learn.refinement.coordinates import Light, Material, Normals, principal_directions, spherical_harmonics
 from learn.refinement.energy import Energy, State
-from learn.refinement.loop import LIKELY as LIKELY_FILE
 from learn.refinement.settings import Level
 from learn.training.batch import Batch
 from manifests.materials import load_catalogue
@@ -149,7 +148,7 @@ def test_coordinates_at_zero_are_the_prediction(scene):
 
 def test_where_mistakes_are_likely_the_prediction_has_a_place_too(scene):
     _, truth = scene
-    known = likely.load(LIKELY_FILE)
+    known = likely.load(likely.FILE)
     maps = {
         "material": (likely_coordinates.Material(truth.label, known), truth.label),
         "light": (likely_coordinates.Light(truth.light, known), truth.light),
