@@ -160,7 +160,7 @@ def test_where_mistakes_are_likely_the_prediction_has_a_place_too(scene):
 
 def test_a_model_of_mistakes_is_found_again_from_what_it_made():
     rng = np.random.default_rng(0)
-    said = rng.normal(size=(20000, 4))
+    said = rng.normal(0.5, size=(20000, 4))  # a mean of its own, so that b is not the mean of the truth
     step, shift, spread = (
         rng.normal(size=(4, 4)),
         rng.normal(size=4),
