@@ -18,6 +18,9 @@ def register(subparsers):
     parser.add_argument("--seconds", type=float, default=45, metavar="S", help="processor time of each variant (default 45)")
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help="how many seeds (default 3)")
     parser.add_argument(
+        "--matte-first", type=int, default=150, metavar="N", help="batches after which that variant admits all materials (default 150)"
+    )
+    parser.add_argument(
         "--variants", nargs="*", metavar="NAME", help='of learn.training.normals_study; "L2" must be among them (default: all)'
     )
     parser.add_argument("--batches", type=int, default=12, metavar="N", help="of 16 pictures to measure on (default 12)")
@@ -42,7 +45,16 @@ def run(options):
     data = Data(sharing=8, test_lights=tuple(options.held_out))
     pools = sources.pools(data, options.data, options.lights)
     found = normals_study.study(
-        data, pools, options.out, options.size, options.pretraining, options.seconds, range(options.seeds), names, options.batches
+        data,
+        pools,
+        options.out,
+        options.size,
+        options.pretraining,
+        options.seconds,
+        range(options.seeds),
+        names,
+        options.batches,
+        matte=options.matte_first,
     )
     for name, row in found["rows"].items():
         print("{}: render L2 {:.0f}, {:.3f} [{:.3f}, {:.3f}] of L2 alone".format(name, row["l2"][0], *row["ratio"]))

@@ -35,7 +35,7 @@ VARIANTS = {
 }
 SHAPES = {"60 shapes": 60, "120 shapes": 120}
 STEPS = 1_000_000
-MATTE_FIRST = 150  # batches: about half of what L2 alone makes of 45 s at 64²
+MATTE_FIRST = 150  # batches: about half of what L2 alone makes of 45 s at 64²; larger pictures make fewer
 
 
 def settings(name, data, size, seconds, seed, rate, start=None, losses=None, matte_first=0):
@@ -53,10 +53,11 @@ def settings(name, data, size, seconds, seed, rate, start=None, losses=None, mat
     )
 
 
-def study(data, pools, out, size, pretraining, seconds, seeds, names=tuple(VARIANTS), batches=12, workers=1):
+def study(data, pools, out, size, pretraining, seconds, seeds, names=tuple(VARIANTS), batches=12, workers=1, matte=MATTE_FIRST):
     """Train and measure; table.json, table.md and chart.png in `out`, written anew after each seed. What is there is not trained again.
 
     pretraining, seconds  of processor time; names: of VARIANTS, "L2" among them
+    matte                 batches over which "matte first" admits its materials
     """
     out = Path(out)
     tests, results = variants.held_out(pools, data, size, batches), {name: [] for name in names}
@@ -67,18 +68,21 @@ def study(data, pools, out, size, pretraining, seconds, seeds, names=tuple(VARIA
             label = f"{name.split()[0]}-" if name in SHAPES else ""
             first = out / "runs" / f"{label}pretraining-{seed}"
             variants.trained(settings("pre-training", data, size, pretraining, seed, 2e-3), of_shapes, tests, first, workers)
-            run = settings(name, data, size, seconds, seed + 1000, 1e-3, str(first / "weights.safetensors"), VARIANTS[name], _matte(name))
+            run = settings(
+                name, data, size, seconds, seed + 1000, 1e-3, str(first / "weights.safetensors"), VARIANTS[name], _matte(name, matte)
+            )
             found = variants.trained(run, of_shapes, tests, out / "runs" / f"{name.replace(' ', '-')}-{seed}", workers)
             results[name].append(found)
             bar.update()
         about = {"pretraining": pretraining, "seconds": seconds, "size": size, "seeds": done, "shapes": _count(pools)}
+        about |= {"matte_first": matte} if "matte first" in names else {}
         summary = report(out, results, about)
     bar.close()
     return summary
 
 
-def _matte(name):
-    return MATTE_FIRST if name == "matte first" else 0
+def _matte(name, batches):
+    return batches if name == "matte first" else 0
 
 
 def _count(pools):
