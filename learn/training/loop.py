@@ -90,6 +90,8 @@ class Training:
         bar.close()
         if self.rank == 0:
             self.journal.close()
+        if self.world > 1:
+            torch.distributed.destroy_process_group()
         return figures
 
     def _is_done(self):
@@ -159,7 +161,7 @@ class Training:
         """A step that is not finite changes nothing; its batch is kept for study, and too many of them end the run."""
         self.skipped += 1
         wrong = next((n for n, p in self.network.named_parameters() if p.grad is not None and not p.grad.isfinite().all()), "loss")
-        path = self.out / f"skipped-{self.step}.safetensors"
+        path = self.out / f"skipped-{self.step}{f'-{self.rank}' * (self.world > 1)}.safetensors"
         tensors = {name: value for name, value in vars(batch).items() if isinstance(value, torch.Tensor)}
         checkpoint.save(path, tensors, {"names": json.dumps(batch.names), "tensor": wrong})
         if self.skipped > self.run.skipped_steps:

@@ -5,6 +5,7 @@ asks the file system.
 """
 
 import json
+import os
 
 import numpy as np
 from tqdm import tqdm
@@ -34,17 +35,21 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
                 known[record.id] = stamp
             if not seen.get(record.geometry_hash):
                 found = geometry.skipped.get(record.geometry_hash, "a shape that covers next to nothing of the frame")
-                raise Problem(f"{records.folder}: record {record.id}", "usable geometry", found, "render it again, or --skip-bad")
+                raise Problem(f"{records.folder}: record {record.id}", "usable geometry", found, "render it again")
             good.append(record)
         except Problem as problem:
             if not skip_bad:
-                raise
+                raise _skippable(problem) from None
             skipped[record.id] = str(problem)
     path.parent.mkdir(exist_ok=True)
-    temporary = path.with_suffix(".new")
+    temporary = path.with_suffix(f".{os.getpid()}")  # several processes of a run check the same pictures
     temporary.write_text(json.dumps(known))
     temporary.replace(path)
     return good, skipped
+
+
+def _skippable(problem):
+    return Problem(problem.where, problem.expected, problem.found, f"{problem.remedy}, or leave it out by --skip-bad")
 
 
 def _check(records, record):
@@ -53,7 +58,7 @@ def _check(records, record):
     image = records.image(record)
     if not np.isfinite(image).all():
         count = int((~np.isfinite(image)).sum())
-        raise Problem(where, "finite radiance", f"{count} values that are not", "render it again, or leave it out by --skip-bad")
+        raise Problem(where, "finite radiance", f"{count} values that are not", "render it again")
 
 
 def _stamp(path):

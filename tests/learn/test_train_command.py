@@ -1,0 +1,125 @@
+"""`learn train` as a user runs it: events and skipped records when asked for, and the same samples for one process as for two."""
+
+import json
+import os
+import subprocess
+import sys
+
+import msgspec
+import pytest
+
+from learn.training.sources import VALIDATION_SHAPES, by_hash
+from manifests.command_line import main
+from manifests.schema import ShapeEntry
+from tests.learn.test_cycles_source import SIZE, damage, first, rewrite, written
+
+RUN = {
+    "name": "tiny",
+    "size": SIZE,
+    "parts": ["normals"],
+    "data": {"sharing": 1, "source": "pictures"},
+    "losses": {"normals": 1, "material": 0},
+    "schedule": {"steps": 2, "batch": 4, "warm_up": 1},
+}
+
+# Each step's samples and the weights after it, by process: PROGRAM FOLDER train …
+PROGRAM = """
+import hashlib, json, os, sys
+from pathlib import Path
+import torch
+from learn.training import loop
+from manifests.command_line import main
+
+step = loop.Training._one_step
+
+def watched(self, batch):
+    record = step(self, batch)
+    samples = [hashlib.sha256(image.numpy().tobytes()).hexdigest() for image in batch.image]
+    weights = hashlib.sha256(b"".join(p.detach().numpy().tobytes() for p in self.network.parameters())).hexdigest()
+    with open(Path(sys.argv[1]) / f"{self.world}-{self.rank}.jsonl", "a") as file:
+        file.write(json.dumps({"samples": samples, "weights": weights}) + "\\n")
+    return record
+
+loop.Training._one_step = watched
+sys.exit(main("learn", "", ("train",), sys.argv[2:]))
+"""
+
+
+@pytest.fixture
+def store(tmp_path):
+    """A dataset with a shape for each side, four pictures of each."""
+    store = written(tmp_path / "data")
+    chosen = next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
+    entry = ShapeEntry(hash="s" * 64, category="sphere", side="train", role="train", segments=1, licence="CC0")
+    held_out = {chosen: entry, "cube:1": msgspec.structs.replace(entry, side="test", role="test")}
+    store.write_json("dataset.json", msgspec.structs.replace(store.dataset(), shapes={"sphere": entry} | held_out))
+    records = list(store.records())
+    others = [
+        msgspec.structs.replace(r, id=f"{shape[:4]}-{r.id}", shape=shape, geometry_hash=letter * 64)
+        for shape, letter in zip(held_out, "hi", strict=True)
+        for r in records
+    ]
+    rewrite(store, records + others)
+    return store
+
+
+def train(store, out, *options, run=RUN):
+    path = store.folder / "run.json"
+    path.write_text(json.dumps(run))
+    words = ["train", str(path), "--data", str(store.folder), "--out", str(out), "--workers", "0", *options]
+    return main("learn", "", ("train",), words)
+
+
+@pytest.mark.filterwarnings("ignore")  # of TensorBoard's own imports
+def test_tensorboard_when_asked_has_each_steps_loss_the_validation_and_the_sheet(store, tmp_path):
+    pytest.importorskip("tensorboard")
+    assert train(store, tmp_path / "out", "--tensorboard", "--sheet-every", "2") == 0
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(tmp_path / "out" / "tensorboard")).Reload()
+    logged = [json.loads(line) for line in (tmp_path / "out" / "log.jsonl").read_text().splitlines()]
+    assert [(e.step, e.value) for e in events.Scalars("train/loss")] == [(r["step"], pytest.approx(r["loss"])) for r in logged]
+    assert [e.step for e in events.Scalars("validation/cosine")] == [1]
+    assert [e.step for e in events.Images("sheet")] == [1]
+
+
+def test_without_being_asked_no_events_are_written(store, tmp_path):
+    assert train(store, tmp_path / "out") == 0
+    assert not (tmp_path / "out" / "tensorboard").exists()
+
+
+def test_a_bad_record_stops_the_command_before_training_or_is_left_out_and_counted_when_asked(store, tmp_path, capsys):
+    path = damage(store, "not finite")
+    assert train(store, tmp_path / "out") == 1
+    told = [line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if line.startswith("learn:")]
+    assert len(told) == 1
+    assert path.name in told[0] and "--skip-bad" in told[0]
+    assert not (tmp_path / "out" / "weights.safetensors").exists()
+    assert train(store, tmp_path / "out", "--skip-bad") == 0
+    error = capsys.readouterr().err
+    naming = sum(r.image == first(store).image for r in store.records())  # records of one image file, each left out
+    assert f"{naming} left out" in error and path.name in error
+    assert (tmp_path / "out" / "weights.safetensors").exists()
+
+
+def test_two_processes_of_torchrun_see_the_samples_of_one_and_keep_the_same_weights(store, tmp_path, root):
+    run = RUN | {"data": {"sharing": 1, "source": "mix", "pictures_share": 0.5}}  # a batch that is relit, then one of pictures
+    (store.folder / "run.json").write_text(json.dumps(run))
+    options = ["--data", str(store.folder), "--workers", "0", "--sheet-every", "0", str(store.folder / "run.json"), "--out"]
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    alone = [sys.executable, str(program)]
+    together = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", str(program)]
+    for name, launch in (("one", alone), ("two", together)):
+        words = [*launch, str(tmp_path), "train", *options, str(tmp_path / name)]
+        environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
+        ran = subprocess.run(words, capture_output=True, text=True, cwd=root, env=environment, timeout=300)
+        assert ran.returncode == 0, ran.stderr[-2000:]
+    one, first_half, second_half = (
+        [json.loads(line) for line in (tmp_path / f"{name}.jsonl").read_text().splitlines()] for name in ("1-0", "2-0", "2-1")
+    )
+    assert len(one) == RUN["schedule"]["steps"]
+    for whole, a, b in zip(one, first_half, second_half, strict=True):
+        assert len(a["samples"]) == len(b["samples"]) == 2
+        assert sorted(a["samples"] + b["samples"]) == sorted(whole["samples"])
+        assert a["weights"] == b["weights"]
