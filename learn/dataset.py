@@ -27,6 +27,7 @@ from shaders.dsbrdf import SIZE
 from shaders.envmap import roll
 from shaders.frames import view_vectors
 
+LARGEST_LABEL = 14.0  # log γ of the sharpest lobe that the layer is tested with is 11.5
 PICTURE, NORMAL, DEPTH, SEGMENT = ("R", "G", "B"), ("normal.X", "normal.Y", "normal.Z"), ("depth.Z",), ("segment",)
 
 
@@ -135,7 +136,11 @@ class Records(torch.utils.data.Dataset):
 
     def label(self, name):
         """The label (108,) float32 of a material of this dataset: natural logarithms."""
-        return self.material(name).label.reshape(SIZE).astype(np.float32)
+        label = self.material(name).label.reshape(SIZE).astype(np.float32)
+        if not label.max() <= LARGEST_LABEL:  # so asked, NaN is refused too
+            where = f"{self.folder / 'materials.json'}: '{name}'"
+            raise Problem(where, f"natural logarithms up to {LARGEST_LABEL:g}", f"{label.max():g}", "fit or copy the materials again")
+        return label
 
     @cache  # noqa: B019 -- a map takes 100 KB
     def light(self, name):
@@ -149,6 +154,9 @@ class Records(torch.utils.data.Dataset):
                 L = arrays["L"]
         except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise Problem(path, "a stored light map", str(error) or "none", "render or copy the dataset again") from None
-        if L.shape != (64, 128, 3) or not (np.isfinite(L).all() and L.min() >= 0):
-            raise Problem(path, "finite radiance ≥ 0 of shape (64, 128, 3)", f"{L.shape}", "render or copy the dataset again")
+        remedy = "render or copy the dataset again"
+        if L.shape != (64, 128, 3):
+            raise Problem(path, "radiance of shape (64, 128, 3)", f"{L.shape}", remedy)
+        if wrong := int((~(np.isfinite(L) & (L >= 0))).sum()):
+            raise Problem(path, "finite radiance ≥ 0", f"{wrong} values that are not", remedy)
         return L.astype(np.float32)

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from learn.dataset import LARGEST_LABEL
 from manifests.materials import find
 from manifests.problems import Problem
 from shaders.dsbrdf import SIZE
 
 KEEP = "keep"
-LARGEST_LABEL = 14.0  # log γ of the sharpest lobe that the layer is tested with is 11.5
 LARGEST_JSON = 1 << 20
 REMEDY = "write one: python -m learn predict PHOTO --out DIR"
 

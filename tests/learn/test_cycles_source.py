@@ -190,6 +190,29 @@ def test_a_bad_picture_stops_before_training_or_is_left_out_and_counted(store, k
     assert {r.id for r in good} == {r.id for r in records.records} - set(skipped)
 
 
+@pytest.mark.parametrize("kind", ["light", "label"])
+def test_a_light_or_a_label_out_of_range_stops_before_training_or_its_pictures_are_left_out(store, kind):
+    if kind == "light":
+        path = store.folder / store.dataset().lights["sky"].file
+        with np.load(path) as arrays:
+            L, scale = arrays["L"], arrays["scale"]
+        L[3, 3, 1] = np.nan
+        np.savez(path, L=L, scale=scale)
+        told, bad = rf"{path.name}: finite radiance ≥ 0 expected, found 1 values", {r.id for r in store.records()}
+    else:
+        path = store.folder / "materials.json"
+        catalogue = json.loads(path.read_text())
+        catalogue["materials"][0]["label"][5] = 1e30
+        path.write_text(json.dumps(catalogue))
+        told, bad = "'dark': natural logarithms up to 14 expected", {r.id for r in store.records() if r.materials == ("dark",)}
+    records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
+    with pytest.raises(Problem, match=told):
+        preflight.checked(records, records.records, geometry, progress=False)
+    good, skipped = preflight.checked(records, records.records, geometry, skip_bad=True, progress=False)
+    assert set(skipped) == bad
+    assert {r.id for r in good} == {r.id for r in records.records} - bad
+
+
 def test_a_picture_that_was_good_is_checked_again_once_it_changed(store):
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
     preflight.checked(records, records.records, geometry, progress=False)
