@@ -16,6 +16,7 @@ COMMANDS = (
     "predict",
     "edit",
     "transfer",
+    "exposure",
     "likely",
     "refinement",
     "proof",

@@ -23,8 +23,8 @@ MOST_REGIONS = 8
 LEAST_PIXELS = 16  # of the mask; fewer tell nothing of a shape
 MARGIN = 1.18  # of the square over the object: objects span 0.85 of the median training picture
 # A photograph's scale is unknown: that under which a light of unit mean lit it is guessed from the object's mean luminance Y in the file as
-# TYPICAL · Y^−DEPENDENCE, the best line over 200 pictures of known light that were exposed for their 99th percentile; a third of them lie
-# off it by more than a factor of 2.5.
+# TYPICAL · Y^−DEPENDENCE: the best line over 200 pictures of known light, exposed for their 99th percentile. `learn exposure` measures it
+# (docs/editing.md): over 600 others it is as good as their own line, and a third of them lie off either by more than a factor of 2.5.
 TYPICAL, DEPENDENCE = 0.23, 0.19
 
 
