@@ -17,6 +17,7 @@ COMMANDS = (
     "edit",
     "transfer",
     "exposure",
+    "enlarging",
     "likely",
     "refinement",
     "proof",

@@ -73,10 +73,10 @@ class Painter:
         self.side, self.grid = side, int(np.clip(side, COARSEST, FINEST))
         self.regions = pictures.placed(apart.photograph.regions, (top, left, side))
         self.coverage = pictures.placed(apart.photograph.coverage, (top, left, side))
-        self.n = _enlarged(apart.parts.n[0], apart.framed.mask, self.grid)
-        self.filled = _nearest(self.regions, self.regions > 0)
+        self.n = enlarged_normals(apart.parts.n[0], apart.framed.mask, self.grid)
+        self.filled = nearest(self.regions, self.regions > 0)
         rows = ((np.arange(self.grid) + 0.5) * side / self.grid).astype(int)
-        wide = _dilated(self.coverage > 0)[rows][:, rows]
+        wide = dilated(self.coverage > 0)[rows][:, rows]
         self.segments = torch.from_numpy(np.where(wide, self.filled[rows][:, rows], 0))
         self._ratio = None
 
@@ -96,7 +96,11 @@ class Painter:
                 tolerance=self.tolerance,
                 elevation=self.apart.batch.elevation,
             )[0].numpy()
-        return pictures.resized(picture, self.side) / self.apart.exposure.astype(np.float32)
+        return self.enlarged(picture) / self.apart.exposure.astype(np.float32)
+
+    def enlarged(self, picture):
+        """(side, side, 3) of a picture on the rendered grid."""
+        return pictures.resized(picture, self.side)
 
     def edited(self, labels):
         """(H, W, 3) linear: the photograph with its object in other materials.
@@ -117,7 +121,7 @@ class Painter:
         if photograph.cut_out:
             mixed = np.where((inside > 0)[..., None], object_, cut)
         else:
-            behind = np.stack([_nearest(cut[..., k], self.coverage < CLEAR) for k in range(3)], -1)
+            behind = np.stack([nearest(cut[..., k], self.coverage < CLEAR) for k in range(3)], -1)
             soft = (inside > 0) & (inside < 1 - CLEAR)
             mixed = inside[..., None] * object_ + (1 - inside)[..., None] * np.where(soft[..., None], behind, cut)
         return pictures.put_back(photograph.radiance, mixed.astype(np.float32), self.apart.framed.box)
@@ -137,14 +141,14 @@ class Painter:
         return self._ratio
 
 
-def _enlarged(n, mask, size):
+def enlarged_normals(n, mask, size):
     """(size, size, 3) unit normals of n (3, h, w), continued beyond the mask (h, w)."""
-    filled = torch.stack([torch.from_numpy(_nearest(channel.numpy(), mask)) for channel in n])
+    filled = torch.stack([torch.from_numpy(nearest(channel.numpy(), mask)) for channel in n])
     smooth = F.interpolate(filled[None], (size, size), mode="bilinear", antialias=size < n.shape[-1])[0]
     return F.normalize(smooth, dim=0).movedim(0, -1).contiguous()
 
 
-def _nearest(array, where):
+def nearest(array, where):
     """The array (H, W) with the nearest value from `where` put everywhere else."""
     if not where.any():
         return array
@@ -152,6 +156,6 @@ def _nearest(array, where):
     return array[tuple(index)]
 
 
-def _dilated(mask):
+def dilated(mask):
     """The mask and the pixels beside it."""
     return distance_transform_edt(~mask) < 1.5

@@ -1,0 +1,85 @@
+"""Ways to enlarge an edit (learn.editing.enlarging), measured on rendered pictures larger than the network's, beside their truth.
+
+Each twice: with our parts, refined, and with true ones at the network's size, where what is left is the enlarging alone.
+"""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from tqdm import tqdm
+
+from learn import intervals, pictures
+from learn.agreement.measure import similarity
+from learn.editing import apart, enlarging, photograph
+from learn.evaluation import pairs
+from learn.networks.prediction import Prediction
+from learn.refinement import Settings
+from learn.timing.report import made_by
+from learn.training import checkpoint
+from manifests.problems import Problem
+from shaders import tone
+
+
+def study(records, weights, out, count, seed=0):
+    """enlarging.json: a row for each way and kind of parts; ratios against the way in use. records: learn.dataset.Records."""
+    network, metadata = checkpoint.load_network(weights)
+    size, rows = int(metadata["size"]), []
+    edits = pairs.chosen(records.records, count, seed)
+    if min(edits[0].source.camera.size) < 2 * size:
+        found = " × ".join(map(str, edits[0].source.camera.size))
+        raise Problem(records.folder, f"pictures of {2 * size} pixels or more, twice the network's", found, 'render them with "size"')
+    settings, known = Settings(), {}
+    for edit in tqdm(edits, "edits", unit="edit"):
+        if edit.source.id not in known:
+            opened = photograph.opened(records.folder, record=edit.source.id)
+            ours = apart.taken(opened, network, size, settings)
+            known = {edit.source.id: {"ours": enlarging.ways(ours), "true": enlarging.ways(true(records, ours))}}
+        label, truth = pairs.wanted(records, edit)[0].numpy(), records.image(edit.truth)
+        for parts, painters in known[edit.source.id].items():
+            row = {"parts": parts, "shape": edit.source.shape, "material": edit.truth.materials[0], "edit": edit.id}
+            mask = painters["normals enlarged"].apart.photograph.mask
+            rows.append(row | {name: compared(painter.edited([label]), truth, mask) for name, painter in painters.items()})
+    return written(out, rows, {"edits": len(edits), "size": edits[0].source.camera.size, "network": size})
+
+
+def true(records, found):
+    """An Apart with its record's true normals, at the network's size, light and material."""
+    sample, mask = records.load(found.photograph.record), found.framed.mask
+    square = pictures.placed(sample.n.numpy(), found.framed.box)
+    n = F.normalize(torch.from_numpy(pictures.resized(square, len(mask))), dim=-1).movedim(-1, 0)[None]
+    toward = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
+    n = torch.where(torch.from_numpy(mask) & (n.norm(dim=1, keepdim=True) > 0.5), n, toward)
+    label, light = sample.label[None, : found.parts.label.shape[1]], sample.light.movedim(-1, 0)[None]
+    return replace(found, start=Prediction(n, None, label, None, light), refined=None)
+
+
+def compared(picture, truth, mask):
+    """Display L2 and SSIM over the mask."""
+    exposure = tone.auto_exposure(truth, mask)
+    shown, right = tone.display(picture, exposure), tone.display(truth, exposure)
+    return {"l2": float(((shown - right) ** 2).mean(-1)[mask].mean()), "ssim": float(similarity(shown, right, mask))}
+
+
+def written(out, rows, about):
+    found = {"made_by": made_by(), "about": about, "parts": {}}
+    for parts in ("ours", "true"):
+        of = [row for row in rows if row["parts"] == parts]
+        groups = intervals.groups_of([row["shape"] for row in of], [row["material"] for row in of])
+        weights = intervals.draws(groups)
+        names = [name for name, value in of[0].items() if isinstance(value, dict)]
+        l2, ssim = ({name: np.array([row[name][key] for row in of]) for name in names} for key in ("l2", "ssim"))
+        found["parts"][parts] = {
+            name: {
+                "l2": intervals.interval(l2[name], weights),
+                "l2_ratio": intervals.relative(l2[names[0]], l2[name], weights),
+                "ssim": intervals.interval(ssim[name], weights),
+                "ssim_gain": intervals.interval(ssim[name] - ssim[names[0]], weights),
+            }
+            for name in names
+        }
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "enlarging.json").write_text(json.dumps(found | {"rows": rows}, indent=1) + "\n")
+    return found
