@@ -1,0 +1,127 @@
+"""The evaluation's tables, from figures that are known: who counts, who is better, what is judged."""
+
+import numpy as np
+import pytest
+
+from learn.evaluation import tables
+from learn.evaluation.methods import OURS, OURS_REFINED
+
+
+def rows(figures, material="wanted"):
+    """Rows of edits over three shapes and two materials. figures: {method: l2 of each of the six}."""
+    names = [(shape, name) for shape in "abc" for name in ("brass", "felt")]
+    found = []
+    for i, (shape, name) in enumerate(names):
+        methods = {method: {"l2": float(values[i])} for method, values in figures.items() if values[i] is not None}
+        found.append({"shape": shape, material: [name], "methods": methods})
+    return tables.Rows(found, material)
+
+
+def cells(table):
+    return {row["name"]: row["cells"] for row in table["rows"]}
+
+
+def test_a_difference_is_decided_by_its_interval_and_not_by_its_mean():
+    ours = [10, 20, 30, 40, 50, 60]
+    mixed = [l2 + by for l2, by in zip(ours, (9, -8, 9, -8, 9, -8), strict=True)]
+    found = cells(tables.differences(rows({OURS: ours, "worse": [2 * x for x in ours], "better": [0.5 * x for x in ours], "mixed": mixed})))
+    assert found[f"{OURS} − worse"]["verdict"] == "better"
+    assert found[f"{OURS} − worse"]["ratio"] == pytest.approx([0.5] * 3)
+    assert found[f"{OURS} − worse"]["won"] == 1
+    assert found[f"{OURS} − better"]["verdict"] == "worse"
+    assert found[f"{OURS} − better"]["difference"][0] == pytest.approx(17.5)
+    assert found[f"{OURS} − mixed"]["verdict"].startswith("undecided")
+    assert found[f"{OURS} − mixed"]["difference"][0] == pytest.approx(-0.5)  # better in the mean, and yet
+    assert found[f"{OURS} − mixed"]["won"] == 0.5
+
+
+def test_a_difference_is_of_the_edits_that_both_made():
+    found = cells(tables.differences(rows({OURS: [10, 10, 10, 10, 10, 10], "half": [20, None, 20, None, 20, 500]})))
+    assert found[f"{OURS} − half"]["won"] == 1
+    assert found[f"{OURS} − half"]["ratio"][0] == pytest.approx(40 / 560)
+
+
+def test_ours_is_compared_with_ours_refined_once():
+    found = cells(tables.differences(rows({OURS: [10] * 6, OURS_REFINED: [5] * 6})))
+    assert list(found) == [f"{OURS_REFINED} − {OURS}"]
+
+
+def refined(before, after, started, ended, seconds, finite=True):
+    return {
+        "shape": "a",
+        "materials": ["brass"],
+        "methods": {
+            OURS: {"rendered_all": {"l2": started}},
+            OURS_REFINED: {
+                "rendered_all": {"l2": ended},
+                "refinement": {"before": before, "after": after, "seconds": seconds, "finite": finite},
+            },
+        },
+    }
+
+
+def test_refinements_that_end_above_their_start_or_are_not_finite_are_counted():
+    found = [
+        refined(1.0, 0.5, 100.0, 40.0, 2.0),
+        refined(1.0, 1.01, 300.0, 310.0, 3.0),
+        refined(2.0, 2.0, 200.0, 100.0, 9.0, finite=False),
+    ]
+    (row,) = tables.refinement(tables.Rows(found, "materials"))["rows"]
+    told = row["cells"]
+    assert (told["starts"], told["above"], told["not_finite"], told["worse_l2"]) == (3, 1, 1, 1)
+    assert (told["energy"], told["energy_after"]) == (1.0, 1.01)
+    assert (told["l2"], told["l2_after"], told["drop"]) == (200.0, 100.0, 0.5)  # medians, not means
+    assert (told["seconds"], told["slowest"]) == (3.0, 9.0)
+
+
+def test_starts_of_several_methods_are_counted_together():
+    first, second = refined(1.0, 0.5, 100.0, 40.0, 2.0), refined(1.0, 2.0, 50.0, 60.0, 1.0)
+    other = {name.replace(OURS, "Baseline 2"): figures for name, figures in second["methods"].items()}
+    found = cells(tables.refinement(tables.Rows([first | {"methods": first["methods"] | other}], "materials")))
+    assert set(found) == {OURS_REFINED, "Baseline 2, refined", "all starts"}
+    assert (found["all starts"]["starts"], found["all starts"]["above"]) == (2, 1)
+    assert (found[OURS_REFINED]["above"], found["Baseline 2, refined"]["above"]) == (0, 1)
+    assert (found["all starts"]["l2"], found["all starts"]["l2_after"]) == (75.0, 50.0)
+
+
+def edit(shape, wanted, net, fit, node_fit=2.0):
+    layer = {"l2": 9.0, "l2_inner": 3.0, "node_fit": node_fit}
+    return {
+        "shape": shape,
+        "wanted": [wanted],
+        "methods": {},
+        "layer": layer | ({} if net is None else {"net_inner": net, "fit_here": fit}),
+    }
+
+
+def test_the_layer_is_judged_where_noise_is_known_against_one_and_a_half_times_the_node_fit():
+    found = tables.layer(tables.Rows([edit("a", "brass", 2.9, 1.0), edit("b", "felt", 3.1, 1.0), edit("c", "clay", None, None)], "wanted"))
+    told = cells(found)
+    assert told["brass"]["within"] == "yes"
+    assert told["felt"]["within"] == "no"
+    assert "within" not in told["clay"]
+    assert (told["all"]["edits"], told["all"]["net_edits"]) == (3, 2)
+    assert told["all"]["net_inner"][0] == pytest.approx(3.0)
+    assert (told["brass"]["l2"], told["brass"]["l2_inner"], told["brass"]["fit_here"]) == (9.0, 3.0, 1.0)
+
+
+def test_a_figure_that_a_row_lacks_is_left_out_of_the_mean_and_a_column_that_all_lack_of_the_table():
+    found = tables.by_method(rows({OURS: [10, None, 10, None, 40, None]}), "t", "n", [((), tables.PICTURE, "")])
+    assert [column["key"] for column in found["columns"]] == ["l2"]
+    assert cells(found)[OURS]["l2"][0] == pytest.approx(20)
+    assert tables.by_method(rows({}), "t", "n", [((), tables.PICTURE, "")]) is None
+
+
+def test_a_row_that_only_repeats_what_it_took_from_another_is_left_out():
+    figures = {OURS: [10] * 6, f"constant light, normals of {OURS}": [10] * 6, f"true light, normals of {OURS}": [9] * 6}
+    found = tables.by_method(rows(figures), "t", "n", [((), tables.PICTURE, "")])
+    assert list(cells(found)) == [OURS, f"true light, normals of {OURS}"]
+
+
+def test_intervals_are_over_whole_shapes_and_materials():
+    one_shape_differs = rows({OURS: [0, 0, 0, 0, 90, 90]})
+    mean, low, high = one_shape_differs.cell(OURS, ("l2",))
+    assert mean == pytest.approx(30)
+    assert low == 0 and high == 90  # draws without that shape, and of nothing else, come up
+    within = one_shape_differs.values(OURS, ("l2",))
+    np.testing.assert_array_equal(one_shape_differs.drawn(within > 0).sum(1) > 0, True)
