@@ -23,8 +23,9 @@ def cells(table):
 
 def test_a_difference_is_decided_by_its_interval_and_not_by_its_mean():
     ours = [10, 20, 30, 40, 50, 60]
-    mixed = [l2 + by for l2, by in zip(ours, (9, -8, 9, -8, 9, -8), strict=True)]
-    found = cells(tables.differences(rows({OURS: ours, "worse": [2 * x for x in ours], "better": [0.5 * x for x in ours], "mixed": mixed})))
+    mixed, other = ([l2 + by for l2, by in zip(ours, 3 * bys, strict=True)] for bys in ((9, -8), (-9, 8)))
+    known = {OURS: ours, "worse": [2 * x for x in ours], "better": [0.5 * x for x in ours], "mixed": mixed, "other mixed": other}
+    found = cells(tables.differences(rows(known)))
     assert found[f"{OURS} − worse"]["verdict"] == "better"
     assert found[f"{OURS} − worse"]["ratio"] == pytest.approx([0.5] * 3)
     assert found[f"{OURS} − worse"]["won"] == 1
@@ -33,6 +34,7 @@ def test_a_difference_is_decided_by_its_interval_and_not_by_its_mean():
     assert found[f"{OURS} − mixed"]["verdict"].startswith("undecided")
     assert found[f"{OURS} − mixed"]["difference"][0] == pytest.approx(-0.5)  # better in the mean, and yet
     assert found[f"{OURS} − mixed"]["won"] == 0.5
+    assert found[f"{OURS} − other mixed"]["verdict"].startswith("undecided")
 
 
 def test_a_difference_is_of_the_edits_that_both_made():
