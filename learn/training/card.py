@@ -23,6 +23,8 @@ WORDS = {
     "cosine": "normals, mean cosine",
     "irradiance": "irradiance, relative error",
     "constant_irradiance": "the same of a constant light",
+    "albedo": "material, log albedo, root mean square error",
+    "constant_albedo": "the same of the training materials' mean",
     "image_l2": "I′, display L2 over the mask",
     "target_l2": "O′, display L2 over the mask",
     "control_l2": "the same with predicted normals and a constant light",
@@ -39,7 +41,8 @@ def make(weights, pools, out, batches, note=""):
     run, out, test = decode(json.dumps(metadata["run"]).encode(), Run, weights), Path(out), pools["test"]
     out.mkdir(parents=True, exist_ok=True)
     relit = Relit(test, run.data, BATCH, run.size, SEED)
-    figures, count = measured(network, run, (relit[k] for k in range(batches)), out / "sheet.jpg")
+    constant = measures.mean_albedo(pools["train"])
+    figures, count = measured(network, run, (relit[k] for k in range(batches)), out / "sheet.jpg", constant)
     told = {
         "run": metadata["run"],
         "step": metadata.get("step"),
@@ -50,27 +53,34 @@ def make(weights, pools, out, batches, note=""):
     }
     if test.album:
         cycles = Cycles(test, run.data, 1, run.size, SEED)
-        figures, count = measured(network, run, (cycles[k] for k in range(len(test.album))), out / "sheet-cycles.jpg")
+        figures, count = measured(network, run, (cycles[k] for k in range(len(test.album))), out / "sheet-cycles.jpg", constant)
         told |= {"cycles": figures, "cycles_pictures": count, "cycles_about": _of_album(test.album)}
     (out / "card.json").write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     (out / "card.md").write_text(_page(told), encoding="utf-8")
     return {key: told[key] for key in ("figures", "cycles") if key in told}
 
 
-def measured(network, run, batches, sheet_path):
+def measured(network, run, batches, sheet_path, constant_albedo):
     """({figure: [mean, low, high]}, pictures) over batches; 95 % intervals over shapes and materials. The first ones go on a sheet."""
     rows, names, shown = [], [], []
     for batch in batches:
         with torch.no_grad():
             prediction = network(batch.image, batch.mask, batch.segments if run.data.regions > 1 else None, run.parts)
-        rows.append(measures.of(prediction, batch))
+        rows.append(measures.of(prediction, batch, constant_albedo))
         names += batch.names
         if sum(len(each.names) for each, _ in shown) < sheet.ROWS:
             shown.append((batch, prediction))
     Image.fromarray(np.concatenate([sheet.cells(*each) for each in shown])[: sheet.ROWS * run.size]).save(sheet_path, quality=90)
     values = {key: np.concatenate([row[key] for row in rows]) for key in rows[0]}
     resampled = intervals.draws(intervals.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1))))
-    return {key: intervals.interval(value, resampled) for key, value in values.items()}, len(names)
+    return {key: _interval(value, resampled) for key, value in values.items()}, len(names)
+
+
+def _interval(values, weights):
+    """[mean, low, high] over the pictures that show what is measured."""
+    there = np.isfinite(values)
+    kept = weights[:, there]
+    return intervals.interval(values[there], kept[kept.sum(1) > 0])
 
 
 def _of_album(album):
@@ -139,5 +149,10 @@ def _page(told):
     return "\n".join(lines) + "\n"
 
 
+def _words(key):
+    name, _, region = key.rpartition("_")
+    return f"{WORDS[name]}, region {region}" if region.isdigit() and name in WORDS else WORDS.get(key, key)
+
+
 def _rows(figures):
-    return [f"| {WORDS.get(key, key)} | {mean:.4g} | {low:.4g} – {high:.4g} |" for key, (mean, low, high) in figures.items()]
+    return [f"| {_words(key)} | {mean:.4g} | {low:.4g} – {high:.4g} |" for key, (mean, low, high) in figures.items()]

@@ -5,29 +5,44 @@ irradiance            relative root mean square error over directions, mean over
 image_l2, target_l2   the paper's display L2 over the mask, of I' against I and of O' against O; exposure from the truth's 99th percentile;
                       truth is a rendered picture where the batch has one, else what the layer makes of the true parts
 control_l2            of O' from predicted normals under a constant light
-code_l2               mean squared difference of material codes
+albedo                root mean square over channels of the log albedo's difference (learn.training.losses.log_albedo); of several regions
+                      albedo_1, albedo_2 …, over pictures that show them; constant_albedo: of the mean log albedo of a pool's materials
 """
+
+import math
 
 import numpy as np
 import torch
 
 from learn.layer import render
-from learn.training.losses import log_rendered
+from learn.training.losses import log_albedo, log_rendered
 from learn.training.sources import source_of
 from shaders import tone
 
 TOLERANCE = 2e-2
+LEAST_PIXELS = 16  # of a region, to count as shown
 
 
 def over(predict, pool, run, batches, seed=20):
     """Means over the first batches of a pool. predict: Batch → Prediction."""
-    source = source_of(pool, run, run.schedule.batch, seed)
-    found = [of(predict(batch), batch) for batch in (source[k] for k in range(batches))]
-    return {name: float(np.mean(np.concatenate([f[name] for f in found]))) for name in found[0]}
+    source, constant = source_of(pool, run, run.schedule.batch, seed), mean_albedo(pool)
+    found = [of(predict(batch), batch, constant) for batch in (source[k] for k in range(batches))]
+    return {name: _mean(np.concatenate([f[name] for f in found])) for name in found[0]}
 
 
-def of(prediction, batch):
-    """{name: (B,) float64} of one batch."""
+def _mean(values):
+    """Of the values that are there."""
+    there = np.isfinite(values)
+    return float(values[there].mean()) if there.any() else math.nan
+
+
+def mean_albedo(pool):
+    """(3,) mean log albedo of a pool's materials: the best guess without looking."""
+    return log_albedo(torch.from_numpy(np.stack(list(pool.labels.values())))).mean(0)
+
+
+def of(prediction, batch, constant_albedo=None):
+    """{name: (B,) float64} of one batch; NaN where a picture does not show what is measured. constant_albedo (3,): the control's."""
     found = {}
     n = batch.n if prediction.n is None else prediction.n
     light = batch.light if prediction.light is None else prediction.light
@@ -43,10 +58,24 @@ def of(prediction, batch):
             error = ((irradiance(value) - truth) ** 2).mean((1, 2)).sqrt() / (truth**2).mean((1, 2)).sqrt()
             found[name] = error.double().numpy()
     if prediction.label is not None:
+        found |= albedos(prediction.label, batch, constant_albedo)
         found["image_l2"] = compared(n, prediction.label, light, batch.label, batch, batch.picture)
     found["target_l2"] = compared(n, batch.target_label, light, batch.target_label, batch, batch.target)
     if prediction.light is not None:
         found["control_l2"] = compared(n, batch.target_label, constant, batch.target_label, batch, batch.target)
+    return found
+
+
+def albedos(label, batch, constant=None):
+    """{name: (B,)} of albedo's errors, and of the control's where there is one; label (B, S, 108)."""
+    found, regions = {}, label.shape[1]
+    true = log_albedo(batch.label[:, :regions])
+    guesses = {"albedo": log_albedo(label)} | ({} if constant is None else {"constant_albedo": constant.expand_as(true)})
+    for s in range(regions):
+        shown = (batch.segments == s + 1).sum((1, 2)) >= LEAST_PIXELS
+        for name, guess in guesses.items():
+            error = ((guess - true)[:, s] ** 2).mean(-1).sqrt()
+            found[f"{name}_{s + 1}" if regions > 1 else name] = error.where(shown, math.nan).double().numpy()
     return found
 
 

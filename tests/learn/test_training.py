@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -151,6 +152,25 @@ def test_the_true_prediction_has_no_loss(pools):
 def test_the_log_albedo_of_a_lambertian_is_its_own(albedo):
     label = torch.from_numpy(np.log(lambertian(albedo))).float()
     assert losses.log_albedo(label)[0].item() == pytest.approx(math.log(albedo + 1e-3), abs=2e-3)  # 48 nodes
+
+
+def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_shown(pools):
+    batch = Relit(pools["test"], Data(sharing=2, regions=2), 4, SIZE, 5)[0]
+    label = np.log(np.stack([lambertian(0.2), lambertian(0.4)])).astype(np.float32)
+    segments = batch.segments.clone()
+    segments[0][segments[0] == 1] = 2  # the first picture does not show region 1
+    segments[1:, : SIZE // 2][segments[1:, : SIZE // 2] > 0] = 2
+    known = replace(batch, segments=segments, label=torch.from_numpy(label).expand(4, 2, 108))
+    mine = torch.from_numpy(label[::-1].copy()).expand(4, 2, 108)
+    found = measures.albedos(mine, known, torch.full((3,), math.log(0.2)))
+    double = pytest.approx(math.log(2), abs=0.01)  # of albedo + 1e-3
+    assert math.isnan(found["albedo_1"][0])
+    assert list(found["albedo_1"][1:]) == [double] * 3
+    assert list(found["albedo_2"]) == [double] * 4
+    assert list(found["constant_albedo_1"][1:]) == [pytest.approx(0, abs=0.01)] * 3
+    assert list(found["constant_albedo_2"]) == [double] * 4
+    assert set(measures.albedos(mine[:, :1], known)) == {"albedo"}
+    assert measures._mean(found["albedo_1"]) == double
 
 
 def test_a_light_reduced_keeps_its_energy(rng):
