@@ -7,14 +7,15 @@ along    (width,) scratch: one coarse row, its columns still fine
 Columns go round; beyond a pole lies the same row's other half.
 """
 
-from numba import njit, types
+from numba import types
 
+from learn.engines.compilation import inlined
 from learn.engines.vector import FLOAT_POINTER
 
 GATHER = SCATTER = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 4)
 
 
-@njit(forceinline=True)
+@inlined
 def over_poles(row, height, width):
     """The row that lies there, and by how many columns it is turned."""
     if row < 0:
@@ -24,7 +25,7 @@ def over_poles(row, height, width):
     return row, 0
 
 
-@njit(forceinline=True)
+@inlined
 def around(column, width):
     return column + width if column < 0 else column - width if column >= width else column
 

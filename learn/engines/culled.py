@@ -20,8 +20,9 @@ by pixel, sixteen pixels at once by the block's cone and then one by one, agains
 
 import math
 
-from numba import njit, types
+from numba import types
 
+from learn.engines.compilation import inlined
 from learn.engines.distant import LN2, add_to, cosine, half_offset, peak_cosine
 from learn.engines.exponentials import LOWEST, exp2, exp2m1, log2
 from learn.engines.vector import (
@@ -59,7 +60,7 @@ FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 8, *[INT_POINTER] * 
 BACKWARD = types.void(*[types.int64] * 10, *[FLOAT_POINTER] * 11, *[INT_POINTER] * 2)
 
 
-@njit(forceinline=True)
+@inlined
 def nearest_cosine(axis, cos_a, sin_a, cos_b, sin_b):
     """Largest cosine between a vector of one cone and one of the other, whose axes have the cosine `axis`."""
     cos_sum, sin_sum = cos_a * cos_b - sin_a * sin_b, sin_a * cos_b + cos_a * sin_b
@@ -67,7 +68,7 @@ def nearest_cosine(axis, cos_a, sin_a, cos_b, sin_b):
     return choose(axis > cos_sum, 1.0, minimum(apart + SLACK, 1.0))
 
 
-@njit(forceinline=True)
+@inlined
 def least_cosine(log_c, cos_b, sin_b):
     """The least cosine with the axis of a cone (half angle b) of a vector that is within arccos c of one in the cone; log2 c given."""
     one_minus_c = 0.0 - exp2m1(maximum(log_c, LOWEST))
@@ -76,7 +77,7 @@ def least_cosine(log_c, cos_b, sin_b):
     return choose(whole, ALWAYS, c * cos_b - sine * sin_b - SLACK)
 
 
-@njit(forceinline=True)
+@inlined
 def unpack(n, start, count, scratch, o):
     """The normals of a tile as three rows behind its sums, which begin at offset o; 0 beyond their count."""
     for j in range(TILE):
@@ -84,7 +85,7 @@ def unpack(n, start, count, scratch, o):
             scratch[o + 48 * TILE + TILE * i + j] = n[3 * (start + j) + i] if j < count else types.float32(0.0)
 
 
-@njit(forceinline=True)
+@inlined
 def pixels_near(scratch, o, count, axes, block, reach):
     """Which of sixteen pixels (at most `count`), whose normals lie at offset o, a block can matter to, as bits."""
     x, y, z = load(scratch, o), load(scratch, o + TILE), load(scratch, o + 2 * TILE)
@@ -92,13 +93,13 @@ def pixels_near(scratch, o, count, axes, block, reach):
     return bits(axis > reach) & ((1 << min(16, count)) - 1)
 
 
-@njit(forceinline=True)
+@inlined
 def lobe(lobes, o, log_c):
     """expm1(κ c^γ) of the lobe and channel at offset o."""
     return exp2m1(load(lobes, o + 16) * exp2(maximum(load(lobes, o) * log_c, FLOOR)))
 
 
-@njit(forceinline=True)
+@inlined
 def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
     """As learn.engines.distant.lobe_backward, with the sums at an offset of their own."""
     gamma = load(lobes, o)
@@ -112,7 +113,7 @@ def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
     return f + value, fma(x * exponent, gamma, slope)
 
 
-@njit(forceinline=True)
+@inlined
 def cone_about(n, start, count):
     """Axis, cos and sin of the half angle of a cone that holds the normals start … start + count − 1, a little widened."""
     x, y, z = 0.0, 0.0, 0.0

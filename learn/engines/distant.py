@@ -15,8 +15,9 @@ scratch   per call: room for TILE pixels' sums, (TILE, 3, 16)
 Sums run over blocks in order, so a pixel's bits depend on nothing but its own inputs.
 """
 
-from numba import njit, types
+from numba import types
 
+from learn.engines.compilation import inlined
 from learn.engines.exponentials import exp2, exp2m1, log2
 from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, select, splat, store
 
@@ -29,7 +30,7 @@ FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 8)
 BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 11)
 
 
-@njit(forceinline=True)
+@inlined
 def half_offset(geometry, o, nx, ny, nz):
     """h − n (3 values)."""
     x = (load(geometry, o + 48) - nx) + load(geometry, o + 96)
@@ -38,13 +39,13 @@ def half_offset(geometry, o, nx, ny, nz):
     return x, y, z
 
 
-@njit(forceinline=True)
+@inlined
 def cosine(geometry, o, nx, ny, nz):
     """n·w."""
     return fma(load(geometry, o), nx, fma(load(geometry, o + 16), ny, load(geometry, o + 32) * nz))
 
 
-@njit(forceinline=True)
+@inlined
 def peak_cosine(x, y, z):
     """c and log2 c from h − n."""
     one_minus_c = fma(x, x, fma(y, y, z * z)) * 0.5
@@ -52,13 +53,13 @@ def peak_cosine(x, y, z):
     return c, log2(c, one_minus_c)
 
 
-@njit(forceinline=True)
+@inlined
 def lobe(lobes, o, log_c):
     """expm1(κ c^γ) of the lobe and channel at offset o."""
     return exp2m1(load(lobes, o + 16) * exp2(load(lobes, o) * log_c))
 
 
-@njit(forceinline=True)
+@inlined
 def add_to(pointer, o, value):
     store(pointer, o, load(pointer, o) + value)
 
@@ -100,7 +101,7 @@ def forward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut,
             radiance[3 * start + i] = lane_sum(load(scratch, 16 * i))
 
 
-@njit(forceinline=True)
+@inlined
 def lobe_backward(lobes, o, log_c, weight, lobe_sums, f, slope):
     """Adds one lobe and channel: its two sums over pixels, f + expm1(κ c^γ), slope + x κ c^γ γ log2 e, where x = exp(κ c^γ)."""
     gamma = load(lobes, o)

@@ -8,9 +8,10 @@ Coefficients: constant term first, least relative error on the interval named; t
 each function to its own.
 """
 
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
+from learn.engines.compilation import inlined
 from learn.engines.vector import FLOATS, INTS, constant, fma, maximum, minimum, select, sqrt, wide
 
 ROUND = 1.5 * 2.0**23 + 127.0
@@ -49,27 +50,27 @@ def _mantissa_and_exponent(typing, c):
     return types.UniTuple(wide, 2)(c), generate
 
 
-@njit(forceinline=True)
+@inlined
 def exp2m1_fraction(f):
     """2^f − 1 for f in [−½, ½]."""
     return f * fma(f, fma(f, fma(f, fma(f, EXPM1[4], EXPM1[3]), EXPM1[2]), EXPM1[1]), EXPM1[0])
 
 
-@njit(forceinline=True)
+@inlined
 def exp2(x):
     """2^x for x ≤ 127."""
     f, scale = _fraction_and_scale(maximum(x, LOWEST))
     return fma(exp2m1_fraction(f), scale, scale)
 
 
-@njit(forceinline=True)
+@inlined
 def exp2m1(x):
     """2^x − 1 for x in [0, 127], to full relative precision near 0: a dark lobe's κ may be 1e-6."""
     f, scale = _fraction_and_scale(x)
     return fma(exp2m1_fraction(f), scale, scale - 1.0)
 
 
-@njit(forceinline=True)
+@inlined
 def log2(c, one_minus_c):
     """log2 of c in (0, 1], given 1 − c too: keeps the relative precision at c → 1, where a lobe has its peak."""
     m, k = _mantissa_and_exponent(c)
@@ -78,7 +79,7 @@ def log2(c, one_minus_c):
     return fma(m, fma(m, fma(m, fma(m, fma(m, p, LOG[3]), LOG[2]), LOG[1]), LOG[0]), k)
 
 
-@njit(forceinline=True)
+@inlined
 def angle(y_squared, x_squared):
     """arctan(√y² / √x²) in [0, π/2], not both 0."""
     z = minimum(y_squared, x_squared) / maximum(y_squared, x_squared)

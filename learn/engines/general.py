@@ -14,8 +14,9 @@ s is kept as a float and its rounding error, and v's length is set right, so tha
 γ = 1e5 needs it.
 """
 
-from numba import float32, float64, njit, types
+from numba import float32, float64, types
 
+from learn.engines.compilation import inlined
 from learn.engines.distant import CHUNKS, LN2, add_to, peak_cosine
 from learn.engines.exponentials import angle, exp2, exp2m1
 from learn.engines.splines import ANGLE_TO_X, add_curve, basis, curve, slope, tents
@@ -29,7 +30,7 @@ FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 8)
 BACKWARD = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 14)
 
 
-@njit(forceinline=True)
+@inlined
 def two_sum(a, b):
     """a + b and what its rounding took off."""
     total = a + b
@@ -37,14 +38,14 @@ def two_sum(a, b):
     return total, (a - (total - part)) + (b - part)
 
 
-@njit(forceinline=True)
+@inlined
 def shortfall(x, y, z):
     """1/‖v‖ − 1 of a vector that was scaled to unit length in float32."""
     x, y, z = float64(x), float64(y), float64(z)
     return float32(0.5 * (1.0 - (x * x + y * y + z * z)))
 
 
-@njit(forceinline=True)
+@inlined
 def w_plus_v(geometry, o, vx, vy, vz, v_short):
     """s = w + v as three floats and three rests."""
     sx, rx = two_sum(load(geometry, o), vx)
@@ -56,18 +57,18 @@ def w_plus_v(geometry, o, vx, vy, vz, v_short):
     return sx, sy, sz, rx, ry, rz
 
 
-@njit(forceinline=True)
+@inlined
 def square(x, y, z):
     return fma(x, x, fma(y, y, z * z))
 
 
-@njit(forceinline=True)
+@inlined
 def offset(s, rest, n, inverse):
     """One component of h − n, inverse = 1/‖s‖."""
     return fma(rest, inverse, fma(s, inverse, 0.0 - n))
 
 
-@njit(forceinline=True)
+@inlined
 def lobe(m, o, log_c, b):
     """expm1(κ c^γ) of the lobe and channel at offset o."""
     return exp2m1(curve(m, o + 6, b) * exp2(curve(m, o, b) * log_c))
@@ -108,7 +109,7 @@ def forward(first, last, pixels, blocks, n, v, geometry, energy, m, least, cut, 
         radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = lane_sum(i0), lane_sum(i1), lane_sum(i2)
 
 
-@njit(forceinline=True)
+@inlined
 def lobe_backward(m, steps, o, log_c, b, tent, weight, m_sums, at, with_view):
     """One lobe and channel: F, dF/dc · c log2 e, dF/dx of the spline's x; adds its derivatives by m, × weight, from m_sums[at] on."""
     gamma, kappa = curve(m, o, b), curve(m, o + 6, b)

@@ -12,8 +12,9 @@ Places and weights are found in float64, sums made in float32.
 
 import math
 
-from numba import njit, types
+from numba import types
 
+from learn.engines.compilation import inlined
 from learn.engines.vector import FLOAT_POINTER, by_four, fma, in_turn, lane_sum, load, splat, store, turn_sums
 
 CHUNKS = 4  # of pixels, in the backward pass: the most threads it can use
@@ -23,7 +24,7 @@ FORWARD = types.void(*[types.int64] * 3, *[FLOAT_POINTER] * 3)
 BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 5)
 
 
-@njit(forceinline=True)
+@inlined
 def place(x, y, z, size):
     """Row and column of the node before a normal's place, what is left of the place, and 1 / √(1 + n_z)."""
     shrink = 1.0 / math.sqrt(1.0 + z)
@@ -33,7 +34,7 @@ def place(x, y, z, size):
     return row, column, v - row, u - column, shrink
 
 
-@njit(forceinline=True)
+@inlined
 def weights(t):
     """Catmull–Rom weights of the four nodes around a place t in [0, 1) after the second."""
     t2 = t * t
@@ -46,7 +47,7 @@ def weights(t):
     )
 
 
-@njit(forceinline=True)
+@inlined
 def weight_slopes(t):
     """Their derivatives by t."""
     t2 = t * t

@@ -3,7 +3,7 @@
 A kernel is a numba function of integers and float pointers that never fails and calls nothing. Its machine code is stored in the
 user's cache folder under the hash of everything it depends on: the sources of the kernel modules, the versions of numba and
 llvmlite, the processor. numba's own cache knows only the file of the outermost function and went stale when an imported one changed.
-Compiling takes one to two seconds and says so on stderr; loading takes milliseconds and needs llvmlite alone.
+Compiling (learn.engines.compilation) takes up to a second and says so on stderr; loading takes milliseconds and needs llvmlite alone.
 
 The functions are called through ctypes, which releases Python's lock: threads run them side by side.
 """
@@ -87,7 +87,7 @@ def _machine_code(name):
             return code
     except OSError:
         pass
-    print(f"brdfactory: compiling the kernel {name} for this machine, about 2 s, once (kept in {path.parent})", file=sys.stderr)
+    print(f"brdfactory: compiling the kernel {name} for this machine, less than 1 s, once (kept in {path.parent})", file=sys.stderr)
     code = _compile(name)
     try:
         _write(path, hashlib.sha256(code).digest() + code)
@@ -97,27 +97,11 @@ def _machine_code(name):
 
 
 def _compile(name):
-    import llvmlite.binding as llvm
-    import numba
-    from numba.core.compiler_lock import global_compiler_lock
+    from learn.engines import compilation
 
     module_name, function_name = name.split(".")
-    with global_compiler_lock:
-        module = importlib.import_module(f"learn.engines.{module_name}")
-        compiled = numba.cfunc(getattr(module, function_name.upper()))(getattr(module, function_name))
-        llvm_module = llvm.parse_assembly(compiled.inspect_llvm(), context=llvm.create_context())
-        # Keep the function itself; drop the wrapper that would report a Python error.
-        for function in llvm_module.functions:
-            if not function.is_declaration:
-                if function.name.startswith("cfunc."):
-                    function.linkage = "internal"
-                else:
-                    function.name = _symbol(name)
-        machine = _target_machine(llvm)
-        passes = llvm.create_new_module_pass_manager()
-        passes.add_global_dead_code_eliminate_pass()
-        passes.run(llvm_module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
-        return machine.emit_object(llvm_module)
+    module = importlib.import_module(f"learn.engines.{module_name}")
+    return compilation.object_code(getattr(module, function_name), getattr(module, function_name.upper()), _symbol(name))
 
 
 def _target_machine(llvm):

@@ -9,8 +9,9 @@ unit     (N, 3) vectors scaled to unit length; length (N,) what they were
 
 import math
 
-from numba import njit, types
+from numba import types
 
+from learn.engines.compilation import inlined
 from learn.engines.vector import FLOAT_POINTER
 
 OUTSIDE, AWAY, SEEN, WRONG = range(4)
@@ -24,7 +25,7 @@ SPREAD = types.void(*[types.int64] * 2, PLACE_POINTER, *[FLOAT_POINTER] * 2)
 PICK = types.void(*[types.int64] * 2, PLACE_POINTER, *[FLOAT_POINTER] * 2)
 
 
-@njit(forceinline=True)
+@inlined
 def length_at(vectors, p):
     x, y, z = types.float64(vectors[3 * p]), types.float64(vectors[3 * p + 1]), types.float64(vectors[3 * p + 2])
     return math.sqrt(x * x + y * y + z * z)

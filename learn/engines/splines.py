@@ -6,37 +6,36 @@ tents    the five linear B-splines at x = 0 … 4; the slope of the spline is Σ
          learn.engines.lights.spline_steps
 """
 
-from numba import njit
-
+from learn.engines.compilation import inlined
 from learn.engines.vector import fma, load, maximum, select, store
 
 ANGLE_TO_X = 2.546479089470325  # 8/π
 
 
-@njit(forceinline=True)
+@inlined
 def positive_square(a):
     a = maximum(a, 0.0)
     return a * a
 
 
-@njit(forceinline=True)
+@inlined
 def magnitude(a):
     return maximum(a, 0.0 - a)
 
 
-@njit(forceinline=True)
+@inlined
 def end(x):
     """The first two functions, seen from the end at x = 0."""
     return positive_square(1.0 - x), select(x < 1.0, x * fma(x, -1.5, 2.0), 0.5 * positive_square(2.0 - x))
 
 
-@njit(forceinline=True)
+@inlined
 def bump(distance):
     """The uniform quadratic B-spline, by the distance from its middle."""
     return select(distance < 0.5, fma(0.0 - distance, distance, 0.75), 0.5 * positive_square(1.5 - distance))
 
 
-@njit(forceinline=True)
+@inlined
 def basis(theta_d):
     x = theta_d * ANGLE_TO_X
     b0, b1 = end(x)
@@ -44,7 +43,7 @@ def basis(theta_d):
     return b0, b1, bump(magnitude(x - 1.5)), bump(magnitude(x - 2.5)), b4, b5
 
 
-@njit(forceinline=True)
+@inlined
 def tents(theta_d):
     x = theta_d * ANGLE_TO_X
     t1 = maximum(1.0 - magnitude(x - 1.0), 0.0)
@@ -53,21 +52,21 @@ def tents(theta_d):
     return maximum(1.0 - x, 0.0), t1, t2, t3, maximum(x - 3.0, 0.0)
 
 
-@njit(forceinline=True)
+@inlined
 def curve(values, o, b):
     """Σ_t values[o + t] b_t."""
     low = fma(b[2], values[o + 2], fma(b[1], values[o + 1], b[0] * values[o]))
     return fma(b[5], values[o + 5], fma(b[4], values[o + 4], fma(b[3], values[o + 3], low)))
 
 
-@njit(forceinline=True)
+@inlined
 def slope(steps, o, t):
     """Σ_j steps[o + j] t_j: the curve's derivative by x."""
     low = fma(t[2], steps[o + 2], fma(t[1], steps[o + 1], t[0] * steps[o]))
     return fma(t[4], steps[o + 4], fma(t[3], steps[o + 3], low))
 
 
-@njit(forceinline=True)
+@inlined
 def add_curve(sums, o, q, b):
     """sums rows o/16 … + 5 (16 lanes each) += q b_t: the curve's derivative by its control values."""
     store(sums, o, fma(q, b[0], load(sums, o)))

@@ -16,8 +16,9 @@ A tap's footprint is the square of its solid angle dω = 4 (v·h) dω_h, at most
 sum does not jump where a tap crosses a texel's border, and a few taps find the border's place (learn.methods.quadrature.footprint).
 """
 
-from numba import njit, types
+from numba import types
 
+from learn.engines.compilation import inlined
 from learn.engines.exponentials import angle, exp2, exp2m1
 from learn.engines.splines import basis, curve
 from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, minimum, select, splat, sqrt, store
@@ -31,13 +32,13 @@ ROUND = 12582912.0  # 1.5 · 2^23: x + ROUND − ROUND is the nearest whole numb
 FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9)
 
 
-@njit(forceinline=True)
+@inlined
 def lobe(m, o, log_c, b):
     """expm1(κ c^γ) of the lobe and channel at offset o."""
     return exp2m1(curve(m, o + 6, b) * exp2(curve(m, o, b) * log_c))
 
 
-@njit(forceinline=True)
+@inlined
 def polar_angles(x, y, z):
     """θ from +y in [0, π] and φ from +x through +z in [0, 2π] of sixteen directions."""
     theta = angle(fma(x, x, z * z) + TINY, y * y)
@@ -47,7 +48,7 @@ def polar_angles(x, y, z):
     return theta, select(z < 0.0, 2.0 * PI - phi, phi)
 
 
-@njit(forceinline=True)
+@inlined
 def reflectance(m, least, log_c, cos_d):
     """F (3 channels) of sixteen taps."""
     b = basis(angle(maximum(1.0 - cos_d * cos_d, 0.0), cos_d * cos_d + TINY))
@@ -61,21 +62,21 @@ def reflectance(m, least, log_c, cos_d):
     return f0, f1, f2
 
 
-@njit(forceinline=True)
+@inlined
 def border(x, width):
     """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it; texel k begins at x = k."""
     k = (x + ROUND) - ROUND
     return k, minimum(maximum((x - k) / minimum(width, 1.0) + 0.5, 0.0), 1.0)
 
 
-@njit(forceinline=True)
+@inlined
 def alone(border, beyond):
     """Whether the footprints of all lanes lie in one row (or column) of texels."""
     place = border + beyond  # whole where no footprint is parted
     return lane_max(place) + lane_max(0.0 - place) == 0.0 and not anywhere(beyond * (1.0 - beyond) > 0.0)
 
 
-@njit(forceinline=True)
+@inlined
 def corner(row, column, height, width):
     """Number of a texel, given as floats; rows end at the poles, columns go round."""
     i, j = int(row), int(column)

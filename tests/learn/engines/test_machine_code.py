@@ -74,7 +74,7 @@ def test_without_numba_and_without_kept_code_the_layer_still_renders(tmp_path):
 
 
 def test_the_key_covers_every_module_that_a_kernel_is_made_of():
-    assert machine_code.sources("general") == ["distant", "exponentials", "general", "machine_code", "splines", "vector"]
+    assert machine_code.sources("general") == ["compilation", "distant", "exponentials", "general", "machine_code", "splines", "vector"]
 
 
 def test_the_key_changes_with_any_source(tmp_path, monkeypatch):
