@@ -11,7 +11,8 @@ def register(subparsers):
         "train",
         help="train networks that read normals, material and light from a picture",
         description="Trains from a dataset's geometry: pictures are relit on the fly by the layer, in materials and lights drawn "
-        "anew each time. Writes weights.safetensors, checkpoint.safetensors, log.jsonl, run.json and a sheet of pictures every so often. "
+        "anew each time. Writes weights.safetensors, checkpoint.safetensors, log.jsonl, run.json, made.json and a sheet of pictures every "
+        "so often. "
         "Run the same command again to continue; a killed run ends with the same weights as one that was not.",
     )
     parser.add_argument("settings", metavar="RUN", help=f"a run file (JSON), or a preset: {presets}")
@@ -48,6 +49,7 @@ def run(options):
     import torch
 
     from learn.baselines.swap import SwapTraining
+    from learn.timing.report import made_by
     from learn.training import loop, settings, sources
     from manifests.reading import read
 
@@ -64,6 +66,8 @@ def run(options):
     kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
     training = kind(chosen, pools, options.out, options.sheet_every, options.checkpoint_every, options.workers, options.tensorboard)
     figures = training.train()
+    if training.rank == 0:
+        training.journal.made(made_by(), {side: pool.sizes() for side, pool in pools.items()}, len(left_out), training.step, figures)
     if figures:
         print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
     print(f"See {options.out}: weights.safetensors, log.jsonl, sheet-*.jpg")

@@ -96,10 +96,7 @@ def _of_album(album):
 
 def _sizes(network, pools):
     told = {"parameters": sum(p.numel() for p in network.parameters())}
-    for side in ("train", "validation", "test"):
-        views = pools[side].views
-        shapes = {pools[side].geometry.views[v].shape for v in views}
-        told[side] = {"shapes": len(shapes), "views": len(views), "materials": len(pools[side].labels), "lights": len(pools[side].maps)}
+    told |= {side: pools[side].sizes() for side in ("train", "validation", "test")}
     return told
 
 

@@ -1,4 +1,4 @@
-"""What a run writes about itself, step by step: log.jsonl, and TensorBoard's events when asked.
+"""What a run writes about itself: log.jsonl step by step, TensorBoard's events when asked, and made.json in the end.
 
 A run that was killed may have logged steps beyond its last checkpoint; it makes them again, so those lines are dropped first.
 """
@@ -34,6 +34,13 @@ class Journal:
         """A sheet of pictures (H, W, 3) uint8."""
         if self.events:
             self.events.add_image("sheet", picture, step, dataformats="HWC")
+
+    def made(self, by, sizes, left_out, step, figures):
+        """made.json: the command that ran last, its commit and machine, what it learned from, and the last validation's figures."""
+        told = {"made_by": by, "sides": sizes, "left_out": left_out, "step": step, "validation": figures}
+        temporary = self.path.with_name(f"made.json.{os.getpid()}")
+        temporary.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        temporary.replace(self.path.with_name("made.json"))
 
     def close(self):
         """All events on disk."""

@@ -37,6 +37,12 @@ class Pool:
     side: str
     album: object = None
 
+    def sizes(self):
+        """{what: how many} it may draw from."""
+        shapes = {self.geometry.views[v].shape for v in self.views}
+        found = {"shapes": len(shapes), "views": len(self.views), "materials": len(self.labels), "lights": len(self.maps)}
+        return found | ({"pictures": len(self.album)} if self.album else {})
+
 
 def gloss(label):
     """The largest γ max(κ, 1) of a label's control values: how narrow its sharpest highlight is."""

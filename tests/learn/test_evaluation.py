@@ -68,6 +68,21 @@ def test_more_edits_begin_with_the_same_ones(data):
     assert pairs.chosen(records, 9, 6) != many  # a seed is heard
 
 
+def test_shapes_come_in_turn_and_one_of_few_pictures_costs_the_others_none(data):
+    once = [r for r in Records(data).records if r.seed == 0]
+    few = [r for r in once if r.rotation_texels == 0]
+    records = [
+        msgspec.structs.replace(r, id=f"{shape}-{r.id}", shape=shape, geometry_hash=shape)
+        for shape, of in (("a", once), ("b", few), ("c", once))
+        for r in of
+    ]
+    order = list(dict.fromkeys(edit.source.id for edit in pairs.chosen(records, 1000, 5)))
+    shapes = [id_[0] for id_ in order]
+    assert len(order) == len(records) == 15
+    assert all(set(shapes[i : i + 3]) == set("abc") for i in (0, 3, 6))  # b has three pictures
+    assert set(shapes[9:]) == set("ac")
+
+
 def test_pictures_without_a_partner_are_refused(tmp_path):
     write_dataset(tmp_path, [matte()], np.random.default_rng(1), size=SIZE, rotations=(0,), seeds=2)
     with pytest.raises(Problem, match="differ in nothing but the material"):

@@ -83,9 +83,18 @@ def test_tensorboard_when_asked_has_each_steps_loss_the_validation_and_the_sheet
     assert [e.step for e in events.Images("sheet")] == [1]
 
 
-def test_without_being_asked_no_events_are_written(store, tmp_path):
+def test_a_run_says_what_made_it_and_from_what_and_writes_no_events_unasked(store, tmp_path):
     assert train(store, tmp_path / "out") == 0
     assert not (tmp_path / "out" / "tensorboard").exists()
+    told = json.loads((tmp_path / "out" / "made.json").read_text())
+    assert {"command", "commit", "date", "machine", "versions"} <= set(told["made_by"])
+    assert {side: (of["shapes"], of.get("pictures", 0)) for side, of in told["sides"].items()} == {
+        "train": (1, 4),
+        "validation": (1, 4),
+        "test": (1, 0),  # in training materials
+    }
+    last = json.loads((tmp_path / "out" / "log.jsonl").read_text().splitlines()[-1])
+    assert (told["step"], told["validation"]) == (2, last["validation"])
 
 
 def test_a_bad_record_stops_the_command_before_training_or_is_left_out_and_counted_when_asked(store, tmp_path, capsys):
