@@ -11,6 +11,8 @@ COMMANDS = (
     "chart",
     "promise",
     "pace",
+    "startup",
+    "integral",
     "calibrate",
     "train",
     "predict",
