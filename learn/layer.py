@@ -8,6 +8,7 @@ segments  (B, H, W) integers 1 … S, 0 in the background
 
     I_k(p) = Σ_i f_k(w_i, w_o, m) L_k(i) max(0, n_p·w_i) Ω_i          supplement, Eq. 8, with exact solid angles Ω_i
 
+Pictures of one material and one light, each one tensor expanded over the batch, are one scene: some methods then share work between them.
 Gradients in n and view are tangential: a normal is scaled to unit length before use, and derivatives pass through that.
 Pixels whose normal does not face the viewer (n·v ≤ learn.methods.HORIZON) come out black, with zero gradient.
 """

@@ -100,23 +100,17 @@ def per_group(batch, function):
 
 
 def merged(batch):
-    """The batch with neighbouring groups of one material and one light made one, where no gradient must be kept apart.
-
-    They are one if their values are equal and either need no gradient or are one tensor expanded over the batch (stride 0 in memory).
+    """The batch with neighbouring groups made one where they are given one material and one light: one tensor expanded over the batch
+    (stride 0 in memory), as its pictures' shared scene. What is merely equal is kept apart: then no picture's bits depend on its company.
     """
-
-    def alike(values, a, b, one_tensor):
-        return a == b or ((one_tensor or not values.requires_grad) and torch.equal(values[a], values[b]))
-
-    counts, m_of, light_of = [batch.counts[0]], [0], [batch.light_of[0]]
+    one_light = batch.light.stride(0) == 0
+    counts, first = [batch.counts[0]], [0]
     for g in range(1, len(batch.counts)):
-        same_m = alike(batch.m, m_of[-1], g, batch.one_material)
-        if same_m and alike(batch.light, light_of[-1], batch.light_of[g], batch.light.stride(0) == 0):
+        if batch.one_material and (one_light or batch.light_of[first[-1]] == batch.light_of[g]):
             counts[-1] += batch.counts[g]
         else:
             counts.append(batch.counts[g])
-            m_of.append(g)
-            light_of.append(batch.light_of[g])
+            first.append(g)
     if len(counts) == len(batch.counts):
         return batch
-    return replace(batch, m=batch.m[m_of], counts=tuple(counts), light_of=tuple(light_of))
+    return replace(batch, m=batch.m[first], counts=tuple(counts), light_of=tuple(batch.light_of[g] for g in first))

@@ -66,7 +66,7 @@ def calibration():
 
 
 def radiance(batch: Batch, tolerance):
-    if batch.n.device.type != "cpu" or min(batch.counts) < CHEAP:
+    if batch.n.device.type != "cpu":
         return load("exact").radiance(batch, tolerance)
     if batch.view is not None:
         return per_group(batch, lambda g, *_: few_lights(part(batch, g), tolerance))
@@ -86,8 +86,10 @@ def part(batch, g):
 def planned_sums(n, m, light, light_gradient, rotation, tolerance):
     """`planned.Sums` of one group for a distant viewer, arrays as there, that keep the tolerance on the sample."""
     scene = planned.Scene(n, m, light, rotation, light_gradient)
-    pick = directional.sample(len(n), SAMPLE).numpy()
     lobes = np.flatnonzero(lobe_shapes.sharpness(m) > 0).tolist()
+    if len(n) < CHEAP:
+        return planned.Sums(scene, [planned.Way(tuple(lobes), 0, 0, 0.0)] if lobes else [], {})
+    pick = directional.spread_over(len(n), SAMPLE)
     truth = scene.at(n[pick], tuple(lobes)).radiance if lobes else 0.0 * n[pick]
     level = float(truth.mean())
     scene.budget = tolerance * level
@@ -200,7 +202,7 @@ def sum_seconds(sharp, pixels, lights, tolerance):
 def few_lights(batch, tolerance):
     """Radiance (P, 3) of one group seen from a view per pixel."""
     exact = load("exact").radiance
-    if torch.is_grad_enabled() and batch.light.requires_grad:
+    if len(batch.n) < CHEAP or (torch.is_grad_enabled() and batch.light.requires_grad):
         return exact(batch, tolerance)
     pick = directional.sample(len(batch.n), SAMPLE, batch.n.device)
     sampled = replace(batch, n=batch.n[pick], view=batch.view[pick], counts=(len(pick),))

@@ -28,7 +28,8 @@ from shaders.envmap import directions
 from shaders.spline import basis
 
 FEW = 512  # pixels from which the backward pass is worth a second thread
-PASS = 65536  # pixels whose lists are held at a time
+PASS = 65536  # pixels whose lists are made at a time
+KEPT = 2**24  # bytes of lists that a picture keeps for the backward pass
 ALL_LOBES = (0, 1, 2)
 LARGEST_CONTROL = torch.tensor([MAX_EXPONENT, math.inf])[:, None]  # of κ and of γ
 VIEWER = np.array([0.0, 0.0, 1.0])
@@ -125,8 +126,14 @@ def scale(n, view, m, E, lights, pixels=32):
 
 def sample(count, pixels, device=None):
     """Indices (pixels,) spread evenly over range(count), the same every time; steps of the golden ratio fall into no pattern."""
-    places = (torch.arange(min(pixels, count), dtype=torch.float64) * ((math.sqrt(5) - 1) / 2) + 0.5) % 1.0
-    return (places * count).long().unique().to(device)
+    return torch.from_numpy(spread_over(count, pixels)).to(device)
+
+
+@functools.lru_cache(maxsize=64)
+def spread_over(count, pixels):
+    """The same in numpy."""
+    places = (np.arange(min(pixels, count)) * ((math.sqrt(5) - 1) / 2) + 0.5) % 1.0
+    return np.unique((places * count).astype(np.int64))
 
 
 class ListedSum(torch.autograd.Function):
@@ -146,24 +153,32 @@ class ListedSum(torch.autograd.Function):
 
 
 class Listing:
-    """Radiance (P, 3) at normals n (P, 3) by the lights of each tile's list, and the way back; arrays are numpy, float32."""
+    """Radiance (P, 3) at normals n (P, 3) by the lights of each tile's list, and the way back; arrays are numpy, float32.
 
-    def __init__(self, n, tables, left_out):
-        self.tables, self.order = tables, by_place(n)
-        self.n, self.lists = n.take(self.order, 0), []
+    taken  bytes of lists that others keep for the way back: from KEPT on, lists are made a second time then
+    kept   bytes of lists that this one keeps
+    """
+
+    def __init__(self, n, tables, left_out, taken=0):
+        self.tables, self.left_out, self.order = tables, left_out, by_place(n)
+        self.n, self.lists, self.kept = n.take(self.order, 0), {}, 0
         out = np.empty_like(self.n)
         for start in range(0, len(n), PASS):
             part = self.n[start : start + PASS]
-            self.lists.append(select(part, tables, left_out))
-            run_forward(part, tables, self.lists[-1], out[start : start + PASS])
+            lists = select(part, tables, left_out)
+            run_forward(part, tables, lists, out[start : start + PASS])
+            if taken + self.kept < KEPT:
+                self.lists[start] = lists
+                self.kept += sum(array.nbytes for array in lists)
         self.radiance = put_back(out, self.order)
 
     def backward(self, g, with_n=True):
         """Derivatives of Σ g·radiance: by n (P, 3) or None, by m (3, 3, 2, 6) float64, by E (3, T)."""
         g = g.take(self.order, 0)
         by_sorted_n, by_m, by_E = np.empty_like(g), np.zeros((3, 3, 2, 6)), np.zeros((3, len(self.tables.lights.w)), np.float32)
-        for start, lists in zip(range(0, len(g), PASS), self.lists, strict=True):
+        for start in range(0, len(g), PASS):
             part = slice(start, start + PASS)
+            lists = self.lists.get(start) or select(self.n[part], self.tables, self.left_out)
             energy_sums, lobe_sums = run_backward(self.n[part], self.tables, lists, g[part], by_sorted_n[part], with_n)
             by_m += self.tables.material_gradient(lobe_sums)
             by_E += unblocked(energy_sums)[:, : by_E.shape[1]]
@@ -268,6 +283,9 @@ def select(n, tables, left_out):
 
     workers = threads.worth(torch.get_num_threads(), tiles * len(cones) * TESTED)
     threads.run(kernel, threads.split(tiles, workers), workers)
+    width = max(int(lengths.max()), 1)
+    if 2 * width <= room:  # they may be kept: as small as they can be
+        cuts, entries = cuts[:, :width].copy(), entries[:, :width].copy()
     return cuts, lengths, entries
 
 
@@ -276,7 +294,7 @@ def run_forward(n, tables, lists, out):
 
     def kernel(first, last):
         scratch = np.empty(culled.SCRATCH, np.float32)
-        sizes = first, last, len(n), tile_size(len(n)), tables.lights.blocks, tables.many
+        sizes = first, last, len(n), tile_size(len(n)), entries.shape[1], tables.many
         arrays = n, tables.lights.axes, tables.lights.geometry, tables.energy, tables.lobes, scratch, out
         machine_code.call("culled.forward", *sizes, *arrays, cuts, lengths, entries)
 
@@ -293,7 +311,7 @@ def run_backward(n, tables, lists, g, by_n, with_n=True):
     scratch = np.empty(chunks * culled.SCRATCH, np.float32)
 
     def kernel(first, last):
-        sizes = first, last, len(n), tile_size(len(n)), len(lengths), blocks, blocks, many, chunks, int(with_n)
+        sizes = first, last, len(n), tile_size(len(n)), len(lengths), blocks, entries.shape[1], many, chunks, int(with_n)
         arrays = n, tables.lights.axes, tables.lights.geometry, tables.energy, tables.lobes, scratch, g, by_n, energy_sums, lobe_sums
         machine_code.call("culled.backward", *sizes, *arrays, cuts, lengths, entries)
 

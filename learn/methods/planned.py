@@ -33,14 +33,16 @@ class Scene:
     def __init__(self, n, m, light, rotation, light_gradient=True):
         self.n, self.m, self.light, self.light_gradient = n, m, coarse.Light(light, rotation), light_gradient
         self.budget = 0.0  # tolerance × mean radiance: what a way's `culled` multiplies
-        self.tables = {}
+        self.tables, self.kept = {}, 0
 
     def at(self, normals, lobes, level=0, left_out=0.0):
         """The `Listing` of some lobes at normals (N, 3)."""
         if (lobes, level) not in self.tables:
             lights, energy = self.light.at(level)
             self.tables[lobes, level] = Tables(self.m, energy, lights, self.light_gradient, lobes)
-        return Listing(normals, self.tables[lobes, level], left_out)
+        listing = Listing(normals, self.tables[lobes, level], left_out, self.kept)
+        self.kept += listing.kept
+        return listing
 
 
 class Sum:

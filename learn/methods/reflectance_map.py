@@ -6,8 +6,8 @@ size    nodes along a side; node (i, j) stands at p = ((j − 2) h − 1, (i −
 values  (N, 3) radiance at the nodes that some pixel needs, whose flat indices are nodes (N,); others are never read
 
 Between nodes Catmull–Rom weights: exact for quadratics, error h³ and, near a lobe of standard deviation σ, small once h < σ/2.
-Gradients in n pass through the weights, those in m and L through the nodes' sum. Pictures of a batch that are given one material and one
-light (tensors expanded over the batch, or equal ones that need no gradient) share a map.
+Gradients in n pass through the weights, those in m and L through the nodes' sum. Pictures that are given one material and one light, each
+one tensor expanded over the batch, share a map.
 """
 
 import math

@@ -144,19 +144,21 @@ def test_planned_radiance_does_not_depend_on_the_number_of_threads():
 
 
 def test_planned_pictures_are_the_same_alone_and_in_a_batch():
-    """To the last bit, values and derivatives; pictures that share a map, being of one material and one light, are not meant."""
-    kinds = ("matte", "glossy", "satin")
-    n = torch.cat([sphere(size) for size in (40, 40, 40)])
+    """To the last bit, values and derivatives, also with twins and with pictures of a few pixels beside them."""
+    kinds = ("matte", "glossy", "satin", "satin", "glossy")
+    n = torch.cat([sphere(40) for _ in kinds])
+    n[4].view(-1, 3)[torch.arange(40 * 40) % 97 > 0] = 0.0  # five pixels are left
     m = torch.cat([material(*MATERIALS[kind]) for kind in kinds]).float()
-    L = torch.cat([light(name) for name in ("lamps", "sky", "lamps")]).float()
+    L = torch.cat([light(name) for name in ("lamps", "sky", "lamps", "lamps", "sky")]).float()
 
     def rendered(part):
         given = [x[part].float().clone().requires_grad_() for x in (n, m, L)]
         seen = render(*given)
         return [seen, *torch.autograd.grad((seen * seen.detach()).sum(), given)]
 
-    together = rendered(slice(0, 3))
-    for part in (slice(0, 1), slice(1, 3)):
+    together, seen = rendered(slice(0, 5)), render(n, m, L)
+    for part in (slice(0, 1), slice(1, 3), slice(3, 5)):
+        assert torch.equal(seen[part], render(n[part], m[part], L[part]))
         for whole, alone in zip(together, rendered(part), strict=True):
             assert torch.equal(whole[part], alone)
 
