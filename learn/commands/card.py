@@ -14,6 +14,7 @@ def register(subparsers):
     parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="the light maps that the run was given")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="a dataset that Cycles rendered, to measure on its test side as well")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the page goes")
+    parser.add_argument("--seeds", type=Path, nargs="+", default=[], metavar="FILE", help="weights of the same run with other seeds")
     parser.add_argument("--batches", type=int, default=16, metavar="N", help="of 16 pictures (default 16)")
     parser.add_argument("--note", default="", metavar="TEXT", help="what else a reader must know")
     parser.set_defaults(run=run)
@@ -29,7 +30,7 @@ def run(options):
     _, metadata = checkpoint.load_network(options.weights)
     settings = decode(json.dumps(metadata["run"]).encode(), Run, options.weights)
     pools = sources.pools(settings.data, options.data, options.lights, pictures=options.pictures)
-    figures = card.make(options.weights, pools, options.out, options.batches, options.note)
+    figures = card.make(options.weights, pools, options.out, options.batches, options.note, options.seeds)
     for kind, of_kind in figures.items():
         print(f"{kind}: " + ", ".join(f"{name} {value[0]:.4g}" for name, value in of_kind.items()))
     print(f"See {options.out / 'card.md'}")

@@ -6,6 +6,7 @@ Made from the run's own files, and measured anew: `python -m learn card`.
 import json
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import torch
 from PIL import Image
@@ -15,6 +16,7 @@ from learn.training import checkpoint, measures, sheet
 from learn.training.cycles import Cycles
 from learn.training.relit import Relit
 from learn.training.settings import Run
+from manifests.problems import Problem
 from manifests.reading import decode
 
 BATCH, SEED = 16, 77
@@ -31,37 +33,76 @@ WORDS = {
 }
 
 
-def make(weights, pools, out, batches, note=""):
+def make(weights, pools, out, batches, note="", seeds=()):
     """Measure weights on the test side, on relit pictures and, where the pool has an album, on all of its rendered ones.
 
     pools  learn.training.sources.pools
+    seeds  weights of the same run with other seeds, measured on the same pictures for a table of all
     Writes card.md, card.json, sheet.jpg, and sheet-cycles.jpg, to `out`. Returns {"figures", "cycles"}, {figure: [mean, low, high]} each
+    Raises Problem where one of the seeds is of another run, or a seed is there twice
     """
     network, metadata = checkpoint.load_network(weights)
     run, out, test = decode(json.dumps(metadata["run"]).encode(), Run, weights), Path(out), pools["test"]
+    others = [_same_run(path, weights, run) for path in seeds]
+    _all_different([weights, *seeds], [run, *(other for _, _, other in others)])
     out.mkdir(parents=True, exist_ok=True)
-    relit = Relit(test, run.data, BATCH, run.size, SEED)
     constant = measures.mean_albedo(pools["train"])
-    figures, count = measured(network, run, (relit[k] for k in range(batches)), out / "sheet.jpg", constant)
-    told = {
-        "run": metadata["run"],
-        "step": metadata.get("step"),
-        "pictures": count,
-        "figures": figures,
-        "sizes": _sizes(network, pools),
-        "note": note,
-    }
+    told = {"run": metadata["run"], "step": metadata.get("step"), "sizes": _sizes(network, pools), "note": note}
+    if others:
+        told["seeds"] = [[run.seed, told["step"]], *([other.seed, step] for _, step, other in others)]
+    relit = Relit(test, run.data, BATCH, run.size, SEED)
+    places = [("", relit, batches, "sheet.jpg")]
     if test.album:
-        cycles = Cycles(test, run.data, 1, run.size, SEED)
-        figures, count = measured(network, run, (cycles[k] for k in range(len(test.album))), out / "sheet-cycles.jpg", constant)
-        told |= {"cycles": figures, "cycles_pictures": count, "cycles_about": _of_album(test.album)}
+        places.append(("cycles", Cycles(test, run.data, 1, run.size, SEED), len(test.album), "sheet-cycles.jpg"))
+        told["cycles_about"] = _of_album(test.album)
+    for where, source, count, sheet_name in places:
+        found = [measured(network, run, (source[k] for k in range(count)), constant, out / sheet_name)]
+        found += [measured(other, run, (source[k] for k in range(count)), constant) for other, _, _ in others]
+        told |= _under(where, found)
     (out / "card.json").write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     (out / "card.md").write_text(_page(told), encoding="utf-8")
     return {key: told[key] for key in ("figures", "cycles") if key in told}
 
 
-def measured(network, run, batches, sheet_path, constant_albedo):
-    """({figure: [mean, low, high]}, pictures) over batches; 95 % intervals over shapes and materials. The first ones go on a sheet."""
+def _same_run(path, first, run):
+    """(network, step, run) of weights that differ from the first in nothing but their seed."""
+    network, metadata = checkpoint.load_network(path)
+    other = decode(json.dumps(metadata["run"]).encode(), Run, path)
+    if msgspec.structs.replace(other, seed=run.seed, name=run.name, about=run.about) != run:
+        raise Problem(path, f"weights of the run of {first} with another seed", "other settings", "measure them by a card of their own")
+    return network, metadata.get("step"), other
+
+
+def _all_different(paths, runs):
+    for path, run in zip(paths, runs, strict=True):
+        if sum(other.seed == run.seed for other in runs) > 1:
+            raise Problem(path, "a seed that no other of these weights has", f"seed {run.seed} twice", "leave one of them out")
+
+
+def _under(where, found):
+    """What card.json says of one kind of pictures: of the first network, and of all if there are several.
+
+    found  (values {figure: (P,)}, names (P,)) of each network, on the same pictures
+    """
+    (values, names), *_ = found
+    resampled = intervals.draws(intervals.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1))))
+    told = {
+        where or "figures": {key: _interval(value, resampled) for key, value in values.items()},
+        f"{where}_pictures" if where else "pictures": len(names),
+    }
+    if len(found) > 1:
+        told[f"{where}_seeds" if where else "figures_seeds"] = {
+            key: {
+                "mean": _interval(np.mean([values[key] for values, _ in found], 0), resampled),
+                "each": [float(np.nanmean(values[key])) for values, _ in found],
+            }
+            for key in values
+        }
+    return told
+
+
+def measured(network, run, batches, constant_albedo, sheet_path=None):
+    """({figure: (P,)}, names (P,)) over batches. The first ones go on a sheet, if there is a path for it."""
     rows, names, shown = [], [], []
     for batch in batches:
         with torch.no_grad():
@@ -70,10 +111,9 @@ def measured(network, run, batches, sheet_path, constant_albedo):
         names += batch.names
         if sum(len(each.names) for each, _ in shown) < sheet.ROWS:
             shown.append((batch, prediction))
-    Image.fromarray(np.concatenate([sheet.cells(*each) for each in shown])[: sheet.ROWS * run.size]).save(sheet_path, quality=90)
-    values = {key: np.concatenate([row[key] for row in rows]) for key in rows[0]}
-    resampled = intervals.draws(intervals.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1))))
-    return {key: _interval(value, resampled) for key, value in values.items()}, len(names)
+    if sheet_path:
+        Image.fromarray(np.concatenate([sheet.cells(*each) for each in shown])[: sheet.ROWS * run.size]).save(sheet_path, quality=90)
+    return {key: np.concatenate([row[key] for row in rows]) for key in rows[0]}, names
 
 
 def _interval(values, weights):
@@ -127,6 +167,7 @@ def _page(told):
         "|---|---|---|",
     ]
     lines += _rows(told["figures"])
+    lines += _rows_of_seeds(told, "figures_seeds")
     if "cycles" in told:
         lines += [
             "",
@@ -136,6 +177,7 @@ def _page(told):
             "| | mean | 95 % |",
             "|---|---|---|",
             *_rows(told["cycles"]),
+            *_rows_of_seeds(told, "cycles_seeds"),
         ]
     lines += [
         "",
@@ -153,3 +195,16 @@ def _words(key):
 
 def _rows(figures):
     return [f"| {_words(key)} | {mean:.4g} | {low:.4g} – {high:.4g} |" for key, (mean, low, high) in figures.items()]
+
+
+def _rows_of_seeds(told, key):
+    """A table of several seeds on the same pictures."""
+    if key not in told:
+        return []
+    seeds = [f"seed {seed}" + (f", {step} steps" if step else "") for seed, step in told["seeds"]]
+    lines = ["", f"The same of {len(seeds)} seeds: the mean over them with its 95 % interval over shapes and materials, and each.", ""]
+    lines += [f"| | mean of {len(seeds)} | 95 % | {' | '.join(seeds)} |", "|" + "---|" * (3 + len(seeds))]
+    for name, of in told[key].items():
+        mean, low, high = of["mean"]
+        lines.append(f"| {_words(name)} | {mean:.4g} | {low:.4g} – {high:.4g} | " + " | ".join(f"{each:.4g}" for each in of["each"]) + " |")
+    return lines

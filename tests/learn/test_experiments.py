@@ -135,6 +135,31 @@ def test_a_card_measures_relit_and_rendered_pictures_apart(pools, tmp_path):
     assert (tmp_path / "sheet-cycles.jpg").exists()
 
 
+def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(pools, tmp_path):
+    paths = [tmp_path / f"w{seed}.safetensors" for seed in (1, 2, 3)]
+    runs = [Run(name="tiny", size=SIZE, data=Data(sharing=2), seed=seed) for seed in (1, 2, 2)]
+    for path, run in zip(paths, runs, strict=True):
+        torch.manual_seed(run.seed)
+        network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
+        checkpoint.save_weights(path, network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7)
+    found = card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[1:2])
+    told = json.loads((tmp_path / "card.json").read_text())
+    assert told["seeds"] == [[1, "7"], [2, "7"]]
+    for name, of in told["figures_seeds"].items():
+        assert len(of["each"]) == 2
+        assert of["each"][0] == pytest.approx(found["figures"][name][0])
+        assert of["mean"][0] == pytest.approx(np.mean(of["each"]))
+    assert told["figures_seeds"]["angle_deg"]["each"][0] != told["figures_seeds"]["angle_deg"]["each"][1]
+    assert told["figures_seeds"]["constant_irradiance"]["each"][0] == told["figures_seeds"]["constant_irradiance"]["each"][1]
+    assert "seed 2, 7 steps" in (tmp_path / "card.md").read_text()
+    with pytest.raises(Problem, match="seed 2 twice"):
+        card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[1:])
+    other = msgspec.structs.replace(runs[1], schedule=Schedule(steps=3))
+    checkpoint.save_weights(paths[2], network, network.state_dict(), msgspec.json.encode(other).decode(), SIZE, 7)
+    with pytest.raises(Problem, match="other settings"):
+        card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[2:])
+
+
 def test_step_times_cover_every_part_and_add_up(pools, tmp_path):
     terms = Losses(albedo=0.3, light_log=0.3, light_rendered=1, image=1, target=1, pixels=8, layer_light=(8, 16))
     run = Run(name="tiny", size=SIZE, data=Data(sharing=2), losses=terms, schedule=Schedule(steps=4, batch=2))
