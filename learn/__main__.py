@@ -20,7 +20,6 @@ COMMANDS = (
     "transfer",
     "exposure",
     "enlarging",
-    "likely",
     "refinement",
     "proof",
     "study",

@@ -1,14 +1,8 @@
-"""What refinement lowers: the picture's difference from what was seen, and how far each property is from where it is held.
+"""What refinement lowers: the picture's difference from what was seen, and how far each property is from the prediction.
 
     E = image + a · normals + b · light + c · material
 
-held "likely": near where the truth may be expected, given the prediction (learn.refinement.likely)
-image     mean over pixels and channels of o² log(1 + (C(I*) − C(I))²/o²), o settings.outlier: where normals are far off, no light
-          explains a pixel
-others    |z|²/(2 EVIDENCE), z as in learn.refinement.likely_coordinates, the material's with its albedo; with a = b = c = 1 and
-          without outliers E is −log of the posterior over EVIDENCE, if mistakes are as large as those that were measured
-
-held "near": Eq. 6, each term a mean, so that a weight means the same at any size of picture and map
+Eq. 6, each term a mean, so that a weight means the same at any size of picture and map
 image     mean over pixels and channels of (C(I*) − C(I))²
 normals   mean over pixels of |n* − n'|²
 light     mean over the sphere (solid angle) and channels of (log(1 + L*) − log(1 + L'))²
@@ -28,12 +22,10 @@ from learn.networks.coding import compressed
 from learn.training.losses import reduced, solid_angles
 from shaders import tone
 
-EVIDENCE = 6e4  # pixels over twice the variance of C(I*) − C(I): 108 pixels at .03, for neighbours are no independent evidence
-
 
 @dataclass(frozen=True)
 class State:
-    """label (1, S, 108) float64, light (1, 3, 64, 128), n (1, 3, H, W), and by name how far each is from where it is held."""
+    """label (1, S, 108) float64, light (1, 3, 64, 128), n (1, 3, H, W), and z {name: vector} of learn.refinement.coordinates."""
 
     label: torch.Tensor
     light: torch.Tensor
@@ -76,18 +68,14 @@ class Energy:
         mask = torch.ones(1, 1, len(where), dtype=torch.bool)
         tolerance = self.settings.tolerance
         picture = render(n, material, small, mask=mask, method=method, tolerance=tolerance, elevation=self.elevation, **regions)
-        squared = (compressed(picture[0, 0] * self.exposure) - self.seen[where]) ** 2
-        outlier = self.settings.outlier**2
-        return (outlier * torch.log1p(squared / outlier)).mean() if outlier else squared.mean()
+        return ((compressed(picture[0, 0] * self.exposure) - self.seen[where]) ** 2).mean()
 
     def terms(self, state, where, light=(64, 128), method="auto"):
         """{name: scalar}, not yet weighed."""
-        image = {"image": self.image(state, where, light, method)}
-        if self.settings.held == "likely":
-            return image | {name: (z**2).sum() / (2 * EVIDENCE) for name, z in state.z.items()}
         moved = (state.n - self.start.n).flatten(2)[0].index_select(1, where)
         relit = (torch.log1p(state.light) - self.log_light) ** 2 * self.share
-        return image | {
+        return {
+            "image": self.image(state, where, light, method),
             "normals": (moved**2).sum(0).mean(),
             "light": relit.sum((2, 3)).mean(),
             "material": (state.z["material"] ** 2).mean(),

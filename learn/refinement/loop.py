@@ -1,10 +1,8 @@
 """The way down: coarse to fine, and only what lowers the whole energy is kept.
 
-Eq. 6, held near: each round moves the material, then the light, then the normals by L-BFGS (scipy's, whose line search keeps the strong
+Each round moves the material, then the light, then the normals by L-BFGS (scipy's, whose line search keeps the strong
 Wolfe conditions). Material first: normals that were freed first moved from 9° to 50° off. Once each fits the others a level may go on in
 all three at once. A step that does not lower the energy is taken back.
-Held likely: from where the truth is expected, all three at once, for what is likely keeps each where it belongs. A coarse level's end is
-where the next one starts even if the whole map does not confirm it; of all ends, and the prediction, the lowest is kept.
 """
 
 import math
@@ -16,7 +14,6 @@ import torch
 from scipy.optimize import minimize
 
 from learn.networks.prediction import Prediction
-from learn.refinement import likely, likely_coordinates
 from learn.refinement.coordinates import Light, Material, Normals
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Settings
@@ -50,12 +47,10 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
         raise ValueError("refine: one picture with normals, material and light expected; predict all three, and refine one by one")
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
     maps = coordinates(prediction, inside, settings)
-    z = kept = {name: m.predicted.numpy().flatten() for name, m in maps.items()}
+    z = {name: m.predicted.numpy().flatten() for name, m in maps.items()}
     start = state_of(maps, z)
     energy = Energy(batch, start, settings)
     before = best = energy.finest(start)
-    if settings.held == "likely":
-        z = {name: np.zeros_like(v) if name in settings.order else v for name, v in z.items()}
     history = []
     for number, level in enumerate(settings.levels):
         where = energy.pixels(level.pixels)
@@ -64,11 +59,9 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
             reached = energy.finest(state_of(maps, tried))
             accepted = math.isfinite(reached["total"]) and reached["total"] < best["total"]
             if accepted:
-                kept, best = tried, reached
-            z = tried if settings.held == "likely" and math.isfinite(reached["total"]) else kept
+                z, best = tried, reached
             told = {"level": number, "round": turn, "property": "+".join(names), "accepted": accepted}
             history.append(told | {"total": reached["total"]})
-    z = kept
     state = state_of(maps, z)
     n = torch.where(inside[:, None], state.n, prediction.n)
     refined = Prediction(n, None, state.label.to(prediction.label.dtype), torch.log1p(state.light), state.light)
@@ -77,14 +70,10 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
 
 def coordinates(prediction, inside, settings):
     """{property: map from z} of a Prediction."""
-    if settings.held == "near":
-        light, normals = Light(prediction.light, settings.degree), Normals(prediction.n, inside, settings.reach)
-        return {"material": Material(prediction.label), "light": light, "normals": normals}
-    known = likely.load(likely.FILE)
     return {
-        "material": likely_coordinates.Material(prediction.label, known),
-        "light": likely_coordinates.Light(prediction.light, known),
-        "normals": likely_coordinates.Normals(prediction.n, inside, settings.reach, known),
+        "material": Material(prediction.label),
+        "light": Light(prediction.light, settings.degree),
+        "normals": Normals(prediction.n, inside, settings.reach),
     }
 
 
@@ -98,10 +87,7 @@ def state_of(maps, z, known=None):
     """State of vectors {name: (Z,) numpy or tensor}; what `z` does not name is taken from the State `known`."""
     moved = {name: torch.as_tensor(z[name]).reshape(m.shape) for name, m in maps.items() if name in z}
     fields = {FIELDS[name]: maps[name](value) for name, value in moved.items()}
-    apart = {
-        name: maps[name].unlikely(value, fields["label"]) if hasattr(maps[name], "unlikely") else value for name, value in moved.items()
-    }
-    fields["z"] = ({} if known is None else known.z) | apart
+    fields["z"] = ({} if known is None else known.z) | moved
     return State(**fields) if known is None else replace(known, **fields)
 
 

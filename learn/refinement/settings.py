@@ -27,22 +27,18 @@ class Level:
 
 @dataclass(frozen=True)
 class Settings:
-    """What holds the properties, weights of learn.refinement.energy's terms, and the way down.
+    """Weights of learn.refinement.energy's terms, what may move, and the way down.
 
-    held        "near": by the distance from the prediction, Eq. 6; "likely": by the mistakes that were measured
     a, b, c     of normals, light and material; Eq. 6 has no c
-    outlier     difference of compressed pictures from which on a pixel counts less and less; 0: squares throughout
     order       one property after another in each round; what is not named stays where it starts
-    degree      of the spherical harmonics that the light's logarithm is changed by, where held near
+    degree      of the spherical harmonics that the light's logarithm is changed by
     reach       the most that a normal may be moved, in the disk of learn.refinement.coordinates
     tolerance   of the layer in the finest energy, which decides what is kept
     """
 
-    held: str = "near"
     a: float = 0.1
     b: float = 0.02
     c: float = 0.03
-    outlier: float = 0.0
     order: tuple = PROPERTIES
     degree: int = 8
     reach: float = 0.3
@@ -54,17 +50,4 @@ class Settings:
 
 
 PAPER = Settings(a=1.0, b=10.0, c=0.0)
-LIKELY = Settings(
-    held="likely",
-    a=0.45,
-    b=0.45,
-    c=1.0,
-    outlier=0.1,
-    reach=0.5,
-    levels=(
-        Level(pixels=300, light=(16, 32), method="exact", rounds=0, iterations=0, together=80),
-        Level(pixels=400, light=(32, 64), method="exact", rounds=0, iterations=0, together=40),
-        Level(pixels=500, light=(64, 128), method="exact", rounds=0, iterations=0, together=20),
-    ),
-)
-NAMED = {"default": Settings(), "paper": PAPER, "likely": LIKELY}
+NAMED = {"default": Settings(), "paper": PAPER}

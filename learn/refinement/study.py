@@ -1,7 +1,7 @@
 """What refinement does on pictures whose truth is known, weight by weight, and how long it takes.
 
 rows.jsonl  a line for each picture and setting: a study is continued by what it holds
-study.json  medians and means over pictures against a, b and c, one weight at a time about the defaults, and about LIKELY's
+study.json  medians and means over pictures against a, b and c, one weight at a time about the defaults
 
 Display L2 over the mask, exposure from the truth; edit: the mean over the other materials that the dataset has of the same scene.
 """
@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from learn.evaluation import pairs
 from learn.layer import render
-from learn.refinement import LIKELY, NAMED, Settings, refine
+from learn.refinement import NAMED, Settings, refine
 from learn.training.measures import irradiance
 from manifests.problems import Problem
 from manifests.store import Lines
@@ -29,30 +29,22 @@ SWEEPS = {
     "a": (0.01, 0.1, 1.0),
     "b": (0.002, 0.02, 0.2, 10.0),
     "c": (0.0, 0.03, 0.3),
-    "likely a": (0.15, 0.45, 1.5),
-    "likely b": (0.15, 0.45, 1.5),
-    "likely c": (0.3, 1.0, 3.0),
 }
 FIGURES = ("image", "edit", "angle_deg", "light")
 TOLERANCE = 2e-2
 
 
 def settings_of(name):
-    """Settings of a name such as "a=0.1", "likely b=0.15", or of NAMED. Raises Problem."""
+    """Settings of a name such as "a=0.1", or of NAMED. Raises Problem."""
     if name in NAMED:
         return NAMED[name]
     weight, _, value = name.partition("=")
     try:
         if weight not in SWEEPS:
             raise ValueError(weight)
-        return replace(about(weight), **{weight[-1]: float(value)})
+        return replace(Settings(), **{weight: float(value)})
     except ValueError:
         raise Problem(f"--only {name}", "a setting", "none of that name", f"one of {', '.join(names())}") from None
-
-
-def about(weight):
-    """The Settings that a weight of SWEEPS is moved about."""
-    return LIKELY if weight.startswith("likely ") else Settings()
 
 
 def names():
