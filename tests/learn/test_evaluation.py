@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import msgspec
@@ -109,6 +110,13 @@ def test_truth_in_the_tables_say_so(options, monkeypatch):
     parts = {
         key: {row["name"]: row["cells"] for row in tables[key]["rows"]}["ours"] for key in ("normals", "material", "light", "rerendered")
     }
+    given = {
+        "the layer alone",
+        "mean material, true normals and light",
+        "constant light, true normals",
+    }  # who is given a part has no row of it
+    assert not given & {row["name"] for row in tables["normals"]["rows"]}
+    assert not {"the layer alone", "constant light, true normals"} & {row["name"] for row in tables["material"]["rows"]}
     assert parts["normals"]["mean_deg"][0] < 0.1  # arccos of 1 − 6e-8 is 0.02°
     assert parts["material"]["brdf_log"][0] == 0 and parts["light"]["spheres_l2"][0] == 0
     assert parts["rerendered"]["l2"][0] < HALF_FLOATS
@@ -126,6 +134,59 @@ def test_a_false_light_is_told_from_false_normals(data, weights):
     l2 = bench.metrics.display_l2(wrong.edit(batch, label), truth, mask)
     found = bench.with_truth(wrong, batch, label, truth, mask, l2)
     assert l2 > 20 and found["l2_true_light"] < HALF_FLOATS and found["l2_true_normals"] == pytest.approx(l2, rel=1e-4)
+
+
+def test_false_normals_are_told_from_a_false_light(data, weights):
+    work = bench.Bench(data, weights, refine=False)
+    edit = pairs.chosen(work.records.records, 1, 0)[0]
+    batch, label = pairs.shown(work.records, edit), pairs.wanted(work.records, edit)
+    wrong = methods.Layered(
+        "wrong normals", lambda b: Prediction(b.n * torch.tensor([-1.0, 1, 1])[:, None, None], None, None, None, b.light + 0)
+    )
+    truth, mask = work.records.image(edit.truth), (batch.segments[0] > 0).numpy()
+    l2 = bench.metrics.display_l2(wrong.edit(batch, label), truth, mask)
+    found = bench.with_truth(wrong, batch, label, truth, mask, l2)
+    assert l2 > 2 and found["l2_true_normals"] < HALF_FLOATS and found["l2_true_light"] == pytest.approx(l2, rel=1e-4)  # light is even
+
+
+def test_what_stands_behind_the_object_is_neither_shown_nor_compared(data, weights, monkeypatch):
+    work = bench.Bench(data, weights, refine=False)
+    edit = pairs.chosen(work.records.records, 1, 0)[0]
+    mask = (pairs.shown(work.records, edit).segments[0] > 0).numpy()[..., None]
+    image = Records.image
+    monkeypatch.setattr(Records, "image", lambda self, record: np.where(mask, image(self, record), np.float32(0.5)))
+    batch = pairs.shown(work.records, edit)
+    assert (batch.image[0].movedim(0, -1).numpy() * ~mask).max() == 0
+    _, (row,) = work.work(edit, [edit], False)
+    assert row["methods"]["the layer alone"]["l2_frame"] < HALF_FLOATS
+
+
+def test_the_layer_inside_is_not_blamed_for_what_is_wrong_at_silhouettes(data, weights):
+    work = bench.Bench(data, weights, refine=False)
+    edit = pairs.chosen(work.records.records, 1, 0)[0]
+    batch, truth = pairs.shown(work.records, edit), work.records.image(edit.truth)
+    mask = (batch.segments[0] > 0).numpy()
+    rim = mask & (batch.n[0, 2] < 0.5).numpy()
+    found = work._layer(edit, np.where(rim[..., None], 0, truth), mask)
+    assert found["l2"] > 100
+    assert found["l2_inner"] < HALF_FLOATS
+
+
+def test_a_smaller_evaluation_in_the_same_folder_reports_its_own_edits_alone(options):
+    run.make(options)
+    told = run.make(replace(options, edits=1))
+    assert told["tables"]["layer"]["rows"][-1]["cells"]["edits"] == 1
+
+
+def test_where_pictures_are_held_out_only_those_are_edited(data, options, tmp_path):
+    folder = tmp_path / "split"
+    shutil.copytree(data, folder)
+    records = [msgspec.structs.replace(r, split="test" if r.rotation_texels else "train") for r in Records(folder).records]
+    (folder / "records" / "worker-00.jsonl").write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in records))
+    run.make(replace(options, data=folder, edits=100))
+    edits = run.read(options.out / "edits.jsonl")
+    assert len(edits) == 6  # of twelve
+    assert {row["split"] for row in edits} == {"test"}
 
 
 def without_seconds(rows):
