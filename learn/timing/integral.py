@@ -18,7 +18,7 @@ from learn.layer import render
 from learn.methods import quadrature
 
 GAMMAS = (0.01, 1.0, 30.0, 290.0, 310.0, 1.3e3, 5e3, 3e4, 1e5)  # 300: where taps take over from the sum over texels
-FINE, LESS_FINE = 1e-4, 3e-4  # tolerances: 16,384 and 8,192 taps
+FINE, LESS_FINE = 1e-4, 4e-4  # tolerances: 16,384 and 8,192 taps
 BY_TEXELS = quadrature.BROAD * max(quadrature.SPLITS) ** 2  # exponent up to which a fine tolerance splits texels instead of placing taps
 ROUNDS = 3
 
