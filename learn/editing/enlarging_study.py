@@ -1,10 +1,12 @@
 """Ways to enlarge an edit (learn.editing.enlarging), measured on rendered pictures larger than the network's, beside their truth.
 
 Each twice: with our parts, refined, and with true ones at the network's size, where what is left is the enlarging alone.
+OUT/rows.jsonl  a line an edit: the same command goes on from them, and with more --edits adds to them
 """
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -15,33 +17,42 @@ from learn import intervals, pictures
 from learn.agreement.measure import similarity
 from learn.editing import apart, enlarging, photograph
 from learn.evaluation import pairs
+from learn.evaluation.run import read
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings
 from learn.timing.report import made_by
 from learn.training import checkpoint
 from manifests.problems import Problem
+from manifests.store import Lines
 from shaders import tone
 
 
 def study(records, weights, out, count, seed=0):
     """enlarging.json: a row for each way and kind of parts; ratios against the way in use. records: learn.dataset.Records."""
     network, metadata = checkpoint.load_network(weights)
-    size, rows = int(metadata["size"]), []
+    size = int(metadata["size"])
     edits = pairs.chosen(records.records, count, seed)
     if min(edits[0].source.camera.size) < 2 * size:
         found = " × ".join(map(str, edits[0].source.camera.size))
         raise Problem(records.folder, f"pictures of {2 * size} pixels or more, twice the network's", found, 'render them with "size"')
-    settings, known = Settings(), {}
-    for edit in tqdm(edits, "edits", unit="edit"):
+    settings, known, out = Settings(), {}, Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    there = read(out / "rows.jsonl")
+    done, lines = {row["edit"] for row in there}, Lines(out / "rows.jsonl")
+    for edit in tqdm([edit for edit in edits if edit.id not in done], "edits", unit="edit"):
         if edit.source.id not in known:
             opened = photograph.opened(records.folder, record=edit.source.id)
             ours = apart.taken(opened, network, size, settings)
             known = {edit.source.id: {"ours": enlarging.ways(ours), "true": enlarging.ways(true(records, ours))}}
         label, truth = pairs.wanted(records, edit)[0].numpy(), records.image(edit.truth)
+        row = {"edit": edit.id, "shape": edit.source.shape, "material": edit.truth.materials[0]}
         for parts, painters in known[edit.source.id].items():
-            row = {"parts": parts, "shape": edit.source.shape, "material": edit.truth.materials[0], "edit": edit.id}
             mask = painters["normals enlarged"].apart.photograph.mask
-            rows.append(row | {name: compared(painter.edited([label]), truth, mask) for name, painter in painters.items()})
+            row[parts] = {name: compared(painter.edited([label]), truth, mask) for name, painter in painters.items()}
+        lines.append(row)
+    lines.close()
+    wanted = {edit.id for edit in edits}
+    rows = [row for row in read(out / "rows.jsonl") if row["edit"] in wanted]
     return written(out, rows, {"edits": len(edits), "size": edits[0].source.camera.size, "network": size})
 
 
@@ -64,13 +75,12 @@ def compared(picture, truth, mask):
 
 
 def written(out, rows, about):
+    """enlarging.json of rows as rows.jsonl has them."""
     found = {"made_by": made_by(), "about": about, "parts": {}}
+    weights = intervals.draws(intervals.groups_of([row["shape"] for row in rows], [row["material"] for row in rows]))
     for parts in ("ours", "true"):
-        of = [row for row in rows if row["parts"] == parts]
-        groups = intervals.groups_of([row["shape"] for row in of], [row["material"] for row in of])
-        weights = intervals.draws(groups)
-        names = [name for name, value in of[0].items() if isinstance(value, dict)]
-        l2, ssim = ({name: np.array([row[name][key] for row in of]) for name in names} for key in ("l2", "ssim"))
+        names = list(rows[0][parts])
+        l2, ssim = ({name: np.array([row[parts][name][key] for row in rows]) for name in names} for key in ("l2", "ssim"))
         found["parts"][parts] = {
             name: {
                 "l2": intervals.interval(l2[name], weights),
@@ -80,6 +90,5 @@ def written(out, rows, about):
             }
             for name in names
         }
-    out.mkdir(parents=True, exist_ok=True)
     (out / "enlarging.json").write_text(json.dumps(found | {"rows": rows}, indent=1) + "\n")
     return found
