@@ -23,7 +23,7 @@ import math
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import LN2, add_to, cosine, half_offset, peak_cosine
+from learn.engines.distant import add_by_n, add_to, clear, cosine, half_offset, lobe, lobe_backward, peak_cosine, write_sums
 from learn.engines.exponentials import LOWEST, exp2, exp2m1, log2
 from learn.engines.vector import (
     FLOAT_POINTER,
@@ -49,7 +49,6 @@ SCRATCH = 51 * TILE  # floats: a tile's sums (TILE, 3, 16) and its normals (3, T
 CHUNKS = 4  # of tiles at most, in the backward pass: the most threads it can use
 CONE_ROWS = 17
 LARGEST = 72.13475  # MAX_EXPONENT log2 e
-FLOOR = -64.0  # log2 of c^γ: products with smaller powers would be denormal, and slow
 NEVER, ALWAYS = 1.0, -1e30  # as a cut: above and below any log2 c
 WIDENED = 1e-4  # radians by which the cone of a tile's normals is widened against rounding
 SLACK = 2e-6  # on cosines, for rounding
@@ -94,26 +93,6 @@ def pixels_near(scratch, o, count, axes, block, reach):
 
 
 @inlined
-def lobe(lobes, o, log_c):
-    """expm1(κ c^γ) of the lobe and channel at offset o."""
-    return exp2m1(load(lobes, o + 16) * exp2(maximum(load(lobes, o) * log_c, FLOOR)))
-
-
-@inlined
-def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
-    """As learn.engines.distant.lobe_backward, with the sums at an offset of their own."""
-    gamma = load(lobes, o)
-    power = exp2(maximum(gamma * log_c, FLOOR))
-    exponent = load(lobes, o + 16) * power
-    value = exp2m1(exponent)
-    x = value + 1.0
-    q = weight * (x * power)
-    store(lobe_sums, to, load(lobe_sums, to) + q)
-    store(lobe_sums, to + 16, fma(q, log_c, load(lobe_sums, to + 16)))
-    return f + value, fma(x * exponent, gamma, slope)
-
-
-@inlined
 def cone_about(n, start, count):
     """Axis, cos and sin of the half angle of a cone that holds the normals start … start + count − 1, a little widened."""
     x, y, z = 0.0, 0.0, 0.0
@@ -137,27 +116,26 @@ def select(first, last, pixels, size, wide_blocks, room, many, budget, n, cones,
     for tile in range(first, last):
         nx, ny, nz, cos_n, sin_n = cone_about(n, tile * size, min(size, pixels - tile * size))
         for wide_block in range(wide_blocks):
-            o = 16 * CONE_ROWS * wide_block
+            o, b = 16 * CONE_ROWS * wide_block, 96 * wide_block
             axis = fma(load(cones, o), nx, fma(load(cones, o + 16), ny, load(cones, o + 32) * nz))
             n_w = nearest_cosine(axis, load(cones, o + 48), load(cones, o + 64), cos_n, sin_n)
             if not anywhere(n_w > 0.0):
-                for i in range(6):
-                    store(scratch, 16 * (6 * wide_block + i), splat(0.0))
+                clear(scratch, b, 6)
                 continue
             axis = fma(load(cones, o + 80), nx, fma(load(cones, o + 96), ny, load(cones, o + 112) * nz))
             c = maximum(nearest_cosine(axis, load(cones, o + 128), load(cones, o + 144), cos_n, sin_n), 1e-12)
             log_c = log2(c, 1.0 - c)
             weight = maximum(n_w, 0.0) * load(cones, o + 160)
             for s in range(many):
-                exponent = load(cones, o + 224 + 16 * s) * exp2(maximum(load(cones, o + 176 + 16 * s) * log_c, FLOOR))
-                store(scratch, 16 * (6 * wide_block + s), weight * exp2m1(minimum(exponent, LARGEST)))
-                store(scratch, 16 * (6 * wide_block + 3 + s), weight)
+                exponent = load(cones, o + 224 + 16 * s) * exp2(load(cones, o + 176 + 16 * s) * log_c)
+                store(scratch, b + 16 * s, weight * exp2m1(minimum(exponent, LARGEST)))
+                store(scratch, b + 48 + 16 * s, weight)
         threshold = 0.125 * budget[0]
         for _ in range(12):
             skipped = splat(0.0)
             for wide_block in range(wide_blocks):
                 for s in range(many):
-                    skipped = skipped + minimum(load(scratch, 16 * (6 * wide_block + s)), threshold)
+                    skipped = skipped + minimum(load(scratch, 96 * wide_block + 16 * s), threshold)
             if lane_sum(skipped) <= budget[0]:
                 break
             threshold *= 0.25
@@ -171,14 +149,14 @@ def select(first, last, pixels, size, wide_blocks, room, many, budget, n, cones,
                 continue
             reach = splat(NEVER)
             for s in range(many):  # the log2 c at which weight · (2^(κ c^γ) − 1) meets the threshold
-                share = threshold / maximum(load(scratch, 16 * (6 * wide_block + 3 + s)), 1e-30)
+                share = threshold / maximum(load(scratch, b + 48 + 16 * s), 1e-30)
                 inverse = 1.0 / (1.0 + share)  # log2 takes numbers up to 1
                 bits = 0.0 - log2(maximum(inverse, 1e-30), share * inverse)
                 height = minimum(bits / maximum(load(cones, o + 224 + 16 * s), 1e-30), 1.0)
                 cut = log2(maximum(height, 1e-30), 1.0 - height) / load(cones, o + 176 + 16 * s)
                 cut = choose(threshold * splat(1.0) > 0.0, cut, ALWAYS)
-                wanted = load(scratch, 16 * (6 * wide_block + s)) > threshold
-                store(scratch, 16 * (6 * wide_block + 3 + s), choose(wanted, cut, NEVER))
+                wanted = load(scratch, b + 16 * s) > threshold
+                store(scratch, b + 48 + 16 * s, choose(wanted, cut, NEVER))
                 reach = minimum(reach, choose(wanted, least_cosine(cut, load(cones, o + 128), load(cones, o + 144)), NEVER))
             store(scratch, b, reach)
             for lane in range(16):
@@ -200,8 +178,7 @@ def forward(first, last, pixels, size, room, many, n, axes, geometry, energy, lo
     for tile in range(first, last):
         start = tile * size
         count = min(size, pixels - start)
-        for i in range(3 * count):
-            store(scratch, 16 * i, splat(0.0))
+        clear(scratch, 0, 3 * count)
         unpack(n, start, count, scratch, 0)
         for i in range(room * tile, room * tile + lengths[tile]):
             block = entries[i]
@@ -227,15 +204,13 @@ def forward(first, last, pixels, size, room, many, n, axes, geometry, energy, lo
                             f0 = f0 + lobe(lobes, o, log_c)
                             f1 = f1 + lobe(lobes, o + 32, log_c)
                             f2 = f2 + lobe(lobes, o + 64, log_c)
-                    if not seen:
-                        continue
-                    n_w = maximum(n_w, 0.0)
-                    a = 48 * j
-                    add_to(scratch, a, f0 * n_w * load(energy, e))
-                    add_to(scratch, a + 16, f1 * n_w * load(energy, e + 16))
-                    add_to(scratch, a + 32, f2 * n_w * load(energy, e + 32))
-        for i in range(3 * count):
-            radiance[3 * start + i] = lane_sum(load(scratch, 16 * i))
+                    if seen:
+                        n_w = maximum(n_w, 0.0)
+                        a = 48 * j
+                        add_to(scratch, a, f0 * n_w * load(energy, e))
+                        add_to(scratch, a + 16, f1 * n_w * load(energy, e + 16))
+                        add_to(scratch, a + 32, f2 * n_w * load(energy, e + 32))
+        write_sums(scratch, 0, 3 * count, radiance, 3 * start)
 
 
 def backward(
@@ -273,15 +248,12 @@ def backward(
     """
     for chunk in range(first, last):
         base_e, base_l, sums = 48 * blocks * chunk, 96 * many * blocks * chunk, SCRATCH * chunk
-        for i in range(3 * blocks):
-            store(energy_sums, base_e + 16 * i, splat(0.0))
-        for i in range(6 * many * blocks):
-            store(lobe_sums, base_l + 16 * i, splat(0.0))
+        clear(energy_sums, base_e, 3 * blocks)
+        clear(lobe_sums, base_l, 6 * many * blocks)
         for tile in range(chunk * tiles // chunks, (chunk + 1) * tiles // chunks):
             start = tile * size
             count = min(size, pixels - start)
-            for i in range(3 * count):
-                store(scratch, sums + 16 * i, splat(0.0))
+            clear(scratch, sums, 3 * count)
             unpack(n, start, count, scratch, sums)
             for i in range(room * tile, room * tile + lengths[tile]):
                 block = entries[i]
@@ -319,16 +291,7 @@ def backward(
                         add_to(energy_sums, e, f0 * w0)
                         add_to(energy_sums, e + 16, f1 * w1)
                         add_to(energy_sums, e + 32, f2 * w2)
-                        if not with_n:
-                            continue
-                        e = 48 * block
-                        e0, e1, e2 = load(energy, e), load(energy, e + 16), load(energy, e + 32)
-                        by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
-                        by_w = choose(visible, by_w, 0.0)
-                        by_c = fma(d0 * w0, e0, fma(d1 * w1, e1, d2 * w2 * e2)) * LN2 / c
-                        a = sums + 48 * j
-                        add_to(scratch, a, fma(by_w, load(geometry, o), by_c * x))
-                        add_to(scratch, a + 16, fma(by_w, load(geometry, o + 16), by_c * y))
-                        add_to(scratch, a + 32, fma(by_w, load(geometry, o + 32), by_c * z))
-            for i in range(3 * count * with_n):
-                by_n[3 * start + i] = lane_sum(load(scratch, sums + 16 * i))
+                        if with_n:
+                            a, e = sums + 48 * j, 48 * block
+                            add_by_n(scratch, a, geometry, o, energy, e, visible, f0, f1, f2, d0, d1, d2, g0, g1, g2, n_w, c, x, y, z)
+            write_sums(scratch, sums, 3 * count * with_n, by_n, 3 * start)

@@ -64,13 +64,38 @@ def add_to(pointer, o, value):
     store(pointer, o, load(pointer, o) + value)
 
 
+@inlined
+def clear(pointer, o, count):
+    """Zeros in `count` times sixteen places from offset o on."""
+    for i in range(count):
+        store(pointer, o + 16 * i, splat(0.0))
+
+
+@inlined
+def write_sums(sums, o, count, out, to):
+    """Of `count` sums, each in sixteen lanes, what the lanes sum to."""
+    for i in range(count):
+        out[to + i] = lane_sum(load(sums, o + 16 * i))
+
+
+@inlined
+def add_by_n(sums, a, geometry, o, energy, e, visible, f0, f1, f2, d0, d1, d2, g0, g1, g2, n_w, c, x, y, z):
+    """Adds the derivative by n, given F = f, dF/dc c log2 e = d, h − n = (x, y, z) and the derivative g by radiance, to a pixel's sums."""
+    e0, e1, e2 = load(energy, e), load(energy, e + 16), load(energy, e + 32)
+    by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
+    by_w = select(visible, by_w, 0.0)
+    by_c = fma(d0 * (n_w * g0), e0, fma(d1 * (n_w * g1), e1, d2 * (n_w * g2) * e2)) * LN2 / c
+    add_to(sums, a, fma(by_w, load(geometry, o), by_c * x))
+    add_to(sums, a + 16, fma(by_w, load(geometry, o + 16), by_c * y))
+    add_to(sums, a + 32, fma(by_w, load(geometry, o + 32), by_c * z))
+
+
 def forward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut, scratch, radiance):
     """Radiance (P, 3) of pixel tiles first … last − 1."""
     for tile in range(first, last):
         start = tile * TILE
         count = min(TILE, pixels - start)
-        for i in range(3 * count):
-            store(scratch, 16 * i, splat(0.0))
+        clear(scratch, 0, 3 * count)
         for block in range(blocks):
             g, e = 144 * block, 48 * block
             for j in range(count):
@@ -97,12 +122,11 @@ def forward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut,
                     add_to(scratch, a, f0 * n_w * load(energy, e))
                     add_to(scratch, a + 16, f1 * n_w * load(energy, e + 16))
                     add_to(scratch, a + 32, f2 * n_w * load(energy, e + 32))
-        for i in range(3 * count):
-            radiance[3 * start + i] = lane_sum(load(scratch, 16 * i))
+        write_sums(scratch, 0, 3 * count, radiance, 3 * start)
 
 
 @inlined
-def lobe_backward(lobes, o, log_c, weight, lobe_sums, f, slope):
+def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
     """Adds one lobe and channel: its two sums over pixels, f + expm1(κ c^γ), slope + x κ c^γ γ log2 e, where x = exp(κ c^γ)."""
     gamma = load(lobes, o)
     power = exp2(gamma * log_c)
@@ -110,8 +134,8 @@ def lobe_backward(lobes, o, log_c, weight, lobe_sums, f, slope):
     value = exp2m1(exponent)
     x = value + 1.0
     q = weight * (x * power)
-    store(lobe_sums, o, load(lobe_sums, o) + q)
-    store(lobe_sums, o + 16, fma(q, log_c, load(lobe_sums, o + 16)))
+    add_to(lobe_sums, to, q)
+    store(lobe_sums, to + 16, fma(q, log_c, load(lobe_sums, to + 16)))
     return f + value, fma(x * exponent, gamma, slope)
 
 
@@ -128,15 +152,12 @@ def backward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut
     """
     for chunk in range(first, last):
         block_first, block_last = chunk * blocks // CHUNKS, (chunk + 1) * blocks // CHUNKS
-        for i in range(18 * block_first, 18 * block_last):
-            store(lobe_sums, 16 * i, splat(0.0))
-        for i in range(3 * block_first, 3 * block_last):
-            store(energy_sums, 16 * i, splat(0.0))
+        clear(lobe_sums, 288 * block_first, 18 * (block_last - block_first))
+        clear(energy_sums, 48 * block_first, 3 * (block_last - block_first))
         sums = 48 * TILE * chunk
         for start in range(0, pixels, TILE):
             count = min(TILE, pixels - start)
-            for i in range(3 * count):
-                store(scratch, sums + 16 * i, splat(0.0))
+            clear(scratch, sums, 3 * count)
             for block in range(block_first, block_last):
                 o, e = 144 * block, 48 * block
                 for j in range(count):
@@ -159,21 +180,14 @@ def backward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut
                         if nearest * least[3 * block + s] > cut[block]:
                             t = 288 * block + 96 * s
                             seen = True
-                            f0, d0 = lobe_backward(lobes, t, log_c, w0, lobe_sums, f0, d0)
-                            f1, d1 = lobe_backward(lobes, t + 32, log_c, w1, lobe_sums, f1, d1)
-                            f2, d2 = lobe_backward(lobes, t + 64, log_c, w2, lobe_sums, f2, d2)
+                            f0, d0 = lobe_backward(lobes, t, log_c, w0, lobe_sums, t, f0, d0)
+                            f1, d1 = lobe_backward(lobes, t + 32, log_c, w1, lobe_sums, t + 32, f1, d1)
+                            f2, d2 = lobe_backward(lobes, t + 64, log_c, w2, lobe_sums, t + 64, f2, d2)
                     if not seen:
                         continue
                     add_to(energy_sums, e, f0 * w0)
                     add_to(energy_sums, e + 16, f1 * w1)
                     add_to(energy_sums, e + 32, f2 * w2)
-                    e0, e1, e2 = load(energy, e), load(energy, e + 16), load(energy, e + 32)
-                    by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
-                    by_w = select(visible, by_w, 0.0)
-                    by_c = fma(d0 * w0, e0, fma(d1 * w1, e1, d2 * w2 * e2)) * LN2 / c
                     a = sums + 48 * j
-                    add_to(scratch, a, fma(by_w, load(geometry, o), by_c * x))
-                    add_to(scratch, a + 16, fma(by_w, load(geometry, o + 16), by_c * y))
-                    add_to(scratch, a + 32, fma(by_w, load(geometry, o + 32), by_c * z))
-            for i in range(3 * count):
-                n_part[3 * (chunk * pixels + start) + i] = lane_sum(load(scratch, sums + 16 * i))
+                    add_by_n(scratch, a, geometry, o, energy, e, visible, f0, f1, f2, d0, d1, d2, g0, g1, g2, n_w, c, x, y, z)
+            write_sums(scratch, sums, 3 * count, n_part, 3 * (chunk * pixels + start))

@@ -17,10 +17,10 @@ s is kept as a float and its rounding error, and v's length is set right, so tha
 from numba import float32, float64, types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import CHUNKS, LN2, add_to, peak_cosine
+from learn.engines.distant import CHUNKS, LN2, add_to, clear, peak_cosine, write_sums
 from learn.engines.exponentials import angle, exp2, exp2m1
 from learn.engines.splines import ANGLE_TO_X, add_curve, basis, curve, slope, tents
-from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, select, splat, sqrt, store
+from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, select, splat, sqrt
 
 TILE = 32  # pixels of a thread's piece of work
 SCRATCH = 2 * 48 * TILE + 16 * 108  # floats: sums by n, by v, by m
@@ -147,15 +147,13 @@ def backward(
     tiles = (pixels + TILE - 1) // TILE
     for chunk in range(first, last):
         block_first, block_last = chunk * blocks // CHUNKS, (chunk + 1) * blocks // CHUNKS
-        for i in range(3 * block_first, 3 * block_last):
-            store(energy_sums, 16 * i, splat(0.0))
+        clear(energy_sums, 48 * block_first, 3 * (block_last - block_first))
         n_sums = SCRATCH * chunk
         v_sums = n_sums + 48 * TILE
         for tile in range(tiles):
             start = tile * TILE
             count = min(TILE, pixels - start)
-            for i in range(SCRATCH // 16):
-                store(scratch, n_sums + 16 * i, splat(0.0))
+            clear(scratch, n_sums, SCRATCH // 16)
             for block in range(block_first, block_last):
                 o, e = 96 * block, 48 * block
                 wx, wy, wz = load(geometry, o), load(geometry, o + 16), load(geometry, o + 32)
@@ -213,9 +211,7 @@ def backward(
                         add_to(scratch, a, fma(along, hx, 0.0 - by_c * x) - by_t * (wx - vx) - by_s * sx)
                         add_to(scratch, a + 16, fma(along, hy, 0.0 - by_c * y) - by_t * (wy - vy) - by_s * sy)
                         add_to(scratch, a + 32, fma(along, hz, 0.0 - by_c * z) - by_t * (wz - vz) - by_s * sz)
-            for i in range(3 * count):
-                n_part[3 * (chunk * pixels + start) + i] = lane_sum(load(scratch, n_sums + 16 * i))
-                if with_view:
-                    v_part[3 * (chunk * pixels + start) + i] = lane_sum(load(scratch, v_sums + 16 * i))
-            for i in range(108):
-                m_sums[108 * (chunk * tiles + tile) + i] = lane_sum(load(scratch, v_sums + 48 * TILE + 16 * i))
+            write_sums(scratch, n_sums, 3 * count, n_part, 3 * (chunk * pixels + start))
+            if with_view:
+                write_sums(scratch, v_sums, 3 * count, v_part, 3 * (chunk * pixels + start))
+            write_sums(scratch, v_sums + 48 * TILE, 108, m_sums, 108 * (chunk * tiles + tile))
