@@ -1,9 +1,9 @@
 """How near `quadrature` is to the converged integral under a sun in one texel, and how long it takes, from broad lobes to narrow ones.
 
 Converged is the picture of 16,384 taps; or, where lobes are broad enough that the method may sum texels, the sum over texels split into so
-many of the same radiance that each is a quarter of what the lobe asks for, which leaves a sixteenth of the error. How far that is itself
-from converged is told by half of the taps, or of the texels' rows. That both are right is held in tests/learn/test_integral.py, by a closed
-form and by texels integrated one by one.
+many of the same radiance that each is about a quarter of what the lobe asks for, which leaves about a sixteenth of the error. How far that
+is itself from converged is told by half of the taps, or of the texels' rows. That both are right is held in tests/learn/test_integral.py,
+by a closed form and by texels integrated one by one.
 """
 
 import functools
@@ -53,7 +53,7 @@ def converged(n, m, light, gamma):
     """The picture by the finest means, and by the next."""
     if gamma > BY_TEXELS:
         return [render(n, m, light, method="quadrature", tolerance=tolerance) for tolerance in (FINE, LESS_FINE)]
-    parts = 2 ** math.ceil(math.log2(4 * math.sqrt(max(gamma / quadrature.BROAD, 1.0))))
+    parts = 2 ** round(math.log2(4 * math.sqrt(max(gamma / quadrature.BROAD, 1.0))))
     return [render(n, m, light.repeat_interleave(k, 1).repeat_interleave(k, 2), method="exact") for k in (parts, parts // 2)]
 
 
