@@ -72,10 +72,11 @@ class Energy:
 
     def terms(self, state, where, light=(64, 128), method="auto"):
         """{name: scalar}, not yet weighed."""
+        image = self.image(state, where, light, method)
         moved = (state.n - self.start.n).flatten(2)[0].index_select(1, where)
         relit = (torch.log1p(state.light) - self.log_light) ** 2 * self.share
         return {
-            "image": self.image(state, where, light, method),
+            "image": image,
             "normals": (moved**2).sum(0).mean(),
             "light": relit.sum((2, 3)).mean(),
             "material": (state.z["material"] ** 2).mean(),
