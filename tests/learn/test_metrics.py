@@ -9,7 +9,7 @@ from learn.evaluation import intrinsics, metrics, perceptual
 from learn.networks.coding import Ranges
 from manifests.problems import Problem
 from shaders import envmap, tone
-from shaders.dsbrdf import SHAPE
+from shaders.dsbrdf import SHAPE, evaluate
 from shaders.frames import ELEVATION
 
 
@@ -85,6 +85,15 @@ def test_angles_of_turned_normals_are_the_turn():
     assert intrinsics.normals(n, true, torch.tensor(angles < 0.2))["mean_deg"] == pytest.approx(10, abs=1e-3)  # outside does not count
 
 
+def test_shares_count_angles_below_their_limits_and_no_others():
+    angles = np.radians([[11.2, 11.3, 22.4, 22.6, 29.9, 30.1]])
+    n = torch.from_numpy(np.stack([np.sin(angles), 0 * angles, np.cos(angles)]))
+    true = torch.zeros(3, 1, 6, dtype=torch.float64)
+    true[2] = 1
+    found = intrinsics.normals(n, true, torch.ones(1, 6, dtype=torch.bool))
+    assert [found[f"below_{limit:g}"] for limit in intrinsics.LIMITS_DEG] == pytest.approx([1 / 6, 3 / 6, 5 / 6])
+
+
 def lambert(albedo):
     m = np.full(SHAPE, 1e-9)
     m[:, 0, 0] = np.log1p(albedo / np.pi)
@@ -95,6 +104,21 @@ def test_the_brdf_error_of_matte_surfaces_is_the_logarithm_of_their_ratio():
     by_hand = abs(np.log((0.6 / np.pi + intrinsics.FLOOR) / (0.2 / np.pi + intrinsics.FLOOR)))
     assert intrinsics.brdf_log_error(lambert(0.6), lambert(0.2)) == pytest.approx(by_hand, rel=1e-5)
     assert intrinsics.brdf_log_error(lambert(0.2), lambert(0.2)) == 0
+
+
+def test_the_brdf_error_weighs_by_the_lights_cosine(rng):
+    """Of two labels that differ under grazing light alone; the same mean by random half and difference angles."""
+    label, true = lambert(0.4).reshape(SHAPE).copy(), lambert(0.4)
+    label[:, 0, 0, -1] += np.log(3)  # κ where θ_d is 90°
+    u, v, t = rng.random((3, 200_000))
+    theta_h, theta_d, phi = np.pi / 2 * u**2, np.pi / 2 * v, np.pi * t
+    along, across = np.cos(theta_h) * np.cos(theta_d), np.sin(theta_h) * np.sin(theta_d) * np.cos(phi)
+    weight = np.where((along > abs(across)), along - across, 0)
+    f, right = (evaluate(np.exp(x).reshape(SHAPE), np.cos(theta_h), theta_d)[:, 0] + intrinsics.FLOOR for x in (label, true))
+    error = np.log(f / right) ** 2
+    by_chance = np.sqrt((error * weight).sum() / weight.sum())
+    assert intrinsics.brdf_log_error(label.reshape(-1), true) == pytest.approx(by_chance, rel=0.03)  # 200,000 draws, steps of 1°
+    assert np.sqrt(error.mean()) > 1.5 * by_chance
 
 
 def test_material_errors_are_means_over_regions():
@@ -115,6 +139,20 @@ def test_the_brightest_direction_is_where_the_lamp_is():
     w, _ = envmap.directions(64, 128)
     found = intrinsics.brightest(lamp(20, 37))
     assert np.degrees(np.arccos(found @ w[20, 37])) < 2.5  # the smoothed map's texels are 5.6° wide
+
+
+def test_a_lamp_between_two_texels_of_the_smoothed_map_is_found_between_them():
+    w, _ = envmap.directions(64, 128)
+    L = lamp(21, 37) + lamp(21, 38)  # 18.5 and 19 of the smoothed columns: the two are halves of different ones
+    middle = w[21, 37] + w[21, 38]
+    found = intrinsics.brightest(L)
+    assert abs(np.degrees(np.arctan2(found[0], found[2]) - np.arctan2(middle[0], middle[2]))) < 0.3  # the wider texels' own: 2.8 off
+
+
+def test_spheres_are_seen_from_the_cameras_elevation():
+    a, b = lamp(10, 37), lamp(40, 90)
+    level, above = (intrinsics.light(a, b, elevation)["matte_sphere_l2"] for elevation in (0.0, 1.2))
+    assert abs(level - above) > 0.05 * level
 
 
 def test_lamps_a_quarter_turn_apart_are_90_degrees_apart():
