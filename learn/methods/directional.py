@@ -29,7 +29,7 @@ from shaders.spline import basis
 
 FEW = 512  # pixels from which the backward pass is worth a second thread
 PASS = 65536  # pixels whose lists are made at a time
-KEPT = 2**24  # bytes of lists that a picture keeps for the backward pass
+KEPT = 2**26  # bytes of lists that a picture keeps for the backward pass
 ALL_LOBES = (0, 1, 2)
 LARGEST_CONTROL = torch.tensor([MAX_EXPONENT, math.inf])[:, None]  # of κ and of γ
 VIEWER = np.array([0.0, 0.0, 1.0])
@@ -283,9 +283,6 @@ def select(n, tables, left_out):
 
     workers = threads.worth(torch.get_num_threads(), tiles * len(cones) * TESTED)
     threads.run(kernel, threads.split(tiles, workers), workers)
-    width = max(int(lengths.max()), 1)
-    if 2 * width <= room:  # they may be kept: as small as they can be
-        cuts, entries = cuts[:, :width].copy(), entries[:, :width].copy()
     return cuts, lengths, entries
 
 
