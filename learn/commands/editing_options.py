@@ -16,9 +16,9 @@ def add(parser):
     parser.add_argument(
         "--detail",
         type=float,
-        default=0.0,
+        default=0.25,
         metavar="D",
-        help="how much of the photograph's fine shading is carried over: 0 none (default), 1 all; fine highlights are carried over too",
+        help="how much of the photograph's fine shading is carried over: 0 none, 1 all (default 0.25); fine highlights come along",
     )
     parser.add_argument(
         "--exposure", type=float, metavar="X", help="radiance is the picture times X (default: from the object's brightness)"
