@@ -15,7 +15,10 @@ SIZE, COVER, LIGHT = 256, 0.4, (64, 128)
 
 
 def scene(view_per_pixel):
-    """render's n, material, light and view."""
+    """render's n (1, SIZE, SIZE, 3), material (1, 108), light (1, *LIGHT, 3) and view, as n, or None.
+
+    Made here and not by learn.charting.cases: what that imports would count as the layer's own.
+    """
     place = torch.arange(SIZE) - (SIZE - 1) / 2
     y, x = torch.meshgrid(place, place, indexing="ij")
     radius = SIZE * math.sqrt(COVER / math.pi)
