@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from learn.agreement import surface
-from learn.agreement.causes import take_apart
-from learn.agreement.measure import Layer, shared, squared
+from learn.agreement import causes, surface
+from learn.agreement.measure import shared, squared
 from learn.dataset import Records
 from learn.evaluation import gallery, intrinsics, methods, metrics, pairs, perceptual
 from learn.training import checkpoint
 from manifests.problems import Problem
 from shaders import tone
+
+FIT_PIXELS = 256  # of a truth, at which label and nodes are compared: 5 s on one thread
 
 
 class Bench:
@@ -27,7 +28,7 @@ class Bench:
 
     def __init__(self, data, weights, baselines=None, refine=True, lpips=None):
         self.records = Records(data)
-        self.repeats = pairs.repeats(self.records.records)
+        self.repeats, self._judged = pairs.repeats(self.records.records), {}
         net, metadata = checkpoint.load_network(weights)
         self.size, self.ranges, self.perceptual = int(metadata["size"]), net.ranges, perceptual.of_file(lpips)
         if refine:
@@ -113,15 +114,14 @@ class Bench:
     def _layer(self, edit, picture, mask):
         """How far the layer's edit from true parts is off, over the mask and away from edges, and what the catalogue says of its nodes.
 
-        With a second seed of the truth: net_inner, the same less noise, and fit_here, label against nodes at these very pixels.
+        With a second seed of the truth: what `against_nodes` finds.
         """
         sample, camera = self.records.load(edit.truth), edit.truth.camera
         pixel = 2 * camera.half_extent / max(camera.size)
         inner = surface.inner(sample.n.numpy(), sample.segments.numpy(), sample.depth.numpy(), pixel) & mask
-        pictures = np.stack([self.records.image(record) for record in self.repeats[pairs.scene(edit.truth), edit.truth.materials]])
-        exposure = tone.auto_exposure(sample.image.numpy(), mask)
-        shown, right = tone.display(picture, exposure), tone.display(pictures, exposure)
-        error = squared(shown, right).mean(0)
+        truth = sample.image.numpy()
+        exposure = tone.auto_exposure(truth, mask)
+        error = squared(tone.display(picture, exposure), tone.display(truth, exposure))
         entries = [self.records.material(name) for name in edit.truth.materials]
         fits = [entry.errors.nodes_vs_label.display_l2 for entry in entries]
         found = {
@@ -129,11 +129,33 @@ class Bench:
             "l2_inner": float(error[inner].mean()) if inner.any() else None,
             "node_fit": float(np.mean([np.mean(fit) for fit in fits])) if all(fits) else None,
         }
-        if len(pictures) > 1 and inner.any():
-            layer = Layer(picture, picture, picture, mask, inner, inner)
-            causes = take_apart(sample, pictures, layer, [entry.mixture for entry in entries], exposure)
-            found |= {"net_inner": float(shared(right - shown)[inner].mean()), "fit_here": causes["node_fit"]}
+        seeds = self.repeats[pairs.scene(edit.truth), edit.truth.materials]
+        if len(seeds) > 1 and inner.any():
+            if edit.truth.id not in self._judged:  # two edits may share a truth
+                pictures = np.stack([self.records.image(record) for record in seeds])
+                self._judged[edit.truth.id] = against_nodes(sample, pictures, picture, inner, [e.mixture for e in entries], exposure)
+            found |= {"seeds": len(seeds), "samples": seeds[0].samples} | self._judged[edit.truth.id]
         return found
+
+
+def against_nodes(sample, pictures, picture, inner, mixtures, exposure):
+    """Cycles' pictures of several seeds against the layer's, and against the nodes that Cycles was given, inside and net of noise.
+
+    pictures (seeds, H, W, 3) of Cycles, picture (H, W, 3) of the layer: radiance; inner (H, W) bool; mixtures: of each segment
+    Returns net_inner, display L2 less noise, and its standard error over pixels; at FIT_PIXELS of them fit_here, label against nodes,
+            and rest, Cycles against nodes less noise: what the loop adds to the fit
+    """
+    right = tone.display(pictures, exposure)
+    net = shared(right - tone.display(picture, exposure))[inner]
+    index = causes.drawn(inner, sample.record, FIT_PIXELS)
+    here = picture.reshape(-1, 3)[index].astype(np.float64)
+    nodes = tone.display(np.maximum(here - causes.node_difference(sample, index, mixtures), 0), exposure)
+    return {
+        "net_inner": float(net.mean()),
+        "net_error": float(net.std() / np.sqrt(net.size)),
+        "fit_here": float(squared(tone.display(here, exposure), nodes).mean()),
+        "rest": float(shared(right.reshape(len(right), -1, 3)[:, index] - nodes).mean()),
+    }
 
 
 def told(record):

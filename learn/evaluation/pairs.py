@@ -37,9 +37,13 @@ def scene(record):
 
 
 def found(records):
-    """{source record id: [Edit]} of all ordered pairs. Of pictures that differ in their seed alone the one of least id is taken."""
+    """{source record id: [Edit]} of all ordered pairs.
+
+    Of pictures that differ in seed and samples alone one of the fewest samples is taken, of these the one of least id: a picture of
+    more samples is there to be compared with, and alters no choice of edits.
+    """
     scenes = defaultdict(dict)
-    for record in sorted(records, key=lambda r: r.id):
+    for record in sorted(records, key=lambda r: (r.samples, r.id)):
         scenes[scene(record)].setdefault(record.materials, record)
     edits = {}
     for group in scenes.values():
@@ -50,11 +54,19 @@ def found(records):
 
 
 def repeats(records):
-    """{(scene, materials): records that differ in their seed alone}: two or more of them show the noise."""
-    groups = defaultdict(list)
-    for record in records:
-        groups[scene(record), record.materials].append(record)
-    return groups
+    """{(scene, materials): records that differ in their seed alone}: two or more of them show the noise.
+
+    Of several numbers of samples the largest is taken that was rendered twice, where none was the smallest.
+    """
+    groups = defaultdict(lambda: defaultdict(list))
+    for record in sorted(records, key=lambda r: r.id):
+        groups[scene(record), record.materials][record.samples].append(record)
+    return {key: by_samples[_finest(by_samples)] for key, by_samples in groups.items()}
+
+
+def _finest(by_samples):
+    twice = [samples for samples, records in by_samples.items() if len(records) > 1]
+    return max(twice) if twice else min(by_samples)
 
 
 def chosen(records, count, seed):

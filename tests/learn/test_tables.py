@@ -86,25 +86,30 @@ def test_starts_of_several_methods_are_counted_together():
     assert (found["all starts"]["l2"], found["all starts"]["l2_after"]) == (75.0, 50.0)
 
 
-def edit(shape, wanted, net, fit, node_fit=2.0):
+def edit(shape, wanted, net, fit, node_fit=2.0, truth=None):
     layer = {"l2": 9.0, "l2_inner": 3.0, "node_fit": node_fit}
-    return {
-        "shape": shape,
-        "wanted": [wanted],
-        "methods": {},
-        "layer": layer | ({} if net is None else {"net_inner": net, "fit_here": fit}),
-    }
+    known = {} if net is None else {"net_inner": net, "net_error": 0.3, "fit_here": fit, "rest": 0.5}
+    return {"shape": shape, "wanted": [wanted], "truth": truth or shape, "methods": {}, "layer": layer | known}
 
 
 def test_the_layer_is_judged_where_noise_is_known_against_one_and_a_half_times_the_node_fit():
-    found = tables.layer(tables.Rows([edit("a", "brass", 2.9, 1.0), edit("b", "felt", 3.1, 1.0), edit("c", "clay", None, None)], "wanted"))
-    told = cells(found)
-    assert told["brass"]["within"] == "yes"
-    assert told["felt"]["within"] == "no"
-    assert "within" not in told["clay"]
-    assert (told["all"]["edits"], told["all"]["net_edits"]) == (3, 2)
-    assert told["all"]["net_inner"][0] == pytest.approx(3.0)
+    found = [edit("a", "brass", 2.9, 1.0), edit("b", "felt", 3.1, 2.1), edit("c", "clay", None, None), edit("d", "wax", 0.1, 1.0)]
+    told = cells(tables.layer(tables.Rows(found, "wanted")))
+    assert (told["brass"]["within"], told["brass"]["within_here"]) == ("yes", "no")
+    assert (told["felt"]["within"], told["felt"]["within_here"]) == ("no", "yes")
+    assert "within" not in told["clay"] and "within_here" not in told["clay"]
+    assert (told["all"]["truths"], told["all"]["judged"]) == (4, 3)
+    assert (told["all"]["within"], told["all"]["within_here"]) == ("2 of 3", "2 of 3")
+    assert told["all"]["net_inner"] == pytest.approx((2.9 + 3.1 + 0.1) / 3)
     assert (told["brass"]["l2"], told["brass"]["l2_inner"], told["brass"]["fit_here"]) == (9.0, 3.0, 1.0)
+
+
+def test_edits_that_share_a_truth_judge_the_layer_once():
+    thrice = [edit("a", "brass", 1.0, 1.0, truth="x"), edit("a", "brass", 1.0, 1.0, truth="x"), edit("b", "brass", 4.0, 1.0, truth="y")]
+    told = cells(tables.layer(tables.Rows(thrice, "wanted")))["brass"]
+    assert (told["truths"], told["judged"]) == (2, 2)
+    assert told["net_inner"] == pytest.approx(2.5)
+    assert told["net_error"] == pytest.approx(0.3 / np.sqrt(2))
 
 
 def test_a_figure_that_a_row_lacks_is_left_out_of_the_mean_and_a_column_that_all_lack_of_the_table():
