@@ -12,11 +12,13 @@ from learn.agreement import causes, surface
 from learn.agreement.measure import shared, squared
 from learn.dataset import Records
 from learn.evaluation import gallery, intrinsics, methods, metrics, pairs, perceptual
+from learn.layer import render
 from learn.training import checkpoint
 from manifests.problems import Problem
 from shaders import tone
 
-FIT_PIXELS = 256  # of a truth, at which label and nodes are compared: 5 s on one thread
+FIT_PIXELS = 96  # of a truth, at which label and nodes are compared: 2 s on one thread, 9 where 65,536 taps are needed
+FINE = 1e-3  # tolerance of the layer's own integral where the nodes' is made from it
 
 
 class Bench:
@@ -142,17 +144,20 @@ def against_nodes(sample, pictures, picture, inner, mixtures, exposure):
     """Cycles' pictures of several seeds against the layer's, and against the nodes that Cycles was given, inside and net of noise.
 
     pictures (seeds, H, W, 3) of Cycles, picture (H, W, 3) of the layer: radiance; inner (H, W) bool; mixtures: of each segment
-    Returns net_inner, display L2 less noise, and its standard error over pixels; at FIT_PIXELS of them fit_here, label against nodes,
-            and rest, Cycles against nodes less noise: what the loop adds to the fit
+    Returns net_inner, display L2 less noise, and its standard error over pixels; coarse, L2 between picture and an integral of tolerance
+            FINE; at FIT_PIXELS of them fit_here, label against nodes, and rest, Cycles against nodes less noise
     """
-    right = tone.display(pictures, exposure)
-    net = shared(right - tone.display(picture, exposure))[inner]
+    with torch.no_grad():
+        fine = render(**sample.for_layer(), method=methods.METHOD, tolerance=FINE)[0].double().numpy()
+    right, shown = tone.display(pictures, exposure), tone.display(picture, exposure)
+    net = shared(right - shown)[inner]
     index = causes.drawn(inner, sample.record, FIT_PIXELS)
-    here = picture.reshape(-1, 3)[index].astype(np.float64)
+    here = fine.reshape(-1, 3)[index]
     nodes = tone.display(np.maximum(here - causes.node_difference(sample, index, mixtures), 0), exposure)
     return {
         "net_inner": float(net.mean()),
         "net_error": float(net.std() / np.sqrt(net.size)),
+        "coarse": float(squared(shown, tone.display(fine, exposure))[inner].mean()),
         "fit_here": float(squared(tone.display(here, exposure), nodes).mean()),
         "rest": float(shared(right.reshape(len(right), -1, 3)[:, index] - nodes).mean()),
     }

@@ -203,6 +203,7 @@ def layer(rows):
         column("net_error", "± standard error", 2),
         column("fit_here", "node fit at these pixels", 2),
         column("node_fit", "node fit, catalogue", 2),
+        column("coarse", "tolerance of the integral", 2),
         column("rest", "Cycles against its nodes − noise", 2),
         column("within", f"within {LIMIT:g} × node fit, catalogue"),
         column("within_here", f"within {LIMIT:g} × node fit at these pixels"),
@@ -210,8 +211,8 @@ def layer(rows):
     note = (
         "Inside: away from silhouettes, segment borders and creases, where a pixel of Cycles sees one surface. Noise is known, and the row "
         "judged, where Cycles rendered the truth with a second seed. Node fit: display L2 between label and nodes, the two forms of a "
-        "material; the catalogue's is of spheres under its own lights. Cycles against its nodes: what is left when the layer's integral is "
-        "taken of the nodes instead of the label, and so what the loop adds to the fit."
+        "material; the catalogue's is of spheres under its own lights. Cycles against its nodes: what is left where a converged "
+        "integral is taken of the nodes instead of the label: it is this, and the tolerance, that the loop adds to the fit."
     )
     return table("True normals, light and label through the layer", note, columns, found)
 
@@ -223,7 +224,7 @@ def _layer_cells(truths):
 
     judged = [each for each in truths if each.get("net_inner") is not None]
     cells = {"truths": len(truths), "judged": len(judged)} | {key: mean(key, truths) for key in ("l2", "l2_inner", "node_fit")}
-    cells |= {key: mean(key, judged) for key in ("net_inner", "fit_here", "rest")}
+    cells |= {key: mean(key, judged) for key in ("net_inner", "fit_here", "coarse", "rest")}
     if judged:
         cells["net_error"] = float(np.sqrt(sum(each["net_error"] ** 2 for each in judged)) / len(judged))
         for key, fit in (("within", mean("node_fit", judged)), ("within_here", cells["fit_here"])):

@@ -1,13 +1,15 @@
 """`learn agree` on datasets whose truth is known: what it measures is what was put in."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import synthetic
+import torch
 
 from learn.__main__ import COMMANDS
-from learn.agreement import report, surface
+from learn.agreement import causes, report, surface
 from manifests import materials as catalogue
 from manifests.command_line import main
 from shaders.mixture import Mixture
@@ -47,6 +49,27 @@ def test_a_turned_light_is_found_and_told_from_other_causes(tmp_path, rng):
     causes = json.loads((out / "report.json").read_text())["conditions"][0]["causes"]
     assert causes["look_up_texels"] == pytest.approx(-1.0, abs=0.15)  # linear in the turn, over a map of independent texels
     assert causes["net"] > causes["noise"] and causes["node_fit"] < 1e-6
+
+
+def test_taps_are_added_until_small_lamps_are_seen_alike(rng):
+    """Brass under one lamp of two texels: a few taps miss it, as many as are taken by themselves do not."""
+    brass = catalogue.load_catalogue()["brass"]
+    light = torch.full((64, 128, 3), 0.02)
+    light[20, 30:32] = 900.0
+    sample, m = SimpleNamespace(light=light, elevation=0.35), torch.from_numpy(brass.m).double().reshape(3, 3, 2, 6)
+    n = torch.nn.functional.normalize(torch.from_numpy(rng.standard_normal((4, 3))) * 0.4 + torch.tensor([0.0, 0.0, 1.0]), dim=-1)
+    view = torch.tensor([[0.0, 0.0, 1.0]]).double().expand_as(n)
+
+    def by(count):
+        return causes.at_places(*causes.taps(sample, m, count), m, brass.mixture, n, view)
+
+    true = by(4 * causes.TAPS[-1])
+
+    def off(found):
+        return np.square(found - true).sum() / np.square(true).sum()
+
+    assert causes.narrow(m) and off(by(1024)) > 0.01
+    assert off(causes.converged(sample, m, brass.mixture, n, view)) < causes.MOVED**2
 
 
 def test_nodes_that_are_not_the_label_show_as_node_fit(tmp_path, rng):
