@@ -18,7 +18,8 @@ from learn.networks.prediction import Prediction
 from manifests.materials import load_catalogue
 
 REFINED = ("Baseline 2",)  # of the baselines, those that the paper refines too
-METHOD, TOLERANCE = "quadrature", 1e-2  # the integral, not the paper's sum: of a mirror-like lobe the sum alone is 200 display L2 off
+METHOD = "quadrature"  # the integral, not the paper's sum: of a mirror-like lobe the sum alone is 200 display L2 off
+TOLERANCE = 5e-3  # at 1e-2 one of 75 true edits was 0.7 display L2 off by it, at 5e-3 none 0.1
 
 
 class Method(Protocol):

@@ -22,6 +22,7 @@ from tqdm import tqdm
 from learn.dataset import Records
 from learn.evaluation import pairs, report
 from learn.evaluation.bench import Bench
+from learn.evaluation.methods import TOLERANCE
 from manifests.problems import Problem
 from manifests.store import Lines, file_hash
 
@@ -83,6 +84,7 @@ def settings(options):
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
         "baselines": of_baselines,
         "refine": options.refine,
+        "tolerance": TOLERANCE,
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),
     }

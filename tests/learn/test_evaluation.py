@@ -267,10 +267,13 @@ def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, 
     assert not calls
 
 
-def test_an_evaluation_of_other_settings_is_not_gone_on_with(options):
+def test_an_evaluation_of_other_settings_is_not_gone_on_with(options, monkeypatch):
     run.make(replace(options, edits=1))
     with pytest.raises(Problem, match="other seed"):
         run.make(replace(options, edits=1, seed=1))
+    monkeypatch.setattr(run, "TOLERANCE", 0.5)
+    with pytest.raises(Problem, match="other tolerance"):
+        run.make(options)
 
 
 def test_what_is_missing_is_left_out_by_name(options, tmp_path):
