@@ -17,6 +17,7 @@ from learn.dataset import Records
 from manifests.problems import Problem, closest
 from shaders.envmap import LUMINANCE
 
+GREY = 1e-3  # coverage from which a mask has greys: half a step of 8 bits is 0.002, and white through the sRGB curve is 1 − 6e-8
 SOFTENING = 0.7  # pixels, of a mask that is black and white: its steps would show
 BALANCES = ("none", "grey")
 STRONGEST_BALANCE = 8.0
@@ -86,7 +87,7 @@ def opened(path, masks=(), regions=None, balance="none", exposure=None, record=N
         whole = pictures.read_labels(regions, radiance.shape[:2])
         labels = whole * (coverage >= 0.5)
         _require_pixels(labels, whole.max(), regions)
-    if np.isin(coverage, (0, 1)).all():
+    if (np.minimum(coverage, 1 - coverage) < GREY).all():
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
     before_background = bool(masks) or regions is not None
     factors = _balance(balance, radiance, coverage, before_background)

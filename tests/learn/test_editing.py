@@ -1,15 +1,19 @@
 """Edits: the photograph's own size, its background untouched, regions apart, and with true parts the photograph itself."""
 
 import json
+from dataclasses import replace
 from itertools import chain
 
+import msgspec
 import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
 from PIL import Image
+from synthetic import entry, matte, write_dataset
 
 from learn.__main__ import COMMANDS
+from learn.dataset import Records
 from learn.editing import apart, edit, photograph, sheet, transfer, wanted
 from learn.editing.apart import Painter
 from learn.editing.method import method_for
@@ -137,6 +141,15 @@ def test_fine_shading_is_carried_over_when_asked():
         assert low <= contrast <= high
 
 
+def test_no_detail_is_stronger_than_its_limit():
+    label = label_of("blue-rubber")
+    radiance, inside = lit(label, 0.5)
+    stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 4.0, 0.25).astype(np.float32)
+    painter = Painter(apart.taken(opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK), detail=1.0)
+    ratio = painter.ratio()
+    assert ratio.max() == pytest.approx(apart.LARGEST_DETAIL) and ratio.min() == pytest.approx(1 / apart.LARGEST_DETAIL)
+
+
 def test_grey_balance_makes_the_background_grey_and_keeps_its_luminance(tmp_path):
     values = np.full((40, 40, 3), (200, 160, 120), np.uint8)
     mask = np.zeros((40, 40), np.uint8)
@@ -150,6 +163,29 @@ def test_grey_balance_makes_the_background_grey_and_keeps_its_luminance(tmp_path
     np.testing.assert_allclose(mean @ [0.2126, 0.7152, 0.0722], found.radiance[:5].mean((0, 1)) @ [0.2126, 0.7152, 0.0722], rtol=1e-3)
 
 
+def test_a_white_balance_that_is_given_keeps_luminance(tmp_path):
+    Image.new("RGB", (40, 30), (90, 90, 90)).save(tmp_path / "p.png")
+    Image.new("L", (40, 30), 255).save(tmp_path / "m.png")
+    for wanted_factors in ((2.0, 2.0, 2.0), (1.4, 1.0, 0.7)):
+        found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance=wanted_factors)
+        np.testing.assert_allclose(found.balance @ [0.2126, 0.7152, 0.0722], 1, rtol=1e-5)  # float32
+        np.testing.assert_allclose(found.balance / found.balance[1], np.array(wanted_factors) / wanted_factors[1], rtol=1e-5)
+
+
+def test_a_black_and_white_mask_is_softened_and_a_grey_one_is_not(tmp_path):
+    Image.new("RGB", (40, 30), (90, 90, 90)).save(tmp_path / "p.png")
+    mask = np.zeros((30, 40), np.uint8)
+    mask[:, 20:] = 255
+    Image.fromarray(mask).save(tmp_path / "m.png")
+    sharp = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"])
+    assert 0.1 < sharp.coverage[15, 19] < 0.5 < sharp.coverage[15, 20] < 0.9
+    assert (sharp.regions > 0).sum() == 30 * 20  # what is edited stays what was asked for
+    mask[:, 20] = 100
+    Image.fromarray(mask).save(tmp_path / "m.png")
+    grey = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"])
+    np.testing.assert_allclose(grey.coverage[15, 18:22], [0, 0, 100 / 255, 1], atol=1e-6)
+
+
 def test_several_masks_are_several_regions(tmp_path):
     Image.new("RGB", (40, 30), (90, 90, 90)).save(tmp_path / "p.png")
     for name, box in (("a", (0, 0, 20, 30)), ("b", (20, 0, 40, 30))):
@@ -158,6 +194,38 @@ def test_several_masks_are_several_regions(tmp_path):
         mask.save(tmp_path / f"{name}.png")
     found = photograph.opened(tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"])
     assert (found.regions[:, :20] == 1).all() and (found.regions[:, 20:] == 2).all()
+
+
+def test_where_masks_overlap_the_later_one_holds(tmp_path):
+    Image.new("RGB", (40, 30), (90, 90, 90)).save(tmp_path / "p.png")
+    for name, box in (("a", (0, 0, 30, 30)), ("b", (20, 0, 40, 30))):
+        mask = Image.new("L", (40, 30))
+        mask.paste(255, box)
+        mask.save(tmp_path / f"{name}.png")
+    found = photograph.opened(tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"])
+    assert (found.regions[:, :20] == 1).all() and (found.regions[:, 20:] == 2).all()
+
+
+def test_a_record_is_seen_by_its_own_camera_at_its_own_exposure(tmp_path, rng):
+    write_dataset(tmp_path, [matte("a", 0.2)], rng, size=32, seeds=1, rotations=(0,), method="quadrature")
+    found = photograph.opened(tmp_path)
+    assert found.exposure == 1 and found.record is not None
+    assert photograph.opened(tmp_path, exposure=3.0).exposure == 3
+    camera = msgspec.structs.replace(found.record.camera, elevation_deg=50.0)
+    label = label_of("blue-rubber")
+    for record, degrees in ((None, 20.0), (msgspec.structs.replace(found.record, camera=camera), 50.0)):
+        taken = apart.taken(replace(found, record=record), Knowing(label), NETWORK)
+        assert np.degrees(taken.batch.elevation) == pytest.approx(degrees)
+
+
+def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
+    write_dataset(tmp_path, [matte("a", 0.2), matte("b", 0.6)], rng, size=32, seeds=1, rotations=(0, 5), method="quadrature")
+    records = Records(tmp_path)
+    by = {(r.materials, r.rotation_texels): r for r in records.records}
+    for turn in (0, 5):
+        found = photograph.opened(tmp_path, record=by[("a",), turn].id)
+        np.testing.assert_array_equal(edit.truth(found, ("b",)), records.image(by[("b",), turn]))
+        assert edit.truth(found, ("c",)) is None
 
 
 def test_a_material_file_comes_back_as_it_was_written(tmp_path):
@@ -199,8 +267,9 @@ def test_pictures_in_groups_are_all_there_and_none_alone():
 
 def test_edit_and_transfer_write_what_they_say(tmp_path, capsys):
     radiance, inside = lit(label_of("blue-rubber"), 1.0)
-    for name, gain in (("a", 1.0), ("b", 0.4)):
-        picture = tone.display(radiance * gain, 1.0)
+    gold, _ = lit(label_of("gold-paint"), 1.0)
+    for name, seen in (("a", radiance), ("b", gold)):
+        picture = tone.display(seen, 1.0)
         Image.fromarray(np.dstack([picture, 255.0 * inside]).astype(np.uint8)).save(tmp_path / f"{name}.png")
     a, b, out = tmp_path / "a.png", tmp_path / "b.png", tmp_path / "edit"
     assert main("learn", "t", COMMANDS, ["edit", str(a), "--material", "red-fabric", str(b), "--no-refine", "--out", str(out)]) == 0
@@ -211,4 +280,22 @@ def test_edit_and_transfer_write_what_they_say(tmp_path, capsys):
     assert {"sheet.png", "normals.exr", "light.exr", "ball.png", "reflectance.png", "material.json"} <= {p.name for p in out.iterdir()}
     assert main("learn", "t", COMMANDS, ["transfer", str(a), str(b), "--no-refine", "--out", str(tmp_path / "swap")]) == 0
     assert {p.name for p in (tmp_path / "swap").iterdir()} == {"grid.png", "transfer.json", "a-in-b.png", "b-in-a.png"}
+    shown = [
+        np.asarray(Image.open(p).convert("RGB")) for p in (tmp_path / "swap" / "a-in-b.png", out / "edited-b.png", out / "rendering.png")
+    ]
+    np.testing.assert_array_equal(shown[0], shown[1])  # b's material on a, by either command
+    assert abs(shown[0][inside].astype(int) - shown[2][inside]).mean() > 5  # and not a's own
+    capsys.readouterr()
+
+
+def test_one_material_is_written_as_edited_and_compared_where_its_truth_is_known(tmp_path, rng, capsys):
+    catalogue = load_catalogue()
+    materials = [entry(name, catalogue[name].m.reshape(3, 3, 2, 6), catalogue[name].mixture) for name in ("red-fabric", "delrin")]
+    write_dataset(tmp_path / "data", materials, rng, size=32, seeds=1, rotations=(0,))
+    record = next(r for r in Records(tmp_path / "data").records if r.materials == ("red-fabric",))
+    words = ["edit", str(tmp_path / "data"), "--record", record.id, "--material", "delrin", "--no-refine", "--out", str(tmp_path / "out")]
+    assert main("learn", "t", COMMANDS, words) == 0
+    assert (tmp_path / "out" / "edited.png").exists()
+    told = json.loads((tmp_path / "out" / "edit.json").read_text())
+    assert set(told["display_l2"]) == {"delrin"} and told["display_l2"]["delrin"]["mask"] > 0
     capsys.readouterr()

@@ -18,6 +18,8 @@ def test_a_brighter_scene_looks_the_same_in_its_file_and_needs_a_larger_factor(r
     assert Y_bright == pytest.approx(Y, rel=1e-5)  # float32
     assert X_bright == pytest.approx(3 * X, rel=1e-5)
     assert (radiance[mask] @ [0.2126, 0.7152, 0.0722]).mean() == pytest.approx(X * Y, rel=0.02)  # 1 % of the values are clipped
+    black = np.where(mask[..., None], radiance, 0)
+    assert exposure.seen(black, mask) == pytest.approx((Y, X))  # what stands behind the object does not count
     mask[:] = True
     radiance[:4] = 50.0
     assert exposure.seen(radiance, mask)[0] != pytest.approx(Y, rel=0.1)  # only the object counts
