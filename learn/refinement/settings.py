@@ -33,15 +33,18 @@ class Settings:
     order       one property after another in each round; what is not named stays where it starts
     degree      of the spherical harmonics that the light's logarithm is changed by
     reach       the most that a normal may be moved, in the disk of learn.refinement.coordinates
+    contrast    of the predicted light's logarithm that is believed, in spherical harmonics of degree 1 and 2, 3 to 8, and above:
+                networks overstate what they see of a light that they never met
     tolerance   of the layer in the finest energy, which decides what is kept
     """
 
-    a: float = 0.1
-    b: float = 0.02
-    c: float = 0.03
+    a: float = 0.05
+    b: float = 0.01
+    c: float = 0.1
     order: tuple = PROPERTIES
     degree: int = 8
     reach: float = 0.3
+    contrast: tuple = (0.65, 0.5, 0.3)
     tolerance: float = 5e-3
     levels: tuple = (
         Level(pixels=600, light=(32, 64), method="exact", rounds=1, iterations=6, together=30),
@@ -49,5 +52,6 @@ class Settings:
     )
 
 
-PAPER = Settings(a=1.0, b=10.0, c=0.0)
-NAMED = {"default": Settings(), "paper": PAPER}
+FULL_CONTRAST = (1.0, 1.0, 1.0)
+PAPER = Settings(a=1.0, b=10.0, c=0.0, contrast=FULL_CONTRAST)
+NAMED = {"default": Settings(), "paper": PAPER, "full-contrast": Settings(contrast=FULL_CONTRAST)}
