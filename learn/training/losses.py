@@ -6,7 +6,7 @@ coefficients, light by solid angle, pictures by sampled pixels and channels.
 normals         mean |n' − n|²                                                                         Eq. 3
 material        mean (code' − code)²                                                                   Eq. 4
 albedo          mean (log a' − log a)², a the albedo seen and lit along the normal, by channel
-light_log       mean over solid angle of (log(1 + L') − log(1 + L))²
+light_log       mean over solid angle of (log(1 + L') − log(1 + L))², both at unit mean over the sphere and the channels
 light_rendered  the same of radiance leaving a matte and two glossy mirrors: what light does, not where it stands
 image           mean (c(I') − c(I))², I' from all three predictions, c = learn.networks.coding.compressed   Eq. 5
 target          the same of O' in the target material, from predicted normals and light                     Eq. 5
@@ -83,12 +83,21 @@ def material_terms(prediction, batch, losses, ranges):
 def light_terms(prediction, batch, losses):
     found = {}
     if losses.light_log:
-        weight = solid_angles(batch.light)
-        found["light_log"] = ((torch.log1p(prediction.light) - torch.log1p(batch.light)) ** 2 * weight).sum((2, 3)).mean()
+        mine, its = (torch.log1p(evenly(light)) for light in (prediction.light, batch.light))
+        found["light_log"] = ((mine - its) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()
     if losses.light_rendered:
-        mine, its = (log_rendered(reduced(light, RENDERED_LIGHT)) for light in (prediction.light, batch.light))
+        mine, its = (log_rendered(reduced(evenly(light), RENDERED_LIGHT)) for light in (prediction.light, batch.light))
         found["light_rendered"] = ((mine - its) ** 2).mean()
     return found
+
+
+def evenly(light):
+    """Maps (B, 3, Hl, Wl) at unit mean over the sphere and all channels alike.
+
+    At unit luminance, which weighs green at 0.72, a blurred map is darker, and so nearer to the logarithm of a true one, if what luminance
+    it must have is green: networks trained so were (0.16 of log G on every picture).
+    """
+    return light / (light.mean(1, keepdim=True) * solid_angles(light)).sum((2, 3), keepdim=True).clamp(min=1e-6)
 
 
 def layer_terms(prediction, batch, losses, rng, features=None):

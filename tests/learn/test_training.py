@@ -13,6 +13,7 @@ from learn.geometry import Geometry
 from learn.networks.coding import REACH, Ranges, unit_mean
 from learn.networks.compact import CELLS, Compact, reflectance_map
 from learn.networks.paper import Paper
+from learn.networks.prediction import Prediction
 from learn.training import augmentation, checkpoint, lights, losses, measures, sources
 from learn.training.loop import Training
 from learn.training.relit import Pool, Relit
@@ -138,14 +139,26 @@ def test_a_relit_picture_is_the_layers_of_its_own_truth(pools):
 def test_the_true_prediction_has_no_loss(pools):
     batch = Relit(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]
     ranges = Ranges.of(torch.from_numpy(np.stack(list(pools["train"].labels.values()))))
-    from learn.networks.prediction import Prediction
-
     truth = Prediction(batch.n, ranges.code(batch.label), batch.label, torch.log1p(batch.light), batch.light)
     found = losses.terms(truth, batch, run().losses, torch.Generator().manual_seed(0), ranges)
     assert set(found) == {"normals", "material", "albedo", "light_log", "light_rendered", "image", "target"}
     assert max(value.item() for value in found.values()) < 1e-8
     wrong = truth._replace(light=batch.light.flip(-1))
     assert losses.terms(wrong, batch, run().losses, torch.Generator().manual_seed(0), ranges)["light_rendered"] > 1e-3
+
+
+@pytest.mark.parametrize("term", ["light_log", "light_rendered"])
+def test_no_light_loss_wants_a_colour_where_the_truth_has_none(pools, term):
+    batch = Relit(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]
+    solid_angle = torch.as_tensor(np.asarray(envmap.row_solid_angles(64, 128)).reshape(-1), dtype=torch.float32)
+    grey = unit_mean(batch.light.mean(1, keepdim=True).expand(-1, 3, -1, -1) ** 2, solid_angle)
+    shift = torch.zeros(3, requires_grad=True)
+    blurred = unit_mean(torch.ones_like(grey) * shift.exp()[:, None, None], solid_angle)
+    only = Losses(**{term: 1.0})
+    terms = losses.light_terms(Prediction(None, None, None, None, blurred), replace(batch, light=grey), only)
+    (slope,) = torch.autograd.grad(terms[term], shift)
+    assert terms[term] > 1e-3
+    np.testing.assert_allclose(slope, 0, atol=1e-5)
 
 
 @pytest.mark.parametrize("albedo", [0.05, 0.8])
