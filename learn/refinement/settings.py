@@ -38,13 +38,13 @@ class Settings:
     tolerance   of the layer in the finest energy, which decides what is kept
     """
 
-    a: float = 0.05
-    b: float = 0.01
+    a: float = 0.1
+    b: float = 0.02
     c: float = 0.1
     order: tuple = PROPERTIES
     degree: int = 8
     reach: float = 0.3
-    contrast: tuple = (0.65, 0.5, 0.3)
+    contrast: tuple = (0.85, 0.7, 0.4)
     tolerance: float = 5e-3
     levels: tuple = (
         Level(pixels=600, light=(32, 64), method="exact", rounds=1, iterations=6, together=30),

@@ -26,8 +26,8 @@ from manifests.store import Lines
 from shaders import tone
 
 SWEEPS = {
-    "a": (0.005, 0.05, 0.5),
-    "b": (0.001, 0.01, 0.1, 10.0),
+    "a": (0.01, 0.1, 1.0),
+    "b": (0.002, 0.02, 0.2, 10.0),
     "c": (0.0, 0.1, 1.0),
 }
 FIGURES = ("image", "edit", "angle_deg", "light")
