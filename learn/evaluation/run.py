@@ -13,7 +13,7 @@ import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
@@ -23,6 +23,7 @@ from learn.dataset import Records
 from learn.evaluation import pairs, report
 from learn.evaluation.bench import Bench
 from learn.evaluation.methods import TOLERANCE
+from learn.refinement import Settings
 from manifests.problems import Problem
 from manifests.store import Lines, file_hash
 
@@ -83,7 +84,7 @@ def settings(options):
         "materials": file_hash(Path(options.data) / "materials.json"),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
         "baselines": of_baselines,
-        "refine": options.refine,
+        "refine": json.loads(json.dumps(asdict(Settings()))) if options.refine else False,
         "tolerance": TOLERANCE,
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),

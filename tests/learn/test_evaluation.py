@@ -17,6 +17,7 @@ from learn.layer import render
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.prediction import Prediction
+from learn.refinement import Settings
 from learn.training.checkpoint import save_weights
 from manifests.problems import Problem
 from manifests.store import Lines
@@ -274,6 +275,16 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(options, monkeypatc
     monkeypatch.setattr(run, "TOLERANCE", 0.5)
     with pytest.raises(Problem, match="other tolerance"):
         run.make(options)
+
+
+def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, tmp_path):
+    refined = run.settings(replace(options, refine=True))
+    run.settled(tmp_path / "settings.json", refined)
+    run.settled(tmp_path / "settings.json", run.settings(replace(options, refine=True)))  # what a file gives back is the same
+    monkeypatch.setattr(run, "Settings", lambda: replace(Settings(), contrast=(1.0, 1.0, 1.0)))
+    with pytest.raises(Problem, match="other refine"):
+        run.settled(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
+    assert run.settings(options)["refine"] is False
 
 
 def test_what_is_missing_is_left_out_by_name(options, tmp_path):
