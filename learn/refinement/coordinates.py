@@ -1,4 +1,4 @@
-"""What L-BFGS moves in Eq. 6: for each property a vector z, 0 where it is held, in units in which one step means the same everywhere.
+"""What L-BFGS moves in Eq. 6: for each property a vector z, 0 at the prediction, in units in which one step means the same everywhere.
 
 material  label* = label' + Σ z_k σ_k u_k: principal directions u of the training materials' labels, σ their spread; float64
 light     log L* = log L' + Σ z_j Y_j / (1 + l): real spherical harmonics, by degree l less, then scaled to unit mean luminance; so L* > 0,
@@ -22,7 +22,6 @@ LEAST_SPREAD = 1e-3  # of a principal direction that is kept, in units of a labe
 LEAST_LIGHT = 1e-3  # of the mean: under it a texel is treated as this bright, so that it can become brighter
 LARGEST_CHANGE = 6.0  # of log L: four hundred times brighter or darker
 RIM = 0.97  # of |p|: 88.3° from the viewer
-BROADEST = (2, 8)  # degrees of spherical harmonics that `faded` takes for broad, and for middling
 GRIDS = (4, 8, 16, 32, 64)
 
 
@@ -64,28 +63,6 @@ class Light:
     def __call__(self, z):
         change = torch.einsum("jc,jhw->chw", z.to(self.waves), self.waves).clamp(-LARGEST_CHANGE, LARGEST_CHANGE)
         return unit_mean((self.start + change[None]).exp(), self.solid_angle)
-
-
-def faded(light, contrast):
-    """Light (1, 3, H, W) of unit mean luminance whose logarithm keeps only a part of its contrast about its mean.
-
-    contrast  shares that are kept of the spherical harmonics of degree 1 and 2, 3 to 8, and above
-    """
-    H, W = light.shape[-2:]
-    low, middle, high = contrast
-    l = torch.tensor(degrees(BROADEST[1]))  # noqa: E741 -- the degree's letter
-    share = torch.where(l == 0, 1.0, torch.where(l <= BROADEST[0], low, middle))
-    waves = torch.from_numpy(spherical_harmonics(H, W, BROADEST[1])) * (1 + l)[:, None, None]
-    solid_angle = torch.as_tensor(envmap.row_solid_angles(H, W), dtype=light.dtype)
-    log_light = light[0].detach().clamp(min=LEAST_LIGHT).log()
-    found = torch.einsum("jhw,chw,h->cj", waves, log_light, solid_angle) / (solid_angle.sum() * W)
-    kept = high * log_light + torch.einsum("cj,jhw->chw", (share - high) * found, waves)
-    return unit_mean(kept[None].exp(), solid_angle)
-
-
-def degrees(degree):
-    """Of each of `spherical_harmonics`, in their order."""
-    return [each for m in range(degree + 1) for each in range(m, degree + 1) for _ in range(1 if m == 0 else 2)]
 
 
 @functools.cache

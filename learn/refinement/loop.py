@@ -3,9 +3,6 @@
 Each round moves the material, then the light, then the normals by L-BFGS (scipy's, whose line search keeps the strong
 Wolfe conditions). Material first: normals that were freed first moved from 9° to 50° off. Once each fits the others a level may go on in
 all three at once. A step that does not lower the energy is taken back.
-
-It is held to the prediction, but for its light, which is faded first (learn.refinement.coordinates): networks overstate what they see of a
-light that they never met. Where all of this ends above the prediction as it came, that is given back.
 """
 
 import math
@@ -17,7 +14,7 @@ import torch
 from scipy.optimize import minimize
 
 from learn.networks.prediction import Prediction
-from learn.refinement.coordinates import Light, Material, Normals, faded
+from learn.refinement.coordinates import Light, Material, Normals
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Settings
 
@@ -28,7 +25,7 @@ MOST_EVALUATIONS = 2  # for each iteration: a line search that needs more is sto
 @dataclass(frozen=True)
 class Refined:
     """prediction  Prediction, refined; before, after: {term: float} of learn.refinement.energy with "total", at the finest level
-    history     [{"level", "round", "property", "total", "accepted"}, …]
+    history        [{"level", "round", "property", "total", "accepted"}, …]
     """
 
     prediction: Prediction
@@ -49,14 +46,12 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
     if len(batch.image) != 1 or any(part is None for part in (prediction.n, prediction.label, prediction.light)):
         raise ValueError("refine: one picture with normals, material and light expected; predict all three, and refine one by one")
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
-    fading = "light" in settings.order
-    held = prediction._replace(light=faded(prediction.light, settings.contrast)) if fading else prediction
-    maps = coordinates(held, inside, settings)
+    maps = coordinates(prediction, inside, settings)
     z = {name: m.predicted.numpy().flatten() for name, m in maps.items()}
     start = state_of(maps, z)
     energy = Energy(batch, start, settings)
-    best, history = energy.finest(start), []
-    before = energy.finest(replace(start, light=prediction.light)) if fading else best
+    before = best = energy.finest(start)
+    history = []
     for number, level in enumerate(settings.levels):
         where = energy.pixels(level.pixels)
         for turn, names, iterations in steps(level, settings.order):
@@ -67,8 +62,6 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
                 z, best = tried, reached
             told = {"level": number, "round": turn, "property": "+".join(names), "accepted": accepted}
             history.append(told | {"total": reached["total"]})
-    if not best["total"] <= before["total"]:
-        return Refined(prediction, before, before, history, time.perf_counter() - began)
     state = state_of(maps, z)
     n = torch.where(inside[:, None], state.n, prediction.n)
     refined = Prediction(n, None, state.label.to(prediction.label.dtype), torch.log1p(state.light), state.light)

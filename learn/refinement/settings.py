@@ -33,8 +33,6 @@ class Settings:
     order       one property after another in each round; what is not named stays where it starts
     degree      of the spherical harmonics that the light's logarithm is changed by
     reach       the most that a normal may be moved, in the disk of learn.refinement.coordinates
-    contrast    of the predicted light's logarithm that is believed, in spherical harmonics of degree 1 and 2, 3 to 8, and above:
-                networks overstate what they see of a light that they never met
     tolerance   of the layer in the finest energy, which decides what is kept
     """
 
@@ -44,7 +42,6 @@ class Settings:
     order: tuple = PROPERTIES
     degree: int = 8
     reach: float = 0.3
-    contrast: tuple = (0.85, 0.7, 0.4)
     tolerance: float = 5e-3
     levels: tuple = (
         Level(pixels=600, light=(32, 64), method="exact", rounds=1, iterations=6, together=30),
@@ -52,6 +49,5 @@ class Settings:
     )
 
 
-FULL_CONTRAST = (1.0, 1.0, 1.0)
-PAPER = Settings(a=1.0, b=10.0, c=0.0, contrast=FULL_CONTRAST)
-NAMED = {"default": Settings(), "paper": PAPER, "full-contrast": Settings(contrast=FULL_CONTRAST)}
+PAPER = Settings(a=1.0, b=10.0, c=0.0)
+NAMED = {"default": Settings(), "paper": PAPER}

@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from learn.layer import render
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings, refine
-from learn.refinement.coordinates import Light, Material, Normals, degrees, faded, principal_directions, spherical_harmonics
+from learn.refinement.coordinates import Light, Material, Normals, principal_directions, spherical_harmonics
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Level
 from learn.training.batch import Batch
@@ -107,43 +107,6 @@ def test_the_energy_does_not_grow_with_the_picture_or_the_map(scene):
     whole, part = energy.terms(moved, energy.inside), energy.terms(moved, energy.pixels(100), (32, 64), "exact")
     for name in whole:
         assert float(part[name]) == pytest.approx(float(whole[name]), rel=0.15), name  # a hundred of 350 pixels
-
-
-def test_a_prediction_that_fading_its_light_makes_worse_is_given_back(scene):
-    batch, truth = scene
-    settings = replace(Settings(), contrast=(0.1, 0.1, 0.1), levels=())
-    found = refine(batch, truth, settings)
-    assert found.prediction is truth
-    assert found.after == found.before
-
-
-def test_only_a_light_that_may_move_is_faded(scene):
-    batch, truth = scene
-    overstated = truth._replace(light=faded(truth.light, (3.0, 3.0, 3.0)))
-    settings = replace(QUICK, contrast=(1 / 3, 1 / 3, 1 / 3))
-    still = refine(batch, overstated, replace(settings, order=("material",))).prediction.light
-    np.testing.assert_allclose(still, overstated.light, rtol=1e-4)  # through a logarithm and back
-    moved = refine(batch, overstated, replace(settings, order=("light",), levels=())).prediction.light
-    np.testing.assert_allclose(moved, truth.light, rtol=1e-3)
-
-
-def test_fading_keeps_the_share_of_each_band_that_it_is_told():
-    light = sky(0) ** 2 + torch.rand(1, 3, 64, 128, generator=torch.Generator().manual_seed(0))
-    waves = spherical_harmonics(64, 128, 12).reshape(169, -1)
-    share = envmap.directions(64, 128)[1].reshape(-1) / (4 * np.pi)
-
-    def bands(light):
-        found = np.asarray(light[0].log().reshape(3, -1) * share) @ waves.T
-        return found * (1 + np.array(degrees(12)))
-
-    before, after = bands(light), bands(faded(light, (0.8, 0.6, 0.3)))
-    l = np.array(degrees(12))  # noqa: E741 -- the degree's letter
-    for low, high, kept in ((1, 2, 0.8), (3, 8, 0.6), (9, 12, 0.3)):
-        band = (l >= low) & (l <= high)
-        np.testing.assert_allclose(after[:, band], kept * before[:, band], atol=2e-3)  # texel centres for an integral
-    truth = sky()
-    np.testing.assert_allclose(faded(truth, (1.0, 1.0, 1.0)), truth, rtol=1e-4)
-    np.testing.assert_allclose(faded(torch.ones_like(light) * 3, (0.8, 0.6, 0.3)), 1, rtol=2e-3)  # texel centres again
 
 
 def test_regions_move_apart(scene):
