@@ -27,7 +27,7 @@ from shaders.envmap import directions
 from shaders.frames import camera_from_light
 
 PIXELS = 96
-TAPS = (4096, 16384, 65536)  # of a narrow material: four times as many, until the nodes' radiance moves by a tenth of what is sought
+TAPS = (1024, 4096, 16384, 65536)  # of a narrow material: four times as many, until the nodes' radiance moves by a tenth of what is sought
 MOVED = 0.1
 CHUNK = 65536  # pairs of pixel and place of the light at a time, 1.5 MB an array
 
