@@ -281,7 +281,7 @@ def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, t
     refined = run.settings(replace(options, refine=True))
     run.settled(tmp_path / "settings.json", refined)
     run.settled(tmp_path / "settings.json", run.settings(replace(options, refine=True)))  # what a file gives back is the same
-    monkeypatch.setattr(run, "Settings", lambda: replace(Settings(), contrast=(1.0, 1.0, 1.0)))
+    monkeypatch.setattr(run, "Settings", lambda: replace(Settings(), a=0.5))
     with pytest.raises(Problem, match="other refine"):
         run.settled(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
     assert run.settings(options)["refine"] is False
