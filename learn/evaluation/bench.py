@@ -17,7 +17,7 @@ from learn.training import checkpoint
 from manifests.problems import Problem
 from shaders import tone
 
-FIT_PIXELS = 96  # of a truth, at which label and nodes are compared: 2 s on one thread, 9 where 65,536 taps are needed
+FIT_PIXELS = causes.PIXELS  # of a truth, at which label and nodes are compared: 2 s on one thread, 9 where 65,536 taps are needed
 FINE = 1e-3  # tolerance of the layer's own integral where the nodes' is made from it
 
 

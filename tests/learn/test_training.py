@@ -158,7 +158,7 @@ def test_no_light_loss_wants_a_colour_where_the_truth_has_none(pools, term):
     terms = losses.light_terms(Prediction(None, None, None, None, blurred), replace(batch, light=grey), only)
     (slope,) = torch.autograd.grad(terms[term], shift)
     assert terms[term] > 1e-3
-    np.testing.assert_allclose(slope, 0, atol=1e-5)
+    np.testing.assert_allclose(slope, 0, atol=1e-5)  # float32; at unit luminance 0.05 to 0.9
 
 
 @pytest.mark.parametrize("albedo", [0.05, 0.8])
