@@ -44,7 +44,7 @@ class Energy:
         self.settings, self.start, self.elevation = settings, start, batch.elevation
         inside = (batch.segments[0] > 0) & (batch.mask[0, 0] > 0)
         self.inside = inside.flatten().nonzero()[:, 0]
-        self.segments = batch.segments[0].flatten()
+        self.frame, self.segments = inside[None], batch.segments.clamp(min=1)
         self.regions = start.label.shape[1]
         image = batch.image[0].movedim(0, -1).reshape(-1, 3)
         exposure = tone.auto_exposure(image[self.inside].numpy(), torch.ones(len(self.inside), dtype=torch.bool).numpy())
@@ -59,20 +59,28 @@ class Energy:
         at = (torch.arange(count) * 0.6180339887498949) % 1  # golden section: any count is even, and no row is preferred
         return self.inside[(at * len(self.inside)).long().unique()]
 
-    def image(self, state, where, light, method):
-        n = state.n.flatten(2)[0].index_select(1, where).T[None, None]
+    def image(self, state, where, light, method, tolerance):
+        """Mean square over pixels `where` and channels; all pixels go to the layer as a frame, whose neighbours' normals are alike."""
+        n = state.n.movedim(1, -1)
+        whole = len(where) == len(self.inside)
+        mask, segments = (self.frame, self.segments) if whole else (None, self.segments.flatten()[where][None, None])
         material = state.label.exp().to(n.dtype)
-        regions = {"segments": self.segments[where][None, None]} if self.regions > 1 else {}
-        material = material if self.regions > 1 else material[:, 0]
-        small = reduced(state.light, light).movedim(1, -1)
-        mask = torch.ones(1, 1, len(where), dtype=torch.bool)
-        tolerance = self.settings.tolerance
-        picture = render(n, material, small, mask=mask, method=method, tolerance=tolerance, elevation=self.elevation, **regions)
-        return ((compressed(picture[0, 0] * self.exposure) - self.seen[where]) ** 2).mean()
+        picture = render(
+            n.contiguous() if whole else n.flatten(1, 2)[:, where][:, None],
+            material if self.regions > 1 else material[:, 0],
+            reduced(state.light, light).movedim(1, -1),
+            segments=segments if self.regions > 1 else None,
+            mask=mask,
+            method=method,
+            tolerance=tolerance,
+            elevation=self.elevation,
+        )
+        shown = picture.flatten(0, 2)[where] if whole else picture.flatten(0, 2)
+        return ((compressed(shown * self.exposure) - self.seen[where]) ** 2).mean()
 
-    def terms(self, state, where, light=(64, 128), method="auto"):
-        """{name: scalar}, not yet weighed."""
-        image = self.image(state, where, light, method)
+    def terms(self, state, where, light=(64, 128), method="auto", tolerance=None):
+        """{name: scalar}, not yet weighed; tolerance None: the settings'."""
+        image = self.image(state, where, light, method, self.settings.tolerance if tolerance is None else tolerance)
         moved = (state.n - self.start.n).flatten(2)[0].index_select(1, where)
         relit = (torch.log1p(state.light) - self.log_light) ** 2 * self.share
         return {

@@ -3,6 +3,9 @@
 Each round moves the material, then the light, then the normals by L-BFGS (scipy's, whose line search keeps the strong
 Wolfe conditions). Material first: normals that were freed first moved from 9° to 50° off. Once each fits the others a level may go on in
 all three at once. A step that does not lower the energy is taken back.
+
+A further pass is held to what the one before it reached (a proximal step): the prediction holds the first, the picture wins in the end. It
+counts only if the energy about the prediction itself is still below the start's.
 """
 
 import math
@@ -25,7 +28,7 @@ MOST_EVALUATIONS = 2  # for each iteration: a line search that needs more is sto
 @dataclass(frozen=True)
 class Refined:
     """prediction  Prediction, refined; before, after: {term: float} of learn.refinement.energy with "total", at the finest level
-    history        [{"level", "round", "property", "total", "accepted"}, …]
+    history        [{"pass", "level", "round", "property", "total", "accepted"}, …]; total: about the start of its pass
     """
 
     prediction: Prediction
@@ -46,30 +49,44 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
     if len(batch.image) != 1 or any(part is None for part in (prediction.n, prediction.label, prediction.light)):
         raise ValueError("refine: one picture with normals, material and light expected; predict all three, and refine one by one")
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
-    maps = coordinates(prediction, inside, settings)
-    z = {name: m.predicted.numpy().flatten() for name, m in maps.items()}
-    start = state_of(maps, z)
-    energy = Energy(batch, start, settings)
-    before = best = energy.finest(start)
+    reached = at_rest(coordinates(prediction, inside, settings))
+    energy = Energy(batch, reached, settings)
+    before = after = energy.finest(reached)
     history = []
+    for number in range(settings.passes):
+        state, told = passed(batch, reached if number else prediction, inside, settings)
+        state = replace(state, z={"material": reached.z["material"] + state.z["material"]})
+        terms = energy.finest(state)
+        if not terms["total"] < before["total"]:
+            break
+        reached, after = state, terms
+        history += [{"pass": number} | line for line in told]
+    n = torch.where(inside[:, None], reached.n, prediction.n)
+    refined = Prediction(n, None, reached.label.to(prediction.label.dtype), torch.log1p(reached.light), reached.light)
+    return Refined(refined, before, after, history, time.perf_counter() - began)
+
+
+def passed(batch, start, inside, settings):
+    """(State, history) after all levels, held to `start`, a Prediction or a State: whatever lowers the energy about it."""
+    maps = coordinates(start, inside, settings)
+    z = {name: m.predicted.numpy().flatten() for name, m in maps.items()}
+    energy = Energy(batch, at_rest(maps), settings)
+    best, history = energy.finest(at_rest(maps)), []
     for number, level in enumerate(settings.levels):
         where = energy.pixels(level.pixels)
         for turn, names, iterations in steps(level, settings.order):
             tried = z | descended(energy, maps, z, names, level, where, iterations)
-            reached = energy.finest(state_of(maps, tried))
-            accepted = math.isfinite(reached["total"]) and reached["total"] < best["total"]
+            found = energy.finest(state_of(maps, tried))
+            accepted = math.isfinite(found["total"]) and found["total"] < best["total"]
             if accepted:
-                z, best = tried, reached
+                z, best = tried, found
             told = {"level": number, "round": turn, "property": "+".join(names), "accepted": accepted}
-            history.append(told | {"total": reached["total"]})
-    state = state_of(maps, z)
-    n = torch.where(inside[:, None], state.n, prediction.n)
-    refined = Prediction(n, None, state.label.to(prediction.label.dtype), torch.log1p(state.light), state.light)
-    return Refined(refined, before, best, history, time.perf_counter() - began)
+            history.append(told | {"total": found["total"]})
+    return state_of(maps, z), history
 
 
 def coordinates(prediction, inside, settings):
-    """{property: map from z} of a Prediction."""
+    """{property: map from z} of a Prediction or a State."""
     return {
         "material": Material(prediction.label),
         "light": Light(prediction.light, settings.degree),
@@ -81,6 +98,11 @@ def steps(level, order):
     """(round, properties, iterations) of a level, in turn."""
     found = [(turn, (name,), level.iterations) for turn in range(level.rounds) for name in order]
     return found + ([(level.rounds, tuple(order), level.together)] if level.together and order else [])
+
+
+def at_rest(maps):
+    """State of the coordinates' start."""
+    return state_of(maps, {name: m.predicted for name, m in maps.items()})
 
 
 def state_of(maps, z, known=None):
@@ -101,7 +123,7 @@ def descended(energy, maps, z, names, level, where, iterations):
 
     def value_and_slope(x):
         moved = {name: torch.from_numpy(v.copy()).requires_grad_() for name, v in parts(x).items()}
-        terms = energy.terms(state_of(maps, moved, still), where, level.light, level.method)
+        terms = energy.terms(state_of(maps, moved, still), where, level.light, level.method, level.tolerance)
         value = energy.total(terms)
         slopes = torch.autograd.grad(value, list(moved.values()))
         slope = np.concatenate([s.numpy() for s in slopes])

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 
 from learn.layer import render
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, refine
+from learn.refinement import Settings, loop, refine
 from learn.refinement.coordinates import Light, Material, Normals, principal_directions, spherical_harmonics
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Level
@@ -75,11 +75,50 @@ def test_no_start_however_bad_ends_above_itself_or_leaves_the_domain(scene, seed
 
 def test_what_is_accepted_lowers_the_energy_each_time(scene):
     batch, truth = scene
-    found = refine(batch, spoiled(truth, 1), replace(QUICK, a=0.05, b=0.05))
+    found = refine(batch, spoiled(truth, 1), replace(QUICK, a=0.05, b=0.05, passes=1))
     totals = [found.before["total"]] + [step["total"] for step in found.history if step["accepted"]]
     assert len(totals) > 2
     assert all(b < a for a, b in pairwise(totals))
     assert totals[-1] == found.after["total"]
+
+
+def test_a_second_pass_comes_nearer_to_the_picture_and_stays_below_the_start(scene):
+    batch, truth = scene
+    start = spoiled(truth, 1)
+    once, twice = (refine(batch, start, replace(QUICK, passes=passes)) for passes in (1, 2))
+    assert {line["pass"] for line in twice.history} == {0, 1}
+    assert twice.after["image"] < 0.9 * once.after["image"]
+    assert twice.after["total"] < twice.before["total"] == once.before["total"]
+
+
+def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monkeypatch):
+    batch, truth = scene
+    start = spoiled(truth, 1)
+    once = refine(batch, start, replace(QUICK, passes=1))
+    plain, calls = loop.passed, []
+
+    def lost(batch, state, *rest):
+        calls.append(state)
+        found, told = plain(batch, state, *rest)
+        return (replace(found, light=found.light.roll(64, -1) ** 4), told) if len(calls) == 2 else (found, told)
+
+    monkeypatch.setattr(loop, "passed", lost)
+    found = refine(batch, start, replace(QUICK, passes=2))
+    assert len(calls) == 2
+    assert torch.equal(found.prediction.light, once.prediction.light) and found.after == once.after
+
+
+def test_all_pixels_are_rendered_as_a_frame_and_some_as_a_list_to_the_same_picture(scene):
+    batch, truth = scene
+    half = batch.segments.clone()
+    half[:, :, SIZE // 2 :] *= 2
+    two = State(truth.label.repeat(1, 2, 1).double(), truth.light, truth.n, {"material": torch.zeros(2, 3)})
+    two.label[:, 1] += 0.2
+    for scene_of, state in ((batch, replace(two, label=two.label[:, :1])), (replace(batch, segments=half), two)):
+        energy = Energy(scene_of, state, Settings())
+        frame = energy.image(state, energy.inside, (64, 128), "exact", 1e-3)
+        parts = [energy.image(state, where, (64, 128), "exact", 1e-3) * len(where) for where in energy.inside.chunk(2)]
+        assert float(frame) == pytest.approx(float(sum(parts)) / len(energy.inside), rel=1e-4)
 
 
 def test_the_truth_is_left_where_it_is(scene):
@@ -93,9 +132,9 @@ def test_a_wrong_albedo_is_found_again_when_only_the_material_may_move(scene):
     batch, truth = scene
     dark = truth._replace(label=truth.label - torch.tensor([0.5, 0.0]).repeat_interleave(6).repeat(9))
     level = Level(pixels=0, light=(64, 128), method="exact", rounds=1, iterations=15)
-    found = refine(batch, dark, replace(Settings(), order=("material",), c=0.0, levels=(level,)))
+    found = refine(batch, dark, replace(Settings(), order=("material",), c=0.0, passes=1, levels=(level,)))
     assert found.after["image"] < 0.02 * found.before["image"]
-    assert torch.equal(found.prediction.light, refine(batch, dark, replace(Settings(), order=(), levels=(level,))).prediction.light)
+    assert torch.equal(found.prediction.light, refine(batch, dark, replace(Settings(), order=(), passes=1)).prediction.light)
 
 
 def test_the_energy_does_not_grow_with_the_picture_or_the_map(scene):
