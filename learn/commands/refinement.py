@@ -20,7 +20,7 @@ def register(subparsers):
         "--only",
         nargs="*",
         metavar="SETTING",
-        help="default, paper, a=0.1 …: these alone (default: all; none: no study)",
+        help="default, paper, a=0.1, passes=3, pixels=600 …: these alone (default: all; none: no study)",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="which pictures")
     parser.set_defaults(run=run)

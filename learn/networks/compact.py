@@ -2,23 +2,18 @@
 
 Under a distant viewer radiance depends on the normal alone. So the picture, laid out over its own predicted normals, is a sample of the
 reflectance map, and material and light are read from that map as much as from the picture: a deconvolution needs no shape any more.
-Where in that map a direction's light leaves its trace is known: see Aligned.
 
 B pictures, H, W multiples of 16, S segments. Widths WIDTHS at H/2, H/4, H/8, H/16; features at H/16 are averaged over each segment.
 """
 
 from itertools import pairwise
 
-import numpy as np
 import torch
 from torch import nn
 from torch.nn import functional as F
 
 from learn.networks.coding import compressed, light_of, picture_code, unit_mean
 from learn.networks.prediction import Coded, Prediction
-from shaders import envmap
-from shaders.arrays import namespace
-from shaders.frames import camera_from_light
 
 WIDTHS = (32, 64, 128, 256)
 CELLS = 32  # of the reflectance map, along a side
@@ -41,52 +36,13 @@ class Residual(nn.Module):
         return F.relu(x + self.second(self.first(x)))
 
 
-class Aligned(nn.Module):
-    """What the reflectance map shows where light from a texel would leave its trace, added to that texel's features.
-
-    Light from w is mirrored towards the viewer v by the normal half-way between them, and a matte surface is brightest where it faces w, or
-    leans as far towards it as can be seen. Both places of the map are looked up for each texel: a network that has to learn which is which
-    from flattened features shows even a mirror's surroundings as a blur. The last layer starts at zero, so that weights from before this
-    module was there predict what they did.
-
-    seen           channels of the map's features
-    width, height  of the light's features (B, width, height, 2 height), light frame; cameras at the elevation of shaders.frames
-    """
-
-    def __init__(self, seen, width, height):
-        super().__init__()
-        w = envmap.directions(height, 2 * height)[0] @ camera_from_light().T
-        half = w + np.array([0.0, 0.0, 1.0])
-        facing = np.concatenate([w[..., :2], np.maximum(w[..., 2:], 0.0)], -1)
-        for name, n in (("mirrored", half), ("facing", facing)):
-            n = n / np.linalg.norm(n, axis=-1, keepdims=True)
-            self.register_buffer(name, torch.as_tensor(places(n), dtype=torch.float32)[None], persistent=False)
-        self.register_buffer("w", torch.as_tensor(w, dtype=torch.float32).movedim(-1, 0)[None], persistent=False)
-        self.read = nn.Conv2d(seen, 16, 1)
-        self.mixed = nn.Sequential(convolution(2 * 16 + 3 + width, 32), convolution(32, 32))
-        self.added = nn.Conv2d(32, width, 1)
-        nn.init.zeros_(self.added.weight)
-        nn.init.zeros_(self.added.bias)
-
-    def forward(self, x, seen):
-        """x (B, width, height, 2 height) and features of the map (B, seen, cells, cells)."""
-        B, seen = len(x), self.read(seen).float()
-        looked_up = [
-            F.grid_sample(seen, where.expand(B, -1, -1, -1), padding_mode="border", align_corners=False)
-            for where in (self.mirrored, self.facing)
-        ]
-        return x + self.added(self.mixed(torch.cat([x, *looked_up, self.w.expand(B, -1, -1, -1)], 1)))
-
-
 class Compact(Coded):
     """Normals, material and light of masked pictures; see Prediction.
 
     ranges  learn.networks.coding.Ranges of the training materials; kept with the weights
-    gained  parts that weights may lack: they change nothing until they are trained
     """
 
     name = "compact"
-    gained = ("aligned.",)
 
     def __init__(self, ranges):
         super().__init__(ranges)
@@ -107,7 +63,6 @@ class Compact(Coded):
             nn.Linear(seen + WIDTHS[-1], 256), nn.ReLU(), nn.Dropout(0.1), nn.Linear(256, LIGHT_WIDTHS[0] * 32), nn.ReLU()
         )
         self.widen = nn.ModuleList(convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
-        self.aligned = nn.ModuleList([Aligned(64, LIGHT_WIDTHS[2], 16), Aligned(32, LIGHT_WIDTHS[3], 32)])
         self.light = nn.Conv2d(LIGHT_WIDTHS[-1], 12, 3, 1, 1)
 
     def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None):
@@ -126,7 +81,7 @@ class Compact(Coded):
         if "material" in parts:
             code = torch.stack([self._code(image, regions[:, s : s + 1], mask, laid_out, deep) for s in range(regions.shape[1])], 1)
         if "light" in parts:
-            light_code = self._light(reflectance_map(image, mask, laid_out), _mean_over(mask, deep))
+            light_code = self._light(torch.cat([self._seen(image, mask, laid_out), _mean_over(mask, deep)], 1))
         label = None if code is None else self.ranges.label(code)
         light = None if light_code is None else unit_mean(light_of(light_code), self.row_solid_angle)
         return Prediction(predicted if "normals" in parts else None, code, label, light_code, light)
@@ -152,14 +107,10 @@ class Compact(Coded):
         parts = (self._seen(image, region, n), _mean_over(region, deep), _mean_over(mask, deep))
         return torch.tanh(self.material(torch.cat(parts, 1)).float())
 
-    def _light(self, seen, deep):
-        fine = self.reflectance[0](seen)
-        middle = self.reflectance[1:3](fine)
-        x = torch.cat([self.reflectance[3:](middle).flatten(1), deep], 1)
+    def _light(self, x):
         x = self.illumination(x).reshape(-1, LIGHT_WIDTHS[0], 4, 8)
-        for widen, aligned, features in zip(self.widen, (None, *self.aligned), (None, middle, fine), strict=True):
+        for widen in self.widen:
             x = widen(F.interpolate(x, scale_factor=2.0, mode="bilinear"))
-            x = x if aligned is None else aligned(x, features)
         return F.softplus(F.pixel_shuffle(self.light(x), 2).float())
 
 
@@ -172,25 +123,15 @@ def _mean_over(mask, features):
 def reflectance_map(image, mask, n):
     """(B, 4, CELLS, CELLS): compressed radiance averaged over the pixels whose normals fall into a cell, and how much of a cell is seen.
 
-    Cells divide the square about the disk of `places`; row 0 is up, as in the picture. Empty cells hold 0.
+    Cells divide the equal-area disk p = (n_x, −n_y)/√(1 + n_z); row 0 is up, as in the picture. Empty cells hold 0.
     """
     with torch.autocast(image.device.type, enabled=False):
         B = len(image)
-        p = places(n.float().movedim(1, -1)).movedim(-1, 1)
-        cell = ((p + 1) * (CELLS / 2)).long().clamp(0, CELLS - 1)
+        p = n[:, :2].float() * torch.rsqrt(1.0 + n[:, 2:].float().clamp(min=0))
+        cell = ((p * p.new_tensor([1.0, -1.0])[:, None, None] + 1) * (CELLS / 2)).long().clamp(0, CELLS - 1)
         index = (cell[:, 1] * CELLS + cell[:, 0]).reshape(B, 1, -1)
         values = torch.cat([(compressed(image.float()) - 0.5) * mask, mask.float()], 1).reshape(B, 4, -1)
         sums = values.new_zeros(B, 4, CELLS * CELLS).scatter_add(2, index.expand(-1, 4, -1), values)
         count = sums[:, 3:]
         seen = torch.cat([sums[:, :3] / count.clamp(min=1), count / (count + 4)], 1)
         return seen.reshape(B, 4, CELLS, CELLS)
-
-
-def places(n):
-    """(…, 2) in [−1, 1], rightwards and downwards: where normals (…, 3), n_z ≥ 0, lie in the equal-area disk (n_x, −n_y)/√(1 + n_z).
-
-    NumPy arrays or torch tensors
-    """
-    xp = namespace(n)
-    root = xp.sqrt(1.0 + n[..., 2].clip(min=0))
-    return xp.stack([n[..., 0] / root, -n[..., 1] / root], -1)

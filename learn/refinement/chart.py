@@ -1,7 +1,6 @@
 """The chart of learn.refinement.study: what each weight does."""
 
-from learn.refinement import Settings
-from learn.refinement.study import FIGURES, SWEEPS
+from learn.refinement.study import FIGURES, SWEEPS, value_of
 
 LABELS = ("re-rendering, display L2", "edit, display L2", "normals, mean angle (°)", "irradiance, relative error")
 
@@ -27,7 +26,7 @@ def chart(told, path):
             axis.plot(mean_after, "x:", color="C1", label="refined, mean")
             axis.axhline(before[0], color="C0", linewidth=0.8, label="predicted, median")
             axis.axhline(mean_before[0], color="C1", linewidth=0.8, linestyle=":", label="predicted, mean")
-            axis.axvspan(*(values.index(getattr(Settings(), letter)) + side for side in (-0.2, 0.2)), color="0.92", zorder=0)
+            axis.axvspan(*(values.index(value_of(letter)) + side for side in (-0.2, 0.2)), color="0.92", zorder=0)
             axis.set_xticks(range(len(values)), [f"{value:g}" for value in values])
             if j == 0:
                 axis.set_ylabel(label)

@@ -40,14 +40,14 @@ class Settings:
     passes      how often all levels are gone through, each time held to what was reached before
     """
 
-    a: float = 0.1
+    a: float = 0.05
     b: float = 0.02
-    c: float = 0.1
+    c: float = 0.05
     order: tuple = PROPERTIES
     degree: int = 8
     reach: float = 0.3
     tolerance: float = 5e-3
-    passes: int = 2
+    passes: int = 3
     levels: tuple = (
         Level(pixels=0, light=(32, 64), method="auto", rounds=1, iterations=6, together=30),
         Level(pixels=0, light=(64, 128), method="auto", rounds=0, iterations=0, together=8),

@@ -1,7 +1,7 @@
 """What refinement does on pictures whose truth is known, weight by weight, and how long it takes.
 
 rows.jsonl  a line for each picture and setting: a study is continued by what it holds
-study.json  medians and means over pictures against a, b and c, one weight at a time about the defaults
+study.json  medians and means over pictures against a, b, c, how many passes and how many pixels (0: all), one at a time about the defaults
 
 Display L2 over the mask, exposure from the truth; edit: the mean over the other materials that the dataset has of the same scene.
 """
@@ -26,9 +26,11 @@ from manifests.store import Lines
 from shaders import tone
 
 SWEEPS = {
-    "a": (0.01, 0.1, 1.0),
+    "a": (0.01, 0.05, 0.1, 1.0),
     "b": (0.002, 0.02, 0.2, 10.0),
-    "c": (0.0, 0.1, 1.0),
+    "c": (0.0, 0.05, 0.1, 1.0),
+    "passes": (1, 2, 3),
+    "pixels": (0, 600),
 }
 FIGURES = ("image", "edit", "angle_deg", "light")
 TOLERANCE = 2e-2
@@ -38,17 +40,24 @@ def settings_of(name):
     """Settings of a name such as "a=0.1", or of NAMED. Raises Problem."""
     if name in NAMED:
         return NAMED[name]
-    weight, _, value = name.partition("=")
+    moved, _, value = name.partition("=")
     try:
-        if weight not in SWEEPS:
-            raise ValueError(weight)
-        return replace(Settings(), **{weight: float(value)})
+        if moved == "pixels":
+            return replace(Settings(), levels=tuple(replace(level, pixels=int(value)) for level in Settings().levels))
+        if moved not in SWEEPS:
+            raise ValueError(moved)
+        return replace(Settings(), **{moved: int(value) if moved == "passes" else float(value)})
     except ValueError:
         raise Problem(f"--only {name}", "a setting", "none of that name", f"one of {', '.join(names())}") from None
 
 
+def value_of(moved, settings=Settings()):  # noqa: B008 -- frozen
+    """What the settings have for a name of SWEEPS."""
+    return settings.levels[0].pixels if moved == "pixels" else getattr(settings, moved)
+
+
 def names():
-    """All settings' names: those of NAMED, and each weight moved alone."""
+    """All settings' names: those of NAMED, and each of SWEEPS moved alone."""
     return [*NAMED, *(f"{letter}={value:g}" for letter, values in SWEEPS.items() for value in values)]
 
 
@@ -118,7 +127,7 @@ def weights(predict, known, out, wanted=None):
 
 
 def summary(rows):
-    """{setting: {figure: [median before, median after, mean before, mean after]}, with the pictures' count and the seconds}."""
+    """{setting: {figure: [median before, median after, mean before, mean after]}, the edits' ratio of means, pictures, seconds}."""
     by_setting = defaultdict(list)
     for row in rows:
         by_setting[row["setting"]].append(row)
@@ -126,6 +135,8 @@ def summary(rows):
     for name, mine in by_setting.items():
         values = {f: np.array([[row["before"][f], row["after"][f]] for row in mine]) for f in FIGURES}
         found[name] = {f: [*np.median(v, 0).tolist(), *v.mean(0).tolist()] for f, v in values.items()}
+        edit = values["edit"]
+        found[name] |= {"edit_ratio": float(edit[:, 1].mean() / edit[:, 0].mean())}
         found[name] |= {"pictures": len(mine), "seconds": float(np.median([row["seconds"] for row in mine]))}
     return found
 

@@ -68,11 +68,8 @@ def load_network(path):
 
 
 def fill(network, tensors, where):
-    """Give a network its tensors; Problem if a name is missing or a size another. Parts it has gained since may be missing altogether."""
+    """Give a network its tensors; Problem if a name is missing or a size another."""
     wanted = network.state_dict()
-    for part in getattr(network, "gained", ()):
-        if not any(name.startswith(part) for name in tensors):
-            tensors = {name: mine for name, mine in wanted.items() if name.startswith(part)} | tensors
     for name, mine in wanted.items():
         if name not in tensors or tensors[name].shape != mine.shape:
             found = f"{tuple(tensors[name].shape)}" if name in tensors else "none"

@@ -11,7 +11,7 @@ import torch
 
 from learn.geometry import Geometry
 from learn.networks.coding import REACH, Ranges, unit_mean
-from learn.networks.compact import CELLS, Aligned, Compact, reflectance_map
+from learn.networks.compact import CELLS, Compact, reflectance_map
 from learn.networks.paper import Paper
 from learn.networks.prediction import Prediction
 from learn.training import augmentation, checkpoint, lights, losses, measures, sources
@@ -20,7 +20,6 @@ from learn.training.relit import Pool, Relit
 from learn.training.settings import Data, Losses, Run, Schedule
 from manifests.problems import Problem
 from shaders import envmap
-from shaders.frames import camera_from_light
 from tests.learn import synthetic
 
 SIZE = 32
@@ -300,21 +299,3 @@ def test_what_stays_in_register_moves_with_the_picture():
         assert not (seen_mask & ~inside).any()
         moved += not np.array_equal(inside, mask)
     assert moved > 10  # of 20; a shift of at most two pixels stays where it is in one case of 25
-
-
-def test_a_texel_looks_up_the_reflectance_map_where_its_light_is_mirrored_and_where_a_surface_faces_it():
-    """The map of a mirror that shows each direction as itself, and of normals that show themselves, give each texel its own direction."""
-    aligned, (w, _) = Aligned(3, 4, 32), envmap.directions(32, 64)
-    at = (np.arange(CELLS) + 0.5) / CELLS * 2 - 1
-    p = np.stack(np.meshgrid(at, -at), -1)
-    radius = np.minimum((p**2).sum(-1, keepdims=True), 1.0)
-    n = np.concatenate([p * np.sqrt(2 - radius), 1 - radius], -1)  # inverse of p = n_xy/√(1 + n_z)
-    mirrored = 2 * n[..., 2:] * n - [0, 0, 1]
-    into_light = camera_from_light()
-    for grid, shown, where in (
-        (aligned.mirrored, mirrored @ into_light, (w @ into_light.T)[..., 2] > -0.5),
-        (aligned.facing, n @ into_light, (w @ into_light.T)[..., 2] > 0.3),
-    ):
-        seen = torch.as_tensor(shown, dtype=torch.float32).movedim(-1, 0)[None]
-        found = torch.nn.functional.grid_sample(seen, grid, padding_mode="border", align_corners=False)[0].movedim(0, -1).numpy()
-        assert np.abs(found - w)[where].max() < 0.05
