@@ -10,7 +10,7 @@ class Level:
     """One step of coarse to fine.
 
     pixels      of the object, evenly spread, that the picture is compared at; 0: all. Some hundreds leave normals between them to the
-                grids' fancy: edits of 30 development pictures came out 8 to 12 % worse than with all
+                grids' fancy: with 600 edits of eight development pictures are at 924, with all at 741 (study.json)
     light       (height, width) of the map that is summed, reduced from the refined one by solid angle
     method      of learn.layer.render
     rounds      through the properties
