@@ -8,8 +8,8 @@ def register(subparsers):
         "refinement",
         help="measure refinement: against its weights, from bad starts, and its time",
         description="Refines pictures of a dataset in which scenes were rendered in several materials, so that the truth of an edit is "
-        "known. Writes study.json and study.png (re-rendering, edit, normals and light against each weight, passes and pixels), starts.json "
-        "(bad starts) and times.json. The same command again continues the study.",
+        "known. Writes study.json and study.png (re-rendering, edit, normals and light against each weight, passes and pixels), "
+        "starts.json (bad starts) and times.json. The same command again continues the study.",
     )
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset with pictures")
     parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
