@@ -11,6 +11,7 @@ from learn import pictures
 from learn.__main__ import COMMANDS
 from learn.editing import photograph, wanted
 from manifests.command_line import main
+from manifests.materials import ALIKE, load_catalogue
 from manifests.problems import Problem
 from shaders import tone
 
@@ -72,6 +73,21 @@ def test_an_unknown_material_lists_the_closest_names(files, capsys):
     status, line = told(capsys, *edit(files, material="brasss"))
     assert status == 1 and "did you mean brass" in line
     assert not (files / "out").exists()
+
+
+@pytest.mark.parametrize("word", ["leather", "lether", "Leather"])
+def test_an_everyday_word_is_answered_with_what_looks_like_it(files, capsys, word):
+    status, line = told(capsys, *edit(files, material=word))
+    assert status == 1 and "look like leather: natural-209, special-walnut-224" in line and "a picture of it" in line
+
+
+def test_a_part_of_a_name_lists_names_that_have_it(files, capsys):
+    status, line = told(capsys, *edit(files, material="phenolic"))
+    assert status == 1 and "did you mean black-phenolic" in line and "red-phenolic" in line
+
+
+def test_every_material_that_stands_for_a_word_is_in_the_catalogue():
+    assert {name for names in ALIKE.values() for name in names} <= set(load_catalogue())
 
 
 def test_nothing_is_overwritten_unless_asked(files, capsys):
