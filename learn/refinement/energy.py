@@ -13,6 +13,7 @@ beyond white still counts
 Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the terms by the picture's size
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -31,6 +32,12 @@ class State:
     light: torch.Tensor
     n: torch.Tensor
     z: dict
+
+    @property
+    def drawable(self):
+        """Whether the layer takes it: the first stride of a line search may end at a material of e^100, or at none."""
+        material = self.label.detach().exp().to(self.n.dtype)
+        return bool(((material > 0) & material.isfinite()).all() and self.light.isfinite().all() and self.n.isfinite().all())
 
 
 class Energy:
@@ -96,7 +103,9 @@ class Energy:
         return terms["image"] + s.a * terms["normals"] + s.b * terms["light"] + s.c * terms["material"]
 
     def finest(self, state):
-        """{name: float} of all pixels under the whole map, and "total": what accepts or rejects a step."""
+        """{name: float} of all pixels under the whole map, and "total": what accepts or rejects a step; inf for what cannot be drawn."""
+        if not state.drawable:
+            return dict.fromkeys(("image", "normals", "light", "material", "total"), math.inf)
         with torch.no_grad():
             terms = self.terms(state, self.inside)
             return {name: float(value) for name, value in terms.items()} | {"total": float(self.total(terms))}

@@ -23,6 +23,7 @@ from learn.refinement.settings import Settings
 
 FIELDS = {"material": "label", "light": "light", "normals": "n"}
 MOST_EVALUATIONS = 2  # for each iteration: a line search that needs more is stopped
+NOWHERE = 1e30  # energy of what is not finite or cannot be drawn: a line search turns back
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,17 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
 
     batch       learn.training.batch.Batch of one: image, mask, segments and elevation are used, the truth is not
     prediction  Prediction of one: n, label and light
-    Raises      ValueError for a batch of more than one, or a prediction that lacks a property
+    Raises      ValueError for a batch of more than one, or a prediction that lacks a property or is not finite
     """
     began = time.perf_counter()
     if len(batch.image) != 1 or any(part is None for part in (prediction.n, prediction.label, prediction.light)):
         raise ValueError("refine: one picture with normals, material and light expected; predict all three, and refine one by one")
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
     reached = at_rest(coordinates(prediction, inside, settings))
+    if not reached.drawable:
+        raise ValueError(
+            "refine: finite normals and light, and a label whose exp is finite and above 0, expected; check the network's weights"
+        )
     energy = Energy(batch, reached, settings)
     before = after = energy.finest(reached)
     history = []
@@ -123,12 +128,14 @@ def descended(energy, maps, z, names, level, where, iterations):
 
     def value_and_slope(x):
         moved = {name: torch.from_numpy(v.copy()).requires_grad_() for name, v in parts(x).items()}
-        terms = energy.terms(state_of(maps, moved, still), where, level.light, level.method, level.tolerance)
-        value = energy.total(terms)
+        state = state_of(maps, moved, still)
+        if not state.drawable:
+            return NOWHERE, np.zeros_like(x)
+        value = energy.total(energy.terms(state, where, level.light, level.method, level.tolerance))
         slopes = torch.autograd.grad(value, list(moved.values()))
         slope = np.concatenate([s.numpy() for s in slopes])
         if not (math.isfinite(value.item()) and np.isfinite(slope).all()):
-            return 1e30, np.zeros_like(x)
+            return NOWHERE, np.zeros_like(x)
         return value.item(), slope.astype(np.float64)
 
     x = np.concatenate([z[name] for name in names])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from scipy.optimize import OptimizeResult, minimize
 
 from learn.layer import render
 from learn.networks.prediction import Prediction
@@ -73,6 +74,36 @@ def test_no_start_however_bad_ends_above_itself_or_leaves_the_domain(scene, seed
     assert (found.prediction.light > 0).all()
     np.testing.assert_allclose(n[:, inside].norm(dim=0), 1, atol=1e-5)  # float32
     assert (n[2, inside] > 0).all()
+
+
+def test_a_stride_to_where_the_layer_cannot_follow_is_turned_back(scene, monkeypatch):
+    batch, truth = scene
+    strides = []
+
+    def far_first(value_and_slope, x, **options):
+        for far in (1e4, -1e4, np.nan):
+            value, slope = value_and_slope(x + far)
+            assert value == loop.NOWHERE and not slope.any()
+        strides.append(len(x))
+        return minimize(value_and_slope, x, **options)
+
+    monkeypatch.setattr(loop, "minimize", far_first)
+    found = refine(batch, spoiled(truth, 1), replace(QUICK, order=("material",), passes=1))
+    assert strides and found.after["total"] < found.before["total"]
+
+
+def test_a_step_that_ends_there_is_taken_back(scene, monkeypatch):
+    batch, truth = scene
+    monkeypatch.setattr(loop, "minimize", lambda value_and_slope, x, **options: OptimizeResult(x=x + 1e4))
+    found = refine(batch, truth, replace(QUICK, order=("material",), passes=1))
+    assert [line["accepted"] for line in found.history] == [] and found.after == found.before
+
+
+def test_a_prediction_that_is_not_finite_is_refused(scene):
+    batch, truth = scene
+    for label in (truth.label + 100, truth.label * np.nan):
+        with pytest.raises(ValueError, match="weights"):
+            refine(batch, truth._replace(label=label), QUICK)
 
 
 def test_what_is_accepted_lowers_the_energy_each_time(scene):
