@@ -6,8 +6,9 @@ A set is a catalogue's file: "merl" and "rgl" are built in, a user's own goes by
 from pathlib import Path
 
 from manifests import splits
+from manifests.material_words import suggestion
 from manifests.materials import BUILT_IN, read_catalogue
-from manifests.problems import Problem, closest
+from manifests.problems import Problem
 
 SETS = {"materials": "merl", "materials-rgl": "rgl"}
 PARTS = ("train", "test", "paper-train")
@@ -29,7 +30,7 @@ def chosen_entries(names, catalogues=()):
         found = _part(sets[set_], part) if set_ in sets else [known[name]] if name in known else []
         if not found:
             every = [*known, *sets, *(f"{s}/{p}" for s in sets for p in PARTS)]
-            raise Problem(f"material '{name}'", "a name or a set in the catalogue", "none of that name", closest(name, every))
+            raise Problem(f"material '{name}'", "a name or a set in the catalogue", "none of that name", suggestion(name, every))
         chosen |= {entry.name: entry for entry in found}
     return list(chosen.values())
 

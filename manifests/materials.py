@@ -8,7 +8,6 @@ errors   on view angles that no fit saw (0.5, 15, 30, 45, 60, 75°): relative L1
 A catalogue is one JSON file, a material a line. `materials.json` holds MERL's hundred, `materials-rgl.json` EPFL's isotropic ones.
 """
 
-import difflib
 import functools
 import json
 from dataclasses import dataclass
@@ -20,34 +19,14 @@ import numpy as np
 from msgspec import Struct
 
 from manifests import reading
-from manifests.problems import Problem, closest
+from manifests.material_words import suggestion
+from manifests.problems import Problem
 from shaders import dsbrdf
 from shaders.mixture import Mixture
 
 VERSION = 1
 FOLDER = Path(__file__).parent
 BUILT_IN = (FOLDER / "materials.json", FOLDER / "materials-rgl.json")
-ALIKE = {  # everyday words that no name begins with, and measured materials that look so on a sphere, judged by eye
-    "leather": ("natural-209", "special-walnut-224", "black-soft-plastic"),
-    "copper": ("alum-bronze", "brass"),
-    "bronze": ("alum-bronze", "brass"),
-    "gold": ("gold-metallic-paint", "two-layer-gold", "brass"),
-    "silver": ("two-layer-silver", "chrome-steel", "silver-metallic-paint"),
-    "mirror": ("chrome", "chrome-steel"),
-    "iron": ("hematite", "black-oxidized-steel"),
-    "porcelain": ("alumina-oxide", "white-acrylic"),
-    "ceramic": ("alumina-oxide", "white-acrylic"),
-    "stone": ("white-marble", "black-obsidian", "pink-jasper"),
-    "wood": ("cherry-235", "colonial-maple-223", "fruitwood-241"),
-    "oak": ("pickled-oak-260", "natural-209"),
-    "walnut": ("special-walnut-224", "fruitwood-241"),
-    "velvet": ("dark-specular-fabric", "pink-felt"),
-    "silk": ("satin_white", "vch_silk_blue"),
-    "cotton": ("white-fabric", "white-fabric2"),
-    "linen": ("white-fabric", "beige-fabric"),
-    "wool": ("acrylic_felt_white", "pink-felt"),
-    "vinyl": ("pvc", "vch_golden_yellow"),
-}
 
 
 class Distance(Struct, frozen=True, forbid_unknown_fields=True):
@@ -190,21 +169,8 @@ def load_catalogue(*paths):
 
 
 def find(name, materials=None):
-    """The material of that name. Raises Problem that lists the closest names, or what looks like a stuff that was not measured."""
+    """The material of that name. Raises Problem that lists the closest names, or what an everyday word may mean."""
     materials = load_catalogue() if materials is None else materials
     if name not in materials:
-        remedy = alike(name, materials) or closest(name, materials)
-        raise Problem(f"material {name!r}", "a name in the catalogue", "none of that name", remedy)
+        raise Problem(f"material {name!r}", "a name in the catalogue", "none of that name", suggestion(name, materials))
     return materials[name]
-
-
-def alike(name, materials):
-    """What to try in place of an everyday word, as text; None where nothing of the catalogue goes by it."""
-    word = str(name).lower()
-    near = difflib.get_close_matches(word, ALIKE, n=1, cutoff=0.75)
-    named = [m for m in materials if word in m.lower().replace("_", "-").split("-")]
-    looks = [m for m in (ALIKE[near[0]] if near else ()) if m in materials]
-    if looks:
-        named = [m for m in named if m not in looks]
-        return f"these look like {near[0]}: {', '.join(looks + named[:2])}; `python -m learn edit` also takes a picture of it"
-    return f"did you mean {', '.join(sorted(named)[:5])}?" if named else None

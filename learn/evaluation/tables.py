@@ -11,6 +11,7 @@ import numpy as np
 
 from learn import intervals
 from learn.evaluation.methods import OURS, OURS_REFINED
+from manifests.materials import load_catalogue
 
 LIMIT = 1.5  # times the node fit, as learn.agreement judges
 
@@ -136,6 +137,35 @@ def differences(rows):
     return table("Differences on the same edits", note, columns, found)
 
 
+def gains(rows):
+    """What refinement takes off the edits' mean, median and geometric mean: of all, by light, by shape, by the family of what is wanted."""
+    before, after = (rows.values(name, ("l2",)) for name in (OURS, OURS_REFINED))
+    both = np.isfinite(before + after)
+    families = {name: each.family for name, each in load_catalogue().items()}
+    groups = {"all edits": both}
+    for title, of in (
+        ("light", lambda row: row["light"]),
+        ("shape", lambda row: row["category"]),
+        ("into", lambda row: " + ".join(dict.fromkeys(families.get(name, "another catalogue's") for name in row["wanted"]))),
+    ):
+        names = np.array([of(row) for row in rows.rows]) if both.any() else np.array([])
+        groups |= {f"{title}: {name}": both & (names == name) for name in np.unique(names)}
+    found = []
+    for title, there in groups.items():
+        if there.any():
+            a, b = before[there], after[there]
+            cells = {"edits": int(there.sum()), "ratio": intervals.relative(a, b, rows.drawn(there)), "won": float((b < a).mean())}
+            for name, mean in (("mean", np.mean), ("median", np.median), ("geometric", lambda x: np.exp(np.log(x).mean()))):
+                cells |= {name: float(mean(a)), f"{name}_after": float(mean(b))}
+            found.append({"name": title, "cells": cells})
+    columns = [column("edits", "edits", 0), column("ratio", "ratio of means", 3, True)]
+    for name, label in (("mean", "mean"), ("median", "median"), ("geometric", "geometric mean")):
+        columns += [column(name, f"{label} before", 0), column(f"{name}_after", "after", 0)]
+    columns.append(column("won", "edits better", 3))
+    note = "Display L2 of ours over the mask, as predicted and refined. Families are the built-in catalogues'."
+    return table("What refinement takes off edits", note, columns, found)
+
+
 def refinement(rows):
     """What refinement did to its starts, a row a method, and all together."""
     refined = [name for name in rows.methods() if any("refinement" in row["methods"].get(name, {}) for row in rows.rows)]
@@ -247,6 +277,7 @@ def all_of(pictures, edits):
     found = {
         "edits": by_method(E, "Edits against their truth", given, [((), PICTURE, ""), ((), GIVEN, "")]),
         "differences": differences(E),
+        "gains": gains(E),
         "refinement": refinement(P),
         "rerendered": by_method(P, "Pictures rendered again", "All three parts of the method.", [(("rendered_all",), PICTURE, "")]),
         "material": by_method(P, "Material", material_alone, [(("material",), MATERIAL, ""), (("rendered_material",), SHORT, "_rendered")]),

@@ -10,6 +10,7 @@ from merl_file import smooth, write_binary
 from PIL import Image
 
 from factory.__main__ import COMMANDS
+from factory.material_names import chosen_entries
 from manifests import materials
 from manifests.command_line import main
 from manifests.problems import Problem
@@ -159,6 +160,11 @@ def test_every_test_material_knows_its_nearest_training_one(merl):
 def test_a_name_that_is_not_there_lists_the_closest(merl):
     with pytest.raises(Problem, match=r"did you mean .*red-fabric"):
         materials.find("red-fabrik", merl)
+
+
+def test_a_job_that_asks_for_an_everyday_word_is_told_what_looks_like_it():
+    with pytest.raises(Problem, match="look like leather: natural-209"):
+        chosen_entries(["leather"])
 
 
 def test_an_unknown_key_in_a_catalogue_is_refused(tmp_path, own):

@@ -11,7 +11,8 @@ from learn import pictures
 from learn.__main__ import COMMANDS
 from learn.editing import photograph, wanted
 from manifests.command_line import main
-from manifests.materials import ALIKE, load_catalogue
+from manifests.material_words import ALIKE
+from manifests.materials import load_catalogue
 from manifests.problems import Problem
 from shaders import tone
 

@@ -48,6 +48,25 @@ def test_ours_is_compared_with_ours_refined_once():
     assert list(found) == [f"{OURS_REFINED} − {OURS}"]
 
 
+def test_what_refinement_takes_off_is_told_by_light_shape_and_family():
+    of = rows({OURS: [100, 10, 100, 10, 100, 1000], OURS_REFINED: [50, 5, 50, 20, 50, 10]})
+    for row, light in zip(of.rows, ("city", "city", "city", "sky", "sky", "sky"), strict=True):
+        row |= {"light": light, "category": "chair", "wanted": ["brass" if row["wanted"] == ["brass"] else "pink-felt"]}
+    found = cells(tables.gains(of))
+    assert list(found) == ["all edits", "light: city", "light: sky", "shape: chair", "into: fabric", "into: metal"]
+    assert [found[name]["edits"] for name in found] == [6, 3, 3, 6, 3, 3]
+    assert found["into: metal"]["ratio"] == pytest.approx([0.5] * 3) and found["into: metal"]["won"] == 1
+    every = found["all edits"]
+    assert (every["mean"], every["mean_after"]) == pytest.approx((220, 185 / 6))
+    assert (every["median"], every["median_after"]) == pytest.approx((100, 35))
+    assert (every["geometric"], every["geometric_after"]) == pytest.approx((1e11 ** (1 / 6), 1.25e8 ** (1 / 6)))
+    assert every["won"] == pytest.approx(5 / 6) and every["ratio"][0] == pytest.approx(185 / 1320)
+
+
+def test_without_refined_edits_there_is_no_such_table():
+    assert tables.gains(rows({OURS: [10] * 6})) is None
+
+
 def refined(before, after, started, ended, seconds, finite=True):
     return {
         "shape": "a",

@@ -1,0 +1,43 @@
+"""What a material's name that is not known may mean: an everyday word, a part of a name, a slip of the pen."""
+
+import difflib
+
+from manifests.problems import closest
+
+NEAR = 0.75  # of difflib: one wrong letter in a word of five has 0.8
+ALIKE = {  # no material is called just so; these look like it on a sphere (judged by eye), the likest first
+    "leather": ("natural-209", "special-walnut-224", "black-soft-plastic"),
+    "copper": ("alum-bronze", "brass"),
+    "bronze": ("alum-bronze", "brass"),
+    "gold": ("gold-metallic-paint", "two-layer-gold", "brass"),
+    "silver": ("two-layer-silver", "chrome-steel", "silver-metallic-paint"),
+    "mirror": ("chrome", "chrome-steel"),
+    "iron": ("hematite", "black-oxidized-steel"),
+    "porcelain": ("alumina-oxide", "white-acrylic"),
+    "ceramic": ("alumina-oxide", "white-acrylic"),
+    "stone": ("white-marble", "black-obsidian", "pink-jasper"),
+    "wood": ("cherry-235", "colonial-maple-223", "fruitwood-241"),
+    "oak": ("pickled-oak-260", "natural-209"),
+    "walnut": ("special-walnut-224", "fruitwood-241"),
+    "velvet": ("dark-specular-fabric", "pink-felt"),
+    "silk": ("satin_white", "vch_silk_blue"),
+    "cotton": ("white-fabric", "white-fabric2"),
+    "linen": ("white-fabric", "beige-fabric"),
+    "wool": ("acrylic_felt_white", "pink-felt"),
+    "vinyl": ("pvc", "vch_golden_yellow"),
+}
+
+
+def suggestion(name, known):
+    """What to try instead, as text: materials that look like an everyday word, names that have the word, or the closest names.
+
+    known  every name that would be understood
+    """
+    word = str(name).lower()
+    near = difflib.get_close_matches(word, ALIKE, n=1, cutoff=NEAR)
+    named = [k for k in known if word in k.lower().replace("_", "-").split("-")]
+    looks = [k for k in (ALIKE[near[0]] if near else ()) if k in known]
+    if looks:
+        more = [k for k in named if k not in looks][:2]
+        return f"these look like {near[0]}: {', '.join(looks + more)}; `python -m learn edit` also takes a picture of it"
+    return f"did you mean {', '.join(sorted(named)[:5])}?" if named else closest(name, known)
