@@ -141,13 +141,14 @@ def gains(rows):
     """What refinement takes off the edits' mean, median and geometric mean: of all, by light, by shape, by the family of what is wanted."""
     before, after = (rows.values(name, ("l2",)) for name in (OURS, OURS_REFINED))
     both = np.isfinite(before + after)
-    families = {name: each.family for name, each in load_catalogue().items()}
+    known = {name: each.family for name, each in load_catalogue().items()}
+
+    def family(row):
+        families = {known.get(name, "not in the built-in catalogues") for name in row["wanted"]}
+        return families.pop() if len(families) == 1 else "several families"
+
     groups = {"all edits": both}
-    for title, of in (
-        ("light", lambda row: row["light"]),
-        ("shape", lambda row: row["category"]),
-        ("into", lambda row: " + ".join(dict.fromkeys(families.get(name, "another catalogue's") for name in row["wanted"]))),
-    ):
+    for title, of in (("light", lambda row: row["light"]), ("shape", lambda row: row["category"]), ("into", family)):
         names = np.array([of(row) for row in rows.rows]) if both.any() else np.array([])
         groups |= {f"{title}: {name}": both & (names == name) for name in np.unique(names)}
     found = []
@@ -162,7 +163,7 @@ def gains(rows):
     for name, label in (("mean", "mean"), ("median", "median"), ("geometric", "geometric mean")):
         columns += [column(name, f"{label} before", 0), column(f"{name}_after", "after", 0)]
     columns.append(column("won", "edits better", 3))
-    note = "Display L2 of ours over the mask, as predicted and refined. Families are the built-in catalogues'."
+    note = "Display L2 of ours over the mask, as predicted and refined."
     return table("What refinement takes off edits", note, columns, found)
 
 

@@ -63,6 +63,15 @@ def test_what_refinement_takes_off_is_told_by_light_shape_and_family():
     assert every["won"] == pytest.approx(5 / 6) and every["ratio"][0] == pytest.approx(185 / 1320)
 
 
+def test_regions_of_several_families_are_one_row():
+    of = rows({OURS: [100] * 6, OURS_REFINED: [50] * 6})
+    for row, wanted in zip(of.rows, 3 * (["brass", "chrome"], ["brass", "pink-felt"]), strict=True):
+        row |= {"light": "city", "category": "chair", "wanted": wanted}
+    of.rows[5]["wanted"] = ["mine"]
+    found = {name: row["edits"] for name, row in cells(tables.gains(of)).items() if name.startswith("into")}
+    assert found == {"into: metal": 3, "into: several families": 2, "into: not in the built-in catalogues": 1}
+
+
 def test_without_refined_edits_there_is_no_such_table():
     assert tables.gains(rows({OURS: [10] * 6})) is None
 
