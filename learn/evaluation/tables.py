@@ -141,6 +141,8 @@ def gains(rows):
     """What refinement takes off the edits' mean, median and geometric mean: of all, by light, by shape, by the family of what is wanted."""
     before, after = (rows.values(name, ("l2",)) for name in (OURS, OURS_REFINED))
     both = np.isfinite(before + after)
+    if not both.any():
+        return None
     known = {name: each.family for name, each in load_catalogue().items()}
 
     def family(row):
@@ -149,7 +151,7 @@ def gains(rows):
 
     groups = {"all edits": both}
     for title, of in (("light", lambda row: row["light"]), ("shape", lambda row: row["category"]), ("into", family)):
-        names = np.array([of(row) for row in rows.rows]) if both.any() else np.array([])
+        names = np.array([of(row) for row in rows.rows])
         groups |= {f"{title}: {name}": both & (names == name) for name in np.unique(names)}
     found = []
     for title, there in groups.items():
