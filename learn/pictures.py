@@ -21,6 +21,7 @@ from shaders.envmap import LUMINANCE
 MOST_PIXELS = 64_000_000
 MOST_REGIONS = 8
 LEAST_PIXELS = 16  # of the mask; fewer tell nothing of a shape
+MASK_REMEDY = "give --mask FILE: white where the object is"
 MARGIN = 1.18  # of the square over the object: objects span 0.85 of the median training picture
 # A photograph's scale is unknown: that under which a light of unit mean lit it is guessed from the object's mean luminance Y in the file as
 # TYPICAL · Y^−DEPENDENCE: the best line over 200 pictures of known light, exposed for their 99th percentile. `learn exposure` measures it
@@ -44,10 +45,11 @@ def read(path, mask_path=None):
     return radiance, coverage >= 0.5
 
 
-def read_soft(path, mask_path=None, regions=None):
+def read_soft(path, mask_path=None, regions=None, remedy=MASK_REMEDY):
     """radiance (H, W, 3), coverage (H, W) in [0, 1]: how much of each pixel the object covers, from a mask's grey or a picture's alpha.
 
     regions  a label image's file: without a mask and transparency the object is all its regions
+    remedy   of a picture without a mask
 
     Raises  Problem: no such file, no picture, no mask, an empty one, one of another size
     """
@@ -60,7 +62,7 @@ def read_soft(path, mask_path=None, regions=None):
     elif regions is not None:
         coverage = (read_labels(regions, radiance.shape[:2]) > 0).astype(np.float32)
     else:
-        raise Problem(path, "a mask, or transparency around the object", "neither", "give --mask FILE: white where the object is")
+        raise Problem(path, "a mask, or transparency around the object", "neither", remedy)
     if (coverage >= 0.5).sum() < LEAST_PIXELS:
         found = f"{int((coverage >= 0.5).sum())}"
         raise Problem(mask_path or path, f"an object of {LEAST_PIXELS} pixels or more in the mask", found, "white marks the object")
@@ -75,7 +77,7 @@ def read_mask(path, size):
 
 
 def read_labels(path, size):
-    """Regions (H, W) int64, 0 background, 1 … S by rising value: each grey level or palette entry but 0 is a region. Raises Problem."""
+    """Regions (H, W) uint8, 0 background, 1 … S by rising value: each grey level or palette entry but 0 is a region. Raises Problem."""
     _pixels(Path(path))  # refuses what is no picture
     try:
         with Image.open(path) as picture:
@@ -87,7 +89,7 @@ def read_labels(path, size):
     if not 1 <= len(levels) <= MOST_REGIONS:
         remedy = "0 is background, and each region has one value; save without antialiasing or JPEG"
         raise Problem(path, f"1 to {MOST_REGIONS} values besides 0", f"{len(levels)}", remedy)
-    return np.searchsorted([0, *levels], values).astype(np.int64)
+    return np.searchsorted([0, *levels], values).astype(np.uint8)
 
 
 def _require_size(path, found, expected, what):
@@ -147,6 +149,7 @@ def framed(radiance, mask, size, exposure=None):
 
     exposure  None: guessed from the object's brightness
     Returns   Framed with radiance (size, size, 3), mask (size, size)
+    Raises    Problem: too little of it is left at that size
     """
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     side = max(int(np.ceil(MARGIN * max(np.ptp(rows), np.ptp(columns)))) + 1, 4)
@@ -157,6 +160,11 @@ def framed(radiance, mask, size, exposure=None):
     covered = resized(weight, size)
     colour = resized(placed(radiance * mask[..., None], (top, left, side)), size) / np.maximum(covered, 1e-3)[..., None]
     inside = covered >= 0.5
+    if inside.sum() < 0.5 * covered.sum():  # wires and rims: the pixels that hold most of it, as many as its area
+        inside = covered >= max(np.sort(covered, None)[-round(float(covered.sum()))], 1e-2)
+    if inside.sum() < LEAST_PIXELS:
+        rule = f"an object of {LEAST_PIXELS} pixels or more at the network's {size} × {size}"
+        raise Problem("the mask", rule, f"{int(inside.sum())}", "mask a thicker part of it, or crop to it")
     return Framed((colour * inside[..., None] * exposure).astype(np.float32), inside, (int(top), int(left), side), float(exposure))
 
 
@@ -165,7 +173,7 @@ def framed_regions(regions, framed):
     size = len(framed.mask)
     at = ((np.arange(size) + 0.5) * framed.box[2] / size).astype(int)
     near = distance_transform_edt(placed(regions, framed.box) == 0, return_distances=False, return_indices=True)
-    return (placed(regions, framed.box)[tuple(near)][at][:, at] * framed.mask).astype(np.int64)
+    return placed(regions, framed.box)[tuple(near)][at][:, at].astype(np.int64) * framed.mask
 
 
 def placed(array, box):

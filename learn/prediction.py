@@ -3,7 +3,6 @@
 normals.exr (X, Y, Z, camera frame), light.exr (64×128, light frame), rendering.exr, each with a PNG beside it, material.json, sheet.png
 """
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from learn import pictures
+from learn import files, pictures
 from learn.dataset import Records
 from learn.training import checkpoint, measures, sheet
 from learn.training.batch import Batch
@@ -24,18 +23,20 @@ WEIGHTS = Path(__file__).parent / "weights" / "joint-compact.safetensors"
 NEAREST = 3
 
 
-def of(framed, network, regions=None):
-    """(Batch of one, Prediction) of a learn.pictures.Framed; regions (size, size) 1 … S, None for one."""
+def of(framed, network, regions=None, count=1):
+    """(Batch of one, Prediction) of a learn.pictures.Framed.
+
+    regions  (size, size) 1 … S, None for one; count: S, of which a small one may have no pixel left at the network's size
+    """
     image = torch.from_numpy(framed.radiance).movedim(-1, 0)[None].contiguous()
     mask = torch.from_numpy(framed.mask)
     segments = mask[None].long() if regions is None else torch.from_numpy(regions)[None]
-    count = int(segments.max())
     nothing = torch.zeros(1, 3, 64, 128) + 1
     label = torch.zeros(1, count, 108)
     normals = torch.zeros_like(image)
     batch = Batch(image, mask[None, None].float(), normals, segments, label, nothing, label, ("picture",), float(ELEVATION))
     with torch.no_grad():
-        predicted = network(batch.image, batch.mask, segments if count > 1 else None)
+        predicted = network(batch.image, batch.mask, segments if count > 1 else None, regions=count)
     return batch, predicted
 
 
@@ -44,7 +45,7 @@ def write(image, mask, weights, out, exposure=None, overwrite=False):
     out = Path(out)
     if (out / "material.json").exists() and not overwrite:
         raise Problem(out / "material.json", "no earlier prediction", "one", "give another --out, or --overwrite")
-    network, metadata = checkpoint.load_network(weights)
+    network, metadata = checkpoint.load_parts(weights)
     radiance, covered, exposure = _from_record(image, exposure) if Path(image).is_dir() else (*pictures.read(image, mask), exposure)
     framed = pictures.framed(radiance, covered, int(metadata["size"]), exposure)
     batch, predicted = of(framed, network)
@@ -81,9 +82,7 @@ def write_material(path, labels, framed, metadata, weights):
     if len(labels) > 1:
         told = {"labels": [_rounded(label) for label in labels], "nearest": [nearest(label, metadata["ranges"]) for label in labels]}
     told |= {"box": framed.box, "exposure": framed.exposure, "weights": Path(weights).name, "run": metadata["run"].get("name")}
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    files.write_json(path, told)
 
 
 def nearest(label, ranges):

@@ -14,7 +14,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from learn.networks.compact import LIGHT_WIDTHS, Residual, convolution
-from learn.networks.prediction import Apart
+from learn.networks.prediction import ThreeNetworks
 
 WIDTHS = (32, 64, 128, 192)
 CELLS = 4  # a side of the features that the two heads read: where in the picture something was seen
@@ -67,7 +67,7 @@ def read_off(outputs):
     )
 
 
-class Separate(Apart):
+class Separate(ThreeNetworks):
     """Normals, material and light of masked pictures by three networks."""
 
     name = "separate"

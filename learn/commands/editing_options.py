@@ -21,7 +21,10 @@ def add(parser):
         help="how much of the photograph's fine shading is carried over: 0 none, 1 all (default 0.25); fine highlights come along",
     )
     parser.add_argument(
-        "--exposure", type=float, metavar="X", help="radiance is the picture times X (default: from the object's brightness)"
+        "--exposure",
+        type=float,
+        metavar="X",
+        help="radiance is the photograph times X (default: by the object's brightness)",
     )
     parser.add_argument(
         "--white-balance",
@@ -39,20 +42,21 @@ def how(options):
     from learn.prediction import WEIGHTS
     from learn.refinement import Settings
 
-    check("--tolerance", options.tolerance, 0, 1)
-    check("--detail", options.detail, -1e-9, 1 + 1e-9)
+    check("--tolerance", 0 < options.tolerance < 1, "a number above 0 and below 1", options.tolerance)
+    check("--detail", 0 <= options.detail <= 1, "a number from 0 to 1", options.detail)
     if options.exposure is not None:
-        check("--exposure", options.exposure, 0, float("inf"))
+        check("--exposure", 0 < options.exposure < float("inf"), "a number above 0", options.exposure)
     settings = Settings() if options.refine else None
     balance = balance_of(options.white_balance)
     return How(options.weights or WEIGHTS, settings, options.tolerance, options.detail, options.exposure, balance)
 
 
-def check(name, value, low, high):
+def check(name, holds, rule, value):
+    """Raises Problem where a rule does not hold of an option's value."""
     from manifests.problems import Problem
 
-    if not low < value < high:
-        raise Problem(name, f"a number above {max(low, 0):g} and below {high:g}", f"{value:g}", "see --help")
+    if not holds:
+        raise Problem(name, rule, f"{value:g}", "see --help")
 
 
 def balance_of(text):

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from learn.commands.evaluate import positive
+
 
 def register(subparsers):
     parser = subparsers.add_parser(
@@ -14,7 +16,7 @@ def register(subparsers):
         "--data", type=Path, required=True, metavar="DIR", help="a dataset of large pictures, each scene in two materials or more"
     )
     parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
-    parser.add_argument("--edits", type=int, default=24, metavar="N", help="how many (default 24)")
+    parser.add_argument("--edits", type=positive, default=24, metavar="N", help="how many (default 24)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where enlarging.json goes")
     parser.set_defaults(run=run)
 

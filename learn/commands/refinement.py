@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from learn.commands.evaluate import positive
+
 
 def register(subparsers):
     parser = subparsers.add_parser(
@@ -14,7 +16,7 @@ def register(subparsers):
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset with pictures")
     parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the figures go")
-    parser.add_argument("--pictures", type=int, default=12, metavar="N", help="of the study (default 12)")
+    parser.add_argument("--pictures", type=positive, default=12, metavar="N", help="of the study (default 12)")
     parser.add_argument("--starts", type=int, default=100, metavar="N", help="refinements from bad starts (default 100; 0: none)")
     parser.add_argument(
         "--only",
@@ -32,15 +34,22 @@ def run(options):
     from learn.prediction import WEIGHTS
     from learn.refinement import chart, starts, study
     from learn.training import checkpoint
+    from manifests.store import file_hash
 
-    net, _ = checkpoint.load_network(options.weights or WEIGHTS)
+    weights = options.weights or WEIGHTS
+    net, _ = checkpoint.load_parts(weights)
     predict = network(net)
     options.out.mkdir(parents=True, exist_ok=True)
     known = study.cases(Records(options.data), options.pictures, options.seed)
     if options.only is None or options.only:
-        told = study.weights(predict, known, options.out, options.only)
+        about = {
+            "data": options.data.resolve().name,
+            "materials": file_hash(options.data / "materials.json"),
+            "weights": file_hash(weights),
+        }
+        told = study.weights(predict, known, options.out, options.only, about)
         chart.chart(told, options.out / "study.png")
-    batch = known[0][0]
+    batch = known[0].batch
     times = {f"{len(b.image[0, 0])}": study.timed(predict, b) for b in (batch, study.doubled(batch))}
     study.write(options.out / "times.json", times)
     for size, seconds in times.items():

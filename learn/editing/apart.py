@@ -54,7 +54,7 @@ def taken(photograph, network, size, settings=None):
     """Apart. network and size from learn.training.checkpoint.load_network; settings of refinement, None for no refinement."""
     framed = pictures.framed(photograph.balanced, photograph.mask, size, photograph.exposure)
     regions = pictures.framed_regions(photograph.regions, framed)
-    batch, start = prediction.of(framed, network, regions)
+    batch, start = prediction.of(framed, network, regions, photograph.count)
     if photograph.record is not None:  # a record's own camera; a photograph's is taken for ours
         batch = replace(batch, elevation=float(np.radians(photograph.record.camera.elevation_deg)))
     return Apart(photograph, framed, batch, start, None if settings is None else refine(batch, start, settings))
@@ -77,12 +77,12 @@ class Painter:
         self.filled = nearest(self.regions, self.regions > 0)
         rows = ((np.arange(self.grid) + 0.5) * side / self.grid).astype(int)
         wide = dilated(self.coverage > 0)[rows][:, rows]
-        self.segments = torch.from_numpy(np.where(wide, self.filled[rows][:, rows], 0))
-        self._ratio = None
+        self.segments = torch.from_numpy(np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64))
+        self.own = apart.parts.label[0].float().numpy()
+        self._again = self._ratio = self._behind = None
 
     def radiance(self, label):
         """(side, side, 3) linear radiance in the photograph's own exposure; label (S, 108) or (1, 108) for all regions."""
-        regions = int(self.segments.max())
         label = torch.as_tensor(label, dtype=torch.float32)
         several = len(label) > 1
         with torch.no_grad():
@@ -90,7 +90,7 @@ class Painter:
                 self.n[None],
                 (label if several else label[0])[None].exp(),
                 self.apart.parts.light.movedim(1, -1).contiguous(),
-                segments=self.segments[None].clamp(max=regions) if several else None,
+                segments=self.segments[None] if several else None,
                 mask=self.segments[None] > 0,
                 method=method_for(label),
                 tolerance=self.tolerance,
@@ -107,29 +107,42 @@ class Painter:
 
         labels  one for each region, each (108,) or None: that region stays as it is; or (1, …): the same for all
         """
-        photograph = self.apart.photograph
-        regions = self.apart.parts.label.shape[1]
+        regions = len(self.own)
         wanted = list(labels) * regions if len(labels) == 1 else list(labels)
-        own = self.apart.parts.label[0].float().numpy()
-        label = np.stack([own[s] if wanted[s] is None else np.asarray(wanted[s], np.float32) for s in range(regions)])
+        label = np.stack([self.own[s] if wanted[s] is None else np.asarray(wanted[s], np.float32) for s in range(regions)])
         object_ = self.radiance(label)
         if self.detail:
             object_ = object_ * self.ratio() ** self.detail
-        kept = np.isin(self.filled, [s + 1 for s in range(regions) if wanted[s] is None])
-        inside = self.coverage * ~kept
+        return self.put_back(object_, np.isin(self.filled, [s + 1 for s in range(regions) if wanted[s] is None]))
+
+    def rendered_again(self):
+        """(H, W, 3) linear: the photograph with its object as normals, light and material alone make it, none of its detail."""
+        return self.put_back(self.again())
+
+    def put_back(self, object_, kept=False):
+        """(H, W, 3) linear: the photograph with object_ (side, side, 3) before its background; kept (side, side): what stays as it is."""
+        photograph = self.apart.photograph
+        inside = self.coverage * ~np.asarray(kept)
         cut = pictures.placed(photograph.radiance, self.apart.framed.box)
         if photograph.cut_out:
             mixed = np.where((inside > 0)[..., None], object_, cut)
         else:
-            behind = np.stack([nearest(cut[..., k], self.coverage < CLEAR) for k in range(3)], -1)
+            if self._behind is None:
+                self._behind = nearest(cut, self.coverage < CLEAR)
             soft = (inside > 0) & (inside < 1 - CLEAR)
-            mixed = inside[..., None] * object_ + (1 - inside)[..., None] * np.where(soft[..., None], behind, cut)
+            mixed = inside[..., None] * object_ + (1 - inside)[..., None] * np.where(soft[..., None], self._behind, cut)
         return pictures.put_back(photograph.radiance, mixed.astype(np.float32), self.apart.framed.box)
+
+    def again(self):
+        """(side, side, 3) radiance of the object in its own materials, rendered once."""
+        if self._again is None:
+            self._again = self.radiance(self.own)
+        return self._again
 
     def ratio(self):
         """(side, side, 3) the photograph over its own re-rendering, its coarse part taken out: shading that normals are too coarse for."""
         if self._ratio is None:
-            again = self.radiance(self.apart.parts.label[0])
+            again = self.again()
             seen = pictures.placed(self.apart.photograph.radiance, self.apart.framed.box)
             floor = 0.02 * max(float(seen[self.regions > 0].mean()), 1e-6)
             log = np.log(np.maximum(seen, floor)) - np.log(np.maximum(again, floor))
@@ -149,7 +162,7 @@ def enlarged_normals(n, mask, size):
 
 
 def nearest(array, where):
-    """The array (H, W) with the nearest value from `where` put everywhere else."""
+    """The array (H, W) or (H, W, C) with the nearest value from `where` (H, W) put everywhere else."""
     if not where.any():
         return array
     index = distance_transform_edt(~where, return_distances=False, return_indices=True)

@@ -1,15 +1,15 @@
 """`learn edit`: one photograph, its object in other materials, and everything that was found on the way."""
 
-import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
-from learn import pictures, prediction
+from learn import files, pictures, prediction
 from learn.editing import apart, photograph, sheet, wanted
+from learn.evaluation import pairs
 from learn.training import checkpoint
 from manifests.problems import Problem
 from shaders import tone
@@ -20,7 +20,11 @@ PARTS = ("normals.exr", "normals.png", "light.exr", "light.png", "rendering.png"
 
 @dataclass(frozen=True)
 class How:
-    """weights: a file; settings: of refinement, None for none; tolerance: of the layer; detail: learn.editing.apart.Painter's."""
+    """weights: a file; settings: of refinement, None for none; tolerance: of the layer; detail: learn.editing.apart.Painter's.
+
+    exposure  factor from a photograph's radiance, balanced, to the network's; None: guessed
+    balance   "none", "grey", or three factors by which colours are multiplied
+    """
 
     weights: Path
     settings: object
@@ -28,6 +32,11 @@ class How:
     detail: float
     exposure: float | None = None
     balance: object = "none"
+
+    def told(self):
+        """What a result's JSON says of it."""
+        refined = None if self.settings is None else asdict(self.settings)
+        return {"weights": Path(self.weights).name, "tolerance": self.tolerance, "detail": self.detail, "refinement": refined}
 
 
 def run(path, masks, regions, materials, out, how, record=None, overwrite=False):
@@ -41,12 +50,13 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
     names = ["edited"] if len(materials) == 1 else [f"edited-{wanted.file_name(text)}" for text in materials]
     if len(set(names)) < len(names):
         raise Problem("--material", "materials of different names", ", ".join(materials), "name each once")
-    claim(out, [*PARTS, "sheet.png", "edit.json", *(f"{name}.png" for name in names)], overwrite)
-    network, metadata = checkpoint.load_network(how.weights)
+    endings = (".png", ".exr") if Path(path).is_dir() or Path(path).suffix.lower() == ".exr" else (".png",)
+    claim(out, [*PARTS, "sheet.png", "edit.json", *(name + ending for name in names for ending in endings)], overwrite)
+    network, metadata = checkpoint.load_parts(how.weights)
     size = int(metadata["size"])
     opened = photograph.opened(path, masks, regions, how.balance, how.exposure, record)
-    count = int(opened.regions.max())
-    pick = {text: choices(text, count, lambda other: material_of(other, network, size, how)) for text in materials}
+    known = {} if opened.records is None else {name: opened.records.label(name) for name in opened.records.materials}
+    pick = {text: choices(text, opened.count, lambda other: material_of(other, network, size, how), known) for text in materials}
     with tqdm(total=2 + len(materials), unit="step", desc="taking apart") as progress:
         found = apart.taken(opened, network, size, how.settings)
         progress.update()
@@ -70,9 +80,9 @@ def claim(out, files, overwrite):
         raise Problem(Path(out) / taken[0], "no earlier result", "one", "give another --out, or --overwrite")
 
 
-def choices(text, regions, predict):
-    """Labels a region, each (108,) or None, that a text asks for."""
-    parts = [wanted.label_of(part, predict) for part in text.split("+")]
+def choices(text, regions, predict, known=None):
+    """Labels a region, each (108,) or None, that a text asks for; `predict`, `known` as learn.editing.wanted.label_of has them."""
+    parts = [wanted.label_of(part, predict, known) for part in text.split("+")]
     if len(parts) == 1 and parts[0] is not None and len(parts[0]) > 1:
         parts = [part[None] for part in parts[0]]
     if len(parts) not in (1, regions):
@@ -82,19 +92,22 @@ def choices(text, regions, predict):
 
 
 def material_of(path, network, size, how):
-    """(1, 108) of the object in another picture; its mask is its transparency, or NAME.mask.png beside it."""
-    beside = mask_beside(path)
-    opened = photograph.opened(path, [beside] if beside else [], None, how.balance, how.exposure)
+    """(1, 108) of the object in another picture; its mask is its transparency, or NAME.mask.png beside it.
+
+    Exposure and white balance by factors are the photograph's own; this one's exposure is guessed, its colours are as they are.
+    """
+    beside, balance = mask_beside(path), "grey" if how.balance == "grey" else "none"
+    opened = photograph.opened(path, [beside] if beside else [], None, balance, remedy=f"put {path.stem}.mask.png beside it")
     return apart.taken(opened, network, size, how.settings).parts.label[0, :1].float().numpy()
 
 
 def mask_beside(path, folder=None):
-    """The mask of a picture: NAME.mask.png beside it, or NAME.png, NAME.mask.png in a folder of masks; None if there is none."""
+    """The mask of a picture: NAME.mask.png beside it, or NAME.mask.png, NAME.png in a folder of masks; None if there is none."""
     path = Path(path)
     tried = [path.with_name(f"{path.stem}.mask.png")]
     if folder is not None:
-        tried = [Path(folder) / f"{path.stem}{ending}" for ending in (".png", ".mask.png")]
-    return next((file for file in tried if file.is_file()), None)
+        tried = [Path(folder) / f"{path.stem}{ending}" for ending in (".mask.png", ".png")]
+    return next((file for file in tried if file.is_file() and not (path.is_file() and file.samefile(path))), None)
 
 
 def written(out, found, painter, edits, pick, names, metadata, how):
@@ -106,7 +119,7 @@ def written(out, found, painter, edits, pick, names, metadata, how):
     pictures.write_exr(out / "light.exr", L)
     save(out / "normals.png", sheet.normals(n, mask))
     save(out / "light.png", sheet.light(L))
-    again = painter.edited([label.numpy() for label in parts.label[0].float()])
+    again = painter.rendered_again()
     shown = exposure_of(opened)
     save(out / "rendering.png", tone.display(again, shown))
     save(out / "ball.png", material_ball(parts.label[0, 0], found))
@@ -115,9 +128,9 @@ def written(out, found, painter, edits, pick, names, metadata, how):
     for name, edited in zip(names, edits.values(), strict=True):
         picture = tone.display(edited, shown)
         save(out / f"{name}.png", with_alpha(picture, opened.coverage) if opened.cut_out else picture)
-        if opened.record is not None:
+        if opened.linear:
             pictures.write_exr(out / f"{name}.exr", edited)
-    truths = {text: truth(opened, pick_names(text)) for text in edits} if opened.record is not None else {}
+    truths = {text: truth(opened, text) for text in edits} if opened.record is not None else {}
     save(out / "sheet.png", sheet.rows(lines(found, again, edits, pick, truths, shown), TILE))
     told = {
         "photograph": opened.name,
@@ -125,15 +138,11 @@ def written(out, found, painter, edits, pick, names, metadata, how):
         "materials": list(edits),
         "exposure": found.framed.exposure,
         "white_balance": [float(x) for x in opened.balance],
-        "tolerance": how.tolerance,
-        "detail": how.detail,
+        "regions": opened.count,
         "refined": None if found.refined is None else {"before": found.refined.before, "after": found.refined.after},
         "display_l2": {text: errors(edits[text], true, opened.mask) for text, true in truths.items() if true is not None},
-        "weights": Path(how.weights).name,
-    }
-    temporary = out / ".edit.json"
-    temporary.write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    temporary.replace(out / "edit.json")
+    } | how.told()
+    files.write_json(out / "edit.json", told)
     return told
 
 
@@ -144,6 +153,7 @@ def exposure_of(opened):
 
 
 def with_alpha(picture, coverage):
+    """(H, W, 4) display values of a picture (H, W, 3) and its coverage (H, W) in [0, 1]."""
     return np.concatenate([picture, 255.0 * coverage[..., None]], -1)
 
 
@@ -155,6 +165,7 @@ def save(path, picture):
 
 
 def material_ball(label, found, size=BALL):
+    """Display picture (size, size, 3) of a ball in the material `label` (108,), under a plain light, seen as the Apart `found` was."""
     return sheet.ball(label, sheet.room(), size, found.batch.elevation, 0.8)
 
 
@@ -189,18 +200,13 @@ def lines(found, again, edits, pick, truths, shown):
     return out
 
 
-def pick_names(text):
-    return tuple(text.split("+"))
-
-
-def truth(opened, materials):
-    """(H, W, 3) of the record of the same view and light in other materials, or None where the dataset has none."""
-    record = opened.record
-    same = ("shape_hash", "viewpoint", "light_hash", "rotation_texels", "tier", "light_resolution", "camera")
-    for other in opened.records.records:
-        if set(other.materials) == set(materials) and all(getattr(other, key) == getattr(record, key) for key in same):
-            return opened.records.image(other)
-    return None
+def truth(opened, text):
+    """(H, W, 3) of the record of the same scene in the materials that a text asks for, or None where the dataset has none."""
+    record, names = opened.record, text.split("+")
+    names = names * len(record.materials) if len(names) == 1 else names
+    asked = tuple(own if name == wanted.KEEP else name for name, own in zip(names, record.materials, strict=False))  # hidden ones unasked
+    same = (r for r in opened.records.records if pairs.scene(r) == pairs.scene(record) and r.materials[: len(asked)] == asked)
+    return next((opened.records.image(other) for other in same), None)
 
 
 def errors(edited, true, mask):

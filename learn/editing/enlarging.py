@@ -88,7 +88,7 @@ class Small(Painter):
         self.n = enlarged_normals(apart.parts.n[0], apart.framed.mask, self.grid)
         rows = ((np.arange(self.grid) + 0.5) * self.side / self.grid).astype(int)
         wide = dilated(dilated(self.coverage[rows][:, rows] > 0))
-        self.segments = torch.from_numpy(np.where(wide, self.filled[rows][:, rows], 0))
+        self.segments = torch.from_numpy(np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64))
 
     def enlarged(self, picture):
         return super().enlarged(picture) if self.enlarge is None else self.enlarge(picture, *guides(self.apart, self.side))

@@ -5,7 +5,7 @@ OUT/rows.jsonl  a line an edit: the same command goes on from them, and with mor
 """
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,32 +13,33 @@ import torch
 import torch.nn.functional as F
 from tqdm import tqdm
 
-from learn import intervals, pictures
+from learn import files, intervals, pictures
 from learn.agreement.measure import similarity
 from learn.editing import apart, enlarging, photograph
 from learn.evaluation import pairs
-from learn.evaluation.run import read
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings
 from learn.timing.report import made_by
 from learn.training import checkpoint
 from manifests.problems import Problem
-from manifests.store import Lines
+from manifests.store import Lines, file_hash
 from shaders import tone
 
 
 def study(records, weights, out, count, seed=0):
     """enlarging.json: a row for each way and kind of parts; ratios against the way in use. records: learn.dataset.Records."""
-    network, metadata = checkpoint.load_network(weights)
+    network, metadata = checkpoint.load_parts(weights)
     size = int(metadata["size"])
     edits = pairs.chosen(records.records, count, seed)
+    if any(edit.several for edit in edits):
+        raise Problem(records.folder, "pictures of one material each", "several", "render without segment_materials")
     if min(edits[0].source.camera.size) < 2 * size:
         found = " × ".join(map(str, edits[0].source.camera.size))
         raise Problem(records.folder, f"pictures of {2 * size} pixels or more, twice the network's", found, 'render them with "size"')
     settings, known, out = Settings(), {}, Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    there = read(out / "rows.jsonl")
-    done, lines = {row["edit"] for row in there}, Lines(out / "rows.jsonl")
+    files.settle(out / "settings.json", {"weights": file_hash(weights), "refinement": json.loads(json.dumps(asdict(settings)))})
+    done, lines = {row["edit"] for row in files.read_lines(out / "rows.jsonl")}, Lines(out / "rows.jsonl")
     for edit in tqdm([edit for edit in edits if edit.id not in done], "edits", unit="edit"):
         if edit.source.id not in known:
             opened = photograph.opened(records.folder, record=edit.source.id)
@@ -52,7 +53,7 @@ def study(records, weights, out, count, seed=0):
         lines.append(row)
     lines.close()
     wanted = {edit.id for edit in edits}
-    rows = [row for row in read(out / "rows.jsonl") if row["edit"] in wanted]
+    rows = [row for row in files.read_lines(out / "rows.jsonl") if row["edit"] in wanted]
     return written(out, rows, {"edits": len(edits), "size": edits[0].source.camera.size, "network": size})
 
 
@@ -90,5 +91,5 @@ def written(out, rows, about):
             }
             for name in names
         }
-    (out / "enlarging.json").write_text(json.dumps(found | {"rows": rows}, indent=1) + "\n")
+    files.write_json(out / "enlarging.json", found | {"rows": rows})
     return found

@@ -7,12 +7,11 @@ log X = log T − D log Y      T: TYPICAL, D: DEPENDENCE of learn.pictures
 Y  mean luminance of the object in the file, linear; P pictures
 """
 
-import json
-
 import numpy as np
 
-from learn import intervals, pictures
+from learn import files, intervals, pictures
 from learn.timing.report import made_by
+from manifests.problems import Problem
 from shaders import tone
 from shaders.envmap import LUMINANCE
 
@@ -67,6 +66,11 @@ def measured(records):
 
 def study(records, others, out):
     """exposure.json: the line fitted on `records`, and how far it, the rule in use and one factor for all miss on each of `others`."""
+    names = [each.folder.name for each in (records, *others)]
+    if len(set(names)) < len(names):
+        raise Problem(
+            "--check", "folders of other names than --data, and each once", ", ".join(names), "rename one: rows are named after them"
+        )
     Y, X, groups = measured(records)
     line = fitted(Y, X, groups)
     rules = {
@@ -78,5 +82,5 @@ def study(records, others, out):
     for folder, (y, x, _) in ((records.folder, (Y, X, groups)), *((other.folder, measured(other)) for other in others)):
         found["missed"][folder.name] = {rule: missed(y, x, *values) for rule, values in rules.items()}
     out.mkdir(parents=True, exist_ok=True)
-    (out / "exposure.json").write_text(json.dumps({"made_by": made_by()} | found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    files.write_json(out / "exposure.json", {"made_by": made_by()} | found)
     return found

@@ -2,7 +2,7 @@
 
 radiance  (H, W, 3) linear, as the file has it
 coverage  (H, W) in [0, 1]: how much of a pixel the object covers
-regions   (H, W) 1 … S, 0 in the background
+regions   (H, W) uint8 1 … S, 0 in the background
 balance   (3,) by which colours are multiplied before the network sees them; an edited picture is divided by it again
 """
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn import pictures
 from learn.dataset import Records
@@ -18,14 +18,21 @@ from manifests.problems import Problem, closest
 from shaders.envmap import LUMINANCE
 
 GREY = 1e-3  # coverage from which a mask has greys: half a step of 8 bits is 0.002, and white through the sRGB curve is 1 − 6e-8
+RIM = 3  # pixels
 SOFTENING = 0.7  # pixels, of a mask that is black and white: its steps would show
-BALANCES = ("none", "grey")
 STRONGEST_BALANCE = 8.0
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """name: for messages and files; cut_out: its background is transparent; records, record: of a dataset."""
+    """A picture to be edited; see above.
+
+    name             for messages and files
+    exposure         factor from balanced radiance to the network's; None: guessed
+    cut_out          its background is transparent
+    linear           the file holds radiance, not display values: an EXR, or a record
+    records, record  of a dataset
+    """
 
     name: str
     radiance: np.ndarray
@@ -34,6 +41,7 @@ class Photograph:
     balance: np.ndarray
     exposure: float | None
     cut_out: bool = False
+    linear: bool = False
     records: Records | None = None
     record: object = None
 
@@ -41,6 +49,11 @@ class Photograph:
     def mask(self):
         """(H, W) bool: pixels that are the object's for the most part."""
         return self.regions > 0
+
+    @property
+    def count(self):
+        """How many regions the object has."""
+        return int(self.regions.max())
 
     @property
     def balanced(self):
@@ -65,21 +78,25 @@ def example(path, masks, regions):
     return Path(skimage.data.__file__).parent / "coffee.png", None if masks else regions or cup
 
 
-def opened(path, masks=(), regions=None, balance="none", exposure=None, record=None):
+def opened(path, masks=(), regions=None, balance="none", exposure=None, record=None, remedy=pictures.MASK_REMEDY):
     """The Photograph at `path`: a picture, or a dataset's folder, of which a record is taken.
 
     masks    files; several: each is a region of its own
     regions  a label image's file, or None
     balance  "none", "grey", or three factors
     record   id of a dataset's record, or its beginning; None: the first held out
+    remedy   of a picture without a mask
     Raises   Problem
     """
     path, regions = example(path, masks, regions)
     if path.is_dir():
+        _require_none(path, "a photograph: a dataset's records have masks and regions, and light of known colour", masks, regions, balance)
         return _of_record(path, exposure, record)
+    if record is not None:
+        raise Problem(f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out")
     if len(masks) <= 1:
-        radiance, coverage = pictures.read_soft(path, masks[0] if masks else None, regions)
-        labels = (coverage >= 0.5).astype(np.int64)
+        radiance, coverage = pictures.read_soft(path, masks[0] if masks else None, regions, remedy)
+        labels = (coverage >= 0.5).astype(np.uint8)
     else:
         radiance, _ = pictures.read_soft(path, masks[0])
         coverage, labels = _several(masks, radiance.shape[:2])
@@ -87,17 +104,39 @@ def opened(path, masks=(), regions=None, balance="none", exposure=None, record=N
         whole = pictures.read_labels(regions, radiance.shape[:2])
         labels = whole * (coverage >= 0.5)
         _require_pixels(labels, whole.max(), regions)
+        coverage = without_unlabelled(coverage, labels)
     if (np.minimum(coverage, 1 - coverage) < GREY).all():
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
     before_background = bool(masks) or regions is not None
     factors = _balance(balance, radiance, coverage, before_background)
-    return Photograph(path.stem, radiance, coverage, labels, factors, exposure, cut_out=not before_background)
+    linear = path.suffix.lower() == ".exr"
+    return Photograph(path.stem, radiance, coverage, labels, factors, exposure, cut_out=not before_background, linear=linear)
+
+
+def without_unlabelled(coverage, labels):
+    """Coverage with 0 where the object is in no region, but for the rim of RIM pixels that hand-drawn regions leave.
+
+    coverage (H, W) in [0, 1], labels (H, W) 1 … S, 0 in none
+    """
+    inside = coverage >= 0.5
+    outside = inside & (labels == 0)
+    if outside.any():
+        outside &= distance_transform_edt(labels == 0) > RIM
+        index = distance_transform_edt(~inside, return_distances=False, return_indices=True)  # a soft edge goes with what it is the edge of
+        coverage = np.where(outside[tuple(index)], 0, coverage).astype(np.float32)
+    return coverage
+
+
+def _require_none(path, rule, masks, regions, balance):
+    given = {"--mask": bool(masks), "--regions": regions is not None, "--white-balance": balance != "none"}
+    for option in (name for name, there in given.items() if there):
+        raise Problem(option, rule, f"the dataset {path}", f"leave {option} out")
 
 
 def _several(masks, size):
     """Coverage and regions of one mask a region; where two overlap the later one holds."""
     each = np.stack([pictures.read_mask(mask, size) for mask in masks])
-    labels = np.zeros(size, np.int64)
+    labels = np.zeros(size, np.uint8)
     for number, one in enumerate(each, 1):
         labels[one >= 0.5] = number
     for number, mask in enumerate(masks, 1):
@@ -137,9 +176,12 @@ def _of_record(folder, exposure, wanted):
         if record is None:
             raise Problem(f"record '{wanted}'", f"a record of {folder}", "none", closest(wanted, [r.id for r in records.records]))
     sample = records.load(record)
-    regions = sample.segments.numpy()
+    if sample.view is not None:
+        raise Problem(folder, "an orthographic camera", f"{record.camera.fov_deg:g}°", "render without fov_deg")
+    regions = sample.segments.numpy().astype(np.uint8)
     if len(set(record.materials)) == 1:
-        regions = (regions > 0).astype(np.int64)
+        regions = (regions > 0).astype(np.uint8)
     coverage, ones = (regions > 0).astype(np.float32), np.ones(3, np.float32)
     exposure = 1.0 if exposure is None else exposure
-    return Photograph(record.id, sample.image.numpy(), coverage, regions, ones, exposure, cut_out=True, records=records, record=record)
+    picture = sample.image.numpy()
+    return Photograph(record.id, picture, coverage, regions, ones, exposure, cut_out=True, linear=True, records=records, record=record)

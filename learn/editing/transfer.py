@@ -3,17 +3,18 @@
 Row i is the object and light of picture i, column j the material of picture j; on the diagonal stands the picture itself.
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
+from learn import files
 from learn.editing import apart, edit, photograph, sheet
 from learn.training import checkpoint
 from manifests.problems import Problem
 from shaders import tone
 
+REMEDY = "put NAME.mask.png beside it, white where the object is, or name a folder of masks: --mask-dir DIR"
 MOST_A_GRID = 10  # pictures: more become several grids
 
 
@@ -45,16 +46,21 @@ def run(paths, mask_folder, out, how, per_grid=6, overwrite=False):
     names = ["grid.png"] if len(groups) == 1 else [f"grid-{i:02d}.png" for i in range(1, len(groups) + 1)]
     pairs = [f"{a.stem}-in-{b.stem}.png" for group in groups for a in group for b in group if a is not b]
     edit.claim(out, [*names, *pairs, "transfer.json"], overwrite)
-    opened = {path: photograph.opened(path, masks(path, mask_folder), None, how.balance, how.exposure) for path in paths}
-    network, metadata = checkpoint.load_network(how.weights)
+    network, metadata = checkpoint.load_parts(how.weights)
+    for path in paths:
+        opened(path, mask_folder, how)  # what is wrong with any of them is said before the first is worked on
     out.mkdir(parents=True, exist_ok=True)
     told = []
     with tqdm(total=sum(len(group) ** 2 for group in groups), unit="picture") as progress:
         for group, name in zip(groups, names, strict=True):
-            told += grid(group, opened, network, int(metadata["size"]), out, name, how, progress)
-    temporary = out / ".transfer.json"
-    temporary.write_text(json.dumps({"pictures": told, "weights": Path(how.weights).name}, indent=1) + "\n", encoding="utf-8")
-    temporary.replace(out / "transfer.json")
+            pictures = {path: opened(path, mask_folder, how) for path in group}
+            told += grid(group, pictures, network, int(metadata["size"]), out, name, how, progress)
+    files.write_json(out / "transfer.json", {"pictures": told} | how.told())
+
+
+def opened(path, mask_folder, how):
+    """The Photograph at a path, with its mask."""
+    return photograph.opened(path, masks(path, mask_folder), None, how.balance, how.exposure, remedy=REMEDY)
 
 
 def masks(path, folder):
@@ -73,12 +79,12 @@ def grouped(paths, per_grid):
     return groups
 
 
-def grid(group, opened, network, size, out, name, how, progress):
-    """One grid of pictures; returns what transfer.json says of them."""
+def grid(group, pictures, network, size, out, name, how, progress):
+    """One grid of {path: Photograph}; returns what transfer.json says of them."""
     found, told = {}, []
     for path in group:
         progress.set_description(f"taking {path.stem} apart"[:30])
-        found[path] = apart.taken(opened[path], network, size, how.settings)
+        found[path] = apart.taken(pictures[path], network, size, how.settings)
         refined = found[path].refined
         energies = None if refined is None else [refined.before["total"], refined.after["total"]]
         told.append({"name": path.stem, "grid": name, "exposure": found[path].framed.exposure, "energy": energies})
@@ -89,8 +95,8 @@ def grid(group, opened, network, size, out, name, how, progress):
     lines = [head]
     for path in group:
         painter = apart.Painter(found[path], how.tolerance, how.detail)
-        shown = edit.exposure_of(opened[path])
-        before = tone.display(cropped(opened[path].radiance, found[path]), shown)
+        shown = edit.exposure_of(pictures[path])
+        before = tone.display(cropped(pictures[path].radiance, found[path]), shown)
         line = [(path.stem, before)]
         for other in group:
             if other is path:
@@ -98,7 +104,7 @@ def grid(group, opened, network, size, out, name, how, progress):
                 continue
             picture = painter.edited([own_label(found[other])])
             whole = tone.display(picture, shown)
-            whole = edit.with_alpha(whole, opened[path].coverage) if opened[path].cut_out else whole
+            whole = edit.with_alpha(whole, pictures[path].coverage) if pictures[path].cut_out else whole
             edit.save(out / f"{path.stem}-in-{other.stem}.png", whole)
             line.append(("", tone.display(cropped(picture, found[path]), shown)))
             progress.update()

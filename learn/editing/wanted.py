@@ -15,18 +15,22 @@ from manifests.problems import Problem
 from shaders.dsbrdf import SIZE
 
 KEEP = "keep"
+SMALLEST_LABEL = -80.0  # its exp is a float32 above 0
 LARGEST_JSON = 1 << 20
 REMEDY = "write one: python -m learn predict PHOTO --out DIR"
 
 
-def label_of(text, predict):
+def label_of(text, predict, known=None):
     """(S, 108) float32 of what `text` names; S is 1 but for a file with several regions. None for "keep".
 
     predict  path → label (1, 108): takes a picture's material
+    known    {name: label (108,)}: a dataset's own materials, before those of the catalogue
     Raises   Problem: a name that is not known (with the closest ones), a file that holds no material
     """
     if text == KEEP:
         return None
+    if known and text in known:
+        return known[text][None]
     path = Path(text)
     if path.suffix.lower() == ".json":
         return _from_json(path)
@@ -53,10 +57,11 @@ def _from_json(path):
             raise
         raise Problem(path, f'JSON with "label": {SIZE} numbers', str(error), REMEDY) from None
     if labels.ndim != 2 or labels.shape[1] != SIZE:
-        raise Problem(path, f"{SIZE} numbers in each label", f"{labels.shape[-1]}", REMEDY)
-    if not (np.isfinite(labels).all() and labels.max() <= LARGEST_LABEL):
-        found = f"{labels[~(labels <= LARGEST_LABEL)][0]:g}"
-        raise Problem(path, f"natural logarithms up to {LARGEST_LABEL}", found, "is this m itself? a label holds its logarithms")
+        raise Problem(path, f"{SIZE} numbers in each label", f"{labels.shape[-1] if labels.ndim else 1}", REMEDY)
+    within = (labels >= SMALLEST_LABEL) & (labels <= LARGEST_LABEL)  # NaN is not
+    if not within.all():
+        rule = f"natural logarithms from {SMALLEST_LABEL:g} to {LARGEST_LABEL:g}"
+        raise Problem(path, rule, f"{labels[~within][0]:g}", "is this m itself? a label holds its logarithms")
     return labels
 
 

@@ -14,7 +14,7 @@ BACKGROUND = 32.0
 
 
 def write(path, batch, truth, pictures, mask):
-    """A PNG of two rows: input, truth, each method's edit; beneath, an empty cell, the truth's own, and each error map.
+    """A PNG of two rows: input, truth, each method's edit; beneath, two empty cells, and each error map.
 
     pictures  {name: (H, W, 3) radiance}, in the order of the columns
     """

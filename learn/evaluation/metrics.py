@@ -16,7 +16,6 @@ from learn.agreement.measure import similarity_map, squared
 from shaders import tone
 
 LEAST_L2 = 0.01  # of PSNR
-BETTER_HIGHER = ("ssim", "ssim_frame", "psnr")
 
 
 def compare(picture, truth, mask, perceptual=None):

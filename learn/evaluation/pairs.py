@@ -70,23 +70,27 @@ def _finest(by_samples):
 
 
 def chosen(records, count, seed):
-    """The first `count` edits of an order that a seed determines: shape after shape in turn, each time another picture, all edits of it.
+    """The first `count` edits, picture after picture. A larger count begins with the same edits. Raises as `by_picture`."""
+    return [edit for edits in by_picture(records, seed) for edit in edits][:count]
 
-    A larger count begins with the same edits. Raises Problem where no two pictures make an edit.
+
+def by_picture(records, seed):
+    """[all Edits of one source picture] in an order that a seed determines: shape after shape in turn, each time another picture.
+
+    Raises Problem where no two pictures make an edit.
     """
     edits = found(records)
     if not edits:
         remedy = "render each shape, view and light in two materials or more: python -m factory render JOB"
         raise Problem("--data", "pictures that differ in nothing but the material", "none", remedy)
     by_shape = defaultdict(list)
-    for id_, pairs in edits.items():
-        by_shape[pairs[0].source.shape].append(id_)
+    for id_, of_picture in edits.items():
+        by_shape[of_picture[0].source.shape].append(id_)
     for ids in by_shape.values():
         ids.sort(key=lambda id_: _shuffled(seed, id_))
     shapes = sorted(by_shape, key=lambda name: _shuffled(seed, name))
     rounds = range(max(map(len, by_shape.values())))
-    ordered = [by_shape[shape][k] for k in rounds for shape in shapes if k < len(by_shape[shape])]
-    return [edit for id_ in ordered for edit in edits[id_]][:count]
+    return [edits[by_shape[shape][k]] for k in rounds for shape in shapes if k < len(by_shape[shape])]
 
 
 def _shuffled(seed, name):

@@ -4,6 +4,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+from learn import files
 from learn.evaluation import page, tables
 from learn.evaluation.methods import OURS, OURS_REFINED
 from learn.timing.report import made_by
@@ -52,9 +53,7 @@ def write(out, pictures, edits, shown, about, entrants):
         "index.html": page.web(told, [(row, path) for row, path in gallery if path.exists()], names),
     }
     for name, text in texts.items():
-        temporary = out / f".{name}"
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(out / name)
+        files.write_text(out / name, text)
     return told
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
+from learn import files
 from learn.dataset import Records
 from learn.evaluation import pairs, report
 from learn.evaluation.bench import Bench
@@ -51,10 +52,10 @@ def make(options):
     chosen = pairs.chosen(kept, options.edits, options.seed)
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    settled(out / "settings.json", settings(options))
-    bench = Bench(**arguments(options))  # here first: what is wrong with weights or data is said before any process starts
-    work_through(options, units(out, chosen, options.gallery), bench)
-    rows = [[row for row in read(out / name) if row["id"] in wanted] for name, wanted in names(chosen).items()]
+    bench = Bench(**arguments(options))  # here first: what is wrong with weights is said before any process starts
+    files.settle(out / "settings.json", settings(options))
+    work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
+    rows = [[row for id_, row in rows_of(out / name).items() if id_ in wanted] for name, wanted in names(chosen).items()]
     about = report.about(options, records, kept, bench.entrants.left_out, bench.perceptual)
     return report.write(out, *rows, [edit.id for edit in chosen[: options.gallery]], about, bench.entrants)
 
@@ -91,33 +92,29 @@ def settings(options):
     }
 
 
-def settled(path, wanted):
-    """Write the settings down, or check that they are those of the lines that are there. Raises Problem."""
-    if path.exists():
-        try:
-            there = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise Problem(path, "settings as JSON", str(error), "give another --out") from None
-        other = [key for key in wanted if there.get(key) != wanted[key]]
-        if other:
-            raise Problem(path.parent, "an evaluation of the same settings", f"other {', '.join(other)}", "give another --out")
-        return
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(json.dumps(wanted, indent=1) + "\n", encoding="utf-8")
-    temporary.replace(path)
+def units(out, chosen, gallery, repeats):
+    """[(edits of one source picture still to do, whether the picture itself is to do, folder of pictures or None of each)].
 
+    An edit is made again if its picture is wanted and not there, or if its truth has more seeds by now: its later line holds.
 
-def units(out, chosen, gallery):
-    """[(edits of one source picture still to do, whether the picture itself is to do, folder of pictures or None of each)]."""
-    there = {name: {row["id"] for row in read(out / name)} for name in ("pictures.jsonl", "edits.jsonl")}
+    repeats  learn.evaluation.pairs.repeats of the records
+    """
+    pictures, done = rows_of(out / "pictures.jsonl"), rows_of(out / "edits.jsonl")
     shown = {edit.id for edit in chosen[:gallery]}
+
+    def finished(edit):
+        drawn = edit.id not in shown or (out / "gallery" / f"{edit.id}.png").exists()
+        seeds = len(repeats[pairs.scene(edit.truth), edit.truth.materials])
+        judged = edit.id in done and (done[edit.id]["layer"].get("seeds", 1) == seeds or done[edit.id]["layer"]["l2_inner"] is None)
+        return drawn and judged
+
     grouped = {}
     for edit in chosen:
         grouped.setdefault(edit.source.id, []).append(edit)
     found = []
     for source, edits in grouped.items():
-        todo = [edit for edit in edits if edit.id not in there["edits.jsonl"]]
-        whole = source not in there["pictures.jsonl"]
+        todo = [edit for edit in edits if not finished(edit)]
+        whole = source not in pictures
         if todo or whole:
             folder = str(out / "gallery") if any(edit.id in shown for edit in todo) else None
             found.append((edits[0], todo, whole, folder))
@@ -171,17 +168,6 @@ def _work(unit):
     return _bench.work(*unit)
 
 
-def read(path):
-    """The whole lines of a JSONL file, a torn last one passed over; none if it is not there. Raises Problem for a damaged one."""
-    try:
-        with open(path, "rb") as file:
-            text = file.read()
-    except FileNotFoundError:
-        return []
-    found = []
-    for number, line in enumerate(text.split(b"\n")[:-1], 1):
-        try:
-            found.append(json.loads(line))
-        except ValueError as error:
-            raise Problem(f"{path}:{number}", "a line of JSON", str(error), "remove the line: its edit is made again") from None
-    return found
+def rows_of(path):
+    """{id: row} of a file of lines; of two of one id the later."""
+    return {row["id"]: row for row in files.read_lines(path)}

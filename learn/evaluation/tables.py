@@ -17,6 +17,7 @@ LIMIT = 1.5  # times the node fit, as learn.agreement judges
 
 
 def column(key, label, digits=3, interval=False):
+    """A column of a table: key of its cells, label with an arrow towards better, digits after the point, whether intervals are shown."""
     return {"key": key, "label": label, "digits": digits, "interval": interval}
 
 

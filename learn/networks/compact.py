@@ -13,7 +13,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from learn.networks.coding import compressed, light_of, picture_code, unit_mean
-from learn.networks.prediction import Coded, Prediction
+from learn.networks.prediction import Coded, Prediction, region_masks
 
 WIDTHS = (32, 64, 128, 256)
 CELLS = 32  # of the reflectance map, along a side
@@ -65,21 +65,22 @@ class Compact(Coded):
         self.widen = nn.ModuleList(convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
         self.light = nn.Conv2d(LIGHT_WIDTHS[-1], 12, 3, 1, 1)
 
-    def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None):
+    def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None, regions=None):
         """A Prediction of the parts asked for.
 
         image     (B, 3, H, W) linear radiance
         mask      (B, 1, H, W) float, 1 on the object
         segments  (B, H, W) 1 … S; None: the mask is one segment
         n         (B, 3, H, W) normals to lay the picture out by; None: the predicted ones
+        regions   S; None: the highest of segments. One that no pixel shows is read from the rest of the picture
         """
         features, deep = self._encoded(picture_code(image, mask))
         predicted = self._normals(features) if n is None or "normals" in parts else None
-        regions = mask if segments is None else F.one_hot(segments, max(int(segments.max()), 1) + 1)[..., 1:].movedim(-1, 1).to(mask) * mask
         code = light_code = None
         laid_out = predicted.detach() if n is None else n
         if "material" in parts:
-            code = torch.stack([self._code(image, regions[:, s : s + 1], mask, laid_out, deep) for s in range(regions.shape[1])], 1)
+            each = region_masks(mask, segments, regions).split(1, 1)
+            code = torch.stack([self._code(image, region, mask, laid_out, deep) for region in each], 1)
         if "light" in parts:
             light_code = self._light(torch.cat([self._seen(image, mask, laid_out), _mean_over(mask, deep)], 1))
         label = None if code is None else self.ranges.label(code)

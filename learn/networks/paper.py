@@ -15,7 +15,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from learn.networks.compact import convolution
-from learn.networks.prediction import Apart
+from learn.networks.prediction import ThreeNetworks
 
 HALVINGS = (32, 64, 128, 256, 256, 512, 512)
 START = 0.08
@@ -42,7 +42,7 @@ class Scale(nn.Module):
         return self.layers(torch.cat([F.interpolate(x, size, mode="bilinear"), F.interpolate(picture, size, mode="area")], 1))
 
 
-class Paper(Apart):
+class Paper(ThreeNetworks):
     """Normals, material and light of masked pictures by the paper's networks."""
 
     name = "paper"

@@ -26,6 +26,17 @@ class Prediction(NamedTuple):
     light: torch.Tensor | None
 
 
+def region_masks(mask, segments=None, regions=None):
+    """(B, S, H, W) float, 1 on each region: mask (B, 1, H, W) alone, or its part in each of segments (B, H, W) 1 … S.
+
+    regions  S, where a picture at the network's size may no longer show the last ones; None: the highest of segments
+    """
+    if segments is None:
+        return mask
+    count = max(int(segments.max()), 1) if regions is None else regions
+    return F.one_hot(segments, count + 1)[..., 1:].movedim(-1, 1).to(mask) * mask
+
+
 class Coded(torch.nn.Module):
     """A network that knows the ranges of its material codes (learn.networks.coding.Ranges), which are kept with its weights."""
 
@@ -40,7 +51,7 @@ class Coded(torch.nn.Module):
         return Ranges(self.label_centre, self.label_half)
 
 
-class Apart(Coded):
+class ThreeNetworks(Coded):
     """Normals, material and light by networks that share nothing: each of `_normals`, `_code` and `_light` reads a picture code of its own.
 
     Arguments and result of the forward pass as learn.networks.compact.Compact; `n` is not read, for nothing is laid out over normals.
@@ -50,16 +61,15 @@ class Apart(Coded):
     _light    picture code → (B, 3, 64, 128) before softplus
     """
 
-    def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None):
+    def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None, regions=None):
         x = picture_code(image, mask)
         normals = code = light_code = label = light = None
         if "normals" in parts:
             raw = self._normals(x).float()
             normals = F.normalize(torch.cat([raw[:, :2], F.softplus(raw[:, 2:]) + 1e-3], 1), dim=1)
         if "material" in parts:
-            count = 1 if segments is None else max(int(segments.max()), 1)
-            regions = [mask if segments is None else mask * (segments == s + 1)[:, None] for s in range(count)]
-            code = torch.stack([torch.tanh(self._code(picture_code(image, region)).float()) for region in regions], 1)
+            each = region_masks(mask, segments, regions).split(1, 1)
+            code = torch.stack([torch.tanh(self._code(picture_code(image, region)).float()) for region in each], 1)
             label = self.ranges.label(code)
         if "light" in parts:
             light_code = F.softplus(self._light(x).float())

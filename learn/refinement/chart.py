@@ -6,7 +6,7 @@ LABELS = ("re-rendering, display L2", "edit, display L2", "normals, mean angle (
 
 
 def chart(told, path):
-    """Figures after refinement against each weight, beside those before; the default's value is shaded. No weight moved: no chart."""
+    """Figures after refinement against each weight, beside those before; the default is shaded where it was moved too. None moved: none."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -26,7 +26,8 @@ def chart(told, path):
             axis.plot(mean_after, "x:", color="C1", label="refined, mean")
             axis.axhline(before[0], color="C0", linewidth=0.8, label="predicted, median")
             axis.axhline(mean_before[0], color="C1", linewidth=0.8, linestyle=":", label="predicted, mean")
-            axis.axvspan(*(values.index(value_of(letter)) + side for side in (-0.2, 0.2)), color="0.92", zorder=0)
+            if value_of(letter) in values:
+                axis.axvspan(*(values.index(value_of(letter)) + side for side in (-0.2, 0.2)), color="0.92", zorder=0)
             axis.set_xticks(range(len(values)), [f"{value:g}" for value in values])
             if j == 0:
                 axis.set_ylabel(label)

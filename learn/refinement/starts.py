@@ -21,11 +21,10 @@ STARTS = ("network", "random material", "mean light", "noisy normals", "untraine
 
 
 def measured(predict, known, count, out, settings=Settings()):  # noqa: B008 -- frozen
-    """starts.json: `count` refinements from starts of every kind in turn."""
+    """starts.json: `count` refinements from starts of every kind in turn, of the Cases `known` (learn.refinement.study) in turn."""
     rows = []
     for i in tqdm(range(count), unit="start"):
-        batch, _ = known[i % len(known)]
-        kind = STARTS[i // len(known) % len(STARTS)]
+        batch, kind = known[i // len(STARTS) % len(known)].batch, STARTS[i % len(STARTS)]
         rng = torch.Generator().manual_seed(i)
         start = spoiled(predict(batch), kind, rng)
         told = refine(batch, start, settings)
@@ -44,9 +43,7 @@ def measured(predict, known, count, out, settings=Settings()):  # noqa: B008 -- 
         "not_finite": sum(not row["finite"] for row in rows),
         "image_median": np.median(images, 0).tolist(),
         "median_change": float(np.median(images[:, 1]) / np.median(images[:, 0]) - 1),
-        "by_kind": {
-            kind: np.median([row["image"] for row in rows if row["kind"] == kind], 0).tolist() for kind in {r["kind"] for r in rows}
-        },
+        "by_kind": {kind: np.median([row["image"] for row in rows if row["kind"] == kind], 0).tolist() for kind in STARTS[: len(rows)]},
         "seconds_median": float(np.median([row["seconds"] for row in rows])),
         "rows": rows,
     }
@@ -55,7 +52,7 @@ def measured(predict, known, count, out, settings=Settings()):  # noqa: B008 -- 
 
 
 def spoiled(start, kind, rng):
-    """A Prediction with one property, or all, replaced by what knows nothing of the picture."""
+    """A Prediction with one property replaced by what knows nothing of the picture; "untrained": all three."""
     label, light, n = start.label, start.light, start.n
     if kind in ("random material", "untrained"):
         catalogue = sorted(load_catalogue().items())

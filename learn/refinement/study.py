@@ -1,6 +1,7 @@
 """What refinement does on pictures whose truth is known, weight by weight, and how long it takes.
 
 rows.jsonl  a line for each picture and setting: a study is continued by what it holds
+settings.json  what those lines depend on: a folder made with others is not gone on with
 study.json  medians and means over pictures against a, b, c, how many passes and how many pixels (0: all), one at a time about the defaults
 
 Display L2 over the mask, exposure from the truth; edit: the mean over the other materials that the dataset has of the same scene.
@@ -10,16 +11,19 @@ import contextlib
 import json
 import time
 from collections import defaultdict
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
+from learn import files
 from learn.evaluation import pairs
 from learn.layer import render
 from learn.refinement import NAMED, Settings, refine
+from learn.timing.report import made_by
+from learn.training.batch import Batch
 from learn.training.measures import irradiance
 from manifests.problems import Problem
 from manifests.store import Lines
@@ -61,15 +65,21 @@ def names():
     return [*NAMED, *(f"{letter}={value:g}" for letter, values in SWEEPS.items() for value in values)]
 
 
+@dataclass(frozen=True)
+class Case:
+    """A picture whose edits are known. id: of its record; batch: of one; truths: [(label (S, 108), picture (H, W, 3))]."""
+
+    id: str
+    batch: Batch
+    truths: list
+
+
 def cases(records, count, seed):
-    """[(Batch of one, [(label (1, 108), truth (H, W, 3))])] of `count` pictures. Raises Problem where the dataset has no edits."""
-    by_source = defaultdict(list)
-    for edit in pairs.chosen(records.records, 3 * count + 3, seed):
-        by_source[edit.source.id].append(edit)
+    """The first `count` Cases of an order that the seed determines. Raises Problem where the dataset has no edits."""
     found = []
-    for edits in list(by_source.values())[:count]:
+    for edits in pairs.by_picture(records.records, seed)[:count]:
         truths = [(pairs.wanted(records, edit), records.image(edit.truth)) for edit in edits]
-        found.append((pairs.shown(records, edits[0]), truths))
+        found.append(Case(edits[0].source.id, pairs.shown(records, edits[0]), truths))
     return found
 
 
@@ -107,21 +117,27 @@ def figures(parts, batch, truths):
     }
 
 
-def weights(predict, known, out, wanted=None):
-    """Rows of every setting over cases; study.json and study.png in `out`. predict: Batch → Prediction."""
-    out = Path(out)
-    done = {(row["setting"], row["picture"]): row for row in read(out / "rows.jsonl")}
+def weights(predict, known, out, wanted=None, about=None):
+    """study.json in `out`, a row for each setting over Cases; returns its settings' figures.
+
+    predict  Batch → Prediction
+    wanted   names of settings, None for all
+    about    {name: value}: what of data and weights the figures depend on. Raises Problem for a folder that was begun with others
+    """
+    out, wanted = Path(out), list(dict.fromkeys(wanted or names()))
+    meant = {name: settings_of(name) for name in wanted}
+    files.settle(out / "settings.json", (about or {}) | {"defaults": json.loads(json.dumps(asdict(Settings())))})
+    done = {(row["setting"], row["picture"]): row for row in files.read_lines(out / "rows.jsonl")}
+    todo = [(name, case) for name in wanted for case in known if (name, case.id) not in done]
     with contextlib.closing(Lines(out / "rows.jsonl")) as lines:
-        todo = [(name, i) for name in wanted or names() for i in range(len(known)) if (name, known[i][0].names[0]) not in done]
-        for name, i in tqdm(todo, unit="refinement"):
-            batch, truths = known[i]
-            start = predict(batch)
-            told = refine(batch, start, settings_of(name))
-            row = {"setting": name, "picture": batch.names[0], "seconds": told.seconds, "before": figures(start, batch, truths)}
-            row |= {"after": figures(told.prediction, batch, truths), "energy": [told.before["total"], told.after["total"]]}
+        for name, case in tqdm(todo, unit="refinement"):
+            start = predict(case.batch)
+            told = refine(case.batch, start, meant[name])
+            row = {"setting": name, "picture": case.id, "seconds": told.seconds, "before": figures(start, case.batch, case.truths)}
+            row |= {"after": figures(told.prediction, case.batch, case.truths), "energy": [told.before["total"], told.after["total"]]}
             lines.append(row)
-            done[name, batch.names[0]] = row
-    told = summary(list(done.values()))
+            done[name, case.id] = row
+    told = summary([done[name, case.id] for name in wanted for case in known])
     write(out / "study.json", told)
     return told
 
@@ -161,15 +177,6 @@ def doubled(batch):
     return replace(batch, **{name: larger(getattr(batch, name)) for name in ("image", "mask", "n", "segments")})
 
 
-def read(path):
-    """Rows of a file of JSON lines; none where it is not there. A last line cut short by a kill is left out."""
-    if not path.is_file():
-        return []
-    lines = path.read_text(encoding="utf-8").split("\n")
-    return [json.loads(line) for line in lines[:-1] if line]
-
-
 def write(path, told):
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    """Figures by name, and what made them."""
+    files.write_json(path, {"made_by": made_by()} | told)

@@ -106,7 +106,8 @@ def measured(network, run, batches, constant_albedo, sheet_path=None):
     rows, names, shown = [], [], []
     for batch in batches:
         with torch.no_grad():
-            prediction = network(batch.image, batch.mask, batch.segments if run.data.regions > 1 else None, run.parts)
+            segments = batch.segments if run.data.regions > 1 else None
+            prediction = network(batch.image, batch.mask, segments, run.parts, regions=run.data.regions)
         rows.append(measures.of(prediction, batch, constant_albedo))
         names += batch.names
         if sum(len(each.names) for each, _ in shown) < sheet.ROWS:

@@ -17,9 +17,11 @@ from learn.baselines.separate import Separate
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.paper import Paper
+from learn.networks.prediction import ThreeNetworks
 from manifests.problems import Problem
 
 NETWORKS = {network.name: network for network in (Compact, Paper, Separate, EncoderDecoder)}
+PARTS = ("normals", "material", "light")
 LARGEST_FILE = 4 << 30
 
 
@@ -65,6 +67,16 @@ def load_network(path):
     network = NETWORKS[metadata["network"]](Ranges(torch.zeros(108), torch.ones(108)))
     fill(network, tensors, path)
     return network.eval(), metadata | {"run": json.loads(metadata.get("run", "{}")), "ranges": network.ranges}
+
+
+def load_parts(path):
+    """As `load_network`, of one that tells normals, material and light apart. Raises Problem for another."""
+    network, metadata = load_network(path)
+    missing = set(PARTS) - set(metadata["run"].get("parts", PARTS))
+    if not isinstance(network, (Compact, ThreeNetworks)) or missing:
+        found = f"'{network.name}' without {' and '.join(sorted(missing))}" if missing else f"'{network.name}'"
+        raise Problem(path, "a network that predicts normals, material and light", found, "leave --weights out, or give others")
+    return network, metadata
 
 
 def fill(network, tensors, where):

@@ -138,7 +138,8 @@ class Training:
         parts = self.run.parts if parts is None else parts
         segments = batch.segments if self.run.data.regions > 1 else None
         with torch.autocast("cpu", torch.bfloat16, enabled=self.run.mixed_precision):
-            return model(batch.image, batch.mask, segments, parts, None if "normals" in parts else batch.n)
+            n = None if "normals" in parts else batch.n
+            return model(batch.image, batch.mask, segments, parts, n, self.run.data.regions)
 
     def _terms(self, prediction, batch, weights, rng):
         return losses.terms(prediction, batch, weights, rng, self.network.ranges, self.features)

@@ -1,15 +1,22 @@
 """Bad input to `learn edit` and `learn transfer`: one line with the remedy and exit status 1, or dealt with."""
 
+import json
 import struct
 import zlib
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
+from synthetic import matte, write_dataset
 
 from learn import pictures
 from learn.__main__ import COMMANDS
+from learn.baselines.encoder_decoder import EncoderDecoder
 from learn.editing import photograph, wanted
+from learn.networks.coding import Ranges
+from learn.networks.compact import Compact
+from learn.training.checkpoint import save_weights
 from manifests.command_line import main
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
@@ -110,6 +117,59 @@ def test_numbers_outside_their_range_are_refused(files, capsys):
     ):
         status, line = told(capsys, *edit(files, option, value))
         assert status == 1 and option in line
+
+
+def test_a_detail_out_of_range_is_told_the_ends_that_are_allowed(files, capsys):
+    status, line = told(capsys, *edit(files, "--detail", "2"))
+    assert status == 1 and "from 0 to 1" in line
+
+
+@pytest.mark.parametrize("text", ['{"labels": 5}', '{"label": [-1e4]}', '{"label": -Infinity}', '{"label": [NaN]}'])
+@pytest.mark.parametrize("times", [1, 108])
+def test_a_material_file_out_of_range_or_shape_is_refused(files, capsys, text, times):
+    key, value = next(iter(json.loads(text).items()))
+    (files / "m.json").write_text(json.dumps({key: value * times if isinstance(value, list) else value}))
+    status, line = told(capsys, *edit(files, material=files / "m.json"))
+    assert status == 1 and "m.json" in line
+    if times == 108 and isinstance(value, list):
+        assert "natural logarithms from -80 to 14" in line and "found" in line
+
+
+def test_weights_of_a_network_that_takes_nothing_apart_are_refused(files, capsys):
+    network = EncoderDecoder(Ranges(torch.zeros(108), torch.ones(108)))
+    save_weights(files / "one.safetensors", network, network.state_dict(), "{}", 128)
+    normals = Compact(Ranges(torch.zeros(108), torch.ones(108)))
+    save_weights(files / "part.safetensors", normals, normals.state_dict(), '{"parts": ["normals"]}', 128)
+    for name in ("one", "part"):
+        status, line = told(capsys, *edit(files, "--weights", files / f"{name}.safetensors"))
+        assert status == 1 and "predicts normals, material and light" in line
+
+
+def test_what_a_dataset_does_not_need_and_a_photograph_has_not_is_refused(files, capsys, rng):
+    write_dataset(files / "data", [matte("a", 0.2), matte("b", 0.6)], rng, size=32, seeds=1, rotations=(0,))
+    for option, value in (("--mask", files / "mask.png"), ("--regions", files / "mask.png"), ("--white-balance", "grey")):
+        status, line = told(capsys, *edit(files, option, value, photo="data", mask=None, material="a"))
+        assert status == 1 and option in line and "dataset" in line
+    status, line = told(capsys, *edit(files, "--record", "1"))
+    assert status == 1 and "--record" in line and "dataset" in line
+
+
+def test_an_exr_edit_of_somebodys_own_is_not_overwritten(files, capsys, disc):
+    pictures.write_exr(files / "photo.exr", np.full((*SIZE, 3), 0.3, np.float32))
+    (files / "out").mkdir()
+    (files / "out" / "edited.exr").write_text("mine")
+    status, line = told(capsys, *edit(files, photo="photo.exr"))
+    assert status == 1 and "--overwrite" in line and (files / "out" / "edited.exr").read_text() == "mine"
+    status, line = told(capsys, *edit(files, "--overwrite", photo="photo.exr"))
+    assert (status, line) == (0, "")
+    edited, _ = pictures._exr_pixels(files / "out" / "edited.exr")
+    assert edited.shape == (*SIZE, 3) and edited[disc].std() > 0
+
+
+def test_transfer_without_masks_names_its_own_options(files, capsys):
+    Image.new("RGB", (40, 30)).save(files / "other.png")
+    status, line = told(capsys, "transfer", files / "photo.png", files / "other.png", "--out", files / "swap")
+    assert status == 1 and "--mask-dir" in line and "NAME.mask.png" in line
 
 
 def test_wrong_usage_ends_with_two(files, capsys):

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from itertools import chain
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -13,11 +14,15 @@ from PIL import Image
 from synthetic import entry, matte, write_dataset
 
 from learn.__main__ import COMMANDS
+from learn.baselines.separate import Separate
 from learn.dataset import Records
 from learn.editing import apart, edit, photograph, sheet, transfer, wanted
 from learn.editing.apart import Painter
 from learn.editing.method import method_for
 from learn.layer import render
+from learn.networks.coding import Ranges
+from learn.networks.compact import Compact
+from learn.networks.paper import Paper
 from learn.networks.prediction import Prediction
 from manifests.command_line import main
 from manifests.materials import load_catalogue
@@ -47,13 +52,13 @@ class Knowing(torch.nn.Module):
         super().__init__()
         self.label = torch.from_numpy(label)
 
-    def forward(self, image, mask, segments=None):
+    def forward(self, image, mask, segments=None, regions=None):
         _, rows, _ = torch.nonzero(mask[:, 0], as_tuple=True)
         radius = (rows.max() - rows.min() + 1).item() / 2
         n, _ = ball(len(image[0, 0]), radius)
         x = torch.from_numpy(n).movedim(-1, 0)[None]
         x = torch.where(mask > 0, x, torch.tensor([0.0, 0.0, 1.0])[:, None, None])
-        count = 1 if segments is None else int(segments.max())
+        count = 1 if segments is None else regions
         light = torch.ones(1, 3, 64, 128)
         return Prediction(
             F.normalize(x + torch.tensor([0, 0, 1e-6])[:, None, None], dim=1), None, self.label.repeat(1, count, 1), None, light
@@ -215,8 +220,109 @@ def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
     by = {(r.materials, r.rotation_texels): r for r in records.records}
     for turn in (0, 5):
         found = photograph.opened(tmp_path, record=by[("a",), turn].id)
-        np.testing.assert_array_equal(edit.truth(found, ("b",)), records.image(by[("b",), turn]))
-        assert edit.truth(found, ("c",)) is None
+        np.testing.assert_array_equal(edit.truth(found, "b"), records.image(by[("b",), turn]))
+        assert edit.truth(found, "c") is None
+
+
+def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was(tmp_path, rng):
+    write_dataset(tmp_path, [matte("a", 0.2), matte("b", 0.6)], rng, size=32, seeds=1, rotations=(0,), method="quadrature")
+    found = photograph.opened(tmp_path)
+    of = {key: msgspec.structs.replace(found.record, id=" ".join(key), materials=key) for key in (("a", "b"), ("b", "a"), ("b", "b"))}
+
+    known = SimpleNamespace(records=list(of.values()), image=lambda record: record.materials)
+    two = replace(found, records=known, record=of["b", "a"])
+    assert edit.truth(two, "a+b") == ("a", "b")
+    assert edit.truth(two, "b+a") == ("b", "a")
+    assert edit.truth(two, "keep+b") == edit.truth(two, "b") == ("b", "b")
+    assert edit.truth(two, "a+a") is None
+    assert edit.truth(replace(two, record=msgspec.structs.replace(of["b", "a"], rotation_texels=7)), "a+b") is None
+
+
+def test_a_datasets_own_materials_are_known(tmp_path, rng):
+    write_dataset(tmp_path, [matte("a", 0.2), matte("b", 0.6)], rng, size=32, seeds=1, rotations=(0,), method="quadrature")
+    label = Records(tmp_path).label("b")
+    np.testing.assert_array_equal(edit.choices("b", 1, None, {"b": label})[0], label)
+    with pytest.raises(ValueError, match="none of that name"):
+        edit.choices("a-name-of-none", 1, None, {"b": label})
+
+
+def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
+    label = label_of("blue-rubber")
+    radiance, inside = lit(label, 0.5)
+    radiance, regions = (np.repeat(np.repeat(x, 4, 0), 4, 1) for x in (radiance, inside.astype(np.uint8)))
+    regions[200:204, 201:205] = 2  # half a pixel of the network's, beside a pixel's middle
+    found = apart.taken(opened(radiance, regions), Knowing(label), 32)
+    assert found.batch.segments.max() == 1 and found.parts.label.shape[1] == 2
+    edited = Painter(found).edited([label_of("gold-paint")[0], None])
+    np.testing.assert_array_equal(edited[regions == 2], radiance[regions == 2])
+    assert abs(edited - radiance)[regions == 1].mean() > 0.02
+
+
+def test_a_region_that_no_pixel_shows_has_a_label_in_every_network():
+    image, mask = torch.rand(1, 3, 64, 64), torch.ones(1, 1, 64, 64)
+    segments = torch.ones(1, 64, 64, dtype=torch.int64)
+    for kind in (Compact, Paper, Separate):
+        network = kind(Ranges(torch.zeros(108), torch.ones(108))).eval()
+        with torch.no_grad():
+            found = network(image, mask, segments, ("normals", "material"), regions=3)
+        assert found.label.shape == (1, 3, 108) and found.label.isfinite().all()
+
+
+def test_what_lies_in_no_region_stays_as_it_is_but_for_a_rim(tmp_path):
+    Image.new("RGB", (60, 40), (90, 90, 90)).save(tmp_path / "p.png")
+    Image.new("L", (60, 40), 255).save(tmp_path / "m.png")
+    regions = Image.new("L", (60, 40))
+    regions.paste(1, (0, 0, 30, 40))
+    regions.save(tmp_path / "r.png")
+    found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], tmp_path / "r.png")
+    assert (found.coverage[:, :30] > 0.99).all() and (found.coverage[:, 36:] == 0).all()
+    painter = Painter(apart.taken(found, Knowing(label_of("blue-rubber")), NETWORK))
+    edited = painter.edited([label_of("gold-paint")[0]])
+    np.testing.assert_array_equal(edited[:, 36:], found.radiance[:, 36:])
+    assert abs(edited - found.radiance)[:, :30].mean() > 0.02
+
+
+def test_the_picture_rendered_again_has_none_of_the_photographs_own_detail():
+    label = label_of("blue-rubber")
+    radiance, inside = lit(label, 0.5)
+    stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
+    painter = Painter(apart.taken(opened(radiance * stripes, inside.astype(np.uint8), 2.0), Knowing(label), NETWORK), detail=1.0)
+    middle = (slice(40, 56), slice(40, 56))
+    assert abs(np.diff(np.log(painter.rendered_again()[middle][..., 1]), axis=0)).mean() < 0.02
+
+
+def test_the_objects_own_material_is_rendered_once(monkeypatch):
+    label = label_of("blue-rubber")
+    radiance, inside = lit(label, 0.5)
+    drawn, render_ = [], apart.render
+    monkeypatch.setattr(apart, "render", lambda *a, **k: drawn.append(1) or render_(*a, **k))
+    painter = Painter(apart.taken(opened(radiance, inside.astype(np.uint8)), Knowing(label), NETWORK), detail=0.25)
+    painter.edited([label_of("gold-paint")[0]])
+    painter.rendered_again()
+    assert len(drawn) == 2
+
+
+def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(edit.apart, "taken", lambda opened, *_: asked.append(opened) or apart.Apart(opened, None, None, start(), None))
+
+    def start():
+        return Prediction(None, None, torch.zeros(1, 1, 108), None, None)
+
+    Image.new("RGB", (40, 30), (90, 60, 90)).save(tmp_path / "p.png")
+    Image.new("L", (40, 30), 255).save(tmp_path / "p.mask.png")
+    for balance, factors in (((2.0, 1.0, 1.0), 1), ("none", 1)):
+        edit.material_of(tmp_path / "p.png", None, 64, edit.How(tmp_path, None, 0.01, 0.0, 3.0, balance))
+        assert asked[-1].exposure is None
+        np.testing.assert_array_equal(asked[-1].balance, factors)
+
+
+def test_a_folder_of_masks_gives_each_picture_its_mask_and_never_itself(tmp_path):
+    for name in ("a.png", "a.mask.png", "b.png", "c.jpg", "c.png"):
+        (tmp_path / name).write_bytes(b"")
+    assert edit.mask_beside(tmp_path / "a.png", tmp_path) == tmp_path / "a.mask.png"
+    assert edit.mask_beside(tmp_path / "b.png", tmp_path) is None
+    assert edit.mask_beside(tmp_path / "c.jpg", tmp_path) == tmp_path / "c.png"
 
 
 def test_a_material_file_comes_back_as_it_was_written(tmp_path):

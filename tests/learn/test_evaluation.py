@@ -11,8 +11,9 @@ import pytest
 import torch
 from synthetic import matte, write_dataset, write_exr
 
+from learn import files
 from learn.dataset import Records
-from learn.evaluation import bench, methods, pairs, run
+from learn.evaluation import bench, methods, page, pairs, run
 from learn.layer import render
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -238,7 +239,7 @@ def test_where_pictures_are_held_out_only_those_are_edited(data, options, tmp_pa
     records = [msgspec.structs.replace(r, split="test" if r.rotation_texels else "train") for r in Records(folder).records]
     (folder / "records" / "worker-00.jsonl").write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in records))
     run.make(replace(options, data=folder, edits=100))
-    edits = run.read(options.out / "edits.jsonl")
+    edits = files.read_lines(options.out / "edits.jsonl")
     assert len(edits) == 6  # of twelve
     assert {row["split"] for row in edits} == {"test"}
 
@@ -261,11 +262,50 @@ def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, 
     again = run.make(replace(options, out=out))
     assert sorted(edit.id for edits in calls for edit in edits) == sorted(made[2:])  # the torn one and the new one
     for name in ("edits.jsonl", "pictures.jsonl"):
-        assert without_seconds(run.read(out / name)) == without_seconds(run.read(options.out / name))
+        assert without_seconds(files.read_lines(out / name)) == without_seconds(files.read_lines(options.out / name))
     assert again["tables"]["edits"] == whole["tables"]["edits"]
     calls.clear()
     run.make(replace(options, out=out))
     assert not calls
+
+
+def test_pictures_asked_for_later_are_drawn_and_nothing_else_is_made_again(options, monkeypatch):
+    calls, work = [], bench.Bench.work
+    told = run.make(replace(options, gallery=0))
+    assert not (options.out / "gallery").exists()
+    monkeypatch.setattr(bench.Bench, "work", lambda self, first, edits, *rest: calls.append(edits) or work(self, first, edits, *rest))
+    again = run.make(replace(options, gallery=1))
+    drawn = [path.stem for path in (options.out / "gallery").iterdir()]
+    assert [edit.id for edits in calls for edit in edits] == drawn and len(drawn) == 1
+    assert again["tables"]["edits"] == told["tables"]["edits"]
+
+
+def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path):
+    folder = tmp_path / "grown"
+    shutil.copytree(data, folder)
+    lines = folder / "records" / "worker-00.jsonl"
+    whole = lines.read_bytes()
+    seeds = [r for r in Records(folder).records if r.seed == min(other.seed for other in Records(folder).records)]
+    lines.write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in seeds))
+    run.make(replace(options, data=folder))
+    assert {row["layer"].get("seeds") for row in run.rows_of(options.out / "edits.jsonl").values()} == {None}
+    lines.write_bytes(whole)
+    run.make(replace(options, data=folder))
+    assert {row["layer"].get("seeds") for row in run.rows_of(options.out / "edits.jsonl").values()} == {2}
+    assert len(files.read_lines(options.out / "edits.jsonl")) == 8  # the later of two lines holds
+
+
+def test_weights_that_are_not_there_leave_no_settings_behind(options, tmp_path):
+    with pytest.raises(Problem, match=r"weights in a \.safetensors file"):
+        run.make(replace(options, weights=tmp_path / "typo.safetensors"))
+    run.make(options)
+
+
+def test_the_best_of_a_column_was_given_no_truth():
+    column = {"key": "l2", "label": "L2 ↓"}
+    rows = [("the layer alone", 1.0), ("constant light, true normals", 2.0), ("Lombardi-like", 3.0), ("ours", 4.0), ("Baseline 1", 5.0)]
+    rows = [{"name": name, "cells": {"l2": [value, value, value]}} for name, value in rows]
+    assert page._best(rows, column) == "ours"
 
 
 def test_an_evaluation_of_other_settings_is_not_gone_on_with(options, monkeypatch):
@@ -279,11 +319,11 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(options, monkeypatc
 
 def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, tmp_path):
     refined = run.settings(replace(options, refine=True))
-    run.settled(tmp_path / "settings.json", refined)
-    run.settled(tmp_path / "settings.json", run.settings(replace(options, refine=True)))  # what a file gives back is the same
+    files.settle(tmp_path / "settings.json", refined)
+    files.settle(tmp_path / "settings.json", run.settings(replace(options, refine=True)))  # what a file gives back is the same
     monkeypatch.setattr(run, "Settings", lambda: replace(Settings(), a=0.5))
     with pytest.raises(Problem, match="other refine"):
-        run.settled(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
+        files.settle(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
     assert run.settings(options)["refine"] is False
 
 

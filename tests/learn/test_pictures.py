@@ -45,6 +45,23 @@ def test_transparency_is_a_mask(tmp_path, disc):
     assert (mask == disc).all()
 
 
+def test_a_thin_object_keeps_about_its_area_at_the_networks_size():
+    y, x = np.mgrid[0:1200, 0:1200]
+    ring = abs(np.hypot(x - 600, y - 600) - 590) < 1.5
+    found = pictures.framed(np.full((1200, 1200, 3), 0.5, np.float32), ring, 128)
+    share = ring.sum() * (128 / found.box[2]) ** 2  # its area in the network's pixels
+    assert 0.8 * share < found.mask.sum() < 1.5 * share
+    np.testing.assert_allclose(found.radiance[found.mask], 0.5 * found.exposure, rtol=1e-3)
+
+
+def test_an_object_that_is_nearly_all_air_is_refused():
+    specks = np.zeros((2000, 2000), bool)
+    specks[::1990, ::1990] = True
+    specks[:4, :4] = True
+    with pytest.raises(Problem, match="16 pixels or more at the network's 128 × 128"):
+        pictures.framed(np.full((2000, 2000, 3), 0.5, np.float32), specks, 128)
+
+
 def test_what_cannot_be_used_is_refused_with_the_remedy(tmp_path, mask_file):
     plain = saved(tmp_path / "plain.png", np.zeros((60, 80, 3), np.uint8))
     empty = saved(tmp_path / "empty.png", np.zeros((60, 80), np.uint8))

@@ -1,5 +1,6 @@
 """Refinement: it goes down, never up, stays in the domain, and finds what is known where it can be known."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,7 +12,7 @@ from scipy.optimize import OptimizeResult, minimize
 
 from learn.layer import render
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, loop, refine, study
+from learn.refinement import Settings, chart, loop, refine, starts, study
 from learn.refinement.coordinates import Light, Material, Normals, principal_directions, spherical_harmonics
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Level
@@ -239,3 +240,39 @@ def test_a_studys_settings_are_read_from_their_names():
         assert [study.value_of(moved, study.settings_of(f"{moved}={value:g}")) for value in values] == list(values)
     with pytest.raises(Problem, match="a setting"):
         study.settings_of("d=1")
+
+
+def known_cases(scene, count):
+    """Cases of one picture under several ids; what it is called is the same."""
+    batch, truth = scene
+    picture = batch.image[0].movedim(0, -1).numpy()
+    return [study.Case(f"record-{i}", batch, [(truth.label[0], picture)]) for i in range(count)]
+
+
+def test_a_study_has_a_row_a_picture_goes_on_where_it_was_and_refuses_other_weights(scene, tmp_path, monkeypatch):
+    made, refine_ = [], study.refine
+    monkeypatch.setattr(study, "refine", lambda batch, start, settings: made.append(settings.a) or refine_(batch, start, QUICK))
+    start = spoiled(scene[1], 3)
+    told = study.weights(lambda _: start, known_cases(scene, 3), tmp_path, ["default", "a=1"], {"weights": "one"})
+    assert told["default"]["pictures"] == told["a=1"]["pictures"] == 3
+    assert made == [0.05] * 3 + [1.0] * 3
+    made.clear()
+    fewer = study.weights(lambda _: start, known_cases(scene, 2), tmp_path, ["default"], {"weights": "one"})
+    assert not made and set(fewer) == {"default"} and fewer["default"]["pictures"] == 2
+    assert json.loads((tmp_path / "study.json").read_text()).keys() == {"made_by", "default"}
+    with pytest.raises(Problem, match="other weights"):
+        study.weights(lambda _: start, known_cases(scene, 2), tmp_path, ["default"], {"weights": "two"})
+
+
+def test_a_weight_moved_beside_the_default_alone_is_charted(tmp_path):
+    row = {figure: [2.0, 1.0, 2.0, 1.0] for figure in study.FIGURES}
+    chart.chart({"a=0.1": row}, tmp_path / "study.png")
+    assert (tmp_path / "study.png").stat().st_size > 1000
+
+
+def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
+    start = spoiled(scene[1], 3)
+    told = starts.measured(lambda _: start, known_cases(scene, 4), 6, tmp_path, QUICK)
+    assert [row["kind"] for row in told["rows"]] == [*starts.STARTS, starts.STARTS[0]]
+    assert list(told["by_kind"]) == list(starts.STARTS)
+    assert told["above_their_start"] == told["not_finite"] == 0
