@@ -6,6 +6,13 @@ import math
 from manifests.problems import Problem
 
 
+def claim(folder, names, overwrite):
+    """Raises Problem if one of the files is there and may not be replaced."""
+    there = [folder / name for name in names if (folder / name).exists()]
+    if there and not overwrite:
+        raise Problem(there[0], "no earlier result", "one", "give another --out, or --overwrite")
+
+
 def write_text(path, text):
     """UTF-8 text under a temporary name first: a kill leaves the earlier file."""
     temporary = path.with_name(f".{path.name}")

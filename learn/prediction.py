@@ -21,6 +21,8 @@ from shaders.frames import ELEVATION
 
 WEIGHTS = Path(__file__).parent / "weights" / "joint-compact.safetensors"
 NEAREST = 3
+CELLS = ("picture", "normals", "light", "material", "rendering")  # of the sheet, each a picture of its own
+WRITTEN = ("material.json", "normals.exr", "light.exr", "rendering.exr", "mask.png", "sheet.png", *(f"{name}.png" for name in CELLS))
 
 
 def of(framed, network, regions=None, count=1):
@@ -43,8 +45,7 @@ def of(framed, network, regions=None, count=1):
 def write(image, mask, weights, out, exposure=None, overwrite=False):
     """Predict and write everything. Raises Problem: bad picture, mask or weights, or files that are there already."""
     out = Path(out)
-    if (out / "material.json").exists() and not overwrite:
-        raise Problem(out / "material.json", "no earlier prediction", "one", "give another --out, or --overwrite")
+    files.claim(out, WRITTEN, overwrite)
     network, metadata = checkpoint.load_parts(weights)
     radiance, covered, exposure = _from_record(image, exposure) if Path(image).is_dir() else (*pictures.read(image, mask), exposure)
     framed = pictures.framed(radiance, covered, int(metadata["size"]), exposure)

@@ -4,6 +4,8 @@ Commands run in an empty folder, in the order of the page, at a smaller size: SM
 `make` lines are checked without being carried out; `.ci/run` carries them out.
 """
 
+import argparse
+import importlib
 import os
 import re
 import shlex
@@ -22,7 +24,7 @@ SMALLER = [
     (r"--samples \d+", "--samples 4"),
     (r"--workers \d+", "--workers 1"),
     (r"^(python -m learn agree .*)$", r"\1 --limit 2"),
-    (r"^(python -m learn (edit|transfer) .*)$", r"\1 --no-refine"),  # tests/learn/test_editing.py refines
+    (r"^(python -m learn (edit|transfer) .*)$", r"\1 --no-refine"),  # tests/learn/test_editing_wired.py refines
 ]
 USERS_FILES = {"my-chair.obj": "manifests/jobs/meshes/vase.obj"}  # what a reader has and we do not
 
@@ -91,13 +93,50 @@ def test_every_command_of_the_documents_runs(root, tmp_path):
 
 def test_every_file_that_a_document_names_exists(root):
     missing = []
-    for document in (*DOCUMENTS, "CHANGELOG.md", "docs/log.md"):
+    for document in (*pages(root), "CHANGELOG.md", "docs/log.md"):
         text = re.sub(r"^```.*?^```", "", (root / document).read_text(encoding="utf-8"), flags=re.M | re.S)
         named = re.findall(r"`((?:docs|factory|learn|manifests|shaders|tests)/[\w./-]*)`", text)
         named += re.findall(r"\]\(((?!https?:)[^)#]+)\)", text)
         base = (root / document).parent
         missing += [f"{document}: {name}" for name in named if not ((root / name).exists() or (base / name).exists())]
     assert not missing
+
+
+def pages(root):
+    """Names of all documents that tell of the present: not the log."""
+    return [
+        *DOCUMENTS,
+        *sorted(f"docs/{path.name}" for path in (root / "docs").glob("*.md") if path.name not in ("log.md", "conventions.md")),
+    ]
+
+
+def told_commands(root):
+    """(document, program, words) of every whole command in a block or between backquotes; `…` and NAME alone tell of a command's name."""
+    for document in pages(root):
+        text = (root / document).read_text(encoding="utf-8")
+        inline = re.findall(r"`python -m (factory|learn) ([^`]*)`", text)
+        lines = re.findall(r"^(?: {4}|)(?:for .*; do )?python -m (factory|learn) (.*)$", text, flags=re.M)
+        for program, line in inline + lines:
+            words = shlex.split(re.split(r"\s{2,}#|; done", line)[0])
+            if words[-1] not in ("--help", "...", "…") and len(words) > 1:
+                yield document, program, words
+
+
+def test_every_command_that_a_document_names_can_be_given_so(root, capsys):
+    ran, refused = [], []
+    for document, program, words in told_commands(root):
+        commands = importlib.import_module(f"{program}.__main__").COMMANDS
+        module = importlib.import_module(f"{program}.commands.{words[0].replace('-', '_')}")
+        parser = argparse.ArgumentParser()
+        module.register(parser.add_subparsers(required=True))
+        assert words[0] in commands
+        try:
+            parser.parse_args(words)
+            ran.append(words)
+        except SystemExit:
+            refused.append(f"{document}: {program} {' '.join(words)}: {capsys.readouterr().err.splitlines()[-1]}")
+    assert not refused
+    assert len(ran) > 40
 
 
 def test_the_makefile_helps_with_every_target_it_offers(root):

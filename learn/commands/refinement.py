@@ -17,7 +17,13 @@ def register(subparsers):
     parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the figures go")
     parser.add_argument("--pictures", type=positive, default=12, metavar="N", help="of the study (default 12)")
-    parser.add_argument("--starts", type=int, default=100, metavar="N", help="refinements from bad starts (default 100; 0: none)")
+    parser.add_argument(
+        "--starts",
+        type=int,
+        default=100,
+        metavar="N",
+        help="refinements from starts of five kinds, one of each a picture (default 100; 0: none)",
+    )
     parser.add_argument(
         "--only",
         nargs="*",
@@ -29,6 +35,8 @@ def register(subparsers):
 
 
 def run(options):
+    import torch
+
     from learn.dataset import Records
     from learn.evaluation.methods import network
     from learn.prediction import WEIGHTS
@@ -36,11 +44,13 @@ def run(options):
     from learn.training import checkpoint
     from manifests.store import file_hash
 
+    torch.set_num_threads(1)  # times are told of one
     weights = options.weights or WEIGHTS
     net, _ = checkpoint.load_parts(weights)
     predict = network(net)
     options.out.mkdir(parents=True, exist_ok=True)
-    known = study.cases(Records(options.data), options.pictures, options.seed)
+    records = Records(options.data)
+    known = study.cases(records, options.pictures, options.seed)
     if options.only is None or options.only:
         about = {
             "data": options.data.resolve().name,
@@ -55,6 +65,7 @@ def run(options):
     for size, seconds in times.items():
         print(f"{size}²: prediction {seconds['predict']:.2f} s, refinement {seconds['refine']:.1f} s")
     if options.starts:
+        known = study.cases(records, -(-options.starts // len(starts.STARTS)), options.seed)  # one start of each kind a picture
         told = starts.measured(predict, known, options.starts, options.out)
         print(
             f"{told['starts']} starts: {told['above_their_start']} ended above, {told['not_finite']} not finite, re-rendering's median "

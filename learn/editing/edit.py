@@ -51,7 +51,7 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
     if len(set(names)) < len(names):
         raise Problem("--material", "materials of different names", ", ".join(materials), "name each once")
     endings = (".png", ".exr") if Path(path).is_dir() or Path(path).suffix.lower() == ".exr" else (".png",)
-    claim(out, [*PARTS, "sheet.png", "edit.json", *(name + ending for name in names for ending in endings)], overwrite)
+    files.claim(out, [*PARTS, "sheet.png", "edit.json", *(name + ending for name in names for ending in endings)], overwrite)
     network, metadata = checkpoint.load_parts(how.weights)
     size = int(metadata["size"])
     opened = photograph.opened(path, masks, regions, how.balance, how.exposure, record)
@@ -71,13 +71,6 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
         told = written(out, found, painter, edits, pick, names, metadata, how)
         progress.update()
     return told
-
-
-def claim(out, files, overwrite):
-    """Raises Problem if one of the files is there and may not be replaced."""
-    taken = [name for name in files if (Path(out) / name).exists()]
-    if taken and not overwrite:
-        raise Problem(Path(out) / taken[0], "no earlier result", "one", "give another --out, or --overwrite")
 
 
 def choices(text, regions, predict, known=None):

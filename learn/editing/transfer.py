@@ -45,7 +45,7 @@ def run(paths, mask_folder, out, how, per_grid=6, overwrite=False):
     groups = grouped(paths, per_grid)
     names = ["grid.png"] if len(groups) == 1 else [f"grid-{i:02d}.png" for i in range(1, len(groups) + 1)]
     pairs = [f"{a.stem}-in-{b.stem}.png" for group in groups for a in group for b in group if a is not b]
-    edit.claim(out, [*names, *pairs, "transfer.json"], overwrite)
+    files.claim(out, [*names, *pairs, "transfer.json"], overwrite)
     network, metadata = checkpoint.load_parts(how.weights)
     for path in paths:
         opened(path, mask_folder, how)  # what is wrong with any of them is said before the first is worked on

@@ -13,6 +13,7 @@ from learn.agreement.measure import shared, squared
 from learn.dataset import Records
 from learn.evaluation import gallery, intrinsics, methods, metrics, pairs, perceptual
 from learn.layer import render
+from learn.timing.report import made_by
 from learn.training import checkpoint
 from manifests.problems import Problem
 from shaders import tone
@@ -31,7 +32,8 @@ class Bench:
     def __init__(self, data, weights, baselines=None, refine=True, lpips=None):
         self.records = Records(data)
         self.repeats, self._judged = pairs.repeats(self.records.records), {}
-        net, metadata = checkpoint.load_network(weights)
+        net, metadata = checkpoint.load_parts(weights)
+        self.commit = made_by()["commit"]
         self.size, self.ranges, self.perceptual = int(metadata["size"]), net.ranges, perceptual.of_file(lpips)
         if refine:
             from learn.refinement import refine as work
@@ -55,7 +57,7 @@ class Bench:
 
     def _taken_apart(self, record, batch):
         truth = batch.image[0].movedim(0, -1).numpy()
-        row = {"id": record.id, "methods": {}} | told(record)
+        row = {"id": record.id, "commit": self.commit, "methods": {}} | told(record)
         done = {}  # many methods share a part: what was measured of it once is not measured again
         for method in (*self.entrants.edits, *self.entrants.parts):
             parts = method.parts(batch)
@@ -98,7 +100,14 @@ class Bench:
         label, truth = pairs.wanted(self.records, edit), self.records.image(edit.truth)
         mask = (batch.segments[0] > 0).numpy()
         truth = truth * mask[..., None]
-        row = {"id": edit.id, "source": edit.source.id, "truth": edit.truth.id, "several": edit.several, "methods": {}}
+        row = {
+            "id": edit.id,
+            "commit": self.commit,
+            "source": edit.source.id,
+            "truth": edit.truth.id,
+            "several": edit.several,
+            "methods": {},
+        }
         row |= told(edit.source) | {"wanted": list(edit.truth.materials)}
         shown = {}
         for method in self.entrants.edits:

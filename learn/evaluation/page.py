@@ -74,7 +74,8 @@ def origin(about):
         f"({'; '.join(about['tiers'])}). An edit's truth is the picture of the same shape, view and light in the wanted material.",
         f"Display values: {about['tone curve']}. Brackets: 95 % intervals, shapes and materials drawn with replacement.",
         f"`{made['command']}`, commit {made['commit']}, {made['date']}; {made['machine']}; weights {about['weights']}"
-        + (f", LPIPS weights {about['lpips']}" if about["lpips"] else ""),
+        + (f", LPIPS weights {about['lpips']}" if about["lpips"] else "")
+        + (f"; edits made at {', '.join(about['lines'])}" if "lines" in about else ""),
     ]
     return lines + [f"Left out: {name}: {why}." for name, why in about["missing"].items()]
 

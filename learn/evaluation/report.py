@@ -4,6 +4,8 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+import msgspec
+
 from learn import files
 from learn.evaluation import page, tables
 from learn.evaluation.methods import OURS, OURS_REFINED
@@ -29,6 +31,7 @@ def about(options, records, kept, left_out, perceptual):
         },
         "data": f"{len(kept)} pictures, {len({r.shape for r in kept})} shapes, {len({r.light for r in kept})} lights; {held}",
         "tiers": sorted({f"{r.tier}, light {r.light_resolution}, {r.samples} samples" for r in kept}),
+        "jobs": msgspec.to_builtins([order.job for order in records.dataset.orders]),
         "weights": file_hash(options.weights)[:12],
         "lpips": None if perceptual is None else file_hash(options.lpips)[:12],
         "tone curve": CURVE,
@@ -43,7 +46,12 @@ def write(out, pictures, edits, shown, about, entrants):
     shown            ids of the edits whose gallery pictures are shown
     """
     found = tables.all_of(pictures, edits)
-    told = {"about": about | {"edits": len(edits), "pictures": len(pictures)}, "headline": headline(found), "tables": found}
+    commits = sorted({row.get("commit", "none") for row in (*pictures, *edits)})
+    told = {
+        "about": about | {"edits": len(edits), "pictures": len(pictures), "lines": commits},
+        "headline": headline(found),
+        "tables": found,
+    }
     names = [method.name for method in entrants.edits]
     by_id = {row["id"]: row for row in edits}
     gallery = [(by_id[id_], out / "gallery" / f"{id_}.png") for id_ in shown if id_ in by_id]

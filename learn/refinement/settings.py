@@ -35,7 +35,7 @@ class Settings:
     a, b, c     of normals, light and material; Eq. 6 has no c
     order       one property after another in each round; what is not named stays where it starts
     degree      of the spherical harmonics that the light's logarithm is changed by
-    reach       the most that a normal may be moved in one pass, in the disk of learn.refinement.coordinates
+    reach       the most that a normal may be moved in one pass, along either axis of the disk of learn.refinement.coordinates
     tolerance   of the layer in the finest energy, which decides what is kept
     passes      how often all levels are gone through, each time held to what was reached before
     """

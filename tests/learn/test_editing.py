@@ -146,6 +146,16 @@ def test_fine_shading_is_carried_over_when_asked():
         assert low <= contrast <= high
 
 
+@pytest.mark.parametrize(("times", "grid"), [(1, 256), (8, 567), (16, 1024)])
+def test_objects_are_rendered_at_their_own_size_between_two_limits(times, grid):
+    label = label_of("blue-rubber")
+    radiance, inside = lit(label, 0.5)
+    radiance, regions = (x.repeat(times, 0).repeat(times, 1) for x in (radiance, inside.astype(np.uint8)))
+    painter = Painter(apart.taken(opened(radiance, regions), Knowing(label), NETWORK))
+    assert painter.grid == grid  # 567: 1.18 times the object's 480 pixels
+    assert painter.n.shape == (grid, grid, 3)
+
+
 def test_no_detail_is_stronger_than_its_limit():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)

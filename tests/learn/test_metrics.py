@@ -196,6 +196,13 @@ def test_lpips_is_nothing_for_one_picture_and_grows_with_noise(rng):
     assert found[0] == 0 < found[1] < found[2]
 
 
+def test_pictures_are_scaled_for_lpips_as_its_package_scales_them():
+    """The package's ScalingLayer: of values in [-1, 1], less (-.030, -.088, -.188), over (.458, .448, .450)."""
+    black, white = (perceptual.prepared(np.full((1, 1, 3), value))[0, :, 0, 0].tolist() for value in (0.0, 255.0))
+    np.testing.assert_allclose(black, [-0.97 / 0.458, -0.912 / 0.448, -0.812 / 0.450], rtol=1e-5)
+    np.testing.assert_allclose(white, [1.03 / 0.458, 1.088 / 0.448, 1.188 / 0.450], rtol=1e-5)
+
+
 def test_lpips_is_the_packages(rng):
     """With one set of drawn weights; the trained ones are the user's."""
     lpips = pytest.importorskip("lpips", reason="needs the package lpips, which brings torchvision")

@@ -45,6 +45,13 @@ def test_transparency_is_a_mask(tmp_path, disc):
     assert (mask == disc).all()
 
 
+def test_a_dark_picture_is_taken_to_be_of_a_darker_scene_but_not_in_proportion():
+    mask = np.ones((20, 20), bool)
+    found = [pictures.framed(np.full((20, 20, 3), Y, np.float32), mask, 16).exposure for Y in (0.05, 0.5)]
+    np.testing.assert_allclose(found, [0.23 * 0.05**-0.19, 0.23 * 0.5**-0.19], rtol=1e-5)  # docs/editing.md
+    assert pictures.framed(np.full((20, 20, 3), 0.5, np.float32), mask, 16, exposure=2.0).exposure == 2.0
+
+
 def test_a_thin_object_keeps_about_its_area_at_the_networks_size():
     y, x = np.mgrid[0:1200, 0:1200]
     ring = abs(np.hypot(x - 600, y - 600) - 590) < 1.5

@@ -89,6 +89,38 @@ def test_an_earlier_prediction_stays_unless_it_may_go(predicted, weights):
     assert after["nearest"] == before["nearest"]
 
 
+@pytest.mark.parametrize("name", prediction.WRITTEN)
+def test_no_file_that_is_there_is_replaced_unless_asked(predicted, weights, tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(Problem, match="--overwrite"):
+        prediction.write(predicted[1].folder, None, weights, tmp_path)
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_what_is_claimed_is_what_is_written(predicted):
+    assert {path.name for path in predicted[0].iterdir()} == set(prediction.WRITTEN)
+
+
+def test_a_material_of_the_catalogue_is_its_own_nearest(weights):
+    _, metadata = checkpoint.load_network(weights)
+    catalogue = load_catalogue()
+    for name in ("brass", "red-fabric", "blue-rubber"):
+        assert prediction.nearest(catalogue[name].label.reshape(108).astype(np.float32), metadata["ranges"])[0] == name
+
+
+def test_the_material_file_tells_where_the_object_was_and_at_what_exposure(weights, tmp_path):
+    values = np.full((60, 90, 3), 120, np.uint8)
+    mask = np.zeros((60, 90), np.uint8)
+    mask[10:50, 30:60] = 255
+    Image.fromarray(values).save(tmp_path / "p.png")
+    Image.fromarray(mask).save(tmp_path / "m.png")
+    prediction.write(tmp_path / "p.png", tmp_path / "m.png", weights, tmp_path / "out", exposure=0.7)
+    told = json.loads((tmp_path / "out" / "material.json").read_text())
+    top, left, side = told["box"]
+    assert told["exposure"] == 0.7
+    assert side >= 40 and (2 * top + side, 2 * left + side) == pytest.approx((60, 90), abs=1)  # about the object's middle
+
+
 def test_a_dataset_without_records_is_told(weights, tmp_path):
     store = written(tmp_path / "data")
     for path in store.record_files():

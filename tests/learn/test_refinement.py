@@ -9,7 +9,9 @@ import pytest
 import torch
 import torch.nn.functional as F
 from scipy.optimize import OptimizeResult, minimize
+from synthetic import entry, write_dataset
 
+from learn.__main__ import COMMANDS
 from learn.layer import render
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings, chart, loop, refine, starts, study
@@ -18,9 +20,10 @@ from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Level
 from learn.training.batch import Batch
 from learn.training.losses import log_albedo
+from manifests.command_line import main
 from manifests.materials import load_catalogue
 from manifests.problems import Problem
-from shaders import envmap
+from shaders import envmap, tone
 
 SIZE, ELEVATION = 24, 0.349
 LEVELS = (Level(pixels=120, light=(16, 32), method="exact", rounds=1, iterations=4),)
@@ -216,7 +219,7 @@ def test_coordinates_at_zero_are_the_prediction(scene):
     np.testing.assert_allclose(again.movedim(1, -1)[seen], truth.n.movedim(1, -1)[seen], atol=1e-6)
 
 
-def test_material_directions_span_the_training_materials_and_know_no_test_one():
+def test_material_directions_span_the_training_materials():
     directions = principal_directions()
     spread = np.linalg.norm(directions, axis=1)
     assert (np.diff(spread) <= 1e-12).all()
@@ -276,3 +279,65 @@ def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
     assert [row["kind"] for row in told["rows"]] == [*starts.STARTS, starts.STARTS[0]]
     assert list(told["by_kind"]) == list(starts.STARTS)
     assert told["above_their_start"] == told["not_finite"] == 0
+
+
+def test_a_studys_figures_are_of_the_parts_it_is_given(scene):
+    (case,), start = known_cases(scene, 1), spoiled(scene[1], 3)
+    found, own = study.figures(start, case.batch, case.truths), study.figures(scene[1], case.batch, case.truths)
+    label, truth = case.truths[0]
+    mask = (case.batch.segments[0] > 0).numpy()
+    level = tone.auto_exposure(truth, mask)
+    assert found["edit"] == pytest.approx(tone.display_l2(study.picture(start, label, case.batch), truth, level, mask))
+    assert found["image"] == pytest.approx(tone.display_l2(study.picture(start, start.label[0], case.batch), truth, level, mask))
+    assert own["edit"] < 1 < 20 < found["edit"] and own["image"] < 1 < 20 < found["image"]
+    assert own["angle_deg"] < 0.1 < 10 < found["angle_deg"] and own["light"] == 0 < 0.1 < found["light"]
+
+
+def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, monkeypatch):
+    start = spoiled(scene[1], 3)
+    bad = start._replace(light=torch.full_like(start.light, torch.nan))
+    ends = iter([(start, 0.5), (start, 1.5), (start, 2.0), (bad, 0.5)])
+
+    def refined(batch, start, settings):
+        prediction, after = next(ends)
+        return loop.Refined(prediction, {"total": 1.0}, {"total": after}, [], 0.0)
+
+    monkeypatch.setattr(starts, "refine", refined)
+    monkeypatch.setattr(starts, "picture", lambda parts, *_: np.zeros((SIZE, SIZE, 3), np.float32))
+    told = starts.measured(lambda _: start, known_cases(scene, 1), 4, tmp_path)
+    assert (told["starts"], told["above_their_start"], told["not_finite"]) == (4, 2, 1)
+    assert json.loads((tmp_path / "starts.json").read_text())["made_by"]["commit"]
+
+
+def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
+    for module in (study, starts):
+        monkeypatch.setattr(
+            module, "refine", lambda batch, start, settings: refine(batch, start, replace(settings, levels=LEVELS, passes=1))
+        )
+    catalogue = load_catalogue()
+    materials = [entry(name, catalogue[name].m.reshape(3, 3, 2, 6), catalogue[name].mixture) for name in ("red-fabric", "delrin")]
+    write_dataset(tmp_path / "data", materials, rng, size=32, seeds=1, rotations=(0,))
+    words = [
+        "refinement",
+        "--data",
+        str(tmp_path / "data"),
+        "--out",
+        str(tmp_path / "out"),
+        "--pictures",
+        "1",
+        "--only",
+        "default",
+        "a=0.2",
+    ]
+    assert main("learn", "t", COMMANDS, [*words, "--starts", "5"]) == 0
+    told = {name: json.loads((tmp_path / "out" / f"{name}.json").read_text()) for name in ("study", "times", "starts")}
+    assert set(told["study"]) == {"made_by", "default", "a=0.2"} and set(told["times"]) == {"made_by", "32", "64"}
+    assert told["starts"]["starts"] == 5 and len(told["starts"]["by_kind"]) == 5
+    assert told["study"]["default"]["image"][1] < told["study"]["default"]["image"][0]
+    assert (tmp_path / "out" / "study.png").exists()
+    before = (tmp_path / "out" / "rows.jsonl").read_bytes()
+    assert main("learn", "t", COMMANDS, [*words, "--starts", "0"]) == 0
+    assert (tmp_path / "out" / "rows.jsonl").read_bytes() == before
+    with pytest.raises(SystemExit):
+        main("learn", "t", COMMANDS, [*words, "--pictures", "0"])
+    capsys.readouterr()
