@@ -44,11 +44,16 @@ def how(options):
 
     check("--tolerance", 0 < options.tolerance < 1, "a number above 0 and below 1", options.tolerance)
     check("--detail", 0 <= options.detail <= 1, "a number from 0 to 1", options.detail)
-    if options.exposure is not None:
-        check("--exposure", 0 < options.exposure < float("inf"), "a number above 0", options.exposure)
+    check_exposure(options.exposure)
     settings = Settings() if options.refine else None
     balance = balance_of(options.white_balance)
     return How(options.weights or WEIGHTS, settings, options.tolerance, options.detail, options.exposure, balance)
+
+
+def check_exposure(value):
+    """Raises Problem for a factor that is not above 0 and finite; None: none was given."""
+    if value is not None:
+        check("--exposure", 0 < value < float("inf"), "a number above 0", value)
 
 
 def check(name, holds, rule, value):

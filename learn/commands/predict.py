@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from learn.commands import editing_options
+
 
 def register(subparsers):
     parser = subparsers.add_parser(
@@ -29,5 +31,6 @@ def register(subparsers):
 def run(options):
     from learn import prediction
 
+    editing_options.check_exposure(options.exposure)
     prediction.write(options.image, options.mask, options.weights or prediction.WEIGHTS, options.out, options.exposure, options.overwrite)
     print(f"See {options.out / 'sheet.png'}")

@@ -119,6 +119,12 @@ def test_numbers_outside_their_range_are_refused(files, capsys):
         assert status == 1 and option in line
 
 
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf"])
+def test_predict_refuses_an_exposure_that_is_none(files, capsys, value):
+    status, line = told(capsys, "predict", files / "photo.png", "--mask", files / "mask.png", "--exposure", value, "--out", files / "out")
+    assert status == 1 and "--exposure" in line and not (files / "out").exists()
+
+
 def test_a_detail_out_of_range_is_told_the_ends_that_are_allowed(files, capsys):
     status, line = told(capsys, *edit(files, "--detail", "2"))
     assert status == 1 and "from 0 to 1" in line
