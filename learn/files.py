@@ -2,13 +2,21 @@
 
 import json
 import math
+import os
+from pathlib import Path
 
 from manifests.problems import Problem
 
 
-def claim(folder, names, overwrite):
-    """Raises Problem if one of the files is there and may not be replaced."""
+def claim(folder, names, overwrite, inputs=()):
+    """Raises Problem if one of the files is there and may not be replaced, or is one of the inputs, which never may."""
+    if folder.exists() and not folder.is_dir():
+        raise Problem(folder, "a folder, or a name for a new one", "a file", "give another --out")
     there = [folder / name for name in names if (folder / name).exists()]
+    read = [Path(path) for path in inputs if path is not None and os.path.isfile(path)]
+    for path in there:
+        if any(path.samefile(each) for each in read):
+            raise Problem(path, "a folder for results that does not hold what they are made of", "this input", "give another --out")
     if there and not overwrite:
         raise Problem(there[0], "no earlier result", "one", "give another --out, or --overwrite")
 

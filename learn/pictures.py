@@ -41,12 +41,13 @@ class Framed:
 
 def read(path, mask_path=None):
     """radiance (H, W, 3), mask (H, W) bool. Raises as `read_soft`."""
-    radiance, coverage = read_soft(path, mask_path)
+    radiance, coverage, _ = read_soft(path, mask_path)
     return radiance, coverage >= 0.5
 
 
 def read_soft(path, mask_path=None, regions=None, remedy=MASK_REMEDY):
-    """radiance (H, W, 3), coverage (H, W) in [0, 1]: how much of each pixel the object covers, from a mask's grey or a picture's alpha.
+    """radiance (H, W, 3); coverage (H, W) in [0, 1]: how much of each pixel the object covers, from a mask's grey or a picture's alpha;
+    and that alpha itself.
 
     regions  a label image's file: without a mask and transparency the object is all its regions
     remedy   of a picture without a mask
@@ -66,7 +67,7 @@ def read_soft(path, mask_path=None, regions=None, remedy=MASK_REMEDY):
     if (coverage >= 0.5).sum() < LEAST_PIXELS:
         found = f"{int((coverage >= 0.5).sum())}"
         raise Problem(mask_path or path, f"an object of {LEAST_PIXELS} pixels or more in the mask", found, "white marks the object")
-    return radiance, coverage
+    return radiance, coverage, alpha
 
 
 def read_mask(path, size):
@@ -77,11 +78,16 @@ def read_mask(path, size):
 
 
 def read_labels(path, size):
-    """Regions (H, W) uint8, 0 background, 1 … S by rising value: each grey level or palette entry but 0 is a region. Raises Problem."""
+    """Regions (H, W) uint8, 0 background, 1 … S by rising value: each grey, colour or palette entry but 0 is a region. Raises Problem."""
     _pixels(Path(path))  # refuses what is no picture
     try:
-        with Image.open(path) as picture:
-            values = np.asarray(picture if picture.mode in ("P", "L", "1") or picture.mode.startswith("I") else picture.convert("L"))
+        with Image.open(path) as opened:
+            picture = ImageOps.exif_transpose(opened)
+            if picture.mode in ("P", "L", "1") or picture.mode.startswith("I"):
+                values = np.asarray(picture)
+            else:
+                r, g, b, alpha = np.moveaxis(np.asarray(picture.convert("RGBA"), np.uint32), -1, 0)
+                values = np.where(alpha > 127, r << 16 | g << 8 | b, 0)
     except UnidentifiedImageError:
         raise Problem(path, "a picture of whole numbers, one a region", "an EXR", "save it as PNG") from None
     _require_size(path, values.shape[:2], size, "regions")

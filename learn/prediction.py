@@ -12,6 +12,7 @@ from PIL import Image
 
 from learn import files, pictures
 from learn.dataset import Records
+from learn.editing.sheet import rows as captioned
 from learn.training import checkpoint, measures, sheet
 from learn.training.batch import Batch
 from manifests.materials import load_catalogue
@@ -20,7 +21,7 @@ from shaders import tone
 from shaders.frames import ELEVATION
 
 WEIGHTS = Path(__file__).parent / "weights" / "joint-compact.safetensors"
-NEAREST = 3
+NEAREST, TILE = 3, 160
 CELLS = ("picture", "normals", "light", "material", "rendering")  # of the sheet, each a picture of its own
 WRITTEN = ("material.json", "normals.exr", "light.exr", "rendering.exr", "mask.png", "sheet.png", *(f"{name}.png" for name in CELLS))
 
@@ -45,7 +46,9 @@ def of(framed, network, regions=None, count=1):
 def write(image, mask, weights, out, exposure=None, overwrite=False):
     """Predict and write everything. Raises Problem: bad picture, mask or weights, or files that are there already."""
     out = Path(out)
-    files.claim(out, WRITTEN, overwrite)
+    files.claim(out, WRITTEN, overwrite, (image, mask))
+    if mask is not None and Path(image).is_dir():
+        raise Problem("--mask", "a photograph: a dataset's records have masks", f"the dataset {image}", "leave --mask out")
     network, metadata = checkpoint.load_parts(weights)
     radiance, covered, exposure = _from_record(image, exposure) if Path(image).is_dir() else (*pictures.read(image, mask), exposure)
     framed = pictures.framed(radiance, covered, int(metadata["size"]), exposure)
@@ -63,7 +66,8 @@ def write(image, mask, weights, out, exposure=None, overwrite=False):
     for name, cell in cells.items():
         _save(out / f"{name}.png", cell)
     _save(out / "mask.png", 255.0 * framed.mask)
-    _save(out / "sheet.png", np.concatenate(list(cells.values()), 1))
+    names = {"picture": "photograph", "rendering": "rendered again"}
+    _save(out / "sheet.png", captioned([[(names.get(name, name), cell) for name, cell in cells.items()]], TILE))
     write_material(out / "material.json", predicted.label[0].numpy(), framed, metadata, weights)
 
 

@@ -1,8 +1,8 @@
 """How `python -m factory` and `python -m learn` find their commands and end.
 
 A command is a module with `register(subparsers)`, which adds its parser and sets `run=` to a function of the parsed arguments that
-returns an exit status: 0 done, 1 failed, 2 wrong usage. Only argparse and the standard library may be imported at its top: heavy
-libraries load inside `run`, so that `--help` is quick.
+returns an exit status: 0 done, 1 failed, 2 wrong usage; and `continues=False` where a second run does not go on from what is there. Only
+argparse and the standard library may be imported at its top: heavy libraries load inside `run`, so that `--help` is quick.
 """
 
 import argparse
@@ -36,5 +36,6 @@ def main(program, description, commands, arguments=None):
         print(f"{program}: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print(f"\n{program}: stopped; what was written stays, the same command continues", file=sys.stderr)
+        how = "the same command continues" if getattr(options, "continues", True) else "the same command with --overwrite replaces it"
+        print(f"\n{program}: stopped; what was written stays, {how}", file=sys.stderr)
         return 130

@@ -12,7 +12,10 @@ def found(folder):
     from pathlib import Path
 
     from learn.baselines import methods
+    from manifests.problems import Problem
 
+    if not Path(folder).is_dir():
+        raise Problem("--baselines", "a folder of weights", f"no folder {folder}", "train them: python -m learn baselines")
     present, missing = [], {}
     for name, file in FILES.items():
         path = Path(folder) / file

@@ -23,10 +23,13 @@ def register(subparsers):
         metavar="FILE",
         help="white where the object is; 'alpha' or nothing: the photograph's transparency. Several: each is a region",
     )
-    parser.add_argument("--regions", type=Path, metavar="FILE", help="a picture with one value for each region of the object, 0 outside")
+    parser.add_argument(
+        "--regions", type=Path, metavar="FILE", help="a picture with one grey or colour for each region of the object, black outside"
+    )
     parser.add_argument(
         "--material",
         nargs="+",
+        action="extend",
         required=True,
         metavar="WANTED",
         help="a material's name (`python -m factory materials list`), a material.json, or a picture to take the material from (with "
@@ -35,7 +38,7 @@ def register(subparsers):
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the pictures go")
     parser.add_argument("--record", metavar="ID", help="of a dataset's folder: which record (default: the first held out)")
     editing_options.add(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, continues=False)
 
 
 def run(options):

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+LARGEST_FACTOR = 100  # of a white balance
+
 
 def add(parser):
     """Adds them to a parser."""
@@ -72,8 +74,13 @@ def balance_of(text):
         return text
     try:
         factors = tuple(float(part) for part in text.split(","))
-        if len(factors) == 3 and all(0 < f < float("inf") for f in factors):
+        if len(factors) == 3 and all(1 / LARGEST_FACTOR <= f <= LARGEST_FACTOR for f in factors):
             return factors
     except ValueError:
         pass
-    raise Problem("--white-balance", "none, grey, or three positive factors as 1.2,1,0.8", text, "see --help")
+    raise Problem(
+        "--white-balance",
+        f"none, grey, or three factors from {1 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}, as 1.2,1,0.8",
+        text,
+        "see --help",
+    )

@@ -25,7 +25,7 @@ def register(subparsers):
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the parts go")
     parser.add_argument("--overwrite", action="store_true", help="replace what is there")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, continues=False)
 
 
 def run(options):

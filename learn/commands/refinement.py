@@ -34,6 +34,13 @@ def register(subparsers):
     parser.set_defaults(run=run)
 
 
+def whole(text):
+    value = int(text)
+    if value < 0:
+        raise ValueError(text)
+    return value
+
+
 def run(options):
     import torch
 
@@ -49,14 +56,15 @@ def run(options):
     net, _ = checkpoint.load_parts(weights)
     predict = network(net)
     options.out.mkdir(parents=True, exist_ok=True)
+    about = {
+        "data": options.data.resolve().name,
+        "materials": file_hash(options.data / "materials.json"),
+        "weights": file_hash(weights),
+    }
     records = Records(options.data)
+    study.settle(options.out, about)
     known = study.cases(records, options.pictures, options.seed)
     if options.only is None or options.only:
-        about = {
-            "data": options.data.resolve().name,
-            "materials": file_hash(options.data / "materials.json"),
-            "weights": file_hash(weights),
-        }
         told = study.weights(predict, known, options.out, options.only, about)
         chart.chart(told, options.out / "study.png")
     batch = known[0].batch

@@ -18,7 +18,7 @@ def register(subparsers):
     parser.add_argument("--per-grid", type=int, default=6, metavar="N", help="pictures a grid; more become several grids (default 6)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the pictures go")
     editing_options.add(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, continues=False)
 
 
 def run(options):

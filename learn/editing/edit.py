@@ -48,10 +48,12 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
     """
     out = Path(out)
     names = ["edited"] if len(materials) == 1 else [f"edited-{wanted.file_name(text)}" for text in materials]
-    if len(set(names)) < len(names):
+    if len(set(materials)) < len(materials):
         raise Problem("--material", "materials of different names", ", ".join(materials), "name each once")
+    names = [name if names.count(name) == 1 else f"{name}-{number}" for number, name in enumerate(names, 1)]
+    inputs = [path, *masks, *([regions] if regions else []), *materials]
     endings = (".png", ".exr") if Path(path).is_dir() or Path(path).suffix.lower() == ".exr" else (".png",)
-    files.claim(out, [*PARTS, "sheet.png", "edit.json", *(name + ending for name in names for ending in endings)], overwrite)
+    files.claim(out, [*PARTS, "sheet.png", "edit.json", *(name + ending for name in names for ending in endings)], overwrite, inputs)
     network, metadata = checkpoint.load_parts(how.weights)
     size = int(metadata["size"])
     opened = photograph.opened(path, masks, regions, how.balance, how.exposure, record)
@@ -75,7 +77,8 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
 
 def choices(text, regions, predict, known=None):
     """Labels a region, each (108,) or None, that a text asks for; `predict`, `known` as learn.editing.wanted.label_of has them."""
-    parts = [wanted.label_of(part, predict, known) for part in text.split("+")]
+    whole = wanted.is_file(text)  # a file's name may hold a plus
+    parts = [wanted.label_of(part, predict, known) for part in ([text] if whole else text.split("+"))]
     if len(parts) == 1 and parts[0] is not None and len(parts[0]) > 1:
         parts = [part[None] for part in parts[0]]
     if len(parts) not in (1, regions):
@@ -120,7 +123,7 @@ def written(out, found, painter, edits, pick, names, metadata, how):
     prediction.write_material(out / "material.json", parts.label[0].numpy(), found.framed, metadata, how.weights)
     for name, edited in zip(names, edits.values(), strict=True):
         picture = tone.display(edited, shown)
-        save(out / f"{name}.png", with_alpha(picture, opened.coverage) if opened.cut_out else picture)
+        save(out / f"{name}.png", with_alpha(picture, opened))
         if opened.linear:
             pictures.write_exr(out / f"{name}.exr", edited)
     truths = {text: truth(opened, text) for text in edits} if opened.record is not None else {}
@@ -145,9 +148,14 @@ def exposure_of(opened):
     return tone.auto_exposure(opened.radiance, opened.mask) if scene else 1.0
 
 
-def with_alpha(picture, coverage):
-    """(H, W, 4) display values of a picture (H, W, 3) and its coverage (H, W) in [0, 1]."""
-    return np.concatenate([picture, 255.0 * coverage[..., None]], -1)
+def with_alpha(picture, opened):
+    """Display values (H, W, 3), or (H, W, 4) where the Photograph `opened` is transparent somewhere."""
+    return picture if opened.opacity is None else np.concatenate([picture, 255.0 * opened.opacity[..., None]], -1)
+
+
+def on_ground(picture, opened):
+    """Display values (H, W, 3) as a sheet shows them: what is transparent in the Photograph `opened` is not there."""
+    return picture if opened.opacity is None else sheet.GROUND + (picture - sheet.GROUND) * opened.opacity[..., None]
 
 
 def save(path, picture):
@@ -163,13 +171,16 @@ def material_ball(label, found, size=BALL):
 
 
 def reflectance(found):
-    """Captions and spheres: what the picture shows, what was predicted, what refinement made of it."""
-    mask, elevation = found.framed.mask, found.batch.elevation
+    """Captions and spheres of the first region: what the picture shows, what was predicted, what refinement made of it."""
+    mask, elevation = found.batch.segments[0].numpy() == 1, found.batch.elevation
     bright = tone.auto_exposure(found.framed.radiance, mask)
     n = found.parts.n[0].movedim(0, -1).numpy()
-    tiles = [("observed", sheet.observed(found.framed.radiance, n, mask, TILE, bright))]
+    name = "reflectance map" if found.photograph.count == 1 else "reflectance map 1"
+    tiles = [(f"{name}, observed", sheet.observed(found.framed.radiance, n, mask, TILE, bright))]
     stages = [("predicted", found.start)] + ([("refined", found.refined.prediction)] if found.refined else [])
-    return tiles + [(name, sheet.ball(p.label[0, 0], p.light[0].movedim(0, -1), BALL, elevation, bright)) for name, p in stages]
+    return tiles + [
+        (f"reflectance map, {name}", sheet.ball(p.label[0, 0], p.light[0].movedim(0, -1), BALL, elevation, bright)) for name, p in stages
+    ]
 
 
 def lines(found, again, edits, pick, truths, shown):
@@ -177,18 +188,28 @@ def lines(found, again, edits, pick, truths, shown):
     opened, parts = found.photograph, found.parts
     mask = found.framed.mask
     n = parts.n[0].movedim(0, -1).numpy()
-    first = [("photograph", tone.display(opened.radiance, shown)), ("rendered again", tone.display(again, shown))]
+
+    def display(picture, level):
+        return on_ground(tone.display(picture, level), opened)
+
+    first = [("photograph", display(opened.radiance, shown)), ("rendered again", display(again, shown))]
     first += [("normals", sheet.normals(n, mask)), ("light", sheet.light(parts.light[0].movedim(0, -1).numpy()))]
-    first += [(f"material {s}", material_ball(label, found)) for s, label in enumerate(parts.label[0], 1)]
+    several = opened.count > 1
+    first += [(f"material {s}" if several else "material", material_ball(label, found)) for s, label in enumerate(parts.label[0], 1)]
     out = [first, reflectance(found)]
     for text, edited in edits.items():
-        balls = [material_ball(label, found) for label in pick[text] if label is not None]
-        line = [("photograph", first[0][1]), (text, tone.display(edited, shown)), *((text, ball) for ball in balls[:2])]
+        parts_of = text.split("+") if len(text.split("+")) == len(pick[text]) else [text] * len(pick[text])
+        balls = {
+            sheet.caption_of(name): material_ball(label, found)
+            for name, label in zip(parts_of, pick[text], strict=True)
+            if label is not None
+        }
+        line = [("photograph", first[0][1]), (sheet.caption_of(text), display(edited, shown)), *balls.items()]
         true = truths.get(text)
         if true is not None:
             level = tone.auto_exposure(true, opened.mask)
-            line[1] = (f"{text}", tone.display(edited, level))
-            line += [("truth", tone.display(true, level)), ("|difference|", abs(tone.display(edited, level) - tone.display(true, level)))]
+            line[1] = (line[1][0], display(edited, level))
+            line += [("truth", display(true, level)), ("|difference|", abs(tone.display(edited, level) - tone.display(true, level)))]
         out.append(line)
     return out
 

@@ -30,6 +30,7 @@ class Photograph:
     name             for messages and files
     exposure         factor from balanced radiance to the network's; None: guessed
     cut_out          its background is transparent
+    alpha            (H, W) in [0, 1]: transparency of its own beside a mask, or None
     linear           the file holds radiance, not display values: an EXR, or a record
     records, record  of a dataset
     """
@@ -42,6 +43,7 @@ class Photograph:
     exposure: float | None
     cut_out: bool = False
     linear: bool = False
+    alpha: np.ndarray | None = None
     records: Records | None = None
     record: object = None
 
@@ -49,6 +51,11 @@ class Photograph:
     def mask(self):
         """(H, W) bool: pixels that are the object's for the most part."""
         return self.regions > 0
+
+    @property
+    def opacity(self):
+        """(H, W) in [0, 1] of an edited picture, or None where nothing of it is transparent."""
+        return self.coverage if self.cut_out else self.alpha
 
     @property
     def count(self):
@@ -95,10 +102,10 @@ def opened(path, masks=(), regions=None, balance="none", exposure=None, record=N
     if record is not None:
         raise Problem(f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out")
     if len(masks) <= 1:
-        radiance, coverage = pictures.read_soft(path, masks[0] if masks else None, regions, remedy)
+        radiance, coverage, alpha = pictures.read_soft(path, masks[0] if masks else None, regions, remedy)
         labels = (coverage >= 0.5).astype(np.uint8)
     else:
-        radiance, _ = pictures.read_soft(path, masks[0])
+        radiance, _, alpha = pictures.read_soft(path, masks[0])
         coverage, labels = _several(masks, radiance.shape[:2])
     if regions is not None:
         whole = pictures.read_labels(regions, radiance.shape[:2])
@@ -110,7 +117,8 @@ def opened(path, masks=(), regions=None, balance="none", exposure=None, record=N
     before_background = bool(masks) or regions is not None
     factors = _balance(balance, radiance, coverage, before_background)
     linear = path.suffix.lower() == ".exr"
-    return Photograph(path.stem, radiance, coverage, labels, factors, exposure, cut_out=not before_background, linear=linear)
+    own = alpha if before_background and (alpha < 1).any() else None
+    return Photograph(path.stem, radiance, coverage, labels, factors, exposure, cut_out=not before_background, linear=linear, alpha=own)
 
 
 def without_unlabelled(coverage, labels):

@@ -3,6 +3,8 @@
 Tiles are (size, size, 3) display values in [0, 255]; a reflectance map is the picture of a sphere: radiance by normal.
 """
 
+from pathlib import Path
+
 import numpy as np
 import torch
 from PIL import Image, ImageDraw
@@ -38,9 +40,20 @@ def rows(lines, size):
             if picture is None:
                 continue
             x, y = BORDER + j * step_x, BORDER + i * step_y
-            draw.text((x, y), caption[: size // 6], fill=(230, 230, 230))
+            draw.text((x, y), fitting(caption, size // 6), fill=(230, 230, 230))
             canvas.paste(Image.fromarray(np.clip(tile(picture, size), 0, 255).astype(np.uint8)), (x, y + CAPTION))
     return np.asarray(canvas)
+
+
+def fitting(caption, length):
+    """A caption of at most `length` letters: of a longer one its beginning and its end."""
+    half = (length - 1) // 2
+    return caption if len(caption) <= length else f"{caption[:half]}…{caption[len(caption) - half :]}"
+
+
+def caption_of(text):
+    """What a wanted material is called on a sheet: names as they are, of files their own name."""
+    return "+".join(Path(part).name for part in text.split("+")) or text
 
 
 def normals(n, mask):

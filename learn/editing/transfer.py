@@ -45,7 +45,7 @@ def run(paths, mask_folder, out, how, per_grid=6, overwrite=False):
     groups = grouped(paths, per_grid)
     names = ["grid.png"] if len(groups) == 1 else [f"grid-{i:02d}.png" for i in range(1, len(groups) + 1)]
     pairs = [f"{a.stem}-in-{b.stem}.png" for group in groups for a in group for b in group if a is not b]
-    files.claim(out, [*names, *pairs, "transfer.json"], overwrite)
+    files.claim(out, [*names, *pairs, "transfer.json"], overwrite, paths)
     network, metadata = checkpoint.load_parts(how.weights)
     for path in paths:
         opened(path, mask_folder, how)  # what is wrong with any of them is said before the first is worked on
@@ -96,7 +96,7 @@ def grid(group, pictures, network, size, out, name, how, progress):
     for path in group:
         painter = apart.Painter(found[path], how.tolerance, how.detail)
         shown = edit.exposure_of(pictures[path])
-        before = tone.display(cropped(pictures[path].radiance, found[path]), shown)
+        before = cropped(edit.on_ground(tone.display(pictures[path].radiance, shown), pictures[path]), found[path])
         line = [(path.stem, before)]
         for other in group:
             if other is path:
@@ -104,9 +104,8 @@ def grid(group, pictures, network, size, out, name, how, progress):
                 continue
             picture = painter.edited([own_label(found[other])])
             whole = tone.display(picture, shown)
-            whole = edit.with_alpha(whole, pictures[path].coverage) if pictures[path].cut_out else whole
-            edit.save(out / f"{path.stem}-in-{other.stem}.png", whole)
-            line.append(("", tone.display(cropped(picture, found[path]), shown)))
+            edit.save(out / f"{path.stem}-in-{other.stem}.png", edit.with_alpha(whole, pictures[path]))
+            line.append(("", cropped(edit.on_ground(whole, pictures[path]), found[path])))
             progress.update()
         lines.append(line)
     edit.save(out / name, sheet.rows(lines, edit.TILE))

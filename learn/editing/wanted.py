@@ -12,9 +12,10 @@ import numpy as np
 from learn.dataset import LARGEST_LABEL
 from manifests.materials import find
 from manifests.problems import Problem
-from shaders.dsbrdf import SIZE
+from shaders.dsbrdf import SHAPE, SIZE
 
 KEEP = "keep"
+LARGEST_KAPPA = 4.4  # its logarithm: exp of κ itself has to be a number; the catalogue's reach 2.2
 SMALLEST_LABEL = -80.0  # its exp is a float32 above 0
 LARGEST_JSON = 1 << 20
 REMEDY = "write one: python -m learn predict PHOTO --out DIR"
@@ -50,7 +51,7 @@ def _from_json(path):
         labels = np.asarray(told.get("labels") or [told["label"]], np.float32)
     except FileNotFoundError:
         raise Problem(path, "a material.json", "no such file", REMEDY) from None
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise Problem(path, f'JSON with "label": {SIZE} numbers', f"{type(error).__name__}: {error}", REMEDY) from None
     except ValueError as error:
         if isinstance(error, Problem):
@@ -62,9 +63,21 @@ def _from_json(path):
     if not within.all():
         rule = f"natural logarithms from {SMALLEST_LABEL:g} to {LARGEST_LABEL:g}"
         raise Problem(path, rule, f"{labels[~within][0]:g}", "is this m itself? a label holds its logarithms")
+    if (kappa := labels.reshape(-1, *SHAPE)[..., 0, :].max()) > LARGEST_KAPPA:
+        raise Problem(path, f"logarithms of κ up to {LARGEST_KAPPA}", f"{kappa:g}", "its reflectance is no number any more; check the file")
     return labels
+
+
+def is_file(text):
+    """Whether there is a file of that name; a text too long for one is none."""
+    try:
+        return Path(text).is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def file_name(text):
     """What a wanted material's file is called."""
+    if is_file(text):
+        text = Path(text).stem
     return re.sub(r"[^A-Za-z0-9+_-]+", "-", "+".join(Path(part).stem for part in text.split("+"))).strip("-") or "material"

@@ -49,6 +49,10 @@ def make(options):
     """Work through what is missing and write the report. Returns its figures. Raises Problem."""
     records = Records(options.data)
     kept = [record for record in records.records if record.split == "test"] or records.records
+    if len(kept) < len(records) and not pairs.found(kept):
+        found = f"none among its {len(kept)} of {len(records)} pictures"
+        remedy = "render the test side's shapes, views and lights in two of its materials or more, or a dataset without a test side"
+        raise Problem(options.data, "pictures of the test side that differ in nothing but the material", found, remedy)
     chosen = pairs.chosen(kept, options.edits, options.seed)
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)

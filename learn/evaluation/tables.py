@@ -64,6 +64,7 @@ class Rows:
         self.rows = rows
         names = [["+".join(dict.fromkeys(row[material])) for row in rows], [row["shape"] for row in rows]]
         self.weights = intervals.draws(intervals.groups_of(*reversed(names))) if rows else None
+        self.enough = all(len(set(each)) > 1 for each in names)  # one shape or one material has nothing to be drawn from
 
     def values(self, method, path):
         """(P,) float64 of one figure, NaN where a row has none; path: keys below the method."""
@@ -130,6 +131,7 @@ def differences(rows):
             cell, both = rows.interval(a - b), np.isfinite(a + b)
             of = intervals.relative(b[both], a[both], rows.drawn(both))
             verdict = "better" if cell[2] < 0 else "worse" if cell[1] > 0 else "undecided: 0 is inside"
+            verdict = verdict if rows.enough else "undecided: two shapes and two materials are needed"
             cells = {"difference": cell, "ratio": of, "won": float((a < b)[both].mean()), "verdict": verdict}
             found.append({"name": f"{mine} − {other}", "cells": cells})
     columns = [column("difference", "L2 difference", 1, True), column("ratio", "L2 ratio", 3, True)]

@@ -1,6 +1,7 @@
 """Refinement from starts as bad as they come: none may end above itself, none may leave the finite.
 
-starts.json  how many ended above their start, how many were not finite, how the re-rendering changed, by kind of start
+starts.jsonl  a line a start: the same command goes on from them
+starts.json   how many ended above their start, how many were not finite, how the re-rendering changed, by kind of start
 """
 
 import math
@@ -11,10 +12,12 @@ import torch
 import torch.nn.functional as F
 from tqdm import tqdm
 
+from learn import files
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings, refine
 from learn.refinement.study import picture, write
 from manifests.materials import load_catalogue
+from manifests.store import Lines
 from shaders import tone
 
 STARTS = ("network", "random material", "mean light", "noisy normals", "untrained")
@@ -22,8 +25,9 @@ STARTS = ("network", "random material", "mean light", "noisy normals", "untraine
 
 def measured(predict, known, count, out, settings=Settings()):  # noqa: B008 -- frozen
     """starts.json: `count` refinements from starts of every kind in turn, of the Cases `known` (learn.refinement.study) in turn."""
-    rows = []
-    for i in tqdm(range(count), unit="start"):
+    done = {row["start"]: row for row in files.read_lines(Path(out) / "starts.jsonl")}
+    lines = Lines(Path(out) / "starts.jsonl")
+    for i in tqdm([i for i in range(count) if i not in done], unit="start"):
         batch, kind = known[i // len(STARTS) % len(known)].batch, STARTS[i % len(STARTS)]
         rng = torch.Generator().manual_seed(i)
         start = spoiled(predict(batch), kind, rng)
@@ -34,12 +38,15 @@ def measured(predict, known, count, out, settings=Settings()):  # noqa: B008 -- 
         level = tone.auto_exposure(seen, mask)
         image = [float(tone.display_l2(picture(p, p.label[0], batch), seen, level, mask)) for p in (start, told.prediction)]
         finite = all(bool(torch.isfinite(part).all()) for part in parts) and math.isfinite(told.after["total"])
-        rows.append({"kind": kind, "energy": [told.before["total"], told.after["total"]], "finite": finite, "image": image})
-        rows[-1]["seconds"] = told.seconds
-    images = np.array([row["image"] for row in rows])
+        done[i] = {"start": i, "kind": kind, "energy": [told.before["total"], told.after["total"]], "finite": finite, "image": image}
+        done[i]["seconds"] = told.seconds
+        lines.append(done[i])
+    lines.close()
+    rows = [done[i] for i in range(count)]
+    images = np.array([row["image"] for row in rows], float)  # null, read again, is NaN
     told = {
         "starts": len(rows),
-        "above_their_start": sum(row["energy"][1] > row["energy"][0] for row in rows),
+        "above_their_start": sum(row["finite"] and row["energy"][1] > row["energy"][0] for row in rows),
         "not_finite": sum(not row["finite"] for row in rows),
         "image_median": np.median(images, 0).tolist(),
         "median_change": float(np.median(images[:, 1]) / np.median(images[:, 0]) - 1),

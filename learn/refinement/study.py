@@ -126,7 +126,7 @@ def weights(predict, known, out, wanted=None, about=None):
     """
     out, wanted = Path(out), list(dict.fromkeys(wanted or names()))
     meant = {name: settings_of(name) for name in wanted}
-    files.settle(out / "settings.json", (about or {}) | {"defaults": json.loads(json.dumps(asdict(Settings())))})
+    settle(out, about)
     done = {(row["setting"], row["picture"]): row for row in files.read_lines(out / "rows.jsonl")}
     todo = [(name, case) for name in wanted for case in known if (name, case.id) not in done]
     with contextlib.closing(Lines(out / "rows.jsonl")) as lines:
@@ -140,6 +140,11 @@ def weights(predict, known, out, wanted=None, about=None):
     told = summary([done[name, case.id] for name in wanted for case in known])
     write(out / "study.json", told)
     return told
+
+
+def settle(out, about):
+    """Write down what lines in `out` depend on, or raise Problem where they depend on something else."""
+    files.settle(Path(out) / "settings.json", (about or {}) | {"defaults": json.loads(json.dumps(asdict(Settings())))})
 
 
 def summary(rows):

@@ -1,5 +1,6 @@
 """Bad input to `learn edit` and `learn transfer`: one line with the remedy and exit status 1, or dealt with."""
 
+import importlib
 import json
 import struct
 import zlib
@@ -123,6 +124,61 @@ def test_numbers_outside_their_range_are_refused(files, capsys):
 def test_predict_refuses_an_exposure_that_is_none(files, capsys, value):
     status, line = told(capsys, "predict", files / "photo.png", "--mask", files / "mask.png", "--exposure", value, "--out", files / "out")
     assert status == 1 and "--exposure" in line and not (files / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["edit", "predict"])
+def test_no_command_writes_over_what_it_reads(files, capsys, command):
+    (files / "photo.png").rename(files / "normals.png")
+    (files / "mask.png").rename(files / "disc.png")
+    before = (files / "normals.png").read_bytes()
+    more = ["--material", "brass"] if command == "edit" else []
+    words = [command, files / "normals.png", "--mask", files / "disc.png", *more, "--out", files, "--overwrite"]
+    status, line = told(capsys, *words)
+    assert status == 1 and "normals.png" in line and "another --out" in line and (files / "normals.png").read_bytes() == before
+
+
+def test_a_file_where_a_folder_is_to_be_is_told_before_any_work(files, capsys):
+    (files / "out").write_text("mine")
+    status, line = told(capsys, *edit(files))
+    assert status == 1 and "a file" in line and "--out" in line
+
+
+def test_a_white_balance_without_bounds_is_refused(files, capsys):
+    status, line = told(capsys, *edit(files, "--white-balance", "1e-30,1,1e30"))
+    assert status == 1 and "from 0.01 to 100" in line
+
+
+def test_a_material_that_reflects_more_than_numbers_hold_is_refused(files, capsys):
+    (files / "m.json").write_text(json.dumps({"label": [13.9] * 108}))
+    status, line = told(capsys, *edit(files, material=files / "m.json"))
+    assert status == 1 and "logarithms of κ up to 4.4" in line
+    (files / "m.json").write_text("[" * 100_000)
+    status, line = told(capsys, *edit(files, material=files / "m.json"))
+    assert status == 1 and "m.json" in line
+
+
+def test_coloured_regions_are_told_apart_and_turned_as_the_file_says(files):
+    values = np.zeros((*SIZE, 3), np.uint8)
+    values[:, 20:30], values[:, 30:40] = (255, 0, 0), (0, 130, 0)  # of one grey
+    Image.fromarray(values).save(files / "colours.png")
+    found = pictures.read_labels(files / "colours.png", SIZE)
+    assert found[0, 25] == 2 and found[0, 35] == 1 and found[0, 5] == 0
+    turned, exif = Image.fromarray(values).transpose(Image.Transpose.ROTATE_90), Image.Exif()
+    exif[0x0112] = 6  # turn it right for showing
+    turned.save(files / "turned.png", exif=exif)
+    np.testing.assert_array_equal(pictures.read_labels(files / "turned.png", SIZE), found)
+
+
+@pytest.mark.parametrize(("command", "words"), [("edit", "--overwrite replaces it"), ("card", "the same command continues")])
+def test_a_command_that_is_stopped_says_how_to_go_on(capsys, monkeypatch, command, words):
+    def stopped(options):
+        raise KeyboardInterrupt
+
+    module = importlib.import_module(f"learn.commands.{command}")
+    monkeypatch.setattr(module, "run", stopped)
+    given = {"edit": ["edit", "p.png", "--material", "brass", "--out", "o"], "card": ["card", "w", "--data", "d", "--out", "o"]}
+    assert main("learn", "test", COMMANDS, given[command]) == 130
+    assert words in capsys.readouterr().err
 
 
 def test_a_detail_out_of_range_is_told_the_ends_that_are_allowed(files, capsys):

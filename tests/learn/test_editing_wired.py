@@ -108,8 +108,42 @@ def test_an_edit_of_a_record_is_compared_with_its_truth_over_the_object_and_show
     assert told["mask"] == pytest.approx(tone.display_l2(picture, true, level, mask), rel=1e-4)
     assert told["frame"] == pytest.approx(tone.display_l2(picture, true, level), rel=1e-4)
     assert told["frame"] < 0.95 * told["mask"]  # the background, the same in both, is part of the frame
-    np.testing.assert_allclose(drawn["truth"][0], tone.display(true, level))
+    np.testing.assert_allclose(drawn["truth"][0][mask], tone.display(true, level)[mask])
     np.testing.assert_allclose(drawn["|difference|"][0], abs(tone.display(picture, level) - tone.display(true, level)), atol=0.1)
+
+
+def test_materials_given_one_by_one_are_all_made(photo):
+    words = ["edit", photo / "photo.png", "--mask", photo / "mask.png", "--no-refine", "--out", photo / "many"]
+    done(*words, "--material", "brass", "red-fabric", "--material", "blue-rubber")
+    assert json.loads((photo / "many" / "edit.json").read_text())["materials"] == ["brass", "red-fabric", "blue-rubber"]
+
+
+def test_files_of_one_name_make_pictures_of_their_own_and_a_plus_may_be_part_of_a_name(photo):
+    label = {"label": [float(x) for x in load_catalogue()["brass"].label.reshape(-1)]}
+    for folder in ("c++", "b"):
+        (photo / folder).mkdir()
+        (photo / folder / "material.json").write_text(json.dumps(label))
+    words = ["edit", photo / "photo.png", "--mask", photo / "mask.png", "--no-refine", "--out", photo / "two"]
+    done(*words, "--material", photo / "c++" / "material.json", photo / "b" / "material.json")
+    pictures = [np.asarray(Image.open(photo / "two" / f"edited-material-{k}.png")) for k in (1, 2)]
+    np.testing.assert_array_equal(*pictures)
+
+
+def test_a_transparent_photograph_stays_so_under_a_mask_and_on_the_sheet(photo, drawn):
+    picture, alpha = np.asarray(Image.open(photo / "photo.png")), np.full((40, 40), 255, np.uint8)
+    alpha[:, :6] = 0
+    Image.fromarray(np.dstack([picture, alpha])).save(photo / "half.png")
+    words = ["edit", photo / "half.png", "--mask", photo / "mask.png", "--material", "brass", "--no-refine", "--out", photo / "half"]
+    done(*words)
+    np.testing.assert_array_equal(np.asarray(Image.open(photo / "half" / "edited.png"))[..., 3], alpha)
+    for caption in ("photograph", "rendered again", "brass"):
+        np.testing.assert_allclose(drawn[caption][0][:, :6], sheet.GROUND)
+
+
+def test_every_ball_is_called_by_its_own_material(photo, drawn):
+    edited(photo, "both", "--no-refine", masks=("left", "right"), material="gold-paint+red-fabric")
+    assert {"gold-paint+red-fabric", "gold-paint", "red-fabric", "material 1", "material 2"} <= set(drawn)
+    assert abs(drawn["gold-paint"][0] - drawn["red-fabric"][0]).mean() > 5
 
 
 @pytest.mark.parametrize("name", ["a-in-b.png", "grid.png", "transfer.json"])

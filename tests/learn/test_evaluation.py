@@ -301,6 +301,28 @@ def test_weights_that_are_not_there_leave_no_settings_behind(options, tmp_path):
     run.make(options)
 
 
+def test_a_test_side_without_edits_is_told_as_such(data, options, tmp_path):
+    folder = tmp_path / "split"
+    shutil.copytree(data, folder)
+    records = Records(folder).records
+    records = [msgspec.structs.replace(r, split="test" if r is records[0] else "train") for r in records]
+    (folder / "records" / "worker-00.jsonl").write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in records))
+    with pytest.raises(Problem, match=f"pictures of the test side .* none among its 1 of {len(records)}"):
+        run.make(replace(options, data=folder))
+
+
+def test_a_folder_of_baselines_that_is_not_there_is_refused(options, tmp_path):
+    with pytest.raises(Problem, match="--baselines"):
+        run.make(replace(options, baselines=tmp_path / "typo"))
+
+
+def test_one_shape_and_material_decide_nothing(options):
+    told = run.make(replace(options, edits=1))
+    assert {row["cells"]["verdict"] for row in told["tables"]["differences"]["rows"]} == {
+        "undecided: two shapes and two materials are needed"
+    }
+
+
 def test_the_best_of_a_column_was_given_no_truth():
     column = {"key": "l2", "label": "L2 ↓"}
     rows = [("the layer alone", 1.0), ("constant light, true normals", 2.0), ("Lombardi-like", 3.0), ("ours", 4.0), ("Baseline 1", 5.0)]

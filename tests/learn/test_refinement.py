@@ -335,9 +335,9 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
     assert told["starts"]["starts"] == 5 and len(told["starts"]["by_kind"]) == 5
     assert told["study"]["default"]["image"][1] < told["study"]["default"]["image"][0]
     assert (tmp_path / "out" / "study.png").exists()
-    before = (tmp_path / "out" / "rows.jsonl").read_bytes()
-    assert main("learn", "t", COMMANDS, [*words, "--starts", "0"]) == 0
-    assert (tmp_path / "out" / "rows.jsonl").read_bytes() == before
+    before = [(tmp_path / "out" / name).read_bytes() for name in ("rows.jsonl", "starts.jsonl")]
+    assert main("learn", "t", COMMANDS, [*words, "--starts", "5"]) == 0
+    assert [(tmp_path / "out" / name).read_bytes() for name in ("rows.jsonl", "starts.jsonl")] == before
     with pytest.raises(SystemExit):
         main("learn", "t", COMMANDS, [*words, "--pictures", "0"])
     capsys.readouterr()
