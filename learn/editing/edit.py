@@ -172,15 +172,17 @@ def material_ball(label, found, size=BALL):
 
 def reflectance(found):
     """Captions and spheres of the first region: what the picture shows, what was predicted, what refinement made of it."""
-    mask, elevation = found.batch.segments[0].numpy() == 1, found.batch.elevation
+    first, elevation = found.batch.segments[0].numpy() == 1, found.batch.elevation
+    mask = first if first.any() else found.framed.mask  # too small to be seen at the network's size
     bright = tone.auto_exposure(found.framed.radiance, mask)
     n = found.parts.n[0].movedim(0, -1).numpy()
-    name = "reflectance map" if found.photograph.count == 1 else "reflectance map 1"
-    tiles = [(f"{name}, observed", sheet.observed(found.framed.radiance, n, mask, TILE, bright))]
+    what = "reflectance map" if found.photograph.count == 1 else "reflectance map 1"
+    tiles = [(f"{what}, observed", sheet.observed(found.framed.radiance, n, mask, TILE, bright))]
     stages = [("predicted", found.start)] + ([("refined", found.refined.prediction)] if found.refined else [])
-    return tiles + [
-        (f"reflectance map, {name}", sheet.ball(p.label[0, 0], p.light[0].movedim(0, -1), BALL, elevation, bright)) for name, p in stages
-    ]
+    for name, p in stages:
+        light = p.light[0].movedim(0, -1)
+        tiles.append((f"{what}, {name}", sheet.ball(p.label[0, 0], light, BALL, elevation, bright)))
+    return tiles
 
 
 def lines(found, again, edits, pick, truths, shown):

@@ -266,6 +266,11 @@ def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
     edited = Painter(found).edited([label_of("gold-paint")[0], None])
     np.testing.assert_array_equal(edited[regions == 2], radiance[regions == 2])
     assert abs(edited - radiance)[regions == 1].mean() > 0.02
+    swapped = opened(radiance, np.where(regions > 0, 3 - regions, 0).astype(np.uint8))
+    assert [caption for caption, _ in edit.reflectance(apart.taken(swapped, Knowing(label), 32))] == [
+        "reflectance map 1, observed",
+        "reflectance map 1, predicted",
+    ]
 
 
 def test_a_region_that_no_pixel_shows_has_a_label_in_every_network():
