@@ -1,13 +1,18 @@
 """A job from a file, from a preset's name, or from the command line's --mesh, --material and --light."""
 
+import json
+import math
 from pathlib import Path
 
+import msgspec
+
 from manifests.problems import Problem, closest
-from manifests.reading import read
+from manifests.reading import decode, read
 from manifests.schema import Camera, Draw, Job
 
 PRESETS = Path(__file__).resolve().parent.parent / "manifests" / "jobs"
 MAXIMUM_BYTES = 1 << 20
+OPTIONS = {"camera.fov_deg": "--fov", "shapes": "--mesh", "materials": "--material", "lights": "--light", "render": "render"}  # others: --KEY
 
 
 def presets():
@@ -30,9 +35,14 @@ def load(name_or_path):
 
 
 def from_options(options):
-    """The Job that `render --mesh … --material … --light …` means; options as argparse leaves them."""
+    """The Job that `render --mesh … --material … --light …` means; options as argparse leaves them.
+
+    Raises  Problem for what a job file would be refused for: dataset.json holds jobs, and is read back under the same limits
+    """
     height, width = size(options.size)
-    return Job(
+    if options.fov is not None and not math.isfinite(options.fov):  # no JSON can say so
+        raise Problem("--fov", "degrees from 1 to 120", str(options.fov), "write --fov 40, or leave it out for an orthographic camera")
+    job = Job(
         name="command line",
         shapes=tuple(options.mesh),
         materials=tuple(options.material),
@@ -45,6 +55,11 @@ def from_options(options):
         camera=Camera(size=(height, width), fov_deg=options.fov),
         seed=options.seed,
     )
+    try:
+        return decode(json.dumps(msgspec.to_builtins(job)).encode(), Job, "render")
+    except Problem as problem:
+        key = problem.where.removeprefix("render: ").partition("[")[0]
+        raise Problem(OPTIONS.get(key, f"--{key}"), problem.expected, problem.found, "see python -m factory render --help") from None
 
 
 def numbers(text, option, most):

@@ -97,6 +97,30 @@ def test_wrong_usage_is_told_with_the_remedy(command, tmp_path, monkeypatch, wor
     assert not (tmp_path / "X").exists() and not (tmp_path / "nowhere").exists()
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "says"),
+    [
+        ("--fov", "150", "--fov: float <= 120.0 expected, found 150.0;"),
+        ("--fov", "-5", "--fov: float >= 1.0 expected, found -5.0;"),
+        ("--fov", "nan", "--fov: degrees from 1 to 120 expected, found nan;"),
+        ("--fov", "inf", "--fov: degrees from 1 to 120 expected, found inf;"),
+        ("--samples", "2000000", "--samples: int <= 1048576 expected, found 2000000;"),
+        ("--seed", "99999999999999999999", "--seed: int <= 9223372036854775807 expected, found 99999999999999999999;"),
+        ("--seed", "-4", "--seed: int >= 0 expected, found -4;"),
+        ("--mesh", "", '--mesh: str of length >= 1 expected, found "";'),
+    ],
+)
+def test_a_number_that_no_job_file_may_hold_leaves_the_dataset_as_it_is(
+    command, render, small_job, catalogue, light_file, tmp_path, option, value, says
+):
+    render(small_job, tmp_path / "data", limit=1)
+    before = (tmp_path / "data" / "dataset.json").read_bytes()
+    words = ("--mesh", "cube", "--material", "small", "--light", light_file, "--catalogue", catalogue, "--out", tmp_path / "data")
+    status, said = command("render", *words, f"{option}={value}", "--limit", "1")
+    assert status == 1 and says in said and one_line(said)
+    assert (tmp_path / "data" / "dataset.json").read_bytes() == before
+
+
 @pytest.mark.parametrize("name", ["dataset.json", "materials.json"])
 @pytest.mark.parametrize(
     ("damage", "says"),
