@@ -18,7 +18,7 @@ from manifests.problems import Problem, closest
 FORMATS = (".obj", ".ply", ".glb", ".stl", ".off")
 MAXIMUM_TRIANGLES = 2_000_000
 BYTES_A_TRIANGLE = 250  # more than any format spends on one, OBJ with normals and texture coordinates included
-MORE = "reduce the mesh, or raise --max-triangles"
+MORE = "reduce the mesh, with Blender's Decimate modifier for instance (the limit is fixed but for `factory shapes`: --max-triangles)"
 AGAIN = "export it again"
 
 
