@@ -12,7 +12,8 @@ from manifests.schema import Camera, Draw, Job
 
 PRESETS = Path(__file__).resolve().parent.parent / "manifests" / "jobs"
 MAXIMUM_BYTES = 1 << 20
-OPTIONS = {"camera.fov_deg": "--fov", "shapes": "--mesh", "materials": "--material", "lights": "--light", "render": "render"}  # others: --KEY
+# What a job's keys are called on the command line, where it is not --KEY
+OPTIONS = {"camera.fov_deg": "--fov", "shapes": "--mesh", "materials": "--material", "lights": "--light", "render": "render"}
 
 
 def presets():
