@@ -66,17 +66,22 @@ def from_options(options):
 def numbers(text, option, most):
     """ "0,6" as (0, 6); "random:5" as a Draw. Raises Problem for anything else."""
     word, colon, count = text.partition(":")
-    if word == "random" and colon and count.isascii() and count.isdigit() and 1 <= int(count) <= most + 1:
+    if word == "random" and colon and _is_number(count) and 1 <= int(count) <= most + 1:
         return Draw(random=int(count))
     parts = text.split(",")
-    if not all(p.isascii() and p.isdigit() and int(p) <= most for p in parts):
+    if not all(_is_number(p) and int(p) <= most for p in parts):
         raise Problem(option, f"numbers from 0 to {most}", f"'{text}'", f"write {option} 0,6 or {option} random:5")
     return tuple(int(p) for p in parts)
+
+
+def _is_number(text):
+    """True for digits alone, and not so many that int refuses them."""
+    return text.isascii() and text.isdigit() and len(text) < 20
 
 
 def size(text):
     """ "128" as (128, 128), "128x256" as height and width. Raises Problem."""
     parts = text.lower().split("x")
-    if len(parts) > 2 or not all(p.isascii() and p.isdigit() and 4 <= int(p) <= 8192 for p in parts):
+    if len(parts) > 2 or not all(_is_number(p) and 4 <= int(p) <= 8192 for p in parts):
         raise Problem("--size", "pixels from 4 to 8192", f"'{text}'", "write --size 128, or --size 128x256 for height and width")
     return int(parts[0]), int(parts[-1])

@@ -78,11 +78,15 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(comman
         (["render", "dmeo", "--out", "X"], "did you mean demo", 1),
         (["render", "demo", "--out", "X", "--workers", "0"], "--workers", 2),
         (["render", "demo", "--out", "X", "--shard", "9/8"], "1 ≤ I ≤ N", 1),
+        (["render", "demo", "--out", "X", "--shard", "²/3"], "1 ≤ I ≤ N expected, found '²/3'", 1),
+        (["render", "demo", "--out", "X", "--shard", "1/" + "9" * 5000], "1 ≤ I ≤ N", 1),
+        (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "9" * 5000, "--out", "X"], "pixels from 4 to 8192", 1),
+        (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "9" * 5000, "--out", "X"], "numbers from 0 to 23", 1),
         (["render", "demo", "--out", "X", "--device", "abacus"], "--device", 2),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "24", "--out", "X"], "numbers from 0 to 23", 1),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "0", "--out", "X"], "pixels from 4 to 8192", 1),
         (["plan"], "a job expected", 1),
-        (["plan", "nowhere.json"], "nowhere.json", 1),
+        (["plan", "nowhere.json"], "nowhere.json: a JSON file expected, found nothing; check the path", 1),
         (["status", "nowhere"], "a dataset", 1),
         (["verify", "nowhere"], "a dataset", 1),
         (["preview", "nowhere"], "a dataset", 1),
@@ -119,6 +123,21 @@ def test_a_number_that_no_job_file_may_hold_leaves_the_dataset_as_it_is(
     status, said = command("render", *words, f"{option}={value}", "--limit", "1")
     assert status == 1 and says in said and one_line(said)
     assert (tmp_path / "data" / "dataset.json").read_bytes() == before
+
+
+def test_a_job_file_with_windows_byte_order_mark_is_read(command, a_job, catalogue):
+    path, _ = a_job
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert command("plan", path, "--catalogue", catalogue, "--no-probe") == (0, "")
+
+
+def test_the_help_of_render_names_every_preset(capsys):
+    from factory import jobs
+
+    with pytest.raises(SystemExit):
+        main("factory", "", COMMANDS, ["render", "--help"])
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("Presets: "))
+    assert line.removeprefix("Presets: ").partition(";")[0].split(", ") == list(jobs.presets())
 
 
 @pytest.mark.parametrize("name", ["dataset.json", "materials.json"])
