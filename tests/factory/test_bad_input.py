@@ -213,6 +213,20 @@ def test_missing_files_are_named_and_made_again_after_repair(command, render, sm
     assert command("verify", tmp_path / "data")[0] == 0
 
 
+def test_a_preview_replaces_a_page_only_when_told(command, render, small_job, tmp_path):
+    render(small_job, tmp_path / "data", limit=1)
+    page, sheet = tmp_path / "site" / "index.html", tmp_path / "site" / "sheet.png"
+    page.parent.mkdir()
+    page.write_text("mine")
+    words = ("preview", tmp_path / "data", "--out", page.parent, "--size", "16")
+    status, said = command(*words)
+    assert status == 1 and "index.html: no earlier file expected, found one; give another --out, or --overwrite" in said and one_line(said)
+    assert page.read_text() == "mine" and not sheet.exists()
+    assert command(*words, "--overwrite")[0] == 0
+    assert page.read_text() != "mine" and sheet.exists()
+    assert command(*words)[0] == 1 and command(*words, "--overwrite")[0] == 0
+
+
 def test_a_light_file_that_is_gone_is_named(command, a_job, catalogue, tmp_path, render, small_job):
     path, _ = a_job
     (tmp_path / "lamp.exr").unlink()
