@@ -30,7 +30,7 @@ demo: $(VENV)/installed
 	@echo "Rendering and comparing: about eight minutes on two cores. Stopped at any time, the same command continues."
 	$(VENV)/bin/python -m factory render $(JOB) --out $(OUT)/data --workers $(WORKERS)
 	$(VENV)/bin/python -m factory verify $(OUT)/data
-	$(VENV)/bin/python -m factory preview $(OUT)/data --out $(OUT)/preview
+	$(VENV)/bin/python -m factory preview $(OUT)/data --out $(OUT)/preview --overwrite
 	$(VENV)/bin/python -m learn agree $(OUT)/data --out $(OUT)/agreement $(AGREE_FLAGS)
 	$(VENV)/bin/python -m learn predict $(OUT)/data --out $(OUT)/prediction --overwrite
 	$(VENV)/bin/python -m learn predict $(OUT)/prediction/picture.png --mask $(OUT)/prediction/mask.png --out $(OUT)/photograph --overwrite

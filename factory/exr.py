@@ -5,23 +5,13 @@ geometry  normal.X, normal.Y, normal.Z (float, camera frame) and depth.Z (float)
           half by .03°, a tenth of chrome's lobe), and files shrink by 20 to 60 %; segment (uint32; 0: background: mask = segment > 0)
 """
 
-import contextlib
-import io
-
 import numpy as np
 
-from factory.quiet import silenced
 from manifests import exr
 from manifests.problems import Problem
 
 GEOMETRY_STEPS = np.float32(1 << 15)  # a unit
 LARGEST_HALF = 65504.0  # a sun seen in a mirror may exceed it; it is far above any exposure's white
-
-
-def read(path):
-    """Channels of a file, as manifests.exr reads them, but in silence: the library prints errors besides raising them."""
-    with silenced(2), contextlib.redirect_stdout(io.StringIO()):
-        return exr.read(path)
 
 
 def _stacked(path, channels, names):
@@ -39,7 +29,7 @@ def write_picture(path, radiance):
 
 def read_picture(path):
     """Radiance (height, width, 3) float32."""
-    return _stacked(path, read(path), ("R", "G", "B")).astype(np.float32)
+    return _stacked(path, exr.read(path), ("R", "G", "B")).astype(np.float32)
 
 
 def write_geometry(path, geometry):
@@ -51,7 +41,7 @@ def write_geometry(path, geometry):
 
 def read_geometry(path):
     """normals (height, width, 3) float32, mask (height, width) bool, depth (height, width) float32, segments (height, width) uint8."""
-    channels = read(path)
+    channels = exr.read(path)
     normals = _stacked(path, channels, ("normal.X", "normal.Y", "normal.Z")).astype(np.float32)
     depth, segments = (_stacked(path, channels, (name,))[..., 0] for name in ("depth.Z", "segment"))
     return normals, segments > 0, depth.astype(np.float32), segments.astype(np.uint8)

@@ -1,13 +1,19 @@
 """A job from a file, from a preset's name, or from the command line's --mesh, --material and --light."""
 
+import json
+import math
 from pathlib import Path
 
+import msgspec
+
 from manifests.problems import Problem, closest
-from manifests.reading import read
+from manifests.reading import decode, read
 from manifests.schema import Camera, Draw, Job
 
 PRESETS = Path(__file__).resolve().parent.parent / "manifests" / "jobs"
 MAXIMUM_BYTES = 1 << 20
+# What a job's keys are called on the command line, where it is not --KEY
+OPTIONS = {"camera.fov_deg": "--fov", "shapes": "--mesh", "materials": "--material", "lights": "--light", "render": "render"}
 
 
 def presets():
@@ -30,9 +36,14 @@ def load(name_or_path):
 
 
 def from_options(options):
-    """The Job that `render --mesh … --material … --light …` means; options as argparse leaves them."""
+    """The Job that `render --mesh … --material … --light …` means; options as argparse leaves them.
+
+    Raises  Problem for what a job file would be refused for: dataset.json holds jobs, and is read back under the same limits
+    """
     height, width = size(options.size)
-    return Job(
+    if options.fov is not None and not math.isfinite(options.fov):  # no JSON can say so
+        raise Problem("--fov", "degrees from 1 to 120", str(options.fov), "write --fov 40, or leave it out for an orthographic camera")
+    job = Job(
         name="command line",
         shapes=tuple(options.mesh),
         materials=tuple(options.material),
@@ -45,22 +56,32 @@ def from_options(options):
         camera=Camera(size=(height, width), fov_deg=options.fov),
         seed=options.seed,
     )
+    try:
+        return decode(json.dumps(msgspec.to_builtins(job)).encode(), Job, "render")
+    except Problem as problem:
+        key = problem.where.removeprefix("render: ").partition("[")[0]
+        raise Problem(OPTIONS.get(key, f"--{key}"), problem.expected, problem.found, "see python -m factory render --help") from None
 
 
 def numbers(text, option, most):
     """ "0,6" as (0, 6); "random:5" as a Draw. Raises Problem for anything else."""
     word, colon, count = text.partition(":")
-    if word == "random" and colon and count.isascii() and count.isdigit() and 1 <= int(count) <= most + 1:
+    if word == "random" and colon and _is_number(count) and 1 <= int(count) <= most + 1:
         return Draw(random=int(count))
     parts = text.split(",")
-    if not all(p.isascii() and p.isdigit() and int(p) <= most for p in parts):
+    if not all(_is_number(p) and int(p) <= most for p in parts):
         raise Problem(option, f"numbers from 0 to {most}", f"'{text}'", f"write {option} 0,6 or {option} random:5")
     return tuple(int(p) for p in parts)
+
+
+def _is_number(text):
+    """True for digits alone, and not so many that int refuses them."""
+    return text.isascii() and text.isdigit() and len(text) < 20
 
 
 def size(text):
     """ "128" as (128, 128), "128x256" as height and width. Raises Problem."""
     parts = text.lower().split("x")
-    if len(parts) > 2 or not all(p.isascii() and p.isdigit() and 4 <= int(p) <= 8192 for p in parts):
+    if len(parts) > 2 or not all(_is_number(p) and 4 <= int(p) <= 8192 for p in parts):
         raise Problem("--size", "pixels from 4 to 8192", f"'{text}'", "write --size 128, or --size 128x256 for height and width")
     return int(parts[0]), int(parts[-1])

@@ -242,7 +242,7 @@ def planned(job, assets):
 def parsed_shard(text):
     """ "3/8" as (3, 8). Raises Problem."""
     i, slash, n = text.partition("/")
-    if not (slash and i.isdigit() and n.isdigit() and 1 <= int(i) <= int(n)):
+    if not (slash and text.isascii() and len(text) < 20 and i.isdigit() and n.isdigit() and 1 <= int(i) <= int(n)):
         raise Problem("--shard", "I/N with 1 ≤ I ≤ N", f"'{text}'", "write --shard 1/8 for the first of eight parts")
     return int(i), int(n)
 

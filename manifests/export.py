@@ -54,8 +54,13 @@ def _flat(value, prefix=""):
 
 
 def to_tars(store: Store, folder, split=None, each=1000, watch=None):
-    """Write the records and their files as numbered tars of `each` records; returns how many tars. Files are checked to be inside."""
+    """Write the records and their files as numbered tars of `each` records; returns how many tars. Files are checked to be inside.
+
+    Raises  Problem if the folder holds tars: those beyond the new ones' numbers would pass for records of this export
+    """
     folder, records = Path(folder), chosen(store, split)
+    if earlier := sorted(folder.glob("*.tar")):
+        raise Problem(folder, "a folder without tars", earlier[0].name, "name another folder, or remove this one first")
     if not records:
         raise Problem(store.folder, "records to export", "none", "render some, or choose another --split")
     folder.mkdir(parents=True, exist_ok=True)

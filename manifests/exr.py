@@ -1,10 +1,13 @@
 """OpenEXR files read and written the same way on both sides of the contract: whole or not there at all."""
 
+import contextlib
+import io
 import os
 
 import numpy as np
 
 from manifests.problems import Problem
+from manifests.quiet import silenced
 
 MAX_PIXELS = 1 << 26  # 8192²: a header may ask for more than there is memory
 
@@ -14,6 +17,11 @@ def read(path):
 
     Raises  Problem for a file that is missing, truncated, no EXR, or larger than MAX_PIXELS
     """
+    with silenced(2), contextlib.redirect_stdout(io.StringIO()):  # the library prints each error besides raising it, by C and by Python
+        return _read(path)
+
+
+def _read(path):
     import OpenEXR
 
     if not os.path.isfile(path):

@@ -3,6 +3,7 @@
 path  the key's place as msgspec gives it, "$.camera.size[0]"; a user sees "camera.size[0]"
 """
 
+import codecs
 import re
 from pathlib import Path
 from typing import get_args
@@ -23,13 +24,14 @@ def read(path, type_, maximum_bytes=MAXIMUM_BYTES):
     try:
         size = path.stat().st_size
     except FileNotFoundError:
-        near = closest(path.name, [p.name for p in path.parent.glob("*.json")]) if path.parent.is_dir() else "the folder is missing too"
-        raise Problem(path, "a JSON file", "nothing", near) from None
+        names = [p.name for p in path.parent.glob("*.json")]
+        remedy = closest(path.name, names) if names else "check the path" if path.parent.is_dir() else "the folder is missing too"
+        raise Problem(path, "a JSON file", "nothing", remedy) from None
     if path.is_dir():
         raise Problem(path, "a JSON file", "a folder", "name the file")
     if size > maximum_bytes:
         raise Problem(path, f"at most {maximum_bytes >> 20} MiB", f"{size >> 20} MiB", "check that this is the right file")
-    return decode(path.read_bytes(), type_, path)
+    return decode(path.read_bytes().removeprefix(codecs.BOM_UTF8), type_, path)  # editors on Windows write the mark
 
 
 def decode(data, type_, where):

@@ -17,6 +17,7 @@ def register(subparsers):
     parser.add_argument("--size", type=int, default=128, metavar="PIXELS", help="of each picture (default 128)")
     parser.add_argument("--material", metavar="NAME", help="only records with this material")
     parser.add_argument("--tier", choices=("direct", "shadow", "full"), help="only records of this tier")
+    parser.add_argument("--overwrite", action="store_true", help="replace what is there")
     parser.set_defaults(run=run)
 
 
@@ -36,12 +37,15 @@ def run(options):
     materials = load_catalogue(options.folder / "materials.json")
     if not (1 <= options.count <= 1000 and 16 <= options.size <= 2048):
         raise Problem("preview", "--count 1 to 1000 and --size 16 to 2048", f"{options.count} and {options.size}", "choose smaller ones")
+    out = options.out or options.folder.with_name(options.folder.name + "-preview")
+    there = [out / name for name in ("sheet.png", "index.html") if (out / name).exists()]
+    if there and not options.overwrite:
+        raise Problem(there[0], "no earlier file", "one", "give another --out, or --overwrite")
     chosen = spread(store, options)
     if not chosen:
         raise Problem(options.folder, "records", "none that fit", "render some, or drop --material and --tier")
     rows = [row(store, dataset, materials, record, options.size) for record in tqdm(chosen, desc="preview", unit="record", delay=1.0)]
     captions = [caption(record) for record in chosen]
-    out = options.out or options.folder.with_name(options.folder.name + "-preview")
     out.mkdir(parents=True, exist_ok=True)
     sheet(rows, captions, options.size).save(out / ".sheet.part.png")
     os.replace(out / ".sheet.part.png", out / "sheet.png")

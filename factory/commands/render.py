@@ -6,12 +6,13 @@ import time
 from manifests.problems import Problem
 
 EPILOG = """examples
-  python -m factory render demo --out out/demo                         a preset: demo, agreement, pretrain, finetune, multi-material
+  python -m factory render demo --out out/demo                         a preset (all are named below)
   python -m factory render my-job.json --out out/mine --workers 2      your own job
   python -m factory render geometry --out out/geometry --workers 2     geometry alone, with materials and lights to relight it
   python -m factory render my-job.json --out out/mine --shard 3/8      part 3 of a job array of 8; all write into one folder
   python -m factory render --mesh chair.obj --material brass --light city --views 0,6 --size 128 --out out/chair
 
+Presets: agreement, demo, finetune, geometry, multi-material, pretrain, smallest, test; `plan --presets` says what each is for.
 Run the same command again to continue: what is there is not rendered twice, and a second job into the same folder adds to it.
 Exit status: 0 all pictures made, 1 some failed (failures.jsonl says why), 2 wrong usage."""
 

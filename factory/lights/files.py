@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from factory.lights import rgbe
-from factory.quiet import silenced
 from manifests.problems import Problem
+from manifests.quiet import silenced
 
 SUFFIXES = (".hdr", ".exr", ".npz")
 MAX_HEIGHT = 4096  # rows; a map of 8192 × 4096 takes 0.4 GB here, and no render of ours can tell it from a larger one

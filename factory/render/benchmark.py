@@ -102,8 +102,8 @@ class _BareLoop:
         import bpy
         import mathutils
 
-        from factory.quiet import silenced
         from factory.render import film
+        from manifests.quiet import silenced
 
         for view in range(VIEWS):
             angle = 2 * np.pi * view / VIEWS

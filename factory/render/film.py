@@ -11,7 +11,7 @@ import contextlib
 import bpy
 import numpy as np
 
-from factory.quiet import silenced
+from manifests.quiet import silenced
 
 _passes = {}
 _tapping = True

@@ -18,7 +18,7 @@ from manifests.problems import Problem, closest
 FORMATS = (".obj", ".ply", ".glb", ".stl", ".off")
 MAXIMUM_TRIANGLES = 2_000_000
 BYTES_A_TRIANGLE = 250  # more than any format spends on one, OBJ with normals and texture coordinates included
-MORE = "reduce the mesh, or raise --max-triangles"
+MORE = "reduce the mesh, with Blender's Decimate modifier for instance (the limit is fixed but for `factory shapes`: --max-triangles)"
 AGAIN = "export it again"
 
 
@@ -99,9 +99,10 @@ def _count_obj(file, size, where):
     triangles, vertices, seen = 0, 0, 0
     for line in _lines(file, where):
         seen += 1
-        if line.startswith(b"f"):
+        key = line.split(None, 1)[:1]  # tabs and indents are white space as well
+        if key == [b"f"]:
             triangles += max(len(line.split()) - 3, 0)
-        elif line.startswith(b"v "):
+        elif key == [b"v"]:
             vertices += 1
     if vertices == 0:
         raise Problem(where, "an OBJ file with 'v' and 'f' lines", f"{seen} lines, no vertex among them", AGAIN)
@@ -205,10 +206,11 @@ def _parse_obj(file, where):
     vertices, corners, lengths, material, names, current, lines = [], [], [], [], {}, 0, 0
     for number, line in enumerate(_lines(file, where), 1):
         words = line.split()
+        key = words[0] if words else b""
         try:
-            if line.startswith(b"v "):
+            if key == b"v":
                 vertices.append((float(words[1]), float(words[2]), float(words[3])))
-            elif line.startswith(b"f "):
+            elif key == b"f":
                 polygon = [int(word.split(b"/", 1)[0]) for word in words[1:]]
                 polygon = [index - 1 if index > 0 else len(vertices) + index for index in polygon]
                 if len(polygon) < 3:  # some exporters write lines so
@@ -219,7 +221,7 @@ def _parse_obj(file, where):
                 corners.extend(polygon)
                 lengths.append(len(polygon))
                 material.append(current)
-            elif line.startswith(b"usemtl"):
+            elif key == b"usemtl":
                 current = names.setdefault(b" ".join(words[1:]).decode("utf-8", "replace"), len(names) + 1)
         except (ValueError, IndexError):
             raise Problem(f"{where}: line {number}", "a vertex or face", f"'{_glimpse(line)}'", AGAIN) from None

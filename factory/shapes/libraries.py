@@ -5,7 +5,7 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from factory.shapes.files import BYTES_A_TRIANGLE, FORMATS, MAXIMUM_TRIANGLES
+from factory.shapes.files import BYTES_A_TRIANGLE, FORMATS, MAXIMUM_TRIANGLES, MORE
 from manifests.problems import Problem, closest
 
 SYNSETS = {"02958343": "car", "03001627": "chair", "04256520": "sofa", "03211117": "monitor"}  # ShapeNet's names of the paper's categories
@@ -118,7 +118,7 @@ def _extract(archive, name, path, most):
             f"{path}#{name}",
             f"at most {bound:,} bytes unpacked",
             f"{info.file_size:,}",
-            "a file that swells so is not a mesh; raise --max-triangles if it is",
+            f"a file that swells so is hardly a mesh; if it is one, {MORE}",
         )
     try:
         with archive.open(info) as file:

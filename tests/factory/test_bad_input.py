@@ -78,11 +78,15 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(comman
         (["render", "dmeo", "--out", "X"], "did you mean demo", 1),
         (["render", "demo", "--out", "X", "--workers", "0"], "--workers", 2),
         (["render", "demo", "--out", "X", "--shard", "9/8"], "1 ≤ I ≤ N", 1),
+        (["render", "demo", "--out", "X", "--shard", "²/3"], "1 ≤ I ≤ N expected, found '²/3'", 1),
+        (["render", "demo", "--out", "X", "--shard", "1/" + "9" * 5000], "1 ≤ I ≤ N", 1),
+        (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "9" * 5000, "--out", "X"], "pixels from 4 to 8192", 1),
+        (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "9" * 5000, "--out", "X"], "numbers from 0 to 23", 1),
         (["render", "demo", "--out", "X", "--device", "abacus"], "--device", 2),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "24", "--out", "X"], "numbers from 0 to 23", 1),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "0", "--out", "X"], "pixels from 4 to 8192", 1),
         (["plan"], "a job expected", 1),
-        (["plan", "nowhere.json"], "nowhere.json", 1),
+        (["plan", "nowhere.json"], "nowhere.json: a JSON file expected, found nothing; check the path", 1),
         (["status", "nowhere"], "a dataset", 1),
         (["verify", "nowhere"], "a dataset", 1),
         (["preview", "nowhere"], "a dataset", 1),
@@ -95,6 +99,45 @@ def test_wrong_usage_is_told_with_the_remedy(command, tmp_path, monkeypatch, wor
     assert found == status and says in said
     assert status == 2 or one_line(said)
     assert not (tmp_path / "X").exists() and not (tmp_path / "nowhere").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "says"),
+    [
+        ("--fov", "150", "--fov: float <= 120.0 expected, found 150.0;"),
+        ("--fov", "-5", "--fov: float >= 1.0 expected, found -5.0;"),
+        ("--fov", "nan", "--fov: degrees from 1 to 120 expected, found nan;"),
+        ("--fov", "inf", "--fov: degrees from 1 to 120 expected, found inf;"),
+        ("--samples", "2000000", "--samples: int <= 1048576 expected, found 2000000;"),
+        ("--seed", "99999999999999999999", "--seed: int <= 9223372036854775807 expected, found 99999999999999999999;"),
+        ("--seed", "-4", "--seed: int >= 0 expected, found -4;"),
+        ("--mesh", "", '--mesh: str of length >= 1 expected, found "";'),
+    ],
+)
+def test_a_number_that_no_job_file_may_hold_leaves_the_dataset_as_it_is(
+    command, render, small_job, catalogue, light_file, tmp_path, option, value, says
+):
+    render(small_job, tmp_path / "data", limit=1)
+    before = (tmp_path / "data" / "dataset.json").read_bytes()
+    words = ("--mesh", "cube", "--material", "small", "--light", light_file, "--catalogue", catalogue, "--out", tmp_path / "data")
+    status, said = command("render", *words, f"{option}={value}", "--limit", "1")
+    assert status == 1 and says in said and one_line(said)
+    assert (tmp_path / "data" / "dataset.json").read_bytes() == before
+
+
+def test_a_job_file_with_windows_byte_order_mark_is_read(command, a_job, catalogue):
+    path, _ = a_job
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert command("plan", path, "--catalogue", catalogue, "--no-probe") == (0, "")
+
+
+def test_the_help_of_render_names_every_preset(capsys):
+    from factory import jobs
+
+    with pytest.raises(SystemExit):
+        main("factory", "", COMMANDS, ["render", "--help"])
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("Presets: "))
+    assert line.removeprefix("Presets: ").partition(";")[0].split(", ") == list(jobs.presets())
 
 
 @pytest.mark.parametrize("name", ["dataset.json", "materials.json"])
@@ -168,6 +211,20 @@ def test_missing_files_are_named_and_made_again_after_repair(command, render, sm
     assert command("verify", tmp_path / "data", "--repair")[0] == 0
     assert render(small_job, tmp_path / "data").made == 1
     assert command("verify", tmp_path / "data")[0] == 0
+
+
+def test_a_preview_replaces_a_page_only_when_told(command, render, small_job, tmp_path):
+    render(small_job, tmp_path / "data", limit=1)
+    page, sheet = tmp_path / "site" / "index.html", tmp_path / "site" / "sheet.png"
+    page.parent.mkdir()
+    page.write_text("mine")
+    words = ("preview", tmp_path / "data", "--out", page.parent, "--size", "16")
+    status, said = command(*words)
+    assert status == 1 and "index.html: no earlier file expected, found one; give another --out, or --overwrite" in said and one_line(said)
+    assert page.read_text() == "mine" and not sheet.exists()
+    assert command(*words, "--overwrite")[0] == 0
+    assert page.read_text() != "mine" and sheet.exists()
+    assert command(*words)[0] == 1 and command(*words, "--overwrite")[0] == 0
 
 
 def test_a_light_file_that_is_gone_is_named(command, a_job, catalogue, tmp_path, render, small_job):

@@ -98,6 +98,18 @@ def test_broken_pieces_are_dropped_and_named(tmp_path):
     assert "1 faces of no area dropped" in mesh.report.cleaned and "70 doubled faces dropped" in mesh.report.cleaned
 
 
+@pytest.mark.parametrize("white", [lambda line: "  " + line, lambda line: line.replace(" ", "\t"), lambda line: "\t" + line + " \r"])
+def test_an_obj_s_words_are_parted_by_any_white_space(tmp_path, white):
+    """Some lines only: a file of which some were dropped would be a mesh as well."""
+    vertices, faces = arrow()
+    names = np.where(np.arange(len(faces)) < 99, "top", "foot")
+    path = write_obj(tmp_path / "a.obj", in_y_up(vertices), faces, names)
+    plain = open_mesh(f"{path}?segments=materials")
+    path.write_text("".join((white(line) if k % 3 else line) + "\n" for k, line in enumerate(path.read_text().splitlines())))
+    mesh = open_mesh(f"{path}?segments=materials")
+    assert mesh.hash == plain.hash and mesh.report.triangles == len(faces)
+
+
 def test_faces_of_two_corners_are_dropped_and_named(tmp_path):
     vertices, faces = arrow()
     path = write_obj(tmp_path / "a.obj", in_y_up(vertices), faces)

@@ -41,6 +41,14 @@ def test_a_record_that_points_outside_is_not_exported(a_dataset, a_record, tmp_p
     assert not list((tmp_path / "out").glob("*.tar"))
 
 
+def test_an_earlier_export_s_tars_do_not_stay_among_the_new_ones(a_dataset, tmp_path):
+    to_tars(a_dataset, tmp_path / "out", each=1)
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.tar")}
+    with pytest.raises(Problem, match=r"out: a folder without tars expected, found 000000\.tar; name another folder"):
+        to_tars(a_dataset, tmp_path / "out")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.tar")} == before and len(before) == 3
+
+
 def test_an_empty_choice_is_refused(a_dataset, tmp_path):
     with pytest.raises(Problem, match="records to export expected, found none"):
         to_tars(a_dataset, tmp_path / "out", split="test")

@@ -24,8 +24,8 @@ def chair(studio):
 def test_pixels_equal_blenders_own_file_bit_for_bit(chair, tmp_path):
     import bpy
 
-    from factory.quiet import silenced
     from factory.render import film
+    from manifests.quiet import silenced
     from manifests.schema import Camera
 
     chair.set_camera(Camera(size=(40, 56)))

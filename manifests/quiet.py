@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import functools
 import os
 import sys
 import threading
@@ -9,10 +10,15 @@ import threading
 _TURNING = {1: threading.Lock(), 2: threading.Lock()}  # two threads that turn the same descriptor would restore each other's nowhere
 
 
+@functools.cache
+def _c():
+    return ctypes.CDLL(None) if os.name == "posix" else ctypes.cdll.msvcrt
+
+
 def _flush():
     """What Python and C hold back is written now, to where it belongs."""
     sys.stdout.flush()
-    ctypes.CDLL(None).fflush(None)
+    _c().fflush(None)
 
 
 @contextlib.contextmanager
