@@ -89,6 +89,7 @@ class Bench:
             predicted["light"] = (batch.n, batch.label, parts.light)
         if parts.n is not None and parts.label is not None and parts.light is not None:
             predicted["all"] = (parts.n, parts.label, parts.light)
+            predicted["all_true_light"] = (parts.n, parts.label, batch.light)
         for name, three in predicted.items():
             key = ("rendered", *map(id, three))
             if key not in done:

@@ -32,6 +32,7 @@ PICTURE = [
     LPIPS,
 ]
 GIVEN = [column("l2_true_light", "L2, light given ↓", 1, True), column("l2_true_normals", "L2, normals given ↓", 1, True)]
+LIT = [column("l2", "L2, light given ↓", 1, True)]
 NORMALS = [
     column("mean_deg", "mean ° ↓", 2, True),
     column("median_deg", "median ° ↓", 2, True),
@@ -276,6 +277,7 @@ def all_of(pictures, edits):
     )
     normals_alone = "The method's normals, with true material and light, rendered again (the paper's Table 2)."
     light_alone = "The method's light, with true normals and material, rendered again."
+    again = "All three parts of the method. Light given: were the light not predicted but true."
     given = (
         "Light given, normals given: the same edits were that part not predicted but true. It shows where the error comes from. "
         "Lombardi-like is given true normals, as in the paper."
@@ -285,7 +287,9 @@ def all_of(pictures, edits):
         "differences": differences(E),
         "gains": gains(E),
         "refinement": refinement(P),
-        "rerendered": by_method(P, "Pictures rendered again", "All three parts of the method.", [(("rendered_all",), PICTURE, "")]),
+        "rerendered": by_method(
+            P, "Pictures rendered again", again, [(("rendered_all",), PICTURE, ""), (("rendered_all_true_light",), LIT, "_lit")]
+        ),
         "material": by_method(P, "Material", material_alone, [(("material",), MATERIAL, ""), (("rendered_material",), SHORT, "_rendered")]),
         "normals": by_method(P, "Normals", normals_alone, [(("normals",), NORMALS, ""), (("rendered_normals",), SHORT, "_rendered")]),
         "light": by_method(P, "Light", light_alone, [(("light",), LIGHT, ""), (("rendered_light",), SHORT, "_rendered")]),
