@@ -32,10 +32,10 @@ def run(options):
         raise Problem("export", "--parquet FILE or --tars DIR2", "neither", "name what to write")
     if options.each < 1:
         raise Problem("--each", "1 or more", str(options.each), "1000 suits most")
-    if options.parquet:
-        print(f"{options.parquet}: {to_parquet(store, options.parquet, options.split)} records")
-    if options.tars:
+    if options.tars:  # first: it may be refused, and then nothing is written
         with tqdm(desc="exporting", unit="record", delay=1.0) as bar:
             count = to_tars(store, options.tars, options.split, options.each, bar.update)
         print(f"{options.tars}: {count} tars")
+    if options.parquet:
+        print(f"{options.parquet}: {to_parquet(store, options.parquet, options.split)} records")
     return 0

@@ -9,10 +9,11 @@ import pytest
 from factory.commands.verify import geometry_faults
 from manifests.command_line import main
 from manifests.problems import Problem
+from manifests.schema import Dataset
 from manifests.store import Store
 from manifests.verification import faults_in_files, faults_in_records
 
-COMMANDS = ("plan", "render", "status", "verify", "preview")
+COMMANDS = ("plan", "render", "status", "verify", "preview", "export")
 
 
 @pytest.fixture
@@ -287,3 +288,13 @@ def test_a_disk_that_is_full_from_the_start_is_told_in_one_line(render, small_jo
     (tiny_disk / "filler").write_bytes(b"x" * 150_000)
     with pytest.raises((Problem, OSError), match="No space left on device"):
         render(small_job, tiny_disk / "data")
+
+
+def test_an_export_that_is_refused_has_written_nothing(tmp_path, command, monkeypatch):
+    store, written = Store(tmp_path / "data"), []
+    store.write_json("dataset.json", Dataset())
+    monkeypatch.setattr("manifests.export.to_parquet", lambda *_: written.append(1))
+    (tmp_path / "tars").mkdir()
+    (tmp_path / "tars" / "000000.tar").write_bytes(b"")
+    status, said = command("export", store.folder, "--parquet", tmp_path / "all.parquet", "--tars", tmp_path / "tars")
+    assert status == 1 and "a folder without tars" in said and not written
