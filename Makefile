@@ -27,7 +27,7 @@ JOB         ?= demo
 AGREE_FLAGS ?=
 
 demo: $(VENV)/installed
-	@echo "Rendering and comparing: about eight minutes on two cores. Stopped at any time, the same command continues."
+	@echo "Rendering and comparing: eight to fifteen minutes on two cores. Stopped at any time, the same command continues."
 	$(VENV)/bin/python -m factory render $(JOB) --out $(OUT)/data --workers $(WORKERS)
 	$(VENV)/bin/python -m factory verify $(OUT)/data
 	$(VENV)/bin/python -m factory preview $(OUT)/data --out $(OUT)/preview --overwrite
