@@ -10,11 +10,12 @@ import numpy as np
 import torch
 from PIL import Image
 
-from learn import files, pictures
+from learn import pictures
 from learn.dataset import Records
 from learn.editing.sheet import rows as captioned
 from learn.training import checkpoint, measures, sheet
 from learn.training.batch import Batch
+from manifests import files
 from manifests.materials import load_catalogue
 from manifests.problems import Problem
 from shaders import tone

@@ -28,6 +28,7 @@ def run(options):
     from tqdm import tqdm
 
     from factory.contact_sheet import caption, page, row, sheet
+    from manifests import files
     from manifests.materials import load_catalogue
     from manifests.problems import Problem
     from manifests.store import Store
@@ -38,9 +39,7 @@ def run(options):
     if not (1 <= options.count <= 1000 and 16 <= options.size <= 2048):
         raise Problem("preview", "--count 1 to 1000 and --size 16 to 2048", f"{options.count} and {options.size}", "choose smaller ones")
     out = options.out or options.folder.with_name(options.folder.name + "-preview")
-    there = [out / name for name in ("sheet.png", "index.html") if (out / name).exists()]
-    if there and not options.overwrite:
-        raise Problem(there[0], "no earlier file", "one", "give another --out, or --overwrite")
+    files.claim(out, ("sheet.png", "index.html"), options.overwrite)
     chosen = spread(store, options)
     if not chosen:
         raise Problem(options.folder, "records", "none that fit", "render some, or drop --material and --tier")

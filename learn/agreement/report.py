@@ -1,7 +1,6 @@
 """The whole comparison: every scene of a dataset, then the files that tell of it."""
 
 import heapq
-import json
 import os
 import platform
 import subprocess
@@ -19,6 +18,7 @@ from learn.agreement.measure import measure, rendered
 from learn.agreement.scenes import scenes
 from learn.agreement.summary import summarise
 from learn.dataset import Records
+from manifests import files
 from manifests.problems import Problem
 
 PANELS = 9  # pictures shown, the worst of the direct tier first
@@ -111,13 +111,6 @@ def about(options):
     }
 
 
-def write(out, name, text):
-    """A text file by way of a temporary name."""
-    temporary = out / f".{name}.part"
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(out / name)
-
-
 def make(options):
     """Compare, and write report.json, report.md, index.html and the charts to options.out. Returns the summary."""
     rows, panels = compare(options)
@@ -125,16 +118,9 @@ def make(options):
     options.out.mkdir(parents=True, exist_ok=True)
     drawn = plots.draw(options.out, summary, rows)
     report = {"about": origin, "summary": summary, "conditions": [row.to_json() for row in rows]}
-    write(options.out, "report.json", json.dumps(finite(report), indent=1, allow_nan=False))
-    write(options.out, "report.md", page.markdown(summary, origin))
-    write(options.out, "index.html", page.web(summary, origin, {options.out / name: caption for name, caption in drawn.items()}, panels))
+    files.write_json(options.out / "report.json", report)
+    files.write_text(options.out / "report.md", page.markdown(summary, origin))
+    files.write_text(
+        options.out / "index.html", page.web(summary, origin, {options.out / name: caption for name, caption in drawn.items()}, panels)
+    )
     return summary
-
-
-def finite(value):
-    """The same with NaN as null: a figure that does not exist for a picture, such as SSIM of a tiny one."""
-    if isinstance(value, dict):
-        return {key: finite(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(inner) for inner in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from learn.commands.numbers import positive
+
 
 def register(subparsers):
     parser = subparsers.add_parser(
@@ -22,13 +24,6 @@ def register(subparsers):
         help="relative error allowed to the layer's integral (default 0.004; less is slower)",
     )
     parser.set_defaults(run=run)
-
-
-def positive(text):
-    value = int(text)
-    if value < 1:
-        raise ValueError(text)
-    return value
 
 
 def fraction(text):

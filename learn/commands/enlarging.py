@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from learn.commands.evaluate import positive
+from learn.commands.numbers import positive
 
 
 def register(subparsers):

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from learn.commands.numbers import positive
+
 
 def register(subparsers):
     parser = subparsers.add_parser(
@@ -30,13 +32,6 @@ def register(subparsers):
     parser.add_argument("--processes", type=positive, metavar="N", help="at work at once (default: one a core)")
     parser.add_argument("--gallery", type=int, default=12, metavar="N", help="edits that are shown as pictures (default 12)")
     parser.set_defaults(run=run)
-
-
-def positive(text):
-    value = int(text)
-    if value < 1:
-        raise ValueError(text)
-    return value
 
 
 def run(options):

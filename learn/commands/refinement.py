@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from learn.commands.evaluate import positive
+from learn.commands.numbers import positive, whole
 
 
 def register(subparsers):
@@ -19,7 +19,7 @@ def register(subparsers):
     parser.add_argument("--pictures", type=positive, default=12, metavar="N", help="of the study (default 12)")
     parser.add_argument(
         "--starts",
-        type=int,
+        type=whole,
         default=100,
         metavar="N",
         help="refinements from starts of five kinds, one of each a picture (default 100; 0: none)",
@@ -32,13 +32,6 @@ def register(subparsers):
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="which pictures")
     parser.set_defaults(run=run)
-
-
-def whole(text):
-    value = int(text)
-    if value < 0:
-        raise ValueError(text)
-    return value
 
 
 def run(options):
@@ -63,9 +56,10 @@ def run(options):
     }
     records = Records(options.data)
     study.settle(options.out, about)
-    known = study.cases(records, options.pictures, options.seed)
+    needed = -(-options.starts // len(starts.STARTS))  # one start of each kind a picture
+    known = study.cases(records, max(options.pictures, needed), options.seed)
     if options.only is None or options.only:
-        told = study.weights(predict, known, options.out, options.only, about)
+        told = study.weights(predict, known[: options.pictures], options.out, options.only)
         chart.chart(told, options.out / "study.png")
     batch = known[0].batch
     times = {f"{len(b.image[0, 0])}": study.timed(predict, b) for b in (batch, study.doubled(batch))}
@@ -73,8 +67,7 @@ def run(options):
     for size, seconds in times.items():
         print(f"{size}²: prediction {seconds['predict']:.2f} s, refinement {seconds['refine']:.1f} s")
     if options.starts:
-        known = study.cases(records, -(-options.starts // len(starts.STARTS)), options.seed)  # one start of each kind a picture
-        told = starts.measured(predict, known, options.starts, options.out)
+        told = starts.measured(predict, known[:needed], options.starts, options.out)
         print(
             f"{told['starts']} starts: {told['above_their_start']} ended above, {told['not_finite']} not finite, re-rendering's median "
             f"display L2 {told['image_median'][0]:.0f} → {told['image_median'][1]:.0f} ({100 * told['median_change']:+.0f} %)"

@@ -7,10 +7,11 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
-from learn import files, pictures, prediction
+from learn import pictures, prediction
 from learn.editing import apart, photograph, sheet, wanted
 from learn.evaluation import pairs
 from learn.training import checkpoint
+from manifests import files
 from manifests.problems import Problem
 from shaders import tone
 
@@ -77,8 +78,7 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
 
 def choices(text, regions, predict, known=None):
     """Labels a region, each (108,) or None, that a text asks for; `predict`, `known` as learn.editing.wanted.label_of has them."""
-    whole = wanted.is_file(text)  # a file's name may hold a plus
-    parts = [wanted.label_of(part, predict, known) for part in ([text] if whole else text.split("+"))]
+    parts = [wanted.label_of(part, predict, known) for part in wanted.parts_of(text)]
     if len(parts) == 1 and parts[0] is not None and len(parts[0]) > 1:
         parts = [part[None] for part in parts[0]]
     if len(parts) not in (1, regions):
@@ -200,13 +200,11 @@ def lines(found, again, edits, pick, truths, shown):
     first += [(f"material {s}" if several else "material", material_ball(label, found)) for s, label in enumerate(parts.label[0], 1)]
     out = [first, reflectance(found)]
     for text, edited in edits.items():
-        parts_of = text.split("+") if len(text.split("+")) == len(pick[text]) else [text] * len(pick[text])
+        names = wanted.parts_of(text) if len(wanted.parts_of(text)) == len(pick[text]) else [text] * len(pick[text])
         balls = {
-            sheet.caption_of(name): material_ball(label, found)
-            for name, label in zip(parts_of, pick[text], strict=True)
-            if label is not None
+            wanted.caption_of(name): material_ball(label, found) for name, label in zip(names, pick[text], strict=True) if label is not None
         }
-        line = [("photograph", first[0][1]), (sheet.caption_of(text), display(edited, shown)), *balls.items()]
+        line = [("photograph", first[0][1]), (wanted.caption_of(text), display(edited, shown)), *balls.items()]
         true = truths.get(text)
         if true is not None:
             level = tone.auto_exposure(true, opened.mask)
@@ -218,7 +216,7 @@ def lines(found, again, edits, pick, truths, shown):
 
 def truth(opened, text):
     """(H, W, 3) of the record of the same scene in the materials that a text asks for, or None where the dataset has none."""
-    record, names = opened.record, text.split("+")
+    record, names = opened.record, wanted.parts_of(text)
     names = names * len(record.materials) if len(names) == 1 else names
     asked = tuple(own if name == wanted.KEEP else name for name, own in zip(names, record.materials, strict=False))  # hidden ones unasked
     same = (r for r in opened.records.records if pairs.scene(r) == pairs.scene(record) and r.materials[: len(asked)] == asked)

@@ -4,7 +4,6 @@ Each twice: with our parts, refined, and with true ones at the network's size, w
 OUT/rows.jsonl  a line an edit: the same command goes on from them, and with more --edits adds to them
 """
 
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from tqdm import tqdm
 
-from learn import files, intervals, pictures
+from learn import intervals, pictures
 from learn.agreement.measure import similarity
 from learn.editing import apart, enlarging, photograph
 from learn.evaluation import pairs
@@ -21,6 +20,7 @@ from learn.networks.prediction import Prediction
 from learn.refinement import Settings
 from learn.timing.report import made_by
 from learn.training import checkpoint
+from manifests import files
 from manifests.problems import Problem
 from manifests.store import Lines, file_hash
 from shaders import tone
@@ -38,7 +38,7 @@ def study(records, weights, out, count, seed=0):
         raise Problem(records.folder, f"pictures of {2 * size} pixels or more, twice the network's", found, 'render them with "size"')
     settings, known, out = Settings(), {}, Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    files.settle(out / "settings.json", {"weights": file_hash(weights), "refinement": json.loads(json.dumps(asdict(settings)))})
+    files.settle(out / "settings.json", {"weights": file_hash(weights), "refinement": asdict(settings)})
     done, lines = {row["edit"] for row in files.read_lines(out / "rows.jsonl")}, Lines(out / "rows.jsonl")
     for edit in tqdm([edit for edit in edits if edit.id not in done], "edits", unit="edit"):
         if edit.source.id not in known:

@@ -9,8 +9,9 @@ Y  mean luminance of the object in the file, linear; P pictures
 
 import numpy as np
 
-from learn import files, intervals, pictures
+from learn import intervals, pictures
 from learn.timing.report import made_by
+from manifests import files
 from manifests.problems import Problem
 from shaders import tone
 from shaders.envmap import LUMINANCE

@@ -3,8 +3,6 @@
 Tiles are (size, size, 3) display values in [0, 255]; a reflectance map is the picture of a sphere: radiance by normal.
 """
 
-from pathlib import Path
-
 import numpy as np
 import torch
 from PIL import Image, ImageDraw
@@ -49,11 +47,6 @@ def fitting(caption, length):
     """A caption of at most `length` letters: of a longer one its beginning and its end."""
     half = (length - 1) // 2
     return caption if len(caption) <= length else f"{caption[:half]}…{caption[len(caption) - half :]}"
-
-
-def caption_of(text):
-    """What a wanted material is called on a sheet: names as they are, of files their own name."""
-    return "+".join(Path(part).name for part in text.split("+")) or text
 
 
 def normals(n, mask):

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from learn import files
 from learn.editing import apart, edit, photograph, sheet
 from learn.training import checkpoint
+from manifests import files
 from manifests.problems import Problem
 from shaders import tone
 
@@ -47,8 +47,8 @@ def run(paths, mask_folder, out, how, per_grid=6, overwrite=False):
     pairs = [f"{a.stem}-in-{b.stem}.png" for group in groups for a in group for b in group if a is not b]
     files.claim(out, [*names, *pairs, "transfer.json"], overwrite, paths)
     network, metadata = checkpoint.load_parts(how.weights)
-    for path in paths:
-        opened(path, mask_folder, how)  # what is wrong with any of them is said before the first is worked on
+    for path in (path for group in groups[1:] for path in group):
+        opened(path, mask_folder, how)  # what is wrong with any is said before the first is worked on; kept they would fill the memory
     out.mkdir(parents=True, exist_ok=True)
     told = []
     with tqdm(total=sum(len(group) ** 2 for group in groups), unit="picture") as progress:

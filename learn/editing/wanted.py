@@ -76,8 +76,16 @@ def is_file(text):
         return False
 
 
+def parts_of(text):
+    """What is wanted of each region: "A+B" parted, but not the name of a file, which may hold a plus."""
+    return [text] if is_file(text) else text.split("+")
+
+
+def caption_of(text):
+    """What a wanted material is called on a sheet: names as they are, of files their own name."""
+    return "+".join(Path(part).name for part in parts_of(text))
+
+
 def file_name(text):
     """What a wanted material's file is called."""
-    if is_file(text):
-        text = Path(text).stem
-    return re.sub(r"[^A-Za-z0-9+_-]+", "-", "+".join(Path(part).stem for part in text.split("+"))).strip("-") or "material"
+    return re.sub(r"[^A-Za-z0-9+_-]+", "-", "+".join(Path(part).stem for part in parts_of(text))).strip("-") or "material"

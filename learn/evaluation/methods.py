@@ -18,7 +18,7 @@ from learn.networks.prediction import Prediction
 from manifests.materials import load_catalogue
 
 REFINED = ("Baseline 2",)  # of the baselines, those that the paper refines too
-GIVEN = ("the layer alone", "Lombardi-like")  # besides those with "true" in their name: shown a part of what the others predict
+GIVEN_TRUTH = ("the layer alone", "Lombardi-like")  # besides those with "true" in their name: shown a part of what the others predict
 METHOD = "quadrature"  # the integral, not the paper's sum: of a mirror-like lobe the sum alone is 200 display L2 off
 TOLERANCE = 5e-3  # at 1e-2 one of 75 true edits was 0.7 display L2 off by it, at 5e-3 none 0.1
 

@@ -5,7 +5,7 @@ import html
 from learn.agreement.page import png
 from learn.evaluation import gallery
 from learn.evaluation.gallery import FULL
-from learn.evaluation.methods import GIVEN
+from learn.evaluation.methods import GIVEN_TRUTH
 
 STYLE = """
 :root{color-scheme:light dark;--ink:#1f2933;--soft:#5b6b79;--line:#dfe5ea;--back:#fbfcfd;--card:#fff;--mine:#e9f2ee;
@@ -119,7 +119,7 @@ def web_table(each):
 def _best(rows, column):
     """The name of the row that does best in a column with an arrow, all that is given truth left out."""
     sign = 1 if "↓" in column["label"] else -1 if "↑" in column["label"] else 0
-    given = (*GIVEN, *(row["name"] for row in rows if "true" in row["name"]))
+    given = (*GIVEN_TRUTH, *(row["name"] for row in rows if "true" in row["name"]))
     cells = {row["name"]: row["cells"].get(column["key"]) for row in rows if row["name"] not in given}
     there = {name: sign * cell[0] for name, cell in cells.items() if isinstance(cell, list)}
     return min(there, key=there.get) if sign and len(there) > 1 else None

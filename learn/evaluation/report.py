@@ -6,10 +6,10 @@ from pathlib import Path
 
 import msgspec
 
-from learn import files
 from learn.evaluation import page, tables
 from learn.evaluation.methods import OURS, OURS_REFINED
 from learn.timing.report import made_by
+from manifests import files
 from manifests.store import file_hash
 
 CURVE = "radiance × exposure, clipped to [0, 1], sRGB curve (IEC 61966-2-1), × 255; exposure: the truth's 99th percentile of luminance → 1"

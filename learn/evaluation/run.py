@@ -8,7 +8,6 @@ OUT/report.json, report.md, index.html
 A kill loses the pictures in flight. The same command goes on; a larger --edits adds to what is there.
 """
 
-import json
 import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -19,12 +18,12 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
-from learn import files
 from learn.dataset import Records
 from learn.evaluation import pairs, report
 from learn.evaluation.bench import Bench
 from learn.evaluation.methods import TOLERANCE
 from learn.refinement import Settings
+from manifests import files
 from manifests.problems import Problem
 from manifests.store import Lines, file_hash
 
@@ -89,7 +88,7 @@ def settings(options):
         "materials": file_hash(Path(options.data) / "materials.json"),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
         "baselines": of_baselines,
-        "refine": json.loads(json.dumps(asdict(Settings()))) if options.refine else False,
+        "refine": asdict(Settings()) if options.refine else False,
         "tolerance": TOLERANCE,
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),

@@ -12,10 +12,10 @@ import torch
 import torch.nn.functional as F
 from tqdm import tqdm
 
-from learn import files
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings, refine
 from learn.refinement.study import picture, write
+from manifests import files
 from manifests.materials import load_catalogue
 from manifests.store import Lines
 from shaders import tone

@@ -8,7 +8,6 @@ Display L2 over the mask, exposure from the truth; edit: the mean over the other
 """
 
 import contextlib
-import json
 import time
 from collections import defaultdict
 from dataclasses import asdict, dataclass, replace
@@ -18,13 +17,13 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from learn import files
 from learn.evaluation import pairs
 from learn.layer import render
 from learn.refinement import NAMED, Settings, refine
 from learn.timing.report import made_by
 from learn.training.batch import Batch
 from learn.training.measures import irradiance
+from manifests import files
 from manifests.problems import Problem
 from manifests.store import Lines
 from shaders import tone
@@ -117,16 +116,14 @@ def figures(parts, batch, truths):
     }
 
 
-def weights(predict, known, out, wanted=None, about=None):
+def weights(predict, known, out, wanted=None):
     """study.json in `out`, a row for each setting over Cases; returns its settings' figures.
 
     predict  Batch → Prediction
     wanted   names of settings, None for all
-    about    {name: value}: what of data and weights the figures depend on. Raises Problem for a folder that was begun with others
     """
     out, wanted = Path(out), list(dict.fromkeys(wanted or names()))
     meant = {name: settings_of(name) for name in wanted}
-    settle(out, about)
     done = {(row["setting"], row["picture"]): row for row in files.read_lines(out / "rows.jsonl")}
     todo = [(name, case) for name in wanted for case in known if (name, case.id) not in done]
     with contextlib.closing(Lines(out / "rows.jsonl")) as lines:
@@ -143,8 +140,8 @@ def weights(predict, known, out, wanted=None, about=None):
 
 
 def settle(out, about):
-    """Write down what lines in `out` depend on, or raise Problem where they depend on something else."""
-    files.settle(Path(out) / "settings.json", (about or {}) | {"defaults": json.loads(json.dumps(asdict(Settings())))})
+    """Write down what lines in `out` depend on; Problem where they depend on something else. about: {name: value} of data and weights."""
+    files.settle(Path(out) / "settings.json", about | {"defaults": asdict(Settings())})
 
 
 def summary(rows):

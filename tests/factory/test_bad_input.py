@@ -221,7 +221,9 @@ def test_a_preview_replaces_a_page_only_when_told(command, render, small_job, tm
     page.write_text("mine")
     words = ("preview", tmp_path / "data", "--out", page.parent, "--size", "16")
     status, said = command(*words)
-    assert status == 1 and "index.html: no earlier file expected, found one; give another --out, or --overwrite" in said and one_line(said)
+    assert (
+        status == 1 and "index.html: no earlier result expected, found one; give another --out, or --overwrite" in said and one_line(said)
+    )
     assert page.read_text() == "mine" and not sheet.exists()
     assert command(*words, "--overwrite")[0] == 0
     assert page.read_text() != "mine" and sheet.exists()

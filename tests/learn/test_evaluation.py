@@ -11,7 +11,6 @@ import pytest
 import torch
 from synthetic import matte, write_dataset, write_exr
 
-from learn import files
 from learn.dataset import Records
 from learn.evaluation import bench, methods, page, pairs, run
 from learn.layer import render
@@ -20,6 +19,7 @@ from learn.networks.compact import Compact
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings
 from learn.training.checkpoint import save_weights
+from manifests import files
 from manifests.problems import Problem
 from manifests.store import Lines
 from shaders import tone

@@ -14,7 +14,6 @@ import torch
 from synthetic import matte, write_dataset
 
 import learn.refinement
-from learn import files
 from learn.baselines.encoder_decoder import EncoderDecoder
 from learn.baselines.separate import Separate
 from learn.commands import evaluate
@@ -27,6 +26,7 @@ from learn.networks.prediction import Prediction
 from learn.refinement import Refined, Settings
 from learn.refinement.settings import Level
 from learn.training.checkpoint import save_weights
+from manifests import files
 from manifests.problems import Problem
 from shaders import tone
 

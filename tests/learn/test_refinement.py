@@ -256,15 +256,17 @@ def test_a_study_has_a_row_a_picture_goes_on_where_it_was_and_refuses_other_weig
     made, refine_ = [], study.refine
     monkeypatch.setattr(study, "refine", lambda batch, start, settings: made.append(settings.a) or refine_(batch, start, QUICK))
     start = spoiled(scene[1], 3)
-    told = study.weights(lambda _: start, known_cases(scene, 3), tmp_path, ["default", "a=1"], {"weights": "one"})
+    told = study.weights(lambda _: start, known_cases(scene, 3), tmp_path, ["default", "a=1"])
     assert told["default"]["pictures"] == told["a=1"]["pictures"] == 3
     assert made == [0.05] * 3 + [1.0] * 3
     made.clear()
-    fewer = study.weights(lambda _: start, known_cases(scene, 2), tmp_path, ["default"], {"weights": "one"})
+    fewer = study.weights(lambda _: start, known_cases(scene, 2), tmp_path, ["default"])
     assert not made and set(fewer) == {"default"} and fewer["default"]["pictures"] == 2
     assert json.loads((tmp_path / "study.json").read_text()).keys() == {"made_by", "default"}
+    study.settle(tmp_path, {"weights": "one"})
+    study.settle(tmp_path, {"weights": "one"})
     with pytest.raises(Problem, match="other weights"):
-        study.weights(lambda _: start, known_cases(scene, 2), tmp_path, ["default"], {"weights": "two"})
+        study.settle(tmp_path, {"weights": "two"})
 
 
 def test_a_weight_moved_beside_the_default_alone_is_charted(tmp_path):
@@ -338,6 +340,7 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
     before = [(tmp_path / "out" / name).read_bytes() for name in ("rows.jsonl", "starts.jsonl")]
     assert main("learn", "t", COMMANDS, [*words, "--starts", "5"]) == 0
     assert [(tmp_path / "out" / name).read_bytes() for name in ("rows.jsonl", "starts.jsonl")] == before
-    with pytest.raises(SystemExit):
-        main("learn", "t", COMMANDS, [*words, "--pictures", "0"])
+    for wrong in (["--pictures", "0"], ["--starts", "-3"]):
+        with pytest.raises(SystemExit):
+            main("learn", "t", COMMANDS, [*words, *wrong])
     capsys.readouterr()

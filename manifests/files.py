@@ -60,8 +60,9 @@ def read_lines(path):
 def settle(path, wanted):
     """Write down what the figures beside `path` depend on, or check that it is what is there. Raises Problem.
 
-    wanted  {name: value} that JSON holds
+    wanted  {name: value} that JSON can hold; a tuple is a list there
     """
+    wanted = json.loads(json.dumps(wanted))
     if not path.exists():
         write_json(path, wanted)
         return

@@ -1,0 +1,17 @@
+"""Numbers that options take: functions for argparse's `type`, which turns their ValueError into a line of usage."""
+
+
+def positive(text):
+    """A whole number from 1. Raises ValueError."""
+    value = int(text)
+    if value < 1:
+        raise ValueError(text)
+    return value
+
+
+def whole(text):
+    """A whole number from 0. Raises ValueError."""
+    value = int(text)
+    if value < 0:
+        raise ValueError(text)
+    return value
