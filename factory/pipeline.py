@@ -5,7 +5,6 @@ geometry  of a shape from a view is rendered once a dataset: it is read back if 
 light     stored map and rotation; a whole map is averaged to a width that is a multiple of 128, for rotations are whole texels
 """
 
-import errno
 import time
 from collections import OrderedDict
 from contextlib import contextmanager
@@ -13,10 +12,10 @@ from contextlib import contextmanager
 import msgspec
 import numpy as np
 
-from factory import exr
 from factory.plan import TEXELS, Shot
 from factory.render import checks
 from factory.shape_names import Source, load_mesh
+from manifests.arrays import encode_geometry, encode_picture, read_geometry
 from manifests.schema import Job, Record, Statistics, View
 from manifests.store import file_hash, geometry_path, image_path
 from manifests.viewpoints import azimuths_deg
@@ -120,7 +119,7 @@ class Pipeline:
             raise BadShot("; ".join(faults))
         image = image_path(shot.id)
         with self._timed("writing"):
-            image_hash = self.store.place(image, lambda path: _write(exr.write_picture, path, radiance), self.worker)
+            image_hash = self.store.place(image, encode_picture(radiance), self.worker)
         return self._record(shot, geometry, image, image_hash, _statistics(radiance, geometry), time.perf_counter() - start)
 
     @contextmanager
@@ -179,7 +178,7 @@ class Pipeline:
             return self._geometries[shot.geometry]
         path = geometry_path(shot.geometry)
         if (self.store.folder / path).exists():
-            mask = exr.read_geometry(self.store.folder / path)[1]
+            mask = read_geometry(self.store.folder / path).mask
             digest = file_hash(self.store.folder / path)
         else:
             with self._timed("geometry"):
@@ -187,7 +186,7 @@ class Pipeline:
                 mask = seen.mask
                 if faults := checks.geometry(seen, self._segments):
                     raise BadShot("; ".join(faults))
-                digest = self.store.place(path, lambda temporary: _write(exr.write_geometry, temporary, seen), self.worker, keep_first=True)
+                digest = self.store.place(path, encode_geometry(seen), self.worker, keep_first=True)
         held = _Geometry(path, digest, mask, float(mask.mean()))
         self._geometries[shot.geometry] = held
         if len(self._geometries) > HELD:
@@ -220,14 +219,6 @@ class Pipeline:
             statistics=statistics,
             seconds=round(seconds, 4),
         )
-
-
-def _write(write, path, what):
-    """Write by OpenEXR, whose RuntimeError for a full or failing disk becomes an OSError."""
-    try:
-        write(path, what)
-    except RuntimeError as error:
-        raise OSError(errno.EIO, str(error), str(path)) from None
 
 
 def load_shape(entry):

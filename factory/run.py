@@ -7,7 +7,6 @@ from itertools import islice
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
 from factory.fingerprint import render_fingerprint
 from factory.pipeline import Assignment, LightSource, ShapeSource
@@ -15,7 +14,8 @@ from factory.plan import Plan
 from factory.pool import Pool, setup_for
 from factory.worker import STUDIO
 from manifests import lock
-from manifests.materials import Catalogue, read_catalogue, write
+from manifests.arrays import encode_light
+from manifests.materials import Catalogue, encode, read_catalogue
 from manifests.problems import Problem
 from manifests.schema import Dataset, Failure, LightEntry, MaterialEntry, Order, ShapeEntry
 from manifests.splits import light_side
@@ -165,7 +165,7 @@ def _light_entry(store, light, plan):
     """The entry of a light, its stored map put in place unless it is there."""
     file = light_path(light.name, light.hash)
     if not (store.folder / file).exists():
-        store.place(file, lambda path: _save_map(path, light.L64, light.scale), "main", keep_first=True)
+        store.place(file, encode_light(light.L64, light.scale), "main", keep_first=True)
     return LightEntry(
         hash=light.hash,
         file=file,
@@ -175,11 +175,6 @@ def _light_entry(store, light, plan):
         source=light.origin,
         side=light_side(light.hash),
     )
-
-
-def _save_map(path, L, scale):
-    with open(path, "wb") as file:
-        np.savez_compressed(file, L=np.asarray(L, np.float32), scale=np.float64(scale))
 
 
 def _write_materials(store, materials):
@@ -192,7 +187,7 @@ def _write_materials(store, materials):
     catalogue = Catalogue(
         title="The materials of this dataset", credit="each entry names its source and licence", materials=tuple(entries.values())
     )
-    store.place("materials.json", lambda temporary: write(catalogue, temporary), "main")
+    store.place("materials.json", encode(catalogue), "main")
 
 
 def _note_settings(store, plan, reply):

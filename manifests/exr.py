@@ -2,10 +2,11 @@
 
 import contextlib
 import io
-import os
 
 import numpy as np
 
+from manifests.files import write_bytes
+from manifests.inputs import require_file
 from manifests.problems import Problem
 from manifests.quiet import silenced
 
@@ -17,6 +18,7 @@ def read(path):
 
     Raises  Problem for a file that is missing, truncated, no EXR, or larger than MAX_PIXELS
     """
+    require_file(path, "an OpenEXR file", "render or copy it again")
     with silenced(2), contextlib.redirect_stdout(io.StringIO()):  # the library prints each error besides raising it, by C and by Python
         return _read(path)
 
@@ -24,8 +26,6 @@ def read(path):
 def _read(path):
     import OpenEXR
 
-    if not os.path.isfile(path):
-        raise Problem(path, "an OpenEXR file", "none", "render or copy it again")
     try:
         with OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
             low, high = (np.asarray(corner, np.int64) for corner in file.header()["dataWindow"])
@@ -40,21 +40,18 @@ def _read(path):
         raise Problem(path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again") from None
 
 
-def write(path, channels):
-    """Writes channels, name → (height, width) array of float16, float32 or uint32, to a temporary name, then renames it to `path`.
-
-    Raises  OSError if it cannot be written, with the system's reason; nothing is left behind then
-    """
+def encode(channels):
+    """The bytes of an OpenEXR file of channels, name → (height, width) array of float16, float32 or uint32."""
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    temporary = f"{path}.{os.getpid()}.part"  # the process's own: two workers never write one file's draft
-    try:
-        with OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}) as file:
-            file.write(temporary)
-        os.replace(temporary, path)
-    except RuntimeError as error:  # the library's word for a full disk, a missing folder, and all else
-        raise OSError(f"{path}: {str(error).splitlines()[0]}") from None
-    finally:
-        if os.path.exists(temporary):
-            os.unlink(temporary)
+    buffer = io.BytesIO()  # not a path: the library passes over the error of its last flush to a file
+    contiguous = {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    with OpenEXR.File(header, contiguous) as file:
+        file.write(buffer)
+    return buffer.getvalue()
+
+
+def write(path, channels):
+    """Writes channels as `encode` takes them, whole or not at all. Raises OSError with the system's reason."""
+    write_bytes(path, encode(channels))

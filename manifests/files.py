@@ -1,11 +1,142 @@
-"""Files that results are kept in: written whole or not at all, and gone on with only by what made them."""
+"""Files that results are kept in: written whole or not at all, and continued only by the settings that made them.
 
+Every writer of the project goes through `replacing` or `write_bytes`. Libraries write into memory, or into the plain
+stream that `replacing` yields, never to a path: OpenEXR, numpy and others pass over the error of their last flush, so
+that a full disk would leave a short or empty file which looks finished.
+"""
+
+import io
+import itertools
 import json
 import math
 import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from manifests.problems import Problem
+
+_DRAFT = itertools.count()  # two threads of one process never write one file's draft
+
+
+class _Draft(io.RawIOBase):
+    """A stream that writes every byte it is given or raises OSError with the final file's name.
+
+    It is no `io.FileIO`, so numpy writes through it and not past it by C, whose late errors are lost.
+    """
+
+    def __init__(self, descriptor: int, target: Path):
+        self._descriptor, self._target = descriptor, target
+
+    def write(self, data: Any) -> int:
+        view = memoryview(data).cast("B")
+        written = 0
+        while written < len(view):
+            try:
+                written += os.write(self._descriptor, view[written:])
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(self._target)) from None
+        return len(view)
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        return os.lseek(self._descriptor, offset, whence)
+
+    def tell(self) -> int:
+        return os.lseek(self._descriptor, 0, os.SEEK_CUR)
+
+    def seekable(self) -> bool:
+        return True
+
+    def writable(self) -> bool:
+        return True
+
+
+@contextmanager
+def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[BinaryIO]:
+    """A binary stream whose content takes the place of the file at `path` when the block ends without an error.
+
+    draft   where the unfinished file lies, on the same file system; None: beside `path`, under a hidden name
+    Raises  OSError with the system's reason; the earlier file is then still there, and no draft is left behind
+
+    The bytes are on the disk before the name is (fsync, then rename). An empty file is refused: no format of
+    this project has one, and writers that swallow errors leave them.
+    """
+    path = Path(path)
+    draft = draft or path.with_name(f".{path.name[:200]}.{os.getpid()}-{next(_DRAFT)}.part")
+    try:
+        descriptor = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    try:
+        try:
+            yield _Draft(descriptor, path)
+            try:
+                if not os.fstat(descriptor).st_size:
+                    raise ValueError(f"{path}: nothing was written; an empty file is never kept")
+                os.fsync(descriptor)
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(path)) from None
+        finally:
+            os.close(descriptor)
+        os.replace(draft, path)
+    finally:
+        if os.path.lexists(draft):
+            os.unlink(draft)
+
+
+def write_bytes(path: str | os.PathLike, data: bytes) -> None:
+    """Put `data` at `path`, whole or not at all. Raises as `replacing`."""
+    with replacing(path) as file:
+        file.write(data)
+
+
+def write_with(path: str | os.PathLike, save: Callable[[BinaryIO], Any]) -> None:
+    """Put at `path` what `save(file)` writes, by way of memory: for libraries that lose the errors of a disk.
+
+    Use `replacing` for what is too large to be held in memory. Raises as `replacing`.
+    """
+    buffer = io.BytesIO()
+    save(buffer)
+    write_bytes(path, buffer.getvalue())
+
+
+def write_image(path: str | os.PathLike, pixels: Any, format: str | None = None, **options: Any) -> None:
+    """Write display values as PNG or JPEG.
+
+    pixels   (height, width[, 3 or 4]) uint8 array, or a Pillow image
+    format   "PNG", "JPEG"; None: by the ending of `path`
+    options  of Pillow's `save`
+    """
+    from PIL import Image
+
+    image = pixels if isinstance(pixels, Image.Image) else Image.fromarray(pixels)
+    if format is None:
+        format = {".jpg": "JPEG", ".jpeg": "JPEG"}.get(Path(path).suffix.lower(), "PNG")
+    write_with(path, lambda file: image.save(file, format=format, **options))
+
+
+def npz_bytes(arrays: Mapping[str, Any], compressed: bool = True) -> bytes:
+    """The bytes of an .npz file of `arrays`, {name: array}."""
+    import numpy as np
+
+    buffer = io.BytesIO()
+    (np.savez_compressed if compressed else np.savez)(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def write_npz(path: str | os.PathLike, arrays: Mapping[str, Any], compressed: bool = True) -> None:
+    """Write an .npz file of `arrays`, {name: array}. Raises as `replacing`."""
+    write_bytes(path, npz_bytes(arrays, compressed))
+
+
+def write_lines(path: str | os.PathLike, lines: Iterable[bytes]) -> None:
+    """Write lines, each with its newline, to `path`; none at all give no file, and an earlier one goes."""
+    data = b"".join(lines)
+    if data:
+        write_bytes(path, data)
+    else:
+        Path(path).unlink(missing_ok=True)
 
 
 def claim(folder, names, overwrite, inputs=()):
@@ -22,10 +153,8 @@ def claim(folder, names, overwrite, inputs=()):
 
 
 def write_text(path, text):
-    """UTF-8 text under a temporary name first: a kill leaves the earlier file."""
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
+    """UTF-8 text, whole or not at all: a kill or a full disk leaves the earlier file. Raises as `replacing`."""
+    write_bytes(path, text.encode("utf-8"))
 
 
 def write_json(path, value):

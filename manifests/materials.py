@@ -19,6 +19,7 @@ import numpy as np
 from msgspec import Struct
 
 from manifests import reading
+from manifests.files import write_bytes
 from manifests.material_words import suggestion
 from manifests.problems import Problem
 from shaders import dsbrdf
@@ -143,16 +144,18 @@ def read_catalogue(path):
     return catalogue
 
 
-def write(catalogue, path):
-    """Writes the file, a material a line, under a temporary name first; keys in the order of the type."""
-    path = Path(path)
+def encode(catalogue):
+    """The bytes of a catalogue's file: one line for each material, keys in the order of the type."""
     head = msgspec.to_builtins(catalogue)
     entries = head.pop("materials")
     lines = ",\n".join(json.dumps(entry, separators=(",", ":")) for entry in entries)
     text = json.dumps(head, indent=1)[:-2] + ',\n "materials": [\n' + lines + "\n]}\n"
-    temporary = path.with_name(path.name + ".writing")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
+    return text.encode("utf-8")
+
+
+def write(catalogue, path):
+    """Writes the file, whole or not at all."""
+    write_bytes(path, encode(catalogue))
 
 
 @functools.cache

@@ -20,6 +20,7 @@ from pathlib import Path, PurePosixPath
 
 import msgspec
 
+from manifests.files import replacing
 from manifests.problems import Problem
 from manifests.reading import decode, read
 from manifests.schema import VERSION, Dataset, Failure, Record, View
@@ -126,29 +127,32 @@ class Store:
     def write_json(self, name, value, worker="main"):
         """Write a small JSON file by way of partial/."""
         text = msgspec.json.format(msgspec.json.encode(value, order="deterministic"), indent=1)
-        self.place(name, lambda path: path.write_bytes(text + b"\n"), worker)
+        self.place(name, text + b"\n", worker)
 
-    def place(self, relative, write, worker, keep_first=False):
-        """Put a file in place whole, and return its sha256.
+    def place(self, relative, data, worker, keep_first=False):
+        """Put a file in place whole, and return the sha256 of what lies there then.
 
-        write       called with a temporary path of the same suffix
+        relative    its path in the folder
+        data        bytes of the whole file
         worker      who writes: temporary names of two workers never meet
         keep_first  a file that is already there stays (two workers made the same geometry): its hash is returned
+        Raises      OSError (full disk) with the earlier file still there and nothing left behind
         """
         target = self.folder / relative
         temporary = self.folder / "partial" / f"{worker}-{target.name}"
         temporary.parent.mkdir(parents=True, exist_ok=True)
         target.parent.mkdir(parents=True, exist_ok=True)
+        if not keep_first:
+            with replacing(target, draft=temporary) as file:
+                file.write(data)
+            return hashlib.sha256(data).hexdigest()
+        whole = temporary.with_name(f"{temporary.name}.whole")
         try:
-            write(temporary)
-            digest = file_hash(temporary)
-            if keep_first and not _link(temporary, target):
-                return file_hash(target)
-            if not keep_first:
-                os.replace(temporary, target)
-            return digest
+            with replacing(whole, draft=temporary) as file:
+                file.write(data)
+            return hashlib.sha256(data).hexdigest() if _link(whole, target) else file_hash(target)
         finally:
-            temporary.unlink(missing_ok=True)
+            whole.unlink(missing_ok=True)
 
     def sweep(self, prefix=""):
         """Remove what killed runs left half-written, files and lines; `prefix` of the workers' names confines it to one shard's."""

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 
+from manifests.files import write_lines
 from manifests.materials import read_catalogue
 from manifests.problems import Problem
 from manifests.splits import light_side, split_of
@@ -199,8 +200,7 @@ def repair(store: Store, faults):
         kept = [line for line in lines if _keep(line, type_, condemned)]
         if len(kept) < len(lines):
             removed += len(lines) - len(kept)
-            text = b"".join(kept)
-            store.place(path.relative_to(store.folder).as_posix(), lambda temporary, text=text: temporary.write_bytes(text), "repair")
+            write_lines(path, kept)
     orphans = [f.orphan for f in faults if f.orphan]
     for path in orphans:
         path.unlink(missing_ok=True)

@@ -86,9 +86,10 @@ def geometry_faults(path, record):
     """What is wrong with a geometry file: normals not unit or turned away, a mask that is not the record's, too many segments."""
     import numpy as np
 
-    from factory import exr
+    from manifests.arrays import read_geometry
 
-    normals, mask, _, segments = exr.read_geometry(path)
+    geometry = read_geometry(path)
+    normals, mask, segments = geometry.normals, geometry.mask, geometry.segments
     if mask.shape != tuple(record.camera.size):
         return [f"{path.name}: size {record.camera.size} expected, found {mask.shape}"]
     found = []

@@ -136,18 +136,19 @@ class _StudioLoop:
                 records.flush()
 
     def _record(self, view, geometry):
-        from factory import exr
         from factory.render import checks
+        from manifests.arrays import encode_geometry, encode_picture
+        from manifests.files import write_bytes
 
         faults, paths = [], [f"{self.folder}/picture{view:02}.exr"]
         if geometry:
             self.shots[view] = shot = self.studio.geometry()
             faults += checks.geometry(shot, self.segments)
             paths.append(f"{self.folder}/geometry{view:02}.exr")
-            exr.write_geometry(paths[1], shot)
+            write_bytes(paths[1], encode_geometry(shot))
         radiance, alpha = self.studio.picture(1, view, "direct")
         faults += checks.picture(radiance, float(self.shots[view].mask.mean()), alpha)
-        exr.write_picture(paths[0], radiance)
+        write_bytes(paths[0], encode_picture(radiance))
         return {"faults": faults, "hashes": [hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths]}
 
 

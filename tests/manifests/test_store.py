@@ -32,24 +32,19 @@ def test_a_path_inside_is_given_back(tmp_path):
     assert inside(tmp_path, "images/ab/x.exr") == tmp_path / "images/ab/x.exr"
 
 
-def test_a_file_that_fails_half_way_leaves_no_trace_and_keeps_the_old_one(tmp_path):
+def test_a_file_that_the_disk_has_no_room_for_leaves_no_trace_and_keeps_the_old_one(tmp_path, small_files):
     store = Store(tmp_path)
-    store.place("images/ab/x.exr", lambda path: path.write_bytes(b"old"), "w")
-
-    def fails(path):
-        path.write_bytes(b"ne")
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(OSError, match="No space"):
-        store.place("images/ab/x.exr", fails, "w")
+    store.place("images/ab/x.exr", b"old", "w")
+    with small_files(4096), pytest.raises(OSError, match=r"File too large.*images/ab/x\.exr"):
+        store.place("images/ab/x.exr", bytes(5000), "w")
     assert (tmp_path / "images/ab/x.exr").read_bytes() == b"old"
     assert list((tmp_path / "partial").iterdir()) == []
 
 
 def test_of_two_workers_the_first_geometry_stays(tmp_path):
     store = Store(tmp_path)
-    first = store.place("geometry/ab/x.exr", lambda path: path.write_bytes(b"first"), "w0", keep_first=True)
-    second = store.place("geometry/ab/x.exr", lambda path: path.write_bytes(b"second"), "w1", keep_first=True)
+    first = store.place("geometry/ab/x.exr", b"first", "w0", keep_first=True)
+    second = store.place("geometry/ab/x.exr", b"second", "w1", keep_first=True)
     assert first == second == file_hash(tmp_path / "geometry/ab/x.exr")
     assert (tmp_path / "geometry/ab/x.exr").read_bytes() == b"first"
 
@@ -140,7 +135,7 @@ def test_on_a_full_disk_what_was_written_stays_and_the_error_names_the_cause(tin
     with pytest.raises(OSError, match="No space left on device"):
         for k in range(100):
             name = f"images/ab/{k}.exr"
-            written[name] = store.place(name, lambda path: path.write_bytes(os.urandom(20_000)), "w")
+            written[name] = store.place(name, os.urandom(20_000), "w")
     assert len(written) >= 5
     assert all(file_hash(tiny_disk / name) == digest for name, digest in written.items())
     assert list((tiny_disk / "partial").iterdir()) == []
