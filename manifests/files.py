@@ -3,21 +3,42 @@
 Every writer of the project goes through `replacing` or `write_bytes`. Libraries write into memory, or into the plain
 stream that `replacing` yields, never to a path: OpenEXR, numpy and others pass over the error of their last flush, so
 that a full disk would leave a short or empty file which looks finished.
+
+Unfinished files (drafts) are hidden beside their target and locked while they are written. A killed program leaves its
+draft unlocked; the next one that writes into the same folder removes it.
 """
 
+import contextlib
+import fcntl
 import io
 import itertools
 import json
 import math
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
+from manifests.inputs import kind_of
 from manifests.problems import Problem
 
 _DRAFT = itertools.count()  # two threads of one process never write one file's draft
+_DRAFT_NAME = re.compile(r"\..*\.\d+-\d+\.part", re.DOTALL)
+_SWEPT = set()  # folders in which this process has looked for the drafts of killed programs
+
+
+class _Waiting(NamedTuple):
+    """A whole draft that takes its place when the block of `together` ends."""
+
+    descriptor: int
+    draft: Path
+    target: Path
+
+
+_TOGETHER: ContextVar[list[_Waiting] | None] = ContextVar("together", default=None)
 
 
 class _Draft(io.RawIOBase):
@@ -32,11 +53,9 @@ class _Draft(io.RawIOBase):
     def write(self, data: Any) -> int:
         view = memoryview(data).cast("B")
         written = 0
-        while written < len(view):
-            try:
+        with _named(self._target):
+            while written < len(view):
                 written += os.write(self._descriptor, view[written:])
-            except OSError as error:
-                raise OSError(error.errno, error.strerror, str(self._target)) from None
         return len(view)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
@@ -57,32 +76,118 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
     """A binary stream whose content takes the place of the file at `path` when the block ends without an error.
 
     draft   where the unfinished file lies, on the same file system; None: beside `path`, under a hidden name
-    Raises  OSError with the system's reason; the earlier file is then still there, and no draft is left behind
+    Raises  OSError with the system's reason; Problem if a folder, a device or a pipe lies at `path`. The earlier
+            file is then still there, and no draft is left behind
 
     The bytes are on the disk before the name is (fsync, then rename). An empty file is refused: no format of
     this project has one, and writers that swallow errors leave them.
     """
     path = Path(path)
-    draft = draft or path.with_name(f".{path.name[:200]}.{os.getpid()}-{next(_DRAFT)}.part")
+    _require_place_for_file(path)
+    if draft is None:
+        _remove_abandoned_drafts(path.parent)
+        name = path.name.encode()[:180].decode(errors="ignore")  # a name has 255 bytes at most
+        draft = path.with_name(f".{name}.{os.getpid()}-{next(_DRAFT)}.part")
+    waiting, whole = _TOGETHER.get(), False
+    with _named(path):
+        descriptor = _locked_draft(draft)
     try:
-        descriptor = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from None
+        yield _Draft(descriptor, path)
+        with _named(path):
+            if not os.fstat(descriptor).st_size:
+                raise ValueError(f"{path}: nothing was written; an empty file is never kept")
+            os.fsync(descriptor)
+        whole = True
+    finally:
+        if whole and waiting is not None:
+            waiting.append(_Waiting(descriptor, draft, path))
+        else:
+            _finish(descriptor, draft, path, whole)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """A block whose files take their places when it ends without an error: all of them, or none.
+
+    For results of several files, so that a full disk leaves neither half of them nor new ones beside old ones.
+    Within the block the new files cannot be read yet. An inner block belongs to the outer one.
+
+    Raises  OSError of a file that cannot take its place; the others have taken theirs
+    """
+    if _TOGETHER.get() is not None:
+        yield
+        return
+    waiting: list[_Waiting] = []
+    token = _TOGETHER.set(waiting)
+    whole = False
     try:
-        try:
-            yield _Draft(descriptor, path)
-            try:
-                if not os.fstat(descriptor).st_size:
-                    raise ValueError(f"{path}: nothing was written; an empty file is never kept")
-                os.fsync(descriptor)
-            except OSError as error:
-                raise OSError(error.errno, error.strerror, str(path)) from None
-        finally:
+        yield
+        whole = True
+    finally:
+        _TOGETHER.reset(token)
+        with contextlib.ExitStack() as rest:  # each is finished, whatever happens to the others
+            for each in reversed(waiting):
+                rest.callback(_finish, *each, whole)
+
+
+def _finish(descriptor: int, draft: Path, target: Path, whole: bool) -> None:
+    """Close a draft and give it its place, or remove it if it is not whole."""
+    try:
+        with _named(target):
             os.close(descriptor)
-        os.replace(draft, path)
+            if whole:
+                os.replace(draft, target)
     finally:
         if os.path.lexists(draft):
             os.unlink(draft)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """OSErrors of the block name the file that was to be written, not its draft."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def _locked_draft(draft: Path) -> int:
+    """A descriptor of an empty file that no other program removes while it is open."""
+    while True:
+        flags = os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(draft, flags, 0o666)
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        if os.fstat(descriptor).st_nlink:
+            return descriptor
+        os.close(descriptor)  # removed between its making and its locking
+
+
+def _remove_abandoned_drafts(folder: Path) -> None:
+    """Remove drafts that nobody writes any more: what killed programs left. Looks once into each folder."""
+    place = os.path.abspath(folder)
+    if place in _SWEPT:
+        return
+    _SWEPT.add(place)
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        for name in [entry.name for entry in entries if _DRAFT_NAME.fullmatch(entry.name)]:
+            with contextlib.suppress(OSError):  # in use, or gone meanwhile
+                descriptor = os.open(folder / name, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+                try:
+                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    os.unlink(folder / name)
+                finally:
+                    os.close(descriptor)
+
+
+def _require_place_for_file(path: Path) -> None:
+    """Raises Problem if something lies at `path` that is no file: a rename would take a device's place."""
+    try:
+        found = kind_of(os.stat(path).st_mode)
+    except OSError:  # nothing there; whatever else is wrong shows when the draft is opened
+        return
+    if found is not None:
+        raise Problem(path, "a file, or a name for a new one", found, "give another name")
 
 
 def write_bytes(path: str | os.PathLike, data: bytes) -> None:
@@ -116,6 +221,11 @@ def write_image(path: str | os.PathLike, pixels: Any, format: str | None = None,
     write_with(path, lambda file: image.save(file, format=format, **options))
 
 
+def write_figure(path: str | os.PathLike, figure: Any, **options: Any) -> None:
+    """Write a matplotlib figure as PNG. options: of its `savefig`. Raises as `replacing`."""
+    write_with(path, lambda file: figure.savefig(file, format="png", **options))
+
+
 def npz_bytes(arrays: Mapping[str, Any], compressed: bool = True) -> bytes:
     """The bytes of an .npz file of `arrays`, {name: array}."""
     import numpy as np
@@ -130,11 +240,15 @@ def write_npz(path: str | os.PathLike, arrays: Mapping[str, Any], compressed: bo
     write_bytes(path, npz_bytes(arrays, compressed))
 
 
-def write_lines(path: str | os.PathLike, lines: Iterable[bytes]) -> None:
-    """Write lines, each with its newline, to `path`; none at all give no file, and an earlier one goes."""
+def write_lines(path: str | os.PathLike, lines: Iterable[bytes], draft: Path | None = None) -> None:
+    """Write lines, each with its newline, to `path`; none at all give no file, and an earlier one goes.
+
+    draft   as `replacing` takes it. Raises as `replacing`
+    """
     data = b"".join(lines)
     if data:
-        write_bytes(path, data)
+        with replacing(path, draft) as file:
+            file.write(data)
     else:
         Path(path).unlink(missing_ok=True)
 
