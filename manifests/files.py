@@ -4,12 +4,11 @@ Every writer of the project goes through `replacing` or `write_bytes`. Libraries
 stream that `replacing` yields, never to a path: OpenEXR, numpy and others pass over the error of their last flush, so
 that a full disk would leave a short or empty file which looks finished.
 
-Unfinished files (drafts) are hidden beside their target and locked while they are written. A killed program leaves its
-draft unlocked; the next one that writes into the same folder removes it.
+Unfinished files (drafts) are hidden beside their target, and their names say which process writes them. What a killed
+program left, the next one that writes into the same folder removes.
 """
 
 import contextlib
-import fcntl
 import io
 import itertools
 import json
@@ -26,14 +25,13 @@ from manifests.inputs import kind_of
 from manifests.problems import Problem
 
 _DRAFT = itertools.count()  # two threads of one process never write one file's draft
-_DRAFT_NAME = re.compile(r"\..*\.\d+-\d+\.part", re.DOTALL)
+_DRAFT_NAME = re.compile(r"\..*\.(?P<machine>\w+)-(?P<process>\d{1,9})-\d+\.part", re.DOTALL)
 _SWEPT = set()  # folders in which this process has looked for the drafts of killed programs
 
 
 class _Waiting(NamedTuple):
     """A whole draft that takes its place when the block of `together` ends."""
 
-    descriptor: int
     draft: Path
     target: Path
 
@@ -87,22 +85,26 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
     if draft is None:
         _remove_abandoned_drafts(path.parent)
         name = path.name.encode()[:180].decode(errors="ignore")  # a name has 255 bytes at most
-        draft = path.with_name(f".{name}.{os.getpid()}-{next(_DRAFT)}.part")
-    waiting, whole = _TOGETHER.get(), False
+        draft = path.with_name(f".{name}.{_machine()}-{os.getpid()}-{next(_DRAFT)}.part")
     with _named(path):
-        descriptor = _locked_draft(draft)
+        descriptor = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
+    whole = False
     try:
-        yield _Draft(descriptor, path)
-        with _named(path):
-            if not os.fstat(descriptor).st_size:
-                raise ValueError(f"{path}: nothing was written; an empty file is never kept")
-            os.fsync(descriptor)
+        try:
+            yield _Draft(descriptor, path)
+            with _named(path):
+                if not os.fstat(descriptor).st_size:
+                    raise ValueError(f"{path}: nothing was written; an empty file is never kept")
+                os.fsync(descriptor)
+        finally:
+            with _named(path):
+                os.close(descriptor)
         whole = True
     finally:
-        if whole and waiting is not None:
-            waiting.append(_Waiting(descriptor, draft, path))
+        if whole and (waiting := _TOGETHER.get()) is not None:
+            waiting.append(_Waiting(draft, path))
         else:
-            _finish(descriptor, draft, path, whole)
+            _finish(draft, path, whole)
 
 
 @contextmanager
@@ -130,12 +132,11 @@ def together() -> Iterator[None]:
                 rest.callback(_finish, *each, whole)
 
 
-def _finish(descriptor: int, draft: Path, target: Path, whole: bool) -> None:
-    """Close a draft and give it its place, or remove it if it is not whole."""
+def _finish(draft: Path, target: Path, whole: bool) -> None:
+    """Give a draft its place, or remove it if it is not whole."""
     try:
-        with _named(target):
-            os.close(descriptor)
-            if whole:
+        if whole:
+            with _named(target):
                 os.replace(draft, target)
     finally:
         if os.path.lexists(draft):
@@ -151,33 +152,33 @@ def _named(path: Path) -> Iterator[None]:
         raise OSError(error.errno, error.strerror, str(path)) from None
 
 
-def _locked_draft(draft: Path) -> int:
-    """A descriptor of an empty file that no other program removes while it is open."""
-    while True:
-        flags = os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | getattr(os, "O_BINARY", 0)
-        descriptor = os.open(draft, flags, 0o666)
-        with contextlib.suppress(OSError):  # a file system without locks
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        if os.fstat(descriptor).st_nlink:
-            return descriptor
-        os.close(descriptor)  # removed between its making and its locking
-
-
 def _remove_abandoned_drafts(folder: Path) -> None:
-    """Remove drafts that nobody writes any more: what killed programs left. Looks once into each folder."""
+    """Remove what killed programs of this machine left unfinished. Looks once into each folder."""
     place = os.path.abspath(folder)
     if place in _SWEPT:
         return
     _SWEPT.add(place)
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
-        for name in [entry.name for entry in entries if _DRAFT_NAME.fullmatch(entry.name)]:
-            with contextlib.suppress(OSError):  # in use, or gone meanwhile
-                descriptor = os.open(folder / name, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
-                try:
-                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        for name in [entry.name for entry in entries if entry.name.endswith(".part")]:
+            made_by = _DRAFT_NAME.fullmatch(name)
+            if made_by and made_by["machine"] == _machine() and not _is_alive(int(made_by["process"])):
+                with contextlib.suppress(OSError):  # gone meanwhile
                     os.unlink(folder / name)
-                finally:
-                    os.close(descriptor)
+
+
+def _machine() -> str:
+    """This machine's name as drafts carry it: what a process's number means elsewhere, nobody knows here."""
+    return re.sub(r"[^A-Za-z0-9]+", "", os.uname().nodename)[:32] or "machine"
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # another user's
+        return True
+    return True
 
 
 def _require_place_for_file(path: Path) -> None:
