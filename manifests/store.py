@@ -239,7 +239,7 @@ def _link(temporary, target):
 class Lines:
     """An append-only file of JSON lines with one writer. Opening cuts off a torn last line; a line is written whole or not at all.
 
-    Raises  Problem if another writer has the file open
+    Raises  Problem if another process has the file open to write into it
     """
 
     def __init__(self, path):
@@ -256,8 +256,8 @@ class Lines:
 
     def _own(self):
         try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # not flock: a forked helper does not go on holding it
+        except (BlockingIOError, PermissionError):
             self.close()
             remedy = "wait for it to end, or use another --out"
             raise Problem(self.path, "a file that no other run writes to", "one in use", remedy) from None
