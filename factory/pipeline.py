@@ -6,6 +6,7 @@ geometry  of a shape from a view is rendered once a dataset: it is read back if 
 light     stored map and rotation; a whole map is averaged to a width that is a multiple of 128, for rotations are whole texels
 """
 
+import os
 import time
 from collections import OrderedDict
 from contextlib import contextmanager
@@ -182,7 +183,7 @@ class Pipeline:
             return self._geometries[shot.geometry]
         path = geometry_path(shot.geometry)
         file = self.store.folder / path
-        if not file.exists():
+        if not os.path.lexists(file):
             seen = self._rendered_geometry()
             digest = self.store.place(path, encode_geometry(seen), self.worker, keep_first=True)
         else:
