@@ -115,21 +115,32 @@ def _remember_backward(ctx, inputs, output):
 
 
 def _backward_of_backward(ctx, by_n, by_view, by_m, by_light):
-    direction = by_n, by_view if ctx.with_view else None, by_m, by_light
-    return *Second.apply(*direction, *ctx.saved_tensors, *ctx.constants), None
+    view = ctx.saved_tensors[2]
+    if not ctx.with_view:
+        by_view = None if view is None else torch.zeros_like(view)
+    return *Second.apply(by_n, by_view, by_m, by_light, *ctx.saved_tensors, *ctx.constants), None
 
 
 class Second(Step):
-    """Derivatives by n, view, m and light of a loss by the results of the backward pass, and what that was given → by g, n, view, m, light.
+    """Derivatives of a loss by the results of the backward pass, and what that pass was given → derivatives by g, n, view, m and light.
 
-    No operator: torch.compile takes no second derivatives, and an operator cannot use autograd, as learn.methods.exact_second does.
+    No operator: torch.compile takes no second derivatives, and within an operator learn.methods.exact_second could not use autograd.
     """
 
     @staticmethod
     def forward(ctx, by_n, by_view, by_m, by_light, g, n, view, m, light, rotation, counts, light_of):
-        from learn.methods.exact_second import of_groups  # here: it is rarely needed
+        direction, given = (by_n, by_view, by_m, by_light), (g, n, view, m, light)
+        if n.device.type == "cpu":
+            from learn.engines import second
 
-        return *of_groups((by_n, by_view, by_m, by_light), g, n, view, m, light, rotation, counts, light_of), None, None, None
+            arrays = [_numpy(x) for x in direction], *(_numpy(x) for x in given)
+            found = second.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads())
+            found = (None if x is None else torch.from_numpy(x) for x in found)
+        else:
+            from learn.methods.exact_second import of_groups
+
+            found = of_groups(direction, *given, rotation, counts, light_of)
+        return *found, None, None, None
 
     @staticmethod
     def backward(ctx, *g):
