@@ -25,10 +25,12 @@ import numpy as np
 import torch
 
 from learn.methods import (
+    COMPILED,
     Batch,
     Card,
     coarse,
     directional,
+    first_only,
     hybrid,
     load,
     lobe_shapes,
@@ -72,7 +74,7 @@ def radiance(batch: Batch, tolerance):
         return per_group(batch, lambda g, *_: few_lights(part(batch, g), tolerance))
     if not reflectance_map.has_kernel(batch.n):
         return load("exact").radiance(batch, tolerance)
-    batch, rotation = merged(batch), tuple(batch.camera_from_light.flatten().tolist())
+    batch, rotation = first_only(merged(batch), CARD.name, COMPILED), tuple(batch.camera_from_light.flatten().tolist())
     plan = functools.partial(planned_sums, rotation=rotation, tolerance=tolerance)
     return per_group(batch, lambda g, n, view, m, light: planned.radiance(n, m, light, plan))
 
@@ -218,4 +220,6 @@ def few_lights(batch, tolerance):
             )
         ]
         chosen = next((way for way in ways if good((way(sampled) - truth).abs().numpy(), level, tolerance)), None)
-    return chosen(batch) if chosen else exact(batch, tolerance)
+    if not chosen:
+        return exact(batch, tolerance)
+    return chosen(first_only(batch, CARD.name, COMPILED) if directional.has_kernels(batch.n) else batch)

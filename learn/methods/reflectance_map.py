@@ -14,10 +14,10 @@ import math
 
 import numpy as np
 import torch
-from torch.autograd.function import once_differentiable
 
+from learn.derivatives import Step, last
 from learn.engines import interpolation, machine_code, threads
-from learn.methods import Batch, Card, directional, lobe_shapes, merged, per_group
+from learn.methods import COMPILED, Batch, Card, directional, first_only, lobe_shapes, merged, per_group
 
 CARD = Card(
     name="reflectance_map",
@@ -37,6 +37,8 @@ def radiance(batch: Batch, tolerance):
     if batch.view is not None:
         raise ValueError('method: "reflectance_map" needs an orthographic camera (view omitted), found a view per pixel; try "auto"')
     batch = merged(batch)
+    if has_kernel(batch.n):
+        batch = first_only(batch, CARD.name, COMPILED)
 
     def one_group(g, n, view, m, light):
         size = size_for(lobe_shapes.sharpness(m).max(), tolerance)
@@ -168,17 +170,18 @@ def read_backward(n, table, size, g, nodes):
     return by_n, np.ascontiguousarray(by_table[0].take(nodes, 0)[:, :3])
 
 
-class LookUp(torch.autograd.Function):
+class LookUp(Step):
     """n (P, 3), values (N, 3) at nodes (N,), size → (P, 3) by learn.engines.interpolation."""
 
     @staticmethod
     def forward(ctx, n, values, nodes, size):
+        ctx.save_for_backward(n, values)
         n, nodes = n.contiguous().numpy(), nodes.numpy()
         ctx.kept = n, table(values.numpy(), nodes, size), size, nodes
         return torch.from_numpy(read(*ctx.kept[:3]))
 
     @staticmethod
-    @once_differentiable
+    @last(directional.COMPILED)
     def backward(ctx, g):
         n, values, size, nodes = ctx.kept
         by_n, by_values = read_backward(n, values, size, np.ascontiguousarray(g.numpy()), nodes)
