@@ -26,11 +26,13 @@ from tqdm import tqdm
 
 from learn.dataset import Records
 from manifests.files import replacing, write_text
+from manifests.inputs import require_file
 from manifests.problems import Problem
 
 UNIT = 32767
 UNIT_TOLERANCE = 1e-2  # of |n|; files keep it to 1e-4
 ARRAYS = ("normals.npy", "segments.npy")
+LARGEST_JSON = 256 << 20  # bytes: 70 a view
 LEAST_COVERAGE = 0.02  # a view that shows less of its shape teaches nothing
 
 
@@ -98,16 +100,25 @@ class Geometry:
         return self.folder / "packed" / name
 
     def _known_as_bad(self):
-        try:
-            return dict(json.loads(self._at("skipped.json").read_text()))
-        except (OSError, ValueError):
-            return {}
+        """{hash: what is wrong} of files that were left out when the cache was made."""
+        known = self._remembered("skipped.json")
+        return known if isinstance(known, dict) and all(isinstance(text, str) for text in known.values()) else {}
 
     def _is_fresh(self, hashes):
+        """Whether the cache holds these files' geometry, its arrays whole and of the right shape."""
+        count, (height, width) = len(hashes), self.size
+        expected = {"normals.npy": ((count, height, width, 2), np.int16), "segments.npy": ((count, height, width), np.uint8)}
+        return self._remembered("views.json") == hashes and all(
+            _holds(self._at(name), shape, kind) for name, (shape, kind) in expected.items()
+        )
+
+    def _remembered(self, name):
+        """What a small file of the cache holds; None if it is missing or damaged."""
         try:
-            return json.loads(self._at("views.json").read_text()) == hashes
-        except (OSError, ValueError):
-            return False
+            require_file(self._at(name), "a part of the cache", maximum_bytes=LARGEST_JSON)
+            return json.loads(self._at(name).read_text())
+        except (OSError, ValueError, RecursionError):
+            return None
 
     def _map(self):
         """Map the arrays into memory, if they are those that were packed."""
@@ -170,3 +181,13 @@ def _sum(path):
         while data := file.read(1 << 22):
             found = zlib.crc32(data, found)
     return found
+
+
+def _holds(path, shape, kind):
+    """Whether a .npy file is whole, with an array of this shape and type."""
+    try:
+        require_file(path, "a part of the cache")
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return False
+    return isinstance(array, np.ndarray) and array.shape == shape and array.dtype == kind

@@ -268,8 +268,11 @@ def claim(folder, names, overwrite, inputs=()):
 
 
 def write_text(path, text):
-    """UTF-8 text, whole or not at all: a kill or a full disk leaves the earlier file. Raises as `replacing`."""
-    write_bytes(path, text.encode("utf-8"))
+    """UTF-8 text, whole or not at all: a kill or a full disk leaves the earlier file. Raises as `replacing`.
+
+    Bytes of file names that are no UTF-8 (surrogates in Python) are written as \\udcXX, which JSON reads back as they were.
+    """
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_json(path, value):
