@@ -4,7 +4,7 @@
     python -m tests.fuzz meshes --cases 500 --seed 3    one module
     python -m tests.fuzz meshes --seed 3 --case 17      one case again: each fault is printed as such a line
 
-A *generator* is a module of this package that is listed in `driver.MODULES` and has
+A *generator* is any module of this package (found by itself, no list to add it to) that defines
 
     case(index: int, rng: numpy.random.Generator, room: Room) -> Case
 
