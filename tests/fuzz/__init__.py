@@ -92,6 +92,7 @@ class Case:
     statuses  exit statuses that are right here; of those a program may have at all
     refusals  exceptions by which `run` may refuse its input (ValueError and TypeError for the layer's functions)
     memory_mb bound for this case alone; None: the module's or the general one
+    before    called first in the case's process, where something must be replaced, as Blender by a fake studio
     fresh     as `python -m …` in a new interpreter: slower (seconds), sees exit-time and signal behaviour
     """
 
@@ -103,6 +104,7 @@ class Case:
     statuses: tuple[int, ...] = STATUSES
     refusals: tuple[type[BaseException], ...] = (Problem,)
     memory_mb: int | None = None
+    before: Callable[[], None] | None = None
     fresh: bool = False
     environment: dict[str, str] = field(default_factory=dict)
 

@@ -149,6 +149,8 @@ def _settle(place: Path) -> None:
 def _verdict(place: Path, make, limits: Limits) -> dict:
     case: Case = make()
     os.environ.update(case.environment)
+    if case.before:
+        case.before()
     bound = case.memory_mb or limits.memory_mb
     shown = case.command and [part if isinstance(part, str) else repr(part) for part in case.command]
     told = {"label": case.label, "command": shown, "bound_mb": bound}
@@ -179,9 +181,7 @@ def _called(case: Case) -> tuple[Result, str | None]:
         if case.command is None:
             result.value = case.run()
         else:
-            program, *arguments = case.command
-            main = importlib.import_module(f"{program}.__main__").main
-            result.status = main(arguments)
+            result.status = _command(*case.command)
     except SystemExit as end:
         result.status = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
     except case.refusals as error:
@@ -191,6 +191,15 @@ def _called(case: Case) -> tuple[Result, str | None]:
     except BaseException as error:
         return result, _trace(error)
     return result, None
+
+
+def _command(program: str, *arguments: str) -> int:
+    """The exit status of `python -m PROGRAM ARGUMENTS`, run here."""
+    module = importlib.import_module(f"{program}.__main__")
+    if hasattr(module, "keep_freed"):  # what the program does before it begins
+        module.keep_freed()
+    sys.argv = [f"{program}/__main__.py", *arguments]
+    return module.main(program, module.__doc__, module.COMMANDS, list(arguments))
 
 
 def _fresh(case: Case) -> tuple[Result, str | None]:
@@ -444,7 +453,7 @@ class Driver:
                 time.sleep(0.005)
             outcome = running.outcome()
             if outcome.fault:
-                raise RuntimeError(f"{name} could not prepare: {outcome.fault}\n{_text(place / 'stderr')}")
+                raise RuntimeError(f"{name} could not prepare: {outcome.fault}\n{_text(place / 'stderr')[-2000:]}")
 
     def run(self, order: Iterator[tuple[str, int]]) -> Iterator[Outcome]:
         """The outcome of each (module, index), as they end."""
