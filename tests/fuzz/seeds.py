@@ -4,7 +4,7 @@
     light.exr, light.hdr, light.npz, maps.npz      library/ (two maps and lights.json)
     job.json                                       names mesh.obj, light.exr and a material of catalogue.json
     catalogue.json, nbrdf.npz, merl.binary, abc.csv
-    data/                                          16 pictures of 16 × 16 pixels of a fake studio: clean
+    data/                                          16 pictures of 32 × 32 pixels of a fake studio: clean
     views/                                         geometry alone, of shapes for all sides
     photograph.png, photograph.exr, mask.png, regions.png, material.json, pictures.txt
     weights.safetensors                            the shipped network, to be shown pictures of 32 × 32
@@ -75,7 +75,7 @@ def job(folder: Path) -> dict:
         "rotations": [0, 17],
         "tiers": ["direct"],
         "samples": 1,
-        "camera": {"size": [16, 16], "elevation_deg": 20.0},
+        "camera": {"size": [32, 32], "elevation_deg": 20.0},
         "seed": 3,
     }
 
