@@ -79,9 +79,11 @@ def warm_up() -> None:
     os.environ.setdefault("MPLBACKEND", "agg")
     cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")  # a case's HOME is empty
     os.environ.setdefault("BRDFACTORY_CACHE", str(Path(cache) / "brdfactory"))
+    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(Path(cache) / "torchinductor"))  # else it is made in TMPDIR
     import matplotlib.figure
     import PIL.Image
     import torch
+    import torch._dynamo  # which optimisers import
     import tqdm
 
     torch.set_num_threads(1)
