@@ -13,7 +13,9 @@ from . import Room, seeds
 
 WRITES = ("out", "out.png", "out.json", "out.json.fits", "cwd/data-preview")
 
-QUICK_EDIT = "--no-refine --weights {seeds}/weights.safetensors --out {out}"
+QUICK_EDIT = "--no-refine --tolerance 0.5 --weights {seeds}/weights.safetensors --out {out}"
+
+SLOW = ("learn edit", "learn transfer")  # seconds each, where the rest takes tenths
 
 READERS = {
     "mesh": (
@@ -48,8 +50,8 @@ READERS = {
         "factory materials report {file} --out {out}",
         "factory plan {seeds}/job.json --no-probe --catalogue {file}",
     ),
-    "source": ("factory materials condition {file} --only brass --draws 1",),
-    "merl": ("factory materials condition {file} --only merl --draws 1",),
+    "source": ("factory materials report {seeds}/catalogue.json --source {file} --abc {seeds}/abc.csv --out {out}",),
+    "merl": ("factory materials report {seeds}/catalogue.json --source {file} --abc {seeds}/abc.csv --out {out}",),
     "abc": ("factory materials report {seeds}/catalogue.json --source {seeds}/nbrdf.npz --abc {file} --out {out}",),
     "photograph": (
         "learn predict {file} --mask {seeds}/mask.png --weights {seeds}/weights.safetensors --out {out}",
@@ -69,7 +71,7 @@ READERS = {
     "material": ("learn edit {seeds}/second.png --material {file} " + QUICK_EDIT,),
     "weights": (
         "learn predict {seeds}/second.png --weights {file} --out {out}",
-        "learn edit {seeds}/second.png --material brass --no-refine --weights {file} --out {out}",
+        "learn edit {seeds}/second.png --material brass --no-refine --tolerance 0.5 --weights {file} --out {out}",
         "learn predict {seeds}/data --weights {file} --out {out}",
     ),
     "run": ("learn train {file} --data {seeds}/views --workers 0 --steps 1 --out {out}",),
@@ -97,6 +99,13 @@ FORMATS = {  # format: its seeds, by name in the shared folder
     "checkpoint": ("trained/checkpoint.safetensors",),
     "log": ("trained/log.jsonl",),
 }
+
+
+def draw_small() -> None:
+    """Let `learn edit` in this process render 32 pixels across instead of 256: what it reads and writes stays the same."""
+    from learn.editing import apart, edit
+
+    apart.COARSEST, edit.BALL, edit.material_ball.__defaults__ = min(apart.COARSEST, 32), min(edit.BALL, 16), (16,)
 
 
 def line(template: str, room: Room, file: Path | None = None) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from . import Case, Result, Room, commands, mutation, seeds
+from . import STATUSES, Case, Result, Room, commands, mutation, seeds
 
 MUTATIONS = {
     ".json": mutation.some_json,
@@ -25,24 +25,44 @@ MUTATIONS = {
 FOLDERS = {"lights.json": "library", "checkpoint": "trained", "log": "trained"}  # read with what lies beside them
 
 
+VALID = [
+    (format_, name, template)
+    for format_, names in commands.FORMATS.items()
+    for template in commands.READERS[format_]
+    for name in names
+]
+
+
 def prepare(folder: Path) -> None:
     """The shared seeds."""
     seeds.shared(folder)
 
 
 def case(index: int, rng: np.random.Generator, room: Room) -> Case:
-    """Formats in turn; the file, its mutations and the command by chance."""
-    format_ = list(commands.FORMATS)[index % len(commands.FORMATS)]
-    name = mutation.pick(rng, commands.FORMATS[format_])
-    data, label = mutated((seeds.of(room) / name).read_bytes(), Path(name).suffix, rng)
+    """First each valid file through each of its commands, which must end with 0; then damaged ones, formats in turn."""
+    valid = index < len(VALID)
+    format_, name, template = VALID[index] if valid else chosen(index, rng)
+    data, label = (seeds.of(room) / name).read_bytes(), "as it is"
+    if not valid:
+        data, label = mutated(data, Path(name).suffix, rng)
     file = place(room, format_, name, data)
-    template = mutation.pick(rng, commands.READERS[format_])
     return Case(
         label=f"{name}: {label}",
         command=commands.line(template, room, file),
-        check=check_of(template, room),
+        check=lambda result: unreadable(room.folder / "out", result),
         writes=(*commands.WRITES, FOLDERS.get(format_, "out")),
+        before=commands.draw_small if template.startswith(commands.SLOW) else None,
+        statuses=(0,) if valid else STATUSES,
     )
+
+
+def chosen(index: int, rng: np.random.Generator) -> tuple[str, str, str]:
+    """Format, seed and command of a case."""
+    format_ = list(commands.FORMATS)[index % len(commands.FORMATS)]
+    readers = commands.READERS[format_]
+    quick = [template for template in readers if not template.startswith(commands.SLOW)]
+    few = quick and rng.random() < 0.85  # the slow ones read files by the same functions
+    return format_, mutation.pick(rng, commands.FORMATS[format_]), mutation.pick(rng, quick if few else readers)
 
 
 def mutated(data: bytes, suffix: str, rng: np.random.Generator) -> tuple[bytes, str]:
@@ -74,11 +94,6 @@ def place(room: Room, format_: str, name: str, data: bytes) -> Path:
         shutil.copy(seeds.of(room) / "mask.png", room.folder / "photograph.mask.png")
     path.write_bytes(data)
     return path
-
-
-def check_of(template: str, room: Room):
-    """What is right where the command succeeds: pictures that are finite and files that can be opened."""
-    return lambda result: unreadable(room.folder / "out", result)
 
 
 def unreadable(out: Path, result: Result) -> str | None:

@@ -202,14 +202,15 @@ def _photographs(folder):
 
     from . import mutation
 
-    y, x = np.mgrid[-1:1:48j, -1:1:64j]
+    y, x = np.mgrid[-1:1:18j, -1:1:24j]
     inside = x**2 + y**2 < 0.6
     shade = np.where(inside, np.sqrt(np.maximum(0.7 - x**2 - y**2, 0)), 0.2)
     picture = (255 * shade[..., None] * np.array([1.0, 0.8, 0.5])).astype(np.uint8)
     Image.fromarray(picture).save(folder / "photograph.png")
     Image.fromarray(np.uint8(255 * inside)).save(folder / "mask.png")
     Image.fromarray(np.where(inside, np.where(x < 0, 100, 200), 0).astype(np.uint8)).save(folder / "regions.png")
-    Image.fromarray(np.uint8(255 * inside)).save(folder / "photograph.mask.png")
+    for name in ("photograph.mask.png", "second.mask.png"):
+        Image.fromarray(np.uint8(255 * inside)).save(folder / name)
     second = folder / "second.png"
     Image.fromarray(np.dstack([picture[:, ::-1], np.uint8(255 * inside)])).save(second)
     channels = {name: (picture[..., k] / 255).astype(np.float16) for k, name in enumerate("RGB")}
