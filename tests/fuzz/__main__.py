@@ -89,6 +89,9 @@ def _many(fuzzing: driver.Driver, options: argparse.Namespace) -> int:
             bar.set_postfix_str(f"{counts.total()} cases, {faults} faults", refresh=False)
             bar.update(1 if options.cases else min(total, time.monotonic() - begun) - bar.n)
     faults = sum(map(len, kinds.values()))
+    if changed := fuzzing.changed_seeds():
+        faults += 1
+        print(f"seeds were changed, so cases may depend on earlier ones: {', '.join(changed[:5])}")
     for (module, kind), outcomes in sorted(kinds.items(), key=lambda item: -len(item[1])):
         print(f"{len(outcomes):5} × {module}: {kind}: {', '.join(str(o.index) for o in outcomes[:8])}")
     print(f"{counts.total()} cases of {len(fuzzing.found)} generators, seed {options.seed}: {faults} faults of {len(kinds)} kinds")

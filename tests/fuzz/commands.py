@@ -2,16 +2,18 @@
 
 {file}    the file under test          {seeds}  valid files (tests/fuzz/seeds.py)
 {out}     the folder for results       {room}   the case's folder
+{data}    a data set                   {views}  a valid one of geometry alone, of the case's own
 {job}     a job file beside {file} that names it as its mesh or its light
 """
 
 import json
 import shlex
+import shutil
 from pathlib import Path
 
 from . import Room, seeds
 
-WRITES = ("out", "out.png", "out.json", "out.json.fits", "cwd/data-preview")
+WRITES = ("out", "out.png", "out.json", "out.json.fits", "views/packed", "views/.lock")
 
 QUICK_EDIT = "--no-refine --tolerance 0.5 --weights {seeds}/weights.safetensors --out {out}"
 
@@ -33,7 +35,7 @@ READERS = {
     ),
     "maps": (
         "factory lights add {file} --library {out}",
-        "learn train {seeds}/run.json --data {seeds}/views --lights {file} --steps 1 --workers 0 --out {out}",
+        "learn train {seeds}/run.json --data {views} --lights {file} --steps 1 --workers 0 --out {out}",
     ),
     "lights.json": (
         "factory lights list {room}/library",
@@ -74,9 +76,9 @@ READERS = {
         "learn edit {seeds}/second.png --material brass --no-refine --tolerance 0.5 --weights {file} --out {out}",
         "learn predict {seeds}/data --weights {file} --out {out}",
     ),
-    "run": ("learn train {file} --data {seeds}/views --workers 0 --steps 1 --out {out}",),
-    "checkpoint": ("learn train {seeds}/run.json --data {seeds}/views --workers 0 --out {room}/trained",),
-    "log": ("learn train {seeds}/run.json --data {seeds}/views --workers 0 --out {room}/trained",),
+    "run": ("learn train {file} --data {views} --workers 0 --steps 1 --out {out}",),
+    "checkpoint": ("learn train {seeds}/run.json --data {views} --workers 0 --out {room}/trained",),
+    "log": ("learn train {seeds}/run.json --data {views} --workers 0 --out {room}/trained",),
 }
 
 FORMATS = {  # format: its seeds, by name in the shared folder
@@ -108,11 +110,14 @@ def draw_small() -> None:
     apart.COARSEST, edit.BALL, edit.material_ball.__defaults__ = min(apart.COARSEST, 32), min(edit.BALL, 16), (16,)
 
 
-def line(template: str, room: Room, file: Path | None = None) -> list[str]:
+def line(template: str, room: Room, file: Path | None = None, data: Path | None = None) -> list[str]:
     """A template as a command line; writes the job that it names, if it names one."""
-    words = {"out": room.folder / "out", "seeds": seeds.of(room), "room": room.folder, "file": file}
+    words = {"data": data, "out": room.folder / "out", "seeds": seeds.of(room), "room": room.folder, "file": file}
     if "{job}" in template:
         words["job"] = _job(room, file)
+    if "{views}" in template:
+        words["views"] = room.folder / "views"
+        shutil.copytree(seeds.of(room) / "views", words["views"])
     return [word.format(**words) for word in shlex.split(template)]
 
 

@@ -43,6 +43,7 @@ PAGE = resource.getpagesize()
 FRESH_MB = 600  # what an interpreter that imports torch, scipy and matplotlib takes by itself
 POLL = 0.02  # seconds between looks at a child's memory: at 3 GB/s that is 60 MB past the bound
 LOCKS = re.compile(r"\.lock[\w-]*")  # a data set's locks stay: they are held, not deleted (manifests/lock.py)
+TERMINAL = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")  # progress bars move the cursor
 PROGRESS = re.compile(r"\d+%\||\[\d+:\d+<|\d+(\.\d+)?(it|\w+)/s\]|: \d+\w+ \[\d+:\d+")
 WARNING = re.compile(r"\b\w*Warning: ")
 
@@ -183,7 +184,7 @@ def _called(case: Case) -> tuple[Result, str | None]:
         if case.command is None:
             result.value = case.run()
         else:
-            result.status = _command(*case.command)
+            result.status = run_command(*case.command)
     except SystemExit as end:
         result.status = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
     except case.refusals as error:
@@ -195,7 +196,7 @@ def _called(case: Case) -> tuple[Result, str | None]:
     return result, None
 
 
-def _command(program: str, *arguments: str) -> int:
+def run_command(program: str, *arguments: str) -> int:
     """The exit status of `python -m PROGRAM ARGUMENTS`, run here."""
     module = importlib.import_module(f"{program}.__main__")
     if hasattr(module, "keep_freed"):  # what the program does before it begins
@@ -238,7 +239,8 @@ def _broken_rule(case: Case, result: Result, before: dict, place: Path, bound: i
         return f"memory: {result.memory >> 20} MiB, bound {bound}"
     if result.seconds > limits.seconds:
         return f"time: {result.seconds:.0f} s"
-    said = [line for line in re.split(r"[\r\n]+", result.stderr) if line.strip() and not PROGRESS.search(line)]
+    lines = (line.strip() for line in re.split(r"[\r\n]+", TERMINAL.sub("", result.stderr)))
+    said = [line for line in lines if line and not PROGRESS.search(line)]
     if warned := [line for line in said if WARNING.search(line)]:
         return f"warning: {warned[0][:200]}"
     if case.command is not None and result.status == 1:
@@ -456,6 +458,12 @@ class Driver:
             outcome = running.outcome()
             if outcome.fault:
                 raise RuntimeError(f"{name} could not prepare: {outcome.fault}\n{_text(place / 'stderr')[-2000:]}")
+        self.seeds = _listing(self.work / "seeds")
+
+    def changed_seeds(self) -> list[str]:
+        """Names of seeds that some case has changed: later cases then depend on earlier ones, which is a fault of its generator."""
+        after = _listing(self.work / "seeds")
+        return sorted(name for name in self.seeds.keys() | after.keys() if self.seeds.get(name) != after.get(name))
 
     def run(self, order: Iterator[tuple[str, int]]) -> Iterator[Outcome]:
         """The outcome of each (module, index), as they end."""

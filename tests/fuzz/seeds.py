@@ -4,11 +4,11 @@
     light.exr, light.hdr, light.npz, maps.npz      library/ (two maps and lights.json)
     job.json                                       names mesh.obj, light.exr and a material of catalogue.json
     catalogue.json, nbrdf.npz, merl.binary, abc.csv
-    data/                                          16 pictures of 32 × 32 pixels of a fake studio: clean
+    data/                                          24 pictures of 32 × 32 pixels of a fake studio: clean
     views/                                         geometry alone, of shapes for all sides
     photograph.png, photograph.exr, mask.png, regions.png, material.json, pictures.txt
     weights.safetensors                            the shipped network, to be shown pictures of 32 × 32
-    run.json                                       a training run of two steps; trained/ is a folder that it has begun
+    run.json, pictures.json                        training runs of two steps; trained/ is a folder that the first has begun
 """
 
 import io
@@ -23,7 +23,7 @@ from . import Room
 
 TESTS = Path(__file__).resolve().parents[1]
 FAKE = "tests.fuzz.studio:Studio"
-MATERIALS = ("brass", "red-fabric", "white-acrylic")
+MATERIALS = ("brass", "white-acrylic", "blue-acrylic")  # one for testing, two for training
 RUN = {
     "name": "tiny",
     "size": 32,
@@ -64,14 +64,14 @@ def write(folder: Path) -> None:
 
 
 def job(folder: Path) -> dict:
-    """A job of 16 pictures."""
+    """A job of 24 pictures, with shapes for training, validation and testing."""
     return {
         "version": 1,
         "name": "fuzzed",
-        "shapes": ["mesh.obj", "cube"],
-        "materials": list(MATERIALS[:2]),
+        "shapes": ["mesh.obj", "cube", "chair:13", "chair:1"],
+        "materials": list(MATERIALS),
         "lights": ["light.exr"],
-        "views": [0, 6],
+        "views": [3],
         "rotations": [0, 17],
         "tiers": ["direct"],
         "samples": 1,
@@ -236,6 +236,7 @@ def _training(folder):
     from learn.training import loop
 
     (folder / "run.json").write_text(json.dumps(RUN, indent=1))
+    (folder / "pictures.json").write_text(json.dumps(RUN | {"data": {"sharing": 1, "source": "pictures"}}, indent=1))
     save = loop.Training._save
 
     def watched(self):
@@ -249,3 +250,4 @@ def _training(folder):
     if status:
         raise RuntimeError(f"{' '.join(words)}: status {status}")
     shutil.rmtree(folder / "whole")
+    shutil.rmtree(folder / "views" / "packed")
