@@ -25,7 +25,8 @@ __all__ = ["TEXELS", "Plan", "Shot", "camera_words", "geometry_id", "shot_seed"]
 class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """One picture to make. Shape, materials (one a segment) and light are names in the plan's assets; geometry is a geometry file's id.
 
-    picture  False: geometry alone; materials and light are empty then, and split is the shape's side
+    picture        False: geometry alone; materials and light are empty then, and split is the shape's side
+    geometry_hash  sha256 of the geometry file where a record of the folder names it already; None: no record does
     """
 
     id: str
@@ -40,6 +41,7 @@ class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     seed: int
     split: str
     picture: bool = True
+    geometry_hash: str | None = None
 
 
 @dataclass(frozen=True)

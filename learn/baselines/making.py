@@ -1,12 +1,11 @@
 """From a dataset and light maps to the baselines' files: what `learn baselines` does for each name."""
 
-import shutil
-
 import msgspec
 
 from learn.baselines import FILES, priors
 from learn.baselines.swap import SwapTraining
 from learn.training import checkpoint, loop, settings, sources
+from manifests.files import write_bytes
 from manifests.reading import decode, read
 
 FILE_OF = {"lombardi": FILES["Lombardi-like"], "baseline-1": FILES["Baseline 1"], "baseline-2": FILES["Baseline 2"]}
@@ -29,8 +28,7 @@ def make(name, preset, options):
     kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
     folder = options.out / name
     figures = kind(run, pools, folder, workers=options.workers).train()
-    shutil.copyfile(folder / "weights.safetensors", temporary := target.with_suffix(".partial"))
-    temporary.replace(target)
+    write_bytes(target, (folder / "weights.safetensors").read_bytes())
     return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())
 
 

@@ -1,19 +1,18 @@
-"""Weights on disk: safetensors only, nothing is ever unpickled, and each file is written beside the old one and renamed.
+"""Weights on disk: safetensors only, nothing is ever unpickled; written by learn.networks.tensor_file.
 
 checkpoint.safetensors  all a run needs to go on: network, moving average, optimiser; metadata: step, skipped steps, the run
 weights.safetensors     what a user needs: the moving average in half precision; metadata: network, size, step, and the run as JSON
 """
 
 import json
-import os
 from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 
 from learn.baselines.encoder_decoder import EncoderDecoder
 from learn.baselines.separate import Separate
+from learn.networks import tensor_file
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.paper import Paper
@@ -26,12 +25,8 @@ LARGEST_FILE = 4 << 30
 
 
 def save(path, tensors, metadata):
-    """Tensors and text under a name of their own first."""
-    path = Path(path)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}")
-    save_file({name: t.detach().contiguous().clone() for name, t in tensors.items()}, temporary, metadata)
-    temporary.chmod(0o644)  # the library makes files that only their owner may read
-    temporary.replace(path)
+    """Write tensors and text, whole or not at all. Raises as manifests.files.replacing."""
+    tensor_file.write(path, tensors, metadata)
 
 
 def load(path):

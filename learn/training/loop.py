@@ -20,6 +20,7 @@ from learn.training import checkpoint, losses, measures, schedule, sheet
 from learn.training.journal import Journal
 from learn.training.settings import Run
 from learn.training.sources import source_of
+from manifests.files import write_bytes
 from manifests.problems import Problem
 from manifests.reading import decode
 
@@ -63,7 +64,7 @@ class Training:
         """All steps that are left; returns the last validation's figures."""
         run, last, figures = self.run, time.monotonic(), {}
         if self.rank == 0:
-            (self.out / "run.json").write_bytes(msgspec.json.format(msgspec.json.encode(run), indent=1))
+            write_bytes(self.out / "run.json", msgspec.json.format(msgspec.json.encode(run), indent=1))
         total = schedule.steps(run)
         bar = tqdm(total=total, initial=self.step, unit="step", desc=run.name, disable=self.rank > 0)
         for batch in self._batches() if not self._is_done() else ():
