@@ -75,13 +75,19 @@ class Glb:
         """
         values = np.asarray(values)
         table = values.reshape(len(values), -1)
-        described = {"count": len(values), "componentType": COMPONENTS[values.dtype.name], "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3"}[table.shape[1]]}
+        described = {
+            "count": len(values),
+            "componentType": COMPONENTS[values.dtype.name],
+            "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3"}[table.shape[1]],
+        }
         sparse = np.asarray(sparse, np.uint16)
         if len(sparse) < len(values):
             plain = table.copy()
             plain[sparse] = 99
             rows = [row.tobytes() for row in plain]
-            described["bufferView"] = self.view(b"".join(row.ljust(stride, b"\x55") for row in rows), **({"byteStride": stride} if stride else {}))
+            described["bufferView"] = self.view(
+                b"".join(row.ljust(stride, b"\x55") for row in rows), **({"byteStride": stride} if stride else {})
+            )
         if len(sparse):
             indices, replaced = self.view(sparse.tobytes()), self.view(table[sparse].tobytes())
             described["sparse"] = {

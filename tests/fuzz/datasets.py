@@ -179,7 +179,9 @@ def replaced(path: Path, rng: np.random.Generator) -> str:
 
 def _stray(data, rng):
     """Something that belongs to nobody."""
-    name = mutation.pick(rng, ("images/zz/stray.exr", "records/worker-99.jsonl", "partial/x.part", "failures-x.jsonl", "geometry/.x", "é\n.json"))
+    name = mutation.pick(
+        rng, ("images/zz/stray.exr", "records/worker-99.jsonl", "partial/x.part", "failures-x.jsonl", "geometry/.x", "é\n.json")
+    )
     path = data / name
     path.parent.mkdir(parents=True, exist_ok=True)
     if rng.random() < 0.5:

@@ -81,7 +81,6 @@ def warm_up() -> None:
     cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")  # a case's HOME is empty
     os.environ.setdefault("BRDFACTORY_CACHE", str(Path(cache) / "brdfactory"))
     os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(Path(cache) / "torchinductor"))  # else it is made in TMPDIR
-    import matplotlib.figure
     import PIL.Image
     import torch
     import torch._dynamo  # which optimisers import

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-from synthetic import matte, write_dataset, write_exr
+from synthetic import id_of, matte, write_dataset, write_exr
 
 from learn.dataset import Records
 from learn.evaluation import bench, methods, page, pairs, run
@@ -390,7 +390,7 @@ def two_regions(data, tmp_path):
         m = torch.from_numpy(np.stack([records.label(name) for name in names]))[None].exp()
         seen = render(torch.from_numpy(normals)[None], m, L, segments=torch.from_numpy(segments)[None], method="quadrature")[0].numpy()
         write_exr(store.folder / f"images/two-{k}.exr", {c: seen[..., i].astype(np.float16) for i, c in enumerate("RGB")})
-        lines.append(msgspec.structs.replace(record, id=f"two-{k}", materials=names, image=f"images/two-{k}.exr", rotation_texels=0))
+        lines.append(msgspec.structs.replace(record, id=id_of(f"two-{k}"), materials=names, image=f"images/two-{k}.exr", rotation_texels=0))
     lines.close()
     return store.folder
 
