@@ -81,15 +81,15 @@ def warm_up() -> None:
     cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")  # a case's HOME is empty
     os.environ.setdefault("BRDFACTORY_CACHE", str(Path(cache) / "brdfactory"))
     os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(Path(cache) / "torchinductor"))  # else it is made in TMPDIR
-    import matplotlib.figure
     import PIL.Image
     import torch
-    import torch._dynamo  # which optimisers import
     import tqdm
 
     torch.set_num_threads(1)
     tqdm.tqdm.monitor_interval = 0  # its thread would not live in the children
     PIL.Image.init()
+    for name in ("matplotlib.figure", "torch._dynamo"):  # figures; what optimisers import
+        importlib.import_module(name)
     for package in ("manifests", "shaders", "factory", "learn"):
         folder = ROOT / package
         for each in pkgutil.walk_packages([str(folder)], f"{package}."):

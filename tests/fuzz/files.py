@@ -26,10 +26,7 @@ FOLDERS = {"lights.json": "library", "checkpoint": "trained", "log": "trained"} 
 
 
 VALID = [
-    (format_, name, template)
-    for format_, names in commands.FORMATS.items()
-    for template in commands.READERS[format_]
-    for name in names
+    (format_, name, template) for format_, names in commands.FORMATS.items() for template in commands.READERS[format_] for name in names
 ]
 
 

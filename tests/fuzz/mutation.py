@@ -18,7 +18,18 @@ INTEGERS = (0, 1, -1, 2, 127, 128, 255, 256, 257, 32767, 65535, 65536, 2**31 - 1
 FLOATS = (0.0, -0.0, -1.0, 1e-300, 5e-324, 1e37, 1e38, 3.4e38, 1e300, math.inf, -math.inf, math.nan)
 WORDS = (
     *("nan", "-inf", "inf", "1e400", "-1e400", "0x10", "1_000", "٣", "1e5", "1,5", "", " ", "-", "+", "true", "null", "None"),
-    *("../../escaped", "/etc/passwd", "/dev/zero", "a/../b", "con.", "~", "-v", "--out", "\u202e\u0000", "\ud800".encode("utf-8", "surrogatepass").decode("latin1")),
+    *(
+        "../../escaped",
+        "/etc/passwd",
+        "/dev/zero",
+        "a/../b",
+        "con.",
+        "~",
+        "-v",
+        "--out",
+        "\u202e\u0000",
+        "\ud800".encode("utf-8", "surrogatepass").decode("latin1"),
+    ),
     *("x" * 300, "9" * 400, "é" * 50, "%s%n{0}", "\n", "\t", "a\nb"),
 )
 
@@ -33,7 +44,9 @@ def pick(rng: np.random.Generator, choices) -> Any:
 
 def some_bytes(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     """Bytes damaged in one of the ways in which files are."""
-    how: Callable = pick(rng, (_flip, _flip, _overwrite, _overwrite, _integer, _integer, _cut, _behead, _drop, _repeat, _swap, _insert, _double, _blank))
+    how: Callable = pick(
+        rng, (_flip, _flip, _overwrite, _overwrite, _integer, _integer, _cut, _behead, _drop, _repeat, _swap, _insert, _double, _blank)
+    )
     return how(data or b"\0", rng)
 
 
@@ -86,7 +99,8 @@ def _drop(data, rng):
 def _repeat(data, rng):
     first, length = _span(data, rng)
     times = int(min(pick(rng, (1, 1, 2, 100)), 1 + (1 << 20) // length))
-    return data[:first] + data[first : first + length] * (times + 1) + data[first + length :], f"{length} bytes at {first} {times + 1} times"
+    again = data[first : first + length] * times
+    return data[:first] + again + data[first:], f"{length} bytes at {first} repeated {times} times"
 
 
 def _swap(data, rng):
@@ -334,7 +348,10 @@ def some_npz(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
         members[new] = members.pop(name)
         label += f"renamed to {new!r}"
     elif kind == 5:
-        members[name] = pick(rng, (b"", members[name][:60], data, b"\x80\x04N.", object_header(), bomb_header((1 << 40,)), bomb_header((1 << 20, 1 << 20, 3))))
+        members[name] = pick(
+            rng,
+            (b"", members[name][:60], data, b"\x80\x04N.", object_header(), bomb_header((1 << 40,)), bomb_header((1 << 20, 1 << 20, 3))),
+        )
         label += "another content"
     elif kind == 6:
         members[name], how = some_bytes(members[name], rng)
@@ -379,7 +396,11 @@ def directory_lies(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     """A zip whose central directory says other sizes, flags, methods or places than there are."""
     at = data.find(b"PK\x01\x02")
     fields = (("flags: encrypted", 8, "<H", (1, 0x0800, 0xFFFF)), ("method", 10, "<H", (0, 8, 12, 14, 99)), ("checksum", 16, "<I", (0, 1)))
-    fields += (("compressed size", 20, "<I", (0, 1, 2**31, 2**32 - 1)), ("size", 24, "<I", (0, 1, 2**31, 2**32 - 1)), ("place", 42, "<I", (1, 2**31)))
+    fields += (
+        ("compressed size", 20, "<I", (0, 1, 2**31, 2**32 - 1)),
+        ("size", 24, "<I", (0, 1, 2**31, 2**32 - 1)),
+        ("place", 42, "<I", (1, 2**31)),
+    )
     name, offset, kind, values = pick(rng, fields)
     value = pick(rng, values)
     out = bytearray(data)
@@ -525,6 +546,9 @@ def exr_channels(data: bytes) -> dict[str, np.ndarray]:
 # ------------------------------------------------------------------------------------------------------------------ PNG
 
 
+PNG_HOWS = ("damaged", "removed", "twice", "with a stranger", "IHDR made up")
+
+
 def some_png(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     """A PNG with other chunks (checksums right), another header, mode or size; or a picture of another kind under its name."""
     kind = rng.random()
@@ -546,7 +570,7 @@ def some_png(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
         else:
             width, height = (int(pick(rng, (0, 1, 7, 20_000, 2**31 - 1, 2**32 - 1))) for _ in range(2))
             chunks[0] = (b"IHDR", struct.pack(">II", width, height) + bytes(int(x) for x in rng.integers(0, 17, 5)))
-        return png(chunks), f"chunk {name.decode('latin1')} at {k}, {('damaged', 'removed', 'twice', 'with a stranger', 'IHDR made up')[how]}"
+        return png(chunks), f"chunk {name.decode('latin1')} at {k}, {PNG_HOWS[how]}"
     from PIL import Image
 
     picture = Image.open(io.BytesIO(data))

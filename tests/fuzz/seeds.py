@@ -1,14 +1,14 @@
 """Small valid files of every format that the program reads: what mutations start from.
 
-    mesh.obj, mesh.ply, mesh-binary.ply, mesh.glb, mesh.stl, mesh-binary.stl, mesh.off
-    light.exr, light.hdr, light.npz, maps.npz      library/ (two maps and lights.json)
-    job.json                                       names mesh.obj, light.exr and a material of catalogue.json
-    catalogue.json, nbrdf.npz, merl.binary, abc.csv
-    data/                                          24 pictures of 32 × 32 pixels of a fake studio: clean
-    views/                                         geometry alone, of shapes for all sides
-    photograph.png, photograph.exr, mask.png, regions.png, material.json, pictures.txt
-    weights.safetensors                            the shipped network, to be shown pictures of 32 × 32
-    run.json, pictures.json                        training runs of two steps; trained/ is a folder that the first has begun
+mesh.obj, mesh.ply, mesh-binary.ply, mesh.glb, mesh.stl, mesh-binary.stl, mesh.off
+light.exr, light.hdr, light.npz, maps.npz      library/ (two maps and lights.json)
+job.json                                       names mesh.obj, light.exr and a material of catalogue.json
+catalogue.json, nbrdf.npz, merl.binary, abc.csv
+data/                                          24 pictures of 32 × 32 pixels of a fake studio: clean
+views/                                         geometry alone, of shapes for all sides
+photograph.png, photograph.exr, mask.png, regions.png, material.json, pictures.txt
+weights.safetensors                            the shipped network, to be shown pictures of 32 × 32
+run.json, pictures.json                        training runs of two steps; trained/ is a folder that the first has begun
 """
 
 import io
