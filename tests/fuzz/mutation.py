@@ -6,10 +6,13 @@ Every function takes what is valid and a generator of random numbers, and return
 import io
 import json
 import math
+import os
+import shutil
 import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -509,7 +512,6 @@ def some_values_like(array: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def exr(channels: dict[str, np.ndarray], compression: Any = None) -> bytes:
     """The bytes of an EXR of these channels."""
-    import os
     import tempfile
 
     import OpenEXR
@@ -528,7 +530,6 @@ def exr(channels: dict[str, np.ndarray], compression: Any = None) -> bytes:
 
 def exr_channels(data: bytes) -> dict[str, np.ndarray]:
     """{name: array} of an EXR."""
-    import os
     import tempfile
 
     import OpenEXR
@@ -601,3 +602,35 @@ def png(chunks: list[tuple[bytes, bytes]]) -> bytes:
     """A PNG of chunks, with the checksums they should have."""
     parts = (struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body)) for name, body in chunks)
     return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+# ------------------------------------------------------------------------------------------------------------ file system
+
+
+def put_instead(path: Path, rng: np.random.Generator) -> str:
+    """Put something else where a file or a folder is; returns what."""
+    was_folder = path.is_dir()
+    shutil.rmtree(path) if was_folder else path.unlink(missing_ok=True)
+    kind = pick(rng, ("gone", "empty", "folder", "pipe", "loop", "dangling", "device", "outside", "sparse", "locked"))
+    if kind == "empty":
+        path.write_bytes(b"")
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "loop":
+        path.symlink_to(path.name)
+    elif kind == "dangling":
+        path.symlink_to("nowhere")
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "outside":
+        path.symlink_to("/proc/tty" if was_folder else "/proc/version")  # which nothing can write
+    elif kind == "sparse":
+        with open(path, "wb") as file:
+            file.truncate(8 << 30)
+    elif kind == "locked":
+        path.write_bytes(b"{}")
+        path.chmod(0)
+    words = {"pipe": "is a pipe", "loop": "is a link to itself", "device": "is a link to /dev/zero", "sparse": "has 8 GiB of zeros"}
+    return words.get(kind, f"is {kind}")
