@@ -19,16 +19,16 @@ class Orders:
         self.jobs = [order.job for order in dataset.orders]
         self.met: set[int] = set()
 
-    def combination(self, record: Record, materials: Sequence[str]) -> list["_Combination"]:
+    def combinations(self, record: Record, materials: Sequence[str]) -> list["Combination"]:
         """The jobs that may have asked for records like this one, drawn for its combination; materials: their hashes."""
         return [
-            _Combination(index, job, record.shape_hash, materials, record.light_hash)
+            Combination(index, job, record.shape_hash, materials, record.light_hash)
             for index, job in enumerate(self.jobs)
             if job.pictures and job.camera == record.camera and job.samples == record.samples
         ]
 
-    def ask_for(self, record: Record, combinations: list["_Combination"]) -> bool:
-        """Whether a job asks for a record; combinations: as `combination` gives them for it."""
+    def ask_for(self, record: Record, combinations: list["Combination"]) -> bool:
+        """Whether a job asks for a record; combinations: as `combinations` gives them for it."""
         for combination in combinations:
             if combination.holds(record):
                 self.met.add(combination.index)
@@ -51,7 +51,7 @@ class Orders:
         return [index for index in range(len(self.jobs)) if index not in self.met]
 
 
-class _Combination:
+class Combination:
     """What a job draws for one combination: words of its seeds with their views, drawn when they are first needed."""
 
     def __init__(self, index: int, job: Job, shape_hash: str, materials: Sequence[str], light_hash: str):
