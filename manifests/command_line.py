@@ -28,6 +28,7 @@ def main(program, description, commands, arguments=None):
     debug, options = "--debug" in words, None
     try:
         try:
+            _refuse_empty(parser, words)
             options = parser.parse_args(arguments)
             return options.run(options) or 0
         finally:  # here, where a full disk or a reader that has gone still has a line and a status
@@ -41,6 +42,18 @@ def main(program, description, commands, arguments=None):
         how = "the same command continues" if getattr(options, "continues", True) else "the same command with --overwrite replaces it"
         print(f"\n{program}: stopped; what was written stays, {how}", file=sys.stderr)
         return 130
+
+
+def _refuse_empty(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """End with the usage and status 2 where an argument is empty.
+
+    An empty one is a shell variable that was not set: as a path it would mean the current folder,
+    and as --shard every picture.
+    """
+    for before, word in zip(["", *words], words, strict=False):
+        if not word or (word.startswith("--") and word.endswith("=")):
+            name = word.removesuffix("=") or (before if before.startswith("-") else "an argument")
+            parser.error(f"{name}: a value expected, found an empty one; is a shell variable not set?")
 
 
 def _flush_output() -> None:
