@@ -8,7 +8,6 @@ import contextlib
 import hashlib
 import io
 import json
-import os
 import shutil
 from pathlib import Path
 
@@ -145,47 +144,23 @@ def _instead(data, rng):
     places = (some_file(data, rng), lines_of(data), data / "dataset.json", data / "materials.json")
     places += (data / "geometry", data / "lights", lines_of(data).parent, data / ".lock", data / "partial")
     path = mutation.pick(rng, places)
-    return f"{path.relative_to(data)} {replaced(path, rng)}"
-
-
-def replaced(path: Path, rng: np.random.Generator) -> str:
-    """Put something else where a file or a folder is; returns what."""
-    was_folder = path.is_dir()
-    shutil.rmtree(path) if was_folder else path.unlink(missing_ok=True)
-    kind = mutation.pick(rng, ("gone", "empty", "folder", "pipe", "loop", "dangling", "device", "outside", "sparse", "locked"))
-    if kind == "empty":
-        path.write_bytes(b"")
-    elif kind == "folder":
-        path.mkdir()
-    elif kind == "pipe":
-        os.mkfifo(path)
-    elif kind == "loop":
-        path.symlink_to(path.name)
-    elif kind == "dangling":
-        path.symlink_to("nowhere")
-    elif kind == "device":
-        path.symlink_to("/dev/zero")
-    elif kind == "outside":
-        path.symlink_to("/etc" if was_folder else "/etc/hostname")
-    elif kind == "sparse":
-        with open(path, "wb") as file:
-            file.truncate(8 << 30)
-    elif kind == "locked":
-        path.write_bytes(b"{}")
-        path.chmod(0)
-    words = {"pipe": "is a pipe", "loop": "is a link to itself", "device": "is a link to /dev/zero", "sparse": "has 8 GiB of zeros"}
-    return words.get(kind, f"is {kind}")
+    return f"{path.relative_to(data)} {mutation.put_instead(path, rng)}"
 
 
 def _stray(data, rng):
     """Something that belongs to nobody."""
+<<<<<<< HEAD
     name = mutation.pick(
         rng, ("images/zz/stray.exr", "records/worker-99.jsonl", "partial/x.part", "failures-x.jsonl", "geometry/.x", "é\n.json")
     )
+=======
+    names = ("images/zz/stray.exr", "records/worker-99.jsonl", "partial/x.part", "geometry/.x", "é\n.json")
+    name = mutation.pick(rng, (*names, "failures-x.jsonl"))
+>>>>>>> fuzz
     path = data / name
     path.parent.mkdir(parents=True, exist_ok=True)
     if rng.random() < 0.5:
-        return f"{name!r} {replaced(path, rng)}"
+        return f"{name!r} {mutation.put_instead(path, rng)}"
     path.write_bytes(mutation.pick(rng, (b"", b"x", b"\n", b"{}\n", b"\xff\xfe\n", b"null\n", lines_of(data).read_bytes())))
     return f"{name!r} added"
 
@@ -203,7 +178,7 @@ def _packed(data, rng):
     _fresh_cache(data, rng)
     path = folder / name
     if rng.random() < 0.3:
-        return f"packed/{name} {replaced(path, rng)}"
+        return f"packed/{name} {mutation.put_instead(path, rng)}"
     array, label = mutation.some_array(np.load(path), rng)
     path.write_bytes(mutation.npy(array) if rng.random() < 0.7 else mutation.some_bytes(path.read_bytes(), rng)[0])
     return f"packed/{name}: {label}"

@@ -83,12 +83,13 @@ def warm_up() -> None:
     os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(Path(cache) / "torchinductor"))  # else it is made in TMPDIR
     import PIL.Image
     import torch
-    import torch._dynamo  # which optimisers import
     import tqdm
 
     torch.set_num_threads(1)
     tqdm.tqdm.monitor_interval = 0  # its thread would not live in the children
     PIL.Image.init()
+    for name in ("matplotlib.figure", "torch._dynamo"):  # figures; what optimisers import
+        importlib.import_module(name)
     for package in ("manifests", "shaders", "factory", "learn"):
         folder = ROOT / package
         for each in pkgutil.walk_packages([str(folder)], f"{package}."):

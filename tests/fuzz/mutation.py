@@ -6,10 +6,13 @@ Every function takes what is valid and a generator of random numbers, and return
 import io
 import json
 import math
+import os
+import shutil
 import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -99,9 +102,14 @@ def _drop(data, rng):
 def _repeat(data, rng):
     first, length = _span(data, rng)
     times = int(min(pick(rng, (1, 1, 2, 100)), 1 + (1 << 20) // length))
+<<<<<<< HEAD
     return data[:first] + data[first : first + length] * (times + 1) + data[
         first + length :
     ], f"{length} bytes at {first} {times + 1} times"
+=======
+    again = data[first : first + length] * times
+    return data[:first] + again + data[first:], f"{length} bytes at {first} repeated {times} times"
+>>>>>>> fuzz
 
 
 def _swap(data, rng):
@@ -510,7 +518,6 @@ def some_values_like(array: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def exr(channels: dict[str, np.ndarray], compression: Any = None) -> bytes:
     """The bytes of an EXR of these channels."""
-    import os
     import tempfile
 
     import OpenEXR
@@ -529,7 +536,6 @@ def exr(channels: dict[str, np.ndarray], compression: Any = None) -> bytes:
 
 def exr_channels(data: bytes) -> dict[str, np.ndarray]:
     """{name: array} of an EXR."""
-    import os
     import tempfile
 
     import OpenEXR
@@ -545,6 +551,9 @@ def exr_channels(data: bytes) -> dict[str, np.ndarray]:
 
 
 # ------------------------------------------------------------------------------------------------------------------ PNG
+
+
+PNG_HOWS = ("damaged", "removed", "twice", "with a stranger", "IHDR made up")
 
 
 def some_png(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
@@ -568,9 +577,13 @@ def some_png(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
         else:
             width, height = (int(pick(rng, (0, 1, 7, 20_000, 2**31 - 1, 2**32 - 1))) for _ in range(2))
             chunks[0] = (b"IHDR", struct.pack(">II", width, height) + bytes(int(x) for x in rng.integers(0, 17, 5)))
+<<<<<<< HEAD
         return png(
             chunks
         ), f"chunk {name.decode('latin1')} at {k}, {('damaged', 'removed', 'twice', 'with a stranger', 'IHDR made up')[how]}"
+=======
+        return png(chunks), f"chunk {name.decode('latin1')} at {k}, {PNG_HOWS[how]}"
+>>>>>>> fuzz
     from PIL import Image
 
     picture = Image.open(io.BytesIO(data))
@@ -601,3 +614,35 @@ def png(chunks: list[tuple[bytes, bytes]]) -> bytes:
     """A PNG of chunks, with the checksums they should have."""
     parts = (struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body)) for name, body in chunks)
     return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+# ------------------------------------------------------------------------------------------------------------ file system
+
+
+def put_instead(path: Path, rng: np.random.Generator) -> str:
+    """Put something else where a file or a folder is; returns what."""
+    was_folder = path.is_dir()
+    shutil.rmtree(path) if was_folder else path.unlink(missing_ok=True)
+    kind = pick(rng, ("gone", "empty", "folder", "pipe", "loop", "dangling", "device", "outside", "sparse", "locked"))
+    if kind == "empty":
+        path.write_bytes(b"")
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "loop":
+        path.symlink_to(path.name)
+    elif kind == "dangling":
+        path.symlink_to("nowhere")
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "outside":
+        path.symlink_to("/proc/tty" if was_folder else "/proc/version")  # which nothing can write
+    elif kind == "sparse":
+        with open(path, "wb") as file:
+            file.truncate(8 << 30)
+    elif kind == "locked":
+        path.write_bytes(b"{}")
+        path.chmod(0)
+    words = {"pipe": "is a pipe", "loop": "is a link to itself", "device": "is a link to /dev/zero", "sparse": "has 8 GiB of zeros"}
+    return words.get(kind, f"is {kind}")
