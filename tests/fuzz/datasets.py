@@ -149,14 +149,8 @@ def _instead(data, rng):
 
 def _stray(data, rng):
     """Something that belongs to nobody."""
-<<<<<<< HEAD
-    name = mutation.pick(
-        rng, ("images/zz/stray.exr", "records/worker-99.jsonl", "partial/x.part", "failures-x.jsonl", "geometry/.x", "é\n.json")
-    )
-=======
     names = ("images/zz/stray.exr", "records/worker-99.jsonl", "partial/x.part", "geometry/.x", "é\n.json")
     name = mutation.pick(rng, (*names, "failures-x.jsonl"))
->>>>>>> fuzz
     path = data / name
     path.parent.mkdir(parents=True, exist_ok=True)
     if rng.random() < 0.5:

@@ -102,14 +102,8 @@ def _drop(data, rng):
 def _repeat(data, rng):
     first, length = _span(data, rng)
     times = int(min(pick(rng, (1, 1, 2, 100)), 1 + (1 << 20) // length))
-<<<<<<< HEAD
-    return data[:first] + data[first : first + length] * (times + 1) + data[
-        first + length :
-    ], f"{length} bytes at {first} {times + 1} times"
-=======
     again = data[first : first + length] * times
     return data[:first] + again + data[first:], f"{length} bytes at {first} repeated {times} times"
->>>>>>> fuzz
 
 
 def _swap(data, rng):
@@ -577,13 +571,7 @@ def some_png(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
         else:
             width, height = (int(pick(rng, (0, 1, 7, 20_000, 2**31 - 1, 2**32 - 1))) for _ in range(2))
             chunks[0] = (b"IHDR", struct.pack(">II", width, height) + bytes(int(x) for x in rng.integers(0, 17, 5)))
-<<<<<<< HEAD
-        return png(
-            chunks
-        ), f"chunk {name.decode('latin1')} at {k}, {('damaged', 'removed', 'twice', 'with a stranger', 'IHDR made up')[how]}"
-=======
         return png(chunks), f"chunk {name.decode('latin1')} at {k}, {PNG_HOWS[how]}"
->>>>>>> fuzz
     from PIL import Image
 
     picture = Image.open(io.BytesIO(data))
