@@ -12,6 +12,8 @@ The backward pass is derived by hand and computes each chunk again instead of st
     ∂κ = A c^γ                     ∂γ = A x ln c                 ∂ln c = Σ_ks A x γ,   ∂c/∂n = h
     ∂h/∂v = (1 − h hᵀ)/|w + v|     ∂θ_d/∂v = −(|w + v| d + |w − v| h)/4,   d = (w − v)/|w − v|
 
+It is a step of its own, which learn/methods/exact_second.py differentiates.
+
 The factor h of ∂c/∂n is missing in print, and ln c is needed only where c > 0 (tests/test_misprints.py).
 """
 

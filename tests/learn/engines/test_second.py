@@ -157,7 +157,7 @@ def test_threads_do_not_show(rng, perspective):
 
 @CAMERAS
 def test_groups_and_images_keep_to_themselves(rng, perspective):
-    """Three groups of two images together, and each alone: the same bits."""
+    """Three groups of two images together, and each alone: the same bits; and the reference, which CUDA takes, in the same order."""
     scenes = [make_scene(rng, random_material(rng), pixels=20, size=(8, 16), perspective=perspective) for _ in range(3)]
     scenes[1].light = scenes[0].light
     along = [direction(rng, scene) for scene in scenes]
@@ -177,6 +177,10 @@ def test_groups_and_images_keep_to_themselves(rng, perspective):
             assert np.array_equal(found[i], join([by[i] for by in alone])), NAMES[i]
     np.testing.assert_allclose(found[4][0], alone[0][4][0] + alone[1][4][0], rtol=1e-6, atol=1e-6 * np.abs(found[4][0]).max())
     assert np.array_equal(found[4][1], alone[2][4][0])
+    tensors = [[None if x is None else torch.as_tensor(x) for x in group] for group in (directions_, (*given, m, lights))]
+    right = exact_second.of_groups(tensors[0], *tensors[1], rotation, counts, [0, 0, 1])
+    for i in (0, 3, 4):  # those by n and view differ in their radial parts
+        np.testing.assert_allclose(found[i], right[i], rtol=0, atol=TOLERANCE * np.abs(found[i]).max(), err_msg=NAMES[i])
 
 
 @CAMERAS
