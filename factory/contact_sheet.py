@@ -11,8 +11,8 @@ import io
 import numpy as np
 from PIL import Image, ImageDraw
 
-from factory import exr
 from factory.shading import mirror_ball, shade
+from manifests.arrays import read_geometry, read_light, read_picture
 from manifests.store import inside
 from shaders import frames, tone
 from shaders.envmap import roll
@@ -26,8 +26,9 @@ STYLE = "body{background:#181818;color:#ddd;font:14px sans-serif}td{padding:2px 
 
 def row(store, dataset, materials, record, size):
     """The tiles of one record, in the order of COLUMNS."""
-    picture = exr.read_picture(inside(store.folder, record.image))
-    normals, mask, _, segments = exr.read_geometry(inside(store.folder, record.geometry))
+    picture = read_picture(inside(store.folder, record.image), record.camera.size)
+    geometry = read_geometry(inside(store.folder, record.geometry), record.camera.size)
+    normals, mask, segments = geometry.normals, geometry.mask, geometry.segments
     light = stored_light(store, dataset, record)
     elevation = np.radians(record.camera.elevation_deg)
     exposure = tone.auto_exposure(picture, mask)
@@ -64,8 +65,7 @@ def view(record):
 
 def stored_light(store, dataset, record):
     """The light (64, 128, 3) as the camera of a record sees it."""
-    with np.load(inside(store.folder, dataset.lights[record.light].file), allow_pickle=False) as stored:
-        return roll(stored["L"], record.rotation_texels)
+    return roll(read_light(inside(store.folder, dataset.lights[record.light].file)), record.rotation_texels)
 
 
 def tile(display, size):

@@ -10,7 +10,6 @@ light     (64, 128, 3) linear radiance of unit mean luminance, light frame of th
 view      (H, W, 3) unit vectors to the viewer, camera frame; None for an orthographic camera
 """
 
-import zipfile
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from manifests import exr
+from manifests import arrays
 from manifests.materials import material, read_catalogue
 from manifests.problems import Problem
 from manifests.schema import Record
@@ -28,7 +27,6 @@ from shaders.envmap import roll
 from shaders.frames import view_vectors
 
 LARGEST_LABEL = 14.0  # log γ of the sharpest lobe that the layer is tested with is 11.5
-PICTURE, NORMAL, DEPTH, SEGMENT = ("R", "G", "B"), ("normal.X", "normal.Y", "normal.Z"), ("depth.Z",), ("segment",)
 
 
 @dataclass(frozen=True)
@@ -103,28 +101,15 @@ class Records(torch.utils.data.Dataset):
 
     def image(self, record):
         """Radiance (H, W, 3) float32 of a record."""
-        (radiance,) = self._channels(record, record.image, PICTURE)
-        return radiance
+        return arrays.read_picture(inside(self.folder, record.image), record.camera.size)
 
     def geometry(self, record):
         """normals (H, W, 3) float32, depth (H, W) float32, segments (H, W) int64 of a record or a view."""
-        normals, depth, segments = self._channels(record, record.geometry, NORMAL, DEPTH, SEGMENT)
+        path = inside(self.folder, record.geometry)
+        normals, depth, segments = arrays.read_geometry(path, record.camera.size)
         if segments.max(initial=0) > record.segments:
-            found = f"segment {int(segments.max())}"
-            raise Problem(inside(self.folder, record.geometry), f"at most {record.segments} segments", found, "render it again")
-        return normals, depth[..., 0], segments[..., 0].astype(np.int64)
-
-    def _channels(self, record, relative, *groups):
-        path = inside(self.folder, relative)
-        channels = exr.read(path)
-        names = [name for group in groups for name in group]
-        missing = [name for name in names if name not in channels]
-        sizes = {channels[name].shape for name in names if name in channels}
-        if missing or sizes != {record.camera.size}:
-            found = f"no {', '.join(missing)}" if missing else f"{sizes}"
-            expected = f"channels {', '.join(names)} of {record.camera.size[0]} × {record.camera.size[1]} pixels"
-            raise Problem(path, expected, found, "render or copy it again")
-        return [np.stack([channels[name].astype(np.float32) for name in group], -1) for group in groups]
+            raise Problem(path, f"at most {record.segments} segments", f"segment {int(segments.max())}", "render it again")
+        return normals, depth, segments.astype(np.int64)
 
     @cache  # noqa: B019 -- one dataset lives as long as its program
     def material(self, name):
@@ -148,15 +133,4 @@ class Records(torch.utils.data.Dataset):
         entry = self.dataset.lights.get(name)
         if entry is None:
             raise Problem(self.folder / "dataset.json", f"a light '{name}', which a record names,", "none", "copy the dataset again")
-        path = inside(self.folder, entry.file)
-        try:
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
-                L = arrays["L"]
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise Problem(path, "a stored light map", str(error) or "none", "render or copy the dataset again") from None
-        remedy = "render or copy the dataset again"
-        if L.shape != (64, 128, 3):
-            raise Problem(path, "radiance of shape (64, 128, 3)", f"{L.shape}", remedy)
-        if wrong := int((~(np.isfinite(L) & (L >= 0))).sum()):
-            raise Problem(path, "finite radiance ≥ 0", f"{wrong} values that are not", remedy)
-        return L.astype(np.float32)
+        return arrays.read_light(inside(self.folder, entry.file))

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 
 from learn import pictures
 from learn.dataset import Records
@@ -31,6 +30,7 @@ def of(framed, network, regions=None, count=1):
     """(Batch of one, Prediction) of a learn.pictures.Framed.
 
     regions  (size, size) 1 … S, None for one; count: S, of which a small one may have no pixel left at the network's size
+    Raises   Problem: the network predicts what is not finite
     """
     image = torch.from_numpy(framed.radiance).movedim(-1, 0)[None].contiguous()
     mask = torch.from_numpy(framed.mask)
@@ -41,6 +41,9 @@ def of(framed, network, regions=None, count=1):
     batch = Batch(image, mask[None, None].float(), normals, segments, label, nothing, label, ("picture",), float(ELEVATION))
     with torch.no_grad():
         predicted = network(batch.image, batch.mask, segments if count > 1 else None, regions=count)
+    if not all(part.isfinite().all() for part in (predicted.n, predicted.label, predicted.light)):
+        rule = "weights that predict finite normals, light and material"
+        raise Problem("--weights", rule, "NaN or infinity", "train them again, or leave --weights out")
     return batch, predicted
 
 
@@ -52,24 +55,25 @@ def write(image, mask, weights, out, exposure=None, overwrite=False):
         raise Problem("--mask", "a photograph: a dataset's records have masks", f"the dataset {image}", "leave --mask out")
     network, metadata = checkpoint.load_parts(weights)
     radiance, covered, exposure = _from_record(image, exposure) if Path(image).is_dir() else (*pictures.read(image, mask), exposure)
-    framed = pictures.framed(radiance, covered, int(metadata["size"]), exposure)
+    framed = pictures.framed(radiance, covered, metadata["size"], exposure, image)
     batch, predicted = of(framed, network)
     seen = replace(batch, n=predicted.n, label=predicted.label, light=predicted.light)
     again = measures.picture(predicted.n, predicted.label, predicted.light, seen)[0]
     out.mkdir(parents=True, exist_ok=True)
     n = (predicted.n[0] * batch.mask[0]).movedim(0, -1).numpy()
     light = predicted.light[0].movedim(0, -1).numpy()
-    pictures.write_exr(out / "normals.exr", n, "XYZ")
-    pictures.write_exr(out / "light.exr", light)
-    pictures.write_exr(out / "rendering.exr", again)
     bright = tone.auto_exposure(framed.radiance, framed.mask)
     cells = sheet.parts(batch, predicted, again, bright)
-    for name, cell in cells.items():
-        _save(out / f"{name}.png", cell)
-    _save(out / "mask.png", 255.0 * framed.mask)
     names = {"picture": "photograph", "rendering": "rendered again"}
-    _save(out / "sheet.png", captioned([[(names.get(name, name), cell) for name, cell in cells.items()]], TILE))
-    write_material(out / "material.json", predicted.label[0].numpy(), framed, metadata, weights)
+    with files.together():
+        pictures.write_exr(out / "normals.exr", n, "XYZ")
+        pictures.write_exr(out / "light.exr", light)
+        pictures.write_exr(out / "rendering.exr", again)
+        for name, cell in cells.items():
+            _save(out / f"{name}.png", cell)
+        _save(out / "mask.png", 255.0 * framed.mask)
+        _save(out / "sheet.png", captioned([[(names.get(name, name), cell) for name, cell in cells.items()]], TILE))
+        write_material(out / "material.json", predicted.label[0].numpy(), framed, metadata, weights)
 
 
 def _from_record(folder, exposure):
@@ -105,4 +109,5 @@ def _rounded(label):
 
 
 def _save(path, cell):
-    Image.fromarray(np.clip(cell, 0, 255).astype(np.uint8)).save(path)
+    pictures.require_finite(path, cell)
+    files.write_image(path, np.clip(cell, 0, 255).astype(np.uint8))

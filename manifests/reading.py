@@ -10,6 +10,7 @@ from typing import get_args
 
 import msgspec
 
+from manifests.inputs import require_file
 from manifests.problems import Problem, closest
 
 MAXIMUM_BYTES = 64 << 20  # a job is a page of text, dataset.json some MiB; what is far larger is another file under this name
@@ -21,17 +22,19 @@ def read(path, type_, maximum_bytes=MAXIMUM_BYTES):
     Raises  Problem: missing, too large, malformed, unknown key (with the closest one), wrong type
     """
     path = Path(path)
-    try:
-        size = path.stat().st_size
-    except FileNotFoundError:
-        names = [p.name for p in path.parent.glob("*.json")]
-        remedy = closest(path.name, names) if names else "check the path" if path.parent.is_dir() else "the folder is missing too"
-        raise Problem(path, "a JSON file", "nothing", remedy) from None
-    if path.is_dir():
-        raise Problem(path, "a JSON file", "a folder", "name the file")
-    if size > maximum_bytes:
-        raise Problem(path, f"at most {maximum_bytes >> 20} MiB", f"{size >> 20} MiB", "check that this is the right file")
+    require_file(path, "a JSON file", _remedy(path), maximum_bytes)
     return decode(path.read_bytes().removeprefix(codecs.BOM_UTF8), type_, path)  # editors on Windows write the mark
+
+
+def _remedy(path):
+    """What to do where a file is missing: the names like it, if there are any."""
+    try:
+        if not path.parent.is_dir():
+            return "the folder is missing too"
+        names = [p.name for p in path.parent.glob("*.json")]
+    except (OSError, ValueError):  # a folder that may not be read, a name that no file can have
+        names = []
+    return closest(path.name, names) if names else "check the path"
 
 
 def decode(data, type_, where):

@@ -1,6 +1,9 @@
 """What every test may ask for. Tests import from the working tree and run in any order."""
 
+import contextlib
 import os
+import resource
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -41,3 +44,24 @@ def shared_data():
     if not folder.is_dir():
         pytest.skip(f"needs the development data in {folder.name}/ beside the repository (BRDFACTORY_SHARED_DATA)")
     return folder
+
+
+@pytest.fixture
+def small_files():
+    """A context manager of a count of bytes beyond which the system refuses to write a file.
+
+    It stands for a full disk: write() fails in either case, with EFBIG here and ENOSPC there.
+    """
+
+    @contextlib.contextmanager
+    def limited(count):
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (count, hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+            signal.signal(signal.SIGXFSZ, handler)
+
+    return limited

@@ -6,6 +6,7 @@ geometry, texel, lambert, closures, perspective, materials   see factory.render.
 """
 
 import argparse
+import contextlib
 import hashlib
 import json
 import os
@@ -129,25 +130,27 @@ class _StudioLoop:
         self.segments = mesh.segments
 
     def run(self, geometry):
-        with open(f"{self.folder}/records.jsonl", "a") as records:
+        from manifests.store import Lines
+
+        with contextlib.closing(Lines(f"{self.folder}/records.jsonl")) as records:
             for view in range(VIEWS):
                 self.studio.set_view(2 * np.pi * view / VIEWS)
-                records.write(json.dumps({"view": view} | self._record(view, geometry)) + "\n")
-                records.flush()
+                records.append({"view": view} | self._record(view, geometry))
 
     def _record(self, view, geometry):
-        from factory import exr
         from factory.render import checks
+        from manifests.arrays import encode_geometry, encode_picture
+        from manifests.files import write_bytes
 
         faults, paths = [], [f"{self.folder}/picture{view:02}.exr"]
         if geometry:
             self.shots[view] = shot = self.studio.geometry()
             faults += checks.geometry(shot, self.segments)
             paths.append(f"{self.folder}/geometry{view:02}.exr")
-            exr.write_geometry(paths[1], shot)
+            write_bytes(paths[1], encode_geometry(shot))
         radiance, alpha = self.studio.picture(1, view, "direct")
         faults += checks.picture(radiance, float(self.shots[view].mask.mean()), alpha)
-        exr.write_picture(paths[0], radiance)
+        write_bytes(paths[0], encode_picture(radiance))
         return {"faults": faults, "hashes": [hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths]}
 
 
@@ -246,7 +249,9 @@ def main(arguments):
     text = json.dumps(result, indent=2, ensure_ascii=False)
     print(text)
     if options.out:
-        Path(options.out).write_text(text + "\n", encoding="utf-8")
+        from manifests.files import write_text
+
+        write_text(options.out, text + "\n")
     return 0
 
 

@@ -7,6 +7,7 @@ white FULL or more.
 import numpy as np
 from PIL import Image
 
+from manifests.files import write_image
 from shaders import tone
 
 FULL = 64.0
@@ -29,14 +30,12 @@ def write(path, batch, truth, pictures, mask):
         below.append(cut(heat(np.sqrt(((shown - right) ** 2).mean(-1))), mask))
     sheet = np.concatenate([np.concatenate([cell[window] for cell in row], 1) for row in (above, below)], 0)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}")
-    Image.fromarray(np.clip(np.rint(sheet), 0, 255).astype(np.uint8)).save(temporary, "PNG")
-    temporary.replace(path)
+    write_image(path, np.clip(np.rint(sheet), 0, 255).astype(np.uint8))
 
 
 def cells(path, count):
     """[(above, below)] display pictures of the `count` columns of a sheet that `write` made."""
-    sheet = np.asarray(Image.open(path).convert("RGB"))
+    sheet = np.asarray(Image.open(path, formats=["PNG"]).convert("RGB"))
     H, W = sheet.shape[0] // 2, sheet.shape[1] // count
     return [(sheet[:H, k * W : (k + 1) * W], sheet[H:, k * W : (k + 1) * W]) for k in range(count)]
 

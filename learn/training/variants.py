@@ -16,6 +16,8 @@ from learn import intervals
 from learn.agreement.measure import similarity, squared
 from learn.training import checkpoint, loop, measures
 from learn.training.relit import Relit
+from manifests.files import write_text
+from manifests.reading import read
 from shaders import tone
 
 TEST_SEED = 43
@@ -35,16 +37,16 @@ def trained(run, pools, tests, folder, workers=1):
     """
     folder = Path(folder)
     if (folder / "result.json").exists():
-        return json.loads((folder / "result.json").read_text())
-    training = loop.Training(run, pools, folder, sheet_every=0, workers=workers)
-    training.train()
+        return read(folder / "result.json", dict)
+    with loop.only_writer(folder):
+        training = loop.Training(run, pools, folder, sheet_every=0, workers=workers)
+        training.train()
     checkpoint.save_weights(folder / "weights.safetensors", training.network, training.average, "{}", run.size)
     network = training.averaged()
     rows = [row for batch in tests for row in _rows(training, network, batch)]
     found = {"steps": training.step, "seconds": training.used, "run": msgspec.to_builtins(run), "rows": rows}
     text = json.dumps(found)
-    (folder / "result.new").write_text(text)
-    (folder / "result.new").replace(folder / "result.json")
+    write_text(folder / "result.json", text)
     (folder / "checkpoint.safetensors").unlink(missing_ok=True)
     return json.loads(text)
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from factory import exr
+from manifests.arrays import read_picture
 from manifests.store import Store
 
 SAME_PICTURE = 2e-3  # relative to the picture's largest value: two steps of a half, where Cycles' 2e-6 tips a rounding
@@ -59,7 +59,7 @@ def compared(whole, killed):
     for id_ in ours.keys() & theirs.keys():
         a, b = (msgspec.to_builtins(r[id_]) for r in (ours, theirs))
         lines += [f"{id_}: {key} {a[key]} and {b[key]}" for key in a.keys() - VARYING if a[key] != b[key]]
-        first, second = exr.read_picture(Path(whole) / a["image"]), exr.read_picture(Path(killed) / b["image"])
+        first, second = read_picture(Path(whole) / a["image"]), read_picture(Path(killed) / b["image"])
         apart = np.abs(first - second).max() / max(first.max(), 1e-9)
         if not apart <= SAME_PICTURE:
             lines.append(f"{id_}: pixels {apart:.2g} of the largest apart")

@@ -87,7 +87,7 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(comman
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "24", "--out", "X"], "numbers from 0 to 23", 1),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "0", "--out", "X"], "pixels from 4 to 8192", 1),
         (["plan"], "a job expected", 1),
-        (["plan", "nowhere.json"], "nowhere.json: a JSON file expected, found nothing; check the path", 1),
+        (["plan", "nowhere.json"], "nowhere.json: a JSON file expected, found no such file; check the path", 1),
         (["status", "nowhere"], "a dataset", 1),
         (["verify", "nowhere"], "a dataset", 1),
         (["preview", "nowhere"], "a dataset", 1),

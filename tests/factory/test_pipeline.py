@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from tetrahedron import TETRAHEDRON
 
-from factory import exr
 from factory.commands.verify import geometry_faults
 from factory.contact_sheet import labelled, stored_light
 from factory.forecast import expected_events, probe_shots, probed
 from factory.run import Manner, carry_out, planned
 from factory.shading import lights, mirror_ball, shade
+from manifests.arrays import read_geometry, read_picture
 from manifests.materials import load_catalogue
 from manifests.schema import Camera, Job
 from manifests.store import Store
@@ -66,7 +66,7 @@ def test_geometry_is_rendered_once_a_shape_and_view(made):
 def test_each_segment_has_a_material_of_its_own(made):
     chairs = [r for r in made.records() if r.shape == "chair:2"]
     assert all(len(set(r.materials)) == 2 for r in chairs)
-    segments = exr.read_geometry(made.folder / chairs[0].geometry)[3]
+    segments = read_geometry(made.folder / chairs[0].geometry).segments
     assert set(np.unique(segments)) == {0, 1, 2}
 
 
@@ -89,10 +89,11 @@ def test_the_stored_light_is_the_one_that_lit_the_picture(made):
     for record in made.records():
         if record.shape != "sphere:5" or record.tier != "direct" or record.materials != ("matte",) or record.light_resolution != "64x128":
             continue
-        normals, mask, _, segments = exr.read_geometry(made.folder / record.geometry)
+        normals, _, segments = geometry = read_geometry(made.folder / record.geometry)
+        mask = geometry.mask
         light = stored_light(made, dataset, record)
         label = labelled(record, normals, segments, np.zeros_like(normals), materials, light, np.radians(20.0))
-        picture = exr.read_picture(made.folder / record.image)
+        picture = read_picture(made.folder / record.image)
         inner = mask & np.roll(mask, 1, 0) & np.roll(mask, -1, 0) & np.roll(mask, 1, 1) & np.roll(mask, -1, 1)
         # 250 pixels × 4 samples of relative noise near 0.5: the mean is good to 1.6 %
         assert picture[inner].mean() == pytest.approx(label[inner].mean(), rel=0.06)

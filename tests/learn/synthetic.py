@@ -4,10 +4,10 @@ import io
 
 import msgspec
 import numpy as np
-import OpenEXR
 import torch
 
 from learn.layer import render
+from manifests import exr
 from manifests import materials as catalogue
 from manifests.schema import Camera, Dataset, LightEntry, Record, Statistics
 from manifests.store import Lines, Store, geometry_path, image_path, light_path
@@ -48,9 +48,7 @@ def sphere(camera):
 
 
 def write_exr(path, channels):
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, {name: np.ascontiguousarray(array) for name, array in channels.items()}) as file:
-        file.write(str(path))
+    exr.write(path, channels)
 
 
 def write_dataset(folder, materials, rng, size=24, seeds=2, noise=0.02, rotations=(0, 5), fov_deg=None, tiers=("direct",), method="exact"):
@@ -64,7 +62,7 @@ def write_dataset(folder, materials, rng, size=24, seeds=2, noise=0.02, rotation
     buffer = io.BytesIO()
     np.savez(buffer, L=L, scale=np.float64(scale))
     stored = light_path("sky", "a" * 64)
-    digest = store.place(stored, lambda path: path.write_bytes(buffer.getvalue()), "test")
+    digest = store.place(stored, buffer.getvalue(), "test")
     lights = {"sky": LightEntry(hash="a" * 64, file=stored, file_hash=digest, scale=scale, licence="CC0")}
     store.write_json("dataset.json", Dataset(lights=lights))
     catalogue.write(catalogue.Catalogue(title="test", credit="none", materials=tuple(materials)), store.folder / "materials.json")
@@ -75,7 +73,7 @@ def write_dataset(folder, materials, rng, size=24, seeds=2, noise=0.02, rotation
         normals = np.where(mask[..., None], normals, 0)
     geometry = {f"normal.{axis}": normals[..., k] for k, axis in enumerate("XYZ")}
     geometry |= {"depth.Z": normals[..., 2], "segment": mask.astype(np.uint32)}
-    store.place(geometry_path("geometry"), lambda path: write_exr(path, geometry), "test")
+    store.place(geometry_path("geometry"), exr.encode(geometry), "test")
     lines = Lines(store.folder / "records" / "worker-00.jsonl")
     for each in materials:
         for turn in rotations:
@@ -94,7 +92,7 @@ def write_dataset(folder, materials, rng, size=24, seeds=2, noise=0.02, rotation
 def write_record(store, material, turn, tier, seed, picture, mask, camera):
     id_ = f"{material}-{turn:03d}-{tier}-{seed}"
     channels = {name: picture[..., k].astype(np.float16) for k, name in enumerate("RGB")}
-    digest = store.place(image_path(id_), lambda path: write_exr(path, channels), "test")
+    digest = store.place(image_path(id_), exr.encode(channels), "test")
     return Record(
         id=id_,
         shape="sphere",

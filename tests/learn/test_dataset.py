@@ -64,7 +64,7 @@ def damage(folder, what):
     ("what", "message"),
     [
         ("truncated picture", "a whole OpenEXR file expected"),
-        ("missing geometry", "an OpenEXR file expected, found none"),
+        ("missing geometry", "an OpenEXR file expected, found no such file"),
         ("truncated light", "a stored light map expected"),
         ("no materials", "an entry for 'matte', which a record names, expected, found none"),
         ("no dataset", r"a dataset \(dataset.json\) expected, found none"),

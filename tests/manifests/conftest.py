@@ -46,7 +46,7 @@ def a_dataset(tmp_path, a_record):
     """A folder with three records whose files are stand-ins of a few bytes; returns its Store."""
     store = Store(tmp_path / "data")
     write_materials(store)
-    light = store.place("lights/lamp-777777777777.npz", lambda path: path.write_bytes(b"light"), "t")
+    light = store.place("lights/lamp-777777777777.npz", b"light", "t")
     store.write_json(
         "dataset.json",
         Dataset(
@@ -55,11 +55,11 @@ def a_dataset(tmp_path, a_record):
             lights={"lamp": LightEntry(hash="7" * 64, file="lights/lamp-777777777777.npz", file_hash=light, scale=1.0, licence="")},
         ),
     )
-    geometry = store.place(geometry_path("9" * 24), lambda path: path.write_bytes(b"normals"), "t")
+    geometry = store.place(geometry_path("9" * 24), b"normals", "t")
     lines = Lines(store.folder / "records" / "worker-00.jsonl")
     for k in range(3):
         id_ = f"{k:024x}"
-        image = store.place(image_path(id_), lambda path, k=k: path.write_bytes(b"picture %d" % k), "t")
+        image = store.place(image_path(id_), b"picture %d" % k, "t")
         lines.append(a_record(id_, image_hash=image, geometry_hash=geometry))
     lines.close()
     assert file_hash(store.folder / geometry_path("9" * 24)) == geometry
@@ -74,7 +74,7 @@ def hash_of_matte(store):
 
 def write_materials(store):
     """materials.json with one material of plain numbers."""
-    from manifests.materials import Catalogue, Distance, Entry, Errors, MixtureData, write
+    from manifests.materials import Catalogue, Distance, Entry, Errors, MixtureData, encode
 
     nothing = Distance(l1=(0.0,) * 6)
     matte = Entry(
@@ -88,4 +88,4 @@ def write_materials(store):
         label=(0.0,) * 108,
         mixture=MixtureData(("diffuse",), (0.0,), ((0.0,),), ((0.0,),), (((1.0, 1.0, 1.0),),)),
     )
-    store.place("materials.json", lambda path: write(Catalogue(title="", credit="", materials=(matte,)), path), "t")
+    store.place("materials.json", encode(Catalogue(title="", credit="", materials=(matte,))), "t")

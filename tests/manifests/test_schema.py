@@ -93,7 +93,7 @@ def test_a_missing_or_huge_file_is_refused_before_it_is_read(tmp_path):
         read(tmp_path, Job)
     with open(tmp_path / "huge.json", "wb") as file:
         file.truncate(10 << 20)
-    with pytest.raises(Problem, match="at most 1 MiB"):
+    with pytest.raises(Problem, match=r"at most 1\.0 MiB"):
         read(tmp_path / "huge.json", Job, 1 << 20)
 
 

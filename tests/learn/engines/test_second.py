@@ -13,7 +13,7 @@ from learn.methods import exact_second
 from manifests import materials as catalogue
 from shaders.dsbrdf import half_angles
 from shaders.envmap import directions
-from tests.learn.engines import conftest, test_adversarial
+from tests.learn.engines import test_adversarial
 from tests.learn.engines.conftest import ROTATION, make_scene, material, random_material, tangential, unit
 
 CAMERAS = pytest.mark.parametrize("perspective", [False, True], ids=["orthographic", "view per pixel"])

@@ -1,0 +1,62 @@
+"""Files that a user names as input: looked at before they are opened, so that no command waits, fills memory or crashes."""
+
+import os
+import stat
+from pathlib import Path
+
+from manifests.problems import Problem
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def require_file(
+    path: str | os.PathLike,
+    expected: str,
+    remedy: str = "check the path",
+    maximum_bytes: int | None = None,
+) -> Path:
+    """The path, if an ordinary file of bounded size lies there.
+
+    expected       what should lie there, with its article: "a mesh file"
+    remedy         what to do where nothing of this kind lies there
+    maximum_bytes  size above which the file is refused unread; None: any size
+    Raises         Problem: missing, a folder, a pipe, a device, a socket, a name no file can have, links that
+                   lead in a circle, no permission, too large
+    """
+    try:
+        status = os.stat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        raise Problem(path, expected, "no such file", remedy) from None
+    except ValueError:  # a NUL inside
+        raise Problem(repr(str(path)), expected, "a name that no file can have", remedy) from None
+    except OSError as error:  # a circle of links, no permission, a name too long
+        raise Problem(path, expected, str(error.strerror or error).lower(), remedy) from None
+    if (found := kind_of(status.st_mode)) is not None:
+        hint = "name a file in it" if found == "a folder" else "save it as a file first"
+        raise Problem(path, expected, found, hint)
+    if maximum_bytes is not None and status.st_size > maximum_bytes:
+        bound, size = _size(maximum_bytes), _size(status.st_size)
+        raise Problem(path, f"{expected} of at most {bound}", size, "check that this is the right file")
+    return Path(path)
+
+
+def kind_of(mode: int) -> str | None:
+    """What lies there, with its article, by its mode of `os.stat`; None for an ordinary file."""
+    if stat.S_ISREG(mode):
+        return None
+    return next((name for test, name in _KINDS if test(mode)), "something else")
+
+
+def _size(count: int) -> str:
+    """A count of bytes for people."""
+    for unit in ("bytes", "KiB", "MiB", "GiB"):
+        if count < 1024 or unit == "GiB":
+            return f"{count:.0f} {unit}" if unit == "bytes" else f"{count:.1f} {unit}"
+        count /= 1024
+    raise AssertionError

@@ -1,0 +1,150 @@
+"""Pictures, geometry and light maps come back as they were written, whole or not at all."""
+
+import os
+from types import SimpleNamespace
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from manifests import exr
+from manifests.arrays import (
+    DEPTH_CHANNEL,
+    NORMAL_CHANNELS,
+    SEGMENT_CHANNEL,
+    encode_geometry,
+    encode_light,
+    encode_picture,
+    read_geometry,
+    read_light,
+    read_picture,
+)
+from manifests.files import write_bytes, write_npz
+from manifests.problems import Problem
+from shaders.envmap import unit_mean
+
+
+def write_picture(path, radiance):
+    write_bytes(path, encode_picture(radiance))
+
+
+def write_geometry(path, geometry):
+    write_bytes(path, encode_geometry(geometry))
+
+
+@pytest.fixture
+def geometry(rng):
+    normals = rng.normal(size=(24, 40, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    segments = rng.integers(0, 4, (24, 40)).astype(np.uint8)
+    normals[segments == 0] = 0
+    return SimpleNamespace(normals=normals.astype(np.float32), depth=rng.uniform(-1, 1, (24, 40)).astype(np.float32), segments=segments)
+
+
+def test_a_picture_comes_back_to_half_precision(tmp_path, rng):
+    radiance = rng.lognormal(sigma=3, size=(24, 40, 3)).astype(np.float32)
+    write_picture(tmp_path / "p.exr", radiance)
+    np.testing.assert_allclose(read_picture(tmp_path / "p.exr"), radiance, rtol=2**-11)
+    with OpenEXR.File(str(tmp_path / "p.exr")) as file:
+        assert file.channels()["RGB"].pixels.dtype == np.float16
+
+
+def test_radiance_beyond_half_is_held_at_its_largest_number(tmp_path):
+    write_picture(tmp_path / "p.exr", np.full((2, 2, 3), 1e6, np.float32))
+    assert (read_picture(tmp_path / "p.exr") == 65504).all()
+
+
+def test_geometry_comes_back_within_a_thousandth_of_a_degree(tmp_path, geometry):
+    write_geometry(tmp_path / "g.exr", geometry)
+    back = read_geometry(tmp_path / "g.exr")
+    normals, mask, depth, segments = back.normals, back.mask, back.depth, back.segments
+    assert np.abs(normals - geometry.normals).max() <= 2**-16
+    assert np.abs(np.linalg.norm(normals[mask], axis=-1) - 1).max() < 1e-3
+    assert np.abs(depth - geometry.depth).max() <= 2**-16
+    np.testing.assert_array_equal(segments, geometry.segments)
+    np.testing.assert_array_equal(mask, geometry.segments > 0)
+
+
+def test_the_same_pixels_are_the_same_file(tmp_path, geometry):
+    for name in ("a.exr", "b.exr"):
+        write_geometry(tmp_path / name, geometry)
+    assert (tmp_path / "a.exr").read_bytes() == (tmp_path / "b.exr").read_bytes()
+
+
+def test_a_write_that_fails_leaves_neither_file_nor_draft_and_says_why(tmp_path, rng, small_files):
+    with small_files(4096), pytest.raises(OSError, match=r"p\.exr"):
+        write_picture(tmp_path / "p.exr", rng.random((256, 256, 3), dtype=np.float32))
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_small_file_that_the_disk_has_no_room_for_is_an_error_and_no_empty_file(tmp_path, small_files):
+    """OpenEXR passes over the error of its last flush, which for a file below 2 KB is the only one."""
+    with small_files(100), pytest.raises(OSError, match=r"p\.exr"):
+        exr.write(tmp_path / "p.exr", {"Y": np.ones((4, 4), np.float32)})
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("arrays", "found"),
+    [
+        ({"L": np.ones((4, 8, 3), np.float32)}, r"\(4, 8, 3\)"),
+        ({"L": np.full((64, 128, 3), np.nan, np.float32)}, "24576 values"),
+        ({"L": np.full((64, 128, 3), -1, np.float32)}, "24576 values"),
+        ({"L": np.ones((64, 128, 3), np.int32)}, "of int32"),
+        ({"M": np.ones((64, 128, 3), np.float32)}, "L.npy"),
+        ({"L": np.zeros((2000, 2000, 3), np.float32)}, r"\(2000, 2000, 3\) of float32"),
+    ],
+)
+def test_a_stored_light_that_is_no_light_is_refused(tmp_path, arrays, found):
+    write_npz(tmp_path / "light.npz", arrays)
+    with pytest.raises(Problem, match=found):
+        read_light(tmp_path / "light.npz")
+
+
+def test_a_stored_light_comes_back(tmp_path, rng):
+    L, _ = unit_mean(rng.random((64, 128, 3)))
+    write_bytes(tmp_path / "light.npz", encode_light(L, 2.0))
+    np.testing.assert_array_equal(read_light(tmp_path / "light.npz"), L)
+
+
+@pytest.mark.parametrize("segment", [-1.0, 0.5, 256.0, 257.0, np.nan])
+def test_segments_that_would_wrap_are_refused(tmp_path, geometry, segment):
+    channels = dict.fromkeys((*NORMAL_CHANNELS, DEPTH_CHANNEL), np.zeros((2, 2), np.float32))
+    exr.write(tmp_path / "g.exr", channels | {SEGMENT_CHANNEL: np.full((2, 2), segment, np.float32)})
+    with pytest.raises(Problem, match="segments 0 to 255 expected"):
+        read_geometry(tmp_path / "g.exr")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -0.5])
+def test_a_picture_with_values_that_are_no_radiance_is_refused(tmp_path, value):
+    exr.write(tmp_path / "p.exr", dict.fromkeys("RGB", np.full((2, 2), value, np.float16)))
+    with pytest.raises(Problem, match="12 values that are not"):
+        read_picture(tmp_path / "p.exr")
+
+
+def test_a_picture_of_another_size_than_its_record_says_is_refused(tmp_path):
+    write_picture(tmp_path / "p.exr", np.ones((2, 4, 3), np.float32))
+    with pytest.raises(Problem, match="4 × 2 pixels expected, found 2 × 4"):
+        read_picture(tmp_path / "p.exr", (4, 2))
+
+
+@pytest.mark.parametrize("spoil", ["missing", "truncated", "empty", "text", "folder"])
+def test_a_bad_file_is_one_line_that_names_it(tmp_path, geometry, spoil, capfd):
+    path = tmp_path / "g.exr"
+    write_geometry(path, geometry)
+    whole = path.read_bytes()
+    path.unlink()
+    if spoil == "folder":
+        path.mkdir()
+    elif spoil != "missing":
+        path.write_bytes({"truncated": whole[: len(whole) * 2 // 3], "empty": b"", "text": b"no picture\n" * 40}[spoil])
+    with pytest.raises(Problem, match=r"g\.exr: .* expected, found .*; (render or copy it again|name a file in it)"):
+        read_geometry(path)
+    out, err = capfd.readouterr()
+    assert out == err == ""
+
+
+def test_a_picture_is_not_geometry(tmp_path):
+    write_picture(tmp_path / "p.exr", np.zeros((2, 2, 3), np.float32))
+    with pytest.raises(Problem, match=r"channels normal\.X, .* expected, found only B, G, R"):
+        read_geometry(tmp_path / "p.exr")
