@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import torch
 
-from learn.derivatives import THIRD, Step
+from learn.derivatives import THIRD, Step, require_one_gradient
 from learn.methods import Batch, Card, by_group
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
 from shaders.envmap import directions
@@ -132,6 +132,7 @@ class ExactSum(Step):
 
     @staticmethod
     def backward(ctx, g):
+        require_one_gradient(g)
         return *ExactGradients.apply(g, *ctx.saved_tensors), None
 
 
@@ -162,6 +163,7 @@ class ExactGradients(Step):
 
     @staticmethod
     def backward(ctx, *direction):
+        require_one_gradient(*direction)
         return *Second.apply(*direction, *ctx.saved_tensors), None
 
 

@@ -1,7 +1,8 @@
 """What second derivatives of the exact sum cost beside first ones: `python -m learn.timing.second OUT.json`.
 
 The picture: a sphere of 3,680 pixels under a light of 64 × 128 texels, lobes from matte to sharp; derivatives by n, material, light and
-view. Both cameras, in float32 (the kernels) and float64 (plain torch), one thread, each in a process of its own. Processor seconds, medians:
+view. Both cameras, in float32 (the kernels) and float64 (plain torch), one thread, each in a process of its own. Processor
+seconds, medians:
 
 forward, backward   of the picture, and of a weighted sum of it without a graph
 kept                the backward pass with its graph kept
@@ -21,6 +22,8 @@ from pathlib import Path
 
 import torch
 
+from manifests import files
+
 SIDE, RADIUS, LIGHT = 96, 34.2, (64, 128)
 ROUNDS = {"float32": 9, "float64": 1}  # plain torch takes its time, and the same each time
 
@@ -33,8 +36,12 @@ def scene(dtype, perspective):
     n = torch.where(z[..., None] > 0, torch.stack([x / RADIUS, -y / RADIUS, z], -1), 0.0)
     m = torch.tensor([[0.3, 0.5], [0.2, 30.0], [1.0, 1000.0]])[:, :, None].expand(3, 3, 2, 6)
     light = 0.2 + torch.rand(1, *LIGHT, 3, generator=torch.Generator().manual_seed(0))
-    view = torch.nn.functional.normalize(torch.stack([-0.003 * x, 0.003 * y, torch.ones_like(x)], -1), dim=-1)[None] if perspective else None
-    return [None if a is None else a.to(dtype).clone().requires_grad_() for a in (n[None], m.reshape(1, 108), light, view)]
+    given = [n[None], m.reshape(1, 108), light]
+    if perspective:
+        view = torch.stack([-0.003 * x, 0.003 * y, torch.ones_like(x)], -1)
+        given.append(torch.nn.functional.normalize(view, dim=-1)[None])
+    leaves = [a.to(dtype).clone().requires_grad_() for a in given]
+    return leaves if perspective else [*leaves, None]
 
 
 def one_case(dtype, perspective, rounds):
@@ -89,13 +96,21 @@ def main(out):
     cases = {}
     for dtype, rounds in ROUNDS.items():
         for perspective in (False, True):
-            command = [sys.executable, "-m", "learn.timing.second", "--case", dtype, str(int(perspective)), str(rounds)]
+            command = [
+                sys.executable,
+                "-m",
+                "learn.timing.second",
+                "--case",
+                dtype,
+                str(int(perspective)),
+                str(rounds),
+            ]
             found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
             name = f"{dtype}, {'view per pixel' if perspective else 'orthographic'}"
             cases[name] = found | {"second ÷ backward": found["second"] / found["backward"]}
             print(f"{name}: second ÷ backward {cases[name]['second ÷ backward']:.2f}", found)
     made = made_by() | {"command": f"python -m learn.timing.second {Path(out).name}"}
-    Path(out).write_text(json.dumps({"lights": math.prod(LIGHT), "threads": 1, "cases": cases, "about": made}, indent=1) + "\n")
+    files.write_json(Path(out), {"lights": math.prod(LIGHT), "threads": 1, "cases": cases, "about": made})
 
 
 if __name__ == "__main__":
