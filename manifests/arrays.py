@@ -13,6 +13,7 @@ height, width are those of the picture. Whatever reads a file refuses what anoth
 channels, other shapes, values that are no radiance. Each reader raises manifests.problems.Problem.
 """
 
+import lzma
 import zipfile
 import zlib
 from pathlib import Path
@@ -117,7 +118,7 @@ def read_light(path: str | Path) -> np.ndarray:
         raise
     except (OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError) as error:
         raise Problem(path, "a stored light map", str(error)[:120] or "none", remedy) from None
-    except (zipfile.BadZipFile, zlib.error) as error:
+    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError) as error:
         raise Problem(path, "a stored light map", str(error)[:120], remedy) from None
     if L.shape != LIGHT_SHAPE or L.dtype.kind != "f":
         raise Problem(path, f"radiance of shape {LIGHT_SHAPE}", f"{L.shape} of {L.dtype}", remedy)
