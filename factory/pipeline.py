@@ -1,10 +1,12 @@
 """One worker's work: shots in, records out. It holds a studio, and what the studio shows, so that nothing is set up twice.
 
 studio    factory.render.studio.Studio, or anything with its methods
-geometry  of a shape from a view is rendered once a dataset: it is read back if another worker, or an earlier run, made it
+geometry  of a shape from a view is rendered once a dataset: it is read back if another worker, or an earlier run, made it, and
+          rendered again in the place of a file that is damaged
 light     stored map and rotation; a whole map is averaged to a width that is a multiple of 128, for rotations are whole texels
 """
 
+import os
 import time
 from collections import OrderedDict
 from contextlib import contextmanager
@@ -16,8 +18,9 @@ from factory.plan import TEXELS, Shot
 from factory.render import checks
 from factory.shape_names import Source, load_mesh
 from manifests.arrays import encode_geometry, encode_picture, read_geometry
+from manifests.problems import Problem
 from manifests.schema import Job, Record, Statistics, View
-from manifests.store import file_hash, geometry_path, image_path
+from manifests.store import geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap
 from shaders.envmap import LUMINANCE
@@ -75,15 +78,17 @@ class Pipeline:
         self._light_map = (None, None)
         self._segments = 0
         self._geometries = OrderedDict()
-        self.spent = {}
+        self.spent, self.notes = {}, []
         studio.set_camera(assignment.job.camera)
 
     def make(self, shot: Shot):
         """Render one shot, check it, write it, append its record, return the record (of a shot without a picture: its View).
 
+        `spent` then holds the seconds by kind of work, `notes` what the user should know.
+
         Raises  BadShot; OSError if it cannot be written
         """
-        start, self.spent = time.perf_counter(), {}
+        start, self.spent, self.notes = time.perf_counter(), {}, []
         record = self._pictured(shot, start) if shot.picture else self._viewed(shot, start)
         self._append(record)
         return record
@@ -177,21 +182,45 @@ class Pipeline:
             self._geometries.move_to_end(shot.geometry)
             return self._geometries[shot.geometry]
         path = geometry_path(shot.geometry)
-        if (self.store.folder / path).exists():
-            mask = read_geometry(self.store.folder / path).mask
-            digest = file_hash(self.store.folder / path)
+        file = self.store.folder / path
+        if not os.path.lexists(file):
+            seen = self._rendered_geometry()
+            digest = self.store.place(path, encode_geometry(seen), self.worker, keep_first=True)
         else:
-            with self._timed("geometry"):
-                seen = self.studio.geometry()
-                mask = seen.mask
-                if faults := checks.geometry(seen, self._segments):
-                    raise BadShot("; ".join(faults))
-                digest = self.store.place(path, encode_geometry(seen), self.worker, keep_first=True)
-        held = _Geometry(path, digest, mask, float(mask.mean()))
+            digest = readable_hash(file)
+            seen, fault = self._whole_geometry(file, digest, shot.geometry_hash)
+            if fault:
+                seen = self._rendered_geometry()
+                digest = self.store.place_instead(path, encode_geometry(seen), self.worker, digest)
+                self.notes += _replaced(path, fault, digest, shot.geometry_hash)
+        held = _Geometry(path, digest, seen.mask, float(seen.mask.mean()))
         self._geometries[shot.geometry] = held
         if len(self._geometries) > HELD:
             self._geometries.popitem(last=False)
         return held
+
+    def _rendered_geometry(self):
+        """What the studio shows, checked. Raises BadShot."""
+        with self._timed("geometry"):
+            seen = self.studio.geometry()
+        if faults := checks.geometry(seen, self._segments):
+            raise BadShot("; ".join(faults))
+        return seen
+
+    def _whole_geometry(self, file, digest, expected):
+        """(Geometry, "") of a file that is there; (None, what is wrong with it) if it is not what was rendered.
+
+        digest, expected  its sha256, and the one that records name or None
+        """
+        if expected is not None and digest != expected:
+            return None, "another content than its records name"
+        try:
+            seen = read_geometry(file, tuple(self.assignment.job.camera.size))
+        except Problem as problem:
+            return None, problem.found
+        except OSError as error:
+            return None, error.strerror or str(error)
+        return seen, "; ".join(checks.geometry(seen, self._segments))
 
     def _record(self, shot, geometry, image, image_hash, statistics, seconds):
         job, shape = self.assignment.job, self.assignment.shapes[shot.shape]
@@ -219,6 +248,13 @@ class Pipeline:
             statistics=statistics,
             seconds=round(seconds, 4),
         )
+
+
+def _replaced(path, fault, digest, expected):
+    """What the user should know of a geometry file that was rendered again."""
+    yield f"{path} was damaged ({fault}) and has been rendered again"
+    if expected not in (None, digest):
+        yield f"{path} has other bits than its earlier records name: verify --repair takes those away, the same render makes them again"
 
 
 def load_shape(entry):

@@ -26,7 +26,8 @@ ID_DIGITS = 24  # 96 bits: two of a million shots meet by chance once in 1e17 da
 class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """One picture to make. Shape, materials (one a segment) and light are names in the plan's assets; geometry is a geometry file's id.
 
-    picture  False: geometry alone; materials and light are empty then, and split is the shape's side
+    picture        False: geometry alone; materials and light are empty then, and split is the shape's side
+    geometry_hash  sha256 of the geometry file where a record of the folder names it already; None: no record does
     """
 
     id: str
@@ -41,6 +42,7 @@ class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     seed: int
     split: str
     picture: bool = True
+    geometry_hash: str | None = None
 
 
 @dataclass(frozen=True)

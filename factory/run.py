@@ -7,6 +7,7 @@ from itertools import islice
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from factory.fingerprint import render_fingerprint
 from factory.pipeline import Assignment, LightSource, ShapeSource
@@ -14,12 +15,12 @@ from factory.plan import Plan
 from factory.pool import Pool, setup_for
 from factory.worker import STUDIO
 from manifests import lock
-from manifests.arrays import encode_light
-from manifests.materials import Catalogue, encode, read_catalogue
+from manifests.arrays import encode_light, read_light
+from manifests.materials import BUILT_IN, Catalogue, encode, read_catalogue
 from manifests.problems import Problem
 from manifests.schema import Dataset, Failure, LightEntry, MaterialEntry, Order, ShapeEntry
 from manifests.splits import light_side
-from manifests.store import Lines, Store, file_hash, light_path
+from manifests.store import Lines, Store, geometry_path, light_path, readable_hash
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ class Manner:
 def carry_out(plan: Plan, folder, manner: Manner, watch=None):
     """Make every shot of a plan that the folder does not hold yet.
 
-    watch    called with (event, value): "total" shots of this run, "found" one that was there, "made" a Reply, "failed" a Failure
+    watch    called with (event, value): "total" shots of this run, "found" one that was there, "made" a Reply, "failed" a Failure,
+             "note" a line for the user
     Returns  Outcome
     Raises   Problem; OSError (full disk) with everything that was written before intact
     """
@@ -68,7 +70,7 @@ def carry_out(plan: Plan, folder, manner: Manner, watch=None):
 
 
 def _made(plan, store, manner, prefix, descriptors, watch):
-    done = store.ids("records" if plan.job.pictures else "views")
+    done, hashes = store.known("records" if plan.job.pictures else "views")
     shots = _part(plan, manner.shard)
     watch("total", _part_length(plan, manner.shard))
     counts = {"found": 0, "made": 0, "failed": 0}
@@ -79,7 +81,8 @@ def _made(plan, store, manner, prefix, descriptors, watch):
                 counts["found"] += 1
                 watch("found", 1)
             else:
-                yield shot
+                known = hashes.get(geometry_path(shot.geometry))
+                yield shot if known is None else msgspec.structs.replace(shot, geometry_hash=known)
 
     assignment = assign(plan, manner.library)
     threads = manner.threads or (None if manner.workers == 1 else max(1, processors() // manner.workers))
@@ -94,6 +97,8 @@ def _made(plan, store, manner, prefix, descriptors, watch):
         if reply.settings:
             with lock.changing(store.folder):
                 _note_settings(store, plan, reply)
+        for note in reply.notes:
+            watch("note", note)
         if reply.made:
             counts["made"] += 1
             watch("made", reply)
@@ -130,10 +135,10 @@ def register(store, plan):
         for s in assets.shapes
     }
     materials = {m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source) for m in assets.materials}
-    lights = {light.name: _light_entry(store, light, plan) for light in assets.lights.values()}
+    lights = {light.name: _light_entry(store, light, held.lights.get(light.name)) for light in assets.lights.values()}
     for kind, known, brought in (("shape", held.shapes, shapes), ("material", held.materials, materials), ("light", held.lights, lights)):
         _agree(store, kind, known, brought)
-    _write_materials(store, assets.materials)
+    _write_materials(store, assets.materials, held.materials)
     orders = held.orders
     if not any(msgspec.structs.replace(order.job, name=plan.job.name, about=plan.job.about) == plan.job for order in orders):
         orders = (*orders, Order(job=plan.job, shots=len(plan), begun=datetime.now(UTC).isoformat(timespec="seconds")))
@@ -161,15 +166,19 @@ def _agree(store, kind, known, brought):
             raise Problem(f"{store.folder}: {kind} '{name}'", f"side {held[0]}, as '{held[1]}' there", entry.side, remedy)
 
 
-def _light_entry(store, light, plan):
-    """The entry of a light, its stored map put in place unless it is there."""
+def _light_entry(store, light, known):
+    """The entry of a light, its stored map put in place unless it is there, whole and the one that the folder knows.
+
+    known   its LightEntry in dataset.json, or None
+    """
     file = light_path(light.name, light.hash)
-    if not (store.folder / file).exists():
-        store.place(file, encode_light(light.L64, light.scale), "main", keep_first=True)
+    digest = readable_hash(store.folder / file)
+    if digest is None or (known and known.file_hash != digest) or not _holds(store.folder / file, light.L64):
+        digest = store.place(file, encode_light(light.L64, light.scale), "main")
     return LightEntry(
         hash=light.hash,
         file=file,
-        file_hash=file_hash(store.folder / file),
+        file_hash=digest,
         scale=light.scale,
         licence=light.licence,
         source=light.origin,
@@ -177,17 +186,43 @@ def _light_entry(store, light, plan):
     )
 
 
-def _write_materials(store, materials):
-    """materials.json: the catalogue's lines of all materials that the folder's jobs name."""
-    path = store.folder / "materials.json"
-    held = read_catalogue(path).materials if path.exists() else ()
-    entries = {entry.name: entry for entry in (*held, *(m.entry for m in materials))}
-    if len(entries) == len(held):
-        return
+def _holds(path, L):
+    """Whether a stored light map is L, up to what another machine's rounding makes of the same light."""
+    try:
+        return np.allclose(read_light(path), L, rtol=1e-4, atol=1e-6)
+    except Problem:
+        return False
+
+
+def _write_materials(store, materials, known):
+    """materials.json: the catalogue's lines of all materials that the folder's jobs name.
+
+    known   {name: MaterialEntry} of dataset.json
+    Raises  Problem if it is damaged, and some of its materials are neither the plan's nor built in
+    """
+    path, ours = store.folder / "materials.json", {m.name: m.entry for m in materials}
+    try:
+        held = {entry.name: entry for entry in read_catalogue(path).materials} if path.exists() else {}
+    except Problem as problem:
+        held = _built_in(known)
+        if lost := sorted(known.keys() - held.keys() - ours.keys()):
+            remedy = f"restore it, or delete it and render each of the folder's jobs again: they know {', '.join(lost[:3])}"
+            raise Problem(problem.where, problem.expected, problem.found, remedy) from None
+        entries = held | ours
+    else:
+        entries = held | ours
+        if entries == held:
+            return
     catalogue = Catalogue(
         title="The materials of this dataset", credit="each entry names its source and licence", materials=tuple(entries.values())
     )
     store.place("materials.json", encode(catalogue), "main")
+
+
+def _built_in(known):
+    """{name: Entry} of those materials of dataset.json that the program itself brings."""
+    entries = [entry for path in BUILT_IN if path.exists() for entry in read_catalogue(path).materials]
+    return {entry.name: entry for entry in entries if entry.name in known and known[entry.name].hash == entry.hash}
 
 
 def _note_settings(store, plan, reply):

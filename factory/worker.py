@@ -44,7 +44,7 @@ class Chunk(msgspec.Struct, frozen=True):
 class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """made, bad: a shot's id; settings and versions come with the first picture.
 
-    bytes: what the picture, or the geometry alone, takes on disk; spent: seconds by kind.
+    bytes: what the picture, or the geometry alone, takes on disk; spent: seconds by kind; notes: what the user should know.
     """
 
     made: str = ""
@@ -55,6 +55,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     seconds: float = 0.0
     bytes: int = 0
     spent: dict[str, float] | None = None
+    notes: list[str] = []
     settings: dict | None = None
     versions: dict[str, str] | None = None
 
@@ -107,7 +108,7 @@ def _serve(setup, answer):
             extra = {"settings": msgspec.to_builtins(studio.settings), "versions": studio.versions} if first else {}
             first = False
             size = (store.folder / (record.image if pictures else record.geometry)).stat().st_size
-            answer(made=shot.id, seconds=record.seconds, bytes=size, spent=pipeline.spent, **extra)
+            answer(made=shot.id, seconds=record.seconds, bytes=size, spent=pipeline.spent, notes=pipeline.notes, **extra)
 
 
 def _studio(setup):

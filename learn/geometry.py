@@ -6,12 +6,17 @@ again when they change:
 packed/normals.npy   (V, H, W, 2) int16, n_x and n_y in units of 1/32767; n_z = √(1 − n_x² − n_y²), for normals face the viewer;
                      a normal is turned by .002° where it faces the viewer and by .5° at most, at the rim
 packed/segments.npy  (V, H, W) uint8, 1 … S, 0 in the background
-packed/views.json    the geometry files' hashes, by which a stale cache is known
 packed/skipped.json  hashes of files that were left out, and why
+packed/sums.json     CRC-32 of the two arrays' files, by which a damaged cache is known
+packed/views.json    the geometry files' hashes, by which a stale cache is known; written last, removed before anything else is changed
+
+A cache that is stale or damaged is made again. Where it cannot be kept (a full disk, a data set that may only be read) the arrays stay
+in memory.
 """
 
 import json
-import os
+import sys
+import zlib
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -20,12 +25,14 @@ import numpy as np
 from tqdm import tqdm
 
 from learn.dataset import Records
+from manifests.files import replacing, write_text
 from manifests.inputs import require_file
 from manifests.problems import Problem
 
 UNIT = 32767
 UNIT_TOLERANCE = 1e-2  # of |n|; files keep it to 1e-4
 LARGEST_JSON = 256 << 20  # bytes: 70 a view
+ARRAYS = ("normals.npy", "segments.npy")
 LEAST_COVERAGE = 0.02  # a view that shows less of its shape teaches nothing
 
 
@@ -66,14 +73,16 @@ class Geometry:
         if missing:
             raise Problem(self.folder / "dataset.json", f"a shape '{missing[0]}', which a record names,", "none", "copy the dataset again")
         self.skipped = self._known_as_bad() if skip_bad else {}
-        if not self._is_fresh([r.geometry_hash for r in chosen if r.geometry_hash not in self.skipped]):
+        self._n = self._segments = None
+        hashes = [r.geometry_hash for r in chosen if r.geometry_hash not in self.skipped]
+        if self._is_fresh(hashes):
+            self._map(len(hashes))
+        if self._n is None:
             self._pack(records, chosen, progress, skip_bad)
         chosen = [r for r in chosen if r.geometry_hash not in self.skipped]
         if not chosen:
             raise Problem(folder, "geometry that can be used", "none", next(iter(self.skipped.values())))
         self.views = [View(r.shape, r.category, r.viewpoint, sides[r.shape], r.geometry_hash) for r in chosen]
-        self._n = np.load(self._at("normals.npy"), mmap_mode="r", allow_pickle=False)
-        self._segments = np.load(self._at("segments.npy"), mmap_mode="r", allow_pickle=False)
 
     def __len__(self):
         return len(self.views)
@@ -97,12 +106,8 @@ class Geometry:
         return known if isinstance(known, dict) and all(isinstance(text, str) for text in known.values()) else {}
 
     def _is_fresh(self, hashes):
-        """Whether the cache holds these files' geometry, its arrays whole and of the right shape."""
-        count, (height, width) = len(hashes), self.size
-        expected = {"normals.npy": ((count, height, width, 2), np.int16), "segments.npy": ((count, height, width), np.uint8)}
-        return self._remembered("views.json") == hashes and all(
-            _holds(self._at(name), shape, kind) for name, (shape, kind) in expected.items()
-        )
+        """Whether the cache was made of these files."""
+        return self._remembered("views.json") == hashes
 
     def _remembered(self, name):
         """What a small file of the cache holds; None if it is missing or damaged."""
@@ -112,8 +117,19 @@ class Geometry:
         except (OSError, ValueError, RecursionError):
             return None
 
+    def _map(self, count):
+        """Map the arrays of `count` views into memory, if they are those that were packed."""
+        sums, (height, width) = self._remembered("sums.json"), self.size
+        try:
+            if not isinstance(sums, dict) or any(_sum(self._at(name)) != sums.get(name) for name in ARRAYS):
+                return
+            n, segments = (np.load(self._at(name), mmap_mode="r", allow_pickle=False) for name in ARRAYS)
+        except (OSError, ValueError, EOFError):
+            return
+        if (n.shape, segments.shape) == ((count, height, width, 2), (count, height, width)):
+            self._n, self._segments = n, segments
+
     def _pack(self, records, chosen, progress, skip_bad):
-        self.folder.joinpath("packed").mkdir(exist_ok=True)
         self.skipped, hashes = {}, []
         n, segments = (np.zeros((len(chosen), *self.size, *rest), kind) for rest, kind in (((2,), np.int16), ((), np.uint8)))
         for record in tqdm(chosen, "packing geometry", unit="view", disable=not progress, leave=False):
@@ -126,10 +142,24 @@ class Geometry:
                 continue
             n[len(hashes)], segments[len(hashes)] = np.rint(normals[..., :2] * UNIT), covered
             hashes.append(record.geometry_hash)
-        for name, array in (("normals.npy", n[: len(hashes)]), ("segments.npy", segments[: len(hashes)])):
-            _replace(self._at(name), lambda file, array=array: np.save(file, array, allow_pickle=False))
-        _replace(self._at("skipped.json"), lambda file: file.write(json.dumps(self.skipped).encode()))
-        _replace(self._at("views.json"), lambda file: file.write(json.dumps(hashes).encode()))
+        self._n, self._segments = n[: len(hashes)], segments[: len(hashes)]
+        try:
+            self._keep(hashes)
+        except OSError as error:
+            print(f"learn: packed geometry stays in memory, for it cannot be kept: {error}", file=sys.stderr)
+            return
+        self._map(len(hashes))
+
+    def _keep(self, hashes):
+        """Write the cache."""
+        self.folder.joinpath("packed").mkdir(exist_ok=True)
+        self._at("views.json").unlink(missing_ok=True)
+        for name, array in zip(ARRAYS, (self._n, self._segments), strict=True):
+            with replacing(self._at(name)) as file:
+                np.save(file, array, allow_pickle=False)
+        write_text(self._at("sums.json"), json.dumps({name: _sum(self._at(name)) for name in ARRAYS}))
+        write_text(self._at("skipped.json"), json.dumps(self.skipped))
+        write_text(self._at("views.json"), json.dumps(hashes))
 
     def _checked(self, records, record):
         """normals (H, W, 3), segments (H, W) of a record or a view. Raises Problem for what nobody can learn from."""
@@ -143,19 +173,11 @@ class Geometry:
         return normals, segments
 
 
-def _holds(path, shape, kind):
-    """Whether a .npy file is whole, with an array of this shape and type."""
-    try:
-        require_file(path, "a part of the cache")
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError):
-        return False
-    return isinstance(array, np.ndarray) and array.shape == shape and array.dtype == kind
-
-
-def _replace(path, write):
-    """Write a file under another name, then give it its own: a reader sees all of it or nothing."""
-    temporary = path.with_name(f"{path.name}.{os.getpid()}")
-    with open(temporary, "wb") as file:
-        write(file)
-    temporary.replace(path)
+def _sum(path):
+    """CRC-32 of a file's bytes: 2 GB a second."""
+    found = 0
+    require_file(path, "a part of the cache")
+    with open(path, "rb") as file:
+        while data := file.read(1 << 22):
+            found = zlib.crc32(data, found)
+    return found

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 
 from learn import pictures
 from learn.dataset import Records
@@ -63,17 +62,18 @@ def write(image, mask, weights, out, exposure=None, overwrite=False):
     out.mkdir(parents=True, exist_ok=True)
     n = (predicted.n[0] * batch.mask[0]).movedim(0, -1).numpy()
     light = predicted.light[0].movedim(0, -1).numpy()
-    pictures.write_exr(out / "normals.exr", n, "XYZ")
-    pictures.write_exr(out / "light.exr", light)
-    pictures.write_exr(out / "rendering.exr", again)
     bright = tone.auto_exposure(framed.radiance, framed.mask)
     cells = sheet.parts(batch, predicted, again, bright)
-    for name, cell in cells.items():
-        _save(out / f"{name}.png", cell)
-    _save(out / "mask.png", 255.0 * framed.mask)
     names = {"picture": "photograph", "rendering": "rendered again"}
-    _save(out / "sheet.png", captioned([[(names.get(name, name), cell) for name, cell in cells.items()]], TILE))
-    write_material(out / "material.json", predicted.label[0].numpy(), framed, metadata, weights)
+    with files.together():
+        pictures.write_exr(out / "normals.exr", n, "XYZ")
+        pictures.write_exr(out / "light.exr", light)
+        pictures.write_exr(out / "rendering.exr", again)
+        for name, cell in cells.items():
+            _save(out / f"{name}.png", cell)
+        _save(out / "mask.png", 255.0 * framed.mask)
+        _save(out / "sheet.png", captioned([[(names.get(name, name), cell) for name, cell in cells.items()]], TILE))
+        write_material(out / "material.json", predicted.label[0].numpy(), framed, metadata, weights)
 
 
 def _from_record(folder, exposure):
@@ -110,4 +110,4 @@ def _rounded(label):
 
 def _save(path, cell):
     pictures.require_finite(path, cell)
-    Image.fromarray(np.clip(cell, 0, 255).astype(np.uint8)).save(path)
+    files.write_image(path, np.clip(cell, 0, 255).astype(np.uint8))

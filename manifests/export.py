@@ -4,14 +4,14 @@ Ids are hashes, so records in the order of their ids are shuffled, and shuffled 
 that share its id: ID.json (the record), ID.image.exr, ID.geometry.exr; dataset.json, materials.json and lights/ are copied beside.
 """
 
+import contextlib
 import io
-import os
-import shutil
 import tarfile
 from pathlib import Path
 
 import msgspec
 
+from manifests.files import replacing, together, write_bytes
 from manifests.problems import Problem
 from manifests.store import Store, inside
 
@@ -32,16 +32,14 @@ def to_parquet(store: Store, path, split=None):
         remedy = "pip install 'pyarrow<22' (later ones need numpy 2, which Blender's wheel cannot have)"
         raise Problem("export --parquet", "the package pyarrow", str(error).split(":")[0], remedy) from None
     records = chosen(store, split)
-    unfinished = f"{path}.part"
-    writer = None
-    for first in range(0, len(records), ROWS):
-        table = pyarrow.Table.from_pylist([_flat(msgspec.to_builtins(record)) for record in records[first : first + ROWS]])
-        writer = writer or pyarrow.parquet.ParquetWriter(unfinished, table.schema)
-        writer.write_table(table.cast(writer.schema))
-    if writer is None:
+    if not records:
         raise Problem(store.folder, "records to export", "none", "render some, or choose another --split")
-    writer.close()
-    os.replace(unfinished, path)
+    with replacing(path) as file, contextlib.ExitStack() as opened:
+        writer = None
+        for first in range(0, len(records), ROWS):
+            table = pyarrow.Table.from_pylist([_flat(msgspec.to_builtins(record)) for record in records[first : first + ROWS]])
+            writer = writer or opened.enter_context(pyarrow.parquet.ParquetWriter(file, table.schema))
+            writer.write_table(table.cast(writer.schema))
     return len(records)
 
 
@@ -64,20 +62,19 @@ def to_tars(store: Store, folder, split=None, each=1000, watch=None):
     if not records:
         raise Problem(store.folder, "records to export", "none", "render some, or choose another --split")
     folder.mkdir(parents=True, exist_ok=True)
-    for name in ("dataset.json", "materials.json"):
-        shutil.copyfile(store.folder / name, folder / name)
-    for entry in store.dataset().lights.values():
-        (folder / "lights").mkdir(exist_ok=True)
-        shutil.copyfile(inside(store.folder, entry.file), folder / entry.file)
     starts = range(0, len(records), each)
-    for number, first in enumerate(starts):
-        unfinished = folder / f".{number:06d}.part"
-        with tarfile.open(unfinished, "w") as tar:
-            for record in records[first : first + each]:
-                _add(tar, store, record)
-                if watch:
-                    watch()
-        os.replace(unfinished, folder / f"{number:06d}.tar")
+    with together():  # some of the tars would pass for all of them
+        for name in ("dataset.json", "materials.json"):
+            write_bytes(folder / name, (store.folder / name).read_bytes())
+        for entry in store.dataset().lights.values():
+            (folder / "lights").mkdir(exist_ok=True)
+            write_bytes(folder / entry.file, inside(store.folder, entry.file).read_bytes())
+        for number, first in enumerate(starts):
+            with replacing(folder / f"{number:06d}.tar") as file, tarfile.open(fileobj=file, mode="w") as tar:
+                for record in records[first : first + each]:
+                    _add(tar, store, record)
+                    if watch:
+                        watch()
     return len(starts)
 
 

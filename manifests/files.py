@@ -3,21 +3,40 @@
 Every writer of the project goes through `replacing` or `write_bytes`. Libraries write into memory, or into the plain
 stream that `replacing` yields, never to a path: OpenEXR, numpy and others pass over the error of their last flush, so
 that a full disk would leave a short or empty file which looks finished.
+
+Unfinished files (drafts) are hidden beside their target, and their names say which process writes them. What a killed
+program left, the next one that writes into the same folder removes.
 """
 
+import contextlib
 import io
 import itertools
 import json
 import math
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
+from manifests.inputs import kind_of
 from manifests.problems import Problem
 
 _DRAFT = itertools.count()  # two threads of one process never write one file's draft
+_DRAFT_NAME = re.compile(r"\..*\.(?P<machine>\w+)-(?P<process>\d{1,9})-\d+\.part", re.DOTALL)
+_SWEPT = set()  # folders in which this process has looked for the drafts of killed programs
+
+
+class _Waiting(NamedTuple):
+    """A whole draft that takes its place when the block of `together` ends."""
+
+    draft: Path
+    target: Path
+
+
+_TOGETHER: ContextVar[list[_Waiting] | None] = ContextVar("together", default=None)
 
 
 class _Draft(io.RawIOBase):
@@ -32,11 +51,9 @@ class _Draft(io.RawIOBase):
     def write(self, data: Any) -> int:
         view = memoryview(data).cast("B")
         written = 0
-        while written < len(view):
-            try:
+        with _named(self._target):
+            while written < len(view):
                 written += os.write(self._descriptor, view[written:])
-            except OSError as error:
-                raise OSError(error.errno, error.strerror, str(self._target)) from None
         return len(view)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
@@ -57,32 +74,121 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
     """A binary stream whose content takes the place of the file at `path` when the block ends without an error.
 
     draft   where the unfinished file lies, on the same file system; None: beside `path`, under a hidden name
-    Raises  OSError with the system's reason; the earlier file is then still there, and no draft is left behind
+    Raises  OSError with the system's reason; Problem if a folder, a device or a pipe lies at `path`. The earlier
+            file is then still there, and no draft is left behind
 
     The bytes are on the disk before the name is (fsync, then rename). An empty file is refused: no format of
     this project has one, and writers that swallow errors leave them.
     """
     path = Path(path)
-    draft = draft or path.with_name(f".{path.name[:200]}.{os.getpid()}-{next(_DRAFT)}.part")
-    try:
+    _require_place_for_file(path)
+    if draft is None:
+        _remove_abandoned_drafts(path.parent)
+        name = path.name.encode()[:180].decode(errors="ignore")  # a name has 255 bytes at most
+        draft = path.with_name(f".{name}.{_machine()}-{os.getpid()}-{next(_DRAFT)}.part")
+    with _named(path):
         descriptor = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from None
+    whole = False
     try:
         try:
             yield _Draft(descriptor, path)
-            try:
+            with _named(path):
                 if not os.fstat(descriptor).st_size:
                     raise ValueError(f"{path}: nothing was written; an empty file is never kept")
                 os.fsync(descriptor)
-            except OSError as error:
-                raise OSError(error.errno, error.strerror, str(path)) from None
         finally:
-            os.close(descriptor)
-        os.replace(draft, path)
+            with _named(path):
+                os.close(descriptor)
+        whole = True
+    finally:
+        if whole and (waiting := _TOGETHER.get()) is not None:
+            waiting.append(_Waiting(draft, path))
+        else:
+            _finish(draft, path, whole)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """A block whose files take their places when it ends without an error: all of them, or none.
+
+    For results of several files, so that a full disk leaves neither half of them nor new ones beside old ones.
+    Within the block the new files cannot be read yet. An inner block belongs to the outer one.
+
+    Raises  OSError of a file that cannot take its place; the others have taken theirs
+    """
+    if _TOGETHER.get() is not None:
+        yield
+        return
+    waiting: list[_Waiting] = []
+    token = _TOGETHER.set(waiting)
+    whole = False
+    try:
+        yield
+        whole = True
+    finally:
+        _TOGETHER.reset(token)
+        with contextlib.ExitStack() as rest:  # each is finished, whatever happens to the others
+            for each in reversed(waiting):
+                rest.callback(_finish, *each, whole)
+
+
+def _finish(draft: Path, target: Path, whole: bool) -> None:
+    """Give a draft its place, or remove it if it is not whole."""
+    try:
+        if whole:
+            with _named(target):
+                os.replace(draft, target)
     finally:
         if os.path.lexists(draft):
             os.unlink(draft)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """OSErrors of the block name the file that was to be written, not its draft."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def _remove_abandoned_drafts(folder: Path) -> None:
+    """Remove what killed programs of this machine left unfinished. Looks once into each folder."""
+    place = os.path.abspath(folder)
+    if place in _SWEPT:
+        return
+    _SWEPT.add(place)
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        for name in [entry.name for entry in entries if entry.name.endswith(".part")]:
+            made_by = _DRAFT_NAME.fullmatch(name)
+            if made_by and made_by["machine"] == _machine() and not _is_alive(int(made_by["process"])):
+                with contextlib.suppress(OSError):  # gone meanwhile
+                    os.unlink(folder / name)
+
+
+def _machine() -> str:
+    """This machine's name as drafts carry it: what a process's number means elsewhere, nobody knows here."""
+    return re.sub(r"[^A-Za-z0-9]+", "", os.uname().nodename)[:32] or "machine"
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # another user's
+        return True
+    return True
+
+
+def _require_place_for_file(path: Path) -> None:
+    """Raises Problem if something lies at `path` that is no file: a rename would take a device's place."""
+    try:
+        found = kind_of(os.stat(path).st_mode)
+    except OSError:  # nothing there; whatever else is wrong shows when the draft is opened
+        return
+    if found is not None:
+        raise Problem(path, "a file, or a name for a new one", found, "give another name")
 
 
 def write_bytes(path: str | os.PathLike, data: bytes) -> None:
@@ -116,6 +222,11 @@ def write_image(path: str | os.PathLike, pixels: Any, format: str | None = None,
     write_with(path, lambda file: image.save(file, format=format, **options))
 
 
+def write_figure(path: str | os.PathLike, figure: Any, **options: Any) -> None:
+    """Write a matplotlib figure as PNG. options: of its `savefig`. Raises as `replacing`."""
+    write_with(path, lambda file: figure.savefig(file, format="png", **options))
+
+
 def npz_bytes(arrays: Mapping[str, Any], compressed: bool = True) -> bytes:
     """The bytes of an .npz file of `arrays`, {name: array}."""
     import numpy as np
@@ -130,11 +241,15 @@ def write_npz(path: str | os.PathLike, arrays: Mapping[str, Any], compressed: bo
     write_bytes(path, npz_bytes(arrays, compressed))
 
 
-def write_lines(path: str | os.PathLike, lines: Iterable[bytes]) -> None:
-    """Write lines, each with its newline, to `path`; none at all give no file, and an earlier one goes."""
+def write_lines(path: str | os.PathLike, lines: Iterable[bytes], draft: Path | None = None) -> None:
+    """Write lines, each with its newline, to `path`; none at all give no file, and an earlier one goes.
+
+    draft   as `replacing` takes it. Raises as `replacing`
+    """
     data = b"".join(lines)
     if data:
-        write_bytes(path, data)
+        with replacing(path, draft) as file:
+            file.write(data)
     else:
         Path(path).unlink(missing_ok=True)
 

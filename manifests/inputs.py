@@ -37,14 +37,20 @@ def require_file(
         raise Problem(repr(str(path)), expected, "a name that no file can have", remedy) from None
     except OSError as error:  # a circle of links, no permission, a name too long
         raise Problem(path, expected, str(error.strerror or error).lower(), remedy) from None
-    if not stat.S_ISREG(status.st_mode):
-        found = next((name for test, name in _KINDS if test(status.st_mode)), "something else")
+    if (found := kind_of(status.st_mode)) is not None:
         hint = "name a file in it" if found == "a folder" else "save it as a file first"
         raise Problem(path, expected, found, hint)
     if maximum_bytes is not None and status.st_size > maximum_bytes:
         bound, size = _size(maximum_bytes), _size(status.st_size)
         raise Problem(path, f"{expected} of at most {bound}", size, "check that this is the right file")
     return Path(path)
+
+
+def kind_of(mode: int) -> str | None:
+    """What lies there, with its article, by its mode of `os.stat`; None for an ordinary file."""
+    if stat.S_ISREG(mode):
+        return None
+    return next((name for test, name in _KINDS if test(mode)), "something else")
 
 
 def _size(count: int) -> str:

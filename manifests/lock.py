@@ -20,6 +20,9 @@ def writing(folder, shard=None, patience=20.0):
     shard     None, or (i, n): part i of n, 1 ≤ i ≤ n; parts run side by side
     patience  seconds to wait for a killed run's last worker
     Raises    Problem if another run holds it
+
+    A folder in which nothing can be written (a read-only file system, another user's) is locked as far as its lock files
+    are there: enough for whoever reads it.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -30,7 +33,7 @@ def writing(folder, shard=None, patience=20.0):
     held = []
     try:
         for name, kind in wanted:
-            held.append(_locked(folder / name, kind, folder, patience))
+            held += _locked(folder / name, kind, folder, patience)
         yield held
     finally:
         for descriptor in held:
@@ -50,19 +53,32 @@ def changing(folder):
 
 
 def _locked(path, kind, folder, patience):
-    """A descriptor that holds the lock."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    """[a descriptor that holds the lock], or [] where nobody can write and no lock is left."""
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError:
+        if os.access(folder, os.W_OK):
+            raise
+        try:
+            descriptor = os.open(path, os.O_RDONLY)
+        except OSError:
+            return []
     end = time.monotonic() + patience
     while True:
         try:
             fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
-            return descriptor
+            return [descriptor]
         except BlockingIOError:
             if time.monotonic() >= end:
                 os.close(descriptor)
                 remedy = "wait for it to end, or use another --out"
                 raise Problem(folder, "a folder that no other run writes to", "one in use", remedy) from None
             time.sleep(0.1)
+        except OSError:
+            if os.access(folder, os.W_OK):
+                os.close(descriptor)
+                raise
+            return [descriptor]  # a file system that locks only what can be written
 
 
 def _refuse_other_divisions(folder, parts):

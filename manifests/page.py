@@ -10,6 +10,7 @@ import os
 import sys
 from pathlib import Path
 
+from manifests.files import write_text
 from manifests.problems import Problem
 
 COLUMNS = {
@@ -152,9 +153,7 @@ def main(arguments=None):
             raise Problem(absent[0], "a picture", "none", "run `python -m factory preview DIR` first")
         text = page(options.out, options.sheet, options.agreement, options.title, options.prediction, options.edit)
         options.out.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = options.out.with_name(options.out.name + ".part")
-        unfinished.write_text(text, encoding="utf-8")
-        os.replace(unfinished, options.out)
+        write_text(options.out, text)
     except (Problem, OSError) as problem:
         print(f"manifests.page: {problem}", file=sys.stderr)
         return 1

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import msgspec
 
+from manifests.files import write_text
 from manifests.materials import Catalogue
 from manifests.schema import Dataset, Failure, Job, Record, View
 
@@ -26,7 +27,7 @@ def main():
     """Write the files."""
     FOLDER.mkdir(exist_ok=True)
     for name, text in documents().items():
-        (FOLDER / name).write_text(text, encoding="utf-8")
+        write_text(FOLDER / name, text)
     return 0
 
 

@@ -12,15 +12,20 @@ A kill at any moment loses at most the shot in flight: a file is written under p
 readers and cut off by the next writer.
 """
 
+import contextlib
 import errno
+import fcntl
 import hashlib
 import os
 import re
+import weakref
 from pathlib import Path, PurePosixPath
 
 import msgspec
 
+from manifests import lock
 from manifests.files import replacing
+from manifests.inputs import require_file
 from manifests.problems import Problem
 from manifests.reading import decode, read
 from manifests.schema import VERSION, Dataset, Failure, Record, View
@@ -31,6 +36,12 @@ NAME = re.compile(r"[^A-Za-z0-9._-]+")
 
 class _Id(msgspec.Struct, gc=False):
     id: str
+
+
+class _Known(msgspec.Struct, gc=False):
+    id: str
+    geometry: str
+    geometry_hash: str
 
 
 class _Version(msgspec.Struct):
@@ -53,7 +64,9 @@ def light_path(name, hash_):
 
 
 def file_hash(path):
-    """sha256 (hex) of a file's bytes."""
+    """sha256 (hex) of a file's bytes. Raises FileNotFoundError; Problem for a folder, a pipe or a device."""
+    if os.path.exists(path):
+        require_file(path, "a file")  # opening a pipe would wait for its writer
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -82,10 +95,14 @@ class Store:
         path = self.folder / "dataset.json"
         if not path.exists():
             raise Problem(self.folder, "a dataset (dataset.json)", "none", "make one with: python -m factory render JOB --out DIR")
-        version = read(path, _Version).version
-        if version != VERSION:
-            raise Problem(path, f"schema version {VERSION}", str(version), "read it with the program version that wrote it")
-        return read(path, Dataset)
+        try:
+            version = read(path, _Version).version
+            if version == VERSION:
+                return read(path, Dataset)
+        except Problem as problem:
+            remedy = "restore it, or delete it and render each of the folder's jobs again: no picture is rendered twice"
+            raise Problem(problem.where, problem.expected, problem.found, remedy) from None
+        raise Problem(path, f"schema version {VERSION}", str(version), "read it with the program version that wrote it")
 
     def record_files(self, kind="records"):
         """The files of one kind of lines, one a worker, in order of name."""
@@ -103,13 +120,26 @@ class Store:
         """The set of ids of all lines of a kind: what a run that continues leaves out. Reads nothing else of a line."""
         return {line.id for line in self._decoded(_Id, kind)}
 
+    def known(self, kind="records"):
+        """(ids, hashes): the ids of all lines of a kind; the hash of each geometry file that a record or a view names.
+
+        hashes  {path: hash}, the first that is named where lines disagree
+        """
+        ids, hashes = set(), {}
+        for each in LINES:
+            for line in self._decoded(_Known, each):
+                hashes.setdefault(line.geometry, line.geometry_hash)
+                if each == kind:
+                    ids.add(line.id)
+        return ids, hashes
+
     def failures(self):
         """Every Failure written down."""
         for path in sorted(self.folder.glob("failures*.jsonl")):
             with open(path, "rb") as lines:
                 for number, line in enumerate(lines, 1):
                     if line.endswith(b"\n"):
-                        yield decode(line, Failure, f"{path}:{number}")
+                        yield _line(line, Failure, f"{path}:{number}", "delete this file: it only says what went wrong")
 
     def _decoded(self, type_, kind):
         decoder = msgspec.json.Decoder(type_)
@@ -121,7 +151,8 @@ class Store:
                     try:
                         record = decoder.decode(line)
                     except (msgspec.DecodeError, UnicodeDecodeError):
-                        record = decode(line, type_, f"{path}:{number}")  # raises, with the reason in one line
+                        remedy = f"python -m factory verify {self.folder} --repair, then render the same jobs again"
+                        record = _line(line, type_, f"{path}:{number}", remedy)
                     yield record
 
     def write_json(self, name, value, worker="main"):
@@ -154,6 +185,18 @@ class Store:
         finally:
             whole.unlink(missing_ok=True)
 
+    def place_instead(self, relative, data, worker, damaged):
+        """Put a file in the place of a damaged one, and return the sha256 of what lies there then.
+
+        damaged  sha256 of the damaged file, None if it cannot be read. If another file lies there by now, another worker
+                 has put it there, and it stays. Raises OSError as `place`
+        """
+        with lock.changing(self.folder):
+            found = readable_hash(self.folder / relative)
+            if found is not None and found != damaged:
+                return found
+            return self.place(relative, data, worker)
+
     def sweep(self, prefix=""):
         """Remove what killed runs left half-written, files and lines; `prefix` of the workers' names confines it to one shard's."""
         partial = self.folder / "partial"
@@ -162,6 +205,22 @@ class Store:
         for path in (path for kind in LINES for path in self.record_files(kind)):
             if path.name.startswith(prefix):
                 Lines(path).close()
+
+
+def readable_hash(path):
+    """sha256 (hex) of a file's bytes; None if nothing is there that can be read."""
+    try:
+        return file_hash(path)
+    except (OSError, Problem):
+        return None
+
+
+def _line(line, type_, where, remedy):
+    """A line as a `type_`. Raises Problem with the remedy of its file."""
+    try:
+        return decode(line, type_, where)
+    except Problem as problem:
+        raise Problem(problem.where, problem.expected, problem.found, remedy) from None
 
 
 def _link(temporary, target):
@@ -178,31 +237,57 @@ def _link(temporary, target):
 
 
 class Lines:
-    """An append-only file of JSON lines with one writer. Opening cuts off a torn last line; a line is written whole or not at all."""
+    """An append-only file of JSON lines with one writer. Opening cuts off a torn last line; a line is written whole or not at all.
+
+    Raises  Problem if another process has the file open to write into it
+    """
 
     def __init__(self, path):
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        self._closed = weakref.finalize(self, os.close, self._descriptor)
+        self._own()
+        self._torn = False  # a part of a line may lie behind the last whole one
         self._length = self._end_of_last_line()
-        os.ftruncate(self._descriptor, self._length)
+        if self._length < os.fstat(self._descriptor).st_size:
+            os.ftruncate(self._descriptor, self._length)
+
+    def _own(self):
+        try:
+            fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # not flock: a forked helper does not go on holding it
+        except (BlockingIOError, PermissionError):
+            self.close()
+            remedy = "wait for it to end, or use another --out"
+            raise Problem(self.path, "a file that no other run writes to", "one in use", remedy) from None
+        except OSError:  # a file system without locks
+            pass
 
     def append(self, value):
         """Write one value as a line. Raises OSError (full disk) with nothing of the line left behind."""
-        line = msgspec.json.encode(value) + b"\n"
+        self.append_line(msgspec.json.encode(value) + b"\n")
+
+    def append_line(self, line):
+        """As `append`, of a line as bytes with its newline."""
         try:
+            if self._torn:
+                os.ftruncate(self._descriptor, self._length)
+                self._torn = False
             written = os.write(self._descriptor, line)
             if written < len(line):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
         except OSError as error:
-            os.ftruncate(self._descriptor, self._length)
+            self._torn = True
+            with contextlib.suppress(OSError):  # a disk that fails altogether: the next line or the next opening cuts the rest off
+                os.ftruncate(self._descriptor, self._length)
+                self._torn = False
             raise OSError(error.errno, error.strerror, str(self.path)) from None
         self._length += len(line)
 
     def close(self):
         """Give the file back."""
-        os.close(self._descriptor)
+        self._closed()
 
     def _end_of_last_line(self):
         """Where the last whole line ends."""

@@ -200,7 +200,9 @@ def repair(store: Store, faults):
         kept = [line for line in lines if _keep(line, type_, condemned)]
         if len(kept) < len(lines):
             removed += len(lines) - len(kept)
-            write_lines(path, kept)
+            partial = store.folder / "partial"
+            partial.mkdir(exist_ok=True)
+            write_lines(path, kept, draft=partial / f"repair-{path.parent.name}-{path.name}")
     orphans = [f.orphan for f in faults if f.orphan]
     for path in orphans:
         path.unlink(missing_ok=True)

@@ -70,14 +70,12 @@ def _line(light):
 
 
 def run_preview(options):
-    import os
-
     import numpy as np
-    from PIL import Image
     from tqdm import tqdm
 
     from factory.lights import load, names
     from factory.lights.preview import picture
+    from manifests.files import write_image
     from manifests.problems import Problem
 
     if not 8 <= options.size <= 1024:
@@ -85,9 +83,7 @@ def run_preview(options):
     wanted = options.lights or names(options.library)
     rows = [picture(load(name, options.library), options.size) for name in tqdm(wanted, unit="light", leave=False, disable=None)]
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = options.out.with_name(options.out.name + ".part")
-    Image.fromarray(np.concatenate(rows)).save(unfinished, format="PNG")
-    os.replace(unfinished, options.out)
+    write_image(options.out, np.concatenate(rows), "PNG")
     print(f"{options.out}: {len(rows)} lights, from the top: {', '.join(map(str, wanted))}")
 
 

@@ -188,12 +188,11 @@ def run_list(options):
 
 
 def run_preview(options):
-    import os
-
     from tqdm import tqdm
 
     from factory.lights import load
     from factory.materials.preview import sheet
+    from manifests.files import write_image
     from manifests.materials import find, load_catalogue
     from manifests.problems import Problem
 
@@ -208,9 +207,7 @@ def run_preview(options):
 
     picture = sheet(chosen, light.L64, options.size, min(options.columns, len(chosen)), options.of, watch)
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = options.out.with_name(options.out.name + ".part")
-    picture.save(unfinished, format="PNG")
-    os.replace(unfinished, options.out)
+    write_image(options.out, picture, "PNG")
     print(f"{options.out}: {len(chosen)} materials under {options.light}")
 
 

@@ -23,8 +23,6 @@ def register(subparsers):
 
 def run(options):
     """Write sheet.png and index.html; 0."""
-    import os
-
     from tqdm import tqdm
 
     from factory.contact_sheet import caption, page, row, sheet
@@ -46,10 +44,9 @@ def run(options):
     rows = [row(store, dataset, materials, record, options.size) for record in tqdm(chosen, desc="preview", unit="record", delay=1.0)]
     captions = [caption(record) for record in chosen]
     out.mkdir(parents=True, exist_ok=True)
-    sheet(rows, captions, options.size).save(out / ".sheet.part.png")
-    os.replace(out / ".sheet.part.png", out / "sheet.png")
-    (out / ".index.part").write_text(page(options.folder.name, rows, captions, [r.id for r in chosen]), encoding="utf-8")
-    os.replace(out / ".index.part", out / "index.html")
+    with files.together():
+        files.write_image(out / "sheet.png", sheet(rows, captions, options.size))
+        files.write_text(out / "index.html", page(options.folder.name, rows, captions, [r.id for r in chosen]))
     print(f"{out / 'index.html'}: {len(chosen)} records")
     return 0
 

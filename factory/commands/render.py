@@ -155,6 +155,9 @@ class Progress:
         self.bar.close()
 
     def __call__(self, event, value):
+        if event == "note":
+            self.bar.write(f"factory: {value}", file=sys.stderr)
+            return
         if event == "total":
             self.total = value
         elif event == "found":

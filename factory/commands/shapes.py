@@ -129,6 +129,7 @@ def run_preview(options):
 
     from factory.shapes.catalogue import load, specs
     from factory.shapes.sheet import contact_sheet
+    from manifests.files import write_image
     from manifests.problems import Problem
 
     if not 16 <= options.size <= 2048:
@@ -158,7 +159,7 @@ def run_preview(options):
     from PIL import Image
 
     sheet = contact_sheet(meshes(), len(chosen), size=options.size, azimuths=azimuths)
-    _save(sheet.quantize(128, dither=Image.Dither.NONE), options.out)
+    write_image(options.out, sheet.quantize(128, dither=Image.Dither.NONE), "PNG", optimize=True)
     return 1 if failed else 0
 
 
@@ -170,17 +171,6 @@ def _unfolded(shape):
 
         return [entry.place for entry in find(path)]
     return [shape]
-
-
-def _save(image, path):
-    import os
-
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        image.save(aside, format="PNG", optimize=True)
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def run_add(options):

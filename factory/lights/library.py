@@ -3,16 +3,14 @@
 Maps may be put into the folder by hand too; then their licence is simply unknown.
 """
 
+import hashlib
 import json
-import os
 import re
-import shutil
 from pathlib import Path
-
-import numpy as np
 
 from factory.lights import files
 from factory.lights.light import checked, from_pixels
+from manifests.files import npz_bytes, together, write_bytes, write_text
 from manifests.problems import Problem
 from shaders import envmap
 
@@ -50,8 +48,9 @@ def add(path, folder, licence, source=None):
     for name, known in listed.items():
         if known.get("hash") == digest:
             return name
-    target = _free(path, path.stem, path.suffix.lower(), folder, listed)
-    return _place(target, lambda unfinished: shutil.copyfile(path, unfinished), licence, source or path.name, listed)
+    data = path.read_bytes()
+    target = _free(path, path.stem, path.suffix.lower(), folder, listed, data)
+    return _place(target, data, licence, source or path.name, listed)
 
 
 def add_maps(path, folder, licence, known):
@@ -63,41 +62,45 @@ def add_maps(path, folder, licence, known):
     folder = Path(folder)
     for inner, pixels in files.maps_in(path):
         L64 = from_pixels(pixels, inner, "", licence, f"{path}: {inner}").L64
-        if twin := next((name for name, L in known.items() if envmap.same_capture(L64, L)), None):
+        listed, data = read_list(folder), npz_bytes({"L": pixels})
+        unlisted = _name(inner) not in listed and _holds(folder / f"{_name(inner)}.npz", data)  # a run was killed before it had listed it
+        if not unlisted and (twin := next((name for name, L in known.items() if envmap.same_capture(L64, L)), None)):
             yield inner, twin, False
             continue
-        listed = read_list(folder)
-        target = _free(f"{path}: {inner}", inner, ".npz", folder, listed)
-
-        def save(unfinished, pixels=pixels):
-            with open(unfinished, "wb") as file:
-                np.savez_compressed(file, L=pixels)
-
-        name = _place(target, save, licence, f"{Path(path).name}: {inner}", listed)
+        target = _free(f"{path}: {inner}", inner, ".npz", folder, listed, data)
+        name = _place(target, data, licence, f"{Path(path).name}: {inner}", listed)
         known[name] = L64
         yield inner, name, True
 
 
-def _free(where, stem, suffix, folder, listed):
-    """The path of a new map's file. Raises Problem if its name is taken."""
-    name = re.sub(r"[^a-z0-9]+", "-", stem.lower()).strip("-") or "light"
+def _name(stem):
+    """The name of a map in a library by that of its file."""
+    return re.sub(r"[^a-z0-9]+", "-", stem.lower()).strip("-") or "light"
+
+
+def _free(where, stem, suffix, folder, listed, data):
+    """The path of a new map's file of these bytes. Raises Problem if its name is taken."""
+    name = _name(stem)
     if name in listed:
         raise Problem(where, "a name that is still free", f"another map called {name!r} in {folder}", "rename the file")
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / (name + suffix)
-    if target.exists():
+    if target.exists() and not _holds(target, data):
         raise Problem(target, "a name that is still free", "an unlisted file of that name", "rename one of the two")
     return target
 
 
-def _place(target, write, licence, source, listed):
-    """Put a map's file and its line of the list in place; returns the map's name."""
+def _holds(path, data):
+    """Whether a file holds these bytes."""
+    return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
+
+
+def _place(target, data, licence, source, listed):
+    """Put a map's file and its line of the list in place, both or neither; returns the map's name."""
     folder, name = target.parent, target.stem
-    unfinished = target.with_name(target.name + ".part")
-    write(unfinished)
-    os.replace(unfinished, target)
-    listed[name] = {"file": target.name, "hash": files.digest(target), "licence": licence, "source": source}
-    unfinished = folder / (LIST + ".part")
-    unfinished.write_text(json.dumps(listed, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    os.replace(unfinished, folder / LIST)
+    digest = hashlib.sha256(data).hexdigest()
+    with together():
+        write_bytes(target, data)
+        listed[name] = {"file": target.name, "hash": digest, "licence": licence, "source": source}
+        write_text(folder / LIST, json.dumps(listed, indent=1, sort_keys=True) + "\n")
     return name

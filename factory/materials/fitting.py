@@ -6,7 +6,6 @@ measurement, the recipe, the light maps and this program's fitting code. A secon
 
 import concurrent.futures
 import hashlib
-import os
 from pathlib import Path
 
 import msgspec
@@ -17,6 +16,7 @@ from factory.materials import errors, recipe
 from factory.materials.samples import held_out
 from factory.materials.sphere import Sphere
 from manifests import materials as catalogue
+from manifests.files import write_bytes
 from manifests.materials import Distance, Entry, Errors, MixtureData, Neighbour
 
 CODE = ("recipe", "joint_fit", "label_fit", "label_model", "node_model", "nnls", "errors", "samples", "sphere")
@@ -43,7 +43,7 @@ def fit_all(sources, recipe_, maps, out, workers=1):
     folder = Path(f"{out}.fits")
     folder.mkdir(parents=True, exist_ok=True)
     files = {name: folder / f"{name}.{key(source, recipe_, maps)}.json" for name, source in sources.items()}
-    todo = [name for name, file in files.items() if not file.exists()]
+    todo = [name for name, file in files.items() if _kept(file) is None]
     _WORKER.update(sources=sources, recipe=recipe_, files=files, sphere=None)
     bar = tqdm(total=len(files), initial=len(files) - len(todo), unit="material", desc="fitting materials", dynamic_ncols=True)
     with bar:
@@ -54,6 +54,14 @@ def fit_all(sources, recipe_, maps, out, workers=1):
             bar.set_postfix_str(name)
             bar.update()
     return [msgspec.json.decode(files[name].read_bytes(), type=Entry) for name in sources]
+
+
+def _kept(file):
+    """The entry of a fit that was kept; None if there is none, or a damaged one."""
+    try:
+        return msgspec.json.decode(file.read_bytes(), type=Entry)
+    except (FileNotFoundError, msgspec.DecodeError, UnicodeDecodeError):
+        return None
 
 
 def _each(names, workers):
@@ -81,10 +89,8 @@ def _fit_one(name):
 
 
 def write_entry(entry_, path):
-    """One entry as JSON, under a temporary name first."""
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.writing")
-    temporary.write_bytes(msgspec.json.encode(entry_))
-    temporary.replace(path)
+    """One entry as JSON, whole or not at all."""
+    write_bytes(path, msgspec.json.encode(entry_))
 
 
 def entry(source, fit, sphere=None):

@@ -1,6 +1,5 @@
 """The fit errors of a catalogue as a table, plots and JSON, beside the limits they are to keep."""
 
-import json
 import os
 import platform
 import subprocess
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from factory.materials.samples import HELD_OUT_DEG
+from manifests.files import together, write_figure, write_json, write_text
 from manifests.materials import read_catalogue
 
 LIMITS = (  # name, key of the figure, limit, what the prototype reached
@@ -79,12 +79,13 @@ def write(path, out, source=None, abc=None):
         witnesses = {name: l1.mean() for name, l1 in microfacets.apart(sources.load(source), microfacets.load(abc)).items()}
     out.mkdir(parents=True, exist_ok=True)
     table = limits_table(found)
-    (out / "report.md").write_text(_page(catalogue, table, found, made, witnesses), encoding="utf-8")
     data = {**made, "catalogue": Path(path).name, "materials": len(entries), "light_maps": catalogue.light_maps, "figures": found}
     data |= {"nodes_vs_label_by_view": dict(zip(map(str, HELD_OUT_DEG), map(float, by_view(entries)), strict=True))}
     data |= {"measurement_vs_abc": {name: float(f"{value:.4g}") for name, value in witnesses.items()}}
-    (out / "report.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-    plot(entries, out / "errors.png")
+    with together():
+        write_text(out / "report.md", _page(catalogue, table, found, made, witnesses))
+        write_json(out / "report.json", data)
+        plot(entries, out / "errors.png")
     return f"{table}\n{out}: report.md, report.json, errors.png"
 
 
@@ -165,5 +166,5 @@ def plot(entries, path):
         right.plot([e.errors.nodes_vs_source.mean for e in own], [e.errors.nodes_vs_label.mean for e in own], "o", label=family, ms=4)
     right.set(xscale="log", yscale="log", xlabel="nodes against measurement", ylabel="label against nodes")
     right.legend(frameon=False, fontsize=7, ncols=2)
-    figure.savefig(path, dpi=90)
+    write_figure(path, figure, dpi=90)
     plt.close(figure)

@@ -6,6 +6,7 @@ geometry, texel, lambert, closures, perspective, materials   see factory.render.
 """
 
 import argparse
+import contextlib
 import hashlib
 import json
 import os
@@ -129,11 +130,12 @@ class _StudioLoop:
         self.segments = mesh.segments
 
     def run(self, geometry):
-        with open(f"{self.folder}/records.jsonl", "a") as records:
+        from manifests.store import Lines
+
+        with contextlib.closing(Lines(f"{self.folder}/records.jsonl")) as records:
             for view in range(VIEWS):
                 self.studio.set_view(2 * np.pi * view / VIEWS)
-                records.write(json.dumps({"view": view} | self._record(view, geometry)) + "\n")
-                records.flush()
+                records.append({"view": view} | self._record(view, geometry))
 
     def _record(self, view, geometry):
         from factory.render import checks
@@ -247,7 +249,9 @@ def main(arguments):
     text = json.dumps(result, indent=2, ensure_ascii=False)
     print(text)
     if options.out:
-        Path(options.out).write_text(text + "\n", encoding="utf-8")
+        from manifests.files import write_text
+
+        write_text(options.out, text + "\n")
     return 0
 
 

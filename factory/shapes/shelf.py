@@ -5,10 +5,10 @@ LIBRARY/chair/mine.json   name, category, hash, source, licence, report
 """
 
 import json
-import os
 import re
 from pathlib import Path
 
+from manifests.files import write_bytes, write_text
 from manifests.problems import Problem
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
@@ -25,29 +25,33 @@ def add(mesh, library, *, source, licence):
     folder = Path(library) / mesh.category
     folder.mkdir(parents=True, exist_ok=True)
     path, note = folder / f"{mesh.name}.obj", folder / f"{mesh.name}.json"
-    if note.exists():
-        held = json.loads(note.read_text("utf-8")).get("hash")
-        if held != mesh.hash:
-            raise Problem(note, "a name that is free", "another mesh of that name", "pass a different --name")
+    if note.exists() and _hash_noted(note) != mesh.hash:
+        raise Problem(note, "a name that is free", "another mesh of that name", "pass a different --name")
+    text = _obj(mesh, licence).encode()
+    if note.exists() and _holds(path, text):
         return path
-    _write(path, _obj(mesh, licence))
+    write_bytes(path, text)
     words = {"name": mesh.name, "category": mesh.category, "hash": mesh.hash, "segments": mesh.segments}
     words |= {"source": str(source), "licence": licence, "report": mesh.report.line()}
-    _write(note, json.dumps(words, indent=1, ensure_ascii=False) + "\n")
+    write_text(note, json.dumps(words, indent=1, ensure_ascii=False) + "\n")
     return path
 
 
-def _write(path, text):
-    """The whole file or none: written aside, then renamed."""
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
+def _hash_noted(note):
+    """The hash of the mesh that a note is about. Raises Problem for a damaged note."""
     try:
-        with open(aside, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
+        return json.loads(note.read_bytes()).get("hash")
+    except (ValueError, AttributeError) as error:
+        remedy = f"delete it, and {note.stem}.obj beside it unless that is this mesh; or pass a different --name"
+        raise Problem(note, "a mesh's note as JSON", str(error)[:100], remedy) from None
+
+
+def _holds(path, data):
+    """Whether a file holds these bytes: a library's mesh that was damaged since is written again."""
+    try:
+        return path.stat().st_size == len(data) and path.read_bytes() == data
+    except OSError:
+        return False
 
 
 def _obj(mesh, licence):

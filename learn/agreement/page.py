@@ -59,7 +59,7 @@ def png(display):
     """An <img> source of display values (H, W, 3) in [0, 255]."""
     buffer = io.BytesIO()
     Image.fromarray(np.clip(np.rint(display), 0, 255).astype(np.uint8)).save(buffer, "PNG")
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return encoded(buffer.getvalue())
 
 
 def number(figure, value):
@@ -125,7 +125,7 @@ def markdown(summary, about):
 def web(summary, about, plots, panels):
     """index.html.
 
-    plots   {path of a PNG: caption}; panels  list of (caption, Cycles' display picture, the layer's)
+    plots   [(PNG's bytes, caption)]; panels  list of (caption, Cycles' display picture, the layer's)
     """
     head = summary["direct"]
     parts = [
@@ -139,8 +139,8 @@ def web(summary, about, plots, panels):
         "point sum over the map costs; it is no part of the converged integral's disagreement.</p><div class=plots>"
     ]
     parts += [
-        f"<figure><img src='{encoded(path)}' alt=''><figcaption>{html.escape(caption)}</figcaption></figure>"
-        for path, caption in plots.items()
+        f"<figure><img src='{encoded(png)}' alt=''><figcaption>{html.escape(caption)}</figcaption></figure>"
+        for png, caption in plots
     ]
     parts += [
         "</div><h2>Pictures, the worst first</h2><p class=soft>Cycles, the layer, and their difference times "
@@ -175,5 +175,6 @@ def cards(summary):
     return "<div class=cards>" + "".join(f"<div class='card{c}'><b>{value}</b>{text}</div>" for c, value, text in shown) + "</div>"
 
 
-def encoded(path):
-    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
+def encoded(png):
+    """An <img> source of a PNG's bytes."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()

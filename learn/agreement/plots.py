@@ -1,5 +1,7 @@
 """The agreement's charts, drawn by matplotlib into PNG files."""
 
+import io
+
 import matplotlib
 import numpy as np
 
@@ -30,8 +32,8 @@ NAMES = {
 }
 
 
-def draw(folder, summary, rows):
-    """Writes the charts that the rows allow; returns {file name: caption}."""
+def draw(summary, rows):
+    """{file name: (PNG's bytes, caption)} of the charts that the rows allow."""
     own = [row for row in rows if row.tier == "direct" and row.light_resolution == "64x128"]
     made = {}
     with plt.rc_context(STYLE):
@@ -55,8 +57,9 @@ def draw(folder, summary, rows):
         ):
             fig, ax = plt.subplots(figsize=(5.2, 3.2))
             if chart(ax):
-                fig.savefig(folder / name)
-                made[name] = caption
+                png = io.BytesIO()
+                fig.savefig(png, format="png")
+                made[name] = png.getvalue(), caption
             plt.close(fig)
     return made
 

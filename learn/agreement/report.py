@@ -116,11 +116,12 @@ def make(options):
     rows, panels = compare(options)
     summary, origin = summarise(rows), about(options)
     options.out.mkdir(parents=True, exist_ok=True)
-    drawn = plots.draw(options.out, summary, rows)
+    drawn = plots.draw(summary, rows)
     report = {"about": origin, "summary": summary, "conditions": [row.to_json() for row in rows]}
-    files.write_json(options.out / "report.json", report)
-    files.write_text(options.out / "report.md", page.markdown(summary, origin))
-    files.write_text(
-        options.out / "index.html", page.web(summary, origin, {options.out / name: caption for name, caption in drawn.items()}, panels)
-    )
+    with files.together():
+        for name, (png, _) in drawn.items():
+            files.write_bytes(options.out / name, png)
+        files.write_json(options.out / "report.json", report)
+        files.write_text(options.out / "report.md", page.markdown(summary, origin))
+        files.write_text(options.out / "index.html", page.web(summary, origin, drawn.values(), panels))
     return summary

@@ -1,13 +1,12 @@
 """From a dataset and light maps to the baselines' files: what `learn baselines` does for each name."""
 
-import shutil
-
 import msgspec
 
 from learn.baselines import FILES, priors
 from learn.baselines.swap import SwapTraining
-from learn.networks import tensors
+from learn.networks import tensor_file
 from learn.training import loop, settings, sources
+from manifests.files import write_bytes
 from manifests.reading import decode
 
 FILE_OF = {"lombardi": FILES["Lombardi-like"], "baseline-1": FILES["Baseline 1"], "baseline-2": FILES["Baseline 2"]}
@@ -31,8 +30,7 @@ def make(name, preset, options):
     folder = options.out / name
     with loop.only_writer(folder):
         figures = kind(run, pools, folder, workers=options.workers).train()
-    shutil.copyfile(folder / "weights.safetensors", temporary := target.with_suffix(".partial"))
-    temporary.replace(target)
+    write_bytes(target, (folder / "weights.safetensors").read_bytes())
     return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())
 
 
@@ -47,6 +45,6 @@ def held_out(options, data):
     """data with the held-out lights of the weights options.like, if there are any."""
     if options.like is None:
         return data
-    with tensors.opened(options.like) as stored:
+    with tensor_file.opened(options.like) as stored:
         like = decode(stored.metadata.get("run", "{}").encode(), settings.Run, options.like).data
     return msgspec.structs.replace(data, validation_lights=like.validation_lights, test_lights=like.test_lights)

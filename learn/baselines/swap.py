@@ -10,7 +10,6 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import torch
-from PIL import Image
 
 from learn.baselines.encoder_decoder import EncoderDecoder, radiance
 from learn.layer import render
@@ -19,6 +18,7 @@ from learn.training import checkpoint
 from learn.training.loop import Training
 from learn.training.losses import compared_by
 from learn.training.relit import BRIGHTEST, Relit
+from manifests.files import write_image
 from shaders import tone
 
 VALIDATION_BATCHES = 2
@@ -105,4 +105,4 @@ def sheet(path, batch, edited):
         exposure = tone.auto_exposure(truth, (batch.segments[i] > 0).numpy())
         cells = (batch.image[i].movedim(0, -1).numpy(), drawn[i], truth)
         rows.append(np.concatenate([tone.display(cell, exposure) for cell in cells], 1))
-    Image.fromarray(np.concatenate(rows).astype(np.uint8)).save(path, quality=90)
+    write_image(path, np.concatenate(rows).astype(np.uint8), "JPEG", quality=90)

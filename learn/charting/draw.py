@@ -7,6 +7,7 @@ import statistics
 import textwrap
 
 from learn.charting import front
+from manifests import files
 
 STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:1200px;margin:2rem auto;padding:0 1rem}td,th{padding:.1rem .6rem;text-align:right}"
@@ -31,14 +32,15 @@ def write(rows, made, folder):
     """chart.png, chart.csv, chart.html in a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     caption = f"{made['command']} · commit {made['commit']} · {made['date']} · {made['machine']} · {size(rows)}"
-    picture(rows, caption).savefig(folder / "chart.png", dpi=100)
     text = io.StringIO()
     text.write(f"# {caption}\n")
     table = csv.DictWriter(text, fieldnames=list(rows[0]))
     table.writeheader()
     table.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    (folder / "chart.csv").write_text(text.getvalue())
-    (folder / "chart.html").write_text(page(rows, caption))
+    with files.together():
+        files.write_figure(folder / "chart.png", picture(rows, caption), dpi=100)
+        files.write_text(folder / "chart.csv", text.getvalue())
+        files.write_text(folder / "chart.html", page(rows, caption))
 
 
 def size(rows):

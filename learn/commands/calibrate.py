@@ -19,8 +19,9 @@ def run(options):
     import json
 
     from learn.charting import calibration
+    from manifests.files import write_json
 
     fitted = calibration.fit()
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(fitted, indent=1) + "\n")
+    write_json(options.out, fitted)
     print(json.dumps(fitted, indent=1))

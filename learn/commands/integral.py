@@ -17,10 +17,9 @@ def register(subparsers):
 
 
 def run(options):
-    import json
-
     from learn.timing import integral
     from learn.timing.report import made_by
+    from manifests.files import write_json
 
     made = made_by()
     rows = integral.measure(options.tolerance, options.threads)
@@ -28,4 +27,4 @@ def run(options):
         found = ", ".join(f"{method}: " + ", ".join(f"{k} {v:.2g}" for k, v in row[method].items()) for method in ("quadrature", "exact"))
         print(f"γ {row['gamma']:g}: {found}; converged to {row['converged to']:.1g}")
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "quadrature.json").write_text(json.dumps(made | {"tolerance": options.tolerance, "rows": rows}, indent=1) + "\n")
+    write_json(options.out / "quadrature.json", made | {"tolerance": options.tolerance, "rows": rows})

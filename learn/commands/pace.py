@@ -19,13 +19,12 @@ def register(subparsers):
 
 
 def run(options):
-    import json
-
     import numpy as np
 
     from learn.charting import cases, pace
     from learn.timing.report import made_by
     from manifests import materials as catalogue
+    from manifests.files import write_json
 
     labels = {name: material.label for name, material in catalogue.load_catalogue(catalogue.BUILT_IN[0]).items()}
     labels = dict(list(labels.items())[:: options.every])
@@ -41,4 +40,4 @@ def run(options):
         found["tolerances"][f"{tolerance:g}"] = {"materials": len(rows), **within, "median seconds": medians, "rows": rows}
         print(f"{tolerance:g}: {within}; medians {medians}")
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "pace.json").write_text(json.dumps(found, indent=1) + "\n")
+    write_json(options.out / "pace.json", found)

@@ -18,10 +18,9 @@ def register(subparsers):
 
 
 def run(options):
-    import json
-
     from learn.timing import startup
     from learn.timing.report import made_by
+    from manifests.files import write_json
 
     made = made_by()
     found = startup.measure(options.rounds, options.threads)
@@ -30,4 +29,4 @@ def run(options):
             print(f"{case}, kernels' folder {kernels}: " + ", ".join(f"{what} {seconds:.2f} s" for what, seconds in times.items()))
     options.out.mkdir(parents=True, exist_ok=True)
     content = made | {"threads": options.threads, "rounds": options.rounds, "seconds": found}
-    (options.out / "first-use.json").write_text(json.dumps(content, indent=1) + "\n")
+    write_json(options.out / "first-use.json", content)

@@ -4,7 +4,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 from tqdm import tqdm
 
 from learn import pictures, prediction
@@ -71,7 +70,8 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
             progress.update()
         progress.set_description("writing")
         out.mkdir(parents=True, exist_ok=True)
-        told = written(out, found, painter, edits, pick, names, metadata, how)
+        with files.together():
+            told = written(out, found, painter, edits, pick, names, metadata, how)
         progress.update()
     return told
 
@@ -159,11 +159,9 @@ def on_ground(picture, opened):
 
 
 def save(path, picture):
-    """A PNG of display values (H, W, 3 or 4), under a temporary name first. Raises Problem for what is not finite."""
+    """A PNG of display values (H, W, 3 or 4). Raises Problem for what is not finite."""
     pictures.require_finite(path, picture)
-    temporary = path.with_name(f".{path.name}")
-    Image.fromarray(np.clip(np.rint(picture), 0, 255).astype(np.uint8)).save(temporary, format="PNG")
-    temporary.replace(path)
+    files.write_image(path, np.clip(np.rint(picture), 0, 255).astype(np.uint8), "PNG")
 
 
 def material_ball(label, found, size=BALL):

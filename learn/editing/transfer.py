@@ -54,11 +54,11 @@ def run(paths, mask_folder, out, how, per_grid=6, overwrite=False):
         opened(path, mask_folder, how)  # what is wrong with any is said before the first is worked on; kept they would fill the memory
     out.mkdir(parents=True, exist_ok=True)
     told = []
-    with tqdm(total=sum(len(group) ** 2 for group in groups), unit="picture") as progress:
+    with files.together(), tqdm(total=sum(len(group) ** 2 for group in groups), unit="picture") as progress:
         for group, name in zip(groups, names, strict=True):
             pictures = {path: opened(path, mask_folder, how) for path in group}
             told += grid(group, pictures, network, metadata["size"], out, name, how, progress)
-    files.write_json(out / "transfer.json", {"pictures": told} | how.told())
+        files.write_json(out / "transfer.json", {"pictures": told} | how.told())
 
 
 def opened(path, mask_folder, how):

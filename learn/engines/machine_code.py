@@ -16,9 +16,11 @@ import importlib.util
 import os
 import re
 import sys
-import tempfile
 import threading
 from pathlib import Path
+
+from manifests.files import write_bytes
+from manifests.problems import Problem
 
 DIGEST = hashlib.sha256().digest_size
 _lock = threading.Lock()
@@ -91,7 +93,7 @@ def _machine_code(name):
     code = _compile(name)
     try:
         _write(path, hashlib.sha256(code).digest() + code)
-    except OSError as error:
+    except (OSError, Problem) as error:
         print(f"brdfactory: cannot keep it ({error}); set BRDFACTORY_CACHE to a folder that can be written", file=sys.stderr)
     return code
 
@@ -142,11 +144,4 @@ def _cache_folder():
 
 def _write(path, content):
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.replace(temporary, path)
-    except OSError:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    write_bytes(path, content)

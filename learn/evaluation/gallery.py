@@ -7,6 +7,7 @@ white FULL or more.
 import numpy as np
 from PIL import Image
 
+from manifests.files import write_image
 from shaders import tone
 
 FULL = 64.0
@@ -29,9 +30,7 @@ def write(path, batch, truth, pictures, mask):
         below.append(cut(heat(np.sqrt(((shown - right) ** 2).mean(-1))), mask))
     sheet = np.concatenate([np.concatenate([cell[window] for cell in row], 1) for row in (above, below)], 0)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}")
-    Image.fromarray(np.clip(np.rint(sheet), 0, 255).astype(np.uint8)).save(temporary, "PNG")
-    temporary.replace(path)
+    write_image(path, np.clip(np.rint(sheet), 0, 255).astype(np.uint8))
 
 
 def cells(path, count):

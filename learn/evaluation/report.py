@@ -60,8 +60,9 @@ def write(out, pictures, edits, shown, about, entrants):
         "report.md": page.markdown(told),
         "index.html": page.web(told, [(row, path) for row, path in gallery if path.exists()], names),
     }
-    for name, text in texts.items():
-        files.write_text(out / name, text)
+    with files.together():
+        for name, text in texts.items():
+            files.write_text(out / name, text)
     return told
 
 

@@ -1,6 +1,7 @@
 """The chart of learn.refinement.study: what each weight does."""
 
 from learn.refinement.study import FIGURES, SWEEPS, value_of
+from manifests.files import write_figure
 
 LABELS = ("re-rendering, display L2", "edit, display L2", "normals, mean angle (°)", "irradiance, relative error")
 
@@ -36,5 +37,5 @@ def chart(told, path):
         row[0].set_ylim(bottom=0)
     axes[0][0].legend(fontsize=7)
     figure.tight_layout()
-    figure.savefig(path, dpi=100)
+    write_figure(path, figure, dpi=100)
     plt.close(figure)

@@ -3,12 +3,13 @@
 import dataclasses
 import datetime
 import importlib.metadata
-import json
 import os
 import platform
 import subprocess
 import sys
 from pathlib import Path
+
+from manifests import files
 
 
 def made_by():
@@ -72,8 +73,7 @@ def write(rows, settings, folder):
     made = made_by()
     text = markdown(rows, settings, made)
     content = {"made_by": made, "settings": dataclasses.asdict(settings), "rows": [dataclasses.asdict(row) for row in rows]}
-    for name, body in (("bench.md", text), ("bench.json", json.dumps(content, indent=1) + "\n")):
-        temporary = folder / f"{name}.writing"
-        temporary.write_text(body, encoding="utf-8")
-        temporary.replace(folder / name)
+    with files.together():
+        files.write_text(folder / "bench.md", text)
+        files.write_json(folder / "bench.json", content)
     return text

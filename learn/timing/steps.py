@@ -10,7 +10,6 @@ features     of I' and O', where a run compares by them
 optimiser    gradient clipping, AdamW, moving average
 """
 
-import json
 import statistics
 import time
 from pathlib import Path
@@ -22,6 +21,7 @@ from learn.timing.report import made_by
 from learn.training import losses, schedule
 from learn.training.loop import Training
 from learn.training.relit import Relit
+from manifests import files
 
 WARM_UP = 2
 
@@ -35,8 +35,9 @@ def measure(run, pools, out, scratch, steps, images):
     out = Path(out)
     found = {"step": of_step(run, pools, scratch, steps), "relit": of_relighting(run, pools, images)}
     found["about"] = made_by() | {"run": run.name, "size": run.size, "batch": run.schedule.batch, "steps": steps, "threads": 1}
-    (out / "step-time.json").write_text(json.dumps(found, indent=1) + "\n")
-    (out / "step-time.md").write_text(page(found), encoding="utf-8")
+    with files.together():
+        files.write_json(out / "step-time.json", found)
+        files.write_text(out / "step-time.md", page(found))
     return found
 
 

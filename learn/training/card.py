@@ -9,13 +9,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import torch
-from PIL import Image
 
 from learn import intervals
 from learn.training import checkpoint, measures, sheet
 from learn.training.cycles import Cycles
 from learn.training.relit import Relit
 from learn.training.settings import Run
+from manifests import files
 from manifests.problems import Problem
 from manifests.reading import decode
 
@@ -59,8 +59,9 @@ def make(weights, pools, out, batches, note="", seeds=()):
         found = [measured(network, run, (source[k] for k in range(count)), constant, out / sheet_name)]
         found += [measured(other, run, (source[k] for k in range(count)), constant) for other, _, _ in others]
         told |= _under(where, found)
-    (out / "card.json").write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    (out / "card.md").write_text(_page(told), encoding="utf-8")
+    with files.together():
+        files.write_json(out / "card.json", told)
+        files.write_text(out / "card.md", _page(told))
     return {key: told[key] for key in ("figures", "cycles") if key in told}
 
 
@@ -113,7 +114,8 @@ def measured(network, run, batches, constant_albedo, sheet_path=None):
         if sum(len(each.names) for each, _ in shown) < sheet.ROWS:
             shown.append((batch, prediction))
     if sheet_path:
-        Image.fromarray(np.concatenate([sheet.cells(*each) for each in shown])[: sheet.ROWS * run.size]).save(sheet_path, quality=90)
+        cells = np.concatenate([sheet.cells(*each) for each in shown])[: sheet.ROWS * run.size]
+        files.write_image(sheet_path, cells, "JPEG", quality=90)
     return {key: np.concatenate([row[key] for row in rows]) for key in rows[0]}, names
 
 

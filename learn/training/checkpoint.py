@@ -1,21 +1,18 @@
-"""Weights on disk: safetensors only, nothing is ever unpickled, and each file is written beside the old one and renamed.
+"""Weights on disk: safetensors only, nothing is ever unpickled; written by learn.networks.tensor_file.
 
 checkpoint.safetensors  all a run needs to go on: network, moving average, optimiser; metadata: step, skipped steps, the run
 weights.safetensors     what a user needs: the moving average in half precision; metadata: network, size, step, and the run as JSON
 """
 
 import hashlib
-import os
-from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 import torch
-from safetensors.torch import save_file
 
 from learn.baselines.encoder_decoder import EncoderDecoder
 from learn.baselines.separate import Separate
-from learn.networks import tensors
+from learn.networks import tensor_file
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL, Ranges
 from learn.networks.compact import Compact
 from learn.networks.paper import Paper
@@ -59,12 +56,8 @@ class Progress(msgspec.Struct, frozen=True):
 
 
 def save(path, tensors, metadata):
-    """Tensors and text under a name of their own first."""
-    path = Path(path)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}")
-    save_file({name: t.detach().contiguous().clone() for name, t in tensors.items()}, temporary, metadata)
-    temporary.chmod(0o644)  # the library makes files that only their owner may read
-    temporary.replace(path)
+    """Write tensors and text, whole or not at all. Raises as manifests.files.replacing."""
+    tensor_file.write(path, tensors, metadata)
 
 
 def save_weights(path, network, state, run_json, size, step=None):
@@ -80,7 +73,7 @@ def load_network(path):
     metadata  size: of pictures, a whole number; run: a dict, at least {}; ranges: of the network; and the file's own texts
     Raises    Problem: no weights, other metadata or tensors than `learn train` writes, numbers that are not finite
     """
-    with tensors.opened(path) as stored:
+    with tensor_file.opened(path) as stored:
         metadata = stored.metadata
         if metadata.get("format") != FORMAT or metadata.get("network") not in NETWORKS:
             found = metadata.get("network", "others")
@@ -118,7 +111,7 @@ def shapes(network, prefix=""):
 
 
 def fill(network, stored, prefix=""):
-    """Give a network the tensors of a learn.networks.tensors.Stored that are named as its own after a prefix.
+    """Give a network the tensors of a learn.networks.tensor_file.Stored that are named as its own after a prefix.
 
     They must have been required before. Raises Problem for numbers that are not finite
     """

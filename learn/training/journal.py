@@ -4,11 +4,12 @@ A run that was killed may have logged steps beyond its last checkpoint; it makes
 """
 
 import json
-import os
 from pathlib import Path
 
+from manifests.files import write_json, write_lines
 from manifests.inputs import require_file
 from manifests.problems import Problem
+from manifests.store import Lines
 
 
 class Journal:
@@ -19,11 +20,12 @@ class Journal:
         if tensorboard:
             self.events = _writer()(str(Path(out) / "tensorboard"), purge_step=step or None)
         _forget(self.path, step)
+        self._lines = None
 
     def write(self, record):
         """One step's figures: {"step": k, name: number, "validation": {name: number}}."""
-        with open(self.path, "a", encoding="utf-8") as log:
-            log.write(json.dumps(record) + "\n")
+        self._lines = self._lines or Lines(self.path)
+        self._lines.append_line((json.dumps(record) + "\n").encode())
         if self.events:
             for name, value in record.items():
                 if isinstance(value, int | float) and name != "step":
@@ -39,12 +41,12 @@ class Journal:
     def made(self, by, sizes, left_out, step, figures):
         """made.json: the command that ran last, its commit and machine, what it learned from, and the last validation's figures."""
         told = {"made_by": by, "sides": sizes, "left_out": left_out, "step": step, "validation": figures}
-        temporary = self.path.with_name(f"made.json.{os.getpid()}")
-        temporary.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
-        temporary.replace(self.path.with_name("made.json"))
+        write_json(self.path.with_name("made.json"), told)
 
     def close(self):
         """All events on disk."""
+        if self._lines:
+            self._lines.close()
         if self.events:
             self.events.close()
 
@@ -72,6 +74,4 @@ def _forget(path, step):
             continue
     text = b"".join(kept)
     if text != whole:
-        temporary = path.with_name(f"{path.name}.{os.getpid()}")
-        temporary.write_bytes(text)
-        temporary.replace(path)
+        write_lines(path, kept)

@@ -10,7 +10,6 @@ matte first  as pixels, but materials are admitted in order of gloss
 60, 120      L2 alone, so many shapes
 """
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from learn.timing.report import made_by
 from learn.training import variants
 from learn.training.settings import Losses, Run, Schedule
 from learn.training.sources import by_hash
+from manifests import files
 from manifests.problems import Problem
 
 VARIANTS = {
@@ -111,9 +111,10 @@ def report(out, results, about):
         rows[name]["angle_ratio"] = variants.ratio(results["L2"], found, "angle_deg")
     pictures = len(results["L2"][0]["rows"])
     summary = {"rows": rows, "about": made_by() | about | {"pictures": pictures}}
-    (out / "table.json").write_text(json.dumps(summary, indent=1) + "\n")
-    (out / "table.md").write_text(page(summary), encoding="utf-8")
-    chart(out / "chart.png", summary)
+    with files.together():
+        files.write_json(out / "table.json", summary)
+        files.write_text(out / "table.md", page(summary))
+        chart(out / "chart.png", summary)
     return summary
 
 
@@ -161,5 +162,5 @@ def chart(path, summary):
         axis.set_yticks(range(len(names)), names)
     axes[0].invert_yaxis()
     figure.tight_layout()
-    figure.savefig(path, dpi=120)
+    files.write_figure(path, figure, dpi=120)
     pyplot.close(figure)

@@ -4,12 +4,13 @@ All files are read once; what was found good is remembered by size and time of c
 asks the file system.
 """
 
+import contextlib
 import json
-import os
 
 import numpy as np
 from tqdm import tqdm
 
+from manifests.files import write_text
 from manifests.inputs import require_file
 from manifests.problems import Problem
 from manifests.store import inside
@@ -44,10 +45,9 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
             if not skip_bad:
                 raise _skippable(problem) from None
             skipped[record.id] = str(problem)
-    path.parent.mkdir(exist_ok=True)
-    temporary = path.with_suffix(f".{os.getpid()}")  # several processes of a run check the same pictures
-    temporary.write_text(json.dumps(known))
-    temporary.replace(path)
+    with contextlib.suppress(OSError):  # a full disk, a data set that may only be read: the next run checks them again
+        path.parent.mkdir(exist_ok=True)
+        write_text(path, json.dumps(known))
     return good, skipped
 
 

@@ -8,7 +8,6 @@ material   standalone: squared difference of codes; combined: with I' through th
 normals    standalone: squared difference of normals; combined: with I' through the layer
 """
 
-import json
 from pathlib import Path
 
 import msgspec
@@ -17,6 +16,7 @@ from tqdm import tqdm
 from learn.timing.report import made_by
 from learn.training import variants
 from learn.training.settings import Losses, Run, Schedule
+from manifests import files
 
 VARIANTS = {
     "material": {
@@ -71,8 +71,9 @@ def report(out, results, about):
         summary[part]["ratios"] = {f"{b} / {a}": variants.ratio(of_part[a], of_part[b]) for a, b in pairs}
     pictures = len(next(iter(next(iter(results.values())).values()))[0]["rows"])
     summary["about"] = made_by() | about | {"pictures": pictures}
-    (out / "report.json").write_text(json.dumps(summary, indent=1) + "\n")
-    (out / "report.md").write_text(page(summary), encoding="utf-8")
+    with files.together():
+        files.write_json(out / "report.json", summary)
+        files.write_text(out / "report.md", page(summary))
     return summary
 
 

@@ -9,6 +9,7 @@ from PIL import Image
 
 from learn.layer import render
 from learn.training.measures import picture
+from manifests.files import write_image
 from shaders import tone
 
 ROWS = 6
@@ -17,7 +18,7 @@ ROWS = 6
 def write(path, batch, prediction):
     """The first rows of a batch as a JPEG; returns them as `cells` does."""
     found = cells(batch, prediction)
-    Image.fromarray(found).save(path, quality=90)
+    write_image(path, found, "JPEG", quality=90)
     return found
 
 

@@ -16,6 +16,7 @@ from learn import intervals
 from learn.agreement.measure import similarity, squared
 from learn.training import checkpoint, loop, measures
 from learn.training.relit import Relit
+from manifests.files import write_text
 from manifests.reading import read
 from shaders import tone
 
@@ -45,8 +46,7 @@ def trained(run, pools, tests, folder, workers=1):
     rows = [row for batch in tests for row in _rows(training, network, batch)]
     found = {"steps": training.step, "seconds": training.used, "run": msgspec.to_builtins(run), "rows": rows}
     text = json.dumps(found)
-    (folder / "result.new").write_text(text)
-    (folder / "result.new").replace(folder / "result.json")
+    write_text(folder / "result.json", text)
     (folder / "checkpoint.safetensors").unlink(missing_ok=True)
     return json.loads(text)
 

@@ -38,8 +38,8 @@ def trained(out, kill=None):
             half = training.optimiser.step
             training.optimiser.step = lambda: (half(), die())
         elif place == "write":  # the checkpoint is written, and not yet renamed
-            rename = Path.replace
-            Path.replace = lambda self, target: (die(), rename(self, target))[1]
+            rename = os.replace
+            os.replace = lambda draft, target: (die(), rename(draft, target))[1]
         else:  # the log has a step that no checkpoint has
             write = training.journal.write
             training.journal.write = lambda record: (write(record), die())

@@ -2,7 +2,10 @@
 
 import errno
 import os
+import signal
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -102,3 +105,91 @@ def test_names_that_no_file_can_have_are_refused(name):
 def test_an_ordinary_file_is_given_back(tmp_path):
     (tmp_path / "a").write_bytes(b"x")
     assert require_file(tmp_path / "a", "a file", maximum_bytes=1) == tmp_path / "a"
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_results_that_belong_together_take_their_places_together_or_not_at_all(tmp_path):
+    files.write_text(tmp_path / "a.txt", "old")
+    with pytest.raises(RuntimeError), files.together():
+        files.write_text(tmp_path / "a.txt", "new")
+        files.write_text(tmp_path / "b.txt", "new")
+        assert (tmp_path / "a.txt").read_text() == "old"
+        raise RuntimeError
+    assert names(tmp_path) == ["a.txt"] and (tmp_path / "a.txt").read_text() == "old"
+    with files.together():
+        files.write_text(tmp_path / "a.txt", "new")
+        with files.together():  # belongs to the outer block
+            files.write_text(tmp_path / "b.txt", "new")
+        assert (tmp_path / "a.txt").read_text() == "old" and not (tmp_path / "b.txt").exists()
+    assert names(tmp_path) == ["a.txt", "b.txt"] and (tmp_path / "a.txt").read_text() == "new"
+
+
+def test_a_disk_that_is_full_at_the_second_of_two_results_takes_neither(tmp_path, small_files):
+    files.write_text(tmp_path / "small", "old")
+    with small_files(10), pytest.raises(OSError, match="large"), files.together():
+        files.write_text(tmp_path / "small", "new")
+        files.write_text(tmp_path / "large", "a longer text")
+    assert names(tmp_path) == ["small"] and (tmp_path / "small").read_text() == "old"
+
+
+def test_of_two_results_one_that_cannot_be_placed_does_not_hold_up_the_other(tmp_path):
+    with pytest.raises(OSError, match="folder"), files.together():
+        files.write_text(tmp_path / "folder", "text")
+        files.write_text(tmp_path / "other", "text")
+        (tmp_path / "folder").mkdir()
+    assert names(tmp_path) == ["folder", "other"]
+
+
+KILLED = """
+import os, signal, sys
+from manifests import files
+with files.replacing(sys.argv[1]) as file:
+    file.write(b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_the_draft_of_a_killed_program_is_hidden_and_goes_with_the_next_file_that_is_written_there(tmp_path):
+    assert subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "a.png")]).returncode == -signal.SIGKILL
+    (draft,) = names(tmp_path)
+    assert draft.startswith(".a.png.") and draft.endswith(".part")
+    number = draft.split("-")[-2]
+    others = [
+        draft.replace(f"-{number}-", f"-{os.getpid()}-"),  # a living program's
+        draft.replace(f"-{number}-", f"elsewhere-{number}-"),  # another machine's, whose numbers mean nothing here
+        ".a.png.part",  # nobody of ours named it so
+    ]
+    for name in others:
+        (tmp_path / name).write_bytes(b"")
+    files.write_bytes(tmp_path / "b.png", b"whole")
+    assert names(tmp_path) == sorted(["b.png", *others])
+
+
+@pytest.mark.parametrize("name", ["b" * 255, "é" * 127])
+def test_the_longest_names_a_file_can_have_can_be_written(tmp_path, name):
+    files.write_bytes(tmp_path / name, b"x")
+    assert names(tmp_path) == [name]
+
+
+@pytest.mark.parametrize("make", [os.mkdir, os.mkfifo, lambda path: path.symlink_to("/dev/null")], ids=["folder", "pipe", "device"])
+def test_what_is_no_file_is_neither_written_into_nor_replaced(tmp_path, make):
+    make(tmp_path / "out")
+    with pytest.raises(Problem, match="a file, or a name for a new one expected, found a"):
+        files.write_bytes(tmp_path / "out", b"x")
+    assert names(tmp_path) == ["out"] and not (tmp_path / "out").is_file()
+
+
+def test_an_error_at_the_last_moment_names_the_file_and_leaves_the_earlier_one(tmp_path, monkeypatch):
+    """Some file systems say that a disk is full only when what was written is to reach it."""
+
+    def full(descriptor):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    files.write_bytes(tmp_path / "a", b"old")
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match=r"No space left on device: '.*/a'"):
+        files.write_bytes(tmp_path / "a", b"new")
+    assert names(tmp_path) == ["a"] and (tmp_path / "a").read_bytes() == b"old"

@@ -11,6 +11,7 @@ import pytest
 from manifests.problems import Problem
 from manifests.schema import Record
 from manifests.store import Lines, Store, file_hash, geometry_path, image_path, inside, light_path
+from manifests.verification import Fault, repair
 
 
 def test_files_are_sharded_by_the_first_two_digits_of_their_id():
@@ -75,7 +76,7 @@ def test_a_damaged_line_in_the_middle_is_named_by_file_and_line(a_dataset):
     path = a_dataset.record_files()[0]
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(lines[0] + b'{"id": 5}\n' + lines[1])
-    with pytest.raises(Problem, match=r"worker-00\.jsonl:2: id: str expected, found 5"):
+    with pytest.raises(Problem, match=r"worker-00\.jsonl:2: id: str expected, found 5; python -m factory verify .*--repair"):
         list(a_dataset.records())
 
 
@@ -86,6 +87,107 @@ def test_another_schema_version_and_a_missing_dataset_are_refused(a_dataset, tmp
         a_dataset.dataset()
     with pytest.raises(Problem, match=r"a dataset .* expected, found none"):
         Store(tmp_path / "nowhere").dataset()
+
+
+@pytest.mark.parametrize("damage", [lambda text: b"", lambda text: text[: len(text) // 2], lambda text: b"[]"])
+def test_a_damaged_dataset_says_that_it_can_be_made_again(a_dataset, damage):
+    path = a_dataset.folder / "dataset.json"
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(Problem, match=r"delete it and render each of the folder's jobs again"):
+        a_dataset.dataset()
+
+
+def test_a_damaged_line_of_failures_says_that_nothing_hangs_on_it(a_dataset):
+    (a_dataset.folder / "failures.jsonl").write_bytes(b"{}\n")
+    with pytest.raises(Problem, match=r"failures\.jsonl:1: .*delete this file"):
+        list(a_dataset.failures())
+
+
+def test_what_lines_name_is_known_by_one_reading(a_dataset):
+    ids, hashes = a_dataset.known()
+    assert ids == a_dataset.ids() == {f"{k:024x}" for k in range(3)}
+    assert hashes == {geometry_path("9" * 24): file_hash(a_dataset.folder / geometry_path("9" * 24))}
+    assert a_dataset.known("views") == (set(), hashes)
+
+
+def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(Problem, match="found a pipe"):
+        file_hash(tmp_path / "pipe")
+    with pytest.raises(FileNotFoundError):
+        file_hash(tmp_path / "none")
+
+
+def test_of_two_workers_who_mend_one_file_the_first_ones_stays(tmp_path):
+    store, name = Store(tmp_path), "geometry/ab/x.exr"
+    damaged = store.place(name, b"damaged", "w0")
+    first = store.place_instead(name, b"first", "w0", damaged)
+    assert store.place_instead(name, b"second", "w1", damaged) == first
+    assert (tmp_path / name).read_bytes() == b"first"
+    (tmp_path / name).unlink()
+    assert store.place_instead(name, b"third", "w1", None) == file_hash(tmp_path / name)
+    assert os.listdir(tmp_path / "partial") == []
+
+
+OTHER = """
+import sys
+from manifests.problems import Problem
+from manifests.store import Lines
+try:
+    Lines(sys.argv[1])
+except Problem as problem:
+    print(problem)
+"""
+
+
+def test_a_file_of_lines_has_one_writer(tmp_path, a_record):
+    lines = Lines(tmp_path / "rows.jsonl")
+    lines.append({"a": 1})
+    os.write(lines._descriptor, b"half a li")  # so that a second writer would have something to cut off
+    other = [sys.executable, "-c", OTHER, str(tmp_path / "rows.jsonl")]
+    assert "no other run writes to expected, found one in use" in subprocess.run(other, capture_output=True, text=True).stdout
+    assert (tmp_path / "rows.jsonl").read_bytes() == b'{"a":1}\nhalf a li'
+    lines.close()
+    assert subprocess.run(other, capture_output=True, text=True).stdout == ""
+    assert (tmp_path / "rows.jsonl").read_bytes() == b'{"a":1}\n'
+
+
+def test_a_torn_line_that_could_not_be_cut_off_is_cut_off_before_the_next(tmp_path, small_files, monkeypatch):
+    lines = Lines(tmp_path / "rows.jsonl")
+    lines.append({"a": 1})
+
+    def fails(*_):
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as failing, small_files(12), pytest.raises(OSError):
+        failing.setattr(os, "ftruncate", fails)
+        lines.append({"b": 2})
+    assert (tmp_path / "rows.jsonl").read_bytes() == b'{"a":1}\n{"b"'
+    lines.append({"c": 3})
+    lines.close()
+    assert (tmp_path / "rows.jsonl").read_bytes() == b'{"a":1}\n{"c":3}\n'
+
+
+def test_a_repair_leaves_its_draft_where_it_is_swept(a_dataset, monkeypatch):
+    """A kill while a file of records is written again must not leave a file that reads as one of records."""
+
+    class Killed(BaseException):
+        pass
+
+    def die(draft, target):
+        drafts.append(draft)
+        os.link(draft, f"{draft}.left")  # what a kill would leave
+        raise Killed
+
+    drafts = []
+    monkeypatch.setattr(os, "replace", die)
+    with pytest.raises(Killed):
+        repair(a_dataset, [Fault("damaged", f"{1:024x}")])
+    monkeypatch.undo()
+    assert [draft.parent for draft in drafts] == [a_dataset.folder / "partial"]
+    assert len(a_dataset.ids()) == 3
+    a_dataset.sweep()
+    assert os.listdir(a_dataset.folder / "partial") == []
 
 
 def test_records_can_be_filtered(a_dataset):

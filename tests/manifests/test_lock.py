@@ -1,0 +1,48 @@
+"""Locks where nothing can be written: whoever reads a data set needs none that is not there."""
+
+import subprocess
+
+import pytest
+
+from manifests import lock
+from manifests.problems import Problem
+
+
+@pytest.fixture
+def read_only(tmp_path):
+    """A function of a folder that makes it a read-only file system, its files kept."""
+    mounted = []
+
+    def mount(folder):
+        for options in (["--bind"], ["-o", "remount,ro,bind"]):
+            done = subprocess.run(["mount", *options, str(folder), str(folder)], capture_output=True, text=True)
+            if done.returncode:
+                pytest.skip(f"needs the right to mount: {done.stderr.strip()}")
+            mounted[:] = [folder]
+
+    yield mount
+    for folder in mounted:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_folder_on_a_read_only_file_system_is_locked_without_a_file(tmp_path, read_only):
+    (tmp_path / "data").mkdir()
+    read_only(tmp_path / "data")
+    with lock.writing(tmp_path / "data", patience=0) as descriptors:
+        assert descriptors == []
+
+
+def test_a_run_that_writes_elsewhere_into_a_folder_seen_read_only_here_keeps_it_locked(tmp_path, read_only):
+    (tmp_path / "data").mkdir()
+    with lock.writing(tmp_path / "data"):
+        read_only(tmp_path / "data")
+        with pytest.raises(Problem, match="no other run writes to"), lock.writing(tmp_path / "data", patience=0):
+            pass
+    with lock.writing(tmp_path / "data", patience=0) as descriptors:
+        assert len(descriptors) == 1
+
+
+def test_a_lock_that_cannot_be_made_where_others_can_write_is_an_error(tmp_path):
+    (tmp_path / ".lock").mkdir()
+    with pytest.raises(OSError, match=r"\.lock"), lock.writing(tmp_path, patience=0):
+        pass
