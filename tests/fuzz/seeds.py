@@ -228,7 +228,8 @@ def _weights(folder):
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 -- not a dictionary
         metadata = file.metadata() | {"size": "32"}
     run = json.loads(metadata["run"])
-    run["data"] |= {"validation_lights": [], "test_lights": []}  # which the small data sets do not have
+    run["data"] |= {"validation_lights": [], "test_lights": []}  # what the small data sets do not have
+    run["size"] = 32
     metadata["run"] = json.dumps(run)
     save_file(tensors, folder / "weights.safetensors", metadata)
 
