@@ -16,6 +16,10 @@ FORWARD_MODE = (
     "torch.autograd.functional.jvp gives the same product by two reverse passes"
 )
 
+BATCHED = (
+    "derivatives: one gradient at a time expected, found a batch of them (vectorize=True, is_grads_batched=True or vmap); "
+    "ask for them in a loop"
+)
 THIRD = "derivatives: two at most, one of another, expected of the layer, found a third"
 
 
@@ -57,24 +61,22 @@ class Gate(Step):
         return None, *g
 
 
-def last(message):
-    """A decorator for the backward pass of a `Step`, which it runs without a graph; differentiating its results raises with the message.
+def last(backward):
+    """A decorator for the backward pass of a `Step`, which it runs without a graph; differentiating its results raises.
 
-    The step's forward pass must save its tensors by save_for_backward.
+    The step's forward pass keeps the message as ctx.refusal and its tensors by save_for_backward.
     """
 
-    def decorate(backward):
-        @functools.wraps(backward)
-        def without_graph(ctx, *g):
-            with torch.no_grad():
-                found = backward(ctx, *g)
-            if not torch.is_grad_enabled():
-                return found
-            return Refusal.apply(message, len(found), *found, *g, *ctx.saved_tensors)
+    @functools.wraps(backward)
+    def without_graph(ctx, *g):
+        require_one_gradient(*g)
+        with torch.no_grad():
+            found = backward(ctx, *g)
+        if not torch.is_grad_enabled():
+            return found
+        return Refusal.apply(ctx.refusal, len(found), *found, *g, *ctx.saved_tensors)
 
-        return without_graph
-
-    return decorate
+    return without_graph
 
 
 def first_only(message, *tensors):
@@ -86,6 +88,14 @@ def first_only(message, *tensors):
     for i, x in zip(gated, Gate.apply(message, *(tensors[i] for i in gated)), strict=True):
         found[i] = x
     return tuple(found)
+
+
+def require_one_gradient(*g):
+    """Refuses gradients (or None) that torch hands to a backward pass several at a time, for one that torch cannot see into."""
+    kinds = torch._C._functorch  # torch has no public name for it, and its own error names an operator that the caller never saw
+    for x in g:
+        if x is not None and (kinds.is_legacy_batchedtensor(x) or kinds.is_batchedtensor(x)):
+            raise NotImplementedError(BATCHED)
 
 
 def require_reverse_mode(*tensors):

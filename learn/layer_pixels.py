@@ -9,7 +9,7 @@ these wait for more work spinning, in the way of the kernels' own threads (docs/
 import numpy as np
 import torch
 
-from learn.derivatives import Step
+from learn.derivatives import Step, require_one_gradient
 from learn.engines import machine_code, threads
 
 OUTSIDE, AWAY, SEEN, WRONG = range(4)  # states of a pixel, those of learn.engines.pixels, which needs numba to be read
@@ -68,6 +68,7 @@ class Unit(Step):
 
     @staticmethod
     def backward(ctx, g):
+        require_one_gradient(g)
         if torch.is_grad_enabled():
             return tangential(g, *ctx.saved_tensors), None
         places, found, length, pixels = ctx.kept
@@ -94,6 +95,7 @@ class Spread(Step):
 
     @staticmethod
     def backward(ctx, g):
+        require_one_gradient(g)
         if torch.is_grad_enabled():
             return g.index_select(0, torch.from_numpy(ctx.places)), None, None
         values = np.empty((len(ctx.places), 3), np.float32)

@@ -9,6 +9,7 @@ too bright, for its exposure to be estimated (ESTIMATED) or for the networks (SE
 """
 
 import functools
+import math
 import struct
 import warnings
 import zlib
@@ -30,6 +31,7 @@ from shaders.envmap import LUMINANCE
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF", "TIFF", "BMP", "GIF")
 FORMATS_TEXT = "PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR"
 MOST_PIXELS = 64_000_000
+MOST_SIDE = 65_535  # as JPEG; Pillow keeps a list of a picture's rows
 MOST_BYTES = 1 << 30  # of a file: MOST_PIXELS of four 32-bit channels
 # What Pillow's parsers raise on damaged files, besides OSError
 DAMAGED = (
@@ -54,10 +56,12 @@ TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }  # by the value of Exif's Orientation
+TILE_WIDTH, TILE_LENGTH = 322, 323  # tags of a TIFF
 LARGEST_RADIANCE = 1e10  # the sun's disk has 1.6e9 cd/m²: in no unit in use is anything brighter
 MOST_REGIONS = 8
 LEAST_PIXELS = 16  # of the mask; fewer tell nothing of a shape
 MASK_REMEDY = "give --mask FILE: white where the object is"
+MOST_SQUARE = 9600  # pixels along the side of the square over the object: of a square picture of MOST_PIXELS
 MARGIN = 1.18  # of the square over the object: objects span 0.85 of the median training picture
 # A photograph's scale is unknown: that under which a light of unit mean lit it is guessed from the object's mean luminance Y in the file as
 # TYPICAL · Y^−DEPENDENCE: the best line over 200 pictures of known light, exposed for their 99th percentile. `learn exposure` measures it
@@ -194,9 +198,12 @@ def _formats():
 
 def _require_readable(path, picture):
     """Raises Problem for a Pillow image, of which only the header was read, that is too large, or of numbers that are no display values."""
-    if picture.width * picture.height > MOST_PIXELS:
-        found = f"{picture.width} × {picture.height}"
-        raise Problem(path, f"at most {MOST_PIXELS // 1_000_000} megapixels", found, "make it smaller")
+    tags = getattr(picture, "tag_v2", {})  # of a TIFF, whose decoder takes memory for a whole tile
+    for what, width, height in (("", *picture.size), ("tiles of ", tags.get(TILE_WIDTH), tags.get(TILE_LENGTH))):
+        sides = [side for side in (width, height) if isinstance(side, int)]
+        if math.prod(sides) > MOST_PIXELS or max(sides, default=0) > MOST_SIDE:
+            rule = f"at most {MOST_PIXELS // 1_000_000} megapixels, and {MOST_SIDE} a side"
+            raise Problem(path, rule, f"{what}{width} × {height}", "make it smaller")
     if picture.mode == "F":
         raise Problem(path, "8 or 16 bit values", "floating point", "save it as EXR")
 
@@ -266,6 +273,10 @@ def framed(radiance, mask, size, exposure=None, where="the object"):
     """
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     side = max(int(np.ceil(MARGIN * max(np.ptp(rows), np.ptp(columns)))) + 1, 4)
+    if side > MOST_SQUARE:
+        across = max(np.ptp(rows), np.ptp(columns)) + 1
+        rule = f"an object at most {int(MOST_SQUARE / MARGIN)} pixels across"
+        raise Problem(where, rule, str(across), "make the picture smaller")
     top, left = (rows[0] + rows[-1] + 1 - side) // 2, (columns[0] + columns[-1] + 1 - side) // 2
     exposure = exposure_of(radiance, mask, exposure, where)
     weight = placed(mask.astype(np.float32), (top, left, side))

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct, field
 
-from factory.shapes.raw import AGAIN, Raw, glimpse, require_count
+from factory.shapes.raw import Raw, glimpse, require_count
 from manifests.problems import Problem
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]

@@ -75,7 +75,7 @@ def _polygon(words, vertices):
 def _count(file, where):
     """Triangles of all faces, or a quarter of the vertices if that is more: a cloud of points is no mesh."""
     triangles, vertices, line = 0, 0, 0
-    for line, key, words in _statements(file, where):
+    for line, key, words in _statements(file, where):  # noqa: B007 (named in the error)
         if key in (b"f", b"fo"):
             triangles += max(len(words) - 2, 0)
         elif key == b"v":

@@ -37,6 +37,8 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
             lengths.append(count)
             if len(corners) - 2 * len(lengths) > maximum:
                 require_count(len(corners) - 2 * len(lengths), maximum, where)
+    except Problem:
+        raise
     except StopIteration:
         found = f"the end after {len(vertices) // 3:,} and {len(lengths):,}"
         raise Problem(where, f"{vertex_count:,} vertices and {face_count:,} faces", found, "download or export it again") from None

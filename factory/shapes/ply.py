@@ -173,6 +173,8 @@ class _Text(_Rows):
                     lengths.append(count)
                     if len(corners) - 2 * len(lengths) > maximum:
                         require_count(len(corners) - 2 * len(lengths), maximum, self.where)
+            except Problem:
+                raise
             except (ValueError, IndexError, OverflowError):
                 text = glimpse(b" ".join(words))
                 raise Problem(f"{self.where}: line {line}", f"a row of '{element.name}'", f"'{text}'", AGAIN) from None

@@ -42,7 +42,7 @@ def _from_text(file, where, maximum):
     corners, solids, words = array("d"), 0, []
     line, inside = 0, None  # corners of the loop that is open
     try:
-        for line, text in enumerate(text_lines(file, where, "an STL file's text"), 1):
+        for line, text in enumerate(text_lines(file, where, "an STL file's text"), 1):  # noqa: B007 (named in the error)
             words = text.lower().split()
             if not words:
                 continue
@@ -67,6 +67,8 @@ def _from_text(file, where, maximum):
                     if len(corners) > 9 * maximum:
                         require_count(len(corners) // 9, maximum, where)
                 place += 1
+    except Problem:
+        raise
     except (ValueError, IndexError, TypeError):
         text = glimpse(b" ".join(words))
         raise Problem(f"{where}: line {line}", "a triangle between 'outer loop' and 'endloop'", f"'{text}'", AGAIN) from None

@@ -20,9 +20,28 @@ learn.methods.exact_second, which is the same in plain torch.
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import CHUNKS, LN2, TILE, add_to, clear, cosine, half_offset, peak_cosine, write_sums
+from learn.engines.distant import (
+    CHUNKS,
+    LN2,
+    TILE,
+    add_to,
+    clear,
+    cosine,
+    half_offset,
+    peak_cosine,
+    write_sums,
+)
 from learn.engines.exponentials import exp2, exp2m1
-from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, load, maximum, select, splat
+from learn.engines.vector import (
+    FLOAT_POINTER,
+    anywhere,
+    fma,
+    lane_max,
+    load,
+    maximum,
+    select,
+    splat,
+)
 
 ROWS = 6  # of a pixel's sums: by n, by g
 
@@ -48,7 +67,16 @@ def lobe_second(gamma, kappa, gamma_along, kappa_along, log2_c, log_c, r, u, v):
     alpha_x = alpha * x
     by_gamma = fma(both, log_c, alpha_x * r)
     by_log_c = fma(both, gamma, alpha_x * gamma_along)
-    return value, e * change, by_x * power, by_gamma, by_log_c, alpha_x * gamma, alpha * power, alpha_x * log_c
+    return (
+        value,
+        e * change,
+        by_x * power,
+        by_gamma,
+        by_log_c,
+        alpha_x * gamma,
+        alpha * power,
+        alpha_x * log_c,
+    )
 
 
 def second(
@@ -92,15 +120,36 @@ def second(
                     a = sums + 16 * ROWS * j
                     seen = False
                     for k in range(3):
-                        e, e_change, weight = load(energy, i + 16 * k), load(e_along, i + 16 * k), n_w * g[p + k]
+                        e, e_change, weight = (
+                            load(energy, i + 16 * k),
+                            load(e_along, i + 16 * k),
+                            n_w * g[p + k],
+                        )
                         u, v = weight * e, fma(w_along * g[p + k], e, weight * e_change)
                         f, change = splat(0.0), splat(0.0)
                         for s in range(3):
                             if nearest * least[3 * block + s] > cut[block]:
                                 seen = True
                                 t = 288 * block + 96 * s + 32 * k
-                                value, moved, by_kappa, by_gamma, lobe_log_c, lobe_r, _kappa, _gamma = lobe_second(
-                                    load(lobes, t), load(lobes, t + 16), load(l_along, t), load(l_along, t + 16), log2_c, log_c, r, u, v
+                                (
+                                    value,
+                                    moved,
+                                    by_kappa,
+                                    by_gamma,
+                                    lobe_log_c,
+                                    lobe_r,
+                                    _kappa,
+                                    _gamma,
+                                ) = lobe_second(
+                                    load(lobes, t),
+                                    load(lobes, t + 16),
+                                    load(l_along, t),
+                                    load(l_along, t + 16),
+                                    log2_c,
+                                    log_c,
+                                    r,
+                                    u,
+                                    v,
                                 )
                                 f, change = f + value, change + moved
                                 by_log_c, by_r = by_log_c + lobe_log_c, by_r + lobe_r
@@ -116,8 +165,16 @@ def second(
                     moving = by_r * by_c
                     by_c = (by_log_c - by_r * r) * by_c
                     add_to(scratch, a, fma(by_w, load(geometry, o), fma(by_c, x, 0.0 - moving * ax)))
-                    add_to(scratch, a + 16, fma(by_w, load(geometry, o + 16), fma(by_c, y, 0.0 - moving * ay)))
-                    add_to(scratch, a + 32, fma(by_w, load(geometry, o + 32), fma(by_c, z, 0.0 - moving * az)))
+                    add_to(
+                        scratch,
+                        a + 16,
+                        fma(by_w, load(geometry, o + 16), fma(by_c, y, 0.0 - moving * ay)),
+                    )
+                    add_to(
+                        scratch,
+                        a + 32,
+                        fma(by_w, load(geometry, o + 32), fma(by_c, z, 0.0 - moving * az)),
+                    )
             for j in range(count):
                 at = 3 * (chunk * pixels + start + j)
                 write_sums(scratch, sums + 16 * ROWS * j, 3, n_part, at)

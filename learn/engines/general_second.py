@@ -22,7 +22,18 @@ from learn.engines.distant_second import lobe_second
 from learn.engines.exponentials import angle
 from learn.engines.general import LEAST_SQUARE, TILE, offset, shortfall, square, w_plus_v
 from learn.engines.splines import ANGLE_TO_X, add_curve, basis, curve, slope, tents
-from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, load, maximum, select, splat, sqrt, store
+from learn.engines.vector import (
+    FLOAT_POINTER,
+    anywhere,
+    fma,
+    lane_max,
+    load,
+    maximum,
+    select,
+    splat,
+    sqrt,
+    store,
+)
 
 ROWS = 9  # of a pixel's sums: by n, by v, by g
 SCRATCH = 16 * (ROWS * TILE + 108 + 90)  # floats: those, and sums by m and by steps
@@ -95,7 +106,11 @@ def second(
                     sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
                     s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
                     inverse_s = 1.0 / sqrt(s_square)
-                    x, y, z = offset(sx, rx, nx, inverse_s), offset(sy, ry, ny, inverse_s), offset(sz, rz, nz, inverse_s)
+                    x, y, z = (
+                        offset(sx, rx, nx, inverse_s),
+                        offset(sy, ry, ny, inverse_s),
+                        offset(sz, rz, nz, inverse_s),
+                    )
                     c, log2_c = peak_cosine(x, y, z)
                     nearest = lane_max(log2_c)
                     if not (nearest * min(least[0], least[1], least[2]) > cut[block]):
@@ -122,20 +137,50 @@ def second(
                     w_along = select(visible, dot(wx, wy, wz, ax, ay, az), 0.0)
                     by_c, log_c = 1.0 / c, log2_c * LN2
                     r = select(visible, fma(n_q, inverse_s, dot(x, y, z, ax, ay, az)) * by_c, 0.0)
-                    by_w, by_log_c, by_r, by_x, by_turned = splat(0.0), splat(0.0), splat(0.0), splat(0.0), splat(0.0)
+                    by_w, by_log_c, by_r, by_x, by_turned = (
+                        splat(0.0),
+                        splat(0.0),
+                        splat(0.0),
+                        splat(0.0),
+                        splat(0.0),
+                    )
                     at = sums + 16 * ROWS * j
                     for k in range(3):
-                        e, e_change, weight = load(energy, i + 16 * k), load(e_along, i + 16 * k), n_w * g[p + k]
+                        e, e_change, weight = (
+                            load(energy, i + 16 * k),
+                            load(e_along, i + 16 * k),
+                            n_w * g[p + k],
+                        )
                         u, s_weight = weight * e, fma(w_along * g[p + k], e, weight * e_change)
                         f, change = splat(0.0), splat(0.0)
                         for s in range(3):
                             if nearest * least[s] > cut[block]:
                                 to, st = 36 * s + 12 * k, 30 * s + 10 * k
-                                slope_gamma, slope_kappa = slope(steps, st, tent), slope(steps, st + 5, tent)
+                                slope_gamma, slope_kappa = (
+                                    slope(steps, st, tent),
+                                    slope(steps, st + 5, tent),
+                                )
                                 gamma_along = fma(turned, slope_gamma, curve(m_along, to, b))
                                 kappa_along = fma(turned, slope_kappa, curve(m_along, to + 6, b))
-                                value, moved, by_kappa, by_gamma, lobe_log_c, lobe_r, along_kappa, along_gamma = lobe_second(
-                                    curve(m, to, b), curve(m, to + 6, b), gamma_along, kappa_along, log2_c, log_c, r, u, s_weight
+                                (
+                                    value,
+                                    moved,
+                                    by_kappa,
+                                    by_gamma,
+                                    lobe_log_c,
+                                    lobe_r,
+                                    along_kappa,
+                                    along_gamma,
+                                ) = lobe_second(
+                                    curve(m, to, b),
+                                    curve(m, to + 6, b),
+                                    gamma_along,
+                                    kappa_along,
+                                    log2_c,
+                                    log_c,
+                                    r,
+                                    u,
+                                    s_weight,
                                 )
                                 f, change = f + value, change + moved
                                 by_log_c, by_r = by_log_c + lobe_log_c, by_r + lobe_r
@@ -145,7 +190,11 @@ def second(
                                 add_slope(scratch, by_steps + 16 * st + 80, along_kappa * turned, tent)
                                 by_turned = by_turned + fma(along_gamma, slope_gamma, along_kappa * slope_kappa)
                                 bent_gamma = fma(turned, slope(steps, st, bend), slope(steps_along, st, tent))
-                                bent_kappa = fma(turned, slope(steps, st + 5, bend), slope(steps_along, st + 5, tent))
+                                bent_kappa = fma(
+                                    turned,
+                                    slope(steps, st + 5, bend),
+                                    slope(steps_along, st + 5, tent),
+                                )
                                 by_x = by_x + fma(by_gamma, slope_gamma, by_kappa * slope_kappa)
                                 by_x = by_x + fma(along_gamma, bent_gamma, along_kappa * bent_kappa)
                         both = fma(change, n_w, f * w_along)
@@ -166,14 +215,29 @@ def second(
                     h_a = dot(hx, hy, hz, ax, ay, az)
                     twice = to_h * inverse_s
                     along_u = fma(by_c, inverse_s, 0.0 - twice * h_q)
-                    by_theta, by_turn = by_x * (-0.25 * ANGLE_TO_X), by_turned * (-0.25 * ANGLE_TO_X)
+                    by_theta, by_turn = (
+                        by_x * (-0.25 * ANGLE_TO_X),
+                        by_turned * (-0.25 * ANGLE_TO_X),
+                    )
                     far, near = by_turn * length_s * inverse_t, by_turn * length_t * inverse_s
                     along_h = fma(by_theta, length_t, by_turn * d_q) - fma(to_h, h_a, twice * n_q)
                     along_d = fma(by_theta, length_s, far * d_q) - by_turn * h_q
                     along_q = near - twice * c
-                    add_to(scratch, at + 48, dot(along_u, along_h, along_d, ux, hx, dx) + (along_q * across_x + to_h * ax - far * qx))
-                    add_to(scratch, at + 64, dot(along_u, along_h, along_d, uy, hy, dy) + (along_q * across_y + to_h * ay - far * qy))
-                    add_to(scratch, at + 80, dot(along_u, along_h, along_d, uz, hz, dz) + (along_q * across_z + to_h * az - far * qz))
+                    add_to(
+                        scratch,
+                        at + 48,
+                        dot(along_u, along_h, along_d, ux, hx, dx) + (along_q * across_x + to_h * ax - far * qx),
+                    )
+                    add_to(
+                        scratch,
+                        at + 64,
+                        dot(along_u, along_h, along_d, uy, hy, dy) + (along_q * across_y + to_h * ay - far * qy),
+                    )
+                    add_to(
+                        scratch,
+                        at + 80,
+                        dot(along_u, along_h, along_d, uz, hz, dz) + (along_q * across_z + to_h * az - far * qz),
+                    )
             for j in range(count):
                 to = 3 * (chunk * pixels + start + j)
                 write_sums(scratch, sums + 16 * ROWS * j, 3, n_part, to)

@@ -14,7 +14,7 @@ import importlib.util
 
 import torch
 
-from learn.derivatives import THIRD, Step, require_reverse_mode
+from learn.derivatives import THIRD, Step, require_one_gradient, require_reverse_mode
 from learn.engines import cpu, machine_code
 from shaders.dsbrdf import MAX_EXPONENT
 
@@ -104,21 +104,31 @@ def _remember(ctx, inputs, output):
 
 
 def _backward(ctx, g):
-    with_view = ctx.needs_input_grad[1]
-    by_n, by_view, by_m, by_light = torch.ops.brdfactory.exact_sum_backward(g, *ctx.saved_tensors, *ctx.constants, with_view)
-    return by_n, by_view if with_view else None, by_m, by_light, None, None, None
+    require_one_gradient(g)
+    given = g, *ctx.saved_tensors, *ctx.constants, ctx.needs_input_grad[1]
+    if torch.is_grad_enabled():  # a step more, which small pictures would feel
+        by_n, by_view, by_m, by_light = Gradients.apply(*given)
+    else:
+        by_n, by_view, by_m, by_light = torch.ops.brdfactory.exact_sum_backward(*given)
+    return by_n, by_view if ctx.needs_input_grad[1] else None, by_m, by_light, None, None, None
 
 
-def _remember_backward(ctx, inputs, output):
-    g, n, view, m, light, *ctx.constants, ctx.with_view = inputs
-    ctx.save_for_backward(g, n, view, m, light)
+class Gradients(Step):
+    """The operator `exact_sum_backward`, with a derivative."""
 
+    @staticmethod
+    def forward(ctx, g, n, view, m, light, *constants):
+        ctx.save_for_backward(g, n, view, m, light)
+        *ctx.constants, ctx.with_view = constants
+        return torch.ops.brdfactory.exact_sum_backward(g, n, view, m, light, *constants)
 
-def _backward_of_backward(ctx, by_n, by_view, by_m, by_light):
-    view = ctx.saved_tensors[2]
-    if not ctx.with_view:
-        by_view = None if view is None else torch.zeros_like(view)
-    return *Second.apply(by_n, by_view, by_m, by_light, *ctx.saved_tensors, *ctx.constants), None
+    @staticmethod
+    def backward(ctx, by_n, by_view, by_m, by_light):
+        require_one_gradient(by_n, by_view, by_m, by_light)
+        view = ctx.saved_tensors[2]
+        if not ctx.with_view:
+            by_view = None if view is None else torch.zeros_like(view)
+        return *Second.apply(by_n, by_view, by_m, by_light, *ctx.saved_tensors, *ctx.constants), None
 
 
 class Second(Step):
@@ -148,4 +158,3 @@ class Second(Step):
 
 
 torch.library.register_autograd(NAME, _backward, setup_context=_remember)
-torch.library.register_autograd(f"{NAME}_backward", _backward_of_backward, setup_context=_remember_backward)

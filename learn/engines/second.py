@@ -10,7 +10,10 @@ from learn.engines import lights, threads
 from learn.engines.cpu import CHUNKS, PASS, TILE, Prepared, _groups
 from learn.engines.machine_code import call
 
-DISTANT, GENERAL = 16 * 6 * TILE, 16 * (9 * TILE + 108 + 90)  # floats of scratch for each chunk, those of the kernels
+DISTANT, GENERAL = (
+    16 * 6 * TILE,
+    16 * (9 * TILE + 108 + 90),
+)  # floats of scratch for each chunk, those of the kernels
 
 
 def gradients(direction, g, n, view, m, light, rotation, counts, light_of, workers):
@@ -20,7 +23,12 @@ def gradients(direction, g, n, view, m, light, rotation, counts, light_of, worke
     Those by n and view are right in their tangential part.
     """
     along_n, along_view, along_m, along_light = direction
-    by_g, by_n, by_m, by_light = np.zeros_like(g), np.zeros_like(n), np.zeros_like(m), np.zeros_like(light)
+    by_g, by_n, by_m, by_light = (
+        np.zeros_like(g),
+        np.zeros_like(n),
+        np.zeros_like(m),
+        np.zeros_like(light),
+    )
     by_view = None if view is None else np.zeros_like(view)
     for slab in lights.slabs(*light.shape[1:3], rotation):
         prepared = Prepared(slab, m, light, distant=view is None)
@@ -45,16 +53,38 @@ class Lit:
     """A group's lights of one slab: passes of pixels are summed in float64, as by `cpu.Group`."""
 
     def __init__(self, slab, energy, cut, energy_along, workers):
-        self.slab, self.energy, self.cut, self.energy_along, self.workers = slab, energy, cut, energy_along, workers
+        self.slab, self.energy, self.cut, self.energy_along, self.workers = (
+            slab,
+            energy,
+            cut,
+            energy_along,
+            workers,
+        )
 
     def distant(self, n, g, along_n, material, along_m):
         """by n and g, by energy, by m (3, 3, 2, 6)."""
         lobes, least, _ = material
         lobes_along = lights.blocked(lights.lobe_first(along_m).reshape(18, 6) @ self.slab.basis.T)
-        lobe_part, lobe_sums, scratch = np.empty_like(lobes), np.zeros(lobes.shape), np.empty(CHUNKS * DISTANT, np.float32)
+        lobe_part, lobe_sums, scratch = (
+            np.empty_like(lobes),
+            np.zeros(lobes.shape),
+            np.empty(CHUNKS * DISTANT, np.float32),
+        )
 
         def one_pass(n, g, along_n, n_part, g_part, energy_part):
-            arrays = n, self.slab.distant, self.energy, lobes, least, self.cut, scratch, g, along_n, self.energy_along, lobes_along
+            arrays = (
+                n,
+                self.slab.distant,
+                self.energy,
+                lobes,
+                least,
+                self.cut,
+                scratch,
+                g,
+                along_n,
+                self.energy_along,
+                lobes_along,
+            )
             self.run("distant_second.second", len(n), *arrays, n_part, g_part, energy_part, lobe_part)
             np.add(lobe_sums, lobe_part, out=lobe_sums)
 
@@ -66,15 +96,50 @@ class Lit:
         """by n, g and view, by energy, by m (3, 3, 2, 6)."""
         values, _, least = material
         values_along = lights.lobe_first(along_m)
-        tables = (flat(x) for x in (lights.spline_steps(lights.lobe_first(m)), values_along, lights.spline_steps(values_along)))
+        tables = (
+            flat(x)
+            for x in (
+                lights.spline_steps(lights.lobe_first(m)),
+                values_along,
+                lights.spline_steps(values_along),
+            )
+        )
         steps, values_along, steps_along = tables
-        by_values, by_steps, scratch = np.zeros(108), np.zeros(90), np.empty(CHUNKS * GENERAL, np.float32)
+        by_values, by_steps, scratch = (
+            np.zeros(108),
+            np.zeros(90),
+            np.empty(CHUNKS * GENERAL, np.float32),
+        )
 
         def one_pass(n, view, g, along_n, along_view, n_part, g_part, view_part, energy_part):
             m_part, steps_part = (np.empty((CHUNKS, -(-len(n) // TILE), size), np.float32) for size in (108, 90))
-            arrays = n, view, self.slab.general, self.energy, values, steps, least, self.cut, scratch, g, along_n, along_view
+            arrays = (
+                n,
+                view,
+                self.slab.general,
+                self.energy,
+                values,
+                steps,
+                least,
+                self.cut,
+                scratch,
+                g,
+                along_n,
+                along_view,
+            )
             tables = self.energy_along, values_along, steps_along
-            self.run("general_second.second", len(n), *arrays, *tables, n_part, view_part, g_part, energy_part, m_part, steps_part)
+            self.run(
+                "general_second.second",
+                len(n),
+                *arrays,
+                *tables,
+                n_part,
+                view_part,
+                g_part,
+                energy_part,
+                m_part,
+                steps_part,
+            )
             np.add(by_values, m_part.sum((0, 1), dtype=np.float64), out=by_values)
             np.add(by_steps, steps_part.sum((0, 1), dtype=np.float64), out=by_steps)
 
@@ -97,7 +162,11 @@ class Lit:
 
     def run(self, kernel, pixels, *arrays):
         sizes = pixels, self.slab.blocks
-        threads.run(lambda first, last: call(kernel, first, last, *sizes, *arrays), threads.split(CHUNKS, CHUNKS), self.workers)
+        threads.run(
+            lambda first, last: call(kernel, first, last, *sizes, *arrays),
+            threads.split(CHUNKS, CHUNKS),
+            self.workers,
+        )
 
 
 def flat(table):

@@ -74,7 +74,7 @@ def radiance(batch: Batch, tolerance):
         return per_group(batch, lambda g, *_: few_lights(part(batch, g), tolerance))
     if not reflectance_map.has_kernel(batch.n):
         return load("exact").radiance(batch, tolerance)
-    batch, rotation = first_only(merged(batch), CARD.name, COMPILED), tuple(batch.camera_from_light.flatten().tolist())
+    batch, rotation = merged(batch), tuple(batch.camera_from_light.flatten().tolist())
     plan = functools.partial(planned_sums, rotation=rotation, tolerance=tolerance)
     return per_group(batch, lambda g, n, view, m, light: planned.radiance(n, m, light, plan))
 

@@ -6,7 +6,7 @@ be missing from some pixel. So the error is bounded, not estimated, up to how we
 Derivatives leave out the same blocks.
 """
 
-from learn.methods import COMPILED, Batch, Card, by_group, directional, first_only
+from learn.methods import Batch, Card, by_group, directional
 
 CARD = Card(
     name="culled",
@@ -21,11 +21,8 @@ SHARE = 0.5  # of the tolerance that may be left out
 
 
 def radiance(batch: Batch, tolerance):
-    if directional.has_kernels(batch.n):
-        batch = first_only(batch, CARD.name, COMPILED)
-
     def one_group(n, view, m, light):
         lights, E = directional.of_map(light, batch.camera_from_light)
-        return directional.near(n, view, m, E, lights, SHARE * tolerance)
+        return directional.near(n, view, m, E, lights, SHARE * tolerance, CARD.name)
 
     return by_group(batch, one_group)

@@ -12,6 +12,8 @@ The backward pass is derived by hand and computes each chunk again instead of st
     ∂κ = A c^γ                     ∂γ = A x ln c                 ∂ln c = Σ_ks A x γ,   ∂c/∂n = h
     ∂h/∂v = (1 − h hᵀ)/|w + v|     ∂θ_d/∂v = −(|w + v| d + |w − v| h)/4,   d = (w − v)/|w − v|
 
+It is a step of its own, which learn/methods/exact_second.py differentiates.
+
 The factor h of ∂c/∂n is missing in print, and ln c is needed only where c > 0 (tests/test_misprints.py).
 """
 
@@ -20,7 +22,7 @@ from typing import NamedTuple
 
 import torch
 
-from learn.derivatives import THIRD, Step
+from learn.derivatives import THIRD, Step, require_one_gradient
 from learn.methods import Batch, Card, by_group
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
 from shaders.envmap import directions
@@ -130,6 +132,7 @@ class ExactSum(Step):
 
     @staticmethod
     def backward(ctx, g):
+        require_one_gradient(g)
         return *ExactGradients.apply(g, *ctx.saved_tensors), None
 
 
@@ -160,6 +163,7 @@ class ExactGradients(Step):
 
     @staticmethod
     def backward(ctx, *direction):
+        require_one_gradient(*direction)
         return *Second.apply(*direction, *ctx.saved_tensors), None
 
 

@@ -70,11 +70,26 @@ def of_groups(direction, g, n, view, m, light, rotation, counts, light_of):
     for k, (part_by_n, part_by_view, part_g, part_n, part_view) in enumerate(zip(*parts, strict=True)):
         w, E = texels(light[light_of[k]].double(), camera_from_light)
         along_E = texels(by_light[light_of[k]].double(), camera_from_light)[1]
-        *by, by_E = second((part_by_n, part_by_view, by_m[k], along_E), part_g, part_n, part_view, m[k], E, w, radial=False)
+        *by, by_E = second(
+            (part_by_n, part_by_view, by_m[k], along_E),
+            part_g,
+            part_n,
+            part_view,
+            m[k],
+            E,
+            w,
+            radial=False,
+        )
         found.append(by)
         over_light[light_of[k]] += texels(by_E.reshape(light.shape[1:]), camera_from_light)[1].reshape(light.shape[1:])
     by_g, by_n, by_view, by_m = zip(*found, strict=True)
-    return torch.cat(by_g), torch.cat(by_n), None if view is None else torch.cat(by_view), torch.stack(by_m), over_light.to(light.dtype)
+    return (
+        torch.cat(by_g),
+        torch.cat(by_n),
+        None if view is None else torch.cat(by_view),
+        torch.stack(by_m),
+        over_light.to(light.dtype),
+    )
 
 
 def distant_half(w, m, along_m):
@@ -98,7 +113,12 @@ def turning_half(v, along_v, w, m, along_m):
     along_theta = -0.25 * ((length_s * d + length_d * h) * v).sum(-1)
     theta_d = torch.atan2(length_d, length_s).squeeze(-1)
     B = basis(theta_d)
-    return h, along_h, curves(B, m), curves(B, along_m) + curves(basis_slope(theta_d), m) * along_theta[..., None, None]
+    return (
+        h,
+        along_h,
+        curves(B, m),
+        curves(B, along_m) + curves(basis_slope(theta_d), m) * along_theta[..., None, None],
+    )
 
 
 def curves(B, m):

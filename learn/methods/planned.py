@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from learn.derivatives import Step, last
-from learn.methods import coarse, reflectance_map
-from learn.methods.directional import COMPILED, Listing, Tables
+from learn.methods import coarse, reflectance_map, refusal
+from learn.methods.directional import Listing, Tables
 
 
 @dataclass(frozen=True)
@@ -133,12 +133,13 @@ class Planned(Step):
 
     @staticmethod
     def forward(ctx, n, m, light, plan):
+        ctx.refusal = refusal("auto")
         ctx.save_for_backward(n, m, light)
         ctx.sums = plan(np.ascontiguousarray(n.numpy()), m.double().numpy(), light.numpy(), ctx.needs_input_grad[2])
         return torch.from_numpy(ctx.sums.radiance())
 
     @staticmethod
-    @last(COMPILED)
+    @last
     def backward(ctx, g):
         by_n, by_m, by_light = ctx.sums.backward(np.ascontiguousarray(g.numpy()), ctx.needs_input_grad[0])
         if by_n is None:

@@ -17,7 +17,7 @@ import torch
 
 from learn.derivatives import Step, last
 from learn.engines import interpolation, machine_code, threads
-from learn.methods import COMPILED, Batch, Card, directional, first_only, lobe_shapes, merged, per_group
+from learn.methods import Batch, Card, directional, lobe_shapes, merged, per_group, refusal
 
 CARD = Card(
     name="reflectance_map",
@@ -37,13 +37,11 @@ def radiance(batch: Batch, tolerance):
     if batch.view is not None:
         raise ValueError('method: "reflectance_map" needs an orthographic camera (view omitted), found a view per pixel; try "auto"')
     batch = merged(batch)
-    if has_kernel(batch.n):
-        batch = first_only(batch, CARD.name, COMPILED)
 
     def one_group(g, n, view, m, light):
         size = size_for(lobe_shapes.sharpness(m).max(), tolerance)
         lights, E = directional.of_map(light, batch.camera_from_light)
-        return with_nodes(n, size, lambda nodes: directional.near(nodes, None, m, E, lights, 0.1 * tolerance))
+        return with_nodes(n, size, lambda nodes: directional.near(nodes, None, m, E, lights, 0.1 * tolerance, CARD.name))
 
     return per_group(batch, one_group)
 
@@ -175,13 +173,14 @@ class LookUp(Step):
 
     @staticmethod
     def forward(ctx, n, values, nodes, size):
+        ctx.refusal = refusal(CARD.name)
         ctx.save_for_backward(n, values)
         n, nodes = n.contiguous().numpy(), nodes.numpy()
         ctx.kept = n, table(values.numpy(), nodes, size), size, nodes
         return torch.from_numpy(read(*ctx.kept[:3]))
 
     @staticmethod
-    @last(directional.COMPILED)
+    @last
     def backward(ctx, g):
         n, values, size, nodes = ctx.kept
         by_n, by_values = read_backward(n, values, size, np.ascontiguousarray(g.numpy()), nodes)

@@ -43,6 +43,8 @@ def _map(archive, member, path):
     rule = "finite radiance of shape (64, 128, 3)"
     if member.file_size > LARGEST_MAP:  # by the directory, before memory is taken
         raise Problem(where, rule, f"{member.file_size} bytes", remedy)
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise Problem(where, "an array as numpy compresses it", "another compression", remedy)
     with archive.open(member) as stored:
         L = np.lib.format.read_array(stored, allow_pickle=False)
     if L.shape != (HEIGHT, WIDTH, 3) or L.dtype.kind not in "fui":

@@ -4,7 +4,8 @@ Two readings: of the lines alone (`in_records`: seconds for 720,000), then of ev
 picture). Nothing that is found ends a reading: what cannot be read becomes a fault, and the reading goes on behind it.
 
 entries   dataset.json and materials.json against each other and the rules of the split
-lines     records and views against their ids, the entries and the orders
+lines     records and views against their ids and the entries
+orders    records and views against the jobs that ask for them
 files     pictures, geometry and light maps against their hashes, and their contents against physics
 strays    what lies in the folder and does not belong there
 repair    what is broken goes, so that the same `render` makes it again
@@ -22,13 +23,14 @@ from manifests.schema import Dataset
 from manifests.splits import light_side
 from manifests.store import LINES, Store
 from manifests.verification.entries import entry_faults
-from manifests.verification.faults import Fault, summary
+from manifests.verification.faults import Fault, Line, summary
 from manifests.verification.files import Files, Reference
 from manifests.verification.lines import Judge, failure_faults, read_lines
+from manifests.verification.orders import Orders
 from manifests.verification.repair import repair
 from manifests.verification.strays import folder_faults, stray_faults
 
-__all__ = ["Fault", "Verification", "repair", "shared_between", "summary"]
+__all__ = ["Fault", "Verification", "faults_of", "repair", "shared_between", "summary"]
 
 
 class Verification:
@@ -44,24 +46,24 @@ class Verification:
     def __init__(self, store: Store, render: str | None = None, reference: Reference | None = None):
         self.store, self.dataset, self.count = store, store.dataset(), 0
         self._render, self._reference = render, reference
-        self._labels: dict[str, Entry] = {}
-        self._condemned: set = set()
+        self._labels: dict[str, Entry] | None = {}
+        self._condemned: set[Line] = set()
+        self._spoiled: set[tuple[str, str]] = set()
 
     def in_records(self) -> Iterator[Fault]:
         """Faults that dataset.json, materials.json and the lines of records and views show by themselves."""
         for fault in self._in_records():
             if fault.line:
                 self._condemned.add(fault.line)
+            if fault.entry:
+                self._spoiled.add(fault.entry)
             yield fault
 
     def _in_records(self):
         yield from folder_faults(self.store.folder)
         yield from self._read_labels()
-        spoiled = set()
-        for fault in entry_faults(self.dataset, self._labels):
-            spoiled.add(fault.entry)
-            yield fault
-        judge = Judge(self.dataset, self._labels, spoiled, self._render)
+        yield from entry_faults(self.dataset, self._labels)
+        judge = Judge(self.dataset, self._labels or {}, self._spoiled, self._render)
         for kind in LINES:
             faults_of, seen = judge.of_kind(kind), set()
             for path, number, line in read_lines(self.store, kind):
@@ -83,7 +85,8 @@ class Verification:
         try:
             catalogue = read_catalogue(path).materials
         except (Problem, OSError) as problem:
-            yield Fault(str(problem), file=path)
+            self._labels = None
+            yield Fault(str(problem))
             return
         for entry in catalogue:
             if entry.name in self._labels:
@@ -92,11 +95,11 @@ class Verification:
             self._labels[entry.name] = entry
 
     def in_files(self, watch: Callable[[], Any] | None = None) -> Iterator[Fault]:
-        """Faults that only the files show: missing, altered, not what a picture can be, named by nobody.
+        """Faults that the files show: missing, altered, not what a picture can be, named by nobody; and lines nobody asked for.
 
         watch  called once for each record and view
         """
-        files = Files(self.store.folder, self.dataset, self._labels, self._reference)
+        files, orders = Files(self.store.folder, self.dataset, self._labels or {}, self._reference), Orders(self.dataset)
         yield from files.light_faults()
         for kind in LINES:
             for path, number, line in read_lines(self.store, kind):
@@ -104,12 +107,21 @@ class Verification:
                     continue
                 files.name(line)
                 if (path, number) not in self._condemned:
+                    if self._spoiled.isdisjoint(("materials", name) for name in getattr(line, "materials", ())):
+                        orders.look(line, (path, number))
                     for text, broken in files.of(line):
                         yield Fault(f"{kind[:-1]} {line.id}: {text}", line.id, (path, number), broken)
                 if watch:
                     watch()
+        yield from orders.faults()
         yield from files.packed_faults()
         yield from stray_faults(self.store.folder, files.named)
+
+
+def faults_of(store: Store, render: str | None = None, reference: Reference | None = None) -> list[Fault]:
+    """All faults of a data set, of its lines and of its files; arguments as Verification takes them."""
+    verification = Verification(store, render, reference)
+    return [*verification.in_records(), *verification.in_files()]
 
 
 def shared_between(datasets: dict[str, Dataset]) -> list[tuple[str, str, str, str, str]]:

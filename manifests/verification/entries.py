@@ -4,28 +4,30 @@ label  an entry of materials.json; its hash is recomputed from its numbers
 side   of a shape by its role, of a light by its hash, of a material by its label's split (manifests.splits)
 """
 
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import PurePath
 
 from manifests import splits
-from manifests.verification.faults import Fault
 from manifests.materials import BUILT_IN, Entry, material, material_hash, read_catalogue
 from manifests.problems import Problem
 from manifests.schema import Dataset, Draw, Job
 from manifests.store import light_path
+from manifests.verification.faults import Fault
 
 FAMILIES = frozenset(splits.rules()["paper"]["shapes"])  # of shapes that go by number: "chair:17" is a chair
+RANGE = re.compile(r"^\w+:(\d{1,9})-(\d{1,9})$")
 SETS = {"merl": BUILT_IN[0], "rgl": BUILT_IN[1]}
 
 
-def entry_faults(dataset: Dataset, labels: dict[str, Entry]) -> Iterator[Fault]:
-    """Faults of dataset.json and materials.json by themselves."""
+def entry_faults(dataset: Dataset, labels: dict[str, Entry] | None) -> Iterator[Fault]:
+    """Faults of dataset.json and materials.json by themselves; labels: None where materials.json cannot be read."""
     if not dataset.orders:
         yield Fault("dataset.json: an order, the job that was rendered, expected, found none")
-    for name in dataset.materials:
+    for name in dataset.materials if labels is not None else ():
         yield from _material_faults(name, dataset, labels)
-    for name in labels:
+    for name in labels or ():
         if name not in dataset.materials:
             text = f"materials.json: a material that dataset.json names expected, found '{name}'"
             yield Fault(text, entry=("labels", name))
@@ -40,8 +42,8 @@ def entry_faults(dataset: Dataset, labels: dict[str, Entry]) -> Iterator[Fault]:
     for name in dataset.shapes:
         yield from _shape_faults(name, dataset)
     for number, order in enumerate(dataset.orders, 1):
-        if order.shots > (most := most_shots(order.job, dataset)):
-            yield Fault(f"dataset.json: order {number}: at most {most} shots of its assets expected, found {order.shots}")
+        if (most := most_shots(order.job, dataset)) is not None and order.shots > most:
+            yield Fault(f"dataset.json: order {number}: at most {most} shots of its job expected, found {order.shots}")
 
 
 def _fault_of(kind, name):
@@ -134,12 +136,33 @@ def is_mesh_file(term: str) -> bool:
     return any(mark in term for mark in "/\\.")
 
 
-def most_shots(job: Job, dataset: Dataset) -> int:
-    """How many shots a job can mean with the shapes and materials that the data set holds, if all of them are the job's."""
+def most_shots(job: Job, dataset: Dataset) -> int | None:
+    """How many shots a job can mean; None where it names files or sets of the user's, whose numbers are not known here."""
+    if any(is_mesh_file(term) for term in job.shapes):
+        return None
+    shapes = sum(_count(term) for term in job.shapes)
     views = job.views.random if isinstance(job.views, Draw) else len(job.views)
     if not job.pictures:
-        return len(dataset.shapes) * views
+        return shapes * views
+    choices = job.segment_materials
+    if choices is None:
+        names = [_set_size(term, dataset) for term in job.materials]
+        if None in names:
+            return None
+        choices = sum(names)
     rotations = job.rotations.random if isinstance(job.rotations, Draw) else len(job.rotations)
-    choices = job.segment_materials or len(dataset.materials)
-    each = views * rotations * len(job.tiers) * len(job.light_resolutions) * job.repeats
-    return len(dataset.shapes) * choices * len(job.lights) * each
+    return shapes * choices * len(job.lights) * views * rotations * len(job.tiers) * len(job.light_resolutions) * job.repeats
+
+
+def _count(term):
+    """How many shapes a term such as "chair:0-39" means."""
+    span = RANGE.match(term)
+    return max(int(span[2]) - int(span[1]) + 1, 0) if span else 1
+
+
+def _set_size(term, dataset):
+    """How many materials a term means at most, None if that is not known."""
+    first, _, rest = term.partition("/")
+    if first in SETS:
+        return len(_built_in_names(SETS[first])) if rest in ("", "train", "test", "paper-train") else 1
+    return 1 if term in dataset.materials else None

@@ -8,6 +8,9 @@ from pathlib import Path
 from manifests.problems import printable
 
 
+Line = tuple[Path, int]  # file and number, from 1, of a line
+
+
 @dataclass(frozen=True)
 class Fault:
     """What is wrong, in one line, and what `repair` removes for it; nothing where only a person can mend it.
@@ -22,7 +25,7 @@ class Fault:
 
     text: str
     record: str | None = None
-    line: tuple[Path, int] | None = None
+    line: Line | None = None
     file: Path | None = None
     stray: bool = False
     entry: tuple[str, str] | None = None

@@ -13,7 +13,7 @@ from manifests.inputs import require_file
 from manifests.materials import Entry
 from manifests.problems import Problem
 from manifests.schema import Dataset, Record, View
-from manifests.store import light_path
+from manifests.store import image_path, light_path
 from manifests.verification import contents
 from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of
@@ -74,7 +74,7 @@ class Files:
         """Remembers the files that a line names, whether or not they will be read."""
         self.named["geometry"].add(line.geometry)
         if isinstance(line, Record):
-            self.named["images"].add(line.image)
+            self.named["images"].add(image_path(line.id))
 
     def of(self, line: Record | View) -> Iterator[tuple[str, Path | None]]:
         """(what is wrong, the file that has to go, None: neither) of the files of one line."""

@@ -1,4 +1,4 @@
-"""Records and views against their ids, the entries of dataset.json, and the orders.
+"""Records and views against their ids and the entries of dataset.json.
 
 An id is a hash of everything that determines a picture. So a line vouches for itself; and where a line and an entry of
 dataset.json differ, the other lines tell which of the two was altered: a line whose id fits, and which does not differ
@@ -18,13 +18,11 @@ from manifests.problems import Problem
 from manifests.schema import Dataset, Failure, Record, View
 from manifests.splits import split_of
 from manifests.store import LINES, Store, geometry_path, image_path, lines_of
-from manifests.verification.faults import Fault
-from manifests.verification.orders import Combination, Orders
+from manifests.verification.faults import Fault, Line
 from manifests.verification.strays import kind_of
 from manifests.viewpoints import azimuths_deg
 
 GROUPS = 20_000  # combinations whose hashes are kept; the records of one follow each other
-Line = tuple[Path, int]
 
 
 def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | View | Fault]]:
@@ -95,7 +93,6 @@ class _Group:
     materials: tuple[str, ...] | None
     hashings: list[tuple[str, tuple[str, ...], Any]]
     differences: list[_Difference]
-    combinations: list[Combination]
     confirms: bool = False
 
 
@@ -111,13 +108,11 @@ class Judge:
         self.dataset, self._labels, self._spoiled, self._render = dataset, labels, spoiled, render
         known = list(dataset.settings)
         self._renders = known if render is None or render in known else [*known, render]
-        self._orders = Orders(dataset)
         self._groups: dict[tuple, _Group] = {}
         self._own_hashes: dict[str, str] = {}
         self._confirmed: set[tuple[str, str]] = set()
         self._differing: dict[tuple[str, str], list[tuple[Fault, _Difference]]] = {}
         self._unfit: list[tuple[Fault, Record | View]] = []
-        self._unasked: list[Fault] = []
         self._fit = 0
 
     def of_kind(self, kind: str) -> Callable[[Any, Line], list[Fault]]:
@@ -146,9 +141,6 @@ class Judge:
         faults = _misplaced("record", record, line, geometry)
         if record.image != (image := image_path(record.id)):
             faults.append(Fault(f"record {record.id}: image at {image} expected, found {record.image}", record.id, line))
-        if not faults and not self._orders.ask_for(record, group.combinations):
-            text = f"record {record.id}: an order in dataset.json that asks for it expected, found none"
-            self._unasked.append(Fault(text, record.id, line))
         return faults
 
     def view(self, view: View, line: Line) -> list[Fault]:
@@ -164,9 +156,6 @@ class Judge:
         else:
             self._confirmed.add(("shapes", view.shape))
         faults = _misplaced("view", view, line, geometry_path(view.id))
-        if not faults and not self._orders.ask_for_view(view):
-            text = f"view {view.id}: an order in dataset.json that asks for it expected, found none"
-            self._unasked.append(Fault(text, view.id, line))
         return faults
 
     def _new_group(self, key, record):
@@ -186,10 +175,9 @@ class Judge:
             differences.append(self._no_entry("lights", record.light, record.light_hash))
         elif light.hash != record.light_hash:
             differences.append(_Difference(("lights", record.light), "hash", light.hash[:12], record.light_hash[:12]))
-        combinations = self._orders.combinations(record, hashings[0][1] if hashings else ())
         if len(self._groups) >= GROUPS:
             self._groups.clear()
-        self._groups[key] = group = _Group(camera, materials, hashings, differences, combinations)
+        self._groups[key] = group = _Group(camera, materials, hashings, differences)
         return group
 
     def _shape_differs(self, line, segments):
@@ -285,7 +273,6 @@ class Judge:
             if (kind, name) not in self._confirmed:
                 text = f"dataset.json: {kind[:-1]} '{name}' that an id confirms expected, found {many} lines whose ids do not fit"
                 yield Fault(text, entry=(kind, name))
-        yield from self._unasked_faults()
 
     def _entries_of(self, line):
         """The entries that a line names, as far as they are there."""
@@ -302,15 +289,6 @@ class Judge:
             return Fault(f"dataset.json: {kind[:-1]} '{name}' expected, as {lines}, found none")
         text = f"dataset.json: {kind[:-1]} '{name}': {what} {by_line} expected, as {lines}, found {by_entry}"
         return Fault(text, entry=entry)
-
-    def _unasked_faults(self):
-        """Lines that no order asks for are at fault, unless an order is without lines: then its job may have been altered."""
-        if self._unasked and self.dataset.orders and not self._orders.unmet:
-            yield from self._unasked
-        elif self._unasked:
-            many, first = len(self._unasked), self._unasked[0].record
-            remedy = "the same `render` writes its order down again"
-            yield Fault(f"dataset.json: orders that ask for all lines expected, found none for {many}, {first} first; {remedy}")
 
 
 def _misplaced(kind, line, place, geometry):

@@ -8,47 +8,67 @@ from collections.abc import Iterator, Sequence
 
 from manifests import ids
 from manifests.schema import Dataset, Draw, Job, Record, View
+from manifests.verification.faults import Fault, Line
 
 MOST_CHOICES = 16  # draws of materials whose seeds are tried; of more, seeds are not looked at (each try takes 20 µs)
+COMBINATIONS = 20_000  # that are kept; the records of one follow each other
 
 
 class Orders:
-    """The orders of a data set. `met`: indices of those that a record or a view has been found for."""
+    """The orders of a data set, against which its lines are held one by one; what none asks for is said at the end."""
 
     def __init__(self, dataset: Dataset):
-        self.jobs = [order.job for order in dataset.orders]
-        self.met: set[int] = set()
+        self._dataset = dataset
+        self._jobs = [order.job for order in dataset.orders]
+        self._met: set[int] = set()
+        self._combinations: dict[tuple, list[Combination]] = {}
+        self._unasked: list[Fault] = []
 
-    def combinations(self, record: Record, materials: Sequence[str]) -> list["Combination"]:
-        """The jobs that may have asked for records like this one, drawn for its combination; materials: their hashes."""
-        return [
-            Combination(index, job, record.shape_hash, materials, record.light_hash)
-            for index, job in enumerate(self.jobs)
-            if job.pictures and job.camera == record.camera and job.samples == record.samples
-        ]
+    def look(self, line: Record | View, place: Line) -> None:
+        """Notes whether an order asks for a record or a view; place: its file and number."""
+        if self._asked(line):
+            return
+        kind = "record" if isinstance(line, Record) else "view"
+        text = f"{kind} {line.id}: an order in dataset.json that asks for it expected, found none"
+        self._unasked.append(Fault(text, line.id, place))
 
-    def ask_for(self, record: Record, combinations: list["Combination"]) -> bool:
-        """Whether a job asks for a record; combinations: as `combinations` gives them for it."""
-        for combination in combinations:
-            if combination.holds(record):
-                self.met.add(combination.index)
+    def _asked(self, line):
+        if isinstance(line, View):
+            for index, job in enumerate(self._jobs):
+                here = not job.pictures and job.camera == line.camera
+                if here and line.viewpoint in ids.views_alone(job, line.shape_hash):
+                    self._met.add(index)
+                    return True
+            return False
+        for combination in self._combinations_of(line):
+            if combination.holds(line):
+                self._met.add(combination.index)
                 return True
         return False
 
-    def ask_for_view(self, view: View) -> bool:
-        """Whether a job without pictures asks for a view."""
-        for index, job in enumerate(self.jobs):
-            if job.pictures or job.camera != view.camera:
-                continue
-            if view.viewpoint in ids.views_alone(job, view.shape_hash):
-                self.met.add(index)
-                return True
-        return False
+    def _combinations_of(self, record):
+        """The jobs that may have asked for records like this one, drawn for its combination."""
+        key = (record.shape_hash, record.materials, record.light_hash, record.camera, record.samples)
+        if key not in self._combinations:
+            if len(self._combinations) >= COMBINATIONS:
+                self._combinations.clear()
+            entries = [self._dataset.materials.get(name) for name in record.materials]
+            hashes = [entry.hash for entry in entries if entry]
+            self._combinations[key] = [
+                Combination(index, job, record.shape_hash, hashes, record.light_hash)
+                for index, job in enumerate(self._jobs)
+                if job.pictures and job.camera == record.camera and job.samples == record.samples
+            ]
+        return self._combinations[key]
 
-    @property
-    def unmet(self) -> list[int]:
-        """Indices of the orders for which nothing has been found so far."""
-        return [index for index in range(len(self.jobs)) if index not in self.met]
+    def faults(self) -> Iterator[Fault]:
+        """Lines that no order asks for are at fault, unless an order is without lines: then its job may have been altered."""
+        if self._unasked and self._jobs and len(self._met) == len(self._jobs):
+            yield from self._unasked
+        elif self._unasked:
+            many, first = len(self._unasked), self._unasked[0].record
+            remedy = "the same `render` writes its order down again"
+            yield Fault(f"dataset.json: orders that ask for all lines expected, found none for {many}, {first} first; {remedy}")
 
 
 class Combination:

@@ -29,7 +29,7 @@ def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
             dropped.setdefault(fault.line[0], set()).add(fault.line[1])
     lines, unnamed = 0, {fault.file for fault in faults if fault.file and fault.record}
     for path, numbers in sorted(dropped.items()):
-        count, named = _drop_lines(path, numbers)
+        count, named = _drop_lines(store.folder / "partial", path, numbers)
         lines += count
         unnamed |= {store.folder / relative for relative in named}
     if unnamed:  # a file that another line names, and that line finds good, stays
@@ -38,7 +38,7 @@ def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
     return lines, files + sum(_remove(store.folder, path) for path in sorted(unnamed))
 
 
-def _drop_lines(path, numbers):
+def _drop_lines(partial, path, numbers):
     """Writes a file without some of its lines; returns how many went, and the files that these have named."""
     kept, count, named, type_ = [], 0, set(), LINES.get(path.parent.name)
     try:
@@ -51,7 +51,8 @@ def _drop_lines(path, numbers):
                 named |= _files_of(line, type_)
     except Problem:  # a line beyond all measure: nothing behind it is known to be one
         count += 1
-    write_lines(path, kept)
+    partial.mkdir(exist_ok=True)
+    write_lines(path, kept, draft=partial / f"repair-{path.parent.name}-{path.name}")  # where a killed run's drafts are swept
     return count, named
 
 

@@ -12,6 +12,7 @@ import resource
 import sys
 import time
 from collections import deque
+from itertools import islice
 from pathlib import Path
 
 import msgspec
@@ -33,7 +34,7 @@ from manifests.schema import (
     Statistics,
 )
 from manifests.splits import SIDES, light_side, role_of
-from manifests.store import Lines, Store, geometry_path, image_path, light_path
+from manifests.store import Store, geometry_path, image_path, light_path
 from manifests.verification import Verification
 from manifests.viewpoints import azimuths_deg
 
@@ -72,13 +73,9 @@ def described(plan):
         orders=(Order(job=plan.job, shots=len(plan), begun=""),),
         settings={plan.render: {}},
         shapes={
-            s.name: ShapeEntry(hash=s.hash, category=s.category, side=s.side, role=s.role, segments=1, licence="")
-            for s in assets.shapes
+            s.name: ShapeEntry(hash=s.hash, category=s.category, side=s.side, role=s.role, segments=1, licence="") for s in assets.shapes
         },
-        materials={
-            m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source)
-            for m in assets.materials
-        },
+        materials={m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source) for m in assets.materials},
         lights={
             name: LightEntry(
                 hash=light.hash,
@@ -129,11 +126,12 @@ def grown(folder):
     store.write_json("dataset.json", dataset)
     materials = tuple(m.entry for m in plan.assets.materials)
     store.place("materials.json", encode(Catalogue(title="", credit="", materials=materials)), "t")
-    lines = [Lines(folder / "records" / f"worker-{k:02d}.jsonl") for k in range(WORKERS)]
-    for number, shot in enumerate(plan):
-        lines[number * WORKERS // len(plan)].append(record_of(shot, plan, dataset))
-    for each in lines:
-        each.close()
+    (folder / "records").mkdir()
+    shots, each = iter(plan), -(-len(plan) // WORKERS)
+    for worker in range(WORKERS):
+        with open(folder / "records" / f"worker-{worker:02d}.jsonl", "wb") as file:
+            for shot in islice(shots, each):
+                file.write(msgspec.json.encode(record_of(shot, plan, dataset)) + b"\n")
     return store
 
 

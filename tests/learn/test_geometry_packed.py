@@ -18,7 +18,7 @@ from shaders import envmap
 def store(tmp_path, rng):
     """A sphere from one view, in records."""
     store = synthetic.write_dataset(tmp_path, [synthetic.matte()], rng, seeds=1, rotations=(0,))
-    shape = ShapeEntry(hash="s" * 64, category="primitive", side="test", role="test", segments=1, licence="")
+    shape = ShapeEntry(hash="5" * 64, category="primitive", side="test", role="test", segments=1, licence="")
     store.write_json("dataset.json", msgspec.structs.replace(store.dataset(), shapes={"sphere": shape}))
     return store
 
@@ -26,7 +26,7 @@ def store(tmp_path, rng):
 def as_view(record, **changes):
     """The View of a record's geometry."""
     shared = {key: getattr(record, key) for key in View.__struct_fields__ if key not in ("side", "id")}
-    return View(**{**shared, "id": "v" * 24, "side": "test", **changes})
+    return View(**{**shared, "id": "8" * 24, "side": "test", **changes})
 
 
 def append(store, view):
@@ -60,10 +60,71 @@ def test_views_and_records_of_one_geometry_file_are_one_view(store):
 
 def test_a_new_view_makes_the_pack_anew(store):
     assert len(Geometry(store.folder, progress=False)) == 1
-    append(store, as_view(next(store.records()), viewpoint=3, geometry_hash="h" * 64))
+    append(store, as_view(next(store.records()), viewpoint=3, geometry_hash="7" * 64))
     geometry = Geometry(store.folder, progress=False)
     assert len(geometry) == 2
     np.testing.assert_array_equal(geometry.normals(0), geometry.normals(1))
+
+
+def truncate(path):
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+def flip(path):
+    data = bytearray(path.read_bytes())
+    data[-100] ^= 1
+    path.write_bytes(data)
+
+
+DAMAGES = {
+    "an array cut short": ("normals.npy", truncate),
+    "one bit of an array": ("segments.npy", flip),
+    "an empty array": ("segments.npy", lambda path: path.write_bytes(b"")),
+    "no array": ("normals.npy", lambda path: path.unlink()),
+    "no sums": ("sums.json", lambda path: path.unlink()),
+    "sums of another kind": ("sums.json", lambda path: path.write_text("[]")),
+    "an empty list": ("views.json", lambda path: path.write_bytes(b"")),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_pack_is_never_used_and_is_made_again(store, damage):
+    whole = Geometry(store.folder, progress=False)
+    n, segments = whole.normals(0), whole.segments(0)
+    name, spoil = DAMAGES[damage]
+    spoil(store.folder / "packed" / name)
+    again = Geometry(store.folder, progress=False)
+    np.testing.assert_array_equal(again.normals(0), n)
+    np.testing.assert_array_equal(again.segments(0), segments)
+    before = (store.folder / "packed" / "normals.npy").stat().st_mtime_ns
+    Geometry(store.folder, progress=False)  # what was made again holds
+    assert (store.folder / "packed" / "normals.npy").stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize("count", [0, 100, 2000])
+def test_a_pack_that_the_disk_has_no_room_for_stays_in_memory(store, small_files, capsys, count):
+    with small_files(count):
+        geometry = Geometry(store.folder, progress=False)
+    assert "packed geometry stays in memory" in capsys.readouterr().err
+    assert not list((store.folder / "packed").glob(".*")) and not (store.folder / "packed" / "views.json").exists()
+    np.testing.assert_array_equal(geometry.normals(0), Geometry(store.folder, progress=False).normals(0))
+
+
+def test_a_pack_is_no_pack_until_all_of_it_is_there(store, monkeypatch):
+    """Killed after the arrays of one list of views were replaced by another's, the list must not vouch for them."""
+    Geometry(store.folder, progress=False)
+
+    class Killed(BaseException):
+        pass
+
+    def die(path, text):
+        raise Killed
+
+    monkeypatch.setattr("learn.geometry.write_text", die)
+    (store.folder / "packed" / "sums.json").unlink()
+    with pytest.raises(Killed):
+        Geometry(store.folder, progress=False)
+    assert not (store.folder / "packed" / "views.json").exists()
 
 
 def test_normals_that_are_not_unit_are_refused_with_the_file_named(store):

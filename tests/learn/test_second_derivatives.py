@@ -103,7 +103,11 @@ def test_gradgradcheck(draw, perspective):
     scene = scene_of(draw, 9, perspective, size=(1, 2), light=(2, 4))
     leaves = [x.requires_grad_() for x in scene.values()]
     # gradcheck's own tolerances, 1e-5 absolute and 1e-3 relative, suit its float64 steps of 1e-6
-    assert torch.autograd.gradgradcheck(lambda *x: render(**dict(zip(scene, x, strict=True)), method="exact"), leaves, fast_mode=False)
+    assert torch.autograd.gradgradcheck(
+        lambda *x: render(**dict(zip(scene, x, strict=True)), method="exact"),
+        leaves,
+        fast_mode=False,
+    )
 
 
 def test_vectors_that_are_not_quite_unit_are_scaled_twice_differentiably(draw):
@@ -122,7 +126,12 @@ def test_a_texel_along_the_view_has_finite_second_derivatives(draw):
     w = torch.as_tensor(texels(4, 8)[0].reshape(1, 4, 8, 3))
     n = unit(w + 0.3 * w.roll(1, 2), dim=-1)
     for dtype in (torch.float32, torch.float64):
-        scene = {"n": n, "material": draw(13)["material"], "light": torch.rand(1, 4, 8, 3, dtype=torch.float64), "view": w}
+        scene = {
+            "n": n,
+            "material": draw(13)["material"],
+            "light": torch.rand(1, 4, 8, 3, dtype=torch.float64),
+            "view": w,
+        }
         found = second({name: x.to(dtype) for name, x in scene.items()}, elevation=0.0)
         assert all(x.isfinite().all() for x in found.values())
 
@@ -141,7 +150,10 @@ def test_float32_matches_float64(busy, perspective, kernels, monkeypatch):
         pytest.skip("numba is not installed: no kernels to test")
     scene, options = busy(15, perspective)
     scene = {name: x.float() for name, x in scene.items()}
-    found, right = second(scene, **options), second({name: x.double() for name, x in scene.items()}, **options)
+    found, right = (
+        second(scene, **options),
+        second({name: x.double() for name, x in scene.items()}, **options),
+    )
     assert {pair: x.dtype for pair, x in found.items()} == dict.fromkeys(found, torch.float32)
     wrong = {pair: relative(x, right[pair]) for pair, x in found.items() if relative(x, right[pair]) > 1e-5}
     assert not wrong
@@ -246,7 +258,10 @@ def test_a_third_derivative_is_refused(draw, perspective, dtype):
     scene = {name: x.to(dtype) for name, x in scene_of(draw, 31, perspective).items()}
     leaves, first = gradients(scene, create_graph=True)
     (twice,) = torch.autograd.grad(first["n"].square().sum(), leaves["n"], create_graph=True)
-    with pytest.raises(NotImplementedError, match="two at most, one of another, expected of the layer, found a third"):
+    with pytest.raises(
+        NotImplementedError,
+        match="two at most, one of another, expected of the layer, found a third",
+    ):
         torch.autograd.grad(twice.sum(), leaves["material"])
 
 
@@ -259,7 +274,12 @@ def test_a_kept_graph_leaves_picture_and_first_derivatives_as_they_are(busy, per
     _, kept = gradients(scene, create_graph=True, **options)
     for name, x in plain.items():
         # by n and view the scaling to unit length is torch's instead of the kernel's
-        torch.testing.assert_close(kept[name].detach(), x, rtol=1e-5 if dtype == torch.float32 else 1e-13, atol=1e-6 * x.abs().max().item())
+        torch.testing.assert_close(
+            kept[name].detach(),
+            x,
+            rtol=1e-5 if dtype == torch.float32 else 1e-13,
+            atol=1e-6 * x.abs().max().item(),
+        )
         assert name in ("n", "view") or torch.equal(kept[name], x)
 
 
@@ -269,5 +289,23 @@ def test_a_kept_graph_leaves_picture_and_first_derivatives_as_they_are(busy, per
 def test_forward_mode_is_refused(draw, name, dtype):
     """In float32 the tangents of material and light were dropped without a word."""
     scene = {key: x.to(dtype) for key, x in scene_of(draw, 35, False).items()}
-    with torch.autograd.forward_ad.dual_level(), pytest.raises(NotImplementedError, match="reverse mode .* expected, found forward mode"):
-        render(**scene | {name: torch.autograd.forward_ad.make_dual(scene[name], torch.ones_like(scene[name]))}, method="exact")
+    with (
+        torch.autograd.forward_ad.dual_level(),
+        pytest.raises(NotImplementedError, match=r"reverse mode .* expected, found forward mode"),
+    ):
+        render(
+            **scene | {name: torch.autograd.forward_ad.make_dual(scene[name], torch.ones_like(scene[name]))},
+            method="exact",
+        )
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=["float32", "float64"])
+def test_a_batch_of_gradients_is_refused_in_the_layers_words(draw, dtype):
+    scene = {key: x.to(dtype) for key, x in scene_of(draw, 37, False).items()}
+
+    def mean(material):
+        return render(**scene | {"material": material}, method="exact").mean()
+
+    for derivative in (torch.autograd.functional.jacobian, torch.autograd.functional.hessian):
+        with pytest.raises(NotImplementedError, match="one gradient at a time expected, found a batch"):
+            derivative(mean, scene["material"], vectorize=True)

@@ -14,7 +14,14 @@ from manifests import materials as catalogue
 from shaders.dsbrdf import half_angles
 from shaders.envmap import directions
 from tests.learn.engines import test_adversarial
-from tests.learn.engines.conftest import ROTATION, make_scene, material, random_material, tangential, unit
+from tests.learn.engines.conftest import (
+    ROTATION,
+    make_scene,
+    material,
+    random_material,
+    tangential,
+    unit,
+)
 
 CAMERAS = pytest.mark.parametrize("perspective", [False, True], ids=["orthographic", "view per pixel"])
 NAMES = "g", "n", "view", "m", "light"
@@ -69,7 +76,10 @@ def test_any_size_of_map(rng, perspective, size):
 @CAMERAS
 @pytest.mark.parametrize("name", ["beige-fabric", "chrome", "alumina-oxide"])
 def test_measured_materials(rng, perspective, name):
-    require_accurate(rng, make_scene(rng, catalogue.find(name).m, pixels=36, size=(16, 32), perspective=perspective))
+    require_accurate(
+        rng,
+        make_scene(rng, catalogue.find(name).m, pixels=36, size=(16, 32), perspective=perspective),
+    )
 
 
 @CAMERAS
@@ -90,10 +100,16 @@ def test_every_height_and_width_of_a_lobe(rng, perspective, kappa, gamma):
 
 @CAMERAS
 def test_control_values_eight_decades_apart(rng, perspective):
-    """As among the first derivatives, θ_d's own rounding of 1e-7 shows 300-fold where the curve falls by its last 1e-5, in all of them here,
-    and 3,000-fold where that is differentiated once more."""
+    """As in the first derivatives, θ_d's own rounding of 1e-7 shows 300-fold where the curve falls by its last 1e-5,
+    here in all of them, and 3,000-fold where that is differentiated once more."""
     gamma = np.where(np.arange(6) == 0, 1e5, 1e-3)
-    scene = make_scene(rng, material(np.linspace(1e-4, 1, 6), gamma), pixels=48, size=(16, 32), perspective=perspective)
+    scene = make_scene(
+        rng,
+        material(np.linspace(1e-4, 1, 6), gamma),
+        pixels=48,
+        size=(16, 32),
+        perspective=perspective,
+    )
     require_accurate(rng, scene, **dict.fromkeys(NAMES, 5e-5) | {"view": 5e-4})
 
 
@@ -157,7 +173,7 @@ def test_threads_do_not_show(rng, perspective):
 
 @CAMERAS
 def test_groups_and_images_keep_to_themselves(rng, perspective):
-    """Three groups of two images together, and each alone: the same bits."""
+    """Three groups of two images together, and each alone: the same bits; and the reference, which CUDA takes, in the same order."""
     scenes = [make_scene(rng, random_material(rng), pixels=20, size=(8, 16), perspective=perspective) for _ in range(3)]
     scenes[1].light = scenes[0].light
     along = [direction(rng, scene) for scene in scenes]
@@ -167,16 +183,31 @@ def test_groups_and_images_keep_to_themselves(rng, perspective):
         return None if parts[0] is None else np.concatenate(parts)
 
     given = [join([getattr(scene, name) for scene in scenes]) for name in ("g", "n", "view")]
-    m, lights = np.stack([scene.m for scene in scenes]), np.stack([scenes[0].light, scenes[2].light])
-    directions_ = *(join([a[i] for a in along]) for i in range(3)), np.concatenate([along[0][3], along[2][3]])
+    m, lights = (
+        np.stack([scene.m for scene in scenes]),
+        np.stack([scenes[0].light, scenes[2].light]),
+    )
+    directions_ = (
+        *(join([a[i] for a in along]) for i in range(3)),
+        np.concatenate([along[0][3], along[2][3]]),
+    )
     counts, rotation = [len(scene.n) for scene in scenes], tuple(ROTATION.flatten().tolist())
     found = second.gradients(directions_, *given, m, lights, rotation, counts, [0, 0, 1], 1)
     alone = [second.gradients(a, scene.g, *scene.arguments(), 1) for a, scene in zip(along, scenes, strict=True)]
     for i in range(4):
         if found[i] is not None:
             assert np.array_equal(found[i], join([by[i] for by in alone])), NAMES[i]
-    np.testing.assert_allclose(found[4][0], alone[0][4][0] + alone[1][4][0], rtol=1e-6, atol=1e-6 * np.abs(found[4][0]).max())
+    np.testing.assert_allclose(
+        found[4][0],
+        alone[0][4][0] + alone[1][4][0],
+        rtol=1e-6,
+        atol=1e-6 * np.abs(found[4][0]).max(),
+    )
     assert np.array_equal(found[4][1], alone[2][4][0])
+    tensors = [[None if x is None else torch.as_tensor(x) for x in group] for group in (directions_, (*given, m, lights))]
+    right = exact_second.of_groups(tensors[0], *tensors[1], rotation, counts, [0, 0, 1])
+    for i in (0, 3, 4):  # those by n and view differ in their radial parts
+        np.testing.assert_allclose(found[i], right[i], rtol=0, atol=TOLERANCE * np.abs(found[i]).max(), err_msg=NAMES[i])
 
 
 @CAMERAS
