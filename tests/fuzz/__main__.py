@@ -9,6 +9,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 from tqdm import tqdm
@@ -44,6 +45,7 @@ def parsed(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--seconds", type=float, default=60.0, metavar="T", help="after which a case hangs (default 60)")
     parser.add_argument("--memory-mb", type=int, default=1024, metavar="MIB", help="beyond which it is too much (default 1024)")
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"), metavar="DIR", help="where faults are kept (default out/fuzz)")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="write a line of JSON for each case")
     options = parser.parse_args(arguments)
     options.out = options.out.resolve()
     if options.case is not None and len(options.generators) != 1:
@@ -77,6 +79,9 @@ def _many(fuzzing: driver.Driver, options: argparse.Namespace) -> int:
     with tqdm(total=total, desc="fuzzing", unit=unit, mininterval=0.1 if sys.stderr.isatty() else 10.0) as bar:
         for outcome in fuzzing.run(order(fuzzing.found, options, spent)):
             counts[outcome.module] += 1
+            if options.log:
+                with open(options.log, "a") as log:
+                    log.write(json.dumps(asdict(outcome)) + "\n")
             spent[outcome.module] += outcome.seconds
             if outcome.fault:
                 kind = (outcome.module, kind_of(outcome.fault))

@@ -23,7 +23,7 @@ from . import Room
 
 TESTS = Path(__file__).resolve().parents[1]
 FAKE = "tests.fuzz.studio:Studio"
-MATERIALS = ("brass", "white-acrylic", "blue-acrylic")  # one for testing, two for training
+MATERIALS = ("brass", "gray-plastic", "white-acrylic")  # two for testing, one for training
 RUN = {
     "name": "tiny",
     "size": 32,
@@ -227,6 +227,10 @@ def _weights(folder):
     with safe_open(TESTS.parent / "learn" / "weights" / "joint-compact.safetensors", "pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 -- not a dictionary
         metadata = file.metadata() | {"size": "32"}
+    run = json.loads(metadata["run"])
+    run["data"] |= {"validation_lights": [], "test_lights": []}  # what the small data sets do not have
+    run["size"] = 32
+    metadata["run"] = json.dumps(run)
     save_file(tensors, folder / "weights.safetensors", metadata)
 
 

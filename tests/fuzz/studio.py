@@ -19,6 +19,7 @@ class Studio(FakeStudio):
     def set_view(self, azimuth):
         super().set_view(azimuth)
         radius = 0.5 + 0.45 * (zlib.crc32(f"{self._mesh.hash} {azimuth}".encode()) % 1000) / 1000
+        self._radius = radius
         x, y = (axis * self._camera.half_extent / radius for axis in frames.pixel_grid(*self._camera.size))
         self._mask = x * x + y * y < 1
         z = np.sqrt(np.maximum(1 - x * x - y * y, 0))
@@ -28,5 +29,5 @@ class Studio(FakeStudio):
 
     def geometry(self):
         segments = np.where(self._mask, self._sectors, 0).astype(np.uint8)
-        depth = np.where(self._mask, 4 - self._normals[..., 2], 0).astype(np.float32)
+        depth = np.where(self._mask, -self._radius * self._normals[..., 2], 0).astype(np.float32)
         return SimpleNamespace(normals=self._normals, mask=self._mask, depth=depth, segments=segments)
