@@ -133,7 +133,17 @@ def _shapes(job, folder, watch):
 def _materials(job, catalogues):
     chosen = chosen_entries(job.materials, catalogues)
     sides = splits.material_sides([(e.name, e.split, e.hash) for e in chosen])
-    return [Material(name=e.name, hash=e.hash, side=sides[e.name], licence=e.licence, source=e.source, entry=e) for e in chosen]
+    return [
+        Material(
+            name=e.name,
+            hash=e.hash,
+            side=sides[e.name],
+            licence=e.licence,
+            source=e.source,
+            entry=msgspec.structs.replace(e, split=sides[e.name]),  # a twin that is left out may have lifted it to test
+        )
+        for e in chosen
+    ]
 
 
 def _lights(job, folder, library):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from manifests import splits
 from manifests.material_words import suggestion
-from manifests.materials import BUILT_IN, read_catalogue
+from manifests.materials import BUILT_IN, read_catalogue, require_own_hash
 from manifests.problems import Problem
 
 SETS = {"materials": "merl", "materials-rgl": "rgl"}
@@ -19,7 +19,7 @@ def chosen_entries(names, catalogues=()):
 
     names       of materials, of sets, or SET/PART, SET/NAME
     catalogues  files besides the built-in ones
-    Raises      Problem: a name or set that no catalogue has, with the closest ones
+    Raises      Problem: a name or set that no catalogue has, with the closest ones; a material whose hash is not its own
     """
     files = {SETS.get(Path(path).stem, Path(path).stem): Path(path) for path in (*BUILT_IN, *catalogues)}
     sets = {name: read_catalogue(path).materials for name, path in files.items() if path.exists() or path not in BUILT_IN}
@@ -32,6 +32,8 @@ def chosen_entries(names, catalogues=()):
             every = [*known, *sets, *(f"{s}/{p}" for s in sets for p in PARTS)]
             raise Problem(f"material '{name}'", "a name or a set in the catalogue", "none of that name", suggestion(name, every))
         chosen |= {entry.name: entry for entry in found}
+    for entry in chosen.values():  # ids hash it: another label under the same hash would pass for the same pictures
+        require_own_hash(entry, "catalogue")
     return list(chosen.values())
 
 

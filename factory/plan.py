@@ -7,20 +7,19 @@ view      a shot without a picture, of a job that wants geometry alone: shape an
 order     shape, light, light resolution, tier, materials, rotation, view: what is dear to change changes least (persistent data pays)
 """
 
-import hashlib
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import product
 
 import msgspec
 import numpy as np
 
-from manifests.schema import Camera, Draw, Job, LightResolution, Tier
+from manifests import ids
+from manifests.ids import TEXELS, camera_words, geometry_id, shot_seed
+from manifests.schema import Draw, Job, LightResolution, Tier
 from manifests.splits import split_of
-from manifests.viewpoints import COUNT, azimuths_deg
 
-TEXELS = 128
-ID_DIGITS = 24  # 96 bits: two of a million shots meet by chance once in 1e17 datasets
+__all__ = ["TEXELS", "Plan", "Shot", "camera_words", "geometry_id", "shot_seed"]
 
 
 class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -92,11 +91,7 @@ class Plan:
 
     def views_alone(self, shape):
         """The shots of one shape in a job without pictures."""
-        views = self.job.views
-        if isinstance(views, Draw):
-            rng = np.random.default_rng(np.random.SeedSequence(self.job.seed, spawn_key=(0x9E0, _word(shape.hash))))
-            views = np.sort(rng.permutation(COUNT)[: views.random]).tolist()
-        for view in views:
+        for view in ids.views_alone(self.job, shape.hash):
             id_ = geometry_id(shape.hash, self._camera, view, self.render)
             yield Shot(
                 id=id_,
@@ -131,35 +126,30 @@ class Plan:
         """The shots of one shape under one light, unordered."""
         for choice in self.choices(shape):
             materials = self._drawn_materials(shape, light, occurrence, choice) if isinstance(choice, int) else choice
-            key = (_word(shape.hash), *(_word(m.hash) for m in materials), _word(light.hash), occurrence)
-            if isinstance(choice, int):
-                key = (*key, choice)
+            draw = choice if isinstance(choice, int) else None
+            key = ids.combination_key(shape.hash, [m.hash for m in materials], light.hash, occurrence, draw)
             yield from self._shots(shape, materials, light, key)
 
     def _drawn_materials(self, shape, light, occurrence, draw):
         """One material a segment, different ones while there are enough, all of the shape's own side while there is one."""
         pool = [m for m in self.assets.materials if m.side == shape.side] or list(self.assets.materials)
-        key = (0x5E6, _word(shape.hash), _word(light.hash), occurrence, draw)
+        key = (0x5E6, ids.hash_word(shape.hash), ids.hash_word(light.hash), occurrence, draw)
         rng = np.random.default_rng(np.random.SeedSequence(self.job.seed, spawn_key=key))
         return tuple(pool[i] for i in rng.choice(len(pool), shape.segments, replace=shape.segments > len(pool)))
 
     def _shots(self, shape, materials, light, key):
         """The shots of one shape, one choice of materials and one light."""
         job, names = self.job, tuple(m.name for m in materials)
-        sequence = np.random.SeedSequence(job.seed, spawn_key=key)
-        rng, word = np.random.default_rng(sequence), sequence.generate_state(1)[0].item()
-        views = np.sort(rng.permutation(COUNT)[: job.views.random]).tolist() if isinstance(job.views, Draw) else job.views
-        turns = _turns(job.rotations, len(views), rng)
+        word, views, turns = ids.draws(job, key)
         split = split_of(shape.side, [m.side for m in materials])
-        start = _digest(b"brdfactory shot 1", self.render, shape.hash, *(m.hash for m in materials), light.hash, self._camera, job.samples)
+        hashes = tuple(m.hash for m in materials)
+        shared = ids.shots_digest(self.render, shape.hash, hashes, light.hash, self._camera, job.samples)
         for view, rotations in zip(views, turns, strict=True):
-            geometry, azimuth = geometry_id(shape.hash, self._camera, view, self.render), azimuths_deg()[view]
+            geometry = geometry_id(shape.hash, self._camera, view, self.render)
             for turn, tier, resolution, repeat in product(rotations, job.tiers, job.light_resolutions, range(job.repeats)):
-                seed = shot_seed(word, f"{view} {turn} {tier} {resolution} {repeat}")
-                digest = start.copy()
-                digest.update(f"{azimuth} {turn} {tier} {resolution} {seed}".encode())
+                seed = shot_seed(word, ids.shot_place(view, turn, tier, resolution, repeat))
                 yield Shot(
-                    id=digest.hexdigest()[:ID_DIGITS],
+                    id=ids.shot_id(shared, view, turn, tier, resolution, seed),
                     geometry=geometry,
                     shape=shape.name,
                     materials=names,
@@ -177,46 +167,6 @@ class Plan:
         return camera_words(self.job.camera)
 
 
-def _turns(rotations, views, rng):
-    """The rotations of each view: the job's, or different ones drawn for each view."""
-    if not isinstance(rotations, Draw):
-        return (rotations,) * views
-    every = np.broadcast_to(np.arange(TEXELS), (views, TEXELS))
-    return rng.permuted(every, axis=1)[:, : rotations.random].tolist()
-
-
-def shot_seed(word, place):
-    """31 bits for Cycles: a hash of the word that a combination's SeedSequence gives, and of the shot's place within it."""
-    return int.from_bytes(hashlib.blake2b(f"{word} {place}".encode(), digest_size=4).digest(), "big") >> 1
-
-
-def camera_words(camera: Camera):
-    """The camera as text that hashes alike wherever it comes from (20 and 20.0 are one elevation)."""
-    height, width = camera.size
-    fov = "orthographic" if camera.fov_deg is None else f"{float(camera.fov_deg)!r}"
-    pixel = "" if camera.pixel == "square" else f" {camera.pixel}"  # datasets from before there was a choice keep their ids
-    return f"{height} {width} {fov} {float(camera.elevation_deg)!r} {float(camera.half_extent)!r}{pixel}"
-
-
-@lru_cache(maxsize=4096)
-def geometry_id(shape_hash, camera, viewpoint, render):
-    """Id of the geometry of a shape from a viewpoint; camera as words."""
-    return _digest(b"brdfactory geometry 1", render, shape_hash, camera, azimuths_deg()[viewpoint]).hexdigest()[:ID_DIGITS]
-
-
 def _order(shot):
     """Sort key of shots under one shape and light. Materials before rotations: new nodes cost twice what a new light does (docs/log.md)."""
     return (shot.light_resolution, shot.tier, shot.materials, shot.rotation_texels, shot.viewpoint, shot.seed)
-
-
-def _digest(start, *parts):
-    digest = hashlib.sha256(start)
-    for part in parts:
-        digest.update(b"\n" + str(part).encode())
-    digest.update(b"\n")
-    return digest
-
-
-def _word(hash_):
-    """32 bits of a hash, for a spawn key."""
-    return int(hash_[:8], 16)

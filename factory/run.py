@@ -147,6 +147,7 @@ def register(store, plan):
         msgspec.structs.replace(
             held,
             orders=orders,
+            settings={plan.render: {}, **held.settings},  # ids are hashed with it: known before the first of them is written
             shapes={**held.shapes, **shapes},
             materials={**held.materials, **materials},
             lights={**held.lights, **lights},

@@ -13,6 +13,9 @@ height, width are those of the picture. Whatever reads a file refuses what anoth
 channels, other shapes, values that are no radiance. Each reader raises manifests.problems.Problem.
 """
 
+import hashlib
+import io
+import lzma
 import zipfile
 import zlib
 from pathlib import Path
@@ -24,6 +27,7 @@ from manifests import exr
 from manifests.files import npz_bytes
 from manifests.inputs import require_file
 from manifests.problems import Problem
+from shaders.envmap import LUMINANCE, mean_radiance
 
 PICTURE_CHANNELS = ("R", "G", "B")
 NORMAL_CHANNELS = ("normal.X", "normal.Y", "normal.Z")
@@ -34,7 +38,21 @@ LARGEST_HALF = 65504.0  # a sun seen in a mirror may exceed it; it is far above 
 MOST_SEGMENTS = 255
 LIGHT_SHAPE = (64, 128, 3)
 LIGHT_BYTES = 4 << 20  # a stored map takes a tenth of it
+LIGHT_MEMBERS = {"L": (LIGHT_SHAPE, np.dtype(np.float32)), "scale": ((), np.dtype(np.float64))}
+PICTURE_TYPES = dict.fromkeys(PICTURE_CHANNELS, np.dtype(np.float16))
+GEOMETRY_TYPES = dict.fromkeys((*NORMAL_CHANNELS, DEPTH_CHANNEL), np.dtype(np.float32))
+GEOMETRY_TYPES[SEGMENT_CHANNEL] = np.dtype(np.uint32)
+PIXEL_BYTES = 4 * len(GEOMETRY_TYPES)  # the most that a pixel of ours takes, uncompressed
+HEADER_BYTES = 1 << 20  # the most that an EXR's header and its table of lines take beside the pixels
+UNIT_LENGTH = 1e-2  # of |n|; what is written keeps it to 1e-4
+UNIT_MEAN = 1e-4  # of a light's mean luminance; float32 sums keep it to 1e-6
+PACKED_UNIT = 32767  # of packed normals
 AGAIN = "render or copy it again"
+LIGHT_AGAIN = "render or copy the dataset again"
+_NO_ARCHIVE = (  # what zipfile and numpy raise for damaged, encrypted, nested or bottomless archives
+    OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
+    SyntaxError, TypeError, OverflowError, MemoryError,
+)  # fmt: skip
 
 
 class Geometry(NamedTuple):
@@ -61,13 +79,20 @@ def encode_picture(radiance: np.ndarray) -> bytes:
     return exr.encode({name: half[..., k] for k, name in enumerate(PICTURE_CHANNELS)})
 
 
-def read_picture(path: str | Path, size: tuple[int, int] | None = None) -> np.ndarray:
+def read_picture(
+    path: str | Path,
+    size: tuple[int, int] | None = None,
+    file_hash: str | None = None,
+    exact: bool = False,
+) -> np.ndarray:
     """Radiance (height, width, 3) float32, finite and not negative.
 
-    size    (height, width) that the picture must have, None: any
-    Raises  Problem
+    size       (height, width) that the picture must have, None: any
+    file_hash  sha256 that the file must have, None: any
+    exact      refuse other channels and types than `encode_picture` writes
+    Raises     Problem
     """
-    channels = _channels(path, PICTURE_CHANNELS, size)
+    channels = _channels(path, PICTURE_TYPES, size, file_hash, exact)
     radiance = np.stack([channels[name] for name in PICTURE_CHANNELS], axis=-1).astype(np.float32)
     if wrong := int((~(np.isfinite(radiance) & (radiance >= 0))).sum()):
         raise Problem(path, "finite radiance ≥ 0", f"{wrong} values that are not", AGAIN)
@@ -82,19 +107,34 @@ def encode_geometry(geometry: Any) -> bytes:
     return exr.encode(rounded | {SEGMENT_CHANNEL: geometry.segments.astype(np.uint32)})
 
 
-def read_geometry(path: str | Path, size: tuple[int, int] | None = None) -> Geometry:
-    """The Geometry of a file.
+def read_geometry(
+    path: str | Path,
+    size: tuple[int, int] | None = None,
+    file_hash: str | None = None,
+    exact: bool = False,
+) -> Geometry:
+    """The Geometry of a file: normals and depth finite, normals of unit length wherever there is a segment.
 
-    size    (height, width) that it must have, None: any
-    Raises  Problem
+    size       (height, width) that it must have, None: any
+    file_hash  sha256 that the file must have, None: any
+    exact      refuse other channels and types than `encode_geometry` writes
+    Raises     Problem
     """
-    channels = _channels(path, (*NORMAL_CHANNELS, DEPTH_CHANNEL, SEGMENT_CHANNEL), size)
+    channels = _channels(path, GEOMETRY_TYPES, size, file_hash, exact)
     segments = channels[SEGMENT_CHANNEL]
     whole = segments.astype(np.int64) if np.isfinite(segments).all() else np.full_like(segments, -1, np.int64)
     if (whole != segments).any() or whole.min(initial=0) < 0 or whole.max(initial=0) > MOST_SEGMENTS:
         raise Problem(path, f"segments 0 to {MOST_SEGMENTS}", f"{segments.min()} to {segments.max()}", AGAIN)
     normals = np.stack([channels[name] for name in NORMAL_CHANNELS], axis=-1).astype(np.float32)
-    return Geometry(normals, channels[DEPTH_CHANNEL].astype(np.float32), whole.astype(np.uint8))
+    depth = channels[DEPTH_CHANNEL].astype(np.float32)
+    for what, values in (("normals", normals), ("depth", depth)):
+        if wrong := int((~np.isfinite(values)).sum()):
+            raise Problem(path, f"finite {what}", f"{wrong} values that are not", AGAIN)
+    inside = normals[whole > 0].astype(np.float64)
+    lengths = np.sqrt((inside * inside).sum(-1))
+    if lengths.size and np.abs(lengths - 1).max() > UNIT_LENGTH:
+        raise Problem(path, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", AGAIN)
+    return Geometry(normals, depth, whole.astype(np.uint8))
 
 
 def encode_light(L: np.ndarray, scale: float) -> bytes:
@@ -102,40 +142,102 @@ def encode_light(L: np.ndarray, scale: float) -> bytes:
     return npz_bytes({"L": np.asarray(L, np.float32), "scale": np.float64(scale)})
 
 
-def read_light(path: str | Path) -> np.ndarray:
-    """L (64, 128, 3) float32 of a stored light, finite and not negative. Raises Problem."""
-    remedy = "render or copy the dataset again"
-    require_file(path, "a stored light map", remedy, LIGHT_BYTES)
-    try:
-        with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
-            member = archive.getinfo("L.npy")
-            if member.file_size > LIGHT_BYTES:  # told by the directory, before memory is taken
-                raise Problem(path, f"radiance of shape {LIGHT_SHAPE}", f"{member.file_size} bytes", remedy)
-            with archive.open(member) as stored:
-                L = np.lib.format.read_array(stored, allow_pickle=False)
-    except Problem:
-        raise
-    except (OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError) as error:
-        raise Problem(path, "a stored light map", str(error)[:120] or "none", remedy) from None
-    except (zipfile.BadZipFile, zlib.error) as error:
-        raise Problem(path, "a stored light map", str(error)[:120], remedy) from None
-    if L.shape != LIGHT_SHAPE or L.dtype.kind != "f":
-        raise Problem(path, f"radiance of shape {LIGHT_SHAPE}", f"{L.shape} of {L.dtype}", remedy)
+def read_light(path: str | Path, file_hash: str | None = None) -> np.ndarray:
+    """L (64, 128, 3) float32 of a stored light: finite, not negative, of unit mean luminance.
+
+    file_hash  sha256 that the file must have, None: any
+    Raises     Problem
+    """
+    arrays, data = _light_arrays(path, ("L",))
+    L = arrays["L"]
     if wrong := int((~(np.isfinite(L) & (L >= 0))).sum()):
-        raise Problem(path, "finite radiance ≥ 0", f"{wrong} values that are not", remedy)
+        raise Problem(path, "finite radiance ≥ 0", f"{wrong} values that are not", LIGHT_AGAIN)
+    if not abs((mean := float(mean_radiance(L) @ LUMINANCE)) - 1) <= UNIT_MEAN:
+        raise Problem(path, "radiance of unit mean luminance", f"a mean of {mean:.6g}", LIGHT_AGAIN)
+    _require_hash(path, data, file_hash)
     return L.astype(np.float32)
 
 
-def _channels(path: str | Path, names: tuple[str, ...], size: tuple[int, int] | None) -> dict[str, np.ndarray]:
-    """The named channels of a file, all of one size."""
-    channels = exr.read(path)
-    missing = [name for name in names if name not in channels]
+def read_scale(path: str | Path) -> float:
+    """The factor that was taken off a stored light. Raises Problem: no such file, other members or types than are written."""
+    arrays, _ = _light_arrays(path, tuple(LIGHT_MEMBERS), exact=True)
+    scale = float(arrays["scale"])
+    if not (np.isfinite(scale) and scale > 0):
+        raise Problem(path, "a finite scale above 0", f"{scale:g}", LIGHT_AGAIN)
+    return scale
+
+
+def _light_arrays(path: str | Path, names: tuple[str, ...], exact: bool = False) -> tuple[dict[str, np.ndarray], bytes]:
+    """Members of a stored light, and the file's bytes; exact: no other members, and the types that are written."""
+    data = require_file(path, "a stored light map", LIGHT_AGAIN, LIGHT_BYTES).read_bytes()
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            there = sorted(archive.namelist())
+            if exact and there != sorted(f"{name}.npy" for name in names):
+                raise Problem(path, f"arrays {', '.join(names)} alone", ", ".join(there)[:120] or "none", LIGHT_AGAIN)
+            arrays = {name: _light_member(path, archive, name) for name in names}
+    except Problem:
+        raise
+    except _NO_ARCHIVE as error:
+        found = str(error).replace("\n", " ")[:120] or type(error).__name__
+        raise Problem(path, "a stored light map", found, LIGHT_AGAIN) from None
+    if exact and (other := [name for name in names if arrays[name].dtype != LIGHT_MEMBERS[name][1]]):
+        expected, found = LIGHT_MEMBERS[other[0]][1], arrays[other[0]].dtype
+        raise Problem(path, f"{other[0]} of {expected}", str(found), LIGHT_AGAIN)
+    return arrays, data
+
+
+def _light_member(path: str | Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    """One array of a stored light; its size is known from its header before memory is taken."""
+    expected = LIGHT_MEMBERS[name][0]
+    what = f"radiance of shape {expected}" if name == "L" else f"one number {name}"
+    with archive.open(f"{name}.npy") as stored:
+        version = np.lib.format.read_magic(stored)
+        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
+        shape, fortran, dtype = read_header(stored)
+        if shape != expected or dtype.kind != "f":
+            raise Problem(path, what, f"{shape} of {dtype}", LIGHT_AGAIN)
+        values = np.frombuffer(stored.read(int(np.prod(shape)) * dtype.itemsize), dtype)
+        return values.reshape(shape, order="F" if fortran else "C")
+
+
+def pack_normals(normals: np.ndarray) -> np.ndarray:
+    """x and y of normals (…, 3) that face the viewer as (…, 2) int16 in units of 1/32767: what caches of geometry hold."""
+    return np.rint(normals[..., :2] * PACKED_UNIT).astype(np.int16)
+
+
+def _channels(
+    path: str | Path,
+    types: dict[str, np.dtype],
+    size: tuple[int, int] | None,
+    file_hash: str | None,
+    exact: bool,
+) -> dict[str, np.ndarray]:
+    """The channels of a file, all of one size; types: {name: type as it is written}."""
+    data = None
+    if file_hash is not None:
+        pixels = exr.MAX_PIXELS if size is None else size[0] * size[1]
+        require_file(path, "an OpenEXR file", AGAIN, HEADER_BYTES + 2 * PIXEL_BYTES * pixels)
+        data = Path(path).read_bytes()
+    channels = exr.read(path, data)
+    missing = [name for name in types if name not in channels]
     if missing:
         found = f"only {', '.join(sorted(channels))}"
-        raise Problem(path, f"channels {', '.join(names)}", found, AGAIN)
-    sizes = {channels[name].shape for name in names}
+        raise Problem(path, f"channels {', '.join(types)}", found, AGAIN)
+    sizes = {channels[name].shape for name in types}
     if len(sizes) != 1 or any(len(shape) != 2 for shape in sizes) or (size is not None and sizes != {tuple(size)}):
         expected = "one size of all channels" if size is None else f"{size[0]} × {size[1]} pixels"
         found = ", ".join(sorted(" × ".join(map(str, shape)) for shape in sizes))
         raise Problem(path, expected, found, AGAIN)
+    if exact and {name: values.dtype for name, values in channels.items()} != types:
+        expected = ", ".join(f"{name} {type_}" for name, type_ in types.items())
+        found = ", ".join(f"{name} {values.dtype}" for name, values in sorted(channels.items()))
+        raise Problem(path, f"channels {expected}", found, AGAIN)
+    _require_hash(path, data, file_hash)
     return channels
+
+
+def _require_hash(path: str | Path, data: bytes | None, expected: str | None) -> None:
+    """Raises Problem if a file's bytes are not those whose sha256 a manifest holds."""
+    if expected is not None and (found := hashlib.sha256(data).hexdigest()) != expected:
+        raise Problem(path, f"hash {expected[:12]}", f"{found[:12]}: the file was altered", AGAIN)

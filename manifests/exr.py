@@ -13,26 +13,31 @@ from manifests.quiet import silenced
 MAX_PIXELS = 1 << 26  # 8192²: a header may ask for more than there is memory
 
 
-def read(path):
+def read(path, data=None):
     """Channels of a file, name → (height, width) array of the file's own type.
 
+    data    the file's bytes, where they are in memory already; `path` only names them then
     Raises  Problem for a file that is missing, truncated, no EXR, or larger than MAX_PIXELS
     """
-    require_file(path, "an OpenEXR file", "render or copy it again")
+    if data is None:
+        require_file(path, "an OpenEXR file", "render or copy it again")
     with silenced(2), contextlib.redirect_stdout(io.StringIO()):  # the library prints each error besides raising it, by C and by Python
-        return _read(path)
+        return _read(path, data)
 
 
-def _read(path):
+def _read(path, data):
     import OpenEXR
 
+    def source():
+        return str(path) if data is None else io.BytesIO(data)
+
     try:
-        with OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
+        with OpenEXR.File(source(), separate_channels=True, header_only=True) as file:
             low, high = (np.asarray(corner, np.int64) for corner in file.header()["dataWindow"])
         width, height = np.maximum(high - low + 1, 0).tolist()
         if not 1 <= height * width <= MAX_PIXELS:
             raise Problem(path, f"a picture of 1 to {MAX_PIXELS} pixels", f"{width} × {height}", "check the file's header")
-        with OpenEXR.File(str(path), separate_channels=True) as file:
+        with OpenEXR.File(source(), separate_channels=True) as file:
             return {name: channel.pixels for name, channel in file.channels().items()}
     except Problem:
         raise

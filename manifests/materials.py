@@ -9,6 +9,7 @@ A catalogue is one JSON file, a material a line. `materials.json` holds MERL's h
 """
 
 import functools
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ from shaders import dsbrdf
 from shaders.mixture import Mixture
 
 VERSION = 1
+HASH_DIGITS = 16
 FOLDER = Path(__file__).parent
 BUILT_IN = (FOLDER / "materials.json", FOLDER / "materials-rgl.json")
 
@@ -123,8 +125,20 @@ class Material:
         return np.exp(self.label)
 
 
+def material_hash(label, mixture):
+    """Hash of a material: of its label (108 numbers) and the mixture (MixtureData) that renders it, as an Entry holds them."""
+    return hashlib.sha256(msgspec.json.encode([label, mixture])).hexdigest()[:HASH_DIGITS]
+
+
+def require_own_hash(entry, where):
+    """Raises Problem if an entry's hash is not that of its label and mixture: one of the three was altered; `where` names the file."""
+    if entry.hash != (own := material_hash(entry.label, entry.mixture)):
+        remedy = "copy the file again, or fit the material again"
+        raise Problem(f"{where}: '{entry.name}'", f"hash {own}, of its label and mixture,", entry.hash, remedy)
+
+
 def material(entry, where):
-    """The entry ready for use. Raises Problem if its numbers do not fit together; `where` names the file."""
+    """The entry ready for use. Raises Problem if its numbers do not fit together, or its hash not to them; `where` names the file."""
     label = np.asarray(entry.label)
     if label.size != dsbrdf.SIZE or not np.isfinite(label).all():
         raise Problem(f"{where}: {entry.name}", f"a label of {dsbrdf.SIZE} finite numbers", f"{label.size}", "fit the material again")
@@ -132,6 +146,7 @@ def material(entry, where):
         mixture = Mixture(**{f: getattr(entry.mixture, f) for f in entry.mixture.__struct_fields__})
     except ValueError as error:
         raise Problem(f"{where}: {entry.name}", "a mixture that Cycles can render", str(error), "fit the material again") from None
+    require_own_hash(entry, where)
     fields = {f: getattr(entry, f) for f in entry.__struct_fields__ if f not in ("label", "mixture")}
     return Material(**fields, label=label.reshape(dsbrdf.SHAPE), mixture=mixture)
 

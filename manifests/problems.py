@@ -14,10 +14,17 @@ class Problem(ValueError):
 
     def __init__(self, where, expected, found, remedy):
         self.where, self.expected, self.found, self.remedy = str(where), expected, found, remedy
-        super().__init__(f"{where}: {expected} expected, found {found}; {remedy}")
+        super().__init__(printable(f"{where}: {expected} expected, found {found}; {remedy}"))
 
     def __reduce__(self):  # crosses process borders whole
         return Problem, (self.where, self.expected, self.found, self.remedy)
+
+
+def printable(text: str) -> str:
+    """The text on one line that any terminal can show: control characters and halves of characters as escapes."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def closest(name, names, count=3):

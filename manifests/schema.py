@@ -23,8 +23,15 @@ Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 Pixels = Annotated[int, Meta(ge=4, le=8192)]
 Viewpoint = Annotated[int, Meta(ge=0, le=23)]
 Texels = Annotated[int, Meta(ge=0, le=127)]
+Samples = Annotated[int, Meta(ge=1, le=1_048_576)]
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Name = Annotated[str, Meta(min_length=1, max_length=1000)]
+Id = Annotated[str, Meta(pattern="^[0-9a-f]{24}$", max_length=24)]  # ids become names of files; "$" alone admits a newline behind
+Hash = Annotated[str, Meta(pattern="^[0-9a-f]{64}$", max_length=64)]  # sha256
+MaterialHash = Annotated[str, Meta(pattern="^[0-9a-f]{16}$", max_length=16)]  # of label and mixture (manifests.materials)
+Segments = Annotated[int, Meta(ge=1, le=255)]
+Share = Annotated[float, Meta(ge=0, le=1)]
+Amount = Annotated[float, Meta(ge=0)]
 
 
 class Camera(Struct, frozen=True, forbid_unknown_fields=True):
@@ -76,7 +83,7 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     rotations: Annotated[tuple[Texels, ...], Meta(min_length=1)] | Draw = (0,)
     tiers: Annotated[tuple[Tier, ...], Meta(min_length=1)] = ("full",)
     light_resolutions: Annotated[tuple[LightResolution, ...], Meta(min_length=1)] = ("64x128",)
-    samples: Annotated[int, Meta(ge=1, le=1_048_576)] = 64
+    samples: Samples = 64
     repeats: Annotated[int, Meta(ge=1, le=1000)] = 1
     camera: Camera = Camera()
     seed: Seed = 0
@@ -90,9 +97,9 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 class Statistics(Struct, frozen=True, forbid_unknown_fields=True):
     """coverage: share of the frame that the object covers; mean and max of linear radiance over the mask."""
 
-    coverage: float
-    mean: float
-    max: float
+    coverage: Share
+    mean: Amount
+    max: Amount
 
 
 class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=False):
@@ -105,28 +112,28 @@ class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=F
     split            train or test where shape and materials agree, else mixed
     """
 
-    id: str
+    id: Id
     shape: str
     shape_hash: str
     category: str
-    viewpoint: int
+    viewpoint: Viewpoint
     azimuth_deg: float
     camera: Camera
-    materials: tuple[str, ...]
+    materials: Annotated[tuple[str, ...], Meta(min_length=1, max_length=255)]
     light: str
     light_hash: str
-    rotation_texels: int
+    rotation_texels: Texels
     tier: Tier
     light_resolution: LightResolution
-    samples: int
-    seed: int
+    samples: Samples
+    seed: Seed
     image: str
     image_hash: str
     geometry: str
     geometry_hash: str
     split: Split
     statistics: Statistics
-    seconds: float
+    seconds: Amount
 
     @property
     def coverage(self):
@@ -148,29 +155,29 @@ class View(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=Fal
     coverage  share of the frame that the object covers
     """
 
-    id: str
+    id: Id
     shape: str
     shape_hash: str
     category: str
-    viewpoint: int
+    viewpoint: Viewpoint
     azimuth_deg: float
     camera: Camera
-    segments: int
+    segments: Segments
     geometry: str
     geometry_hash: str
     side: Side
-    coverage: float
-    seconds: float
+    coverage: Share
+    seconds: Amount
 
 
 class ShapeEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A shape of a dataset: what it is, and on which side of the split its hash stands. parts: segment id − 1 → names in it."""
 
-    hash: str
+    hash: Hash
     category: str
     side: Side
     role: Role
-    segments: int
+    segments: Segments
     licence: str
     report: str = ""
 
@@ -181,10 +188,10 @@ class LightEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     side  by its hash; None in datasets from before lights had sides: manifests.splits.light_side gives it then
     """
 
-    hash: str
+    hash: Hash
     file: str
-    file_hash: str
-    scale: float
+    file_hash: Hash
+    scale: Annotated[float, Meta(gt=0)]
     licence: str
     source: str = ""
     side: Side | None = None
@@ -193,7 +200,7 @@ class LightEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 class MaterialEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A material of a dataset; its label stands in materials.json. hash: of label and closures together."""
 
-    hash: str
+    hash: MaterialHash
     side: Side
     licence: str
     source: str = ""
@@ -203,7 +210,7 @@ class Order(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A job that was begun in this folder, whole, and how many shots it means."""
 
     job: Job
-    shots: int
+    shots: Annotated[int, Meta(ge=0)]
     begun: str
 
 
@@ -225,11 +232,11 @@ class Dataset(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 class Failure(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A shot that did not come out, twice: why, and what it was."""
 
-    id: str
+    id: Id
     shape: str
     materials: tuple[str, ...]
     light: str
-    viewpoint: int
+    viewpoint: Viewpoint
     tier: Tier
     reason: str
     when: str

@@ -46,6 +46,15 @@ def numbered_role(name, rule):
     return _by_number(int(number[2]), rules()[rule]["shapes"].get(number[1], {})) if number else None
 
 
+def role_of(name, category, hash_, rule):
+    """The role of a shape by itself, or None where it depends on the other meshes of its category, by the rank among their hashes."""
+    ranges = rules()[rule]["shapes"].get(category)
+    if not ranges:
+        return _by_hash(hash_)
+    number = _number(name, category)
+    return None if number is None else _by_number(number, ranges) or _by_hash(hash_)
+
+
 def material_sides(materials):
     """The side of each material: [(name, its catalogue's split, hash)] to {name: side}; twins together."""
     return _twins_together({name: split for name, split, _ in materials}, {name: hash_ for name, _, hash_ in materials})

@@ -19,6 +19,7 @@ import hashlib
 import os
 import re
 import weakref
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 import msgspec
@@ -32,6 +33,8 @@ from manifests.schema import VERSION, Dataset, Failure, Record, View
 
 LINES = {"records": Record, "views": View}  # folder: what its lines are
 NAME = re.compile(r"[^A-Za-z0-9._-]+")
+REPAIR = "python -m factory verify DIR --repair takes it away"
+LONGEST_LINE = 1 << 20  # bytes; a record takes 1 KB, and 255 segments with names of 1,000 letters stay below
 
 
 class _Id(msgspec.Struct, gc=False):
@@ -79,9 +82,29 @@ def inside(folder, relative):
     pure = PurePosixPath(relative)
     target = Path(folder) / pure
     escapes = pure.is_absolute() or ".." in pure.parts or "\\" in relative or "\0" in relative or not pure.parts
-    if escapes or not target.resolve().is_relative_to(Path(folder).resolve()):
+    if escapes or not _leads_inside(target, folder):
         raise Problem(f"{folder}: '{relative}'", "a path inside the dataset's folder", "one that leaves it", "do not trust this manifest")
     return target
+
+
+def _leads_inside(target: Path, folder: str | os.PathLike) -> bool:
+    """Whether a path, its links followed, ends inside a folder; links in a circle and names that no file can have do not."""
+    try:
+        return target.resolve().is_relative_to(Path(folder).resolve())
+    except (OSError, RuntimeError, ValueError):
+        return False
+
+
+def lines_of(path: str | os.PathLike) -> Iterator[tuple[int, bytes]]:
+    """Each line of a file with its number from 1; the last one without its newline where a kill has torn it.
+
+    Raises  Problem: no ordinary file, a line longer than any that a writer leaves; OSError where it cannot be read
+    """
+    with open(require_file(path, "a file of lines", REPAIR), "rb") as file:
+        for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), 1):
+            if len(line) == LONGEST_LINE and not line.endswith(b"\n"):
+                raise Problem(f"{path}:{number}", f"a line of at most {LONGEST_LINE} bytes", "a longer one", REPAIR)
+            yield number, line
 
 
 class Store:
@@ -93,7 +116,7 @@ class Store:
     def dataset(self):
         """dataset.json as a Dataset. Raises Problem if it is missing, damaged or of another schema version."""
         path = self.folder / "dataset.json"
-        if not path.exists():
+        if not os.path.lexists(path):
             raise Problem(self.folder, "a dataset (dataset.json)", "none", "make one with: python -m factory render JOB --out DIR")
         try:
             version = read(path, _Version).version
@@ -105,8 +128,15 @@ class Store:
         raise Problem(path, f"schema version {VERSION}", str(version), "read it with the program version that wrote it")
 
     def record_files(self, kind="records"):
-        """The files of one kind of lines, one a worker, in order of name."""
-        return sorted((self.folder / kind).glob("*.jsonl"))
+        """The files of one kind of lines, one a worker, in order of name. Raises Problem where their folder is none."""
+        folder = self.folder / kind
+        try:
+            names = os.listdir(folder)
+        except FileNotFoundError:
+            return []
+        except OSError as error:  # a file, links in a circle, no permission: never to be taken for an empty folder
+            raise Problem(folder, f"a folder of {kind}", str(error.strerror or error).lower(), REPAIR) from None
+        return [folder / name for name in sorted(names) if name.endswith(".jsonl")]
 
     def records(self, keep=None):
         """Each Record, file after file; keep(record) filters. Raises Problem at a line that no writer can have left."""
@@ -136,24 +166,22 @@ class Store:
     def failures(self):
         """Every Failure written down."""
         for path in sorted(self.folder.glob("failures*.jsonl")):
-            with open(path, "rb") as lines:
-                for number, line in enumerate(lines, 1):
-                    if line.endswith(b"\n"):
-                        yield _line(line, Failure, f"{path}:{number}", "delete this file: it only says what went wrong")
+            for number, line in lines_of(path):
+                if line.endswith(b"\n"):
+                    yield _line(line, Failure, f"{path}:{number}", "delete this file: it only says what went wrong")
 
     def _decoded(self, type_, kind):
         decoder = msgspec.json.Decoder(type_)
         for path in self.record_files(kind):
-            with open(path, "rb") as lines:
-                for number, line in enumerate(lines, 1):
-                    if not line.endswith(b"\n"):
-                        break  # torn by a kill: its shot counts as not made
-                    try:
-                        record = decoder.decode(line)
-                    except (msgspec.DecodeError, UnicodeDecodeError):
-                        remedy = f"python -m factory verify {self.folder} --repair, then render the same jobs again"
-                        record = _line(line, type_, f"{path}:{number}", remedy)
-                    yield record
+            for number, line in lines_of(path):
+                if not line.endswith(b"\n"):
+                    break  # torn by a kill: its shot counts as not made
+                try:
+                    record = decoder.decode(line)
+                except (msgspec.DecodeError, UnicodeDecodeError):
+                    remedy = f"python -m factory verify {self.folder} --repair, then render the same jobs again"
+                    record = _line(line, type_, f"{path}:{number}", remedy)
+                yield record
 
     def write_json(self, name, value, worker="main"):
         """Write a small JSON file by way of partial/."""

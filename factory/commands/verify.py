@@ -1,6 +1,7 @@
-"""`verify DIR`: is every record there once, every file whole, every normal unit, and nothing shared between training and test?"""
+"""`verify DIR`: is every record there once, the one that its id means, every file whole and possible, nothing shared between sides?"""
 
 import sys
+from contextlib import contextmanager
 
 from manifests.problems import Problem
 
@@ -11,11 +12,13 @@ def register(subparsers):
     """Add the parser of `verify`."""
     parser = subparsers.add_parser(
         "verify",
-        help="check a dataset: records, files, hashes, normals, splits",
-        description="Check datasets. With several folders, also that nothing one trains on is what another tests on.",
+        help="check a dataset: records, ids, files, hashes, contents, splits",
+        description="Check datasets: every line against its id, which is a hash of all that determines a picture; every file against "
+        "its hash; every picture, normal and light map against what it can be. With several folders, also that nothing one trains on "
+        "is what another tests on. Exit status: 0 clean, or repaired; 1 faults, or faults that only a person can mend.",
     )
     parser.add_argument("folders", nargs="+", metavar="DIR", help="a dataset's folder")
-    parser.add_argument("--quick", action="store_true", help="records only: seconds, even for 720,000; no file is opened")
+    parser.add_argument("--quick", action="store_true", help="records only: seconds, even for 720,000; no picture is opened")
     parser.add_argument("--repair", action="store_true", help="take broken records and stray files away; `render` then makes them again")
     parser.set_defaults(run=run)
 
@@ -25,79 +28,96 @@ def run(options):
     from manifests.store import Store
     from manifests.verification import shared_between
 
-    dirty = 0
+    dirty, datasets = 0, {}
     for folder in options.folders:
-        dirty += _one(folder, options)
-    for kind, name, where, other, there in shared_between({f: Store(f).dataset() for f in options.folders}):
+        try:
+            dirty += not _is_clean(folder, options)
+            datasets[folder] = Store(folder).dataset()
+        except (Problem, OSError) as error:
+            print(f"factory: {error}", file=sys.stderr)
+            dirty += 1
+    for kind, name, where, other, there in shared_between(datasets):
         print(f"{kind} '{name}' of {where} and '{other}' of {there}: one side expected, found training in one and test in the other")
         dirty += 1
     return 1 if dirty else 0
 
 
-def _one(folder, options):
-    """Report on one folder; the number of faults that remain."""
-    from manifests import lock
+def _is_clean(folder, options):
+    """Report on one folder; True if it is clean, or was mended."""
+    from factory.fingerprint import render_fingerprint
     from manifests.store import Store
-    from manifests.verification import repair, summary
+    from manifests.verification import Verification, repair, summary
 
     store = Store(folder)
-    store.dataset()
-    with lock.writing(folder, patience=0):
-        faults, count = _faults(store, options.quick)
+    verification = Verification(store, render_fingerprint(), reference_light)
+    with _held(store, options.repair):
+        faults = _faults(verification, options.quick)
         for fault in faults[:SHOWN]:
             print(f"{folder}: {fault.text}", file=sys.stderr)
         if len(faults) > SHOWN:
             print(f"{folder}: … and {len(faults) - SHOWN} more", file=sys.stderr)
         if not faults:
-            print(f"{folder}: {count} records, clean{' (files not opened)' if options.quick else ''}")
-            return 0
-        records, orphans, others = summary(faults)
-        print(f"{folder}: {count} records; {records} faults in records, {orphans} stray files, {others} others")
+            print(f"{folder}: {_counted(verification)}, clean{' (files not opened)' if options.quick else ''}")
+            return True
+        records, strays, others = summary(faults)
+        print(f"{folder}: {verification.count} records; {records} faults in records, {strays} stray files, {others} others")
         if not options.repair:
-            raise Problem(
-                folder, "a clean dataset", f"{len(faults)} faults", "verify --repair takes broken records away, render makes them again"
-            )
+            remedy = "verify --repair takes what is broken away, render makes it again"
+            print(f"factory: {Problem(folder, 'a clean dataset', f'{len(faults)} faults', remedy)}", file=sys.stderr)
+            return False
         removed, unlinked = repair(store, faults)
-        print(f"{folder}: {removed} records and {unlinked} stray files taken away; run the same `render` again")
-        return 0
+        left = sum(not fault.mendable for fault in faults)
+        print(f"{folder}: {removed} lines and {unlinked} files taken away; run the same `render` again")
+        if left:
+            print(f"{folder}: {left} faults are not for --repair: the same `render` or a copy of the folder may mend them", file=sys.stderr)
+        return not left
 
 
-def _faults(store, quick):
-    """All faults, and how many records there are."""
-    from itertools import chain
+def _counted(verification):
+    """How many records and views there are, and how many the orders ask for where it is more."""
+    planned = sum(order.shots for order in verification.dataset.orders)
+    owed = f" of at most {planned} that its orders ask for" if planned > verification.count else ""
+    return f"{verification.count} records{owed}"
 
+
+def _faults(verification, quick):
+    """All faults."""
     from tqdm import tqdm
 
-    from manifests.verification import faults_in_files, faults_in_records
-
-    faults = list(faults_in_records(store))
-    condemned = {f.record for f in faults if f.record}
-    if any(f.record is None and ".jsonl:" in f.text for f in faults):
-        return faults, 0  # a line that is no record: the files behind it cannot be told from orphans
-    count = len(store.ids()) + len(store.ids("views"))
+    faults = list(verification.in_records())
     if not quick:
-        with tqdm(total=count, desc=f"verifying {store.folder}", unit="record", leave=False, delay=1.0) as bar:
-            records = (line for line in chain(store.records(), store.views()) if line.id not in condemned)
-            faults += faults_in_files(store, records, geometry_faults, bar.update)
-    return faults, count
+        what = f"verifying {verification.store.folder}"
+        with tqdm(total=verification.count, desc=what, unit="record", leave=False, delay=1.0) as bar:
+            faults += verification.in_files(bar.update)
+    return faults
 
 
-def geometry_faults(path, record):
-    """What is wrong with a geometry file: normals not unit or turned away, a mask that is not the record's, too many segments."""
-    import numpy as np
+@contextmanager
+def _held(store, repair):
+    """Hold the folder's lock, so that no run writes meanwhile; a folder that nobody can write to is read without it."""
+    from manifests import lock
+    from manifests.verification.strays import kind_of
 
-    from manifests.arrays import read_geometry
+    if repair:
+        for path in store.folder.glob(".lock*"):
+            if kind_of(path) != "a file":  # a link, a pipe: it would be opened
+                path.rmdir() if kind_of(path) == "a folder" else path.unlink()
+    elif kind_of(store.folder / ".lock") not in ("a file", None):  # its fault is listed with the others
+        yield
+        return
+    with lock.writing(store.folder, patience=0):
+        yield
 
-    geometry = read_geometry(path)
-    normals, mask, segments = geometry.normals, geometry.mask, geometry.segments
-    if mask.shape != tuple(record.camera.size):
-        return [f"{path.name}: size {record.camera.size} expected, found {mask.shape}"]
-    found = []
-    lengths = np.linalg.norm(normals[mask].astype(np.float64), axis=-1)
-    if lengths.size and not np.abs(lengths - 1).max() <= 1e-3:
-        found.append(f"{path.name}: unit normals expected, found lengths {lengths.min():.4f}–{lengths.max():.4f}")
-    if abs(mask.mean() - record.coverage) > 1e-5:
-        found.append(f"{path.name}: coverage {record.coverage:.6f} expected, found {mask.mean():.6f}")
-    if segments.max(initial=0) > record.segments:
-        found.append(f"{path.name}: segments up to {record.segments} expected, found {segments.max()}")
-    return found
+
+def reference_light(name, hash_):
+    """(L, scale) of a light as the program makes it itself; None for a name or a hash that it does not know."""
+    from factory.lights.catalogue import load
+    from factory.lights.files import is_light_path
+
+    if is_light_path(name):  # a name out of a manifest is no path to be opened
+        return None
+    try:
+        light = load(name)
+    except (Problem, OSError):
+        return None
+    return (light.L64, light.scale) if light.hash == hash_ else None

@@ -102,14 +102,13 @@ def entry(source, fit, sphere=None):
     ]
     mixture = MixtureData(**fit.mixture.to_json(recipe.DIGITS))
     label = tuple(map(float, fit.label.ravel()))
-    digest = hashlib.sha256(msgspec.json.encode([label, mixture])).hexdigest()[:16]
     return Entry(
         name=source.name,
         family=source.family,
         source=source.source,
         licence=source.licence,
         split=source.split,
-        hash=digest,
+        hash=catalogue.material_hash(label, mixture),
         errors=Errors(*distances),
         label=label,
         mixture=mixture,

@@ -44,7 +44,7 @@ class Studio:
 
     def geometry(self):
         segments = self._mask.astype(np.uint8)
-        return SimpleNamespace(normals=self._normals, mask=self._mask, depth=self._normals[..., 2] * 0, segments=segments)
+        return SimpleNamespace(normals=self._normals, mask=self._mask, depth=-self._normals[..., 2], segments=segments)
 
     def picture(self, samples, seed, tier="direct"):
         name = self._mesh.name

@@ -10,20 +10,18 @@ import pytest
 from tetrahedron import FAKE, HERE
 
 from factory.assets import resolve
-from factory.commands.verify import geometry_faults
 from factory.run import Manner, carry_out, planned
 from manifests import exr
-from manifests.arrays import encode_geometry, read_geometry, read_light
+from manifests.arrays import encode_geometry, read_geometry, read_light, read_scale
 from manifests.materials import read_catalogue
 from manifests.problems import Problem
 from manifests.schema import Camera, Job
 from manifests.store import Store, file_hash
-from manifests.verification import faults_in_files, faults_in_records, repair
+from manifests.verification import Verification, faults_of, repair
 
 
 def faults(folder):
-    store = Store(folder)
-    return [*faults_in_records(store), *faults_in_files(store, store.records(), geometry_faults)]
+    return faults_of(Store(folder))
 
 
 def bytes_of(folder, kind):
@@ -130,7 +128,7 @@ def test_damaged_geometry_whose_records_are_all_there_is_found_and_healed_by_ver
     emptied(folder / sorted(bytes_of(folder, "geometry"))[1])
     found = faults(folder)
     assert len(found) == 3 and all("geometry" in fault.text for fault in found)
-    assert repair(Store(folder), found) == (3, 0)
+    assert repair(Store(folder), found) == (3, 4)  # with their pictures and the geometry
     assert render(job, folder).made == 3
     assert faults(folder) == []
 
@@ -206,7 +204,7 @@ def test_a_damaged_light_map_is_not_taken_for_the_right_one_where_no_dataset_say
 def test_a_map_that_another_machine_rounded_otherwise_stays(render, begun):
     folder, job = begun
     (path,) = (folder / "lights").iterdir()
-    np.savez_compressed(path, L=np.nextafter(read_light(path), np.float32(np.inf)), scale=1.0)
+    np.savez_compressed(path, L=np.nextafter(read_light(path), np.float32(np.inf)), scale=read_scale(path))
     rounded = path.read_bytes()
     (folder / "dataset.json").unlink()
     render(job, folder)
@@ -257,7 +255,7 @@ def test_a_damaged_record_in_the_middle_is_healed_as_its_message_says(render, be
     path.write_bytes(b"".join([*lines[:2], b"damaged\n", *lines[3:]]))
     with pytest.raises(Problem, match=r"worker-00\.jsonl:3.*verify .*--repair"):
         render(job, folder)
-    repair(Store(folder), list(faults_in_records(Store(folder))))
+    repair(Store(folder), list(Verification(Store(folder)).in_records()))
     repair(Store(folder), faults(folder))
     assert render(job, folder).made == len(DAMAGES) + 2
     assert faults(folder) == []

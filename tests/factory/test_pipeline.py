@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from tetrahedron import TETRAHEDRON
 
-from factory.commands.verify import geometry_faults
 from factory.contact_sheet import labelled, stored_light
 from factory.forecast import expected_events, probe_shots, probed
 from factory.run import Manner, carry_out, planned
@@ -18,7 +17,7 @@ from manifests.arrays import read_geometry, read_picture
 from manifests.materials import load_catalogue
 from manifests.schema import Camera, Job
 from manifests.store import Store
-from manifests.verification import faults_in_files, faults_in_records
+from manifests.verification import faults_of
 from shaders import dsbrdf, envmap
 from shaders.frames import camera_from_light
 
@@ -52,7 +51,7 @@ def made(catalogue, light_file, tmp_path_factory):
 
 @blender
 def test_the_folder_verifies(made):
-    assert [f.text for f in (*faults_in_records(made), *faults_in_files(made, made.records(), geometry_faults))] == []
+    assert [f.text for f in faults_of(made)] == []
 
 
 @blender

@@ -10,11 +10,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from factory.commands.verify import geometry_faults
 from manifests import lock
 from manifests.problems import Problem
 from manifests.store import Store
-from manifests.verification import faults_in_files, faults_in_records
+from manifests.verification import faults_of
 
 HERE = Path(__file__).resolve().parent
 SLOW = {"FAKE_STUDIO": "slow", "PYTHONPATH": f"{HERE}{os.pathsep}{HERE.parent.parent}"}
@@ -22,7 +21,7 @@ SLOW = {"FAKE_STUDIO": "slow", "PYTHONPATH": f"{HERE}{os.pathsep}{HERE.parent.pa
 
 def faults(folder):
     store = Store(folder)
-    return [f.text for f in faults_in_records(store)] + [f.text for f in faults_in_files(store, store.records(), geometry_faults)]
+    return [f.text for f in faults_of(store)]
 
 
 def ids(folder):

@@ -4,12 +4,11 @@ import msgspec
 import pytest
 
 from factory.commands.status import counted
-from factory.commands.verify import geometry_faults
 from manifests.arrays import read_geometry
 from manifests.schema import Draw, View
 from manifests.splits import light_side
 from manifests.store import Store
-from manifests.verification import faults_in_files, faults_in_records, repair
+from manifests.verification import faults_of, repair
 
 
 @pytest.fixture
@@ -19,9 +18,7 @@ def views_job(small_job):
 
 
 def faults(folder):
-    store = Store(folder)
-    lines = [*store.records(), *store.views()]
-    return [*faults_in_records(store), *faults_in_files(store, lines, geometry_faults)]
+    return faults_of(Store(folder))
 
 
 def rewrite(store, **changes):
@@ -92,20 +89,19 @@ def test_a_view_that_does_not_fit_is_found_and_repair_lets_it_be_made_again(rend
     path, side = store.record_files("views")[0], next(store.views()).side
     good = path.read_bytes()
     for changes, message in (
-        ({"side": "train" if side == "test" else "test"}, f"1 segments, side {side} expected, found"),
-        ({"segments": 4}, "1 segments"),
-        ({"shape": "ball"}, "shape 'ball' in dataset.json expected, found none"),
-        ({"geometry": "../away.exr"}, "a path inside the dataset's folder expected"),
+        ({"side": "train" if side == "test" else "test"}, f"with side {side} expected, found"),
+        ({"segments": 4}, "with segments 1 expected, found 4"),
+        ({"shape": "ball"}, "expected, found ball"),
+        ({"viewpoint": 5}, "the hash of what it says, expected"),
+        ({"geometry": "../away.exr"}, "expected, found ../away.exr"),
         ({"coverage": 0.9}, "coverage 0.900000 expected"),
         ({"geometry_hash": "0" * 64}, "the file was altered"),
     ):
         path.write_bytes(good)
         rewrite(store, **changes)
-        found = [*faults_in_records(store)]
-        condemned = {f.record for f in found}
-        found += faults_in_files(store, [v for v in store.views() if v.id not in condemned], geometry_faults)
+        found = faults_of(store)
         assert any(message in f.text for f in found), (changes, [f.text for f in found])
-    assert repair(store, found) == (1, 0)
+    assert repair(store, found) == (1, 1)
     assert render(views_job, tmp_path).made == 1
     assert faults(tmp_path) == []
 
@@ -117,4 +113,4 @@ def test_a_light_on_the_wrong_side_is_found(render, views_job, tmp_path):
     (name, entry), *_ = dataset.lights.items()
     wrong = "train" if entry.side == "test" else "test"
     store.write_json("dataset.json", msgspec.structs.replace(dataset, lights={name: msgspec.structs.replace(entry, side=wrong)}))
-    assert f"light '{name}' on side {entry.side} expected, found {wrong}" in faults(tmp_path)[0].text
+    assert f"light '{name}': side {entry.side} by its hash expected, found {wrong}" in faults(tmp_path)[0].text

@@ -1,5 +1,6 @@
 """Small datasets whose pictures are computed here instead of in Cycles: a sphere, known materials, known light, known noise."""
 
+import hashlib
 import io
 
 import msgspec
@@ -15,6 +16,7 @@ from shaders import envmap, frames
 from shaders.mixture import Mixture
 
 ALBEDO = 0.4
+GEOMETRY = "9" * 24  # id of the one geometry file
 
 
 def matte(name="matte", albedo=ALBEDO):
@@ -26,16 +28,18 @@ def matte(name="matte", albedo=ALBEDO):
 
 def entry(name, m, mixture):
     distance = catalogue.Distance(l1=(0.0,) * 6, display_l2=(0.0, 0.0, 0.0))
+    label = tuple(np.log(m).reshape(-1).tolist())
+    data = msgspec.convert(mixture.to_json(digits=12), catalogue.MixtureData)
     return catalogue.Entry(
         name=name,
         family="test",
         source="computed",
         licence="CC0",
         split="train",
-        hash=name,
+        hash=catalogue.material_hash(label, data),
         errors=catalogue.Errors(nodes_vs_label=distance, nodes_vs_source=distance, label_vs_source=distance),
-        label=tuple(np.log(m).reshape(-1).tolist()),
-        mixture=msgspec.convert(mixture.to_json(digits=12), catalogue.MixtureData),
+        label=label,
+        mixture=data,
     )
 
 
@@ -73,7 +77,7 @@ def write_dataset(folder, materials, rng, size=24, seeds=2, noise=0.02, rotation
         normals = np.where(mask[..., None], normals, 0)
     geometry = {f"normal.{axis}": normals[..., k] for k, axis in enumerate("XYZ")}
     geometry |= {"depth.Z": normals[..., 2], "segment": mask.astype(np.uint32)}
-    store.place(geometry_path("geometry"), exr.encode(geometry), "test")
+    store.place(geometry_path(GEOMETRY), exr.encode(geometry), "test")
     lines = Lines(store.folder / "records" / "worker-00.jsonl")
     for each in materials:
         for turn in rotations:
@@ -89,14 +93,20 @@ def write_dataset(folder, materials, rng, size=24, seeds=2, noise=0.02, rotation
     return store
 
 
+def id_of(text):
+    """An id of the right form that depends on the text alone."""
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
 def write_record(store, material, turn, tier, seed, picture, mask, camera):
-    id_ = f"{material}-{turn:03d}-{tier}-{seed}"
+    order = f"{material[:4].ljust(4).encode().hex()}{turn:03d}{ord(tier[0]):02x}{seed:02d}"
+    id_ = (order + id_of(f"{material} {tier}"))[:24]  # ids sort as material, rotation, tier and seed
     channels = {name: picture[..., k].astype(np.float16) for k, name in enumerate("RGB")}
     digest = store.place(image_path(id_), exr.encode(channels), "test")
     return Record(
         id=id_,
         shape="sphere",
-        shape_hash="s" * 64,
+        shape_hash="5" * 64,
         category="primitive",
         viewpoint=0,
         azimuth_deg=0.0,
@@ -111,8 +121,8 @@ def write_record(store, material, turn, tier, seed, picture, mask, camera):
         seed=seed,
         image=image_path(id_),
         image_hash=digest,
-        geometry=geometry_path("geometry"),
-        geometry_hash="g" * 64,
+        geometry=geometry_path(GEOMETRY),
+        geometry_hash="6" * 64,
         split="train",
         statistics=Statistics(coverage=float(mask.mean()), mean=float(picture[mask].mean()), max=float(picture[mask].max())),
         seconds=0.0,

@@ -18,7 +18,7 @@ from shaders import envmap
 def store(tmp_path, rng):
     """A sphere from one view, in records."""
     store = synthetic.write_dataset(tmp_path, [synthetic.matte()], rng, seeds=1, rotations=(0,))
-    shape = ShapeEntry(hash="s" * 64, category="primitive", side="test", role="test", segments=1, licence="")
+    shape = ShapeEntry(hash="5" * 64, category="primitive", side="test", role="test", segments=1, licence="")
     store.write_json("dataset.json", msgspec.structs.replace(store.dataset(), shapes={"sphere": shape}))
     return store
 
@@ -26,7 +26,7 @@ def store(tmp_path, rng):
 def as_view(record, **changes):
     """The View of a record's geometry."""
     shared = {key: getattr(record, key) for key in View.__struct_fields__ if key not in ("side", "id")}
-    return View(**{**shared, "id": "v" * 24, "side": "test", **changes})
+    return View(**{**shared, "id": "8" * 24, "side": "test", **changes})
 
 
 def append(store, view):
@@ -60,7 +60,7 @@ def test_views_and_records_of_one_geometry_file_are_one_view(store):
 
 def test_a_new_view_makes_the_pack_anew(store):
     assert len(Geometry(store.folder, progress=False)) == 1
-    append(store, as_view(next(store.records()), viewpoint=3, geometry_hash="h" * 64))
+    append(store, as_view(next(store.records()), viewpoint=3, geometry_hash="7" * 64))
     geometry = Geometry(store.folder, progress=False)
     assert len(geometry) == 2
     np.testing.assert_array_equal(geometry.normals(0), geometry.normals(1))

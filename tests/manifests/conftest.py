@@ -5,6 +5,7 @@ import pytest
 
 from manifests.schema import Camera, Dataset, LightEntry, MaterialEntry, Record, ShapeEntry, Statistics
 from manifests.store import Lines, Store, file_hash, geometry_path, image_path
+from tests.manifests.whole_dataset import JOB, entry, write_dataset
 
 
 @pytest.fixture
@@ -66,6 +67,20 @@ def a_dataset(tmp_path, a_record):
     return store
 
 
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory):
+    """A function (segments=1, **changes of the job): the folder of a whole data set, made once; copy it before you change it."""
+    made = {}
+
+    def folder(segments=1, **changes):
+        job = msgspec.structs.replace(JOB, **changes)
+        if (segments, job) not in made:
+            made[segments, job] = write_dataset(tmp_path_factory.mktemp("whole") / "data", job, segments).folder
+        return made[segments, job]
+
+    return folder
+
+
 def hash_of_matte(store):
     from manifests.materials import read_catalogue
 
@@ -74,18 +89,6 @@ def hash_of_matte(store):
 
 def write_materials(store):
     """materials.json with one material of plain numbers."""
-    from manifests.materials import Catalogue, Distance, Entry, Errors, MixtureData, encode
+    from manifests.materials import Catalogue, encode
 
-    nothing = Distance(l1=(0.0,) * 6)
-    matte = Entry(
-        name="matte",
-        family="test",
-        source="",
-        licence="",
-        split="train",
-        hash="3" * 64,
-        errors=Errors(nothing, nothing, nothing),
-        label=(0.0,) * 108,
-        mixture=MixtureData(("diffuse",), (0.0,), ((0.0,),), ((0.0,),), (((1.0, 1.0, 1.0),),)),
-    )
-    store.place("materials.json", encode(Catalogue(title="", credit="", materials=(matte,))), "t")
+    store.place("materials.json", encode(Catalogue(title="", credit="", materials=(entry("matte", 0.0),))), "t")

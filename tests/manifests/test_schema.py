@@ -58,7 +58,7 @@ def test_a_missing_key_is_named():
 
 
 def test_records_of_another_make_are_refused():
-    assert "a known key expected, found 'flavour'" in refused({"id": "x", "flavour": 1}, Record)
+    assert "a known key expected, found 'flavour'" in refused({"id": "0" * 24, "flavour": 1}, Record)
     assert "the key 'id' expected" in refused({}, Record)
 
 
@@ -93,7 +93,7 @@ def test_a_missing_or_huge_file_is_refused_before_it_is_read(tmp_path):
         read(tmp_path, Job)
     with open(tmp_path / "huge.json", "wb") as file:
         file.truncate(10 << 20)
-    with pytest.raises(Problem, match="at most 1.0 MiB"):
+    with pytest.raises(Problem, match=r"at most 1\.0 MiB"):
         read(tmp_path / "huge.json", Job, 1 << 20)
 
 
@@ -115,4 +115,4 @@ def test_the_presets_that_the_program_promises_are_there():
 
 
 def test_a_record_written_and_read_is_the_same(a_record):
-    assert msgspec.json.decode(msgspec.json.encode(a_record("ab")), type=Record) == a_record("ab")
+    assert msgspec.json.decode(msgspec.json.encode(a_record("ab" * 12)), type=Record) == a_record("ab" * 12)

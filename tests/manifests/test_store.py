@@ -182,7 +182,7 @@ def test_a_repair_leaves_its_draft_where_it_is_swept(a_dataset, monkeypatch):
     drafts = []
     monkeypatch.setattr(os, "replace", die)
     with pytest.raises(Killed):
-        repair(a_dataset, [Fault("damaged", f"{1:024x}")])
+        repair(a_dataset, [Fault("damaged", f"{1:024x}", (a_dataset.record_files()[0], 2))])
     monkeypatch.undo()
     assert [draft.parent for draft in drafts] == [a_dataset.folder / "partial"]
     assert len(a_dataset.ids()) == 3

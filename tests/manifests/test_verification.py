@@ -1,117 +1,631 @@
-"""verify finds every kind of damage, names the record, and repair leaves a clean folder behind."""
+"""verify finds every kind of damage and tells which side was altered; repair leaves what the same render completes."""
+
+import os
+import shutil
 
 import msgspec
+import numpy as np
 import pytest
 
-from manifests.schema import Record
-from manifests.store import Lines, geometry_path, image_path
-from manifests.verification import faults_in_files, faults_in_records, repair, shared_between
-
-ID = f"{1:024x}"
-
-
-def faults(store, normals=()):
-    found = list(faults_in_records(store))
-    condemned = {f.record for f in found}
-    return found + list(faults_in_files(store, store.records(lambda r: r.id not in condemned), lambda path, record: normals))
+from manifests import arrays, ids
+from manifests.materials import encode, read_catalogue
+from manifests.problems import Problem
+from manifests.schema import Camera, Draw, Record
+from manifests.store import Store, file_hash, geometry_path, image_path
+from manifests.verification import Fault, Verification, faults_of, repair, shared_between, summary
+from tests.manifests.whole_dataset import JOB, RENDER, hash_of
 
 
-def texts(store, normals=()):
-    return "\n".join(f.text for f in faults(store, normals))
+@pytest.fixture
+def store(whole, tmp_path):
+    """A whole data set of two shapes, two materials, two views: eight records."""
+    shutil.copytree(whole(), tmp_path / "data")
+    return Store(tmp_path / "data")
 
 
-def rewrite(store, **changes):
-    path = store.record_files()[0]
-    records = [msgspec.json.decode(line, type=Record) for line in path.read_bytes().splitlines()]
-    records = [msgspec.structs.replace(r, **changes) if r.id == ID else r for r in records]
-    path.write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in records))
+def texts(store):
+    return [fault.text for fault in faults_of(store)]
 
 
-def test_a_good_folder_has_no_faults(a_dataset):
-    assert faults(a_dataset) == []
+def lines(store, kind="records"):
+    """Every line of a kind, decoded."""
+    return list(store.records() if kind == "records" else store.views())
+
+
+def rewrite(store, change, kind="records"):
+    """Puts change(index, line) in the place of each line."""
+    (path,) = store.record_files(kind)
+    path.write_bytes(b"".join(msgspec.json.encode(change(k, line)) + b"\n" for k, line in enumerate(lines(store, kind))))
+
+
+def alter(store, kind="records", **changes):
+    """Changes fields of the first line."""
+    rewrite(store, lambda k, line: msgspec.structs.replace(line, **changes) if k == 0 else line, kind)
+    return lines(store, kind)[0]
+
+
+def alter_entry(store, kind, name, **changes):
+    """Changes fields of an entry of dataset.json."""
+    dataset = store.dataset()
+    entries = getattr(dataset, kind)
+    altered = {**entries, name: msgspec.structs.replace(entries[name], **changes)}
+    store.write_json("dataset.json", msgspec.structs.replace(dataset, **{kind: altered}))
+
+
+def replace_file(store, relative, data):
+    """Another content under a file's name, and its hash in every line and entry that names it."""
+    store.place(relative, data, "t")
+    digest = file_hash(store.folder / relative)
+
+    def renamed(_, line):
+        for key in ("image", "geometry"):
+            if getattr(line, key, None) == relative:
+                line = msgspec.structs.replace(line, **{f"{key}_hash": digest})
+        return line
+
+    for kind in ("records", "views"):
+        if store.record_files(kind):
+            rewrite(store, renamed, kind)
+    for name, entry in store.dataset().lights.items():
+        if entry.file == relative:
+            alter_entry(store, "lights", name, file_hash=digest)
+
+
+@pytest.mark.parametrize(
+    ("segments", "changes"),
+    [
+        (1, {}),
+        (3, {"camera": Camera(size=(12, 18), fov_deg=50.0, pixel="centre"), "tiers": ("direct", "full"), "repeats": 2}),
+        (2, {"views": Draw(random=3), "rotations": Draw(random=2), "light_resolutions": ("64x128", "full")}),
+        (2, {"pictures": False, "views": Draw(random=5)}),
+    ],
+)
+def test_a_whole_data_set_has_no_faults(whole, segments, changes):
+    store = Store(whole(segments, **changes))
+    assert texts(store) == []
+    assert Verification(store, "another program").in_records() is not None
+
+
+def test_ids_are_those_of_the_first_data_sets():
+    """Of a record of the preset `smallest`, as it was rendered before these functions had one home."""
+    shape = "cfa53937b29b7a149d69748bb2e077f37292aa0a3a63e3e5080c76b92bcca433"
+    light = "9e42abcd2fa3231e5c2485ca6dd64800534d157b7194ab7fe9cc3bf5a56d0256"
+    nickel = next(e for e in read_catalogue("manifests/materials.json").materials if e.name == "nickel").hash
+    render, camera = "86a5152639f121a2", ids.camera_words(Camera(size=(48, 48)))
+    for view, seed, id_, geometry in (
+        (0, 766045821, "81c6a2ee94ad16fb1e869fd6", "4580ea429d8310542957d50d"),
+        (6, 1613729961, "fd28eae35e5414257119396c", "6d1978fedb41c17fe2f36569"),
+    ):
+        key = ids.combination_key(shape, [nickel], light, 0)
+        word, _, _ = ids.draws(JOB, key)
+        assert ids.shot_seed(word, ids.shot_place(view, 0, "direct", "64x128", 0)) == seed
+        shared = ids.shots_digest(render, shape, (nickel,), light, camera, 16)
+        assert ids.shot_id(shared, view, 0, "direct", "64x128", seed) == id_
+        assert ids.geometry_id(shape, camera, view, render) == geometry
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"shape_hash": "6" * 64},
+        {"viewpoint": 7},
+        {"camera": Camera(size=(16, 16), elevation_deg=21.0)},
+        {"camera": Camera(size=(16, 16), fov_deg=30.0)},
+        {"camera": Camera(size=(16, 16), half_extent=1.03)},
+        {"camera": Camera(size=(16, 16), pixel="centre")},
+        {"materials": ("grey",)},
+        {"materials": ("matte", "matte")},
+        {"light_hash": "6" * 64},
+        {"rotation_texels": 4},
+        {"tier": "direct"},
+        {"light_resolution": "full"},
+        {"samples": 5},
+        {"seed": 1},
+        {"id": "0" * 24},
+    ],
+)
+def test_whatever_determines_a_picture_is_held_against_its_id(store, changes):
+    record = alter(store, **changes)
+    found = list(Verification(store).in_records())
+    assert f"record {record.id}: id" in found[0].text and "the hash of what it says" in found[0].text
+    assert found[0].record == record.id and found[0].line == (store.record_files()[0], 1)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"image": "../../etc/passwd"}, "a path inside the dataset's folder expected"),
-        ({"geometry": "/etc/passwd"}, "a path inside the dataset's folder expected"),
-        ({"image": "images/ab/other.exr"}, "image at images/00"),
+        ({"azimuth_deg": 15.0}, "azimuth 0 of viewpoint 0 expected, found 15"),
+        ({"category": "chair"}, "shape 'ball' with category primitive expected, found chair"),
+        ({"split": "mixed"}, "with split"),
+        ({"shape": "cube"}, "shape 'ball' with name ball expected, found cube"),
+        ({"light": "sun"}, "light 'lamp' with name lamp expected, found sun"),
+        ({"image": "../../etc/passwd"}, "expected, found ../../etc/passwd"),
+        ({"image": "images/ab/other.exr"}, "image at images/"),
+        ({"geometry": "/etc/passwd"}, "expected, found /etc/passwd"),
+        ({"geometry": geometry_path("9" * 24)}, "geometry at geometry/"),
         ({"image_hash": "1" * 64}, "the file was altered"),
-        ({"shape": "cube"}, "shape 'cube' in dataset.json expected, found none"),
-        ({"shape_hash": "6" * 64}, "shape 'sphere' with hash 555555555555 expected, found 666666666666"),
-        ({"light_hash": "6" * 64}, "light 'lamp' with hash"),
-        ({"materials": ("gold",)}, "material 'gold' in dataset.json expected, found none"),
-        ({"materials": ("matte", "matte")}, "1 materials, one a segment, expected, found 2"),
-        ({"split": "test"}, "split train expected, found test"),
+        ({"geometry_hash": "1" * 64}, "the file was altered"),
     ],
 )
-def test_a_record_that_does_not_fit_is_named(a_dataset, changes, message):
-    rewrite(a_dataset, **changes)
-    assert message in texts(a_dataset)
-    assert any(f.record == ID for f in faults(a_dataset))
+def test_a_record_that_does_not_fit_is_condemned_and_no_other(store, changes, message):
+    record = alter(store, **changes)
+    found = faults_of(store)
+    assert any(message in fault.text for fault in found), [fault.text for fault in found]
+    assert {fault.record for fault in found} == {record.id}
 
 
-def test_missing_altered_and_stray_files_are_found(a_dataset):
-    (a_dataset.folder / image_path(ID)).unlink()
-    (a_dataset.folder / image_path(f"{2:024x}")).write_bytes(b"other")
-    (a_dataset.folder / "images" / "00" / "stray.exr").write_bytes(b"")
-    (a_dataset.folder / "lights" / "lamp-777777777777.npz").write_bytes(b"")
-    (a_dataset.folder / "partial" / "worker-00-x.exr").write_bytes(b"")
-    found = texts(a_dataset)
-    assert f"{image_path(ID)}: a file expected, found none" in found
-    assert f"{image_path(f'{2:024x}')}: hash" in found
-    assert "stray.exr: a record that names it expected" in found
-    assert "lamp-777777777777.npz: hash" in found
-    assert "half-written" in found
+def test_figures_of_every_record_are_held_against_its_picture_and_its_geometry(store):
+    """Not only those of the first record of a geometry file."""
+    def change(k, record):
+        statistics = record.statistics
+        changes = {1: {"coverage": 0.5}, 2: {"mean": statistics.mean * 1.01}, 4: {"max": statistics.max * 1.01}}.get(k, {})
+        return msgspec.structs.replace(record, statistics=msgspec.structs.replace(statistics, **changes))
+
+    rewrite(store, change)
+    found = [fault for fault in faults_of(store) if fault.record]
+    assert [fault.line[1] for fault in found] == [2, 2, 3, 5]
+    assert "coverage 0.500000 expected" in found[0].text
+    assert "a mean of" in found[2].text and "a largest value of" in found[3].text
 
 
-def test_a_bad_geometry_condemns_every_record_that_uses_it(a_dataset):
-    (a_dataset.folder / geometry_path("9" * 24)).write_bytes(b"other")
-    assert len({f.record for f in faults(a_dataset)}) == 3
-    assert texts(a_dataset, normals=["unit normals expected"]).count("hash") == 3
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda p, m: np.where(m[..., None], np.float32("nan"), p), "finite radiance"),
+        (lambda p, m: -p, "finite radiance"),
+        (lambda p, m: 0 * p, "a black picture"),
+        (lambda p, m: 2 * p, "a largest value"),
+        (lambda p, m: np.where(m[..., None], p, 0.5), "a black background expected"),
+        (lambda p, m: p[:8], "16 × 16 pixels expected"),
+    ],
+)
+def test_a_picture_that_none_can_be_is_found_though_its_hash_was_written_again(whole, tmp_path, spoil, message):
+    shutil.copytree(whole(camera=Camera(size=(16, 16), pixel="centre")), tmp_path / "data")
+    store = Store(tmp_path / "data")
+    record = lines(store)[0]
+    mask = arrays.read_geometry(store.folder / record.geometry).mask
+    picture = spoil(arrays.read_picture(store.folder / record.image), mask).astype(np.float16)
+    data = arrays.exr.encode({name: picture[..., k] for k, name in enumerate("RGB")})
+    replace_file(store, record.image, data)
+    assert message in "\n".join(texts(store))
 
 
-def test_normals_are_judged_once_a_geometry(a_dataset):
-    assert texts(a_dataset, normals=["unit normals expected"]).count("unit normals expected") == 3
+@pytest.mark.parametrize("channels", ["RGBA", "XYZ", "R"])
+def test_other_channels_are_found(store, channels):
+    record = lines(store)[0]
+    picture = arrays.read_picture(store.folder / record.image).astype(np.float16)
+    data = arrays.exr.encode({name: picture[..., k % 3] for k, name in enumerate(channels)})
+    replace_file(store, record.image, data)
+    assert "channels R" in "\n".join(texts(store))
+
+
+def test_a_type_that_is_not_written_is_found(store):
+    record = lines(store)[0]
+    picture = arrays.read_picture(store.folder / record.image)
+    replace_file(store, record.image, arrays.exr.encode({name: picture[..., k] for k, name in enumerate("RGB")}))
+    assert "channels R float16" in "\n".join(texts(store))
+
+
+def encoded(normals, depth, segments):
+    """A geometry file of numbers as they are, without the rounding of the contract."""
+    channels = {f"normal.{axis}": normals[..., k].astype(np.float32) for k, axis in enumerate("XYZ")}
+    return arrays.exr.encode(channels | {"depth.Z": depth.astype(np.float32), "segment": segments.astype(np.uint32)})
+
+
+@pytest.mark.parametrize("fov", [None, 50.0])
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda n, d, s: (n * [1, 1, -1], d, s), "turned away"),
+        (lambda n, d, s: (n * 0.98, d, s), "unit normals expected"),
+        (lambda n, d, s: (n * 0.5, d, s), "unit normals expected"),
+        (lambda n, d, s: (n, np.where(s > 0, np.nan, 0), s), "finite depth expected"),
+        (lambda n, d, s: (np.full_like(n, np.inf), d, s), "finite normals expected"),
+        (lambda n, d, s: (n, 1.5 * d, s), "inside the unit sphere expected"),
+        (lambda n, d, s: (n, np.where(s > 0, d, 0.25), s), "in the background expected"),
+        (lambda n, d, s: (n, np.where(s > 0, d + 1e-6, 0), s), "depth in steps of 2^-15 expected"),
+        (lambda n, d, s: (n * [-1, 1, 1], d, s), "normals that lean as the depth slopes expected"),
+        (lambda n, d, s: (n * [1, -1, 1], d, s), "normals that lean as the depth slopes expected"),
+        (lambda n, d, s: (n, -d, s), "normals that lean as the depth slopes expected"),
+        (lambda n, d, s: (n, d, s * 2), "segments up to 1 expected, found 2"),
+        (lambda n, d, s: (n, d, s * 256), "segments 0 to 255 expected"),
+        (lambda n, d, s: (n, d, s * 257), "segments 0 to 255 expected"),
+        (lambda n, d, s: (0 * n, 0 * d, 0 * s), "an empty mask"),
+        (lambda n, d, s: (n[:, ::2], d[:, ::2], s[:, ::2]), "32 × 32 pixels expected"),
+    ],
+)
+def test_geometry_that_none_can_be_is_found_though_its_hash_was_written_again(whole, tmp_path, fov, spoil, message):
+    shutil.copytree(whole(camera=Camera(size=(32, 32), fov_deg=fov)), tmp_path / "data")
+    store = Store(tmp_path / "data")
+    record = lines(store)[0]
+    geometry = arrays.read_geometry(store.folder / record.geometry)
+    replace_file(store, record.geometry, encoded(*spoil(*(np.asarray(a, np.float64) for a in geometry))))
+    assert message in "\n".join(texts(store))
+
+
+def test_a_bad_geometry_file_condemns_every_record_that_uses_it_and_is_read_once(store, monkeypatch):
+    (store.folder / lines(store)[0].geometry).write_bytes(b"other")
     calls = []
-    list(faults_in_files(a_dataset, a_dataset.records(), lambda path, record: calls.append(path) or []))
-    assert len(calls) == 1
+    read = arrays.read_geometry
+    monkeypatch.setattr(arrays, "read_geometry", lambda *a, **k: calls.append(a[0]) or read(*a, **k))
+    found = faults_of(store)
+    using = {record.id for record in lines(store) if record.geometry == lines(store)[0].geometry}
+    assert {fault.record for fault in found} == using and len(using) == 2
+    assert len(calls) == len(set(calls)) == 4
 
 
-def test_duplicates_torn_and_foreign_lines_are_found(a_dataset, a_record):
-    lines = Lines(a_dataset.folder / "records" / "worker-01.jsonl")
-    lines.append(a_record(ID))
-    lines.close()
-    with open(a_dataset.folder / "records" / "worker-02.jsonl", "wb") as file:
-        file.write(b'{"id": 3}\n{"id": "abc')
-    found = texts_of_records(a_dataset)
-    assert f"record {ID}: once expected, found again" in found
-    assert "worker-02.jsonl:1: a record expected" in found
-    assert "worker-02.jsonl:2: a whole line expected" in found
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda L, s: {"L": 2 * L, "scale": s}, "unit mean luminance expected"),
+        (lambda L, s: {"L": -L, "scale": s}, "finite radiance ≥ 0 expected"),
+        (lambda L, s: {"L": L, "scale": 2 * s}, "as in dataset.json, expected"),
+        (lambda L, s: {"L": L, "scale": np.float64("nan")}, "a finite scale"),
+        (lambda L, s: {"L": L}, "arrays L, scale alone expected"),
+        (lambda L, s: {"L": L, "scale": s, "more": s}, "arrays L, scale alone expected"),
+        (lambda L, s: {"L": L.astype(np.float64), "scale": s}, "L of float32 expected"),
+        (lambda L, s: {"L": L[:32], "scale": s}, r"(64, 128, 3) expected"),
+    ],
+)
+def test_a_light_map_that_none_can_be_is_found_though_its_hash_was_written_again(store, spoil, message):
+    entry = store.dataset().lights["lamp"]
+    L, scale = arrays.read_light(store.folder / entry.file), np.float64(arrays.read_scale(store.folder / entry.file))
+    replace_file(store, entry.file, arrays.npz_bytes(spoil(L, scale)))
+    assert message in "\n".join(texts(store))
 
 
-def texts_of_records(store):
-    return "\n".join(f.text for f in faults_in_records(store))
+def test_a_light_that_the_program_knows_is_compared_with_it(store):
+    entry = store.dataset().lights["lamp"]
+    L = arrays.read_light(store.folder / entry.file)
+    known = {("lamp", hash_of("lamp")): (L * (1 + 1e-6), entry.scale)}  # another machine's rounding
+    assert faults_of(store, reference=lambda *key: known.get(key)) == []
+    replace_file(store, entry.file, arrays.encode_light(np.roll(L, 1, axis=1), entry.scale))
+    assert faults_of(store) == []  # another light, as good as the first, to whoever does not know it
+    assert "found another" in faults_of(store, reference=lambda *key: known.get(key))[0].text
 
 
-def test_repair_takes_away_what_is_broken_and_nothing_else(a_dataset):
-    (a_dataset.folder / image_path(ID)).unlink()
-    (a_dataset.folder / "images" / "00" / "stray.exr").write_bytes(b"")
-    assert repair(a_dataset, faults(a_dataset)) == (1, 1)
-    assert faults(a_dataset) == []
-    assert a_dataset.ids() == {f"{0:024x}", f"{2:024x}"}
+@pytest.mark.parametrize("own_hash", [False, True])
+@pytest.mark.parametrize("what", ["label", "mixture"])
+def test_a_changed_label_or_mixture_is_found(store, what, own_hash):
+    path = store.folder / "materials.json"
+    catalogue = read_catalogue(path)
+    matte = catalogue.materials[0]
+    label = (matte.label[0] + 1e-9, *matte.label[1:])
+    mixture = msgspec.structs.replace(matte.mixture, stops=(1e-9,))
+    altered = msgspec.structs.replace(matte, **({"label": label} if what == "label" else {"mixture": mixture}))
+    if own_hash:
+        from manifests.materials import material_hash
+
+        altered = msgspec.structs.replace(altered, hash=material_hash(altered.label, altered.mixture))
+    path.write_bytes(encode(msgspec.structs.replace(catalogue, materials=(altered, *catalogue.materials[1:]))))
+    found = faults_of(store)
+    assert "materials.json: 'matte'" in found[0].text and found[0].entry == ("labels", "matte")
+    assert not any(fault.record for fault in found)
 
 
-def test_a_changed_label_is_found(a_dataset):
-    path = a_dataset.folder / "materials.json"
-    path.write_text(path.read_text().replace("3" * 64, "4" * 64))
-    assert "materials.json: 'matte' with hash 333333333333 expected, found 444444444444" in texts(a_dataset)
+def test_an_altered_entry_is_told_from_altered_records_by_the_ids(store):
+    """Eight records say one thing, dataset.json another: no picture is condemned."""
+    for kind, name, changes, message in (
+        ("shapes", "ball", {"hash": "6" * 64}, "shape 'ball': hash"),
+        ("shapes", "ball", {"category": "chair"}, "category primitive expected, as 4 lines"),
+        ("shapes", "ball", {"segments": 2}, "segments 1 expected, as 4 lines"),
+        ("materials", "matte", {"hash": "6" * 16}, "material 'matte': hash"),
+        ("lights", "lamp", {"hash": "6" * 64}, "light 'lamp': hash"),
+    ):
+        before = store.dataset()
+        alter_entry(store, kind, name, **changes)
+        found = faults_of(store)
+        assert any(message in fault.text and fault.entry == (kind, name) for fault in found), texts(store)
+        assert not any(fault.record for fault in found)
+        store.write_json("dataset.json", before)
 
 
-def test_what_trains_here_and_tests_there_is_found(a_dataset):
-    ours = a_dataset.dataset()
-    other = {"ball": msgspec.structs.replace(ours.shapes["sphere"], side="test", role="test")}
-    theirs = msgspec.structs.replace(ours, shapes=other, materials={})
-    assert shared_between({"a": ours, "b": theirs}) == [("shape", "sphere", "a", "ball", "b")]
+def test_a_label_that_fits_its_hash_but_no_id_leaves_nothing_that_confirms_it(store):
+    """Label, its hash and dataset.json changed together: the ids are hashes of the old one."""
+    from manifests.materials import material_hash
+
+    path = store.folder / "materials.json"
+    catalogue = read_catalogue(path)
+    label = (0.5,) * 108
+    matte = msgspec.structs.replace(catalogue.materials[0], label=label)
+    matte = msgspec.structs.replace(matte, hash=material_hash(label, matte.mixture))
+    path.write_bytes(encode(msgspec.structs.replace(catalogue, materials=(matte, catalogue.materials[1]))))
+    alter_entry(store, "materials", "matte", hash=matte.hash)
+    found = faults_of(store)
+    assert {fault.record for fault in found if fault.record} == {r.id for r in lines(store) if "matte" in r.materials}
+    assert ("materials", "matte") in {fault.entry for fault in found}
+    repair(store, found)
+    assert texts(store) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "changes", "message"),
+    [
+        ("shapes", "ball", {"side": "test"}, "side train of its role"),
+        ("shapes", "ball", {"side": "test", "role": "test"}, "role"),
+        ("materials", "matte", {"side": "test"}, "side train expected, found test"),
+        ("materials", "matte", {"licence": "mine"}, "licence 'CC0', as in materials.json,"),
+        ("lights", "lamp", {"side": "test"}, "by its hash expected"),
+        ("lights", "lamp", {"scale": 9.0}, "as in dataset.json, expected"),
+        ("lights", "lamp", {"file": "lights/other.npz"}, "its map at lights/lamp-"),
+        ("lights", "lamp", {"file": "../../etc/passwd"}, "its map at lights/lamp-"),
+        ("lights", "lamp", {"file": "lights/a\0b.npz"}, r"found lights/a\x00b.npz"),
+    ],
+)
+def test_entries_follow_the_rules(store, kind, name, changes, message):
+    if kind == "lights" and "side" in changes and store.dataset().lights["lamp"].side == "test":
+        changes = {"side": "train"}
+    if store.dataset().shapes["ball"].side == "test":
+        pytest.fail("the cases are written for a training shape")
+    alter_entry(store, kind, name, **changes)
+    assert message in "\n".join(texts(store))
+    assert all("\n" not in text and text.isprintable() for text in texts(store))
+
+
+def test_what_nothing_names_is_found(store):
+    dataset = store.dataset()
+    lights = {**dataset.lights, "sun": dataset.lights["lamp"]}
+    store.write_json("dataset.json", msgspec.structs.replace(dataset, lights=lights))
+    path = store.folder / "materials.json"
+    catalogue = read_catalogue(path)
+    more = msgspec.structs.replace(catalogue.materials[0], name="felt")
+    path.write_bytes(encode(msgspec.structs.replace(catalogue, materials=(*catalogue.materials, more))))
+    found = "\n".join(texts(store))
+    assert "light 'sun': a light that an order names expected" in found
+    assert "materials.json: a material that dataset.json names expected, found 'felt'" in found
+
+
+def test_records_that_no_order_asks_for_are_found(store):
+    """By a forger who knows how ids are made: id, name of the picture and seed fit each other."""
+    first = lines(store)[0]
+    dataset = store.dataset()
+    hashes = tuple(dataset.materials[name].hash for name in first.materials)
+    shared = ids.shots_digest(RENDER, first.shape_hash, hashes, first.light_hash, ids.camera_words(first.camera), 4)
+    id_ = ids.shot_id(shared, first.viewpoint, 77, first.tier, first.light_resolution, first.seed)
+    (store.folder / image_path(id_)).parent.mkdir(exist_ok=True)
+    (store.folder / first.image).rename(store.folder / image_path(id_))
+    alter(store, id=id_, image=image_path(id_), rotation_texels=77)
+    assert list(Verification(store).in_records()) == []
+    assert texts(store) == [f"record {id_}: an order in dataset.json that asks for it expected, found none"]
+
+
+def test_an_altered_order_condemns_no_picture(store):
+    dataset = store.dataset()
+    job = msgspec.structs.replace(dataset.orders[0].job, seed=1)
+    order = msgspec.structs.replace(dataset.orders[0], job=job)
+    store.write_json("dataset.json", msgspec.structs.replace(dataset, orders=(order,)))
+    (fault,) = faults_of(store)
+    assert "orders that ask for all lines expected, found none for 8" in fault.text and not fault.mendable
+
+
+def test_more_shots_than_an_order_can_mean_are_found(store):
+    dataset = store.dataset()
+    order = msgspec.structs.replace(dataset.orders[0], shots=9)
+    store.write_json("dataset.json", msgspec.structs.replace(dataset, orders=(order,)))
+    assert "at most 8 shots of its job expected, found 9" in texts(store)[0]
+
+
+def test_another_render_version_in_dataset_json_condemns_no_picture(store):
+    dataset = store.dataset()
+    store.write_json("dataset.json", msgspec.structs.replace(dataset, settings={"f" * 16: {}}))
+    (fault,) = faults_of(store)
+    assert "none that gives the ids of its 8 lines" in fault.text and not fault.mendable
+    assert faults_of(store, render=RENDER) == []  # the program's own settings are the ones
+
+
+def test_missing_altered_and_stray_files_are_found(store):
+    first, second, *_ = lines(store)
+    (store.folder / first.image).unlink()
+    (store.folder / second.image).write_bytes(b"other")
+    (store.folder / "images" / "00").mkdir(exist_ok=True)
+    (store.folder / "images" / "00" / "stray.exr").write_bytes(b"")
+    (store.folder / store.dataset().lights["lamp"].file).write_bytes(b"")
+    (store.folder / "partial" / "worker-00-x.exr").write_bytes(b"")
+    (store.folder / "records" / "notes.txt").write_bytes(b"")
+    found = "\n".join(texts(store))
+    assert f"{first.image}: an OpenEXR file expected, found no such file" in found
+    assert f"{second.image}: a whole OpenEXR file expected" in found
+    assert "stray.exr: a record that names it expected" in found
+    assert ".npz: a stored light map expected" in found
+    assert "half-written" in found
+    assert "records/notes.txt: files *.jsonl expected" in found
+    assert summary(faults_of(store)) == (2, 3, 1)
+
+
+def test_duplicates_torn_and_foreign_lines_are_found(store):
+    (path,) = store.record_files()
+    whole = path.read_bytes()
+    path.write_bytes(whole + whole.splitlines(keepends=True)[0] + b'{"id": 3}\n' + b'{"id": "abc')
+    found = "\n".join(fault.text for fault in Verification(store).in_records())
+    assert "once expected, found again" in found
+    assert "worker-00.jsonl:10: a record expected" in found
+    assert "worker-00.jsonl:11: a whole line expected" in found
+    assert repair(store, faults_of(store)) == (3, 0)
+    assert path.read_bytes() == whole
+
+
+def spoiled_places(store):
+    """name → a function that puts something in the place of a file or a folder."""
+    record = lines(store)[0]
+
+    def replaced(relative, put):
+        def spoil():
+            path = store.folder / relative
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+            put(path)
+
+        return spoil
+
+    loop = lambda path: path.symlink_to(path.name)  # noqa: E731 -- one of a row
+    outside = lambda path: path.symlink_to(store.folder.parent / "outside")  # noqa: E731
+    light = store.dataset().lights["lamp"].file
+    return {
+        "picture loop": replaced(record.image, loop),
+        "picture link": replaced(record.image, outside),
+        "picture pipe": replaced(record.image, os.mkfifo),
+        "picture folder": replaced(record.image, os.mkdir),
+        "picture folder's folder": replaced(os.path.dirname(record.image), loop),
+        "picture folder's folder outside": replaced(os.path.dirname(record.image), outside),
+        "geometry pipe": replaced(record.geometry, os.mkfifo),
+        "geometry loop": replaced(record.geometry, loop),
+        "light pipe": replaced(light, os.mkfifo),
+        "light loop": replaced(light, loop),
+        "images loop": replaced("images", loop),
+        "images file": replaced("images", lambda path: path.write_bytes(b"")),
+        "images outside": replaced("images", outside),
+        "geometry outside": replaced("geometry", outside),
+        "lights pipe": replaced("lights", os.mkfifo),
+        "records loop": replaced("records", loop),
+        "records outside": replaced("records", outside),
+        "lines pipe": replaced("records/worker-09.jsonl", os.mkfifo),
+        "lines loop": replaced("records/worker-09.jsonl", loop),
+        "lines folder": replaced("records/worker-09.jsonl", os.mkdir),
+        "views file": replaced("views", lambda path: path.write_bytes(b"")),
+        "failures pipe": replaced("failures.jsonl", os.mkfifo),
+        "stray loop": replaced("images/loop", loop),
+        "stray pipe": replaced("geometry/pipe", os.mkfifo),
+        "loop at the top": replaced("loop", loop),
+        "pipe at the top": replaced("pipe", os.mkfifo),
+        "lock loop": replaced(".lock", loop),
+        "draft pipe": replaced("partial/pipe", os.mkfifo),
+    }
+
+
+SPOILED = (
+    "picture loop", "picture link", "picture pipe", "picture folder", "picture folder's folder", "geometry pipe", "geometry loop",
+    "picture folder's folder outside", "light pipe", "light loop", "images loop", "images file", "images outside", "geometry outside",
+    "lights pipe", "records loop", "records outside", "lines pipe", "lines loop", "lines folder", "views file", "failures pipe",
+    "stray loop", "stray pipe", "loop at the top", "pipe at the top", "lock loop", "draft pipe",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SPOILED)
+def test_links_pipes_and_folders_in_the_place_of_files_are_lines_and_repair_touches_nothing_outside(store, name):
+    outside = store.folder.parent / "outside"
+    outside.mkdir()
+    record = lines(store)[0]
+    names = [record.image.rpartition("/")[2], "worker-00.jsonl", "keep"]
+    for each in names:
+        (outside / each).write_bytes(b"mine")
+    spoiled_places(store)[name]()
+    found = faults_of(store)
+    assert found and all("\n" not in fault.text for fault in found)
+    repair(store, found)
+    assert {path.name: path.read_bytes() for path in outside.iterdir()} == dict.fromkeys(names, b"mine")
+    left = faults_of(store)
+    assert all(".npz: a stored light map expected, found no such file" in fault.text for fault in left), left
+
+
+def test_the_list_of_places_is_the_one_that_is_tested(store):
+    assert set(SPOILED) == set(spoiled_places(store))
+
+
+def test_a_line_beyond_all_measure_is_a_fault_and_takes_no_memory(store):
+    (path,) = store.record_files()
+    with open(path, "ab") as file:
+        file.truncate(path.stat().st_size + (3 << 20))
+    assert "a line of at most 1048576 bytes expected" in "\n".join(texts(store))
+
+
+def test_repair_takes_away_what_is_broken_and_nothing_else(store):
+    first, *others = lines(store)
+    (store.folder / first.image).unlink()
+    (store.folder / "images" / "stray.exr").write_bytes(b"")
+    assert repair(store, faults_of(store)) == (1, 1)
+    assert texts(store) == []
+    assert lines(store) == others
+
+
+def test_a_picture_goes_with_its_record_and_geometry_with_the_last_that_names_it(store):
+    first = lines(store)[0]
+    alter(store, seed=1)
+    repair(store, list(Verification(store).in_records()))
+    assert not (store.folder / first.image).exists() and (store.folder / first.geometry).exists()
+    using = [k for k, record in enumerate(lines(store)) if record.geometry == first.geometry]
+    rewrite(store, lambda k, record: msgspec.structs.replace(record, samples=9) if k in using else record)
+    repair(store, list(Verification(store).in_records()))
+    assert not (store.folder / first.geometry).exists()
+    assert texts(store) == []
+
+
+def test_a_geometry_file_that_one_record_finds_good_stays(store):
+    first = lines(store)[0]
+    alter(store, geometry_hash="1" * 64)
+    repair(store, faults_of(store))
+    assert (store.folder / first.geometry).exists() and texts(store) == []
+
+
+def test_views_are_held_against_their_ids_and_their_shape(whole, tmp_path):
+    shutil.copytree(whole(2, pictures=False), tmp_path / "data")
+    store = Store(tmp_path / "data")
+    side = lines(store, "views")[0].side
+    whole_lines = store.record_files("views")[0].read_bytes()
+    for changes, message in (
+        ({"viewpoint": 3}, "the hash of what it says"),
+        ({"shape_hash": "6" * 64}, "the hash of what it says"),
+        ({"camera": Camera(size=(16, 16), elevation_deg=30.0)}, "the hash of what it says"),
+        ({"azimuth_deg": 1.0}, "azimuth 0 of viewpoint 0"),
+        ({"segments": 3}, "segments 2 expected, found 3"),
+        ({"side": "train" if side == "test" else "test"}, f"side {side} expected"),
+        ({"category": "chair"}, "category primitive expected"),
+        ({"coverage": 0.1}, "coverage 0.1"),
+        ({"geometry": "geometry/../x.exr"}, "expected, found geometry/../x.exr"),
+        ({"geometry_hash": "0" * 64}, "the file was altered"),
+    ):
+        alter(store, "views", **changes)
+        assert message in "\n".join(texts(store)), changes
+        store.record_files("views")[0].write_bytes(whole_lines)
+    assert texts(store) == []
+
+
+def test_the_cache_of_packed_geometry_is_compared_with_the_files(store):
+    folder = store.folder / "packed"
+    folder.mkdir()
+    files = {record.geometry_hash: record.geometry for record in lines(store)}
+    geometry = [arrays.read_geometry(store.folder / path) for path in files.values()]
+    normals = np.stack([arrays.pack_normals(each.normals) for each in geometry])
+    segments = np.stack([each.segments for each in geometry])
+
+    def pack(normals, segments, skipped=()):
+        np.save(folder / "normals.npy", normals)
+        np.save(folder / "segments.npy", segments)
+        (folder / "views.json").write_bytes(msgspec.json.encode(list(files)))
+        (folder / "skipped.json").write_bytes(msgspec.json.encode(dict.fromkeys(skipped, "bad")))
+
+    pack(normals, segments)
+    assert texts(store) == []
+    pack(normals + (np.arange(normals.size) == 999).reshape(normals.shape), segments)
+    assert "found other normals or segments" in texts(store)[0]
+    pack(normals, segments, skipped=list(files)[:1])
+    assert "found it left out" in texts(store)[0]
+    pack(normals[1:], segments)
+    assert "a whole cache of geometry expected" in texts(store)[0]
+    repair(store, faults_of(store))
+    assert not folder.exists() and texts(store) == []
+
+
+def test_what_trains_here_and_tests_there_is_found(store):
+    ours = store.dataset()
+    side = "train" if ours.shapes["ball"].side == "test" else "test"
+    other = {"sphere": msgspec.structs.replace(ours.shapes["ball"], side=side, role=side)}
+    theirs = msgspec.structs.replace(ours, shapes=other, materials={}, lights={})
+    assert shared_between({"a": ours, "b": theirs}) == [("shape", "ball", "a", "sphere", "b")]
     assert shared_between({"a": ours, "b": ours}) == []
+
+
+def test_a_fault_is_one_line_whatever_names_it_holds():
+    assert Fault("shape 'a\nb\0\x1b[2J\udc80'").text == r"shape 'a\nb\x00\x1b[2J\udc80'"
+
+
+@pytest.mark.parametrize("id_", ["../../x", "A" * 24, "0" * 23, "0" * 25, "0" * 24 + "\n", "0" * 23 + "g", "0" * 23 + "\0"])
+def test_an_id_that_is_none_is_refused_where_it_is_read(store, id_):
+    value = msgspec.to_builtins(lines(store)[0]) | {"id": id_}
+    with pytest.raises(msgspec.ValidationError, match=r"\$\.id"):
+        msgspec.json.decode(msgspec.json.encode(value), type=Record)
+    (path,) = store.record_files()
+    path.write_bytes(msgspec.json.encode(value) + b"\n")
+    with pytest.raises(Problem, match="id: str"):
+        list(store.records())

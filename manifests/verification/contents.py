@@ -1,0 +1,171 @@
+"""What the arrays of a data set must show: properties that every true picture, geometry file and light map has.
+
+They are properties of the physics and of the format, not of one program's output: whatever a writer of hashes puts into
+a file, these can be asked of the numbers. Each function returns lines that say what was expected and what was found.
+
+radiance (height, width, 3), mask (height, width) bool, normals (height, width, 3) in the camera frame
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from manifests.arrays import LARGEST_HALF, STEPS_PER_UNIT, Geometry
+from manifests.schema import Camera, Statistics
+from shaders import frames
+from shaders.envmap import LUMINANCE, row_solid_angles
+
+LENGTH = 1e-3  # of |n|; rounding to 2^-15 moves it by 3e-5
+RADIUS = 1.001  # objects lie in the unit sphere; the largest of 250 views of 36 shapes is 1.00007
+ROUNDED = 1e-6  # of figures that records keep to six places: half a place, and float64's own rounding
+HALF = 2.0**-11  # relative rounding of half precision
+SUBNORMAL = 2.0**-25  # absolute, of values that half precision rounds to 0 or near it
+SMOOTH = np.cos(np.radians(20.0))  # neighbouring normals that bend less lie on one piece of surface
+AGAINST = -0.1  # least correlation of normals and slopes: 0.75 or more in 340 views of 36 shapes, 0.17 of a slab shaded as a ball
+LEAN = 0.1  # root mean square of the part of normals that is correlated, below which there is nothing to see
+JUDGED = 60  # pixels on smooth pieces below which slopes of depth say nothing
+LIT = {"centre": 0.5, "square": 4.0}  # lit pixels beside the object, in units of a frame's edge: see `beside`
+LEAST_LIT_SHARE = {"centre": 0.0, "square": 0.25}
+
+
+def statistics_faults(radiance: np.ndarray, mask: np.ndarray, said: Statistics) -> list[str]:
+    """Whether a picture has the coverage, mean and maximum that its record says, within the rounding of both."""
+    found = []
+    coverage = float(mask.mean())
+    if abs(coverage - said.coverage) > ROUNDED:
+        found.append(f"coverage {said.coverage:.6f} expected, found {coverage:.6f}")
+    inside = radiance[mask]
+    if not len(inside):
+        return found
+    largest = float(inside.max())
+    if not abs(min(said.max, LARGEST_HALF) - largest) <= HALF * largest + SUBNORMAL + ROUNDED:
+        found.append(f"a largest value of {said.max:g} expected, found {largest:g}")
+    mean = float(inside.mean(axis=0, dtype=np.float64) @ LUMINANCE)
+    cut = float((inside >= LARGEST_HALF).mean()) * max(said.max - LARGEST_HALF, 0.0)  # half precision holds no more
+    if not -HALF * mean - SUBNORMAL - ROUNDED <= said.mean - mean <= HALF * mean + SUBNORMAL + ROUNDED + cut:
+        found.append(f"a mean of {said.mean:g} over the object expected, found {mean:g}")
+    return found
+
+
+def support_faults(radiance: np.ndarray, mask: np.ndarray, pixel: str) -> list[str]:
+    """Whether light lies where the object is: behind it pictures are black.
+
+    A pixel's square may hold a part of the object that its centre misses: a silhouette, or a wire thinner than a pixel.
+    pixel  "centre" or "square", as manifests.schema.Camera has it
+    """
+    near = mask.copy()
+    padded = np.pad(mask, 1)
+    height, width = mask.shape
+    for i in (0, 1, 2):
+        for j in (0, 1, 2):
+            near |= padded[i : i + height, j : j + width]
+    share = float((radiance.any(-1) & ~near).mean())
+    allowed = max(LIT[pixel] / min(mask.shape), LEAST_LIT_SHARE[pixel])
+    return [f"a black background expected, found {share:.1%} of the frame lit beside the object"] if share > allowed else []
+
+
+def black_faults(radiance: np.ndarray, mask: np.ndarray, lit: bool) -> list[str]:
+    """Whether a picture shows something; lit: its light shines from most directions, and its materials reflect."""
+    if lit and mask.any() and not radiance[mask].any():
+        return ["some light on the object expected, found a black picture"]
+    return []
+
+
+def shines_around(L: np.ndarray) -> bool:
+    """Whether a map (height, width, 3) is brighter than 0 over three quarters of the sphere: then it lights any surface."""
+    weight = np.broadcast_to(row_solid_angles(*L.shape[:2])[:, None], L.shape[:2])
+    return float(weight[L.max(-1) > 0].sum() / weight.sum()) > 0.75
+
+
+def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
+    """Whether normals are unit, face the viewer and fit the depth, the object lies in the unit sphere, and nothing is behind it."""
+    normals, mask = geometry.normals.astype(np.float64), geometry.mask
+    if not mask.any():
+        return ["an object in the frame expected, found an empty mask"]
+    found = []
+    if geometry.normals[~mask].any() or geometry.depth[~mask].any():
+        found.append("normals and depth 0 in the background expected, found others")
+    for what, values in (("normals", geometry.normals), ("depth", geometry.depth)):
+        steps = values * STEPS_PER_UNIT
+        if (steps != np.rint(steps)).any():
+            found.append(f"{what} in steps of 2^-15 expected, found others")
+    lengths = np.sqrt(_dots(normals, normals)[mask])
+    if np.abs(lengths - 1).max() > LENGTH:
+        found.append(f"unit normals expected, found lengths {lengths.min():.4f}–{lengths.max():.4f}")
+    fov = None if camera.fov_deg is None else np.radians(camera.fov_deg)
+    cosine = _dots(normals, frames.view_vectors(*mask.shape, fov=fov))[mask]
+    if cosine.min() <= 0:
+        away = int((cosine <= 0).sum())
+        found.append(f"normals that face the viewer expected, found {away} turned away")
+    places = positions(geometry.depth, camera)
+    radius = float(np.sqrt(_dots(places, places)[mask].max()))
+    if radius > RADIUS:
+        found.append(f"an object inside the unit sphere expected, found depths that put it at {radius:.4f}")
+    if (likeness := likeness_of_slopes(places, normals, mask)) < AGAINST:
+        found.append(f"normals that lean as the depth slopes expected, found a correlation of {likeness:.2f}")
+    return found
+
+
+def positions(depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """Where each pixel's surface lies: (height, width, 3), camera frame, the object's centre at 0."""
+    x, y = frames.pixel_grid(*depth.shape)
+    depth = depth.astype(np.float64)
+    spread = np.full_like(depth, camera.half_extent)
+    if camera.fov_deg is not None:
+        spread += np.tan(np.radians(camera.fov_deg) / 2) * depth  # the frame spans 2 half_extent at the centre's depth
+    return np.stack([x * spread, y * spread, -depth], axis=-1)
+
+
+def likeness_of_slopes(places: np.ndarray, normals: np.ndarray, mask: np.ndarray) -> float:
+    """How far normals lean the way in which the depth slopes, sideways or upwards, whichever is less: from -1 to 1.
+
+    places  (height, width, 3), of `positions`
+    Returns 1 where the object shows few pixels on smooth pieces, or none that lean
+
+    Shading makes normals of flat faces lean as their neighbours do, but never the other way.
+    """
+    centre = np.s_[1:-1, 1:-1]
+    sides = np.s_[1:-1, 2:], np.s_[1:-1, :-2], np.s_[:-2, 1:-1], np.s_[2:, 1:-1]
+    smooth = mask[centre].copy()
+    for side in sides:
+        smooth &= mask[side] & (_dots(normals[centre], normals[side]) > SMOOTH)
+    right, left, up, down = (places[side][smooth] for side in sides)
+    slope, shown = np.cross(right - left, up - down), normals[centre][smooth]
+    length = np.sqrt(_dots(slope, slope))
+    known = length > 0
+    if known.sum() < JUDGED:
+        return 1.0
+    slope, shown = slope[known] / length[known, None], shown[known]
+    energy = (slope**2).mean(0), (shown**2).mean(0)
+    found = [
+        float((slope[:, axis] * shown[:, axis]).mean() / np.sqrt(energy[0][axis] * energy[1][axis]))
+        for axis in (0, 1)
+        if min(energy[0][axis], energy[1][axis]) > LEAN**2
+    ]
+    return min(found, default=1.0)
+
+
+def light_faults(L: np.ndarray, scale: float, reference: tuple[np.ndarray, float] | None, said_scale: float) -> list[str]:
+    """Whether a stored light is the one that its name and hash mean, where the program knows that one.
+
+    reference  (L, scale) as the program makes them itself, None: it does not know the light
+    """
+    found = []
+    if scale != said_scale:
+        found.append(f"scale {said_scale:.9g}, as in dataset.json, expected, found {scale:.9g}")
+    if reference is not None:
+        true, true_scale = reference
+        # the same sums on another machine end in other last digits
+        if not np.allclose(L, true, rtol=1e-4, atol=1e-6) or not np.isclose(scale, true_scale, rtol=1e-4):
+            found.append("the map of this name and hash expected, found another")
+    return found
+
+
+def joined(where: str, faults: Iterable[str]) -> list[str]:
+    """The lines with the file that they are about in front."""
+    return [f"{where}: {fault}" for fault in faults]
+
+
+def _dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products over the last axis."""
+    return np.einsum("...c,...c->...", a, b)

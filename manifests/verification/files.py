@@ -1,0 +1,211 @@
+"""Pictures, geometry and light maps of a data set: whole, the ones that the manifest means, and possible as what they are."""
+
+import json
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from manifests import arrays
+from manifests.inputs import require_file
+from manifests.materials import Entry
+from manifests.problems import Problem
+from manifests.schema import Dataset, Record, View
+from manifests.store import image_path, light_path
+from manifests.verification import contents
+from manifests.verification.faults import Fault
+from manifests.verification.strays import kind_of
+
+MASK_BYTES = 64 << 20  # of masks that are kept, a bit a pixel: records of one shape follow each other
+PACKED = ("normals.npy", "segments.npy", "views.json", "skipped.json")
+
+Reference = Callable[[str, str], tuple[np.ndarray, float] | None]
+
+
+class _Seen(NamedTuple):
+    """What is remembered of a geometry file; texts: what is wrong with it."""
+
+    texts: list[str]
+    coverage: float = 0.0
+    segments: int = 0
+
+
+class Files:
+    """The files of a data set, read as lines name them.
+
+    labels     {name: Entry} of materials.json
+    reference  see Verification; None: no light is known
+    named      {"images": paths, "geometry": paths, "lights": paths} that lines and dataset.json have named so far
+    """
+
+    def __init__(self, folder: Path, dataset: Dataset, labels: dict[str, Entry], reference: Reference | None):
+        self.folder, self.dataset, self._reference = folder, dataset, reference
+        self.named: dict[str, set[str]] = {"images": set(), "geometry": set(), "lights": set()}
+        self._shines: dict[str, bool] = {}
+        self._reflects = {name: _reflects(entry) for name, entry in labels.items()}
+        self._geometry: dict[tuple[str, str], _Seen] = {}
+        self._masks: OrderedDict[str, tuple[np.ndarray, tuple[int, int]]] = OrderedDict()
+        self._mask_bytes = 0
+        self._folders: dict[str, bool] = {}
+        self._packed = _Packed(folder / "packed")
+
+    def light_faults(self) -> Iterator[Fault]:
+        """Faults of the light maps."""
+        for name, entry in self.dataset.lights.items():
+            if entry.file != light_path(name, entry.hash):  # entry_faults says so; it may be anybody's file
+                continue
+            self.named["lights"].add(entry.file)
+            path = self.folder / entry.file
+            try:
+                self._require_own(entry.file)
+                L = arrays.read_light(path, entry.file_hash)
+                scale = arrays.read_scale(path)
+            except (Problem, OSError) as problem:
+                yield Fault(_said(entry.file, problem), file=path)
+                continue
+            known = self._reference(name, entry.hash) if self._reference else None
+            for text in contents.light_faults(L, scale, known, entry.scale):
+                yield Fault(f"{entry.file}: {text}", file=path, entry=("lights", name))
+            self._shines[name] = contents.shines_around(L)
+
+    def name(self, line: Record | View) -> None:
+        """Remembers the files that a line names, whether or not they will be read."""
+        self.named["geometry"].add(line.geometry)
+        if isinstance(line, Record):
+            self.named["images"].add(image_path(line.id))
+
+    def of(self, line: Record | View) -> Iterator[tuple[str, Path | None]]:
+        """(what is wrong, the file that has to go, None: neither) of the files of one line."""
+        seen = self._geometry_of(line)
+        where = self.folder / line.geometry
+        for text in seen.texts:
+            yield text, where
+        if seen.texts:
+            return
+        if abs(seen.coverage - line.coverage) > contents.ROUNDED:
+            yield f"{line.geometry}: coverage {line.coverage:.6f} expected, found {seen.coverage:.6f}", None
+        if seen.segments > line.segments:
+            yield f"{line.geometry}: segments up to {line.segments} expected, found {seen.segments}", where
+        if isinstance(line, Record):
+            for text in self._picture_faults(line):
+                yield text, self.folder / line.image
+
+    def _picture_faults(self, record: Record) -> list[str]:
+        """What is wrong with a record's picture."""
+        try:
+            self._require_own(record.image)
+            radiance = arrays.read_picture(self.folder / record.image, record.camera.size, record.image_hash, exact=True)
+        except (Problem, OSError) as problem:
+            return [_said(record.image, problem)]
+        mask = self._mask(record)
+        lit = self._shines.get(record.light, False) and all(self._reflects.get(name) for name in record.materials)
+        texts = [
+            *contents.statistics_faults(radiance, mask, record.statistics),
+            *contents.support_faults(radiance, mask, record.camera.pixel),
+            *contents.black_faults(radiance, mask, lit),
+        ]
+        return [f"{record.image}: {text}" for text in texts]
+
+    def _geometry_of(self, line: Record | View) -> _Seen:
+        """What a line's geometry file shows: read once."""
+        key = (line.geometry, line.geometry_hash)
+        if key not in self._geometry:
+            self._geometry[key] = self._read_geometry(line)
+        return self._geometry[key]
+
+    def _read_geometry(self, line: Record | View) -> _Seen:
+        path = self.folder / line.geometry
+        try:
+            self._require_own(line.geometry)
+            geometry = arrays.read_geometry(path, line.camera.size, line.geometry_hash, exact=True)
+        except (Problem, OSError) as problem:
+            return _Seen([_said(line.geometry, problem)])
+        texts = [f"{line.geometry}: {text}" for text in contents.geometry_faults(geometry, line.camera)]
+        mask = geometry.mask
+        self._keep(line.geometry, mask)
+        if not texts:
+            self._packed.compare(line.geometry_hash, geometry)
+        return _Seen(texts, float(mask.mean()), int(geometry.segments.max(initial=0)))
+
+    def _keep(self, path: str, mask: np.ndarray) -> None:
+        """Keeps a mask, and lets those go that were not asked for for longest."""
+        bits = np.packbits(mask)
+        self._masks[path] = bits, mask.shape
+        self._mask_bytes += bits.nbytes
+        while self._mask_bytes > MASK_BYTES and len(self._masks) > 1:
+            self._mask_bytes -= self._masks.popitem(last=False)[1][0].nbytes
+
+    def _mask(self, record: Record) -> np.ndarray:
+        """The mask (height, width) bool of a record whose geometry was found good."""
+        if record.geometry not in self._masks:
+            self._keep(record.geometry, arrays.read_geometry(self.folder / record.geometry, record.camera.size).mask)
+        self._masks.move_to_end(record.geometry)
+        bits, (height, width) = self._masks[record.geometry]
+        return np.unpackbits(bits, count=height * width).reshape(height, width).astype(bool)
+
+    def _require_own(self, relative: str) -> None:
+        """Raises Problem unless an ordinary file lies there, by way of folders that are no links."""
+        *parents, _ = relative.split("/")
+        for depth in range(1, len(parents) + 1):
+            part = "/".join(parents[:depth])
+            if part not in self._folders:
+                self._folders[part] = kind_of(self.folder / part) == "a folder"
+            if not self._folders[part] and (found := kind_of(self.folder / part)):
+                raise Problem(self.folder / part, "a folder", found, "verify --repair takes it away")
+        if (found := kind_of(self.folder / relative)) not in ("a file", None):
+            raise Problem(self.folder / relative, "a file of its own", found, "verify --repair takes it away")
+
+    def packed_faults(self) -> Iterator[Fault]:
+        """Faults of the cache that training keeps beside the data set."""
+        return self._packed.faults()
+
+
+def _said(relative: str, error: Problem | OSError) -> str:
+    """An error about a file, without the folder's own path in front."""
+    if isinstance(error, Problem):
+        return f"{relative}: {error.expected} expected, found {error.found}"
+    return f"{relative}: a file that can be read expected, found {error.strerror or error}"
+
+
+def _reflects(entry: Entry) -> bool:
+    """Whether the mixture of a material reflects any light."""
+    return any(value > 0 for closure in entry.mixture.weights for stop in closure for value in stop)
+
+
+class _Packed:
+    """The cache of packed geometry (learn.geometry): each row is compared with the file that it was made from."""
+
+    def __init__(self, folder: Path):
+        self.folder, self._rows, self._left_out, self._texts = folder, {}, set(), []
+        if kind_of(folder) != "a folder" or kind_of(folder / "views.json") is None:
+            return
+        try:
+            for name in PACKED:
+                require_file(folder / name, "a cache's file")
+            hashes, left_out = (json.loads((folder / name).read_text("utf-8")) for name in ("views.json", "skipped.json"))
+            self._normals, self._segments = (
+                np.load(folder / name, mmap_mode="r", allow_pickle=False) for name in ("normals.npy", "segments.npy")
+            )
+            if not len(hashes) == len(self._normals) == len(self._segments):
+                raise ValueError(f"{len(hashes)} views, {len(self._normals)} and {len(self._segments)} rows")
+            self._rows, self._left_out = {hash_: row for row, hash_ in enumerate(hashes)}, set(left_out)
+        except (OSError, ValueError, TypeError, EOFError, SyntaxError, RecursionError, MemoryError) as error:
+            self._texts.append(f"a whole cache of geometry expected, found {error or type(error).__name__}")
+
+    def compare(self, hash_: str, geometry: arrays.Geometry) -> None:
+        """Looks whether a good geometry file's row, if it has one, is what the file holds."""
+        if hash_ in self._left_out:
+            self._texts.append(f"good geometry, as that with hash {hash_[:12]}, expected, found it left out")
+        row = self._rows.pop(hash_, None)
+        if row is None:
+            return
+        same = np.array_equal(self._normals[row], arrays.pack_normals(geometry.normals))
+        if not (same and np.array_equal(self._segments[row], geometry.segments)):
+            self._texts.append(f"the geometry with hash {hash_[:12]} in row {row} expected, found other normals or segments")
+
+    def faults(self) -> Iterator[Fault]:
+        """What is wrong; all of the cache goes then, since training makes it again."""
+        for text in self._texts:
+            yield Fault(f"packed: {text}", file=self.folder)

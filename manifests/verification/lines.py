@@ -1,0 +1,302 @@
+"""Records and views against their ids and the entries of dataset.json.
+
+An id is a hash of everything that determines a picture. So a line vouches for itself; and where a line and an entry of
+dataset.json differ, the other lines tell which of the two was altered: a line whose id fits, and which does not differ
+from an entry, confirms it. An entry that no line confirms is the one that goes.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from manifests import ids
+from manifests.materials import Entry, material_hash
+from manifests.problems import Problem
+from manifests.schema import Dataset, Failure, Record, View
+from manifests.splits import split_of
+from manifests.store import LINES, Store, geometry_path, image_path, lines_of
+from manifests.verification.faults import Fault, Line
+from manifests.verification.strays import kind_of
+from manifests.viewpoints import azimuths_deg
+
+GROUPS = 20_000  # combinations whose hashes are kept; the records of one follow each other
+
+
+def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | View | Fault]]:
+    """(file, number, line) of each Record or View, and a Fault in place of a line, a file or a folder that is none."""
+    folder = store.folder / kind
+    if kind_of(folder) != "a folder":  # there is none, or folder_faults says what there is instead
+        return
+    try:
+        paths = store.record_files(kind)
+    except Problem as problem:
+        yield folder, 0, Fault(str(problem))
+        return
+    decoder = msgspec.json.Decoder(LINES[kind])
+    for path in paths:
+        where = f"{kind}/{path.name}"
+        if (found := kind_of(path)) != "a file":
+            yield path, 0, Fault(f"{where}: a file of lines expected, found {found}", file=path)
+            continue
+        try:
+            for number, text in lines_of(path):
+                yield path, number, _decoded(decoder, f"{where}:{number}", kind[:-1], text, (path, number))
+        except (Problem, OSError) as problem:
+            yield path, 0, Fault(f"{where}: {problem}")
+
+
+def _decoded(decoder, where, what, text, line):
+    if not text.endswith(b"\n"):
+        return Fault(f"{where}: a whole line expected, found one cut short; the next run over it removes it", line=line)
+    try:
+        return decoder.decode(text)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        return Fault(f"{where}: a {what} expected, found {error}", line=line)
+
+
+def failure_faults(store: Store) -> Iterator[Fault]:
+    """Lines of failures*.jsonl that are none: `status` cannot read them."""
+    decoder = msgspec.json.Decoder(Failure)
+    for path in sorted(store.folder.glob("failures*.jsonl")):
+        if kind_of(path) != "a file":  # folder_faults says so
+            continue
+        try:
+            for number, text in lines_of(path):
+                line = _decoded(decoder, f"{path.name}:{number}", "failure", text, (path, number))
+                if isinstance(line, Fault):
+                    yield line
+        except (Problem, OSError) as problem:
+            yield Fault(f"{path.name}: {problem}")
+
+
+class _Difference(NamedTuple):
+    """Where a line and an entry differ. entry: (kind, name); what: None where there is no such entry."""
+
+    entry: tuple[str, str]
+    what: str | None
+    by_entry: str
+    by_line: str
+
+
+@dataclass(slots=True)
+class _Group:
+    """What the records of one combination share.
+
+    materials  their hashes by dataset.json, None where it lacks one
+    hashings   (render, materials' hashes, digest to go on from) of each way in which their ids may be hashed
+    """
+
+    camera: str
+    materials: tuple[str, ...] | None
+    hashings: list[tuple[str, tuple[str, ...], Any]]
+    differences: list[_Difference]
+    confirms: bool = False
+
+
+class Judge:
+    """Faults of records and views, one by one, and the verdicts that need all of them.
+
+    dataset  Dataset; labels: {name: Entry} of materials.json
+    spoiled  (kind, name) of entries that are known to be wrong
+    render   fingerprint of the program's render settings, which ids may be hashed with besides those in dataset.json
+    """
+
+    def __init__(self, dataset: Dataset, labels: dict[str, Entry], spoiled: set, render: str | None):
+        self.dataset, self._labels, self._spoiled, self._render = dataset, labels, spoiled, render
+        known = list(dataset.settings)
+        self._renders = known if render is None or render in known else [*known, render]
+        self._groups: dict[tuple, _Group] = {}
+        self._own_hashes: dict[str, str] = {}
+        self._confirmed: set[tuple[str, str]] = set()
+        self._differing: dict[tuple[str, str], list[tuple[Fault, _Difference]]] = {}
+        self._unfit: list[tuple[Fault, Record | View]] = []
+        self._fit = 0
+
+    def of_kind(self, kind: str) -> Callable[[Any, Line], list[Fault]]:
+        """The method that judges lines of a kind: (line, place) → what is wrong with it; some is said by `verdicts` only."""
+        return {"records": self.record, "views": self.view}[kind]
+
+    def record(self, record: Record, line: Line) -> list[Fault]:
+        """Faults of one record. Written for the good one: 720,000 of them must take seconds."""
+        key = (record.shape, record.shape_hash, record.category, record.materials, record.light, record.light_hash)
+        key = (*key, record.camera, record.samples, record.split)
+        group = self._groups.get(key) or self._new_group(key, record)
+        place = (record.viewpoint, record.rotation_texels, record.tier, record.light_resolution, record.seed)
+        for render, hashes, digest in group.hashings:
+            if ids.shot_id(digest, *place) == record.id:
+                break
+        else:
+            fitting = [ids.shot_id(digest, *place) for _, _, digest in group.hashings]
+            self._unfitting("record", record, line, fitting, "materials and render settings that dataset.json names")
+            return []
+        self._fit += 1
+        if group.differences or hashes is not group.materials:
+            self._differs("record", record, line, [*group.differences, *self._hashes_differ(record, hashes)])
+        if not group.confirms:
+            self._confirm(group, record, hashes)
+        geometry = geometry_path(ids.geometry_id(record.shape_hash, group.camera, record.viewpoint, render))
+        faults = _misplaced("record", record, line, geometry)
+        if record.image != (image := image_path(record.id)):
+            faults.append(Fault(f"record {record.id}: image at {image} expected, found {record.image}", record.id, line))
+        return faults
+
+    def view(self, view: View, line: Line) -> list[Fault]:
+        """Faults of one view."""
+        camera = ids.camera_words(view.camera)
+        fitting = [ids.geometry_id(view.shape_hash, camera, view.viewpoint, render) for render in self._renders]
+        if view.id not in fitting:
+            self._unfitting("view", view, line, fitting, "render settings in dataset.json")
+            return []
+        self._fit += 1
+        if differences := self._shape_differs(view, view.segments):
+            self._differs("view", view, line, differences)
+        else:
+            self._confirmed.add(("shapes", view.shape))
+        faults = _misplaced("view", view, line, geometry_path(view.id))
+        return faults
+
+    def _new_group(self, key, record):
+        """The _Group of a record's combination."""
+        camera = ids.camera_words(record.camera)
+        entries = [self.dataset.materials.get(name) for name in record.materials]
+        materials = tuple(entry.hash for entry in entries) if all(entries) else None
+        hashings = [
+            (render, hashes, ids.shots_digest(render, record.shape_hash, hashes, record.light_hash, camera, record.samples))
+            for hashes in (materials, self._label_hashes(record.materials, materials))
+            for render in self._renders
+            if hashes is not None
+        ]
+        differences = self._shape_differs(record, len(record.materials))
+        light = self.dataset.lights.get(record.light)
+        if light is None:
+            differences.append(self._no_entry("lights", record.light, record.light_hash))
+        elif light.hash != record.light_hash:
+            differences.append(_Difference(("lights", record.light), "hash", light.hash[:12], record.light_hash[:12]))
+        if len(self._groups) >= GROUPS:
+            self._groups.clear()
+        self._groups[key] = group = _Group(camera, materials, hashings, differences)
+        return group
+
+    def _shape_differs(self, line, segments):
+        """Differences between a record or a view and the entry of its shape."""
+        here, shape = ("shapes", line.shape), self.dataset.shapes.get(line.shape)
+        if shape is None:
+            return [self._no_entry("shapes", line.shape, line.shape_hash)]
+        pairs = [
+            ("hash", shape.hash[:12], line.shape_hash[:12]),
+            ("category", shape.category, line.category),
+            ("segments", shape.segments, segments),
+        ]
+        if isinstance(line, View):
+            pairs.append(("side", shape.side, line.side))
+        else:
+            materials = [self.dataset.materials.get(name) for name in line.materials]
+            spoiled = self._spoiled & {here, *(("materials", name) for name in line.materials)}
+            if all(materials) and not spoiled:
+                pairs.append(("split", split_of(shape.side, [entry.side for entry in materials]), line.split))
+        return [_Difference(here, what, str(ours), str(theirs)) for what, ours, theirs in pairs if ours != theirs]
+
+    def _no_entry(self, kind, name, hash_):
+        """The difference of a line that names what dataset.json does not: its own, if that knows the thing by another name."""
+        for other, entry in getattr(self.dataset, kind).items():
+            if entry.hash == hash_:
+                return _Difference((kind, other), "name", other, name)
+        return _Difference((kind, name), None, "", "")
+
+    def _label_hashes(self, names: Sequence[str], known: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        """Hashes of materials by their labels; None where one has none, or where these are the known ones."""
+        labels = [self._labels.get(name) for name in names]
+        if not all(labels):
+            return None
+        own = tuple(self._label_hash(name) for name in names)
+        return None if own == known else own
+
+    def _label_hash(self, name: str) -> str:
+        if name not in self._own_hashes:
+            label = self._labels[name]
+            self._own_hashes[name] = material_hash(label.label, label.mixture)
+        return self._own_hashes[name]
+
+    def _hashes_differ(self, record, hashes):
+        """Differences between dataset.json and the materials' hashes that a record's id fits."""
+        for name, own in zip(record.materials, hashes, strict=True):
+            entry = self.dataset.materials.get(name)
+            if entry is None:
+                yield _Difference(("materials", name), None, "", "")
+            elif entry.hash != own:
+                yield _Difference(("materials", name), "hash", entry.hash, own)
+
+    def _differs(self, kind, line, place, differences):
+        """Remembers differences until it is known which side was altered."""
+        for difference in differences:
+            (of, name), what, by_entry, by_line = difference
+            text = f"{kind} {line.id}: {of[:-1]} '{name}' in dataset.json expected, found none"
+            if what:
+                text = f"{kind} {line.id}: {of[:-1]} '{name}' with {what} {by_entry} expected, found {by_line}"
+            self._differing.setdefault(difference.entry, []).append((Fault(text, line.id, place), difference))
+
+    def _confirm(self, group, record, hashes):
+        """A record whose id fits confirms the entries from which it does not differ."""
+        named = {("shapes", record.shape), ("lights", record.light), *(("materials", name) for name in record.materials)}
+        differing = {difference.entry for difference in (*group.differences, *self._hashes_differ(record, hashes))}
+        self._confirmed |= named - differing
+        group.confirms = True
+
+    def _unfitting(self, kind, line, place, fitting, needed):
+        """Remembers a line whose id is not that of what it says."""
+        text = f"{kind} {line.id}: {needed} expected, found none"
+        if fitting:
+            text = f"{kind} {line.id}: id {fitting[0]}, the hash of what it says, expected, found {line.id}"
+        self._unfit.append((Fault(text, line.id, place), line))
+
+    def verdicts(self) -> Iterator[Fault]:
+        """Faults for which it has to be known whether a line or an entry was altered."""
+        doubted = {}
+        if self._unfit and not self._fit and self._render not in self.dataset.settings:
+            found = f"none that gives the ids of its {len(self._unfit)} lines, {self._unfit[0][0].record} first"
+            yield Fault(f"dataset.json: settings of the render version that made its pictures expected, found {found}")
+        else:
+            for fault, line in self._unfit:
+                yield fault
+                for entry in self._entries_of(line):
+                    doubted[entry] = doubted.get(entry, 0) + 1
+        for entry, found in self._differing.items():
+            if entry in self._confirmed:
+                yield from (fault for fault, _ in found)
+            else:
+                doubted.pop(entry, None)
+                yield self._altered(entry, found)
+        for (kind, name), many in doubted.items():
+            if (kind, name) not in self._confirmed:
+                text = f"dataset.json: {kind[:-1]} '{name}' that an id confirms expected, found {many} lines whose ids do not fit"
+                yield Fault(text, entry=(kind, name))
+
+    def _entries_of(self, line):
+        """The entries that a line names, as far as they are there."""
+        named = [("shapes", line.shape)]
+        if isinstance(line, Record):
+            named += [("lights", line.light), *(("materials", name) for name in dict.fromkeys(line.materials))]
+        return [(kind, name) for kind, name in named if name in getattr(self.dataset, kind)]
+
+    def _altered(self, entry, found):
+        """The Fault of an entry that no line confirms."""
+        (kind, name), (_, what, by_entry, by_line) = entry, found[0][1]
+        lines = "a line whose id fits says" if len(found) == 1 else f"{len(found)} lines whose ids fit say"
+        if what is None:
+            return Fault(f"dataset.json: {kind[:-1]} '{name}' expected, as {lines}, found none")
+        text = f"dataset.json: {kind[:-1]} '{name}': {what} {by_line} expected, as {lines}, found {by_entry}"
+        return Fault(text, entry=entry)
+
+
+def _misplaced(kind, line, place, geometry):
+    """Faults of where a line's geometry lies and of the azimuth that it states."""
+    found = []
+    if line.geometry != geometry:
+        found.append(Fault(f"{kind} {line.id}: geometry at {geometry} expected, found {line.geometry}", line.id, place))
+    if line.azimuth_deg != (azimuth := azimuths_deg()[line.viewpoint]):
+        text = f"{kind} {line.id}: azimuth {azimuth:g} of viewpoint {line.viewpoint} expected, found {line.azimuth_deg:g}"
+        found.append(Fault(text, line.id, place))
+    return found

@@ -1,0 +1,112 @@
+"""Which records and views the jobs in dataset.json ask for: their seeds, views and rotations follow from the job.
+
+combination  one shape, its materials and a light; what a job leaves to chance is drawn once for each
+             (manifests.ids.draws), and each record's seed is a hash of its combination's word and its place
+"""
+
+from collections.abc import Iterator, Sequence
+
+from manifests import ids
+from manifests.schema import Dataset, Draw, Job, Record, View
+from manifests.verification.faults import Fault, Line
+
+MOST_CHOICES = 16  # draws of materials whose seeds are tried; of more, seeds are not looked at (each try takes 20 µs)
+COMBINATIONS = 20_000  # that are kept; the records of one follow each other
+
+
+class Orders:
+    """The orders of a data set, against which its lines are held one by one; what none asks for is said at the end."""
+
+    def __init__(self, dataset: Dataset):
+        self._dataset = dataset
+        self._jobs = [order.job for order in dataset.orders]
+        self._met: set[int] = set()
+        self._combinations: dict[tuple, list[Combination]] = {}
+        self._unasked: list[Fault] = []
+
+    def look(self, line: Record | View, place: Line) -> None:
+        """Notes whether an order asks for a record or a view; place: its file and number."""
+        if self._asked(line):
+            return
+        kind = "record" if isinstance(line, Record) else "view"
+        text = f"{kind} {line.id}: an order in dataset.json that asks for it expected, found none"
+        self._unasked.append(Fault(text, line.id, place))
+
+    def _asked(self, line):
+        if isinstance(line, View):
+            for index, job in enumerate(self._jobs):
+                here = not job.pictures and job.camera == line.camera
+                if here and line.viewpoint in ids.views_alone(job, line.shape_hash):
+                    self._met.add(index)
+                    return True
+            return False
+        for combination in self._combinations_of(line):
+            if combination.holds(line):
+                self._met.add(combination.index)
+                return True
+        return False
+
+    def _combinations_of(self, record):
+        """The jobs that may have asked for records like this one, drawn for its combination."""
+        key = (record.shape_hash, record.materials, record.light_hash, record.camera, record.samples)
+        if key not in self._combinations:
+            if len(self._combinations) >= COMBINATIONS:
+                self._combinations.clear()
+            entries = [self._dataset.materials.get(name) for name in record.materials]
+            hashes = [entry.hash for entry in entries if entry]
+            self._combinations[key] = [
+                Combination(index, job, record.shape_hash, hashes, record.light_hash)
+                for index, job in enumerate(self._jobs)
+                if job.pictures and job.camera == record.camera and job.samples == record.samples
+            ]
+        return self._combinations[key]
+
+    def faults(self) -> Iterator[Fault]:
+        """Lines that no order asks for are at fault, unless an order is without lines: then its job may have been altered."""
+        if self._unasked and self._jobs and len(self._met) == len(self._jobs):
+            yield from self._unasked
+        elif self._unasked:
+            many, first = len(self._unasked), self._unasked[0].record
+            remedy = "the same `render` writes its order down again"
+            yield Fault(f"dataset.json: orders that ask for all lines expected, found none for {many}, {first} first; {remedy}")
+
+
+class Combination:
+    """What a job draws for one combination: words of its seeds with their views, drawn when they are first needed."""
+
+    def __init__(self, index: int, job: Job, shape_hash: str, materials: Sequence[str], light_hash: str):
+        self.index, self.job = index, job
+        self._tiers, self._resolutions = set(job.tiers), set(job.light_resolutions)
+        self._drawn: list[tuple[int, dict[int, frozenset[int]]]] = []
+        self._rest = self._draws(shape_hash, materials, light_hash)
+        self._too_many = (job.segment_materials or 0) > MOST_CHOICES
+
+    def holds(self, record: Record) -> bool:
+        """Whether the job asks for a record of this combination."""
+        job, view, turn = self.job, record.viewpoint, record.rotation_texels
+        if record.tier not in self._tiers or record.light_resolution not in self._resolutions:
+            return False
+        if self._too_many:
+            in_views = isinstance(job.views, Draw) or view in job.views
+            return in_views and (isinstance(job.rotations, Draw) or turn in job.rotations)
+        place = (view, turn, record.tier, record.light_resolution)
+        return any(
+            turn in turns.get(view, ()) and any(ids.shot_seed(word, ids.shot_place(*place, k)) == record.seed for k in range(job.repeats))
+            for word, turns in self._every()
+        )
+
+    def _every(self) -> Iterator[tuple[int, dict[int, frozenset[int]]]]:
+        """The draws made so far, then the others."""
+        yield from list(self._drawn)
+        for drawn in self._rest:
+            self._drawn.append(drawn)
+            yield drawn
+
+    def _draws(self, shape_hash, materials, light_hash):
+        """(word, {view: rotations}) of each time that the job names the light, and of each draw of materials."""
+        choices = (None,) if self.job.segment_materials is None else range(min(self.job.segment_materials, MOST_CHOICES))
+        for occurrence in range(len(self.job.lights)):
+            for choice in choices:
+                key = ids.combination_key(shape_hash, materials, light_hash, occurrence, choice)
+                word, views, turns = ids.draws(self.job, key)
+                yield word, dict(zip(views, map(frozenset, turns), strict=True))

@@ -1,0 +1,112 @@
+"""What is broken goes, so that the same `render` makes it again. Nothing outside the folder is touched, no link followed."""
+
+import os
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+
+from manifests import materials
+from manifests.files import write_lines
+from manifests.problems import Problem
+from manifests.store import LINES, Store, geometry_path, image_path, light_path, lines_of
+from manifests.verification.faults import Fault
+from manifests.verification.strays import kind_of
+
+
+def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
+    """Takes condemned lines, damaged and stray files and wrong entries away; returns how many (lines, files) went.
+
+    A picture or geometry file goes with the last line that names it. Call it with the folder locked.
+    """
+    faults = list(faults)
+    going = {fault.file for fault in faults if fault.file and not fault.record}
+    files = sum(_remove(store.folder, path) for path in sorted(going))
+    dropped: dict[Path, set[int]] = {}
+    for fault in faults:
+        if fault.line:
+            dropped.setdefault(fault.line[0], set()).add(fault.line[1])
+    lines, unnamed = 0, {fault.file for fault in faults if fault.file and fault.record}
+    for path, numbers in sorted(dropped.items()):
+        count, named = _drop_lines(store.folder / "partial", path, numbers)
+        lines += count
+        unnamed |= {store.folder / relative for relative in named}
+    if unnamed:  # a file that another line names, and that line finds good, stays
+        unnamed -= {store.folder / relative for relative in _named(store)}
+    unnamed |= _drop_entries(store, {fault.entry for fault in faults if fault.entry})
+    return lines, files + sum(_remove(store.folder, path) for path in sorted(unnamed))
+
+
+def _drop_lines(partial, path, numbers):
+    """Writes a file without some of its lines; returns how many went, and the files that these have named."""
+    kept, count, named, type_ = [], 0, set(), LINES.get(path.parent.name)
+    try:
+        for number, line in lines_of(path):
+            if number not in numbers:
+                kept.append(line)
+                continue
+            count += 1
+            if type_:
+                named |= _files_of(line, type_)
+    except Problem:  # a line beyond all measure: nothing behind it is known to be one
+        count += 1
+    partial.mkdir(exist_ok=True)
+    write_lines(path, kept, draft=partial / f"repair-{path.parent.name}-{path.name}")  # where a killed run's drafts are swept
+    return count, named
+
+
+def _files_of(line, type_):
+    """The files that a line's own ids name: never those that it says, which may be anybody's."""
+    try:
+        record = msgspec.json.decode(line, type=type_)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return set()
+    found = {image_path(record.id)} if hasattr(record, "image") else set()
+    name = record.geometry.rpartition("/")[2].removesuffix(".exr")
+    return found | ({record.geometry} if record.geometry == geometry_path(name) else set())
+
+
+def _named(store):
+    """Every file that the lines which stay name."""
+    named = set()
+    for kind in LINES:
+        for line in store.records() if kind == "records" else store.views():
+            named.add(line.geometry)
+            named.add(getattr(line, "image", line.geometry))
+    return named
+
+
+def _drop_entries(store, entries):
+    """Takes entries out of dataset.json and materials.json; returns the maps of lights that go with theirs."""
+    if not entries:
+        return set()
+    dataset = store.dataset()
+    names = {kind: {name for of, name in entries if of == kind} for kind in ("shapes", "materials", "lights", "labels")}
+    maps = {store.folder / light_path(n, dataset.lights[n].hash) for n in names["lights"] if n in dataset.lights}
+    changed = {
+        kind: {name: entry for name, entry in getattr(dataset, kind).items() if name not in names[kind]}
+        for kind in ("shapes", "materials", "lights")
+    }
+    store.write_json("dataset.json", msgspec.structs.replace(dataset, **changed))
+    if gone := names["labels"] | names["materials"]:
+        path = store.folder / "materials.json"
+        try:
+            catalogue = materials.read_catalogue(path)
+        except Problem:  # not there, or it goes itself
+            return maps
+        kept = tuple(entry for entry in catalogue.materials if entry.name not in gone)
+        store.place("materials.json", materials.encode(msgspec.structs.replace(catalogue, materials=kept)), "main")
+    return maps
+
+
+def _remove(folder, path):
+    """Removes a file, a link itself, or a folder that lies where a file should; True if something went."""
+    kind = kind_of(path)
+    if kind is None or not Path(os.path.realpath(path.parent)).is_relative_to(os.path.realpath(folder)):
+        return False
+    if kind == "a folder":
+        shutil.rmtree(path)
+    else:
+        path.unlink()
+    return True

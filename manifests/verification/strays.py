@@ -1,0 +1,93 @@
+"""What lies in a data set's folder and does not belong there: files that nothing names, drafts, links, pipes, devices.
+
+Links are not followed and none belongs: a file that lies elsewhere may change or go, and what is removed here must not
+be there. Folders that cannot be read are faults, too; the listing goes on behind them.
+"""
+
+import os
+import stat
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+
+from manifests.store import LINES
+from manifests.verification.faults import Fault
+
+KNOWN = ("images", "geometry", "lights", "partial", "packed", *LINES)
+_KINDS = {
+    stat.S_IFLNK: "a link",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFDIR: "a folder",
+    stat.S_IFREG: "a file",
+}
+
+
+def kind_of(path: str | os.PathLike) -> str | None:
+    """What lies at a path, links not followed: "a file", "a folder", "a link", …; None for nothing."""
+    try:
+        return _KINDS.get(stat.S_IFMT(os.lstat(path).st_mode), "something else")
+    except OSError:
+        return None
+
+
+def folder_faults(folder: Path) -> Iterator[Fault]:
+    """Faults of the top of a data set's folder: its own folders that are none, and links, pipes and devices beside them."""
+    for path in _listed(folder):
+        kind = kind_of(path)
+        if path.name in KNOWN:
+            if kind != "a folder":
+                yield Fault(f"{path.name}: a folder expected, found {kind}", file=path)
+        elif kind not in ("a file", "a folder") and not (kind == "a link" and path.exists()):
+            found = "a link that leads nowhere" if kind == "a link" else kind
+            yield Fault(f"{path.name}: a file or a folder expected, found {found}", file=path, stray=True)
+
+
+def stray_faults(folder: Path, named: Mapping[str, Collection[str]]) -> Iterator[Fault]:
+    """Files that nothing names, and what is no file.
+
+    named  {"images": paths relative to the folder, …}: what may lie in each of these folders
+    """
+    for kind, known in named.items():
+        yield from _strays(folder, folder / kind, known)
+    for kind in LINES:
+        for path in _listed(folder / kind):
+            if not path.name.endswith(".jsonl") and kind_of(path) is not None:
+                yield Fault(f"{kind}/{path.name}: files *.jsonl expected, found {kind_of(path)}", file=path, stray=True)
+    for path in _listed(folder / "partial"):
+        text = f"partial/{path.name}: nothing expected, found a file half-written by a run that was killed"
+        yield Fault(text, file=path, stray=True)
+
+
+def _strays(folder, top, known):
+    """Strays in a folder of files; their folders may lie in folders."""
+    if kind_of(top) != "a folder":  # nothing, or told by folder_faults
+        return
+    try:
+        entries = sorted(os.scandir(top), key=lambda entry: entry.name)
+    except OSError as error:
+        yield Fault(f"{top.relative_to(folder)}: a folder that can be read expected, found {error.strerror}")
+        return
+    for entry in entries:
+        path = Path(entry.path)
+        relative = path.relative_to(folder).as_posix()
+        kind = kind_of(path)
+        if kind == "a folder" and relative not in known:
+            yield from _strays(folder, path, known)
+        elif relative in known:
+            if kind != "a file":
+                yield Fault(f"{relative}: a file of its own expected, found {kind}", file=path)
+        elif kind is not None:
+            text = f"{relative}: a record that names it expected, found {'none' if kind == 'a file' else kind}"
+            yield Fault(text, file=path, stray=True)
+
+
+def _listed(folder):
+    """What lies in a folder, in order of name; nothing where it is none, or cannot be read."""
+    if kind_of(folder) != "a folder":
+        return []
+    try:
+        return [Path(folder) / name for name in sorted(os.listdir(folder))]
+    except OSError:
+        return []
