@@ -39,8 +39,8 @@ def ply(vertices, polygons, form="binary_little_endian", count="uchar", index="i
         return struct.pack(f"{order}{len(values)}{CODES[type_]}", *values)
 
     end = b"\n" if form == "ascii" else b""
-    vertex = ["element vertex %d" % len(vertices), *(f"property {scalar} {axis}" for axis in "xyz")]
-    face = ["element face %d" % len(polygons)]
+    vertex = [f"element vertex {len(vertices)}", *(f"property {scalar} {axis}" for axis in "xyz")]
+    face = [f"element face {len(polygons)}"]
     face += [f"property {' '.join(each) if isinstance(each, tuple) else each} extra{k}" for k, each in enumerate(more)]
     face += [f"property list {count} {index} vertex_indices"]
     vertex_data = b"".join(put(scalar, *point) + end for point in np.asarray(vertices, float).tolist())
@@ -75,13 +75,19 @@ class Glb:
         """
         values = np.asarray(values)
         table = values.reshape(len(values), -1)
-        described = {"count": len(values), "componentType": COMPONENTS[values.dtype.name], "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3"}[table.shape[1]]}
+        described = {
+            "count": len(values),
+            "componentType": COMPONENTS[values.dtype.name],
+            "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3"}[table.shape[1]],
+        }
         sparse = np.asarray(sparse, np.uint16)
         if len(sparse) < len(values):
             plain = table.copy()
             plain[sparse] = 99
             rows = [row.tobytes() for row in plain]
-            described["bufferView"] = self.view(b"".join(row.ljust(stride, b"\x55") for row in rows), **({"byteStride": stride} if stride else {}))
+            described["bufferView"] = self.view(
+                b"".join(row.ljust(stride, b"\x55") for row in rows), **({"byteStride": stride} if stride else {})
+            )
         if len(sparse):
             indices, replaced = self.view(sparse.tobytes()), self.view(table[sparse].tobytes())
             described["sparse"] = {

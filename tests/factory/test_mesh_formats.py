@@ -43,7 +43,7 @@ def theirs(data, kind):
 
 
 def random_mesh(rng):
-    vertices, faces = (rounded_box([1, 2, 0.5], 0.1) if rng.random() < 0.5 else ellipsoid([1, 0.5, 0.3], 8, 12))
+    vertices, faces = rounded_box([1, 2, 0.5], 0.1) if rng.random() < 0.5 else ellipsoid([1, 0.5, 0.3], 8, 12)
     chosen = rng.choice(len(faces), int(rng.integers(1, len(faces))), replace=False)
     return np.asarray(vertices, np.float32).astype(float), faces[chosen]
 
@@ -170,7 +170,11 @@ def test_lines_of_unknown_kind_are_told_and_not_passed_over_in_silence():
 
 
 def test_text_of_sixteen_bits_is_refused():
-    for kind, text in (("obj", obj_text(SQUARE, [(0, 1, 2)])), ("stl", stl_text(SQUARE, [(0, 1, 2)])), ("off", off_text(SQUARE, [(0, 1, 2)]))):
+    for kind, text in (
+        ("obj", obj_text(SQUARE, [(0, 1, 2)])),
+        ("stl", stl_text(SQUARE, [(0, 1, 2)])),
+        ("off", off_text(SQUARE, [(0, 1, 2)])),
+    ):
         refused(text.encode("utf-16"), kind)
 
 
@@ -405,7 +409,7 @@ def test_a_camera_on_the_way_hides_nothing_and_scenes_may_be_missing():
     outer = made.node(children=[inner], camera=0, translation=[1, 0, 0])
     camera = {"cameras": [{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}]}
     for data in (made.bytes([outer], **camera), made.bytes(None, **camera)):
-        np.testing.assert_array_equal(soup(read(data, "glb")), EXPECTED + [1, 0, 0])
+        np.testing.assert_array_equal(soup(read(data, "glb")), EXPECTED + np.array([1, 0, 0]))
     made.scene["nodes"] = []
     np.testing.assert_array_equal(soup(read(made.bytes(), "glb")), EXPECTED)
 

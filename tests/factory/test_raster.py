@@ -23,9 +23,7 @@ def every_pixel_against_every_face(vertices, faces, camera, size):
         area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
         if abs(area) <= 1e-12:
             continue
-        weight = [
-            ((x[p] - column) * (y[q] - row) - (y[p] - row) * (x[q] - column)) / area for p, q in ((b, c), (c, a), (a, b))
-        ]
+        weight = [((x[p] - column) * (y[q] - row) - (y[p] - row) * (x[q] - column)) / area for p, q in ((b, c), (c, a), (a, b))]
         depth = sum(w * seen[k, 2] for w, k in zip(weight, (a, b, c), strict=True))
         for place in zip(*np.nonzero(np.min(weight, axis=0) >= -1e-9), strict=True):
             found.setdefault(place, []).append((depth[place], number))
