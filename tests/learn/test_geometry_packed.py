@@ -1,6 +1,5 @@
 """Packed geometry gives back what the files hold, whatever lines name them, and knows when it is stale."""
 
-import msgspec
 import numpy as np
 import pytest
 import synthetic
@@ -8,8 +7,8 @@ import synthetic
 from learn.dataset import Records
 from learn.geometry import Geometry
 from learn.training.sources import without_twins
+from manifests import exr
 from manifests.problems import Problem
-from manifests.schema import ShapeEntry, View
 from manifests.store import Lines
 from shaders import envmap
 
@@ -17,16 +16,7 @@ from shaders import envmap
 @pytest.fixture
 def store(tmp_path, rng):
     """A sphere from one view, in records."""
-    store = synthetic.write_dataset(tmp_path, [synthetic.matte()], rng, seeds=1, rotations=(0,))
-    shape = ShapeEntry(hash="s" * 64, category="primitive", side="test", role="test", segments=1, licence="")
-    store.write_json("dataset.json", msgspec.structs.replace(store.dataset(), shapes={"sphere": shape}))
-    return store
-
-
-def as_view(record, **changes):
-    """The View of a record's geometry."""
-    shared = {key: getattr(record, key) for key in View.__struct_fields__ if key not in ("side", "id")}
-    return View(**{**shared, "id": "v" * 24, "side": "test", **changes})
+    return synthetic.write_dataset(tmp_path, [synthetic.matte()], rng, seeds=1, rotations=(0,), side="test")
 
 
 def append(store, view):
@@ -49,7 +39,7 @@ def test_views_and_records_of_one_geometry_file_are_one_view(store):
     record = next(store.records())
     for path in store.record_files():
         path.unlink()
-    append(store, as_view(record))
+    append(store, synthetic.view_of(store, record))
     alone = Geometry(store.folder, progress=False)
     lines = Lines(store.folder / "records" / "worker-00.jsonl")
     lines.append(record)
@@ -60,19 +50,21 @@ def test_views_and_records_of_one_geometry_file_are_one_view(store):
 
 def test_a_new_view_makes_the_pack_anew(store):
     assert len(Geometry(store.folder, progress=False)) == 1
-    append(store, as_view(next(store.records()), viewpoint=3, geometry_hash="h" * 64))
+    append(store, synthetic.view_of(store, next(store.records()), viewpoint=3))
     geometry = Geometry(store.folder, progress=False)
     assert len(geometry) == 2
     np.testing.assert_array_equal(geometry.normals(0), geometry.normals(1))
 
 
 def test_normals_that_are_not_unit_are_refused_with_the_file_named(store):
-    path = store.folder / next(store.records()).geometry
     record = Records(store.folder).records[0]
     n, depth, segments = Records(store.folder).geometry(record)
     channels = {f"normal.{axis}": 0.5 * n[..., k] for k, axis in enumerate("XYZ")}
-    path.unlink()
-    synthetic.write_exr(path, channels | {"depth.Z": depth, "segment": segments.astype(np.uint32)})
+    path, (lines,) = store.folder / record.geometry, store.record_files()
+    hash_ = store.place(record.geometry, exr.encode(channels | {"depth.Z": depth, "segment": segments.astype(np.uint32)}), "test")
+    with pytest.raises(Problem, match=rf"{path.name}: hash {record.geometry_hash[:12]} expected, found .* the file was altered"):
+        Geometry(store.folder, progress=False)
+    lines.write_text(lines.read_text().replace(record.geometry_hash, hash_))
     with pytest.raises(Problem, match=rf"{path.name}: unit normals expected, found lengths 0\.5"):
         Geometry(store.folder, progress=False)
 
