@@ -11,7 +11,7 @@ import pytest
 import torch
 from full_disk_case import BY_NAME, check
 from full_disk_commands import RUN, SIZE, pictures
-from synthetic import matte, write_dataset
+from synthetic import id_of, matte, write_dataset
 
 from learn.editing import apart, edit
 from learn.evaluation import bench
@@ -51,9 +51,9 @@ def room(tmp_path_factory):
     (path,) = store.record_files()
     lines = [
         msgspec.json.encode(
-            msgspec.structs.replace(r, id=f"{letter}-{r.id}", shape=shape, geometry_hash=letter * 64, split=shapes[shape].side)
+            msgspec.structs.replace(r, id=id_of(f"{letter}-{r.id}"), shape=shape, geometry_hash=letter * 64, split=shapes[shape].side)
         )
-        for letter, shape in zip("ghi", shapes, strict=True)
+        for letter, shape in zip("678", shapes, strict=True)
         for r in store.records()
     ]
     path.write_bytes(b"\n".join([*lines, b""]))
