@@ -5,6 +5,7 @@ Maps may be put into the folder by hand too; then their licence is simply unknow
 
 import hashlib
 import json
+import os
 import re
 from pathlib import Path
 

@@ -42,7 +42,7 @@ def load(path):
     with open(path, newline="", encoding="utf-8-sig") as file:
         rows, number = csv.DictReader(file), 1
         try:
-            for number, row in enumerate(rows, 2):
+            for number, row in enumerate(rows, 2):  # noqa: B007 (named in the error)
                 v = [float(row[c]) for c in COLUMNS]
                 if not all(math.isfinite(x) for x in v) or not row["name"]:
                     raise ValueError(f"{row['name']}: {v}")
