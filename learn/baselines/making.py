@@ -4,7 +4,7 @@ import msgspec
 
 from learn.baselines import FILES, priors
 from learn.baselines.swap import SwapTraining
-from learn.networks import tensors
+from learn.networks import tensor_file
 from learn.training import loop, settings, sources
 from manifests.files import write_bytes
 from manifests.reading import decode
@@ -45,6 +45,6 @@ def held_out(options, data):
     """data with the held-out lights of the weights options.like, if there are any."""
     if options.like is None:
         return data
-    with tensors.opened(options.like) as stored:
+    with tensor_file.opened(options.like) as stored:
         like = decode(stored.metadata.get("run", "{}").encode(), settings.Run, options.like).data
     return msgspec.structs.replace(data, validation_lights=like.validation_lights, test_lights=like.test_lights)

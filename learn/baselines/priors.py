@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from learn.networks import tensors as stored_tensors
+from learn.networks import tensor_file
 from learn.networks.coding import unit_mean
 from learn.refinement.coordinates import spherical_harmonics
 from learn.training import checkpoint
@@ -115,7 +115,7 @@ def save(path, priors, told):
 def load(path):
     """Priors of a file. Raises Problem."""
     remedy = "fit them: python -m learn baselines"
-    with stored_tensors.opened(path, "priors in a .safetensors file", remedy) as stored:
+    with tensor_file.opened(path, "priors in a .safetensors file", remedy) as stored:
         names = Priors.__dataclass_fields__
         if stored.metadata.get("format") != FORMAT or set(stored.shapes) != set(names):
             raise Problem(path, "priors", stored.metadata.get("format", "something else"), remedy)

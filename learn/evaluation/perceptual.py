@@ -7,7 +7,7 @@ Weights are one .safetensors file of AlexNet's five convolutions and LPIPS' five
 import torch
 from torch.nn import functional as F
 
-from learn.networks import tensors as stored_tensors
+from learn.networks import tensor_file
 from manifests.problems import Problem
 
 SHAPES = ((64, 3, 11, 11), (192, 64, 5, 5), (384, 192, 3, 3), (256, 384, 3, 3), (256, 256, 3, 3))  # of AlexNet's kernels
@@ -24,7 +24,7 @@ def of_file(path):
         wanted |= {f"features.{k}.weight": shape, f"features.{k}.bias": shape[:1]}
     wanted |= {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(SHAPES)}
     remedy = "convert LPIPS' AlexNet weights under these names"
-    with stored_tensors.opened(path, "LPIPS' weights in a .safetensors file", remedy) as stored:
+    with tensor_file.opened(path, "LPIPS' weights in a .safetensors file", remedy) as stored:
         missing = [name for name in wanted if name not in stored.shapes]
         if missing:
             names = list(wanted)

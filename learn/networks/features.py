@@ -17,7 +17,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from learn.networks import tensors
+from learn.networks import tensor_file
 from manifests.problems import Problem
 
 WIDTHS = ((64, 64), (128, 128), (256,))  # VGG16 as far as relu3_1
@@ -131,7 +131,7 @@ def _vgg(path, sha256):
     for number, width in zip(NUMBERS, (w for block in WIDTHS for w in block), strict=True):
         shapes |= {f"features.{number}.weight": (width, before, 3, 3), f"features.{number}.bias": (width,)}
         before = width
-    with tensors.opened(path, "VGG16 in a .safetensors file", "give torchvision's VGG16", LARGEST_FILE) as stored:
+    with tensor_file.opened(path, "VGG16 in a .safetensors file", "give torchvision's VGG16", LARGEST_FILE) as stored:
         digest = _digest(path)
         if sha256 and digest != sha256:
             remedy = "check where the file comes from, or the run's features_sha256"

@@ -12,7 +12,7 @@ import torch
 
 from learn.baselines.encoder_decoder import EncoderDecoder
 from learn.baselines.separate import Separate
-from learn.networks import tensor_file, tensors
+from learn.networks import tensor_file
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL, Ranges
 from learn.networks.compact import Compact
 from learn.networks.paper import Paper
@@ -73,7 +73,7 @@ def load_network(path):
     metadata  size: of pictures, a whole number; run: a dict, at least {}; ranges: of the network; and the file's own texts
     Raises    Problem: no weights, other metadata or tensors than `learn train` writes, numbers that are not finite
     """
-    with tensors.opened(path) as stored:
+    with tensor_file.opened(path) as stored:
         metadata = stored.metadata
         if metadata.get("format") != FORMAT or metadata.get("network") not in NETWORKS:
             found = metadata.get("network", "others")
@@ -111,7 +111,7 @@ def shapes(network, prefix=""):
 
 
 def fill(network, stored, prefix=""):
-    """Give a network the tensors of a learn.networks.tensors.Stored that are named as its own after a prefix.
+    """Give a network the tensors of a learn.networks.tensor_file.Stored that are named as its own after a prefix.
 
     They must have been required before. Raises Problem for numbers that are not finite
     """

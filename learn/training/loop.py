@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from learn.networks import features, tensors
+from learn.networks import features, tensor_file
 from learn.networks.coding import Ranges
 from learn.training import checkpoint, losses, measures, schedule, sheet
 from learn.training.journal import Journal
@@ -74,7 +74,7 @@ class Training:
         if (self.out / "checkpoint.safetensors").exists():
             self._resume()
         elif run.start:
-            with tensors.opened(run.start) as stored:
+            with tensor_file.opened(run.start) as stored:
                 stored.require(checkpoint.shapes(self.network), f"this {self.network.name} network")
                 checkpoint.fill(self.network, stored)
             self.average = {name: t.detach().clone() for name, t in self.network.state_dict().items()}
@@ -256,7 +256,7 @@ class Training:
     def _resume(self):
         """Go on from the checkpoint. Raises Problem for one of other settings, and for a damaged one, which stays as it is."""
         path = self.out / "checkpoint.safetensors"
-        with tensors.opened(path, "a checkpoint", checkpoint.DAMAGED) as stored:
+        with tensor_file.opened(path, "a checkpoint", checkpoint.DAMAGED) as stored:
             progress = checkpoint.progress_of(stored)
             if decode(progress.run.encode(), Run, path) != self.run:
                 remedy = "give another --out, or the settings in run.json there"

@@ -39,8 +39,8 @@ def ply(vertices, polygons, form="binary_little_endian", count="uchar", index="i
         return struct.pack(f"{order}{len(values)}{CODES[type_]}", *values)
 
     end = b"\n" if form == "ascii" else b""
-    vertex = ["element vertex %d" % len(vertices), *(f"property {scalar} {axis}" for axis in "xyz")]
-    face = ["element face %d" % len(polygons)]
+    vertex = [f"element vertex {len(vertices)}", *(f"property {scalar} {axis}" for axis in "xyz")]
+    face = [f"element face {len(polygons)}"]
     face += [f"property {' '.join(each) if isinstance(each, tuple) else each} extra{k}" for k, each in enumerate(more)]
     face += [f"property list {count} {index} vertex_indices"]
     vertex_data = b"".join(put(scalar, *point) + end for point in np.asarray(vertices, float).tolist())

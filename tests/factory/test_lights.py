@@ -235,7 +235,7 @@ def bad_cases(folder, good):
         return folder / name
 
     return {
-        "missing": (folder / "nowhere.exr", "nothing there"),
+        "missing": (folder / "nowhere.exr", "no such file"),
         "folder": (folder, "a folder"),
         "empty": (raw("empty.hdr", b""), "an empty file"),
         "truncated exr": (raw("cut.exr", whole_exr[: len(whole_exr) // 2]), "truncated"),

@@ -409,7 +409,7 @@ def test_a_camera_on_the_way_hides_nothing_and_scenes_may_be_missing():
     outer = made.node(children=[inner], camera=0, translation=[1, 0, 0])
     camera = {"cameras": [{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}]}
     for data in (made.bytes([outer], **camera), made.bytes(None, **camera)):
-        np.testing.assert_array_equal(soup(read(data, "glb")), EXPECTED + [1, 0, 0])
+        np.testing.assert_array_equal(soup(read(data, "glb")), EXPECTED + np.array([1, 0, 0]))
     made.scene["nodes"] = []
     np.testing.assert_array_equal(soup(read(made.bytes(), "glb")), EXPECTED)
 
