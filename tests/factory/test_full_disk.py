@@ -3,21 +3,14 @@
 RLIMIT_FSIZE stands for the full disk: it needs no root. tests/endurance/full_disk.py does the same on real small file systems.
 """
 
-import json
-import os
-import random
-
-import msgspec
 import pytest
-from full_disk import bad_records, contents, drafts
-from full_disk_case import BY_NAME, check, done
+from full_disk_case import check
 from full_disk_commands import mesh, pictures
 from tetrahedron import FAKE, HERE
 
 from factory.assets import resolve
 from factory.run import Manner, carry_out, planned
 from manifests.schema import Camera, Job
-from manifests.store import Store
 
 QUICK = (
     "preview",

@@ -75,7 +75,19 @@ BASES = {
 LONG = tuple(f"learn {name}" for name in ("bench", "chart", "promise", "pace", "startup", "integral"))  # minutes, if not refused
 WORK = (  # larger numbers are more work, and right
     *("--steps", "--edits", "--count", "--workers", "--threads", "--processes", "--rounds", "--cases", "--pictures", "--starts"),
-    *("--batches", "--images", "--draws", "--seeds", "--gallery", "--seconds", "--pretraining", "--matte-first", "--samples", "--limit", "--limit"),
+    *(
+        "--batches",
+        "--images",
+        "--draws",
+        "--seeds",
+        "--gallery",
+        "--seconds",
+        "--pretraining",
+        "--matte-first",
+        "--samples",
+        "--limit",
+        "--limit",
+    ),
 )
 
 
