@@ -8,7 +8,7 @@ import msgspec
 from manifests import splits
 from manifests.problems import Problem
 
-RANGE = re.compile(r"^(\w+):(\d+)-(\d+)$")
+RANGE = re.compile(r"^(\w+):([0-9]{1,100})-([0-9]{1,100})$")
 MARK = re.compile(r"[#?]")
 OWN_LICENCE = "Apache-2.0"  # shapes that this program's families make
 MOST_SHAPES = 1_000_000
@@ -55,10 +55,18 @@ def local(path, folder, where):
     if folder is None:
         return Path(path)
     target = Path(folder) / path
-    if Path(path).is_absolute() or ".." in Path(path).parts or not target.resolve().is_relative_to(Path(folder).resolve()):
+    if Path(path).is_absolute() or ".." in Path(path).parts or not _lies_in(target, Path(folder)):
         remedy = "write it relative to the job file, or pass --assets FOLDER and write it relative to that"
         raise Problem(f"{where} '{path}'", f"a path inside {folder}", "one that leaves it", remedy)
     return target
+
+
+def _lies_in(target, folder):
+    """Whether a path leads into a folder, links followed; a name that no file can have, or links in a circle, lead nowhere."""
+    try:
+        return target.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):
+        return False
 
 
 def _numbers(spec, family, first, last):

@@ -11,6 +11,34 @@ from manifests.problems import Problem
 from manifests.quiet import silenced
 
 MAX_PIXELS = 1 << 26  # 8192²: a header may ask for more than there is memory
+MAX_BYTES = 16 * MAX_PIXELS  # of all channels of all parts
+
+
+class Part:
+    """What the header of a part says, before memory is taken for its pixels.
+
+    height, width  of the data window; 0 where it is turned inside out
+    channels       names
+    flat           not deep
+    sampled        some channel is smaller than the picture
+    bytes          that the library takes to read it, at most: for the pixels, and for a tile where there are tiles
+    """
+
+    def __init__(self, header):
+        import OpenEXR
+
+        self.flat = header.get("type", OpenEXR.scanlineimage) in (OpenEXR.scanlineimage, OpenEXR.tiledimage)
+        low, high = header["dataWindow"]
+        self.width, self.height = (max(int(high[k]) - int(low[k]) + 1, 0) for k in (0, 1))
+        self.channels = [channel.name for channel in header["channels"]]
+        self.sampled = any(channel.xSampling != 1 or channel.ySampling != 1 for channel in header["channels"])
+        tile = header["tiles"].xSize * header["tiles"].ySize if "tiles" in header else 0
+        self.bytes = 4 * len(self.channels) * (self.height * self.width + tile)
+
+
+def parts_of(file):
+    """The Part of each part of an OpenEXR.File that is open; the library reads them all, whichever is asked for."""
+    return [Part(file.header(k)) for k in range(len(file.parts))]
 
 
 def read(path, data=None):
@@ -33,10 +61,12 @@ def _read(path, data):
 
     try:
         with OpenEXR.File(source(), separate_channels=True, header_only=True) as file:
-            low, high = (np.asarray(corner, np.int64) for corner in file.header()["dataWindow"])
-        width, height = np.maximum(high - low + 1, 0).tolist()
+            parts = parts_of(file)
+        width, height = (parts[0].width, parts[0].height) if parts else (0, 0)
         if not 1 <= height * width <= MAX_PIXELS:
             raise Problem(path, f"a picture of 1 to {MAX_PIXELS} pixels", f"{width} × {height}", "check the file's header")
+        if not all(part.flat for part in parts) or sum(part.bytes for part in parts) > MAX_BYTES:
+            raise Problem(path, f"flat pictures of at most {MAX_BYTES >> 20} MiB", "more in its header", "check the file's header")
         with OpenEXR.File(source(), separate_channels=True) as file:
             return {name: channel.pixels for name, channel in file.channels().items()}
     except Problem:

@@ -9,6 +9,7 @@ EPILOG = """examples:
   python -m factory materials add my-merl-folder --only my-wood --out my-materials.json
   python -m factory materials fit merl_nbrdf.npz --workers 2 --out materials.json
 A SOURCE is an npz of Neural-BRDF weights (arrays `names` and `weights`), a folder of MERL .binary files, or one such file."""
+LARGEST_MAP = 1 << 28  # bytes of FILE.npz:ARRAY; a map of 64 × 128 has 0.1 MB
 SOURCE_HELP = "npz of Neural-BRDF weights, folder of MERL .binary files, or one such file"
 
 
@@ -110,19 +111,25 @@ def _light_map(name):
     import numpy as np
 
     from factory.lights import load
+    from manifests.archives import opened_zip, read_array
     from manifests.problems import Problem, closest
     from shaders import envmap
 
     if ".npz:" not in name:
         return load(name).L64
     path, _, array = name.rpartition(":")
-    with np.load(path, allow_pickle=False) as archive:
-        if array not in archive.files:
-            raise Problem(path, f"an array {array!r}", "none of that name", closest(array, archive.files))
-        L = archive[array]
-    if L.ndim != 3 or L.shape[1:] != (2 * L.shape[0], 3) or not np.isfinite(L).all():
-        raise Problem(name, "a finite light map (H, 2H, 3)", str(L.shape), "name another array")
-    return envmap.unit_mean(np.maximum(L.astype(np.float64), 0))[0]
+    with opened_zip(path, "an .npz file of light maps", "name another file") as archive:
+        known = [each.removesuffix(".npy") for each in archive.namelist()]
+        if array not in known:
+            raise Problem(path, f"an array {array!r}", "none of that name", closest(array, known))
+        L = read_array(archive, array, LARGEST_MAP)
+    right = L.dtype.kind in "fiu" and L.ndim == 3 and L.shape[1:] == (2 * L.shape[0], 3) and L.size
+    if not right or not np.isfinite(L).all():
+        raise Problem(name, "a finite light map (H, 2H, 3)", f"{L.shape} of {L.dtype}", "name another array")
+    L = np.maximum(L.astype(np.float64), 0)
+    if not 1e-30 < L.mean() < 1e30:
+        raise Problem(name, "a light map of a mean from 1e-30 to 1e+30", f"{L.mean():g}", "name another array")
+    return envmap.unit_mean(L)[0]
 
 
 def run_fit(options):

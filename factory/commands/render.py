@@ -85,7 +85,7 @@ def run(options):
     job, folder = chosen(options, jobs)
     if options.geometry_only:
         job = structs.replace(job, pictures=False)
-    shard = parsed_shard(options.shard) if options.shard else None
+    shard = None if options.shard is None else parsed_shard(options.shard)
     plan = planned(job, found(job, folder, options))
     for note in plan.assets.notes:
         print(f"factory: {note}", file=sys.stderr)

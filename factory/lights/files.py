@@ -12,6 +12,7 @@ import numpy as np
 
 from factory.lights import rgbe
 from manifests.archives import ArrayHeader, opened_zip, read_exactly
+from manifests.exr import parts_of
 from manifests.inputs import require_file
 from manifests.problems import Problem
 from manifests.quiet import silenced
@@ -25,6 +26,7 @@ MIN_HEIGHT = 4
 MAGIC = {b"#?": "hdr", b"\x76\x2f\x31\x01": "exr", b"PK\x03\x04": "npz"}
 MOST_MAPS = 1000  # in one .npz
 LARGEST = 1 << 30  # bytes of an .hdr or .exr: more than the largest map takes without compression
+LARGEST_TILE = 1 << 26  # bytes: an .exr in tiles needs room for one besides its pixels
 A_LIGHT = "an .hdr, .exr or .npz file"
 PICTURES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"GIF8": "GIF", b"BM": "BMP", b"RIFF": "WebP", b"II*\0": "TIFF", b"MM\0*": "TIFF"}
 
@@ -42,7 +44,7 @@ def read(path):
         require_file(path, A_LIGHT, maximum_bytes=LARGEST)
 
     def check_size(height, width, bytes_needed):
-        if height > MAX_HEIGHT or width > 2 * MAX_HEIGHT or bytes_needed > 16 * 2 * MAX_HEIGHT**2:
+        if height > MAX_HEIGHT or width > 2 * MAX_HEIGHT or bytes_needed > 16 * 2 * MAX_HEIGHT**2 + LARGEST_TILE:
             limit = f"at most {2 * MAX_HEIGHT}×{MAX_HEIGHT} pixels of four channels"
             raise Problem(path, limit, f"{width}×{height}, {bytes_needed / 1e9:.1f} GB", "save a smaller copy of the map")
         if width != 2 * height or height < MIN_HEIGHT:
@@ -136,7 +138,7 @@ def _read_exr(path, check_size):
     broken = Problem(path, "a whole OpenEXR picture", "a damaged or truncated file", "download or export it again")
     try:
         with silenced(1, 2), OpenEXR.File(str(path), header_only=True) as file:  # the library prints each error besides raising it
-            parts = [_ExrPart(file.header(k)) for k in range(len(file.parts))]
+            parts = parts_of(file)
     except Exception as error:  # the library's own errors are RuntimeError, ValueError and others
         raise broken from error
     if not parts or not all(part.flat for part in parts):
@@ -149,7 +151,7 @@ def _read_exr(path, check_size):
         raise Problem(path, "channels of the picture's full size", "sub-sampled ones", "export the map as plain RGB")
     check_size(first.height, first.width, sum(part.bytes for part in parts))  # the library reads all parts
     arrays = None
-    if first.plain:
+    if sorted(first.channels) in (list("BGR"), list("ABGR")):
         with contextlib.suppress(Exception):  # they are of different types
             arrays = _exr_arrays(path, separately=False)
     try:
@@ -165,27 +167,6 @@ def _exr_arrays(path, separately):
 
     with silenced(1, 2), OpenEXR.File(str(path), separate_channels=separately) as file:
         return {name: channel.pixels for name, channel in file.channels().items()}
-
-
-class _ExrPart:
-    """What the header of a part says.
-
-    flat     not deep
-    sampled  some channel is smaller than the picture
-    plain    R, G, B and perhaps A, and nothing else
-    bytes    of the channels, at most
-    """
-
-    def __init__(self, header):
-        import OpenEXR
-
-        self.flat = header.get("type", OpenEXR.scanlineimage) in (OpenEXR.scanlineimage, OpenEXR.tiledimage)
-        low, high = header["dataWindow"]
-        self.width, self.height = (max(int(high[k]) - int(low[k]) + 1, 0) for k in (0, 1))
-        self.channels = [channel.name for channel in header["channels"]]
-        self.plain = sorted(self.channels) in (list("BGR"), list("ABGR"))
-        self.sampled = any(channel.xSampling != 1 or channel.ySampling != 1 for channel in header["channels"])
-        self.bytes = 4 * len(self.channels) * self.height * self.width
 
 
 def _rgb(arrays, wanted, size, broken):

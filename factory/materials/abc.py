@@ -7,13 +7,16 @@ parameters as in dj_brdf's table (CSV: name, kd_r, kd_g, kd_b, A_r, A_g, A_b, B,
 """
 
 import csv
+import math
 
 import numpy as np
 
 from factory.materials.errors import relative_l1
 from factory.materials.samples import held_out
+from manifests.inputs import require_file
 from manifests.problems import Problem
 
+MAXIMUM_BYTES = 16 << 20  # the table of MERL's hundred has some KiB
 COLUMNS = ("kd_r", "kd_g", "kd_b", "A_r", "A_g", "A_b", "B", "C", "ior")
 
 
@@ -34,14 +37,19 @@ class ABC:
 
 def load(path):
     """{name: ABC} of the table at `path`. Raises Problem for a row that is not one."""
+    require_file(path, "the ABC table", "give it as a CSV file", MAXIMUM_BYTES)
     materials = {}
-    with open(path, newline="", encoding="utf-8") as file:
-        for number, row in enumerate(csv.DictReader(file), 2):
-            try:
+    with open(path, newline="", encoding="utf-8-sig") as file:
+        rows, number = csv.DictReader(file), 1
+        try:
+            for number, row in enumerate(rows, 2):  # noqa: B007 (named in the error)
                 v = [float(row[c]) for c in COLUMNS]
-            except (KeyError, TypeError, ValueError) as error:
-                raise Problem(f"{path}: line {number}", f"numbers under {', '.join(COLUMNS)}", str(error), "give the ABC table") from None
-            materials[row["name"]] = ABC(v[:3], v[3:6], *v[6:])
+                if not all(math.isfinite(x) for x in v) or not row["name"]:
+                    raise ValueError(f"{row['name']}: {v}")
+                materials[row["name"]] = ABC(v[:3], v[3:6], *v[6:])
+        except (KeyError, TypeError, ValueError, csv.Error) as error:
+            found = f"'{str(error)[:80]}'"
+            raise Problem(f"{path}: line {number}", f"numbers under {', '.join(COLUMNS)}", found, "give the ABC table") from None
     return materials
 
 

@@ -12,6 +12,7 @@ import struct
 
 import numpy as np
 
+from manifests.inputs import require_file
 from manifests.problems import Problem
 
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500
@@ -45,6 +46,7 @@ def _between(position, count):
 
 def read(path):
     """The TabulatedBRDF of one file. Raises Problem, one line, for what is no such file; nothing is read before its size is checked."""
+    require_file(path, "a MERL .binary file")
     size = path.stat().st_size
     with open(path, "rb") as file:
         head = file.read(HEADER.size)

@@ -9,6 +9,8 @@ Source: Sztrajman, Rainer, Ritschel, Weyrich, "Neural BRDF Representation and Im
 
 import numpy as np
 
+from manifests.archives import opened_zip, read_array
+from manifests.inputs import require_file
 from manifests.problems import Problem
 
 LAYERS = ((6, 21), (21, 21), (21, 3))
@@ -53,15 +55,15 @@ def load(path):
 
     Raises  Problem, one line, if the file is not such a one
     """
-    if path.stat().st_size > MAX_BYTES:
-        raise Problem(path, f"at most {MAX_BYTES >> 20} MiB", f"{path.stat().st_size >> 20} MiB", "give an npz of NBRDF weights")
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            names, weights = archive["names"], archive["weights"]
-    except (KeyError, ValueError, OSError, EOFError) as error:
-        raise Problem(path, "an npz with `names` and `weights`", f"{type(error).__name__}: {error}"[:120], "give NBRDF weights") from None
-    except Exception as error:  # zipfile.BadZipFile, zlib.error: not an archive, or cut short
-        raise Problem(path, "a whole npz archive", f"{type(error).__name__}: {error}"[:120], "copy the file again") from None
+    expected, remedy = "an npz with `names` and `weights`", "give NBRDF weights"
+    require_file(path, expected, remedy, MAX_BYTES)
+    with opened_zip(path, expected, remedy) as archive:
+        for name in ("names", "weights"):
+            if f"{name}.npy" not in archive.namelist():
+                raise Problem(path, expected, f"no `{name}`", remedy)
+        names, weights = (read_array(archive, name, MAX_BYTES) for name in ("names", "weights"))
+    if weights.dtype.kind not in "fiu" or names.dtype.kind not in "US" or names.ndim != 1:
+        raise Problem(path, "names as text and weights as numbers", f"{names.dtype} of {names.shape} and {weights.dtype}", remedy)
     if weights.ndim != 2 or weights.shape[1] != PARAMETERS or len(names) != len(weights) or len(names) > MAX_MATERIALS:
         raise Problem(
             path, f"weights (N, {PARAMETERS}) beside N names", f"weights {weights.shape}, {len(names)} names", "give NBRDF weights"

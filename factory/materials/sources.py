@@ -3,11 +3,13 @@
 An npz of Neural-BRDF weights (MERL's hundred or EPFL's fifty-one, told apart by their names) or a folder of MERL `.binary` files.
 """
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from factory.materials import families, merl_binary, nbrdf
+from manifests.inputs import require_file
 from manifests.problems import Problem, closest
 
 MERL_CREDIT = (
@@ -16,6 +18,7 @@ MERL_CREDIT = (
 )
 RGL_CREDIT = "EPFL RGL material database (Dupuy, Jakob, SIGGRAPH Asia 2018), through the neural fits of Sztrajman et al. (CGF 2021)"
 MERL_LICENCE = "measurements CC-BY-SA-4.0 (MERL), neural fits MIT; numbers fitted here CC-BY-SA-4.0"
+NAME = re.compile(r"\w[\w. +()-]{0,99}")
 RGL_LICENCE = "neural fits MIT; numbers fitted here MIT"
 
 
@@ -37,12 +40,15 @@ def load(path, only=()):
     Raises  Problem for what is neither, and for a name that is not there
     """
     path = Path(path)
-    if not path.exists():
-        raise Problem(path, "an npz of Neural-BRDF weights or a folder of MERL .binary files", "nothing", "check the path")
+    if not path.is_dir():
+        require_file(path, "an npz of Neural-BRDF weights or a folder of MERL .binary files")
     if path.is_dir() or path.suffix == merl_binary.SUFFIX:
         names, make = merl_binary.files(path), _of_file
     else:
         names, make = {name.removesuffix("_rgb"): (name, network) for name, network in nbrdf.load(path).items()}, _of_network
+    for name in names:  # a file is named after it
+        if not NAME.fullmatch(name):
+            raise Problem(path, "names of letters, digits, '.', '_', ' ' and '-'", repr(name[:60]), "rename it there")
     for name in only:
         if name not in names:
             raise Problem(path, f"a material named {name!r}", "none of that name", closest(name, names))

@@ -9,6 +9,7 @@ import numpy as np
 from factory.render.camera import camera_from_fixed_world, distance
 from factory.render.settings import assign
 
+NEAREST = 0.01  # of the camera's distance: what is nearer is not drawn, but what it belongs to is (factory.render.camera)
 MARGIN = 1  # pixels: a pixel's square reaches half a pixel beyond its centre, float32 a little
 
 
@@ -17,15 +18,17 @@ def around(vertices, azimuth, lens):
 
     vertices  (V, 3), the object's own frame;  azimuth: radians of the view;  lens: manifests.schema.Camera
     """
+    height, width = lens.size
     s, c = np.sin(azimuth), np.cos(azimuth)
     camera_from_object = camera_from_fixed_world(lens) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     seen = vertices @ camera_from_object.T.astype(vertices.dtype)
     x, y = seen[:, 0], seen[:, 1]
     if lens.fov_deg is not None:
         away = distance(lens)
+        if seen[:, 2].max() > (1 - NEAREST) * away:  # the camera stands within the object, which may be seen anywhere
+            return 0, height, 0, width
         nearer = away / (away - seen[:, 2])
         x, y = x * nearer, y * nearer
-    height, width = lens.size
     pixels = max(height, width) / (2 * lens.half_extent)  # a world unit at the object's centre
     top, bottom = _span(-y.max() * pixels, -y.min() * pixels, height)
     left, right = _span(x.min() * pixels, x.max() * pixels, width)

@@ -6,6 +6,7 @@ from manifests.problems import Problem, closest
 
 FAMILIES = ("car", "chair", "sofa", "monitor")
 PAPER_COUNTS = {"car": 130, "chair": 50, "sofa": 50, "monitor": 50}  # the paper's numbers of models
+LONGEST = 100  # digits of a seed: Python reads no number of thousands
 PRIMITIVES = ("sphere", "cube", "torus", "disc", "blob")
 
 
@@ -55,7 +56,7 @@ def _looks_like_a_path(spec):
 
 
 def _number(spec, text, limit=None):
-    if not (text.isascii() and text.isdigit()) or (limit is not None and int(text) > limit):
-        span = "a whole number ≥ 0" if limit is None else f"a whole number from 0 to {limit}"
-        raise Problem(spec, f"{span} after the colon", f"'{text}'", f"write {spec.split(':')[0]}:3")
+    if not (text.isascii() and text.isdigit() and len(text) <= LONGEST) or (limit is not None and int(text) > limit):
+        span = f"a whole number ≥ 0 of at most {LONGEST} digits" if limit is None else f"a whole number from 0 to {limit}"
+        raise Problem(spec, f"{span} after the colon", f"'{text[:40]}'", f"write {spec.split(':')[0]}:3")
     return int(text)

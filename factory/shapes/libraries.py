@@ -1,12 +1,13 @@
 """Many meshes in one place: folders (ShapeNet's layout too) and Sweet Home 3D's .sh3f files, which are zips of OBJ with a catalogue."""
 
 import re
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 from factory.shapes.files import FORMATS
 from factory.shapes.raw import BYTES_A_TRIANGLE, MAXIMUM_TRIANGLES, MORE
+from manifests.archives import DAMAGE, opened_zip
+from manifests.inputs import require_file
 from manifests.problems import Problem, closest
 
 SYNSETS = {"02958343": "car", "03001627": "chair", "04256520": "sofa", "03211117": "monitor"}  # ShapeNet's names of the paper's categories
@@ -17,7 +18,8 @@ WORDS = {
     "car": ("car", "sedan", "suv", "automobile", "coupe", "hatchback"),
 }
 CATALOGUE = "PluginFurnitureCatalog.properties"
-MOST_MEMBERS, MOST_INFLATION, MOST_CATALOGUE = 20_000, 100, 4 << 20
+MOST_INFLATION, MOST_CATALOGUE = 100, 4 << 20
+A_LIBRARY, AGAIN = "a .sh3f library, a zip file of meshes", "check the path, or download it again"
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ def find(folder):
     if folder.is_file():
         return _inside(folder) if folder.suffix.lower() == ".sh3f" else [Entry(str(folder), folder.stem, category_of(folder))]
     if not folder.is_dir():
-        raise Problem(folder, "a folder of meshes", "nothing", "check the path")
+        require_file(folder, "a folder of meshes, or a mesh file")
     found = []
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() == ".sh3f" and path.is_file():
@@ -69,7 +71,7 @@ def category_of(path, chosen=""):
 
 
 def _inside(path):
-    with _opened(path) as archive:
+    with opened_zip(path, A_LIBRARY, AGAIN) as archive:
         catalogue = _catalogue(archive, path)
         library = catalogue.get("license", catalogue.get("name", ""))
         models = {key.partition("#")[2]: value.lstrip("/") for key, value in catalogue.items() if key.startswith("model#")}
@@ -83,20 +85,6 @@ def _inside(path):
                 kind = category_of(Path("x"), Path(model).stem)
             entries.append(Entry(f"{path}#{Path(model).stem}", Path(model).stem, kind, f"{licence}, {creator}".strip(", ")))
     return sorted(entries, key=lambda entry: entry.place)
-
-
-def _opened(path):
-    """An open zip whose own account of itself is within bounds. Raises Problem."""
-    if not Path(path).is_file():
-        raise Problem(path, "a .sh3f library", "nothing", "check the path")
-    try:
-        archive = zipfile.ZipFile(path)
-    except zipfile.BadZipFile as error:
-        raise Problem(path, "a zip file of meshes", f"'{error}'", "download it again") from None
-    if len(archive.infolist()) > MOST_MEMBERS:
-        archive.close()
-        raise Problem(path, f"at most {MOST_MEMBERS:,} files", f"{len(archive.namelist()):,}", "split the library")
-    return archive
 
 
 def _catalogue(archive, path):
@@ -124,7 +112,7 @@ def _extract(archive, name, path, most):
     try:
         with archive.open(info) as file:
             data = file.read(bound + 1)
-    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError) as error:
+    except DAMAGE as error:
         raise Problem(f"{path}#{name}", "a readable member", f"'{error}'", "download the library again") from None
     if len(data) > bound:
         raise Problem(f"{path}#{name}", f"at most {bound:,} bytes unpacked", "more than the zip announces", "download the library again")
@@ -133,7 +121,7 @@ def _extract(archive, name, path, most):
 
 def member(path, chosen, maximum=MAXIMUM_TRIANGLES):
     """(bytes, name, ending) of one mesh of a .sh3f library. Raises Problem: no such name, or none given."""
-    with _opened(path) as archive:
+    with opened_zip(path, A_LIBRARY, AGAIN) as archive:
         models = [value.lstrip("/") for key, value in _catalogue(archive, path).items() if key.startswith("model#")]
         by_name = {Path(model).stem: model for model in models}
         if chosen not in by_name:

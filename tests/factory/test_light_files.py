@@ -11,6 +11,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
+import manifests.exr
 from factory.lights import files, library, load
 from factory.lights.light import from_pixels, looks_like_eight_bits
 from manifests.problems import Problem
@@ -99,6 +100,17 @@ def test_a_data_window_that_lies_is_refused(tmp_path, L, window, says):
     refused(path, says)
 
 
+@pytest.mark.parametrize("side", [(2**20, 2**20), (2**31 - 1, 1), (2**32 - 1, 2**32 - 1), (0, 0)])
+def test_tiles_that_are_larger_than_any_picture_are_refused_before_memory_is_taken(tmp_path, L, side):
+    path = exr(tmp_path / "a.exr", {"RGB": L}, type=OpenEXR.tiledimage, tiles=OpenEXR.TileDescription())
+    data = path.read_bytes()
+    place = data.index(b"tiles\0tiledesc\0") + len(b"tiles\0tiledesc\0") + 4
+    path.write_bytes(data[:place] + struct.pack("<2I", *side) + data[place + 8 :])
+    refused(path)
+    with pytest.raises(Problem):
+        manifests.exr.read(path)
+
+
 def test_deep_sub_sampled_and_odd_pictures_are_refused(tmp_path, L):
     deep = np.empty((4, 8), object)
     for place in np.ndindex(4, 8):
@@ -121,6 +133,7 @@ def test_other_parts_count_before_they_are_read(tmp_path, L, monkeypatch):
     path = tmp_path / "parts.exr"
     OpenEXR.File(parts).write(str(path))
     np.testing.assert_array_equal(files.read(path)[0], L)
+    monkeypatch.setattr(files, "LARGEST_TILE", 0)
     monkeypatch.setattr(files, "MAX_HEIGHT", 16)  # of 16 × 32 pixels four channels fit, nine do not
     refused(path, "at most 32×16 pixels of four channels")
 

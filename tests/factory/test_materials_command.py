@@ -93,6 +93,10 @@ def test_a_report_says_what_made_it_and_whether_limits_are_kept(own):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (("fit", "{folder}", "--light", "{folder}/maps.npz:black", "--out", "{folder}/o.json"), "a light map of a mean"),
+        (("fit", "{folder}", "--light", "{folder}/maps.npz:text", "--out", "{folder}/o.json"), "a finite light map"),
+        (("fit", "{folder}", "--light", "{folder}/maps.npz:none", "--out", "{folder}/o.json"), "an array 'none'"),
+        (("fit", "{folder}", "--light", "{folder}/torn.npz:black", "--out", "{folder}/o.json"), "an .npz file of light maps"),
         (("fit", "{folder}/none.npz", "--out", "{folder}/o.json"), "none.npz: an npz of Neural-BRDF weights"),
         (("fit", "{folder}", "--only", "own-wod", "--out", "{folder}/o.json"), "did you mean own-wood"),
         (("fit", "{folder}", "--closures", "0", "--out", "{folder}/o.json"), "--closures: ascending counts from 1 expected"),
@@ -104,6 +108,8 @@ def test_a_report_says_what_made_it_and_whether_limits_are_kept(own):
 )
 def test_mistakes_end_in_one_line(own, capsys, arguments, message):
     (own / "broken.json").write_text('{"materials": 7}')
+    np.savez(own / "maps.npz", black=np.zeros((4, 8, 3)), text=np.full((4, 8, 3), "a"))
+    (own / "torn.npz").write_bytes((own / "maps.npz").read_bytes()[:500])
     assert run("materials", *(a.format(folder=own) for a in arguments)) == 1
     error = capsys.readouterr().err.strip()
     assert message in error and "\n" not in error

@@ -1,6 +1,8 @@
 """Claims about where materials come from: MERL's binary files, neural weights, ABC's table; refusals by place and remedy."""
 
+import os
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -85,13 +87,53 @@ def test_neural_weights_are_found_by_name_and_unknown_names_listed(tmp_path, rng
         ({"names": np.array(["a"])}, "an npz with `names` and `weights` expected"),
         ({"names": np.array(["a"]), "weights": np.zeros((1, 7))}, r"weights \(N, 675\) beside N names expected, found weights \(1, 7\)"),
         ({"names": np.array(["a"]), "weights": np.full((1, 675), np.inf)}, "finite weights expected"),
-        ({"names": np.array([{"a": 1}], dtype=object), "weights": np.zeros((1, 675))}, "Object arrays cannot be loaded"),
+        ({"names": np.array([{"a": 1}], dtype=object), "weights": np.zeros((1, 675))}, "found 'an array of object'"),
     ],
 )
 def test_an_archive_of_other_things_is_refused(tmp_path, arrays, message):
     np.savez(tmp_path / "bad.npz", **arrays)
     with pytest.raises(Problem, match=message):
         nbrdf.load(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize("name", ["../felt", "a/b", "", ".", "a\nb", "x" * 101, "a\\b"])
+def test_a_material_whose_name_would_lead_out_of_a_folder_is_refused(tmp_path, rng, name):
+    """Fits are kept in files that are named after the materials."""
+    np.savez(tmp_path / "own.npz", names=np.array([name, "felt"]), weights=np.stack([network(rng)] * 2))
+    with pytest.raises(Problem, match=r"own\.npz: names of letters"):
+        sources.load(tmp_path / "own.npz")
+
+
+def test_an_archive_that_swells_is_refused_before_it_is_unpacked(tmp_path):
+    np.savez_compressed(tmp_path / "own.npz", names=np.array(["felt"]), weights=np.zeros((30_000, 675)))  # 162 MB from 0.2 MB
+    tracemalloc.start()
+    with pytest.raises(Problem, match=r"at most 67,108,864 bytes expected, found 162,000,000"):
+        nbrdf.load(tmp_path / "own.npz")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5e6
+
+
+@pytest.mark.parametrize("name", ["own.npz", "own.binary", "folder/own.binary"])
+def test_a_pipe_as_a_source_is_refused_and_not_waited_for(tmp_path, name):
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(Problem, match="found a pipe"):
+        sources.load((tmp_path / name) if "/" not in name else tmp_path / "folder")
+
+
+@pytest.mark.parametrize(
+    "row", ["a,1,1,1,1,1,1,1,1", "a,1,1,1,1,1,1,1,1,nan", "a,1,1,1,1,1,1,1,1,x", ",1,1,1,1,1,1,1,1,1", 'a,"' + "1" * 200_000]
+)
+def test_a_row_of_the_abc_table_that_is_none_is_refused(tmp_path, row):
+    (tmp_path / "abc.csv").write_text("name,kd_r,kd_g,kd_b,A_r,A_g,A_b,B,C,ior\n" + row + "\n")
+    with pytest.raises(Problem, match=r"abc\.csv: line [12]: numbers under kd_r"):
+        abc.load(tmp_path / "abc.csv")
+
+
+def test_the_abc_table_may_begin_with_a_byte_order_mark(tmp_path):
+    (tmp_path / "abc.csv").write_text("\ufeffname,kd_r,kd_g,kd_b,A_r,A_g,A_b,B,C,ior\na,1,1,1,1,1,1,1,1,1.5\n", encoding="utf-8")
+    assert list(abc.load(tmp_path / "abc.csv")) == ["a"]
 
 
 def test_a_torn_archive_is_refused(tmp_path, rng):

@@ -192,7 +192,7 @@ def test_a_zip_bomb_is_not_unpacked(tmp_path):
 def test_broken_libraries(tmp_path):
     refused(f"{written(tmp_path / 'a.sh3f', b'no zip at all')}#x", "a zip file of meshes")
     refused(f"{library(tmp_path / 'b.sh3f', {'x': TRIANGLE}, catalogue=False)}#x", f"a library with {CATALOGUE}")
-    refused(f"{tmp_path / 'none.sh3f'}#x", "a .sh3f library expected, found nothing")
+    refused(f"{tmp_path / 'none.sh3f'}#x", "a .sh3f library, a zip file of meshes expected, found no such file")
 
 
 def test_wrong_options(tmp_path):

@@ -91,3 +91,18 @@ def test_a_pixel_is_its_squares_mean_or_its_centres_point_as_the_camera_says(cha
     assert chair.settings["picture"]["cycles.pixel_filter_type"]["value"] == "GAUSSIAN"
     chair.set_camera(Camera(size=(48, 48)))
     np.testing.assert_array_equal(chair.picture(16, 3)[1], share)
+
+
+def test_a_camera_within_the_object_sees_the_whole_frame():
+    """A corner behind the camera falls on a place of its own in the frame, and what leads there may cross all of it."""
+    from factory.render import camera, window
+    from manifests.schema import Camera
+
+    lens = Camera(size=(40, 56), fov_deg=120.0)
+    away = camera.distance(lens)
+    assert away < 1
+    seen = np.array([(-0.1, -0.2, -0.5), (0.1, -0.2, -0.5), (0.0, -0.05, away + 0.2)])  # right, up, towards the camera
+    vertices = seen @ camera.camera_from_fixed_world(lens)
+    assert window.around(vertices, 0.0, lens) == (0, 40, 0, 56)
+    top, bottom, left, right = window.around(vertices[[0, 1, 0]], 0.0, lens)
+    assert (bottom - top) * (right - left) < 200
