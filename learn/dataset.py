@@ -12,6 +12,7 @@ view      (H, W, 3) unit vectors to the viewer, camera frame; None for an orthog
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +23,12 @@ from manifests.materials import material, read_catalogue
 from manifests.problems import Problem
 from manifests.schema import Record
 from manifests.store import Store, inside
+from manifests.verification.lines import Judge
 from shaders.dsbrdf import SIZE
 from shaders.envmap import roll
 from shaders.frames import view_vectors
 
+REPAIR = "python -m factory verify DIR --repair, then render again"
 LARGEST_LABEL = 14.0  # log γ of the sharpest lobe that the layer is tested with is 11.5
 
 
@@ -75,13 +78,15 @@ class Records(torch.utils.data.Dataset):
     def __init__(self, folder, keep=None):
         """keep: a function of a Record that says whether it is wanted; None: all.
 
-        Raises  Problem if the folder holds no dataset
+        Raises  Problem if the folder holds no dataset, or a record that is not the one its id means
         """
         self.store = Store(folder)
         self.folder = Path(folder)
         self.dataset = self.store.dataset()
         self.materials = {entry.name: entry for entry in read_catalogue(self.folder / "materials.json").materials}
-        self.records = sorted(self.store.records(keep), key=lambda record: record.id)
+        self.records = sorted(self._judged("records", self.store.records(keep)), key=lambda record: record.id)
+        if twice := next((a.id for a, b in pairwise(self.records) if a.id == b.id), None):
+            raise Problem(self.folder, "each record once", f"{twice} twice", REPAIR)
 
     def __len__(self):
         return len(self.records)
@@ -99,14 +104,30 @@ class Records(torch.utils.data.Dataset):
         tensors = (torch.from_numpy(np.ascontiguousarray(array)) for array in (self.image(record), normals, depth, segments, label, light))
         return Sample(record, *tensors, view)
 
+    def views(self):
+        """Every View of geometry alone. Raises Problem as `Records` does."""
+        return self._judged("views", self.store.views())
+
+    def _judged(self, kind, lines):
+        """The lines, each held against its id and its entries: an altered one would be learned from as what it is not."""
+        judge, found = Judge(self.dataset, {}, set(), None), []
+        faults_of = judge.of_kind(kind)
+        for line in lines:
+            for fault in faults_of(line, None):
+                raise Problem(self.folder, f"{kind} that are what their ids mean", fault.text, REPAIR)
+            found.append(line)
+        for fault in judge.verdicts():
+            raise Problem(self.folder, f"{kind} that are what their ids mean", fault.text, REPAIR)
+        return found
+
     def image(self, record):
-        """Radiance (H, W, 3) float32 of a record."""
-        return arrays.read_picture(inside(self.folder, record.image), record.camera.size)
+        """Radiance (H, W, 3) float32 of a record. Raises Problem for another file than the record means."""
+        return arrays.read_picture(inside(self.folder, record.image), record.camera.size, record.image_hash)
 
     def geometry(self, record):
         """normals (H, W, 3) float32, depth (H, W) float32, segments (H, W) int64 of a record or a view."""
         path = inside(self.folder, record.geometry)
-        normals, depth, segments = arrays.read_geometry(path, record.camera.size)
+        normals, depth, segments = arrays.read_geometry(path, record.camera.size, record.geometry_hash)
         if segments.max(initial=0) > record.segments:
             raise Problem(path, f"at most {record.segments} segments", f"segment {int(segments.max())}", "render it again")
         return normals, depth, segments.astype(np.int64)
@@ -117,7 +138,10 @@ class Records(torch.utils.data.Dataset):
         where, entry = self.folder / "materials.json", self.materials.get(name)
         if entry is None:
             raise Problem(where, f"an entry for '{name}', which a record names,", "none", "copy the dataset again")
-        return material(entry, where)
+        found, known = material(entry, where), self.dataset.materials.get(name)
+        if known is not None and known.hash != found.hash:
+            raise Problem(f"{where}: '{name}'", f"hash {known.hash}, as in dataset.json,", found.hash, "copy the dataset again")
+        return found
 
     def label(self, name):
         """The label (108,) float32 of a material of this dataset: natural logarithms."""
@@ -133,4 +157,4 @@ class Records(torch.utils.data.Dataset):
         entry = self.dataset.lights.get(name)
         if entry is None:
             raise Problem(self.folder / "dataset.json", f"a light '{name}', which a record names,", "none", "copy the dataset again")
-        return arrays.read_light(inside(self.folder, entry.file))
+        return arrays.read_light(inside(self.folder, entry.file), entry.file_hash)

@@ -25,11 +25,11 @@ import numpy as np
 from tqdm import tqdm
 
 from learn.dataset import Records
+from manifests.arrays import PACKED_UNIT, pack_normals
 from manifests.files import replacing, write_text
 from manifests.inputs import require_file
 from manifests.problems import Problem
 
-UNIT = 32767
 UNIT_TOLERANCE = 1e-2  # of |n|; files keep it to 1e-4
 LARGEST_JSON = 256 << 20  # bytes: 70 a view
 ARRAYS = ("normals.npy", "segments.npy")
@@ -57,7 +57,7 @@ class Geometry:
     def __init__(self, folder, progress=True, skip_bad=False):
         records = Records(folder)
         first = {}
-        for record in chain(records.store.views(), records.records):
+        for record in chain(records.views(), records.records):
             if record.coverage >= LEAST_COVERAGE:
                 first.setdefault(record.geometry_hash, record)
         if not first:
@@ -89,7 +89,7 @@ class Geometry:
 
     def normals(self, index):
         """(H, W, 3) float32 unit normals, camera frame; 0 in the background."""
-        xy = self._n[index].astype(np.float32) / UNIT
+        xy = self._n[index].astype(np.float32) / PACKED_UNIT
         z = np.sqrt(np.clip(1.0 - (xy * xy).sum(-1, keepdims=True), 0.0, 1.0))
         return np.concatenate([xy, z], -1) * (self._segments[index] > 0)[..., None]
 
@@ -140,7 +140,7 @@ class Geometry:
                     raise
                 self.skipped[record.geometry_hash] = str(problem)
                 continue
-            n[len(hashes)], segments[len(hashes)] = np.rint(normals[..., :2] * UNIT), covered
+            n[len(hashes)], segments[len(hashes)] = pack_normals(normals), covered
             hashes.append(record.geometry_hash)
         self._n, self._segments = n[: len(hashes)], segments[: len(hashes)]
         try:

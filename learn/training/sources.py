@@ -82,7 +82,7 @@ def _held_out(data, maps, entries):
     if named:
         return named
     hashes = {name: entries[name].hash if name in entries else hashlib.sha256(L.tobytes()).hexdigest() for name, L in maps.items()}
-    sides = {name: (entries[name].side if name in entries else None) or splits.light_side(hashes[name]) for name in maps}
+    sides = {name: splits.light_side(hashes[name]) for name in maps}
     held = {name: "test" for name, side in sides.items() if side == "test"}
     return held | {name: "validation" for name in maps if name not in held and by_hash(hashes[name], VALIDATION_LIGHTS) == 0}
 

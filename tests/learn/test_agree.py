@@ -3,6 +3,7 @@
 import json
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 import synthetic
@@ -44,9 +45,8 @@ def test_pictures_of_the_layer_itself_agree_up_to_their_noise(folder):
 
 def test_a_turned_light_is_found_and_told_from_other_causes(tmp_path, rng):
     """The record says 3 texels, the picture was made with 2: the layer sees the light one texel too far."""
-    synthetic.write_dataset(tmp_path / "data", [synthetic.matte()], rng, size=32, noise=0.001, rotations=(2,))
-    lines = tmp_path / "data" / "records" / "worker-00.jsonl"
-    lines.write_text(lines.read_text().replace('"rotation_texels":2', '"rotation_texels":3'))
+    store = synthetic.write_dataset(tmp_path / "data", [synthetic.matte()], rng, size=32, noise=0.001, rotations=(2,))
+    synthetic.rename(store, lambda record: msgspec.structs.replace(record, rotation_texels=3))
     _, out = agree(tmp_path / "data")
     causes = json.loads((out / "report.json").read_text())["conditions"][0]["causes"]
     assert causes["look_up_texels"] == pytest.approx(-1.0, abs=0.15)  # linear in the turn, over a map of independent texels
@@ -81,8 +81,8 @@ def test_nodes_that_are_not_the_label_show_as_node_fit(tmp_path, rng):
     """The label reflects 0.4, nodes and picture 0.36."""
     label, nodes = synthetic.matte("grey", albedo=0.4), synthetic.matte("grey", albedo=0.36)
     mixed = synthetic.entry("grey", np.exp(np.asarray(label.label)).reshape(3, 3, 2, 6), Mixture.lambert([0.36] * 3))
-    synthetic.write_dataset(tmp_path / "data", [nodes], rng, size=32, noise=0.001, rotations=(0,))
-    catalogue.write(catalogue.Catalogue(title="test", credit="none", materials=(mixed,)), tmp_path / "data" / "materials.json")
+    store = synthetic.write_dataset(tmp_path / "data", [nodes], rng, size=32, noise=0.001, rotations=(0,))
+    synthetic.exchange(store, mixed)
     _, out = agree(tmp_path / "data")
     row = json.loads((out / "report.json").read_text())["conditions"][0]
     assert row["signed"] == pytest.approx(0.4 / 0.36 - 1, abs=2e-3)  # the noise of 750 pixels: 0.001

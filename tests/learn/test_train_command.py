@@ -5,14 +5,12 @@ import os
 import subprocess
 import sys
 
-import msgspec
 import pytest
 
 from learn.training.sources import VALIDATION_SHAPES, by_hash
 from manifests.command_line import main
-from manifests.schema import ShapeEntry
-from tests.learn.synthetic import id_of
-from tests.learn.test_cycles_source import SIZE, damage, first, rewrite, written
+from tests.learn import synthetic
+from tests.learn.test_cycles_source import SIZE, damage, first, written
 
 RUN = {
     "name": "tiny",
@@ -51,16 +49,8 @@ def store(tmp_path):
     """A dataset with a shape for each side, four pictures of each."""
     store = written(tmp_path / "data")
     chosen = next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
-    entry = ShapeEntry(hash="5" * 64, category="sphere", side="train", role="train", segments=1, licence="CC0")
-    held_out = {chosen: entry, "cube:1": msgspec.structs.replace(entry, side="test", role="test")}
-    store.write_json("dataset.json", msgspec.structs.replace(store.dataset(), shapes={"sphere": entry} | held_out))
-    records = list(store.records())
-    others = [
-        msgspec.structs.replace(r, id=id_of(f"{shape} {r.id}"), shape=shape, geometry_hash=letter * 64)
-        for shape, letter in zip(held_out, "78", strict=True)
-        for r in records
-    ]
-    rewrite(store, records + others)
+    for shape, side in ((chosen, "train"), ("cube:1", "test")):
+        synthetic.add_shape(store, shape, side)
     return store
 
 
