@@ -39,7 +39,9 @@ def pools(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
     synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE)
     dataset = json.loads((folder / "dataset.json").read_text())
-    dataset["shapes"] = {"sphere": {"hash": "s", "category": "sphere", "side": "train", "role": "train", "segments": 1, "licence": "CC0"}}
+    dataset["shapes"] = {
+        "sphere": {"hash": "5" * 64, "category": "primitive", "side": "train", "role": "train", "segments": 1, "licence": "CC0"}
+    }
     (folder / "dataset.json").write_text(json.dumps(dataset))
     geometry, rng = Geometry(folder, progress=False), np.random.default_rng(2)
     labels = {f"m{i}": painted(albedo) for i, albedo in enumerate(np.linspace(0.05, 0.9, 12))}

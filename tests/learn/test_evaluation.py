@@ -286,7 +286,10 @@ def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path
     shutil.copytree(data, folder)
     lines = folder / "records" / "worker-00.jsonl"
     whole = lines.read_bytes()
-    seeds = [r for r in Records(folder).records if r.seed == min(other.seed for other in Records(folder).records)]
+    first = {}  # the picture of each scene that stands first among its seeds, so that the same edits are drawn later
+    for record in Records(folder).records:
+        first.setdefault((pairs.scene(record), record.materials), record)
+    seeds = list(first.values())
     lines.write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in seeds))
     run.make(replace(options, data=folder))
     assert {row["layer"].get("seeds") for row in run.rows_of(options.out / "edits.jsonl").values()} == {None}
