@@ -21,8 +21,10 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from manifests.inputs import kind_of
+from manifests.inputs import kind_of, require_file
 from manifests.problems import Problem
+
+MOST_LINE_BYTES = 256 << 20  # of a file of result lines: a thousand edits take 4 MB
 
 _DRAFT = itertools.count()  # two threads of one process never write one file's draft
 _DRAFT_NAME = re.compile(r"\..*\.(?P<machine>\w+)-(?P<process>\d{1,9})-\d+\.part", re.DOTALL)
@@ -288,35 +290,45 @@ def _finite(value):
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def read_lines(path):
-    """The whole lines of a JSONL file, a torn last one passed over; none if it is not there. Raises Problem for a damaged one."""
-    try:
-        with open(path, "rb") as file:
-            text = file.read()
-    except FileNotFoundError:
+def read_lines(path: str | os.PathLike, line_type: Any = dict[str, Any]) -> list[dict[str, Any]]:
+    """The whole lines of a JSONL file as dictionaries; a torn last one is passed over; none if there is no file.
+
+    line_type  what msgspec checks each line against; keys that it does not know are kept
+    Raises     Problem for a damaged line, for what is no ordinary file, and for one above MOST_LINE_BYTES
+    """
+    import msgspec
+
+    from manifests.reading import decode
+
+    if not os.path.lexists(path):
         return []
-    found = []
-    for number, line in enumerate(text.split(b"\n")[:-1], 1):
+    require_file(path, "lines of JSON", "give another --out", MOST_LINE_BYTES)
+    lines = []
+    for number, line in enumerate(Path(path).read_bytes().split(b"\n")[:-1], 1):
         try:
-            found.append(json.loads(line))
-        except ValueError as error:
-            raise Problem(f"{path}:{number}", "a line of JSON", str(error), "remove the line: what it told is made again") from None
-    return found
+            decode(line, line_type, f"{path}:{number}")
+        except Problem as problem:
+            remedy = "remove the line: what it holds is made again"
+            raise Problem(problem.where, problem.expected, problem.found, remedy) from None
+        lines.append(msgspec.json.decode(line))
+    return lines
 
 
-def settle(path, wanted):
+def settle(path: Path, wanted: Mapping[str, Any]) -> None:
     """Write down what the figures beside `path` depend on, or check that it is what is there. Raises Problem.
 
     wanted  {name: value} that JSON can hold; a tuple is a list there
     """
+    from manifests.reading import read
+
     wanted = json.loads(json.dumps(wanted))
-    if not path.exists():
+    if not os.path.lexists(path):
         write_json(path, wanted)
         return
     try:
-        there = json.loads(path.read_text(encoding="utf-8"))
-        other = [key for key in wanted if there.get(key) != wanted[key]]
-    except (ValueError, AttributeError) as error:
-        raise Problem(path, "settings as JSON", str(error), "give another --out") from None
+        there = read(path, dict[str, Any])
+    except Problem as problem:
+        raise Problem(problem.where, "settings as JSON", problem.found, "give another --out") from None
+    other = [key for key in wanted if there.get(key) != wanted[key]]
     if other:
         raise Problem(path.parent, "results of the same settings", f"other {', '.join(other)}", "give another --out")

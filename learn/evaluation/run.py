@@ -19,7 +19,7 @@ import torch
 from tqdm import tqdm
 
 from learn.dataset import Records
-from learn.evaluation import pairs, report
+from learn.evaluation import pairs, report, rows
 from learn.evaluation.bench import Bench
 from learn.evaluation.methods import TOLERANCE
 from learn.refinement import Settings
@@ -58,9 +58,9 @@ def make(options):
         bench = Bench(**arguments(options))  # here first: what is wrong with weights is said before any process starts
         files.settle(out / "settings.json", settings(options))
         work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
-        rows = [[row for id_, row in rows_of(out / name).items() if id_ in wanted] for name, wanted in names(chosen).items()]
+        lines = [[row for id_, row in rows_of(out / name).items() if id_ in wanted] for name, wanted in names(chosen).items()]
         about = report.about(options, records, kept, bench.entrants.left_out, bench.perceptual)
-        return report.write(out, *rows, [edit.id for edit in chosen[: options.gallery]], about, bench.entrants)
+        return report.write(out, *lines, [edit.id for edit in chosen[: options.gallery]], about, bench.entrants)
 
 
 def names(chosen):
@@ -172,5 +172,5 @@ def _work(unit):
 
 
 def rows_of(path):
-    """{id: row} of a file of lines; of two of one id the later."""
-    return {row["id"]: row for row in files.read_lines(path)}
+    """{id: row} of a file of lines; of two of one id the later. Raises Problem for a damaged line."""
+    return {row["id"]: row for row in files.read_lines(path, rows.TYPES[path.name])}

@@ -53,14 +53,19 @@ def of(room: Room) -> Path:
 
 def write(folder: Path) -> None:
     """Write all of them."""
+    write_small(folder)
+    datasets(folder)
+    _weights(folder)
+    _training(folder)
+
+
+def write_small(folder: Path) -> None:
+    """Write those that take no time: all but data sets, weights and trained/."""
     _meshes(folder)
     _lights(folder)
     _materials(folder)
-    (folder / "job.json").write_text(json.dumps(job(folder), indent=1))
-    datasets(folder)
     _photographs(folder)
-    _weights(folder)
-    _training(folder)
+    (folder / "job.json").write_text(json.dumps(job(folder), indent=1))
 
 
 def job(folder: Path) -> dict:
