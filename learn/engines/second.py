@@ -148,7 +148,10 @@ class Lit:
         return per_pixel, energy_sums, lights.lobe_first(by_m)
 
     def passes(self, one_pass, results, *vectors):
-        """`results` arrays (p, 3) and the energy sums of one_pass(vectors of a pass, each result's parts (CHUNKS, pass, 3), energy part)."""
+        """`results` arrays (p, 3), and the energy sums.
+
+        one_pass is given the vectors of a pass, each result's parts (CHUNKS, pass, 3) and the energy part to fill.
+        """
         found = [np.empty_like(vectors[0]) for _ in range(results)]
         energy_part, energy_sums = np.empty_like(self.energy), np.zeros(self.energy.shape)
         for first in range(0, len(vectors[0]), PASS):
