@@ -148,9 +148,9 @@ class Lit:
         return per_pixel, energy_sums, lights.lobe_first(by_m)
 
     def passes(self, one_pass, results, *vectors):
-        """`results` arrays (p, 3) and the energy sums of one_pass.
+        """`results` arrays (p, 3), and the energy sums.
 
-        one_pass  called with the vectors of a pass, each result's parts (CHUNKS, pass, 3), and the energy part
+        one_pass is given the vectors of a pass, each result's parts (CHUNKS, pass, 3) and the energy part to fill.
         """
         found = [np.empty_like(vectors[0]) for _ in range(results)]
         energy_part, energy_sums = np.empty_like(self.energy), np.zeros(self.energy.shape)
