@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from learn.dataset import LARGEST_LABEL
-from manifests.materials import find
+from manifests.materials import LARGEST_LABEL, find
 from manifests.problems import Problem
 from shaders.dsbrdf import SHAPE, SIZE
 
