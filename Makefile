@@ -6,11 +6,12 @@ OUT    ?= out/demo
 PIP_FLAGS ?=
 WORKERS ?= 2
 
-.PHONY: help demo demo-small test lint clean
+.PHONY: help demo demo-small test fuzz lint clean
 help:
 	@echo "make demo    install into $(VENV)/, render a small data set, check that two renderers agree, edit a picture and a photograph; then open $(OUT)/index.html"
 	@echo "make demo-small  the same with the smallest job: eight pictures"
 	@echo "make test    install into $(VENV)/ and run the tests"
+	@echo "make fuzz    feed damaged files and odd options to every command for ten minutes"
 	@echo "make lint    check the code's style"
 	@echo "make clean   delete $(VENV)/, out/ and build/"
 
@@ -45,6 +46,11 @@ demo-small:
 
 test: $(VENV)/installed
 	$(VENV)/bin/python -m pytest $(PYTEST_FLAGS)
+
+# Ten minutes unless FUZZ_FLAGS says otherwise, as in make fuzz FUZZ_FLAGS="--minutes 60 --seed 3".
+FUZZ_FLAGS ?=
+fuzz: $(VENV)/installed
+	$(VENV)/bin/python -m tests.fuzz $(FUZZ_FLAGS)
 
 lint: $(VENV)/installed
 	$(VENV)/bin/ruff check

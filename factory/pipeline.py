@@ -172,7 +172,7 @@ class Pipeline:
                 L = light.L_full
                 height, width = max(L.shape[0], TEXELS // 2), -(-L.shape[1] // TEXELS) * TEXELS
                 if L.shape[:2] != (height, width):
-                    L = envmap.resize(L, height, width).astype(np.float32)
+                    L = envmap.resize(L, height, width, np.float32)
             self._light_map = ((name, resolution), L)
         return self._light_map[1]
 

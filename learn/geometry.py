@@ -27,9 +27,11 @@ from tqdm import tqdm
 from learn.dataset import Records
 from manifests.arrays import PACKED_UNIT, pack_normals
 from manifests.files import replacing, write_text
+from manifests.inputs import require_file
 from manifests.problems import Problem
 
 UNIT_TOLERANCE = 1e-2  # of |n|; files keep it to 1e-4
+LARGEST_JSON = 256 << 20  # bytes: 70 a view
 ARRAYS = ("normals.npy", "segments.npy")
 LEAST_COVERAGE = 0.02  # a view that shows less of its shape teaches nothing
 
@@ -72,8 +74,9 @@ class Geometry:
             raise Problem(self.folder / "dataset.json", f"a shape '{missing[0]}', which a record names,", "none", "copy the dataset again")
         self.skipped = self._known_as_bad() if skip_bad else {}
         self._n = self._segments = None
-        if self._is_fresh([r.geometry_hash for r in chosen if r.geometry_hash not in self.skipped]):
-            self._map()
+        hashes = [r.geometry_hash for r in chosen if r.geometry_hash not in self.skipped]
+        if self._is_fresh(hashes):
+            self._map(len(hashes))
         if self._n is None:
             self._pack(records, chosen, progress, skip_bad)
         chosen = [r for r in chosen if r.geometry_hash not in self.skipped]
@@ -98,26 +101,33 @@ class Geometry:
         return self.folder / "packed" / name
 
     def _known_as_bad(self):
-        try:
-            return dict(json.loads(self._at("skipped.json").read_text()))
-        except (OSError, ValueError):
-            return {}
+        """{hash: what is wrong} of files that were left out when the cache was made."""
+        known = self._remembered("skipped.json")
+        return known if isinstance(known, dict) and all(isinstance(text, str) for text in known.values()) else {}
 
     def _is_fresh(self, hashes):
-        try:
-            return json.loads(self._at("views.json").read_text()) == hashes
-        except (OSError, ValueError):
-            return False
+        """Whether the cache was made of these files."""
+        return self._remembered("views.json") == hashes
 
-    def _map(self):
-        """Map the arrays into memory, if they are those that were packed."""
+    def _remembered(self, name):
+        """What a small file of the cache holds; None if it is missing or damaged."""
         try:
-            sums = json.loads(self._at("sums.json").read_text())
-            if any(_sum(self._at(name)) != sums[name] for name in ARRAYS):
+            require_file(self._at(name), "a part of the cache", maximum_bytes=LARGEST_JSON)
+            return json.loads(self._at(name).read_text())
+        except (OSError, ValueError, RecursionError):
+            return None
+
+    def _map(self, count):
+        """Map the arrays of `count` views into memory, if they are those that were packed."""
+        sums, (height, width) = self._remembered("sums.json"), self.size
+        try:
+            if not isinstance(sums, dict) or any(_sum(self._at(name)) != sums.get(name) for name in ARRAYS):
                 return
-        except (OSError, ValueError, LookupError, TypeError):
+            n, segments = (np.load(self._at(name), mmap_mode="r", allow_pickle=False) for name in ARRAYS)
+        except (OSError, ValueError, EOFError):
             return
-        self._n, self._segments = (np.load(self._at(name), mmap_mode="r", allow_pickle=False) for name in ARRAYS)
+        if (n.shape, segments.shape) == ((count, height, width, 2), (count, height, width)):
+            self._n, self._segments = n, segments
 
     def _pack(self, records, chosen, progress, skip_bad):
         self.skipped, hashes = {}, []
@@ -138,7 +148,7 @@ class Geometry:
         except OSError as error:
             print(f"learn: packed geometry stays in memory, for it cannot be kept: {error}", file=sys.stderr)
             return
-        self._map()
+        self._map(len(hashes))
 
     def _keep(self, hashes):
         """Write the cache."""
@@ -166,6 +176,7 @@ class Geometry:
 def _sum(path):
     """CRC-32 of a file's bytes: 2 GB a second."""
     found = 0
+    require_file(path, "a part of the cache")
     with open(path, "rb") as file:
         while data := file.read(1 << 22):
             found = zlib.crc32(data, found)

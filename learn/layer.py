@@ -10,6 +10,8 @@ segments  (B, H, W) integers 1 … S, 0 in the background
 
 Pictures of one material and one light, each one tensor expanded over the batch, are one scene: some methods then share work between them.
 Gradients in n and view are tangential: a normal is scaled to unit length before use, and derivatives pass through that.
+Derivatives of derivatives (create_graph=True) are given by method="exact", in every pair of arguments; a method that approximates gives
+them where they are right, and raises NotImplementedError by its name where they are asked for and are not (docs/layer-in-a-model.md).
 Pixels whose normal does not face the viewer (n·v ≤ learn.methods.HORIZON) come out black, with zero gradient.
 """
 
@@ -29,7 +31,8 @@ def render(n, material, light, view=None, segments=None, mask=None, method="auto
     tolerance  relative error that "auto" may spend; methods with a knob of their own set it by this too
     elevation  radians from the light frame to the camera frame about x (shaders.frames.camera_from_light);
                0 if your light map is given in the camera's own frame
-    Raises     ValueError that names the argument, the rule and what was found
+    Raises     ValueError that names the argument, the rule and what was found; NotImplementedError for derivatives that the method does
+               not have: second ones (see above) when they are asked for, third ones, forward mode
     Source     supplement, "Details of Rendering Layer"
     """
     inputs = checked(n, material, light, view, segments, mask, tolerance, elevation)

@@ -8,12 +8,13 @@ these wait for more work spinning, in the way of the kernels' own threads (docs/
 
 import numpy as np
 import torch
-from torch.autograd.function import once_differentiable
 
+from learn.derivatives import Step, require_one_gradient
 from learn.engines import machine_code, threads
 
 OUTSIDE, AWAY, SEEN, WRONG = range(4)  # states of a pixel, those of learn.engines.pixels, which needs numba to be read
 PIXEL = 6e-9  # seconds that a kernel needs for each
+SHORTEST = 1e-12  # as torch.nn.functional.normalize
 
 
 def has_kernels(tensor):
@@ -55,9 +56,10 @@ def spread(radiance, index, pixels):
     return radiance.new_zeros(pixels, 3).index_copy(0, index, radiance)
 
 
-class Unit(torch.autograd.Function):
+class Unit(Step):
     @staticmethod
     def forward(ctx, vectors, index):
+        ctx.save_for_backward(vectors, index)
         given, places = in_order(vectors), index.numpy()
         found, length = np.empty((len(places), 3), np.float32), np.empty(len(places), np.float32)
         run("pixels.unit", len(places), given, places, found, length)
@@ -65,15 +67,25 @@ class Unit(torch.autograd.Function):
         return torch.from_numpy(found)
 
     @staticmethod
-    @once_differentiable
     def backward(ctx, g):
+        require_one_gradient(g)
+        if torch.is_grad_enabled():
+            return tangential(g, *ctx.saved_tensors), None
         places, found, length, pixels = ctx.kept
         by_vectors = np.zeros((pixels, 3), np.float32)
         run("pixels.unit_backward", len(places), places, found, length, in_order(g), by_vectors)
         return torch.from_numpy(by_vectors), None
 
 
-class Spread(torch.autograd.Function):
+def tangential(g, vectors, index):
+    """(P, 3): derivatives by the vectors, given those by the unit vectors at index; the same in torch, to be differentiated again."""
+    picked = vectors.index_select(0, index)
+    length = picked.norm(dim=-1, keepdim=True).clamp(min=SHORTEST)
+    unit = picked / length
+    return torch.zeros_like(vectors).index_copy(0, index, (g - (g * unit).sum(-1, keepdim=True) * unit) / length)
+
+
+class Spread(Step):
     @staticmethod
     def forward(ctx, radiance, index, pixels):
         ctx.places = index.numpy()
@@ -82,8 +94,10 @@ class Spread(torch.autograd.Function):
         return torch.from_numpy(picture)
 
     @staticmethod
-    @once_differentiable
     def backward(ctx, g):
+        require_one_gradient(g)
+        if torch.is_grad_enabled():
+            return g.index_select(0, torch.from_numpy(ctx.places)), None, None
         values = np.empty((len(ctx.places), 3), np.float32)
         run("pixels.pick", len(ctx.places), ctx.places, in_order(g), values)
         return torch.from_numpy(values), None, None

@@ -30,6 +30,7 @@ def of(framed, network, regions=None, count=1):
     """(Batch of one, Prediction) of a learn.pictures.Framed.
 
     regions  (size, size) 1 … S, None for one; count: S, of which a small one may have no pixel left at the network's size
+    Raises   Problem: the network predicts what is not finite
     """
     image = torch.from_numpy(framed.radiance).movedim(-1, 0)[None].contiguous()
     mask = torch.from_numpy(framed.mask)
@@ -40,6 +41,9 @@ def of(framed, network, regions=None, count=1):
     batch = Batch(image, mask[None, None].float(), normals, segments, label, nothing, label, ("picture",), float(ELEVATION))
     with torch.no_grad():
         predicted = network(batch.image, batch.mask, segments if count > 1 else None, regions=count)
+    if not all(part.isfinite().all() for part in (predicted.n, predicted.label, predicted.light)):
+        rule = "weights that predict finite normals, light and material"
+        raise Problem("--weights", rule, "NaN or infinity", "train them again, or leave --weights out")
     return batch, predicted
 
 
@@ -51,7 +55,7 @@ def write(image, mask, weights, out, exposure=None, overwrite=False):
         raise Problem("--mask", "a photograph: a dataset's records have masks", f"the dataset {image}", "leave --mask out")
     network, metadata = checkpoint.load_parts(weights)
     radiance, covered, exposure = _from_record(image, exposure) if Path(image).is_dir() else (*pictures.read(image, mask), exposure)
-    framed = pictures.framed(radiance, covered, int(metadata["size"]), exposure)
+    framed = pictures.framed(radiance, covered, metadata["size"], exposure, image)
     batch, predicted = of(framed, network)
     seen = replace(batch, n=predicted.n, label=predicted.label, light=predicted.light)
     again = measures.picture(predicted.n, predicted.label, predicted.light, seen)[0]
@@ -105,4 +109,5 @@ def _rounded(label):
 
 
 def _save(path, cell):
+    pictures.require_finite(path, cell)
     files.write_image(path, np.clip(cell, 0, 255).astype(np.uint8))

@@ -15,6 +15,7 @@ channels, other shapes, values that are no radiance. Each reader raises manifest
 
 import hashlib
 import io
+import lzma
 import zipfile
 import zlib
 from pathlib import Path
@@ -49,7 +50,7 @@ PACKED_UNIT = 32767  # of packed normals
 AGAIN = "render or copy it again"
 LIGHT_AGAIN = "render or copy the dataset again"
 _NO_ARCHIVE = (  # what zipfile and numpy raise for damaged, encrypted, nested or bottomless archives
-    OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error,
+    OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
     SyntaxError, TypeError, OverflowError, MemoryError,
 )  # fmt: skip
 

@@ -84,7 +84,7 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
     _require_place_for_file(path)
     if draft is None:
         _remove_abandoned_drafts(path.parent)
-        name = path.name.encode()[:180].decode(errors="ignore")  # a name has 255 bytes at most
+        name = os.fsdecode(os.fsencode(path.name)[:180])  # a name has 255 bytes at most, of any kind
         draft = path.with_name(f".{name}.{_machine()}-{os.getpid()}-{next(_DRAFT)}.part")
     with _named(path):
         descriptor = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
@@ -268,8 +268,11 @@ def claim(folder, names, overwrite, inputs=()):
 
 
 def write_text(path, text):
-    """UTF-8 text, whole or not at all: a kill or a full disk leaves the earlier file. Raises as `replacing`."""
-    write_bytes(path, text.encode("utf-8"))
+    """UTF-8 text, whole or not at all: a kill or a full disk leaves the earlier file. Raises as `replacing`.
+
+    Bytes of file names that are no UTF-8 (surrogates in Python) are written as \\udcXX, which JSON reads back as they were.
+    """
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_json(path, value):

@@ -39,9 +39,7 @@ def geometry_id(shape_hash: str, camera: str, viewpoint: int, render: str) -> st
     return digest.hexdigest()[:ID_DIGITS]
 
 
-def shots_digest(
-    render: str, shape_hash: str, materials: tuple[str, ...], light_hash: str, camera: str, samples: int
-) -> Any:
+def shots_digest(render: str, shape_hash: str, materials: tuple[str, ...], light_hash: str, camera: str, samples: int) -> Any:
     """The hash of what a group of shots shares, for `shot_id` to go on from; camera as words."""
     return _digest(b"brdfactory shot 1", render, shape_hash, *materials, light_hash, camera, samples)
 

@@ -13,6 +13,9 @@ import numpy as np
 from shaders.arrays import namespace
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
+BAND = 64  # rows of a map that are looked at together: 12 MB in float64 of a map of 8192 × 4096
+WHOLE = 1024  # rows up to which a map is copied to float64 whole
+DENSE = 4096  # columns and rows up to which a table of all pairs is made: 134 MB
 TWINS = 0.99  # likeness of copies of one capture, resized, re-encoded or turned, exceeds 0.9999; of 26 different ones it stays below 0.9
 
 
@@ -50,9 +53,19 @@ def roll(L, texels):
 
 
 def mean_radiance(L):
-    """Solid-angle mean (3,) of L (height, width, 3)."""
+    """Solid-angle mean (3,) of L (height, width, 3). It takes the memory of BAND rows."""
     weight = row_solid_angles(*L.shape[:2])[:, None, None] / (4 * np.pi)
-    return (np.asarray(L, dtype=np.float64) * weight).sum((0, 1))
+    total = np.zeros(L.shape[2:])
+    for rows in bands(L.shape[0]):
+        part = (np.asarray(L[rows], dtype=np.float64) * weight[rows]).reshape(-1, *L.shape[2:])
+        part[:1] += total  # numpy adds row after row: the same sum, bit by bit, as that of the whole map at once
+        total = part.sum(0)
+    return total
+
+
+def bands(height):
+    """Slices of BAND rows that cover a map: what is done band by band needs no copy of a large map."""
+    return [slice(first, min(first + BAND, height)) for first in range(0, height, BAND)]
 
 
 def unit_mean(L):
@@ -73,17 +86,51 @@ def _overlaps(edges_from, edges_to):
     return np.maximum(high - low, 0.0)
 
 
-def resize(L, height, width):
+def resize(L, height, width, dtype=np.float64):
     """The map averaged by solid angle into another size: energy in each region of the sphere is kept, up or down.
 
     L        (any height, any width, 3)
-    Returns  (height, width, 3) float64
+    dtype    of the result; sums are float64
+    Returns  (height, width, 3)
+
+    Besides the result it takes memory for a float64 copy of at most WHOLE rows and, where the height changes, for a float64
+    map of L's height and the result's width.
     """
-    rows = _overlaps(-np.cos(np.pi * np.linspace(0, 1, L.shape[0] + 1)), -np.cos(np.pi * np.linspace(0, 1, height + 1)))
-    columns = _overlaps(np.linspace(0, 1, L.shape[1] + 1), np.linspace(0, 1, width + 1))
-    rows /= rows.sum(1, keepdims=True)
-    columns /= columns.sum(1, keepdims=True)
-    return np.einsum("ri,ijc,kj->rkc", rows, np.asarray(L, dtype=np.float64), columns, optimize=True)
+    polar = [-np.cos(np.pi * np.linspace(0, 1, count + 1)) for count in (L.shape[0], height)]
+    around = [np.linspace(0, 1, count + 1) for count in (L.shape[1], width)]
+    if L.shape[0] <= WHOLE and max(L.shape[1], width) <= DENSE:
+        rows, columns = _shares(*polar), _shares(*around)
+        return np.einsum("ri,ijc,kj->rkc", rows, np.asarray(L, dtype=np.float64), columns, optimize=True).astype(dtype, copy=False)
+    narrow = np.empty((L.shape[0], width, *L.shape[2:]), dtype if height == L.shape[0] else np.float64)
+    columns = _shares(*around) if L.shape[1] * width <= DENSE**2 else None
+    for band in bands(L.shape[0]):
+        part = np.asarray(L[band], dtype=np.float64)
+        narrow[band] = _sparsely(part, *around) if columns is None else np.einsum("ijc,kj->ikc", part, columns, optimize=True)
+    if height == L.shape[0]:
+        return narrow
+    if L.shape[0] * height <= DENSE**2:
+        return np.einsum("ri,ikc->rkc", _shares(*polar), narrow, optimize=True).astype(dtype, copy=False)
+    return _sparsely(narrow.swapaxes(0, 1), *polar).swapaxes(0, 1).astype(dtype, copy=False)
+
+
+def _shares(edges_from, edges_to):
+    """(to, from): which share of each target interval each source interval is."""
+    shares = _overlaps(edges_from, edges_to)
+    return shares / shares.sum(1, keepdims=True)
+
+
+def _sparsely(L, edges_from, edges_to):
+    """Means of L (any, from, 3) over target intervals: (any, to, 3). For so many intervals that `_shares` would fill the memory."""
+    first = np.searchsorted(edges_from, edges_to[:-1], side="right") - 1
+    last = np.searchsorted(edges_from, edges_to[1:], side="left") - 1
+    total, weight = np.zeros((L.shape[0], len(first), *L.shape[2:])), np.zeros(len(first))
+    for step in range(int((last - first).max()) + 1):
+        source = np.minimum(first + step, len(edges_from) - 2)
+        low, high = np.maximum(edges_to[:-1], edges_from[source]), np.minimum(edges_to[1:], edges_from[source + 1])
+        share = np.where(first + step <= last, np.maximum(high - low, 0.0), 0.0)
+        total += L[:, source] * share[:, None]
+        weight += share
+    return total / weight[:, None]
 
 
 def same_capture(L, other):

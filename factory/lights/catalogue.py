@@ -60,6 +60,6 @@ def library_maps(folder):
 def _from_file(path, name, licence, source):
     pixels, digest = files.read(path)
     try:
-        return from_pixels(pixels, name, digest, licence, source)
+        return from_pixels(pixels, name, digest, licence, source, in_place=True)
     except Problem as problem:  # values are judged under the credit's name; the user knows the file by its path
         raise Problem(path, problem.expected, problem.found, problem.remedy) from None

@@ -4,22 +4,28 @@ Radiance .hdr and OpenEXR .exr, (H, 2H) pixels of an equirectangular map; .npz o
 other two: one map where a light is read, any number where maps are added to a library.
 """
 
+import contextlib
 import hashlib
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 
 from factory.lights import rgbe
+from manifests.archives import ArrayHeader, opened_zip, read_exactly
+from manifests.inputs import require_file
 from manifests.problems import Problem
 from manifests.quiet import silenced
+from shaders import envmap
 
 SUFFIXES = (".hdr", ".exr", ".npz")
-MAX_HEIGHT = 4096  # rows; a map of 8192 × 4096 takes 0.4 GB here, and no render of ours can tell it from a larger one
+# Rows. A map of 8192 × 4096 takes 0.4 GB; while it is read the same (.hdr, .npz, .exr of floats), 0.6 GB (.exr of halves or
+# with alpha), or 1 GB (.exr with other channels). No render of ours can tell it from a larger one
+MAX_HEIGHT = 4096
 MIN_HEIGHT = 4
 MAGIC = {b"#?": "hdr", b"\x76\x2f\x31\x01": "exr", b"PK\x03\x04": "npz"}
 MOST_MAPS = 1000  # in one .npz
+LARGEST = 1 << 30  # bytes of an .hdr or .exr: more than the largest map takes without compression
+A_LIGHT = "an .hdr, .exr or .npz file"
 PICTURES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"GIF8": "GIF", b"BM": "BMP", b"RIFF": "WebP", b"II*\0": "TIFF", b"MM\0*": "TIFF"}
 
 
@@ -32,6 +38,8 @@ def read(path):
     """Pixels (H, W, 3) float32 as stored, and the SHA-256 of the file. Raises Problem; OSError if it cannot be opened."""
     path = Path(path)
     kind = _kind(path)
+    if kind != "npz":
+        require_file(path, A_LIGHT, maximum_bytes=LARGEST)
 
     def check_size(height, width, bytes_needed):
         if height > MAX_HEIGHT or width > 2 * MAX_HEIGHT or bytes_needed > 16 * 2 * MAX_HEIGHT**2:
@@ -51,49 +59,51 @@ def is_collection(path):
 
 def maps_in(path):
     """(name, pixels (H, 2H, 3) float32) of each map in an .npz, one after another. Raises Problem."""
-    broken = "a whole .npz file of arrays (H, 2H, 3)"
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            if not 1 <= len(members) <= MOST_MAPS:
-                raise Problem(path, f"1 to {MOST_MAPS} maps", str(len(members)), "save them as several files")
-            for member in members:
-                with archive.open(member) as file:  # the header alone: sizes are judged before memory is taken
-                    shape, dtype = _npy_header(file)
-                if (
-                    len(shape) != 3
-                    or shape[2] != 3
-                    or shape[1] != 2 * shape[0]
-                    or not MIN_HEIGHT <= shape[0] <= MAX_HEIGHT
-                    or dtype.kind != "f"
-                ):
-                    found = f"{member.filename} with {shape} of {dtype}"
-                    raise Problem(
-                        path, f"arrays (H, 2H, 3) of floats, H from {MIN_HEIGHT} to {MAX_HEIGHT}", found, "save R, G, B maps, 2:1"
-                    )
-                with archive.open(member) as file:
-                    pixels = np.lib.format.read_array(file, allow_pickle=False)
-                yield Path(member.filename).stem, pixels.astype(np.float32)
-    except Problem:
-        raise
-    except (zipfile.BadZipFile, ValueError, EOFError, OSError, NotImplementedError, zlib.error) as error:
-        raise Problem(path, broken, str(error)[:100] or "one cut short", "export it again with numpy.savez") from None
+    with opened_zip(path, "a whole .npz file of arrays (H, 2H, 3)", "export it again with numpy.savez") as archive:
+        members = archive.infolist()
+        if not 1 <= len(members) <= MOST_MAPS:
+            raise Problem(path, f"1 to {MOST_MAPS} maps", str(len(members)), "save them as several files")
+        for member in members:
+            with archive.open(member) as file:
+                header = ArrayHeader(file)  # sizes are judged before memory is taken
+                _check_map(path, member.filename, header.shape, header.dtype)
+                pixels = _floats(file, header)
+            yield Path(member.filename).stem, pixels
 
 
-def _npy_header(file):
-    """shape and dtype of an .npy stream."""
-    version = np.lib.format.read_magic(file)
-    shape, _, dtype = (np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0)(file)
-    return shape, dtype
+def _check_map(path, name, shape, dtype):
+    right = len(shape) == 3 and shape[2] == 3 and shape[1] == 2 * shape[0] and MIN_HEIGHT <= shape[0] <= MAX_HEIGHT
+    if not (right and dtype.kind == "f" and dtype.itemsize <= 8):
+        expected = f"arrays (H, 2H, 3) of floats, H from {MIN_HEIGHT} to {MAX_HEIGHT}"
+        raise Problem(path, expected, f"{name} with {shape} of {dtype}", "save R, G, B maps, 2:1")
+
+
+def _floats(file, header):
+    """The values of an array (H, W, 3) as float32, a band at a time: no copy in the file's own type is held."""
+    height, width, channels = header.shape
+    pixels = np.empty(header.shape, np.float32)
+    with np.errstate(over="ignore"):  # what float32 cannot hold is infinite, and refused later, by count
+        if header.fortran:  # rows run fastest, then columns
+            for channel in range(channels):
+                for columns in envmap.bands(width):
+                    data = read_exactly(file, (columns.stop - columns.start) * height * header.dtype.itemsize)
+                    pixels[:, columns, channel] = np.frombuffer(data, header.dtype).reshape(-1, height).T
+        else:
+            for rows in envmap.bands(height):
+                data = read_exactly(file, (rows.stop - rows.start) * width * channels * header.dtype.itemsize)
+                pixels[rows] = np.frombuffer(data, header.dtype).reshape(-1, width, channels)
+    return pixels
 
 
 def _read_npz(path, check_size):
     """The one map of an .npz."""
     maps = maps_in(path)
-    (name, pixels), second = next(maps), next(maps, None)
+    _, pixels = next(maps)
     check_size(*pixels.shape[:2], pixels.nbytes)
-    if second is not None:
-        raise Problem(path, "one map", f"several ('{name}', '{second[0]}', …)", "put them into a library: python -m factory lights add")
+    with opened_zip(path, "an .npz file", "export it again with numpy.savez") as archive:
+        names = [Path(member.filename).stem for member in archive.infolist()]
+    if len(names) > 1:
+        raise Problem(path, "one map", f"several ('{names[0]}', '{names[1]}', …)", "put them into a library: python -m factory lights add")
     return pixels
 
 
@@ -104,17 +114,14 @@ def digest(path):
 
 
 def _kind(path):
-    if path.is_dir():
-        raise Problem(path, "an .hdr, .exr or .npz file", "a folder", "name a file in it, or `python -m factory lights list` the folder")
-    if not path.is_file():
-        raise Problem(path, "an .hdr, .exr or .npz file", "nothing there", "check the path")
+    require_file(path, A_LIGHT, "check the path; `python -m factory lights list` shows names and folders")
     with open(path, "rb") as file:
         first = file.read(12)
     for magic, kind in MAGIC.items():
         if first.startswith(magic):
             return kind
     if not first:
-        raise Problem(path, "an .hdr, .exr or .npz file", "an empty file", "download or export it again")
+        raise Problem(path, A_LIGHT, "an empty file", "download or export it again")
     for magic, name in PICTURES.items():
         if first.startswith(magic):
             remedy = "use a high-dynamic-range map: a clipped picture has lost its lamps and its sun"
@@ -129,20 +136,71 @@ def _read_exr(path, check_size):
     broken = Problem(path, "a whole OpenEXR picture", "a damaged or truncated file", "download or export it again")
     try:
         with silenced(1, 2), OpenEXR.File(str(path), header_only=True) as file:  # the library prints each error besides raising it
-            header = file.header()
-            low, high, count = *header["dataWindow"], len(header["channels"])
+            parts = [_ExrPart(file.header(k)) for k in range(len(file.parts))]
     except Exception as error:  # the library's own errors are RuntimeError, ValueError and others
         raise broken from error
-    width, height = (int(high[k]) - int(low[k]) + 1 for k in (0, 1))
-    check_size(height, width, 4 * count * height * width)
+    if not parts or not all(part.flat for part in parts):
+        raise Problem(path, "a flat picture", "a deep one", "flatten it and save it again")
+    first = parts[0]
+    wanted = next((names for names in (("R", "G", "B"), ("Y",), ("V",)) if set(names) <= set(first.channels)), None)
+    if wanted is None:
+        raise Problem(path, "channels R, G, B", ", ".join(sorted(first.channels))[:100] or "none", "export the map as RGB")
+    if first.sampled:
+        raise Problem(path, "channels of the picture's full size", "sub-sampled ones", "export the map as plain RGB")
+    check_size(first.height, first.width, sum(part.bytes for part in parts))  # the library reads all parts
+    arrays = None
+    if first.plain:
+        with contextlib.suppress(Exception):  # they are of different types
+            arrays = _exr_arrays(path, separately=False)
     try:
-        with silenced(1, 2), OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: channel.pixels for name, channel in file.channels().items()}
+        arrays = arrays or _exr_arrays(path, separately=True)
     except Exception as error:
         raise broken from error
-    wanted = next((names for names in (("R", "G", "B"), ("Y", "Y", "Y"), ("V", "V", "V")) if set(names) <= set(channels)), None)
-    if wanted is None:
-        raise Problem(path, "channels R, G, B", ", ".join(sorted(channels)), "export the map as RGB")
-    if any(channels[name].shape != (height, width) for name in wanted):
-        raise Problem(path, "channels of the picture's full size", "sub-sampled ones", "export the map as plain RGB")
-    return np.stack([channels[name] for name in wanted], axis=-1).astype(np.float32)
+    return _rgb(arrays, wanted, (first.height, first.width), broken)
+
+
+def _exr_arrays(path, separately):
+    """{name: array} of the first part: each channel (H, W) by itself, or "RGB" and "RGBA" together, (H, W, 3 or 4)."""
+    import OpenEXR
+
+    with silenced(1, 2), OpenEXR.File(str(path), separate_channels=separately) as file:
+        return {name: channel.pixels for name, channel in file.channels().items()}
+
+
+class _ExrPart:
+    """What the header of a part says.
+
+    flat     not deep
+    sampled  some channel is smaller than the picture
+    plain    R, G, B and perhaps A, and nothing else
+    bytes    of the channels, at most
+    """
+
+    def __init__(self, header):
+        import OpenEXR
+
+        self.flat = header.get("type", OpenEXR.scanlineimage) in (OpenEXR.scanlineimage, OpenEXR.tiledimage)
+        low, high = header["dataWindow"]
+        self.width, self.height = (max(int(high[k]) - int(low[k]) + 1, 0) for k in (0, 1))
+        self.channels = [channel.name for channel in header["channels"]]
+        self.plain = sorted(self.channels) in (list("BGR"), list("ABGR"))
+        self.sampled = any(channel.xSampling != 1 or channel.ySampling != 1 for channel in header["channels"])
+        self.bytes = 4 * len(self.channels) * self.height * self.width
+
+
+def _rgb(arrays, wanted, size, broken):
+    """Pixels (H, W, 3) float32 of what the library read, without a second copy of those that are float32 already.
+
+    arrays  {name: (H, W) or (H, W, 3 or 4)}: channels by themselves, or R, G, B and perhaps A together
+    """
+    together = next((array for name, array in arrays.items() if name in ("RGB", "RGBA")), None) if wanted != ("Y",) else None
+    planes = [arrays.get(name) for name in wanted] if together is None else [together[..., k] for k in range(3)]
+    if any(plane is None or plane.shape != size or plane.dtype.kind not in "fu" for plane in planes):
+        raise broken
+    if together is not None and together.dtype == np.float32:
+        return together[..., :3]
+    pixels = np.empty((*size, 3), np.float32)
+    for rows in envmap.bands(size[0]):
+        for k in range(3):
+            pixels[rows, :, k] = planes[k % len(planes)][rows]
+    return pixels

@@ -5,6 +5,7 @@ Maps may be put into the folder by hand too; then their licence is simply unknow
 
 import hashlib
 import json
+import os
 import re
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from factory.lights import files
 from factory.lights.light import checked, from_pixels
 from manifests.files import npz_bytes, together, write_bytes, write_text
 from manifests.problems import Problem
+from manifests.reading import read
 from shaders import envmap
 
 LIST = "lights.json"
@@ -25,15 +27,13 @@ def entry(folder, name):
 def read_list(folder):
     """The folder's list, {} where there is none. Raises Problem if it is damaged."""
     path = Path(folder) / LIST
-    if not path.exists():
+    if not os.path.lexists(path):
         return {}
     try:
-        listed = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise Problem(path, "JSON", str(error), "mend it, or delete it and add the maps again") from None
-    if not isinstance(listed, dict) or not all(isinstance(value, dict) for value in listed.values()):
-        raise Problem(path, "an object with an entry for each name", type(listed).__name__, "delete it and add the maps again")
-    return listed
+        return read(path, dict[str, dict[str, str]])
+    except Problem as problem:
+        remedy = "mend it, or delete it and add the maps again"
+        raise Problem(problem.where, problem.expected, problem.found, remedy) from None
 
 
 def add(path, folder, licence, source=None):

@@ -15,6 +15,8 @@ from shaders import envmap
 
 LAYER_SIZE = (64, 128)  # the paper's map
 RIPPLE = 0.05  # negative radiance up to this share of the mean is lossy compression's ripple, set to 0; Blender's night map has 1.0 %
+DARKEST, BRIGHTEST = 1e-30, 1e30  # mean luminance: beyond, float32 radiance divided by it loses digits, or is infinite
+PRECISE = 1024  # rows of a map up to which one of odd width is averaged in float64 throughout; 4096 of them would take 0.8 GB
 
 
 @dataclass(frozen=True)
@@ -37,43 +39,60 @@ class Light:
     source: str
 
 
-def from_pixels(pixels, name, digest, licence, source):
-    """The Light of a map as a file stores it; (H, W, 3) any scale, checked here. Raises Problem."""
-    pixels = checked(pixels, source)
+def from_pixels(pixels, name, digest, licence, source, in_place=False):
+    """The Light of a map as a file stores it; (H, W, 3) any scale, checked here.
+
+    in_place  True: `pixels`, float32 and writable, become the light's own L_full: no second map of that size is made
+    Raises    Problem
+    """
+    pixels = np.asarray(pixels, np.float32) if in_place else np.array(pixels, np.float32)
+    checked(pixels, source)
+    np.maximum(pixels, 0.0, out=pixels)
     height, width = pixels.shape[:2]
     if width % 4:
         width += 4 - width % 4
-        pixels = envmap.resize(pixels, height, width)
-    full, scale = envmap.unit_mean(envmap.roll(pixels, -(width // 4)))
-    L64 = envmap.resize(full, *LAYER_SIZE).astype(np.float32)
-    return Light(name, L64, full, scale, digest, licence, source)
+        pixels = envmap.resize(pixels, height, width, np.float64 if height <= PRECISE else np.float32)
+    for rows in envmap.bands(height):
+        pixels[rows] = envmap.roll(pixels[rows], -(width // 4))
+    scale = float(envmap.mean_radiance(pixels) @ envmap.LUMINANCE)
+    pixels /= scale
+    pixels = pixels.astype(np.float32, copy=False)
+    L64 = envmap.resize(pixels, *LAYER_SIZE, np.float32)
+    return Light(name, L64, pixels, scale, digest, licence, source)
 
 
 def checked(pixels, where):
-    """The map as non-negative float32, or a Problem that says what is wrong with its values."""
-    pixels = np.asarray(pixels, dtype=np.float32)
-    broken = int((~np.isfinite(pixels)).any(-1).sum())
+    """The map (H, W, 3) itself. Raises Problem if its values are no light: not finite, black, negative, or an 8-bit picture's."""
+    rows = [pixels[band] for band in envmap.bands(len(pixels))]
+    broken = sum(int((~np.isfinite(each)).any(-1).sum()) for each in rows)
     if broken:
         raise Problem(where, "finite radiance", f"NaN or infinity in {broken} texels", "paint them out or export the map again")
     mean = float(envmap.mean_radiance(pixels) @ envmap.LUMINANCE)
-    if not pixels.any():
+    lowest, highest = float(pixels.min()), float(pixels.max())
+    if lowest == highest == 0:
         raise Problem(where, "a map that holds some light", "black everywhere", "choose another map")
-    lowest = float(pixels.min())
     if lowest < -RIPPLE * mean or mean <= 0:
-        found = f"{int((pixels < 0).any(-1).sum())} negative texels, the lowest {lowest:.3g} beside a mean of {mean:.3g}"
+        count = sum(int((each < 0).any(-1).sum()) for each in rows)
+        found = f"{count} negative texels, the lowest {lowest:.3g} beside a mean of {mean:.3g}"
         raise Problem(where, "radiance of 0 or more", found, "clamp the map at 0 and save it again")
+    if not DARKEST < mean < BRIGHTEST:
+        raise Problem(where, f"a mean radiance from {DARKEST:g} to {BRIGHTEST:g}", f"{mean:.3g}", "scale the map and save it again")
     if looks_like_eight_bits(pixels):
         found = "at most 256 levels a channel and none above 1, as in an 8-bit picture"
         raise Problem(where, "high-dynamic-range radiance", found, "use the original .hdr or .exr, not a picture converted from PNG or JPG")
-    return np.maximum(pixels, 0.0)
+    return pixels
 
 
 def looks_like_eight_bits(pixels):
     """True if a map has the levels of an 8-bit picture: 17 to 256 a channel (fewer: a drawn test map), none above 1."""
     if pixels.size < 3 * 4096 or pixels.max() > 1.0:
         return False
-    levels = [np.unique(pixels[..., k]).size for k in range(3)]
-    return max(levels) <= 256 and max(levels) > 16
+    levels = [np.zeros(0, np.float32)] * 3
+    for rows in envmap.bands(len(pixels)):
+        levels = [np.union1d(known, pixels[rows, :, k]) for k, known in enumerate(levels)]
+        if max(len(known) for known in levels) > 256:
+            return False
+    return max(len(known) for known in levels) > 16
 
 
 def to_file_columns(L):

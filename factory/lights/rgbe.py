@@ -14,6 +14,9 @@ import numpy as np
 from manifests.problems import Problem
 
 MAX_HEADER = 64 * 1024  # bytes; real headers hold a few hundred
+ROWS = 64  # scanlines that are unpacked together
+PIECE = 1 << 22  # bytes of the file that are read at once
+LONGEST = 20  # bytes per pixel of a scanline: each pixel by itself, and four repeats of no length (the old style)
 REMEDY = "export the map again as Radiance .hdr or OpenEXR"
 
 
@@ -22,18 +25,29 @@ def read(path, check_size):
 
     check_size(height, width, bytes_needed) raises Problem before memory is taken for a picture too large
     Raises  Problem
+
+    Takes the memory of the picture, of ROWS scanlines and of PIECE bytes of the file.
     """
-    data = path.read_bytes()
-    start, height, width, exposure = _header(data, path)
-    check_size(height, width, height * width * 12)
-    if len(data) - start < height * min(8, 4 * width):  # a pixel and its repeats: the shortest scanline there is
-        raise _truncated(path, f"{len(data)} bytes for {width}×{height} pixels")
-    bytes_ = np.empty((height, width, 4), dtype=np.uint8)
-    for row in range(height):
-        start = _scanline(data, start, bytes_[row], path, row)
-    scale = np.ldexp(np.float32(1.0), bytes_[..., 3].astype(np.int32) - 136)
-    scale[bytes_[..., 3] == 0] = 0.0
-    return bytes_[..., :3] * scale[..., None] / np.float32(exposure)
+    with open(path, "rb") as file:
+        data = file.read(MAX_HEADER)
+        start, height, width, exposure = _header(data, path)
+        check_size(height, width, height * width * 12)
+        size = path.stat().st_size
+        if size - start < height * min(8, 4 * width):  # a pixel and its repeats: the shortest scanline there is
+            raise _truncated(path, f"{size} bytes for {width}×{height} pixels")
+        pixels = np.empty((height, width, 3), np.float32)
+        longest = LONGEST * width + 4  # bytes of a scanline
+        for first in range(0, height, ROWS):
+            bytes_ = np.empty((min(ROWS, height - first), width, 4), np.uint8)
+            for row, each in enumerate(bytes_, first):
+                if len(data) - start < longest:
+                    data, start = data[start:] + file.read(PIECE + longest), 0
+                start = _scanline(data, start, each, path, row)
+            scale = np.ldexp(np.float32(1.0), bytes_[..., 3].astype(np.int32) - 136)
+            scale[bytes_[..., 3] == 0] = 0.0
+            with np.errstate(over="ignore"):  # values beyond float32 are infinite, and refused later, by count
+                pixels[first : first + ROWS] = bytes_[..., :3] * scale[..., None] / np.float32(exposure)
+    return pixels
 
 
 def _header(data, path):
@@ -53,17 +67,18 @@ def _header(data, path):
     exposure = 1.0
     for line in lines:
         if line.startswith("EXPOSURE="):
-            exposure *= _positive(line.partition("=")[2], path)
+            exposure = _positive(exposure * _positive(line.partition("=")[2], path), path)
     return line_end + 1, int(size[1]), int(size[2]), exposure
 
 
 def _positive(text, path):
+    """A number from text, or a product of such numbers, within what float32 can divide by. Raises Problem."""
     try:
         value = float(text)
     except ValueError:
         value = 0.0
     if not 1e-30 < value < 1e30:
-        raise Problem(path, "EXPOSURE= with a positive number", repr(text.strip()), REMEDY)
+        raise Problem(path, "EXPOSURE= with a positive number", repr(str(text).strip())[:80], REMEDY)
     return value
 
 

@@ -10,9 +10,9 @@ from scipy.sparse.csgraph import connected_components
 from factory.shapes.creases import edge_pairs, face_normals
 from factory.shapes.enclosing import smallest_sphere
 from factory.shapes.raster import back_faces
+from factory.shapes.raw import WELD
 from manifests.problems import Problem
 
-WELD = 1e-6  # of the mesh's size: vertices nearer than this are one
 FLAT = 1e-13  # of the size squared: a face of less area is none
 
 

@@ -11,9 +11,10 @@ import numpy as np
 
 from factory.shapes.cleaning import clean, orient
 from factory.shapes.creases import CREASE_DEG
-from factory.shapes.files import MAXIMUM_TRIANGLES, check_format, from_bytes, read
+from factory.shapes.files import check_format, from_bytes, read
 from factory.shapes.libraries import category_of, member
 from factory.shapes.mesh import finish
+from factory.shapes.raw import MAXIMUM_TRIANGLES
 from manifests.problems import Problem, closest
 
 AXES = {sign + axis: (1.0 if sign == "+" else -1.0) * np.eye(3)[k] for sign in "+-" for k, axis in enumerate("xyz")}

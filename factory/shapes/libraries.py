@@ -5,7 +5,8 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from factory.shapes.files import BYTES_A_TRIANGLE, FORMATS, MAXIMUM_TRIANGLES, MORE
+from factory.shapes.files import FORMATS
+from factory.shapes.raw import BYTES_A_TRIANGLE, MAXIMUM_TRIANGLES, MORE
 from manifests.problems import Problem, closest
 
 SYNSETS = {"02958343": "car", "03001627": "chair", "04256520": "sofa", "03211117": "monitor"}  # ShapeNet's names of the paper's categories

@@ -9,6 +9,8 @@ from shaders.frames import ELEVATION, camera_from_world
 
 CHUNK = 4_000_000  # candidate pixels tested at a time: about 250 MB at most
 HALF_EXTENT = 1.02
+MOST_LOOKED_AT = 500_000_000  # pixels tested for back faces, a minute; a mesh of 2,000,000 small faces has a quarter
+INSIDE = 1e-9  # a pixel on the edge between two faces is in one of them, whatever the rounding
 EDGE_ON = 0.02  # a face seen at less than 1.1° shows neither side
 
 
@@ -17,38 +19,98 @@ def look(vertices, faces, camera, size):
 
     vertices  (V, 3);  faces (F, 3);  camera (3, 3) camera_from_world;  size  pixels along the square frame's side
     Returns   face (size, size) int, -1: none;  barycentric (size, size, 3)
+
+    Time and memory follow the pixels that faces cover and the rows that they cross, not the boxes around them: a fan of
+    thousands of slivers would fill the frame with boxes thousands of times.
     """
-    seen = vertices @ camera.T
-    x = (seen[:, 0] / HALF_EXTENT + 1) * size / 2 - 0.5
-    y = (1 - seen[:, 1] / HALF_EXTENT) * size / 2 - 0.5
-    corner_x, corner_y, depth = x[faces], y[faces], seen[:, 2][faces]
-    left, right = np.ceil(corner_x.min(1)).clip(0, size).astype(int), np.floor(corner_x.max(1)).clip(-1, size - 1).astype(int)
-    top, bottom = np.ceil(corner_y.min(1)).clip(0, size).astype(int), np.floor(corner_y.max(1)).clip(-1, size - 1).astype(int)
-    wide = np.maximum(right - left + 1, 0)
-    area = _cross(
-        corner_x[:, 1] - corner_x[:, 0], corner_y[:, 1] - corner_y[:, 0], corner_x[:, 2] - corner_x[:, 0], corner_y[:, 2] - corner_y[:, 0]
-    )
-    pixels = np.where(np.abs(area) > 1e-12, wide * np.maximum(bottom - top + 1, 0), 0)
+    corner_x, corner_y, depth = _corners(vertices, faces, camera, size)
+    box = _boxes(corner_x, corner_y, size)
+    left, right, top, bottom = box.T
+    area = _area(corner_x, corner_y)
+    wide, high = np.maximum(right - left + 1, 0), np.maximum(bottom - top + 1, 0)
+    pixels = np.where(np.abs(area) > 1e-12, wide * high, 0)
 
     nearest = np.full(size * size, -np.inf)
     winner = np.full(size * size, -1)
     kept = np.zeros((size * size, 3))
-    chunk = np.cumsum(pixels) // CHUNK
-    for group in np.unique(chunk[pixels > 0]):
-        chosen = np.flatnonzero((chunk == group) & (pixels > 0))
-        face = np.repeat(chosen, pixels[chosen])
-        within = np.arange(len(face)) - np.repeat(np.cumsum(pixels[chosen]) - pixels[chosen], pixels[chosen])
-        column, row = left[face] + within % wide[face], top[face] + within // wide[face]
+    shown = np.flatnonzero(pixels)
+    # Of two faces equally near, the later one of a block is seen, and that of the earlier block
+    block = np.cumsum(pixels)[shown] // CHUNK
+    cost = np.minimum(np.abs(area[shown]) / 2 + 4 * high[shown], pixels[shown])
+    for part in _parts(block, cost):
+        chosen = shown[part]
+        face, column, row = _candidates(chosen, corner_x, corner_y, box)
         weight = _barycentric(corner_x[face], corner_y[face], area[face], column, row)
-        inside = (weight >= -1e-9).all(1)
+        inside = (weight >= -INSIDE).all(1)
         face, weight, place = face[inside], weight[inside], (row * size + column)[inside]
         z = (weight * depth[face]).sum(1)
-        order = np.lexsort((z, place))  # the last of each pixel's run is the nearest
+        earlier = -block[part][np.searchsorted(chosen, face)]
+        order = np.lexsort((earlier, z, place))  # the last of each pixel's run is the nearest
         last = np.flatnonzero(np.append(np.diff(place[order]) != 0, True)) if len(order) else order
         best = order[last]
         best = best[z[best] > nearest[place[best]]]
         nearest[place[best]], winner[place[best]], kept[place[best]] = z[best], face[best], weight[best]
     return winner.reshape(size, size), kept.reshape(size, size, 3)
+
+
+def _corners(vertices, faces, camera, size):
+    """Columns, rows and depths (F, 3) of the faces' corners; pixel centres are whole numbers."""
+    seen = vertices @ camera.T
+    x = (seen[:, 0] / HALF_EXTENT + 1) * size / 2 - 0.5
+    y = (1 - seen[:, 1] / HALF_EXTENT) * size / 2 - 0.5
+    return x[faces], y[faces], seen[:, 2][faces]
+
+
+def _cost(vertices, faces, camera, size):
+    """About how many pixels `look` tests."""
+    x, y, _ = _corners(vertices, faces, camera, size)
+    return float((np.abs(_area(x, y)) / 2 + 4 * (np.ptp(y, axis=1) + 1)).sum())
+
+
+def _boxes(x, y, size):
+    """Columns and rows (F, 4), first and last of each, that may hold pixels of faces with corners x, y (F, 3)."""
+    spans = []
+    for corner in (x, y):
+        spans += [np.ceil(corner.min(1)).clip(0, size), np.floor(corner.max(1)).clip(-1, size - 1)]
+    return np.stack(spans, axis=1).astype(int)
+
+
+def _parts(block, cost):
+    """Slices of faces, whole blocks, of about CHUNK / 4 pixels each, but at least a block."""
+    if not len(block):
+        return []
+    first = np.flatnonzero(np.diff(block, prepend=-1))
+    part = np.cumsum(np.add.reduceat(cost, first)) // (CHUNK // 4)
+    starts = first[np.flatnonzero(np.diff(part, prepend=-1))]
+    return [slice(*ends) for ends in zip(starts, [*starts[1:], len(block)], strict=True)]
+
+
+def _candidates(chosen, x, y, box):
+    """Faces, columns and rows (K,) of the pixels that may lie in the chosen faces, row by row, and of few others."""
+    left, right, top, bottom = box[chosen].T
+    high = bottom - top + 1
+    row = np.arange(high.sum()) - np.repeat(np.cumsum(high) - high - top, high)
+    first, last = np.repeat(left, high).astype(float), np.repeat(right, high).astype(float)
+    x, y = x[chosen], y[chosen]
+    area = _area(x, y)
+    for k in range(3):
+        run, rise = x[:, k - 2] - x[:, k], y[:, k - 2] - y[:, k]
+        steep = np.abs(rise) > 1e-4  # a flatter side limits no row more than the box does
+        slope = np.divide(run, rise, out=np.zeros_like(run), where=steep)
+        slack = 1e-3 + np.divide(INSIDE * np.abs(area), np.abs(rise), out=np.zeros_like(run), where=steep)
+        ahead = np.where(steep, -np.sign(area) * np.sign(rise), 0)  # the face lies to the right of this side, or to its left
+        at = np.repeat(x[:, k] - slope * y[:, k] - ahead * slack, high) + np.repeat(slope, high) * row
+        ahead = np.repeat(ahead, high)
+        np.maximum(first, np.ceil(at), out=first, where=ahead > 0)
+        np.minimum(last, np.floor(at), out=last, where=ahead < 0)
+    wide = np.maximum(last - first + 1, 0).astype(int)
+    column = np.arange(wide.sum()) - np.repeat(np.cumsum(wide) - wide - first.astype(int), wide)
+    return np.repeat(np.repeat(chosen, high), wide), column, np.repeat(row, wide)
+
+
+def _area(x, y):
+    """Doubled area (F,) of faces with corners x, y (F, 3)."""
+    return _cross(x[:, 1] - x[:, 0], y[:, 1] - y[:, 0], x[:, 2] - x[:, 0], y[:, 2] - y[:, 0])
 
 
 def _cross(ax, ay, bx, by):
@@ -89,15 +151,20 @@ def picture(mesh, azimuth, elevation=ELEVATION, size=160, oversample=2):
 
 
 def back_faces(vertices, faces, size=96):
-    """How many pixels see each face's outer and inner side (F, 2), counted from 14 sides: the cube's sides and corners."""
+    """How many pixels see each face's outer and inner side (F, 2), counted from 14 sides: the cube's sides and corners.
+
+    Faces that fill the frame thousands of times over are looked at in a coarser frame (MOST_LOOKED_AT).
+    """
     counts = np.zeros((len(faces), 2), int)
     views = [(k * np.pi / 2, 0.0) for k in range(4)] + [(0.0, np.pi / 2), (0.0, -np.pi / 2)]
     views += [((k + 0.5) * np.pi / 2, sign * np.arctan(0.5**0.5)) for k in range(4) for sign in (1, -1)]
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    for azimuth, elevation in views:
-        camera = camera_from_world(azimuth, elevation)
+    cameras = [camera_from_world(azimuth, elevation) for azimuth, elevation in views]
+    while size > 8 and sum(_cost(vertices, faces, camera, size) for camera in cameras) > MOST_LOOKED_AT:
+        size //= 2
+    for camera in cameras:
         face = look(vertices, faces, camera, size)[0]
         face = face[face >= 0]
         facing = normal[face] @ camera[2]

@@ -139,8 +139,7 @@ def web(summary, about, plots, panels):
         "point sum over the map costs; it is no part of the converged integral's disagreement.</p><div class=plots>"
     ]
     parts += [
-        f"<figure><img src='{encoded(png)}' alt=''><figcaption>{html.escape(caption)}</figcaption></figure>"
-        for png, caption in plots
+        f"<figure><img src='{encoded(png)}' alt=''><figcaption>{html.escape(caption)}</figcaption></figure>" for png, caption in plots
     ]
     parts += [
         "</div><h2>Pictures, the worst first</h2><p class=soft>Cycles, the layer, and their difference times "

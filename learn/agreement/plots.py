@@ -57,7 +57,8 @@ def draw(summary, rows):
         ):
             fig, ax = plt.subplots(figsize=(5.2, 3.2))
             if chart(ax):
-                fig.savefig(png := io.BytesIO(), format="png")
+                png = io.BytesIO()
+                fig.savefig(png, format="png")
                 made[name] = png.getvalue(), caption
             plt.close(fig)
     return made

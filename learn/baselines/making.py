@@ -4,9 +4,10 @@ import msgspec
 
 from learn.baselines import FILES, priors
 from learn.baselines.swap import SwapTraining
-from learn.training import checkpoint, loop, settings, sources
+from learn.networks import tensor_file
+from learn.training import loop, settings, sources
 from manifests.files import write_bytes
-from manifests.reading import decode, read
+from manifests.reading import decode
 
 FILE_OF = {"lombardi": FILES["Lombardi-like"], "baseline-1": FILES["Baseline 1"], "baseline-2": FILES["Baseline 2"]}
 
@@ -17,7 +18,7 @@ def make(name, preset, options):
     if target.exists():
         return f"{target} is there already"
     options.out.mkdir(parents=True, exist_ok=True)
-    run = None if preset is None else resolved(read(preset, settings.Run), options)
+    run = None if preset is None else resolved(settings.read_run(preset), options)
     pools = sources.pools(held_out(options, settings.Data() if run is None else run.data), options.data, options.lights)
     if run is None:
         pool = pools["train"]
@@ -27,7 +28,8 @@ def make(name, preset, options):
         return f"{target}: {len(pool.labels)} materials, {len(pool.maps)} light maps"
     kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
     folder = options.out / name
-    figures = kind(run, pools, folder, workers=options.workers).train()
+    with loop.only_writer(folder):
+        figures = kind(run, pools, folder, workers=options.workers).train()
     write_bytes(target, (folder / "weights.safetensors").read_bytes())
     return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())
 
@@ -43,6 +45,6 @@ def held_out(options, data):
     """data with the held-out lights of the weights options.like, if there are any."""
     if options.like is None:
         return data
-    _, metadata = checkpoint.load(options.like)
-    like = decode(metadata.get("run", "{}").encode(), settings.Run, options.like).data
+    with tensor_file.opened(options.like) as stored:
+        like = decode(stored.metadata.get("run", "{}").encode(), settings.Run, options.like).data
     return msgspec.structs.replace(data, validation_lights=like.validation_lights, test_lights=like.test_lights)

@@ -28,7 +28,7 @@ def load(name, path):
     expected = Separate if name == "Baseline 2" else EncoderDecoder
     if not isinstance(net, expected):
         raise Problem(path, f"weights of {name}: network '{expected.name}'", f"'{net.name}'", "train it: python -m learn baselines")
-    size = int(metadata["size"])
+    size = metadata["size"]
     return Layered(name, predicting(net, size)) if name == "Baseline 2" else Swapped(name, net, size)
 
 

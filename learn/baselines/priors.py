@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from learn.networks import tensor_file
 from learn.networks.coding import unit_mean
 from learn.refinement.coordinates import spherical_harmonics
 from learn.training import checkpoint
@@ -26,6 +27,7 @@ from shaders import envmap
 FORMAT = "brdfactory priors 1"
 KEPT = 0.99
 DEGREE = 10
+MOST_MEDOIDS = 8
 NOISE = 0.03  # of log(1 + 8 I)/log 9: what a sum over 32×64 lights leaves between layer and picture
 DARKEST = 1e-2  # of the mean: darker texels count as this dark, for log has no floor of its own
 AXES = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]) / np.sqrt([[3], [2], [6]])  # brightness, red against green, yellow against blue
@@ -59,7 +61,7 @@ def fitted(labels, maps):
     mean, directions = _principal(np.stack(labels).astype(np.float64))
     z = (np.stack(labels) - mean) @ np.linalg.pinv(directions)
     mu, spread = _light(maps)
-    numbers = (mean, directions, _medoids(z, 8), mu, spread)
+    numbers = (mean, directions, _medoids(z, MOST_MEDOIDS), mu, spread)
     return Priors(*(torch.from_numpy(np.ascontiguousarray(x)).double() for x in numbers))
 
 
@@ -112,8 +114,14 @@ def save(path, priors, told):
 
 def load(path):
     """Priors of a file. Raises Problem."""
-    tensors, metadata = checkpoint.load(path)
-    names = Priors.__dataclass_fields__
-    if metadata.get("format") != FORMAT or set(tensors) != set(names):
-        raise Problem(path, "priors", metadata.get("format", "something else"), "fit them: python -m learn baselines")
-    return Priors(**tensors)
+    remedy = "fit them: python -m learn baselines"
+    with tensor_file.opened(path, "priors in a .safetensors file", remedy) as stored:
+        names = Priors.__dataclass_fields__
+        if stored.metadata.get("format") != FORMAT or set(stored.shapes) != set(names):
+            raise Problem(path, "priors", stored.metadata.get("format", "something else"), remedy)
+        K, T = (next(iter(stored.shapes[name]), 0) for name in ("directions", "medoids"))
+        harmonics = ((DEGREE + 1) ** 2, 3)
+        shapes = {"mean": (108,), "directions": (min(K, 108), 108), "medoids": (min(T, MOST_MEDOIDS), min(K, 108))}
+        shapes |= {"light_mean": harmonics, "light_spread": harmonics}
+        stored.require(shapes, "these priors")
+        return Priors(**{name: stored.tensor(name).double() for name in names})

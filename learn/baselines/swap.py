@@ -14,8 +14,8 @@ import torch
 from learn.baselines.encoder_decoder import EncoderDecoder, radiance
 from learn.layer import render
 from learn.networks.coding import compressed
-from learn.training import checkpoint, schedule
-from learn.training.loop import Training, one_thread
+from learn.training import checkpoint
+from learn.training.loop import Training
 from learn.training.losses import compared_by
 from learn.training.relit import BRIGHTEST, Relit
 from manifests.files import write_image
@@ -45,15 +45,9 @@ class SwapTraining(Training):
 
     network_name = EncoderDecoder.name
 
-    def _batches(self):
+    def _source(self):
         run = self.run
-        source = Paired(self.pools["train"], run.data, run.schedule.batch, run.size, run.seed, (self.rank, self.world))
-        order = range(self.step, schedule.steps(run))
-        if not self.workers:
-            return (source[k] for k in order)
-        return torch.utils.data.DataLoader(
-            source, batch_size=None, sampler=order, num_workers=self.workers, worker_init_fn=one_thread, prefetch_factor=2
-        )
+        return Paired(self.pools["train"], run.data, run.schedule.batch, run.size, run.seed, (self.rank, self.world))
 
     def predict(self, model, batch, parts=None):
         with torch.autocast("cpu", torch.bfloat16, enabled=self.run.mixed_precision):
@@ -67,7 +61,7 @@ class SwapTraining(Training):
         source = Paired(self.pools["validation"], run.data, run.schedule.batch, run.size, 20)
         with torch.no_grad():
             batches = [source[k] for k in range(VALIDATION_BATCHES)]
-            edits = [self.predict(network, batch) for batch in batches]
+            edits = [self._predicted(network, batch) for batch in batches]
         sheet(self.out / f"sheet-{self.step:07d}.jpg", batches[0], edits[0])
         run_json = msgspec.json.encode(run).decode()
         checkpoint.save_weights(self.out / "weights.safetensors", self.network, self.average, run_json, run.size, self.step)

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from learn.commands.numbers import positive, whole
+
 RUNS = Path(__file__).parents[2] / "manifests" / "runs"
 PRESETS = {"baseline-1": "baseline-1-compact", "baseline-2": "baseline-2-compact"}
 
@@ -24,9 +26,9 @@ def register(subparsers):
     parser.add_argument(
         "--only", nargs="+", choices=("lombardi", *PRESETS), default=("lombardi", *PRESETS), metavar="NAME", help="some of the three"
     )
-    parser.add_argument("--steps", type=int, metavar="N", help="of each training, other than its preset says")
-    parser.add_argument("--threads", type=int, default=1, metavar="N", help="of the network (default 1)")
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes that relight (default 1; 0: none)")
+    parser.add_argument("--steps", type=positive, metavar="N", help="of each training, other than its preset says")
+    parser.add_argument("--threads", type=positive, default=1, metavar="N", help="of the network (default 1)")
+    parser.add_argument("--workers", type=whole, default=1, metavar="N", help="processes that relight (default 1; 0: none)")
     parser.set_defaults(run=run)
 
 

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from learn.commands.numbers import positive
+
 
 def register(subparsers):
     parser = subparsers.add_parser(
@@ -15,7 +17,7 @@ def register(subparsers):
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="a dataset that Cycles rendered, to measure on its test side as well")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the page goes")
     parser.add_argument("--seeds", type=Path, nargs="+", default=[], metavar="FILE", help="weights of the same run with other seeds")
-    parser.add_argument("--batches", type=int, default=16, metavar="N", help="of 16 pictures (default 16)")
+    parser.add_argument("--batches", type=positive, default=16, metavar="N", help="of 16 pictures (default 16)")
     parser.add_argument("--note", default="", metavar="TEXT", help="what else a reader must know")
     parser.set_defaults(run=run)
 

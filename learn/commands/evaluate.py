@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from learn.commands.numbers import positive
+from learn.commands.numbers import positive, whole
 
 
 def register(subparsers):
@@ -28,9 +28,9 @@ def register(subparsers):
     parser.add_argument(
         "--lpips", type=Path, metavar="FILE", help="LPIPS' AlexNet weights, .safetensors (docs/evaluation.md); else no such column"
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="which edits are drawn (default 0)")
+    parser.add_argument("--seed", type=whole, default=0, metavar="N", help="which edits are drawn (default 0)")
     parser.add_argument("--processes", type=positive, metavar="N", help="at work at once (default: one a core)")
-    parser.add_argument("--gallery", type=int, default=12, metavar="N", help="edits that are shown as pictures (default 12)")
+    parser.add_argument("--gallery", type=whole, default=12, metavar="N", help="edits that are shown as pictures (default 12)")
     parser.set_defaults(run=run)
 
 

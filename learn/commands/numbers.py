@@ -15,3 +15,11 @@ def whole(text):
     if value < 0:
         raise ValueError(text)
     return value
+
+
+def above_zero(text):
+    """A finite number above 0. Raises ValueError."""
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise ValueError(text)
+    return value

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from learn.commands.numbers import above_zero, positive
+
 
 def register(subparsers):
     parser = subparsers.add_parser(
@@ -13,9 +15,9 @@ def register(subparsers):
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
     parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the report goes")
-    parser.add_argument("--size", type=int, default=64, metavar="PIXELS", help="of the pictures (default 64)")
-    parser.add_argument("--seconds", type=float, default=60, metavar="S", help="processor time of each run (default 60)")
-    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="how many seeds (default 3)")
+    parser.add_argument("--size", type=positive, default=64, metavar="PIXELS", help="of the pictures (default 64)")
+    parser.add_argument("--seconds", type=above_zero, default=60, metavar="S", help="processor time of each run (default 60)")
+    parser.add_argument("--seeds", type=positive, default=3, metavar="N", help="how many seeds (default 3)")
     parser.add_argument("--held-out", nargs="*", default=[], metavar="LIGHT", help="names of light maps that only testing sees")
     parser.set_defaults(run=run)
 
@@ -25,11 +27,13 @@ def run(options):
 
     from learn.training import proof, sources
     from learn.training.settings import Data
+    from manifests import lock
 
     torch.set_num_threads(1)
     data = Data(test_lights=tuple(options.held_out))
     pools = sources.pools(data, options.data, options.lights)
-    found = proof.prove(data, pools, options.out, options.size, options.seconds, range(options.seeds))
+    with lock.writing(options.out, patience=0):
+        found = proof.prove(data, pools, options.out, options.size, options.seconds, range(options.seeds))
     for part in proof.VARIANTS:
         for pair, (value, low, high) in found[part]["ratios"].items():
             print(f"{part}: render L2, {pair} = {value:.3f} [{low:.3f}, {high:.3f}]")

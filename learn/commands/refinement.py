@@ -30,7 +30,7 @@ def register(subparsers):
         metavar="SETTING",
         help="default, paper, a=0.1, passes=3, pixels=600 …: these alone (default: all; none: no study)",
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="which pictures")
+    parser.add_argument("--seed", type=whole, default=0, metavar="N", help="which pictures")
     parser.set_defaults(run=run)
 
 
@@ -40,21 +40,28 @@ def run(options):
     from learn.dataset import Records
     from learn.evaluation.methods import network
     from learn.prediction import WEIGHTS
-    from learn.refinement import chart, starts, study
     from learn.training import checkpoint
+    from manifests import lock
     from manifests.store import file_hash
 
     torch.set_num_threads(1)  # times are told of one
     weights = options.weights or WEIGHTS
     net, _ = checkpoint.load_parts(weights)
     predict = network(net)
-    options.out.mkdir(parents=True, exist_ok=True)
+    records = Records(options.data)
     about = {
         "data": options.data.resolve().name,
         "materials": file_hash(options.data / "materials.json"),
         "weights": file_hash(weights),
     }
-    records = Records(options.data)
+    with lock.writing(options.out, patience=0):
+        _measure(options, predict, records, about)
+
+
+def _measure(options, predict, records, about):
+    """The study, its times and the starts, as far as they are asked for and not there. about: what the figures depend on."""
+    from learn.refinement import chart, starts, study
+
     study.settle(options.out, about)
     needed = -(-options.starts // len(starts.STARTS))  # one start of each kind a picture
     known = study.cases(records, max(options.pictures, needed), options.seed)

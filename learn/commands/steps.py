@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from learn.commands.numbers import positive
+
 
 def register(subparsers):
     parser = subparsers.add_parser(
@@ -13,8 +15,8 @@ def register(subparsers):
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
     parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the table goes")
-    parser.add_argument("--steps", type=int, default=8, metavar="N", help="to take the median of (default 8)")
-    parser.add_argument("--images", type=int, default=128, metavar="N", help="to relight (default 128)")
+    parser.add_argument("--steps", type=positive, default=8, metavar="N", help="to take the median of (default 8)")
+    parser.add_argument("--images", type=positive, default=128, metavar="N", help="to relight (default 128)")
     parser.set_defaults(run=run)
 
 
@@ -24,14 +26,11 @@ def run(options):
     import msgspec
     import torch
 
-    from learn.commands.train import RUNS
     from learn.timing import steps
     from learn.training import settings, sources
-    from manifests.reading import read
 
     torch.set_num_threads(1)
-    path = Path(options.settings)
-    chosen = read(path if path.suffix == ".json" else RUNS / f"{path.name}.json", settings.Run)
+    chosen = settings.read_run(options.settings)
     pools = sources.pools(chosen.data, options.data, options.lights)
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from learn.commands.numbers import above_zero, positive, whole
+
 
 def register(subparsers):
     parser = subparsers.add_parser(
@@ -13,17 +15,17 @@ def register(subparsers):
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
     parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the table goes")
-    parser.add_argument("--size", type=int, default=64, metavar="PIXELS", help="of the pictures (default 64)")
-    parser.add_argument("--pretraining", type=float, default=60, metavar="S", help="processor time of the pre-training (default 60)")
-    parser.add_argument("--seconds", type=float, default=45, metavar="S", help="processor time of each variant (default 45)")
-    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="how many seeds (default 3)")
+    parser.add_argument("--size", type=positive, default=64, metavar="PIXELS", help="of the pictures (default 64)")
+    parser.add_argument("--pretraining", type=above_zero, default=60, metavar="S", help="processor time of the pre-training (default 60)")
+    parser.add_argument("--seconds", type=above_zero, default=45, metavar="S", help="processor time of each variant (default 45)")
+    parser.add_argument("--seeds", type=positive, default=3, metavar="N", help="how many seeds (default 3)")
     parser.add_argument(
-        "--matte-first", type=int, default=150, metavar="N", help="batches after which that variant admits all materials (default 150)"
+        "--matte-first", type=whole, default=150, metavar="N", help="batches after which that variant admits all materials (default 150)"
     )
     parser.add_argument(
         "--variants", nargs="*", metavar="NAME", help='of learn.training.normals_study; "L2" must be among them (default: all)'
     )
-    parser.add_argument("--batches", type=int, default=12, metavar="N", help="of 16 pictures to measure on (default 12)")
+    parser.add_argument("--batches", type=positive, default=12, metavar="N", help="of 16 pictures to measure on (default 12)")
     parser.add_argument("--held-out", nargs="*", default=[], metavar="LIGHT", help="names of light maps that only testing sees")
     parser.set_defaults(run=run)
 
@@ -33,6 +35,7 @@ def run(options):
 
     from learn.training import normals_study, sources
     from learn.training.settings import Data
+    from manifests import lock
     from manifests.problems import Problem, closest
 
     torch.set_num_threads(1)
@@ -44,18 +47,19 @@ def run(options):
         raise Problem("--variants", '"L2", which all others are compared with', ", ".join(names), "add it")
     data = Data(sharing=8, test_lights=tuple(options.held_out))
     pools = sources.pools(data, options.data, options.lights)
-    found = normals_study.study(
-        data,
-        pools,
-        options.out,
-        options.size,
-        options.pretraining,
-        options.seconds,
-        range(options.seeds),
-        names,
-        options.batches,
-        matte=options.matte_first,
-    )
+    with lock.writing(options.out, patience=0):
+        found = normals_study.study(
+            data,
+            pools,
+            options.out,
+            options.size,
+            options.pretraining,
+            options.seconds,
+            range(options.seeds),
+            names,
+            options.batches,
+            matte=options.matte_first,
+        )
     for name, row in found["rows"].items():
         print("{}: render L2 {:.0f}, {:.3f} [{:.3f}, {:.3f}] of L2 alone".format(name, row["l2"][0], *row["ratio"]))
     print(f"See {options.out / 'table.md'}")

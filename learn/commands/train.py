@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from learn.commands.numbers import positive, whole
+
 RUNS = Path(__file__).parents[2] / "manifests" / "runs"
 
 
@@ -29,15 +31,15 @@ def register(subparsers):
         "--skip-bad", action="store_true", help="leave damaged records out and count them, instead of stopping before training"
     )
     parser.add_argument("--tensorboard", action="store_true", help="write TensorBoard's events too (needs the package tensorboard)")
-    parser.add_argument("--steps", type=int, metavar="N", help="other than the run says")
-    parser.add_argument("--seed", type=int, metavar="N", help="other than the run says")
-    parser.add_argument("--sheet-every", type=int, default=500, metavar="N", help="steps between sheets and validations (default 500)")
-    parser.add_argument("--checkpoint-every", type=int, metavar="N", help="steps between checkpoints (default: two minutes)")
+    parser.add_argument("--steps", type=positive, metavar="N", help="other than the run says")
+    parser.add_argument("--seed", type=whole, metavar="N", help="other than the run says")
+    parser.add_argument("--sheet-every", type=whole, default=500, metavar="N", help="steps between sheets and validations (default 500)")
+    parser.add_argument("--checkpoint-every", type=positive, metavar="N", help="steps between checkpoints (default: two minutes)")
     parser.add_argument(
-        "--threads", type=int, default=1, metavar="N", help="of the network; relighting has a process beside it (default 1)"
+        "--threads", type=positive, default=1, metavar="N", help="of the network; relighting has a process beside it (default 1)"
     )
     parser.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="processes that relight (default 1; 0: none beside the network)"
+        "--workers", type=whole, default=1, metavar="N", help="processes that relight (default 1; 0: none beside the network)"
     )
     parser.set_defaults(run=run)
 
@@ -45,29 +47,23 @@ def register(subparsers):
 def run(options):
     import sys
 
-    import msgspec
     import torch
 
     from learn.baselines.swap import SwapTraining
     from learn.timing.report import made_by
     from learn.training import loop, settings, sources
-    from manifests.reading import read
 
-    path = Path(options.settings)
-    chosen = read(path if path.suffix == ".json" else RUNS / f"{path.name}.json", settings.Run)
-    if options.steps is not None:
-        chosen = msgspec.structs.replace(chosen, schedule=msgspec.structs.replace(chosen.schedule, steps=options.steps))
-    if options.seed is not None:
-        chosen = msgspec.structs.replace(chosen, seed=options.seed)
+    chosen = settings.read_run(options.settings, options.steps, options.seed)
     torch.set_num_threads(options.threads)
-    pools = sources.pools(chosen.data, options.data, options.lights, pictures=options.pictures, skip_bad=options.skip_bad)
-    if left_out := sources.skipped(pools):
-        print(f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}", file=sys.stderr)
-    kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
-    training = kind(chosen, pools, options.out, options.sheet_every, options.checkpoint_every, options.workers, options.tensorboard)
-    figures = training.train()
-    if training.rank == 0:
-        training.journal.made(made_by(), {side: pool.sizes() for side, pool in pools.items()}, len(left_out), training.step, figures)
+    with loop.only_writer(options.out):
+        pools = sources.pools(chosen.data, options.data, options.lights, pictures=options.pictures, skip_bad=options.skip_bad)
+        if left_out := sources.skipped(pools):
+            print(f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}", file=sys.stderr)
+        kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
+        training = kind(chosen, pools, options.out, options.sheet_every, options.checkpoint_every, options.workers, options.tensorboard)
+        figures = training.train()
+        if training.rank == 0:
+            training.journal.made(made_by(), {side: pool.sizes() for side, pool in pools.items()}, len(left_out), training.step, figures)
     if figures:
         print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
     print(f"See {options.out}: weights.safetensors, log.jsonl, sheet-*.jpg")

@@ -55,7 +55,7 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
     endings = (".png", ".exr") if Path(path).is_dir() or Path(path).suffix.lower() == ".exr" else (".png",)
     files.claim(out, [*PARTS, "sheet.png", "edit.json", *(name + ending for name in names for ending in endings)], overwrite, inputs)
     network, metadata = checkpoint.load_parts(how.weights)
-    size = int(metadata["size"])
+    size = metadata["size"]
     opened = photograph.opened(path, masks, regions, how.balance, how.exposure, record)
     known = {} if opened.records is None else {name: opened.records.label(name) for name in opened.records.materials}
     pick = {text: choices(text, opened.count, lambda other: material_of(other, network, size, how), known) for text in materials}
@@ -159,7 +159,8 @@ def on_ground(picture, opened):
 
 
 def save(path, picture):
-    """A PNG of display values (H, W, 3 or 4)."""
+    """A PNG of display values (H, W, 3 or 4). Raises Problem for what is not finite."""
+    pictures.require_finite(path, picture)
     files.write_image(path, np.clip(np.rint(picture), 0, 255).astype(np.uint8), "PNG")
 
 

@@ -20,7 +20,7 @@ from learn.networks.prediction import Prediction
 from learn.refinement import Settings
 from learn.timing.report import made_by
 from learn.training import checkpoint
-from manifests import files
+from manifests import files, lock
 from manifests.problems import Problem
 from manifests.store import Lines, file_hash
 from shaders import tone
@@ -29,15 +29,20 @@ from shaders import tone
 def study(records, weights, out, count, seed=0):
     """enlarging.json: a row for each way and kind of parts; ratios against the way in use. records: learn.dataset.Records."""
     network, metadata = checkpoint.load_parts(weights)
-    size = int(metadata["size"])
+    size = metadata["size"]
     edits = pairs.chosen(records.records, count, seed)
     if any(edit.several for edit in edits):
         raise Problem(records.folder, "pictures of one material each", "several", "render without segment_materials")
     if min(edits[0].source.camera.size) < 2 * size:
         found = " × ".join(map(str, edits[0].source.camera.size))
         raise Problem(records.folder, f"pictures of {2 * size} pixels or more, twice the network's", found, 'render them with "size"')
-    settings, known, out = Settings(), {}, Path(out)
-    out.mkdir(parents=True, exist_ok=True)
+    with lock.writing(out, patience=0):
+        return _measured(records, weights, network, size, edits, Path(out))
+
+
+def _measured(records, weights, network, size, edits, out):
+    """enlarging.json of learn.evaluation.pairs.Edits, as far as they are not there."""
+    settings, known = Settings(), {}
     files.settle(out / "settings.json", {"weights": file_hash(weights), "refinement": asdict(settings)})
     done, lines = {row["edit"] for row in files.read_lines(out / "rows.jsonl")}, Lines(out / "rows.jsonl")
     for edit in tqdm([edit for edit in edits if edit.id not in done], "edits", unit="edit"):

@@ -116,6 +116,7 @@ def opened(path, masks=(), regions=None, balance="none", exposure=None, record=N
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
     before_background = bool(masks) or regions is not None
     factors = _balance(balance, radiance, coverage, before_background)
+    pictures.exposure_of(radiance * factors, labels > 0, exposure, path)
     linear = path.suffix.lower() == ".exr"
     own = alpha if before_background and (alpha < 1).any() else None
     return Photograph(path.stem, radiance, coverage, labels, factors, exposure, cut_out=not before_background, linear=linear, alpha=own)
@@ -166,6 +167,8 @@ def _balance(wanted, radiance, coverage, background):
     if wanted == "grey":
         where = coverage < 0.02 if background and (coverage < 0.02).any() else coverage >= 0.5
         mean = radiance[where].mean(0)
+        if not mean.any():
+            raise Problem("--white-balance grey", "a background that is not black", "a black one", "give three factors R,G,B, or none")
         factors = (mean @ LUMINANCE) / np.maximum(mean, 1e-6)
         return np.clip(factors, 1 / STRONGEST_BALANCE, STRONGEST_BALANCE).astype(np.float32)
     factors = np.asarray(wanted, np.float32)
@@ -190,6 +193,6 @@ def _of_record(folder, exposure, wanted):
     if len(set(record.materials)) == 1:
         regions = (regions > 0).astype(np.uint8)
     coverage, ones = (regions > 0).astype(np.float32), np.ones(3, np.float32)
-    exposure = 1.0 if exposure is None else exposure
     picture = sample.image.numpy()
+    exposure = pictures.exposure_of(picture, regions > 0, 1.0 if exposure is None else exposure, f"record {record.id}")
     return Photograph(record.id, picture, coverage, regions, ones, exposure, cut_out=True, linear=True, records=records, record=record)

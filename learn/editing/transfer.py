@@ -11,10 +11,12 @@ from tqdm import tqdm
 from learn.editing import apart, edit, photograph, sheet
 from learn.training import checkpoint
 from manifests import files
+from manifests.inputs import require_file
 from manifests.problems import Problem
 from shaders import tone
 
 REMEDY = "put NAME.mask.png beside it, white where the object is, or name a folder of masks: --mask-dir DIR"
+LARGEST_LIST = 1 << 20  # bytes: ten thousand long paths
 MOST_A_GRID = 10  # pictures: more become several grids
 
 
@@ -22,6 +24,7 @@ def listed(paths, list_file=None):
     """The pictures asked for: paths, and the lines of a file of paths, relative to that file. Raises Problem."""
     found = [Path(path) for path in paths]
     if list_file is not None:
+        require_file(list_file, "a text file with a path a line", maximum_bytes=LARGEST_LIST)
         try:
             lines = Path(list_file).read_text(encoding="utf-8").splitlines()
         except UnicodeDecodeError:
@@ -54,7 +57,7 @@ def run(paths, mask_folder, out, how, per_grid=6, overwrite=False):
     with files.together(), tqdm(total=sum(len(group) ** 2 for group in groups), unit="picture") as progress:
         for group, name in zip(groups, names, strict=True):
             pictures = {path: opened(path, mask_folder, how) for path in group}
-            told += grid(group, pictures, network, int(metadata["size"]), out, name, how, progress)
+            told += grid(group, pictures, network, metadata["size"], out, name, how, progress)
         files.write_json(out / "transfer.json", {"pictures": told} | how.told())
 
 

@@ -6,17 +6,21 @@ label  (S, 108) natural logarithms
 import json
 import re
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
+from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL
+from learn.pictures import MOST_REGIONS
+from manifests.inputs import require_file
 from manifests.materials import LARGEST_LABEL, find
 from manifests.problems import Problem
 from shaders.dsbrdf import SHAPE, SIZE
 
 KEEP = "keep"
-LARGEST_KAPPA = 4.4  # its logarithm: exp of κ itself has to be a number; the catalogue's reach 2.2
-SMALLEST_LABEL = -80.0  # its exp is a float32 above 0
 LARGEST_JSON = 1 << 20
+Label = Annotated[list[float], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
 REMEDY = "write one: python -m learn predict PHOTO --out DIR"
 
 
@@ -34,37 +38,39 @@ def label_of(text, predict, known=None):
     path = Path(text)
     if path.suffix.lower() == ".json":
         return _from_json(path)
-    if path.is_file() or (len(path.suffix) > 1 and path.suffix[1:].isalpha()):
+    if is_file(text) or (len(path.suffix) > 1 and path.suffix[1:].isalpha()):
         return predict(path)
     return find(text).label.reshape(1, SIZE).astype(np.float32)
 
 
+class MaterialFile(msgspec.Struct, frozen=True):
+    """What is read of a material.json. label: of one region; labels: of several, one each."""
+
+    label: Label | None = None
+    labels: Annotated[list[Label], msgspec.Meta(min_length=1, max_length=MOST_REGIONS)] | None = None
+
+
 def _from_json(path):
     """The labels of a material.json, as `learn predict` writes it."""
+    require_file(path, "a material.json", REMEDY, LARGEST_JSON)
     try:
-        if path.stat().st_size > LARGEST_JSON:
-            raise Problem(
-                path, f"at most {LARGEST_JSON >> 10} KiB", f"{path.stat().st_size >> 10} KiB", "check that this is the right file"
-            )
-        told = json.loads(path.read_text(encoding="utf-8"))
-        labels = np.asarray(told.get("labels") or [told["label"]], np.float32)
-    except FileNotFoundError:
-        raise Problem(path, "a material.json", "no such file", REMEDY) from None
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise Problem(path, f'JSON with "label": {SIZE} numbers', f"{type(error).__name__}: {error}", REMEDY) from None
-    except ValueError as error:
-        if isinstance(error, Problem):
-            raise
-        raise Problem(path, f'JSON with "label": {SIZE} numbers', str(error), REMEDY) from None
-    if labels.ndim != 2 or labels.shape[1] != SIZE:
-        raise Problem(path, f"{SIZE} numbers in each label", f"{labels.shape[-1] if labels.ndim else 1}", REMEDY)
+        # every number as a float: 10^400 is then infinity, which is out of range, and no error of its own
+        values = json.loads(path.read_text(encoding="utf-8"), parse_int=float)
+        told = msgspec.convert(values, MaterialFile)
+    except (msgspec.ValidationError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        rule = f'JSON with "label": {SIZE} numbers'
+        raise Problem(path, rule, f"{type(error).__name__}: {error}", REMEDY) from None
+    if told.label is None and told.labels is None:
+        raise Problem(path, f'JSON with "label": {SIZE} numbers', "none", REMEDY)
+    labels = np.asarray(told.labels or [told.label], np.float64)
     within = (labels >= SMALLEST_LABEL) & (labels <= LARGEST_LABEL)  # NaN is not
     if not within.all():
         rule = f"natural logarithms from {SMALLEST_LABEL:g} to {LARGEST_LABEL:g}"
         raise Problem(path, rule, f"{labels[~within][0]:g}", "is this m itself? a label holds its logarithms")
     if (kappa := labels.reshape(-1, *SHAPE)[..., 0, :].max()) > LARGEST_KAPPA:
-        raise Problem(path, f"logarithms of κ up to {LARGEST_KAPPA}", f"{kappa:g}", "its reflectance is no number any more; check the file")
-    return labels
+        remedy = "its reflectance is no number any more; check the file"
+        raise Problem(path, f"logarithms of κ up to {LARGEST_KAPPA}", f"{kappa:g}", remedy)
+    return labels.astype(np.float32)
 
 
 def is_file(text):

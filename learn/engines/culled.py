@@ -61,10 +61,15 @@ BACKWARD = types.void(*[types.int64] * 10, *[FLOAT_POINTER] * 11, *[INT_POINTER]
 
 @inlined
 def nearest_cosine(axis, cos_a, sin_a, cos_b, sin_b):
-    """Largest cosine between a vector of one cone and one of the other, whose axes have the cosine `axis`."""
+    """Largest cosine between a vector of one cone and one of the other, whose axes have the cosine `axis`.
+
+    Half angles (in [0, π]) that sum to π or more leave no room between the cones. There the cosine of the sum says nothing:
+    beyond π it rises again. a + b ≥ π where cos a ≤ cos(π − b) = −cos b.
+    """
     cos_sum, sin_sum = cos_a * cos_b - sin_a * sin_b, sin_a * cos_b + cos_a * sin_b
     apart = fma(axis, cos_sum, sqrt(maximum(1.0 - axis * axis, 0.0)) * sin_sum)
-    return choose(axis > cos_sum, 1.0, minimum(apart + SLACK, 1.0))
+    apart = choose(axis > cos_sum, 1.0, minimum(apart + SLACK, 1.0))
+    return choose(cos_a + cos_b > 0.0, apart, 1.0)
 
 
 @inlined

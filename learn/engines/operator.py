@@ -3,8 +3,8 @@
     exact_sum(n, view, m, light, rotation, counts, light_of) → radiance (P, 3)        arguments as in learn.engines.cpu
 
 float32 only. torch.compile and opcheck see an opaque operator with known shapes; autograd calls `exact_sum_backward`, which
-computes the pass again from the same inputs. The number of threads is torch's own (torch.set_num_threads): a DataLoader worker
-has one.
+computes the pass again from the same inputs; and, where the graph of that pass is kept, `Second` to differentiate it. The number of
+threads is torch's own (torch.set_num_threads): a DataLoader worker has one.
 
 Defined by torch.library.define rather than the custom_op decorator: the same operator, but the decorator's first call imports
 the whole of torch._dynamo, one second.
@@ -14,6 +14,7 @@ import importlib.util
 
 import torch
 
+from learn.derivatives import THIRD, Step, require_one_gradient, require_reverse_mode
 from learn.engines import cpu, machine_code
 from shaders.dsbrdf import MAX_EXPONENT
 
@@ -34,6 +35,8 @@ def serves(batch):
 
 def radiance(batch):
     """(P, 3) outgoing radiance of a `learn.methods.Batch` that `serves` accepts."""
+    if not torch.compiler.is_compiling():
+        require_reverse_mode(batch.n, batch.view, batch.m, batch.light)  # torch drops a tangent that an operator knows nothing of
     rotation = batch.camera_from_light.double().flatten().tolist()
     return torch.ops.brdfactory.exact_sum(batch.n, batch.view, batch.m, batch.light, rotation, list(batch.counts), list(batch.light_of))
 
@@ -101,9 +104,57 @@ def _remember(ctx, inputs, output):
 
 
 def _backward(ctx, g):
-    with_view = ctx.needs_input_grad[1]
-    by_n, by_view, by_m, by_light = torch.ops.brdfactory.exact_sum_backward(g, *ctx.saved_tensors, *ctx.constants, with_view)
-    return by_n, by_view if with_view else None, by_m, by_light, None, None, None
+    require_one_gradient(g)
+    given = g, *ctx.saved_tensors, *ctx.constants, ctx.needs_input_grad[1]
+    if torch.is_grad_enabled():  # a step more, which small pictures would feel
+        by_n, by_view, by_m, by_light = Gradients.apply(*given)
+    else:
+        by_n, by_view, by_m, by_light = torch.ops.brdfactory.exact_sum_backward(*given)
+    return by_n, by_view if ctx.needs_input_grad[1] else None, by_m, by_light, None, None, None
+
+
+class Gradients(Step):
+    """The operator `exact_sum_backward`, with a derivative."""
+
+    @staticmethod
+    def forward(ctx, g, n, view, m, light, *constants):
+        ctx.save_for_backward(g, n, view, m, light)
+        *ctx.constants, ctx.with_view = constants
+        return torch.ops.brdfactory.exact_sum_backward(g, n, view, m, light, *constants)
+
+    @staticmethod
+    def backward(ctx, by_n, by_view, by_m, by_light):
+        require_one_gradient(by_n, by_view, by_m, by_light)
+        view = ctx.saved_tensors[2]
+        if not ctx.with_view:
+            by_view = None if view is None else torch.zeros_like(view)
+        return *Second.apply(by_n, by_view, by_m, by_light, *ctx.saved_tensors, *ctx.constants), None
+
+
+class Second(Step):
+    """Derivatives of a loss by the results of the backward pass, and what that pass was given → derivatives by g, n, view, m and light.
+
+    No operator: torch.compile takes no second derivatives, and within an operator learn.methods.exact_second could not use autograd.
+    """
+
+    @staticmethod
+    def forward(ctx, by_n, by_view, by_m, by_light, g, n, view, m, light, rotation, counts, light_of):
+        direction, given = (by_n, by_view, by_m, by_light), (g, n, view, m, light)
+        if n.device.type == "cpu":
+            from learn.engines import second
+
+            arrays = [_numpy(x) for x in direction], *(_numpy(x) for x in given)
+            found = second.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads())
+            found = (None if x is None else torch.from_numpy(x) for x in found)
+        else:
+            from learn.methods.exact_second import of_groups
+
+            found = of_groups(direction, *given, rotation, counts, light_of)
+        return *found, None, None, None
+
+    @staticmethod
+    def backward(ctx, *g):
+        raise NotImplementedError(THIRD)
 
 
 torch.library.register_autograd(NAME, _backward, setup_context=_remember)

@@ -34,7 +34,7 @@ class Bench:
         self.repeats, self._judged = pairs.repeats(self.records.records), {}
         net, metadata = checkpoint.load_parts(weights)
         self.commit = made_by()["commit"]
-        self.size, self.ranges, self.perceptual = int(metadata["size"]), net.ranges, perceptual.of_file(lpips)
+        self.size, self.ranges, self.perceptual = metadata["size"], net.ranges, perceptual.of_file(lpips)
         if refine:
             from learn.refinement import refine as work
         self.entrants = methods.entrants(net, work if refine else None, baselines)

@@ -35,7 +35,7 @@ def write(path, batch, truth, pictures, mask):
 
 def cells(path, count):
     """[(above, below)] display pictures of the `count` columns of a sheet that `write` made."""
-    sheet = np.asarray(Image.open(path).convert("RGB"))
+    sheet = np.asarray(Image.open(path, formats=["PNG"]).convert("RGB"))
     H, W = sheet.shape[0] // 2, sheet.shape[1] // count
     return [(sheet[:H, k * W : (k + 1) * W], sheet[H:, k * W : (k + 1) * W]) for k in range(count)]
 

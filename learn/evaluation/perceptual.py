@@ -7,9 +7,10 @@ Weights are one .safetensors file of AlexNet's five convolutions and LPIPS' five
 import torch
 from torch.nn import functional as F
 
-from learn.training.checkpoint import load
+from learn.networks import tensor_file
 from manifests.problems import Problem
 
+SHAPES = ((64, 3, 11, 11), (192, 64, 5, 5), (384, 192, 3, 3), (256, 384, 3, 3), (256, 256, 3, 3))  # of AlexNet's kernels
 LAYERS = ((0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False))  # number, stride, padding, pooled before
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
@@ -18,13 +19,18 @@ def of_file(path):
     """(display values, display values) (H, W, 3) in [0, 255] → float, 0 alike; or None for no file. Raises Problem."""
     if path is None:
         return None
-    tensors, _ = load(path)
-    wanted = [f"features.{k}.{part}" for k, *_ in LAYERS for part in ("weight", "bias")] + [f"lin{i}.weight" for i in range(5)]
-    missing = [name for name in wanted if name not in tensors]
-    if missing:
-        raise Problem(
-            path, f"tensors {', '.join(wanted[:2])} … {wanted[-1]}", f"no {missing[0]}", "convert LPIPS' AlexNet weights under these names"
-        )
+    wanted = {}
+    for (k, *_), shape in zip(LAYERS, SHAPES, strict=True):
+        wanted |= {f"features.{k}.weight": shape, f"features.{k}.bias": shape[:1]}
+    wanted |= {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(SHAPES)}
+    remedy = "convert LPIPS' AlexNet weights under these names"
+    with tensor_file.opened(path, "LPIPS' weights in a .safetensors file", remedy) as stored:
+        missing = [name for name in wanted if name not in stored.shapes]
+        if missing:
+            names = list(wanted)
+            raise Problem(path, f"tensors {', '.join(names[:2])} … {names[-1]}", f"no {missing[0]}", remedy)
+        stored.require(wanted, "LPIPS' AlexNet", alone=False)
+        tensors = {name: stored.tensor(name) for name in wanted}
     return lambda shown, right: distance(tensors, shown, right)
 
 

@@ -23,7 +23,7 @@ from learn.evaluation import pairs, report
 from learn.evaluation.bench import Bench
 from learn.evaluation.methods import TOLERANCE
 from learn.refinement import Settings
-from manifests import files
+from manifests import files, lock
 from manifests.problems import Problem
 from manifests.store import Lines, file_hash
 
@@ -54,13 +54,13 @@ def make(options):
         raise Problem(options.data, "pictures of the test side that differ in nothing but the material", found, remedy)
     chosen = pairs.chosen(kept, options.edits, options.seed)
     out = Path(options.out)
-    out.mkdir(parents=True, exist_ok=True)
-    bench = Bench(**arguments(options))  # here first: what is wrong with weights is said before any process starts
-    files.settle(out / "settings.json", settings(options))
-    work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
-    rows = [[row for id_, row in rows_of(out / name).items() if id_ in wanted] for name, wanted in names(chosen).items()]
-    about = report.about(options, records, kept, bench.entrants.left_out, bench.perceptual)
-    return report.write(out, *rows, [edit.id for edit in chosen[: options.gallery]], about, bench.entrants)
+    with lock.writing(out, patience=0):
+        bench = Bench(**arguments(options))  # here first: what is wrong with weights is said before any process starts
+        files.settle(out / "settings.json", settings(options))
+        work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
+        rows = [[row for id_, row in rows_of(out / name).items() if id_ in wanted] for name, wanted in names(chosen).items()]
+        about = report.about(options, records, kept, bench.entrants.left_out, bench.perceptual)
+        return report.write(out, *rows, [edit.id for edit in chosen[: options.gallery]], about, bench.entrants)
 
 
 def names(chosen):
@@ -82,7 +82,7 @@ def arguments(options):
 def settings(options):
     """What determines a line's figures: files by their bytes."""
     folder = options.baselines
-    of_baselines = {} if folder is None else {p.name: file_hash(p) for p in sorted(Path(folder).glob("*.safetensors"))}
+    of_baselines = {} if folder is None else {p.name: file_hash(p) for p in sorted(Path(folder).glob("*.safetensors")) if p.is_file()}
     return {
         "data": Path(options.data).resolve().name,
         "materials": file_hash(Path(options.data) / "materials.json"),

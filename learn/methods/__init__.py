@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from learn import derivatives
 from manifests.problems import closest
 
 NAMES = (  # modules of this folder; what they need is imported when they are first used
@@ -30,6 +31,9 @@ NAMES = (  # modules of this folder; what they need is imported when they are fi
     "monte_carlo_light",
     "monte_carlo_brdf",
 )
+COMPILED = "whose compiled sums have first derivatives only"  # why there is no second one: reasons for `first_only`
+HELD_LIGHTS = "which holds the directions of its lights where the light changes"
+HELD_SAMPLES = "which holds its samples where the scene changes"
 HORIZON = 1e-4  # pixels with n·v below it are not rendered: c = h·n then stays above half of it (facts: slope of c^γ at 0)
 
 
@@ -83,6 +87,17 @@ def load(name):
     if name not in NAMES:
         raise ValueError(f"method: one of {', '.join(NAMES)} expected, found {name!r}; {closest(name, NAMES)}")
     return importlib.import_module(f"learn.methods.{name}")
+
+
+def refusal(name, why=COMPILED):
+    """What is said where a method's derivatives are differentiated again and cannot be, by reason of `why`."""
+    return f'method: "exact" expected where derivatives are differentiated again, found "{name}", {why}; render with method="exact"'
+
+
+def first_only(batch, name, why):
+    """The batch for a method that has first derivatives only, which costs it 0.1 ms: `derivatives.first_only`."""
+    n, view, m, light = derivatives.first_only(refusal(name, why), batch.n, batch.view, batch.m, batch.light)
+    return replace(batch, n=n, view=view, m=m, light=light)
 
 
 def by_group(batch, function):

@@ -25,10 +25,12 @@ import numpy as np
 import torch
 
 from learn.methods import (
+    COMPILED,
     Batch,
     Card,
     coarse,
     directional,
+    first_only,
     hybrid,
     load,
     lobe_shapes,
@@ -218,4 +220,6 @@ def few_lights(batch, tolerance):
             )
         ]
         chosen = next((way for way in ways if good((way(sampled) - truth).abs().numpy(), level, tolerance)), None)
-    return chosen(batch) if chosen else exact(batch, tolerance)
+    if not chosen:
+        return exact(batch, tolerance)
+    return chosen(first_only(batch, CARD.name, COMPILED) if directional.has_kernels(batch.n) else batch)

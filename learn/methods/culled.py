@@ -23,6 +23,6 @@ SHARE = 0.5  # of the tolerance that may be left out
 def radiance(batch: Batch, tolerance):
     def one_group(n, view, m, light):
         lights, E = directional.of_map(light, batch.camera_from_light)
-        return directional.near(n, view, m, E, lights, SHARE * tolerance)
+        return directional.near(n, view, m, E, lights, SHARE * tolerance, CARD.name)
 
     return by_group(batch, one_group)

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch.autograd.function import once_differentiable
 
 from learn import layer_pixels
+from learn.derivatives import Step, last
 from learn.engines import cpu, culled, machine_code, threads
 from learn.engines.lights import LANES, Slab, blocked, cutoff, general_tables, lobe_first, unblocked
-from learn.methods import lobe_shapes
+from learn.methods import lobe_shapes, refusal
 from learn.methods.exact import ExactSum
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
 from shaders.envmap import directions
@@ -100,21 +100,27 @@ def of_map(light, camera_from_light):
     return lights, (light * solid_angle[..., None]).reshape(-1, 3)[order.to(light.device)]
 
 
-def radiance(n, view, m, E, lights, left_out=0.0, lobes=ALL_LOBES):
-    """(P, 3) of some lobes of one material m (3, 3, 2, 6) under lights E; differentiable in n, view, m and E."""
-    has_kernels = n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available()
-    if has_kernels and view is None:
-        return ListedSum.apply(n, m, E, lights, float(left_out), lobes)
+def has_kernels(n):
+    return n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available()
+
+
+def radiance(n, view, m, E, lights, left_out=0.0, lobes=ALL_LOBES, method="directional"):
+    """(P, 3) of some lobes of one material m (3, 3, 2, 6) under lights E; differentiable in n, view, m and E, by the kernels once.
+
+    method  the name under which they refuse to be differentiated again
+    """
+    if has_kernels(n) and view is None:
+        return ListedSum.apply(n, m, E, lights, float(left_out), lobes, method)
     if lobes != ALL_LOBES:
         m = lobe_shapes.only(m, np.isin(ALL_LOBES, lobes))
-    if has_kernels:
-        return ViewedSum.apply(n, view.expand_as(n), torch.minimum(m, LARGEST_CONTROL), E, lights)
+    if has_kernels(n):
+        return ViewedSum.apply(n, view.expand_as(n), torch.minimum(m, LARGEST_CONTROL), E, lights, method)
     return ExactSum.apply(n, view, m, E, torch.as_tensor(lights.w, dtype=n.dtype, device=n.device))
 
 
-def near(n, view, m, E, lights, error):
+def near(n, view, m, E, lights, error, method="directional"):
     """(P, 3), with what may be left out of a pixel given as a part of the picture's mean radiance."""
-    return radiance(n, view, m, E, lights, error * scale(n, view, m, E, lights))
+    return radiance(n, view, m, E, lights, error * scale(n, view, m, E, lights), method=method)
 
 
 def scale(n, view, m, E, lights, pixels=32):
@@ -136,20 +142,22 @@ def spread_over(count, pixels):
     return np.unique((places * count).astype(np.int64))
 
 
-class ListedSum(torch.autograd.Function):
-    """n (P, 3), m (3, 3, 2, 6), E (T, 3), Lights, left_out, numbers of lobes → radiance (P, 3) by learn.engines.culled."""
+class ListedSum(Step):
+    """n (P, 3), m (3, 3, 2, 6), E (T, 3), Lights, left_out, numbers of lobes, a method's name → radiance (P, 3) by learn.engines.culled."""
 
     @staticmethod
-    def forward(ctx, n, m, E, lights, left_out, lobes):
+    def forward(ctx, n, m, E, lights, left_out, lobes, method):
+        ctx.refusal = refusal(method)
+        ctx.save_for_backward(n, m, E)
         tables = Tables(m.double().numpy(), energy_blocks(E.numpy().T, lights), lights, ctx.needs_input_grad[2], lobes)
         ctx.listing = Listing(n.numpy(), tables, left_out)
         return torch.from_numpy(ctx.listing.radiance)
 
     @staticmethod
-    @once_differentiable
+    @last
     def backward(ctx, g):
         by_n, by_m, by_E = ctx.listing.backward(g.numpy())
-        return torch.from_numpy(by_n), torch.from_numpy(by_m).float(), torch.from_numpy(by_E.T.copy()), None, None, None
+        return torch.from_numpy(by_n), torch.from_numpy(by_m).float(), torch.from_numpy(by_E.T.copy()), None, None, None, None
 
 
 class Listing:
@@ -187,12 +195,16 @@ class Listing:
         return put_back(by_sorted_n, self.order), by_m, by_E
 
 
-class ViewedSum(torch.autograd.Function):
-    """n, view (P, 3), m (3, 3, 2, 6), E (T, 3), Lights → radiance (P, 3) by learn.engines.general: a view per pixel, all lights."""
+class ViewedSum(Step):
+    """n, view (P, 3), m (3, 3, 2, 6), E (T, 3), Lights, a method's name → radiance (P, 3) by learn.engines.general.
+
+    A view per pixel, all lights.
+    """
 
     @staticmethod
-    def forward(ctx, n, view, m, E, lights):
-        ctx.save_for_backward(n, view, m)
+    def forward(ctx, n, view, m, E, lights, method):
+        ctx.refusal = refusal(method)
+        ctx.save_for_backward(n, view, m, E)
         energy = energy_blocks(E.numpy().T, lights)
         ctx.lights, ctx.energy = lights, (energy, cutoff(energy))
         arrays = (np.ascontiguousarray(a.numpy()) for a in (n, view))
@@ -201,15 +213,16 @@ class ViewedSum(torch.autograd.Function):
         )
 
     @staticmethod
-    @once_differentiable
+    @last
     def backward(ctx, g):
-        n, view, m = ctx.saved_tensors
+        n, view, m, _ = ctx.saved_tensors
         arrays = (np.ascontiguousarray(a.numpy()) for a in (n, view, g))
         group = cpu.Group(*arrays, slab(ctx.lights), ctx.energy, torch.get_num_threads(), ctx.needs_input_grad[1])
         by_n, by_view, energy_sums, by_m = cpu._general_backward(group, *general_tables(m.double().numpy()))
         by_E = unblocked(energy_sums)[:, : len(ctx.lights.w)].T
         by_view = torch.from_numpy(by_view) if ctx.needs_input_grad[1] else None
-        return torch.from_numpy(by_n), by_view, torch.from_numpy(np.ascontiguousarray(by_m)).float(), torch.from_numpy(by_E).float(), None
+        by_m = torch.from_numpy(np.ascontiguousarray(by_m)).float()
+        return torch.from_numpy(by_n), by_view, by_m, torch.from_numpy(by_E).float(), None, None
 
 
 def slab(lights):

@@ -12,6 +12,8 @@ The backward pass is derived by hand and computes each chunk again instead of st
     ∂κ = A c^γ                     ∂γ = A x ln c                 ∂ln c = Σ_ks A x γ,   ∂c/∂n = h
     ∂h/∂v = (1 − h hᵀ)/|w + v|     ∂θ_d/∂v = −(|w + v| d + |w − v| h)/4,   d = (w − v)/|w − v|
 
+It is a step of its own, which learn/methods/exact_second.py differentiates.
+
 The factor h of ∂c/∂n is missing in print, and ln c is needed only where c > 0 (tests/test_misprints.py).
 """
 
@@ -19,8 +21,8 @@ import math
 from typing import NamedTuple
 
 import torch
-from torch.autograd.function import once_differentiable
 
+from learn.derivatives import THIRD, Step, require_one_gradient
 from learn.methods import Batch, Card, by_group
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
 from shaders.envmap import directions
@@ -108,15 +110,15 @@ def lobes(n, w, at):
     return Lobes(mu, c, log_c, power, exponent, f)
 
 
-def chunks(pixels, total):
-    """Slices (of texels, of pixels) that cover all pairs, PAIRS at most at a time."""
-    step = max(1, PAIRS // min(TEXELS, max(total, 1)))
+def chunks(pixels, total, pairs=PAIRS):
+    """Slices (of texels, of pixels) that cover all pairs, so many at most at a time."""
+    step = max(1, pairs // min(TEXELS, max(total, 1)))
     for t in range(0, total, TEXELS):
         for p in range(0, pixels, step):
             yield slice(t, t + TEXELS), slice(p, p + step)
 
 
-class ExactSum(torch.autograd.Function):
+class ExactSum(Step):
     """n (P, 3), view (P, 3) or None, m (3, 3, 2, 6), E (T, 3), w (T, 3) constant → radiance (P, 3)."""
 
     @staticmethod
@@ -129,9 +131,17 @@ class ExactSum(torch.autograd.Function):
         return out
 
     @staticmethod
-    @once_differentiable
     def backward(ctx, g):
-        n, view, m, E, w = ctx.saved_tensors
+        require_one_gradient(g)
+        return *ExactGradients.apply(g, *ctx.saved_tensors), None
+
+
+class ExactGradients(Step):
+    """g (P, 3), and what ExactSum was given → derivatives of Σ g·radiance by n, view (None without one), m and E."""
+
+    @staticmethod
+    def forward(ctx, g, n, view, m, E, w):
+        ctx.save_for_backward(g, n, view, m, E, w)
         grad_n, grad_m, grad_E = torch.zeros_like(n), torch.zeros_like(m), torch.zeros_like(E)
         grad_view = None if view is None else torch.zeros_like(view)
         for t, p, at in walk(view, m, w, len(n)):
@@ -149,7 +159,26 @@ class ExactSum(torch.autograd.Function):
                 grad_view[p] += view_gradient(by_c, by_theta, n[p], part.c, at)
             curves = torch.stack([by_kappa.sum_to_size(at.kappa.shape), by_gamma.sum_to_size(at.gamma.shape)])
             grad_m += torch.einsum("jptks,ptb->ksjb", curves, at.B)
-        return grad_n, grad_view, grad_m, grad_E, None
+        return grad_n, grad_view, grad_m, grad_E
+
+    @staticmethod
+    def backward(ctx, *direction):
+        require_one_gradient(*direction)
+        return *Second.apply(*direction, *ctx.saved_tensors), None
+
+
+class Second(Step):
+    """Derivatives of a loss by the results of ExactGradients, and what that was given → derivatives by g, n, view (or None), m and E."""
+
+    @staticmethod
+    def forward(ctx, by_n, by_view, by_m, by_E, *given):
+        from learn.methods.exact_second import second  # here: it is rarely needed
+
+        return second((by_n, by_view, by_m, by_E), *given, radial=True)
+
+    @staticmethod
+    def backward(ctx, *g):
+        raise NotImplementedError(THIRD)
 
 
 def walk(view, m, w, pixels):

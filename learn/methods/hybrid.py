@@ -18,7 +18,7 @@ BROAD = 60.0
 
 
 def radiance(batch: Batch, tolerance):
-    return with_lights(batch, median_cut.count(tolerance), 0.25 * tolerance)
+    return with_lights(median_cut.held(batch, CARD.name), median_cut.count(tolerance), 0.25 * tolerance)
 
 
 def with_lights(batch, count, left_out):

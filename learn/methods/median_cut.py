@@ -12,7 +12,7 @@ import math
 import numpy as np
 import torch
 
-from learn.methods import Batch, Card, by_group, directional
+from learn.methods import COMPILED, HELD_LIGHTS, Batch, Card, by_group, directional, first_only
 from shaders.envmap import LUMINANCE, directions
 
 CARD = Card(
@@ -32,7 +32,14 @@ def count(tolerance):
 
 
 def radiance(batch: Batch, tolerance):
-    return with_lights(batch, count(tolerance))
+    return with_lights(held(batch, CARD.name), count(tolerance))
+
+
+def held(batch, name):
+    """The batch for a method that cuts the light: with a second derivative only in torch's own sums, while the light is a constant."""
+    if directional.has_kernels(batch.n):
+        return first_only(batch, name, COMPILED)
+    return first_only(batch, name, HELD_LIGHTS) if batch.light.requires_grad else batch
 
 
 def with_lights(batch, lights):

@@ -1,6 +1,6 @@
 """Monte Carlo with multiple importance sampling: half the samples by the light, half by the BRDF (learn/methods/sampling.py)."""
 
-from learn.methods import Card, sampling
+from learn.methods import HELD_SAMPLES, Card, first_only, sampling
 
 CARD = Card(
     name="monte_carlo",
@@ -13,4 +13,4 @@ CARD = Card(
 
 def radiance(batch, tolerance):
     half = sampling.count(tolerance) // 2
-    return sampling.sampled(batch, half, half)
+    return sampling.sampled(first_only(batch, CARD.name, HELD_SAMPLES), half, half)

@@ -1,6 +1,6 @@
 """Monte Carlo with samples drawn by the BRDF alone: noisy under a small sun (learn/methods/sampling.py)."""
 
-from learn.methods import Card, sampling
+from learn.methods import HELD_SAMPLES, Card, first_only, sampling
 
 CARD = Card(
     name="monte_carlo_brdf",
@@ -12,4 +12,4 @@ CARD = Card(
 
 
 def radiance(batch, tolerance):
-    return sampling.sampled(batch, 0, sampling.count(tolerance))
+    return sampling.sampled(first_only(batch, CARD.name, HELD_SAMPLES), 0, sampling.count(tolerance))

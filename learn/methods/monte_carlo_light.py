@@ -1,6 +1,6 @@
 """Monte Carlo with samples drawn by the light's energy alone: noisy for sharp lobes (learn/methods/sampling.py)."""
 
-from learn.methods import Card, sampling
+from learn.methods import HELD_SAMPLES, Card, first_only, sampling
 
 CARD = Card(
     name="monte_carlo_light",
@@ -12,4 +12,6 @@ CARD = Card(
 
 
 def radiance(batch, tolerance):
+    if batch.light.requires_grad:  # the samples follow the light, and nothing else
+        batch = first_only(batch, CARD.name, HELD_SAMPLES)
     return sampling.sampled(batch, sampling.count(tolerance), 0)

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch.autograd.function import once_differentiable
 
-from learn.methods import coarse, reflectance_map
+from learn.derivatives import Step, last
+from learn.methods import coarse, reflectance_map, refusal
 from learn.methods.directional import Listing, Tables
 
 
@@ -128,16 +128,18 @@ class Sums:
         return by_n, by_m, np.ascontiguousarray(by_light.transpose(1, 2, 0))
 
 
-class Planned(torch.autograd.Function):
+class Planned(Step):
     """n (P, 3), m (3, 3, 2, 6), light → radiance (P, 3); plan(n, m, light, light_gradient), of arrays, gives `Sums`."""
 
     @staticmethod
     def forward(ctx, n, m, light, plan):
+        ctx.refusal = refusal("auto")
+        ctx.save_for_backward(n, m, light)
         ctx.sums = plan(np.ascontiguousarray(n.numpy()), m.double().numpy(), light.numpy(), ctx.needs_input_grad[2])
         return torch.from_numpy(ctx.sums.radiance())
 
     @staticmethod
-    @once_differentiable
+    @last
     def backward(ctx, g):
         by_n, by_m, by_light = ctx.sums.backward(np.ascontiguousarray(g.numpy()), ctx.needs_input_grad[0])
         if by_n is None:

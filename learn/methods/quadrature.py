@@ -25,8 +25,9 @@ import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
+from learn.derivatives import require_reverse_mode
 from learn.engines import lights, machine_code, threads
-from learn.methods import Batch, Card, by_group, load
+from learn.methods import HELD_SAMPLES, Batch, Card, by_group, first_only, load
 from learn.methods.exact import PAIRS
 from shaders.dsbrdf import MAX_EXPONENT
 from shaders.spline import basis
@@ -67,7 +68,7 @@ def radiance(batch: Batch, tolerance):
             light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2) if split > 1 else batch.light
             out = out + load("exact").radiance(replace(band, light=light), tolerance)
         else:
-            count = min(taps * WIDER[split], MOST)
+            band, count = first_only(band, CARD.name, HELD_SAMPLES), min(taps * WIDER[split], MOST)
             out = out + by_group(band, functools.partial(over_taps, camera_from_light=batch.camera_from_light, taps=count))
     return out
 
@@ -138,6 +139,7 @@ def over_taps(n, view, m, light, camera_from_light, taps):
 
 def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
     """The same without derivatives, by the CPU engine (learn.engines.taps)."""
+    require_reverse_mode(n, view, m, light)
     arrays = [np.ascontiguousarray(x.detach().numpy(), np.float32) for x in (n, n * 0 + n.new_tensor([0, 0, 1]) if view is None else view)]
     rows = np.stack([*around.T, np.log2(np.maximum(around[:, 2], 1e-30)), solid_angle])
     values, _, _ = lights.general_tables(m.detach().double().numpy())

@@ -14,10 +14,10 @@ import math
 
 import numpy as np
 import torch
-from torch.autograd.function import once_differentiable
 
+from learn.derivatives import Step, last
 from learn.engines import interpolation, machine_code, threads
-from learn.methods import Batch, Card, directional, lobe_shapes, merged, per_group
+from learn.methods import Batch, Card, directional, lobe_shapes, merged, per_group, refusal
 
 CARD = Card(
     name="reflectance_map",
@@ -41,7 +41,7 @@ def radiance(batch: Batch, tolerance):
     def one_group(g, n, view, m, light):
         size = size_for(lobe_shapes.sharpness(m).max(), tolerance)
         lights, E = directional.of_map(light, batch.camera_from_light)
-        return with_nodes(n, size, lambda nodes: directional.near(nodes, None, m, E, lights, 0.1 * tolerance))
+        return with_nodes(n, size, lambda nodes: directional.near(nodes, None, m, E, lights, 0.1 * tolerance, CARD.name))
 
     return per_group(batch, one_group)
 
@@ -168,17 +168,19 @@ def read_backward(n, table, size, g, nodes):
     return by_n, np.ascontiguousarray(by_table[0].take(nodes, 0)[:, :3])
 
 
-class LookUp(torch.autograd.Function):
+class LookUp(Step):
     """n (P, 3), values (N, 3) at nodes (N,), size → (P, 3) by learn.engines.interpolation."""
 
     @staticmethod
     def forward(ctx, n, values, nodes, size):
+        ctx.refusal = refusal(CARD.name)
+        ctx.save_for_backward(n, values)
         n, nodes = n.contiguous().numpy(), nodes.numpy()
         ctx.kept = n, table(values.numpy(), nodes, size), size, nodes
         return torch.from_numpy(read(*ctx.kept[:3]))
 
     @staticmethod
-    @once_differentiable
+    @last
     def backward(ctx, g):
         n, values, size, nodes = ctx.kept
         by_n, by_values = read_backward(n, values, size, np.ascontiguousarray(g.numpy()), nodes)

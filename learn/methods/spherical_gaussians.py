@@ -15,7 +15,7 @@ import math
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from learn.methods import Batch, Card, by_group, median_cut
+from learn.methods import HELD_LIGHTS, Batch, Card, by_group, first_only, median_cut
 from shaders.dsbrdf import MAX_EXPONENT
 from shaders.spline import basis
 
@@ -30,7 +30,7 @@ LIGHTS, CHUNK, WIDEST = 64, 2048, 0.25  # WIDEST: least λ of a lobe; a constant
 
 
 def radiance(batch: Batch, tolerance):
-    return with_lights(batch, LIGHTS)
+    return with_lights(first_only(batch, CARD.name, HELD_LIGHTS) if batch.light.requires_grad else batch, LIGHTS)
 
 
 def with_lights(batch, count):

@@ -11,7 +11,7 @@ import math
 
 import torch
 
-from learn.methods import Batch, Card, by_group, directional
+from learn.methods import COMPILED, Batch, Card, by_group, directional, first_only
 from shaders.envmap import directions
 
 CARD = Card(
@@ -26,6 +26,9 @@ DARKEST = 1e-9  # reflectance below which a channel fades to black: the derivati
 
 
 def radiance(batch: Batch, tolerance):
+    if directional.has_kernels(batch.n):
+        batch = first_only(batch, CARD.name, COMPILED)
+
     def one_group(n, view, m, light):
         lights, E = directional.of_map(light, batch.camera_from_light)
         view = n.new_tensor([[0.0, 0.0, 1.0]]) if view is None else view

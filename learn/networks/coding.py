@@ -15,6 +15,8 @@ from shaders.dsbrdf import SIZE
 REACH = 0.95
 BRIGHTNESS = 8.0
 LARGEST_LOG_LIGHT = 11.0  # log(1 + 6e4): half floats end there
+LARGEST_KAPPA = 4.4  # logarithm of κ: exp of κ itself has to be a number; the catalogue's reach 2.2
+SMALLEST_LABEL = -80.0  # its exp is a float32 above 0
 NARROWEST = 1e-3  # of a label's range, where all training materials agree
 
 

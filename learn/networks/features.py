@@ -17,6 +17,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from learn.networks import tensor_file
 from manifests.problems import Problem
 
 WIDTHS = ((64, 64), (128, 128), (256,))  # VGG16 as far as relu3_1
@@ -123,30 +124,24 @@ def _of_255(mean):
 
 
 def _vgg(path, sha256):
-    from learn.training.checkpoint import load as load_tensors
-
     if path.suffix in (".pth", ".pt", ".pkl", ".bin"):
         remedy = "convert it once where you trust it: safetensors.torch.save_file(state_dict, 'vgg16.safetensors')"
         raise Problem(path, "VGG16 in a .safetensors file", f"{path.suffix}, which would have to be unpickled", remedy)
-    tensors, _ = load_tensors(path)
-    digest = _digest(path)
-    if sha256 and digest != sha256:
-        raise Problem(path, f"sha256 {sha256[:16]}…", f"{digest[:16]}…", "check where the file comes from, or the run's features_sha256")
-    weights, before = [], 3
+    shapes, before = {}, 3
     for number, width in zip(NUMBERS, (w for block in WIDTHS for w in block), strict=True):
-        kernel, bias = (tensors.get(f"features.{number}.{name}") for name in ("weight", "bias"))
-        if kernel is None or bias is None or kernel.shape != (width, before, 3, 3) or bias.shape != (width,):
-            found = "none" if kernel is None else str(tuple(kernel.shape))
-            raise Problem(
-                f"{path}: features.{number}", f"VGG16's {width} × {before} × 3 × 3 kernel and bias", found, "give torchvision's VGG16"
-            )
-        weights.append((kernel.float(), bias.float()))
+        shapes |= {f"features.{number}.weight": (width, before, 3, 3), f"features.{number}.bias": (width,)}
         before = width
+    with tensor_file.opened(path, "VGG16 in a .safetensors file", "give torchvision's VGG16", LARGEST_FILE) as stored:
+        digest = _digest(path)
+        if sha256 and digest != sha256:
+            remedy = "check where the file comes from, or the run's features_sha256"
+            raise Problem(path, f"sha256 {sha256[:16]}…", f"{digest[:16]}…", remedy)
+        stored.require(shapes, "torchvision's VGG16", alone=False)
+        read = [stored.tensor(name).float() for name in shapes]
+    weights = list(zip(read[::2], read[1::2], strict=True))
     return Features(f"VGG16 ({path.name})", digest, weights, VGG_MEAN, VGG_DEVIATION, flipped=False)
 
 
 def _digest(path):
-    if path.stat().st_size > LARGEST_FILE:
-        raise Problem(path, f"at most {LARGEST_FILE >> 30} GiB", f"{path.stat().st_size >> 30} GiB", "check that this is the right file")
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -55,6 +55,6 @@ def photographed(rng, image, mask):
         exposure = tone.auto_exposure(image, mask)
         data = io.BytesIO()
         Image.fromarray(np.rint(tone.display(image, exposure)).astype(np.uint8)).save(data, "JPEG", quality=int(rng.integers(60, 96)))
-        encoded = np.asarray(Image.open(data), np.float32) / 255.0
+        encoded = np.asarray(Image.open(data, formats=["JPEG"]), np.float32) / 255.0
         image = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(np.float32) / exposure
     return image

@@ -4,24 +4,55 @@ checkpoint.safetensors  all a run needs to go on: network, moving average, optim
 weights.safetensors     what a user needs: the moving average in half precision; metadata: network, size, step, and the run as JSON
 """
 
-import json
-from pathlib import Path
+import hashlib
+from typing import Annotated, Literal
 
+import msgspec
 import torch
-from safetensors import SafetensorError, safe_open
 
 from learn.baselines.encoder_decoder import EncoderDecoder
 from learn.baselines.separate import Separate
 from learn.networks import tensor_file
-from learn.networks.coding import Ranges
+from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL, Ranges
 from learn.networks.compact import Compact
 from learn.networks.paper import Paper
 from learn.networks.prediction import ThreeNetworks
+from learn.training.settings import Part, Size, converted
 from manifests.problems import Problem
+from manifests.reading import decode
+from shaders.dsbrdf import SHAPE
 
 NETWORKS = {network.name: network for network in (Compact, Paper, Separate, EncoderDecoder)}
 PARTS = ("normals", "material", "light")
-LARGEST_FILE = 4 << 30
+FORMAT = "brdfactory weights 1"
+LARGEST_IN_RANGE = 17.0  # LARGEST_LABEL of manifests.materials and the margin that Ranges.of adds
+DAMAGED = "put a copy of it back, or move it away to begin again; weights.safetensors has the last validated step"
+Natural = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
+
+
+class About(msgspec.Struct, frozen=True):
+    """Metadata of weights, read from its texts. size: of pictures; step: how many the run had made."""
+
+    network: Literal["compact", "paper", "separate", "encoder-decoder"]
+    size: Size
+    step: Natural | None = None
+
+
+class RunInWeights(msgspec.Struct, frozen=True):
+    """What is read of the run that weights are of; older runs had other settings besides."""
+
+    name: str = ""
+    parts: Annotated[tuple[Part, ...], msgspec.Meta(min_length=1)] = PARTS
+
+
+class Progress(msgspec.Struct, frozen=True):
+    """Metadata of a checkpoint, read from its texts. used: seconds of processor time; digest: `digest_of` its tensors."""
+
+    step: Natural
+    skipped: Natural
+    run: str
+    used: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+    digest: str | None = None
 
 
 def save(path, tensors, metadata):
@@ -29,39 +60,31 @@ def save(path, tensors, metadata):
     tensor_file.write(path, tensors, metadata)
 
 
-def load(path):
-    """({name: tensor}, metadata) of a safetensors file. Raises Problem."""
-    path = Path(path)
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise Problem(
-                path, f"at most {LARGEST_FILE >> 30} GiB", f"{path.stat().st_size >> 30} GiB", "check that this is the right file"
-            )
-        with safe_open(path, "pt") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118 -- not a dict
-    except FileNotFoundError:
-        raise Problem(path, "weights in a .safetensors file", "nothing", "train some: python -m learn train RUN.json") from None
-    except (OSError, SafetensorError) as error:
-        raise Problem(path, "weights in a .safetensors file", str(error), "weights in other formats are never read; convert them") from None
-
-
 def save_weights(path, network, state, run_json, size, step=None):
     """The weights a user needs. state: the moving average's tensors by name; step: how many the run had made."""
     half = {name: t.half() if t.is_floating_point() and t.ndim > 1 else t for name, t in state.items()}
     told = {} if step is None else {"step": str(step)}
-    save(path, half, {"format": "brdfactory weights 1", "network": network.name, "size": str(size), "run": run_json} | told)
+    save(path, half, {"format": FORMAT, "network": network.name, "size": str(size), "run": run_json} | told)
 
 
 def load_network(path):
-    """(network ready to predict, metadata) of a weights file. Raises Problem."""
-    tensors, metadata = load(path)
-    if metadata.get("format") != "brdfactory weights 1" or metadata.get("network") not in NETWORKS:
-        raise Problem(
-            path, f"weights of {' or '.join(NETWORKS)}", metadata.get("network", "others"), "use weights that `learn train` wrote"
-        )
-    network = NETWORKS[metadata["network"]](Ranges(torch.zeros(108), torch.ones(108)))
-    fill(network, tensors, path)
-    return network.eval(), metadata | {"run": json.loads(metadata.get("run", "{}")), "ranges": network.ranges}
+    """(network ready to predict, metadata) of a weights file.
+
+    metadata  size: of pictures, a whole number; run: a dict, at least {}; ranges: of the network; and the file's own texts
+    Raises    Problem: no weights, other metadata or tensors than `learn train` writes, numbers that are not finite
+    """
+    with tensor_file.opened(path) as stored:
+        metadata = stored.metadata
+        if metadata.get("format") != FORMAT or metadata.get("network") not in NETWORKS:
+            found = metadata.get("network", "others")
+            raise Problem(path, f"weights of {' or '.join(NETWORKS)}", found, "use weights that `learn train` wrote")
+        about = converted(metadata, About, f"{path}: metadata", strict=False)
+        run = run_of(metadata, path)
+        network = NETWORKS[about.network](Ranges(torch.zeros(108), torch.ones(108)))
+        stored.require(shapes(network), f"this {network.name} network")
+        fill(network, stored)
+    _require_ranges(network.ranges, path)
+    return network.eval(), metadata | {"size": about.size, "run": run, "ranges": network.ranges}
 
 
 def load_parts(path):
@@ -74,13 +97,49 @@ def load_parts(path):
     return network, metadata
 
 
-def fill(network, tensors, where):
-    """Give a network its tensors; Problem if a name is missing or a size another."""
-    wanted = network.state_dict()
-    for name, mine in wanted.items():
-        if name not in tensors or tensors[name].shape != mine.shape:
-            found = f"{tuple(tensors[name].shape)}" if name in tensors else "none"
-            raise Problem(
-                f"{where}: {name}", f"a tensor of shape {tuple(mine.shape)}", found, f"these weights are not of this {network.name} network"
-            )
-    network.load_state_dict({name: tensors[name].to(mine.dtype) for name, mine in wanted.items()})
+def run_of(metadata, path):
+    """The run's settings as a dict, whose name and parts are checked; {} where the metadata have none. Raises Problem."""
+    text = metadata.get("run", "{}").encode()
+    where = f"{path}: run in the metadata"
+    decode(text, RunInWeights, where)
+    return decode(text, dict, where)
+
+
+def shapes(network, prefix=""):
+    """{prefix + name: shape} of a network's tensors."""
+    return {prefix + name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+
+
+def fill(network, stored, prefix=""):
+    """Give a network the tensors of a learn.networks.tensor_file.Stored that are named as its own after a prefix.
+
+    They must have been required before. Raises Problem for numbers that are not finite
+    """
+    state = network.state_dict()
+    network.load_state_dict({name: stored.tensor(prefix + name).to(mine.dtype) for name, mine in state.items()})
+
+
+def progress_of(stored):
+    """The Progress in the metadata of a checkpoint. Raises Problem."""
+    return converted(stored.metadata, Progress, f"{stored.path}: metadata", strict=False)
+
+
+def digest_of(named):
+    """sha256 (hex) of {name: tensor}: names, types, shapes and bytes."""
+    found = hashlib.sha256()
+    for name, tensor in sorted(named.items()):
+        flat = tensor.detach().contiguous().reshape(-1).view(torch.uint8)
+        found.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
+        found.update(memoryview(flat.numpy()))
+    return found.hexdigest()
+
+
+def _require_ranges(ranges, path):
+    """Raises Problem for ranges of labels that a material cannot have."""
+    ends = torch.stack([ranges.label(torch.full((108,), code)) for code in (-1.0, 1.0)])
+    largest = torch.full(SHAPE, LARGEST_IN_RANGE)
+    largest[..., 0, :] = LARGEST_KAPPA
+    if not (ranges.half > 0).all() or (ends < SMALLEST_LABEL).any() or (ends > largest.reshape(-1)).any():
+        rule = f"ranges of labels within {SMALLEST_LABEL:g} … {LARGEST_IN_RANGE:g}, of κ up to {LARGEST_KAPPA:g}"
+        found = f"{ends.min():g} … {ends.max():g}"
+        raise Problem(f"{path}: label_centre, label_half", rule, found, "use weights that `learn train` wrote")

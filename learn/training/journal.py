@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 from manifests.files import write_json, write_lines
+from manifests.inputs import require_file
 from manifests.problems import Problem
 from manifests.store import Lines
 
@@ -63,12 +64,13 @@ def _forget(path, step):
     """Drop lines of steps from `step` on, and a torn last one."""
     if not path.exists():
         return
+    require_file(path, "a log of lines", "give another --out")
     kept, whole = [], path.read_bytes()
     for line in whole.splitlines(keepends=True):
         try:
             if line.endswith(b"\n") and json.loads(line)["step"] < step:
                 kept.append(line)
-        except (ValueError, KeyError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             continue
     text = b"".join(kept)
     if text != whole:

@@ -4,32 +4,58 @@ L  (64, 128, 3) float32 radiance of unit mean luminance, light frame; all draws 
 """
 
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
 
+from manifests.inputs import require_file
 from manifests.problems import Problem
 from shaders import envmap
 
 HEIGHT, WIDTH = 64, 128
 LARGEST_FILE = 256 << 20
+LARGEST_MAP = 1 << 20  # bytes: four times what a map of doubles takes
+MOST_MAPS = 4096  # together 400 MB in memory
+BRIGHTEST = 1e30  # far beyond any unit; sums of float32 stay finite
 
 
 def read_maps(path):
     """{name: L} of an .npz of (64, 128, 3) arrays. Raises Problem."""
     path = Path(path)
+    rule, remedy = "an .npz of (64, 128, 3) light maps", "write it by numpy.savez(path, name=map)"
+    require_file(path, rule, remedy, LARGEST_FILE)
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise Problem(path, f"at most {LARGEST_FILE >> 20} MiB", f"{path.stat().st_size >> 20} MiB", "give fewer maps")
-        with np.load(path, allow_pickle=False) as arrays:
-            maps = {name: np.asarray(arrays[name], np.float32) for name in arrays.files}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise Problem(path, "an .npz of (64, 128, 3) light maps", str(error), "write it by numpy.savez(path, name=map)") from None
-    for name, L in maps.items():
-        if L.shape != (HEIGHT, WIDTH, 3) or not np.isfinite(L).all():
-            raise Problem(f"{path}: {name}", "finite radiance of shape (64, 128, 3)", f"{L.shape}", "average it to 64×128 first")
-        maps[name] = envmap.unit_mean(np.maximum(L, 0))[0].astype(np.float32)
-    return maps
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            if len(members) > MOST_MAPS:
+                raise Problem(path, f"at most {MOST_MAPS} maps", str(len(members)), "give fewer maps")
+            return {member.filename.removesuffix(".npy"): _map(archive, member, path) for member in members}
+    except Problem:
+        raise
+    except (OSError, ValueError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+        raise Problem(path, rule, str(error)[:160] or "none", remedy) from None
+
+
+def _map(archive, member, path):
+    """L of one member of an archive, unit mean. Raises Problem, and what zipfile and numpy raise for a damaged one."""
+    where, remedy = f"{path}: {member.filename.removesuffix('.npy')}", "average it to 64×128 first"
+    rule = "finite radiance of shape (64, 128, 3)"
+    if member.file_size > LARGEST_MAP:  # by the directory, before memory is taken
+        raise Problem(where, rule, f"{member.file_size} bytes", remedy)
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise Problem(where, "an array as numpy compresses it", "another compression", remedy)
+    with archive.open(member) as stored:
+        L = np.lib.format.read_array(stored, allow_pickle=False)
+    if L.shape != (HEIGHT, WIDTH, 3) or L.dtype.kind not in "fui":
+        raise Problem(where, rule, f"{L.shape} of {L.dtype}", remedy)
+    L = L.astype(np.float64)
+    if not np.isfinite(L).all() or L.max() > BRIGHTEST:
+        found = f"values up to {L.max():g}" if np.isfinite(L).all() else "NaN or infinity"
+        raise Problem(where, f"finite radiance up to {BRIGHTEST:g}", found, "clip it, and write it again")
+    if not (L > 0).any():
+        raise Problem(where, "light", "a black map", "leave it out")
+    return envmap.unit_mean(np.maximum(L, 0).astype(np.float32))[0].astype(np.float32)
 
 
 def draw(rng, maps, real):

@@ -3,6 +3,7 @@
 Everything random in step k depends on (seed, k) alone: a run that was killed goes on from its last checkpoint to bitwise the same weights.
 """
 
+import contextlib
 import json
 import math
 import os
@@ -14,17 +15,38 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from learn.networks import features
+from learn.networks import features, tensor_file
 from learn.networks.coding import Ranges
 from learn.training import checkpoint, losses, measures, schedule, sheet
 from learn.training.journal import Journal
-from learn.training.settings import Run
+from learn.training.settings import Run, require_trainable
 from learn.training.sources import source_of
+from manifests import lock
 from manifests.files import write_bytes
 from manifests.problems import Problem
 from manifests.reading import decode
 
 EVERY_SECONDS = 120  # between checkpoints, if no count of steps is given
+PATIENCE = 2.0  # seconds for a killed run to be gone
+_LOCKS = []  # descriptors of the folders that this process holds
+
+
+@contextlib.contextmanager
+def only_writer(out):
+    """Hold the folder of a run: a second run into it would write each line of the log twice. Raises Problem if another one is at it.
+
+    Of several processes of one run (torchrun) the first holds it.
+    """
+    if int(os.environ.get("RANK", 0)):
+        yield
+        return
+    with lock.writing(out, patience=PATIENCE) as held:
+        _LOCKS.extend(held)
+        try:
+            yield
+        finally:
+            for descriptor in held:
+                _LOCKS.remove(descriptor)
 
 
 class Training:
@@ -36,6 +58,7 @@ class Training:
     """
 
     def __init__(self, run, pools, out, sheet_every=500, checkpoint_every=None, workers=1, tensorboard=False):
+        require_trainable(run, f"run '{run.name}'")
         self.run, self.pools, self.out = run, pools, Path(out)
         self.sheet_every, self.checkpoint_every, self.workers = sheet_every, checkpoint_every, workers
         self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
@@ -51,8 +74,9 @@ class Training:
         if (self.out / "checkpoint.safetensors").exists():
             self._resume()
         elif run.start:
-            tensors, _ = checkpoint.load(run.start)
-            checkpoint.fill(self.network, tensors, run.start)
+            with tensor_file.opened(run.start) as stored:
+                stored.require(checkpoint.shapes(self.network), f"this {self.network.name} network")
+                checkpoint.fill(self.network, stored)
             self.average = {name: t.detach().clone() for name, t in self.network.state_dict().items()}
         self.journal = Journal(self.out, self.step, tensorboard) if self.rank == 0 else None
         self.model = self.network
@@ -99,13 +123,23 @@ class Training:
         seconds = self.run.schedule.seconds
         return self.step >= schedule.steps(self.run) or (seconds is not None and self.used >= seconds)
 
+    def _source(self):
+        """What the run learns from, by the number of its batch."""
+        return source_of(self.pools["train"], self.run, self.run.schedule.batch, self.run.seed, (self.rank, self.world))
+
     def _batches(self):
-        source = source_of(self.pools["train"], self.run, self.run.schedule.batch, self.run.seed, (self.rank, self.world))
-        order = range(self.step, schedule.steps(self.run))
+        source, order = self._source(), range(self.step, schedule.steps(self.run))
         if not self.workers:
             return (source[k] for k in order)
-        return torch.utils.data.DataLoader(
-            source, batch_size=None, sampler=order, num_workers=self.workers, worker_init_fn=one_thread, prefetch_factor=2
+        return received(
+            torch.utils.data.DataLoader(
+                ErrorsAsValues(source),
+                batch_size=None,
+                sampler=order,
+                num_workers=self.workers,
+                worker_init_fn=begin_worker,
+                prefetch_factor=2,
+            )
         )
 
     def _one_step(self, batch):
@@ -115,11 +149,16 @@ class Training:
         torch.manual_seed(seed)  # dropout
         rng = torch.Generator().manual_seed(seed)  # sampled pixels
         self.model.train()
+        buffers = [buffer.clone() for buffer in self.network.buffers()]  # running statistics, which the forward pass moves
         start = time.process_time()
         prediction = self.predict(self.model, batch, phase.parts)
         after_network = time.process_time()
-        found = self._terms(prediction, batch, phase.losses, rng)
-        loss = losses.total(found, phase.losses)
+        if _is_finite(prediction):
+            found = self._terms(prediction, batch, phase.losses, rng)
+            loss = losses.total(found, phase.losses)
+        else:  # the layer would refuse it; gradients that are not finite let all processes of a run skip this step
+            found = {}
+            loss = math.nan * sum(part.float().sum() for part in prediction if part is not None)
         after_losses = time.process_time()
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -129,6 +168,8 @@ class Training:
             self.optimiser.step()
             schedule.follow(self.average, self.network, self.step, self.run.schedule.average)
         else:
+            for buffer, before in zip(self.network.buffers(), buffers, strict=True):
+                buffer.copy_(before)
             self._skip(batch, record)
         record |= _health(prediction)
         times = {"network": after_network - start, "losses": after_losses - after_network, "backward": time.process_time() - after_losses}
@@ -164,8 +205,8 @@ class Training:
         self.skipped += 1
         wrong = next((n for n, p in self.network.named_parameters() if p.grad is not None and not p.grad.isfinite().all()), "loss")
         path = self.out / f"skipped-{self.step}{f'-{self.rank}' * (self.world > 1)}.safetensors"
-        tensors = {name: value for name, value in vars(batch).items() if isinstance(value, torch.Tensor)}
-        checkpoint.save(path, tensors, {"names": json.dumps(batch.names), "tensor": wrong})
+        shown = {name: value for name, value in vars(batch).items() if isinstance(value, torch.Tensor)}
+        checkpoint.save(path, shown, {"names": json.dumps(batch.names), "tensor": wrong})
         if self.skipped > self.run.skipped_steps:
             values = ", ".join(f"{k} {v:g}" for k, v in record.items() if not math.isfinite(v))
             where = f"step {self.step}, {batch.names[0]} and {len(batch.names) - 1} more"
@@ -176,51 +217,122 @@ class Training:
                 f"study {path}; the last good weights are in checkpoint.safetensors",
             )
 
+    def _predicted(self, network, batch):
+        """A Prediction for people and figures. Raises Problem if it is not finite."""
+        prediction = self.predict(network, batch)
+        if not _is_finite(prediction):
+            where, remedy = f"{self.out}: validation after step {self.step}", "lower schedule.rate in the run, and give another --out"
+            raise Problem(where, "finite predictions", "NaN or infinity", remedy)
+        return prediction
+
     def _validate(self):
         """Figures of the moving average on the validation side; its sheet; weights for users."""
         network, pool, batch = self.averaged(), self.pools["validation"], self.run.schedule.batch
         with torch.no_grad(), measures.DeadUnits(network) as dead:
-            figures = measures.over(lambda b: self.predict(network, b), pool, self.run, batches=2)
+            figures = measures.over(lambda b: self._predicted(network, b), pool, self.run, batches=2)
             figures |= dead.figures()
             shown = source_of(pool, self.run, batch, 1)[0]
-            self.journal.show(self.step - 1, sheet.write(self.out / f"sheet-{self.step:07d}.jpg", shown, self.predict(network, shown)))
+            self.journal.show(self.step - 1, sheet.write(self.out / f"sheet-{self.step:07d}.jpg", shown, self._predicted(network, shown)))
         run_json = msgspec.json.encode(self.run).decode()
         checkpoint.save_weights(self.out / "weights.safetensors", self.network, self.average, run_json, self.run.size, self.step)
         return figures
 
     def _save(self):
-        tensors = {f"network.{name}": t for name, t in self.network.state_dict().items()} | {
+        kept = {f"network.{name}": t for name, t in self.network.state_dict().items()} | {
             f"average.{n}": t for n, t in self.average.items()
         }
         for i, parameter in enumerate(self.network.parameters()):
             for name, value in self.optimiser.state.get(parameter, {}).items():
-                tensors[f"optimiser.{i}.{name}"] = value
+                kept[f"optimiser.{i}.{name}"] = value
         metadata = {
             "step": str(self.step),
             "skipped": str(self.skipped),
             "used": str(self.used),
             "run": msgspec.json.encode(self.run).decode(),
+            "digest": checkpoint.digest_of(kept),
         }
-        checkpoint.save(self.out / "checkpoint.safetensors", tensors, metadata)
+        checkpoint.save(self.out / "checkpoint.safetensors", kept, metadata)
 
     def _resume(self):
+        """Go on from the checkpoint. Raises Problem for one of other settings, and for a damaged one, which stays as it is."""
         path = self.out / "checkpoint.safetensors"
-        tensors, metadata = checkpoint.load(path)
-        if decode(metadata.get("run", "").encode(), Run, path) != self.run:
-            raise Problem(
-                path, "a checkpoint of this run", "one of other settings", "give another --out, or the settings in run.json there"
-            )
-        checkpoint.fill(self.network, {n.removeprefix("network."): t for n, t in tensors.items() if n.startswith("network.")}, path)
-        self.average = {n: tensors[f"average.{n}"] for n in self.average}
+        with tensor_file.opened(path, "a checkpoint", checkpoint.DAMAGED) as stored:
+            progress = checkpoint.progress_of(stored)
+            if decode(progress.run.encode(), Run, path) != self.run:
+                remedy = "give another --out, or the settings in run.json there"
+                raise Problem(path, "a checkpoint of this run", "one of other settings", remedy)
+            if progress.step > schedule.steps(self.run):
+                rule = f"a checkpoint of at most {schedule.steps(self.run)} steps"
+                raise Problem(path, rule, f"one of {progress.step}", checkpoint.DAMAGED)
+            expected, of_optimiser = self._shapes(stored)
+            stored.require(expected, "this run")
+            kept = {name: stored.tensor(name) for name in expected}
+        if progress.digest not in (None, checkpoint.digest_of(kept)):
+            raise Problem(path, "the numbers that were saved", "others", checkpoint.DAMAGED)
+        for state, prefix in ((self.network.state_dict(), "network."), (self.average, "average.")):
+            for name, tensor in state.items():
+                tensor.copy_(kept[prefix + name])
         for i, parameter in enumerate(self.network.parameters()):
-            prefix = f"optimiser.{i}."
-            if state := {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}:
-                self.optimiser.state[parameter] = state
-        self.step, self.skipped, self.used = int(metadata["step"]), int(metadata["skipped"]), float(metadata.get("used", 0))
+            if i in of_optimiser:
+                self.optimiser.state[parameter] = {name: kept[f"optimiser.{i}.{name}"] for name in of_optimiser[i]}
+        self.step, self.skipped, self.used = progress.step, progress.skipped, progress.used
+
+    def _shapes(self, stored):
+        """({name: shape} of all tensors of a checkpoint, {number of a parameter: {name: shape} of what the optimiser keeps of it}).
+
+        Parameters that no stage has trained so far have no state.
+        """
+        optimiser = {}
+        for i, parameter in enumerate(self.network.parameters()):
+            if any(name.startswith(f"optimiser.{i}.") for name in stored.shapes):
+                optimiser[i] = {"step": (), "exp_avg": tuple(parameter.shape), "exp_avg_sq": tuple(parameter.shape)}
+        found = checkpoint.shapes(self.network, "network.") | checkpoint.shapes(self.network, "average.")
+        for i, of_one in optimiser.items():
+            found |= {f"optimiser.{i}.{name}": shape for name, shape in of_one.items()}
+        return found, optimiser
 
 
-def one_thread(_):
+class ErrorsAsValues(torch.utils.data.Dataset):
+    """Batches of a source; in place of one that cannot be made its Problem or OSError.
+
+    A DataLoader raises errors of its processes anew from their text alone, with a trace in it.
+    """
+
+    def __init__(self, source):
+        self.source = source
+
+    def __getitem__(self, k):
+        """The k-th Batch, or why there is none."""
+        try:
+            return self.source[k]
+        except (Problem, OSError) as error:
+            return error
+
+
+def received(loader):
+    """The batches of a DataLoader over ErrorsAsValues. Raises the errors among them; Problem where one of its processes was killed."""
+    try:
+        for batch in loader:
+            if isinstance(batch, Exception):
+                raise batch
+            yield batch
+    except RuntimeError as error:
+        if "DataLoader worker" not in str(error):
+            raise
+        remedy = "run the same command again, which continues, with --workers 0"
+        raise Problem("--workers", "processes that live", "one that was killed, for want of memory perhaps", remedy) from None
+
+
+def begin_worker(_):
+    """A process that relights: one thread, and no hold on the run's folder when the run itself has ended."""
     torch.set_num_threads(1)
+    for descriptor in _LOCKS:
+        os.close(descriptor)
+
+
+def _is_finite(prediction):
+    """Whether all parts of a Prediction that are there are finite."""
+    return all(bool(part.detach().isfinite().all()) for part in prediction if part is not None)
 
 
 def _health(prediction):

@@ -11,8 +11,11 @@ import numpy as np
 from tqdm import tqdm
 
 from manifests.files import write_text
+from manifests.inputs import require_file
 from manifests.problems import Problem
 from manifests.store import inside
+
+LARGEST_FILE = 256 << 20  # bytes: a hundred of a picture
 
 
 def checked(records, chosen, geometry, skip_bad=False, progress=True):
@@ -71,7 +74,8 @@ def _stamp(path):
 
 def _remembered(path):
     try:
+        require_file(path, "what was checked before", maximum_bytes=LARGEST_FILE)
         known = json.loads(path.read_text())
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):  # missing or damaged: all is checked again
         return {}
     return known if isinstance(known, dict) else {}

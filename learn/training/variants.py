@@ -17,6 +17,7 @@ from learn.agreement.measure import similarity, squared
 from learn.training import checkpoint, loop, measures
 from learn.training.relit import Relit
 from manifests.files import write_text
+from manifests.reading import read
 from shaders import tone
 
 TEST_SEED = 43
@@ -36,9 +37,10 @@ def trained(run, pools, tests, folder, workers=1):
     """
     folder = Path(folder)
     if (folder / "result.json").exists():
-        return json.loads((folder / "result.json").read_text())
-    training = loop.Training(run, pools, folder, sheet_every=0, workers=workers)
-    training.train()
+        return read(folder / "result.json", dict)
+    with loop.only_writer(folder):
+        training = loop.Training(run, pools, folder, sheet_every=0, workers=workers)
+        training.train()
     checkpoint.save_weights(folder / "weights.safetensors", training.network, training.average, "{}", run.size)
     network = training.averaged()
     rows = [row for batch in tests for row in _rows(training, network, batch)]

@@ -10,11 +10,11 @@ from functools import cache
 from pathlib import PurePath
 
 from manifests import splits
-from manifests.verification.faults import Fault
 from manifests.materials import BUILT_IN, Entry, material, material_hash, read_catalogue
 from manifests.problems import Problem
 from manifests.schema import Dataset, Draw, Job
 from manifests.store import light_path
+from manifests.verification.faults import Fault
 
 FAMILIES = frozenset(splits.rules()["paper"]["shapes"])  # of shapes that go by number: "chair:17" is a chair
 RANGE = re.compile(r"^\w+:(\d{1,9})-(\d{1,9})$")

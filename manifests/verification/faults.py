@@ -7,7 +7,6 @@ from pathlib import Path
 
 from manifests.problems import printable
 
-
 Line = tuple[Path, int]  # file and number, from 1, of a line
 
 

@@ -125,7 +125,7 @@ class Judge:
         key = (*key, record.camera, record.samples, record.split)
         group = self._groups.get(key) or self._new_group(key, record)
         place = (record.viewpoint, record.rotation_texels, record.tier, record.light_resolution, record.seed)
-        for render, hashes, digest in group.hashings:
+        for render, hashes, digest in group.hashings:  # noqa: B007 -- the fitting one is used below
             if ids.shot_id(digest, *place) == record.id:
                 break
         else:

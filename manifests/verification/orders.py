@@ -91,8 +91,7 @@ class Combination:
             return in_views and (isinstance(job.rotations, Draw) or turn in job.rotations)
         place = (view, turn, record.tier, record.light_resolution)
         return any(
-            turn in turns.get(view, ())
-            and any(ids.shot_seed(word, ids.shot_place(*place, k)) == record.seed for k in range(job.repeats))
+            turn in turns.get(view, ()) and any(ids.shot_seed(word, ids.shot_place(*place, k)) == record.seed for k in range(job.repeats))
             for word, turns in self._every()
         )
 

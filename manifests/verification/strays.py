@@ -9,8 +9,8 @@ import stat
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
-from manifests.verification.faults import Fault
 from manifests.store import LINES
+from manifests.verification.faults import Fault
 
 KNOWN = ("images", "geometry", "lights", "partial", "packed", *LINES)
 _KINDS = {

@@ -73,13 +73,9 @@ def described(plan):
         orders=(Order(job=plan.job, shots=len(plan), begun=""),),
         settings={plan.render: {}},
         shapes={
-            s.name: ShapeEntry(hash=s.hash, category=s.category, side=s.side, role=s.role, segments=1, licence="")
-            for s in assets.shapes
+            s.name: ShapeEntry(hash=s.hash, category=s.category, side=s.side, role=s.role, segments=1, licence="") for s in assets.shapes
         },
-        materials={
-            m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source)
-            for m in assets.materials
-        },
+        materials={m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source) for m in assets.materials},
         lights={
             name: LightEntry(
                 hash=light.hash,

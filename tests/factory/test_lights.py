@@ -235,7 +235,7 @@ def bad_cases(folder, good):
         return folder / name
 
     return {
-        "missing": (folder / "nowhere.exr", "nothing there"),
+        "missing": (folder / "nowhere.exr", "no such file"),
         "folder": (folder, "a folder"),
         "empty": (raw("empty.hdr", b""), "an empty file"),
         "truncated exr": (raw("cut.exr", whole_exr[: len(whole_exr) // 2]), "truncated"),
@@ -342,6 +342,24 @@ def test_add_takes_every_map_of_an_npz_but_those_that_are_there_under_another_na
     light = load("lagoon", library=home)
     assert light.licence == "CC0"
     np.testing.assert_allclose(light.scale * to_file_columns(light.L_full), fresh, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["exr", "npz"])
+def test_a_map_that_was_not_listed_when_a_run_was_killed_is_listed_by_the_next(tmp_path, drawn, kind):
+    if kind == "exr":
+        path = write_exr(tmp_path / "lamp.exr", drawn)
+    else:
+        np.savez(path := tmp_path / "maps.npz", lamp=drawn)
+    home = tmp_path / "library"
+    assert run("add", path, "--library", home, "--licence", "CC0") == 0
+    listed = (home / "lights.json").read_bytes()
+    (home / "lights.json").unlink()
+    assert run("add", path, "--library", home, "--licence", "CC0") == 0
+    assert (home / "lights.json").read_bytes() == listed
+    (home / "lights.json").unlink()
+    (home / f"lamp.{kind}").write_bytes(b"another one's")
+    assert run("add", path, "--library", home, "--licence", "CC0") == 1
+    assert (home / f"lamp.{kind}").read_bytes() == b"another one's"
 
 
 def test_an_npz_is_judged_by_its_headers_and_never_unpickled(tmp_path, drawn, monkeypatch):

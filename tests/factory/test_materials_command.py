@@ -46,6 +46,15 @@ def test_a_second_call_takes_the_fits_that_are_kept(own, capsys):
     assert (own / "own.json").read_bytes() == before[1]
 
 
+@pytest.mark.parametrize("damage", [lambda data: b"", lambda data: data[:-10]])
+def test_a_damaged_fit_is_fitted_again(own, damage):
+    (kept,) = (own / "own.json.fits").iterdir()
+    whole, catalogue = kept.read_bytes(), (own / "own.json").read_bytes()
+    kept.write_bytes(damage(whole))
+    assert run("materials", "add", own, "--closures", 1, "--out", own / "own.json") == 0
+    assert (kept.read_bytes(), (own / "own.json").read_bytes()) == (whole, catalogue)
+
+
 def test_another_recipe_is_another_fit(own):
     from factory.materials import fitting, recipe, sources
 

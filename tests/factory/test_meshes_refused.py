@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from factory.shapes.door import open_mesh
-from factory.shapes.files import MAXIMUM_TRIANGLES
 from factory.shapes.libraries import CATALOGUE, find
+from factory.shapes.raw import MAXIMUM_TRIANGLES
 from manifests.problems import Problem
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -43,7 +43,7 @@ def glb(scene, binary=b""):
 
 def test_missing_file_names_the_nearest(tmp_path):
     written(tmp_path / "kettle.obj", TRIANGLE)
-    refused(tmp_path / "ketle.obj", "a mesh file expected, found nothing", "did you mean kettle.obj?")
+    refused(tmp_path / "ketle.obj", "a mesh file expected, found no such file", "did you mean kettle.obj?")
     refused(tmp_path, "a mesh file expected, found a folder")
 
 

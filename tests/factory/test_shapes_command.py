@@ -69,6 +69,34 @@ def test_add_copies_a_cleaned_mesh_with_its_licence(kettle, tmp_path, capsys):
     assert sorted(p.name for p in (library / "object").iterdir()) == ["kettle.json", "kettle.obj"]
 
 
+def test_a_mesh_of_the_library_that_was_damaged_since_is_written_again(kettle, tmp_path):
+    arguments = ("add", kettle, "--library", tmp_path / "mine", "--category", "object")
+    assert shapes(*arguments) == 0
+    path = tmp_path / "mine" / "object" / "kettle.obj"
+    whole = path.read_bytes()
+    for damaged in (b"", whole[:-5], whole.replace(b"1", b"2", 1)):
+        path.write_bytes(damaged)
+        assert shapes(*arguments) == 0
+        assert path.read_bytes() == whole
+    path.unlink()
+    assert shapes(*arguments) == 0
+    assert path.read_bytes() == whole
+
+
+@pytest.mark.parametrize("damaged", [b"", b"{", b"[]", b"\xff"])
+def test_a_damaged_note_of_the_library_says_what_to_do_and_so_it_works(kettle, tmp_path, capsys, damaged):
+    arguments = ("add", kettle, "--library", tmp_path / "mine", "--category", "object")
+    assert shapes(*arguments) == 0
+    note = tmp_path / "mine" / "object" / "kettle.json"
+    whole = note.read_bytes()
+    note.write_bytes(damaged)
+    assert shapes(*arguments) == 1
+    assert "kettle.json: a mesh's note as JSON expected" in (said := capsys.readouterr().err) and "delete it" in said
+    note.unlink()
+    assert shapes(*arguments) == 0
+    assert note.read_bytes() == whole
+
+
 def test_add_refuses_a_broken_file_in_one_line(tmp_path, capsys):
     bad = tmp_path / "bad.stl"
     bad.write_bytes(b"")

@@ -200,9 +200,7 @@ def exchange(store, material, name=None):
 def add_shape(store, name, side):
     """Adds a shape that looks like the first one, with a copy of each of its pictures; returns the new records."""
     dataset, (path,) = store.dataset(), store.record_files()
-    entry = msgspec.structs.replace(
-        dataset.shapes["sphere"], hash=hashlib.sha256(name.encode()).hexdigest(), side=side, role=side
-    )
+    entry = msgspec.structs.replace(dataset.shapes["sphere"], hash=hashlib.sha256(name.encode()).hexdigest(), side=side, role=side)
     dataset = msgspec.structs.replace(dataset, shapes={**dataset.shapes, name: entry})
     store.write_json("dataset.json", dataset)
     lines, found = Lines(path), []

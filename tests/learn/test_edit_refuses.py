@@ -269,7 +269,7 @@ def test_of_an_animation_the_first_frame_is_taken(files):
 
 
 def test_a_photograph_turned_by_its_camera_is_set_upright(files):
-    picture = Image.new("RGB", (48, 64))
+    picture = Image.new("RGB", (48, 64), (90, 80, 70))
     exif = picture.getexif()
     exif[274] = 6  # turn by 90° to see it upright
     picture.save(files / "turned.jpg", exif=exif)

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 
-import msgspec
 import pytest
 
 from learn.training.sources import VALIDATION_SHAPES, by_hash

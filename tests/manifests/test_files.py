@@ -193,3 +193,10 @@ def test_an_error_at_the_last_moment_names_the_file_and_leaves_the_earlier_one(t
     with pytest.raises(OSError, match=r"No space left on device: '.*/a'"):
         files.write_bytes(tmp_path / "a", b"new")
     assert names(tmp_path) == ["a"] and (tmp_path / "a").read_bytes() == b"old"
+
+
+@pytest.mark.parametrize("name", ["é" * 120, "x" * 250, "é\udcff"])
+def test_a_file_of_any_name_that_the_system_takes_can_be_written(tmp_path, name):
+    files.write_bytes(tmp_path / name, b"content")
+    assert (tmp_path / name).read_bytes() == b"content"
+    assert [path.name for path in tmp_path.iterdir()] == [name]

@@ -156,6 +156,7 @@ def test_a_record_that_does_not_fit_is_condemned_and_no_other(store, changes, me
 
 def test_figures_of_every_record_are_held_against_its_picture_and_its_geometry(store):
     """Not only those of the first record of a geometry file."""
+
     def change(k, record):
         statistics = record.statistics
         changes = {1: {"coverage": 0.5}, 2: {"mean": statistics.mean * 1.01}, 4: {"max": statistics.max * 1.01}}.get(k, {})

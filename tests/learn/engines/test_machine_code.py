@@ -55,6 +55,19 @@ def test_a_damaged_file_is_compiled_again(tmp_path):
     assert hashlib.sha256(kept.read_bytes()[machine_code.DIGEST :]).digest() == kept.read_bytes()[: machine_code.DIGEST]
 
 
+@pytest.mark.parametrize("count", [0, 40])
+def test_a_kernel_that_the_disk_has_no_room_for_is_used_and_not_kept(tmp_path, small_files, monkeypatch, capsys, count):
+    monkeypatch.setenv("BRDFACTORY_CACHE", str(tmp_path))
+    monkeypatch.setattr(machine_code, "_compile", lambda name: bytes(range(64)))
+    with small_files(count):
+        assert machine_code._machine_code("distant.forward") == bytes(range(64))
+    assert "cannot keep it" in capsys.readouterr().err
+    assert list((tmp_path / "kernels").iterdir()) == []
+    assert machine_code._machine_code("distant.forward") == bytes(range(64))
+    (kept,) = (tmp_path / "kernels").iterdir()
+    assert len(kept.read_bytes()) == machine_code.DIGEST + 64
+
+
 def test_a_folder_that_cannot_be_written_costs_time_and_nothing_else(tmp_path):
     (tmp_path / "kernels").write_text("a file where the folder should be")
     done = run(tmp_path)

@@ -17,6 +17,12 @@ def test_the_layer_trains_a_foreign_model():
     assert all(p.grad.abs().sum() > 0 for name, p in parameters.items() if name.endswith("weight"))
 
 
+def test_the_page_on_the_layer_differentiates_it_twice():
+    names = {"torch": torch, "nn": torch.nn}
+    exec(compile((DOCS / "layer-in-a-model.md").read_text().split("```python\n")[2].split("```")[0], "layer-in-a-model.md", "exec"), names)
+    assert names["label"].grad.isfinite().all() and names["label"].grad.abs().sum() > 0
+
+
 def test_the_page_on_choosing_names_every_method():
     from learn.methods import NAMES
 

@@ -1,0 +1,109 @@
+"""Wavefront OBJ: vertices, polygons and the names of materials; nothing outside of the file is opened.
+
+Source: Wavefront, "Advanced Visualizer Manual", appendix B1. A line that ends in a backslash goes on in the next one.
+Indices count from 1, or backwards from the last vertex so far, which is -1. Normals and texture coordinates are passed over.
+"""
+
+from array import array
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from factory.shapes.raw import AGAIN, LONGEST_LINE, Raw, from_polygons, glimpse, number, require_count, text_lines
+from manifests.problems import Problem
+
+TEXT = "an OBJ file's text"
+NAMING = frozenset(b"usemtl mtllib o g usemap maplib shadow_obj trace_obj call csh".split())  # a name may end in a backslash
+KNOWN = NAMING | frozenset(b"v vt vn vp f fo s l p lod bevel c_interp d_interp".split())
+
+
+def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
+    """The Raw of an OBJ file. See factory.shapes.raw."""
+    require_count(1, maximum, where, size)  # there is no header, and counting reads all of it
+    require_count(_count(file, where), maximum, where)
+    vertices, corners, lengths, material = array("d"), array("q"), array("q"), array("q")
+    names, current, unknown = {}, 0, Counter()
+    for line, key, words in _statements(file, where):
+        try:
+            if key == b"v":
+                vertices.extend((number(words[0]), number(words[1]), number(words[2])))
+            elif key in (b"f", b"fo"):
+                polygon = _polygon(words, len(vertices) // 3)
+                corners.extend(polygon)
+                lengths.append(len(polygon))
+                material.append(current)
+            elif key == b"usemtl":
+                current = names.setdefault(b" ".join(words).decode("utf-8", "replace"), len(names) + 1)
+            elif key not in KNOWN:
+                unknown[key] += 1
+        except (ValueError, IndexError):
+            text = glimpse(b" ".join((key, *words)))
+            raise Problem(f"{where}: line {line}", "a vertex or face", f"'{text}'", AGAIN) from None
+    return from_polygons(
+        np.array(vertices, float).reshape(-1, 3),
+        np.array(corners, np.int64),
+        np.array(lengths, np.int64),
+        where,
+        ("", *names),
+        np.array(material, np.int64),
+        _passed_over(unknown),
+    )
+
+
+def _passed_over(unknown):
+    """A note on lines whose first word means nothing here: free-form surfaces, capital letters, misspellings."""
+    if not unknown:
+        return ()
+    (word, _), *_ = unknown.most_common(1)
+    return (f"{unknown.total()} lines of unknown kind passed over, most of them '{glimpse(word)}'",)
+
+
+def _polygon(words, vertices):
+    """Indices from 0 of a face's corners. Raises ValueError for what is none; faces may come before their vertices."""
+    polygon = [int(word.split(b"/", 1)[0]) for word in words]
+    if 0 in polygon or b"_" in b"".join(words):
+        raise ValueError
+    polygon = [index - 1 if index > 0 else vertices + index for index in polygon]
+    if polygon and (min(polygon) < 0 or max(polygon) >= 1 << 31):
+        raise ValueError
+    return polygon
+
+
+def _count(file, where):
+    """Triangles of all faces, or a quarter of the vertices if that is more: a cloud of points is no mesh."""
+    triangles, vertices, line = 0, 0, 0
+    for line, key, words in _statements(file, where):  # noqa: B007 (named in the error)
+        if key in (b"f", b"fo"):
+            triangles += max(len(words) - 2, 0)
+        elif key == b"v":
+            vertices += 1
+    if vertices == 0:
+        raise Problem(where, "an OBJ file with 'v' and 'f' lines", f"{line} lines, no vertex among them", AGAIN)
+    return max(triangles, vertices // 4) if triangles else 0
+
+
+def _statements(file, where) -> Iterator[tuple[int, bytes, list[bytes]]]:
+    """(number of the last line, first word, other words) of each statement that is no comment."""
+    held, size = [], 0  # pieces of a statement that goes on
+    for line, text in enumerate(text_lines(file, where, TEXT), 1):
+        words = text.split()
+        if not held and (not words or words[0].startswith(b"#")):
+            continue
+        if words and words[-1].endswith(b"\\") and (held or words[0] not in NAMING):
+            held.append(text.rstrip()[:-1])
+            size += len(text)
+            if size > LONGEST_LINE:
+                raise Problem(where, f"{TEXT} in lines of at most {LONGEST_LINE >> 20} MiB", "a longer one", AGAIN)
+            continue
+        if held:
+            text, held, size = b" ".join([*held, text]), [], 0
+            words = text.split()
+        if b"#" in text and words[0] not in NAMING:
+            words = text.partition(b"#")[0].split()
+        if words:
+            yield line, words[0], words[1:]
+    if words := b" ".join(held).split():
+        yield line, words[0], words[1:]

@@ -1,0 +1,65 @@
+"""Object File Format: a line of counts, a line for each vertex, a line for each polygon; colours and normals are passed over.
+
+Source: Geomview's manual, "OFF Files". COFF and NOFF have colours or normals behind a vertex's coordinates.
+"""
+
+from array import array
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from factory.shapes.raw import AGAIN, Raw, from_polygons, glimpse, number, require_count, text_lines, whole_number
+from manifests.problems import Problem
+
+KINDS = (b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF", b"STCOFF", b"STNOFF", b"STCNOFF")
+
+
+def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
+    """The Raw of an OFF file. See factory.shapes.raw."""
+    rows = _rows(file, where)
+    vertex_count, face_count = _counts(rows, where)
+    if vertex_count + face_count > size:  # each takes at least a byte
+        raise Problem(where, f"{face_count:,} faces as its header says", f"{size:,} bytes", "download or export it again")
+    require_count(max(face_count, vertex_count // 4) if face_count else 0, maximum, where, size)
+    vertices, corners, lengths = array("d"), array("q"), array("q")
+    line, words = 0, []
+    try:
+        for _ in range(vertex_count):
+            line, words = next(rows)
+            vertices.extend((number(words[0]), number(words[1]), number(words[2])))
+        for _ in range(face_count):
+            line, words = next(rows)
+            count = whole_number(words[0])
+            if not 0 <= count < len(words):
+                raise ValueError
+            corners.extend([whole_number(word) for word in words[1 : 1 + count]])
+            lengths.append(count)
+            if len(corners) - 2 * len(lengths) > maximum:
+                require_count(len(corners) - 2 * len(lengths), maximum, where)
+    except Problem:
+        raise
+    except StopIteration:
+        found = f"the end after {len(vertices) // 3:,} and {len(lengths):,}"
+        raise Problem(where, f"{vertex_count:,} vertices and {face_count:,} faces", found, "download or export it again") from None
+    except (ValueError, IndexError, OverflowError):
+        raise Problem(f"{where}: line {line}", "a vertex or face", f"'{glimpse(b' '.join(words))}'", AGAIN) from None
+    return from_polygons(np.array(vertices, float).reshape(-1, 3), np.array(corners, np.int64), np.array(lengths, np.int64), where)
+
+
+def _rows(file, where):
+    """(line number, words) of each line that holds some."""
+    for line, text in enumerate(text_lines(file, where, "an OFF file's text"), 1):
+        if words := text.partition(b"#")[0].split():
+            yield line, words
+
+
+def _counts(rows, where):
+    """Vertices and faces as the file's head says; its words may stand in one line or in two."""
+    _, words = next(rows, (0, []))
+    head = list(words)
+    if words and words[0] in KINDS and len(words) == 1:
+        head += next(rows, (0, []))[1]
+    if len(head) < 3 or head[0] not in KINDS or not (head[1].isdigit() and head[2].isdigit() and len(head[1] + head[2]) < 30):
+        raise Problem(where, "'OFF' and the counts of vertices and faces", f"'{glimpse(b' '.join(head))}'", AGAIN)
+    return int(head[1]), int(head[2])

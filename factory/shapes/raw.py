@@ -1,0 +1,141 @@
+"""Triangles as they stand in a mesh file, and what the readers of all formats share: bounds, lines of text, polygons.
+
+Each reader is a function `read(file, size, where, maximum)` of an open binary file of `size` bytes, whose name in errors is
+`where`. It gives a Raw, or raises Problem before it takes memory for more than `maximum` triangles.
+"""
+
+import codecs
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from factory.shapes.polygons import TooLarge, fans, triangulate
+from manifests.problems import Problem
+
+MAXIMUM_TRIANGLES = 2_000_000
+BYTES_A_TRIANGLE = 250  # more than any format spends on one, OBJ with normals and texture coordinates included
+LONGEST_LINE = 4 << 20  # bytes; a polygon of 300,000 corners
+WELD = 1e-6  # of the mesh's size: vertices nearer than this are one, and a polygon's notch less deep than this is none
+MORE = "reduce the mesh, with Blender's Decimate modifier for instance (the limit is fixed but for `factory shapes`: --max-triangles)"
+AGAIN = "export it again"
+NOTHING = "check that the file holds a surface, not points or curves"
+
+
+@dataclass(frozen=True)
+class Raw:
+    """vertices (V, 3) and faces (F, 3) as they stand in the file; material (F,) indexes materials, the OBJ's names."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    materials: tuple[str, ...] = ()
+    material: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+
+
+def require_count(count: int, maximum: int, where: str | Path, size: int = 0) -> None:
+    """Raises Problem for a mesh of no triangles or of more than `maximum`, or for more bytes (size) than so many can take."""
+    if count > maximum:
+        raise Problem(where, f"at most {maximum:,} triangles", f"{count:,}", MORE)
+    if size > maximum * BYTES_A_TRIANGLE:  # few triangles among much else: textures, points
+        raise Problem(where, f"at most {maximum:,} triangles", f"{size:,} bytes", MORE)
+    if count <= 0:
+        raise Problem(where, "a mesh with triangles", "none", NOTHING)
+
+
+def from_polygons(
+    vertices: np.ndarray,
+    corners: np.ndarray,
+    lengths: np.ndarray,
+    where: str | Path,
+    materials: tuple[str, ...] = (),
+    material: np.ndarray | None = None,
+    notes: tuple[str, ...] = (),
+) -> Raw:
+    """The Raw of polygons.
+
+    vertices   (V, 3)
+    corners    (C,) indices into vertices, polygon after polygon
+    lengths    (P,) corners of each polygon
+    materials  names; material (P,): which of them each polygon has, or None
+    Raises     Problem: an index outside of the vertices, polygons too large to be cut into triangles
+    """
+    whole = lengths >= 3
+    if not whole.all():  # points and lines, which some exporters write so
+        notes = (*notes, f"{int((~whole).sum())} faces of fewer than three corners dropped")
+        corners, material = corners[np.repeat(whole, lengths)], None if material is None else material[whole]
+        lengths = lengths[whole]
+    outside = corners[(corners < 0) | (corners >= len(vertices))]
+    if len(outside):
+        found = f"vertex {outside[0] + 1}"
+        raise Problem(where, f"faces among its {len(vertices)} vertices", found, "download or export it again")
+    if not len(lengths):
+        raise Problem(where, "a mesh with triangles", "none", NOTHING)
+    faces, owner, crossing = _cut(vertices, corners, lengths, where)
+    if crossing:
+        notes = (*notes, f"{crossing} polygons that cross themselves cut as they come")
+    return Raw(vertices, faces, materials, None if material is None else material[owner], notes)
+
+
+def _cut(vertices, corners, lengths, where):
+    low, high = vertices[corners].min(axis=0), vertices[corners].max(axis=0)
+    with np.errstate(all="ignore"):
+        size = float((high - low).max())
+    if (lengths == 3).all() or not 1e-150 < size < 1e150:  # without extent, or not finite: refused later, by name
+        return *fans(corners, lengths), 0
+    try:
+        return triangulate((vertices - low) / size, corners, lengths, WELD)
+    except TooLarge as error:
+        raise Problem(
+            where, "polygons that are soon cut into triangles", f"one of {error.corners:,} corners", "triangulate it before the export"
+        ) from None
+
+
+def text_lines(file: BinaryIO, where: str | Path, what: str) -> Iterator[bytes]:
+    """The lines of a text file from its start, each with its end: of Unix, Windows or old Mac; byte-order marks are left out.
+
+    what    the text that should stand there: "an OBJ file's text"
+    Raises  Problem for binary data, and for lines that only binary data has
+    """
+    file.seek(0)
+    rest = b""
+    while chunk := file.read(1 << 20):
+        if b"\0" in chunk:
+            raise Problem(where, what, "binary data", "check the file's ending; text must be UTF-8 or ASCII")
+        block = rest + chunk
+        lines = block.splitlines(keepends=True)
+        rest = b"" if block.endswith(b"\n") else lines.pop()  # after a "\r" a "\n" may come
+        if len(rest) > LONGEST_LINE:
+            raise Problem(where, f"{what} in lines of at most {LONGEST_LINE >> 20} MiB", "a longer one", "check the file's ending")
+        for line in lines:
+            yield line.removeprefix(codecs.BOM_UTF8)
+    if rest:
+        yield rest.removeprefix(codecs.BOM_UTF8)
+
+
+def number(word: bytes) -> float:
+    """A coordinate. Raises ValueError for what is none: Python alone would read 1_000, too."""
+    if b"_" in word:
+        raise ValueError(word)
+    return float(word)
+
+
+def whole_number(word: bytes) -> int:
+    """An index or a count; 3.0 is 3. Raises ValueError, OverflowError."""
+    try:
+        value = int(word) if b"_" not in word else None
+    except ValueError:
+        value = float(word)
+        if value != int(value):
+            value = None
+    if value is None or abs(value) >= 1 << 62:
+        raise ValueError(word)
+    return int(value)
+
+
+def glimpse(data: bytes) -> str:
+    """The first characters of some bytes, fit to be printed in a line."""
+    text = data[:24].decode("ascii", "replace")
+    return "".join(c if c.isprintable() else " " for c in text).strip()

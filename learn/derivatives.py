@@ -1,0 +1,105 @@
+"""Derivatives that a step does not have are refused in words, at the moment they are asked for.
+
+torch.autograd.function.once_differentiable lets a second derivative come out as None or 0 wherever the gradient that is passed down does
+not depend on the inputs (a sum, a fixed weighting), for the results of the backward pass then have no graph at all. Here they always
+depend on everything they were computed from, through a step whose own backward pass raises. Asking for the graph (create_graph=True)
+without using it raises nothing.
+"""
+
+import functools
+
+import torch
+from torch.autograd import forward_ad
+
+FORWARD_MODE = (
+    "derivatives: reverse mode (backward, torch.autograd.grad) expected, found forward mode (torch.autograd.forward_ad, jvp); "
+    "torch.autograd.functional.jvp gives the same product by two reverse passes"
+)
+
+BATCHED = (
+    "derivatives: one gradient at a time expected, found a batch of them (vectorize=True, is_grads_batched=True or vmap); "
+    "ask for them in a loop"
+)
+THIRD = "derivatives: two at most, one of another, expected of the layer, found a third"
+
+
+class Step(torch.autograd.Function):
+    """A step of the layer with a backward pass of its own; forward mode is refused."""
+
+    @staticmethod
+    def jvp(ctx, *tangents):
+        raise NotImplementedError(FORWARD_MODE)
+
+
+class Refusal(Step):
+    """message, count, then `count` results of a backward pass (or None), then what they depend on → the results."""
+
+    @staticmethod
+    def forward(ctx, message, count, *tensors):
+        ctx.message = message
+        return tensors[:count]
+
+    @staticmethod
+    def backward(ctx, *g):
+        raise NotImplementedError(ctx.message)
+
+
+class Gate(Step):
+    """message, tensors → the same tensors; what is differentiated twice through them raises."""
+
+    @staticmethod
+    def forward(ctx, message, *tensors):
+        ctx.message = message
+        ctx.set_materialize_grads(False)
+        ctx.save_for_backward(*tensors)
+        return tensors
+
+    @staticmethod
+    def backward(ctx, *g):
+        if torch.is_grad_enabled():
+            g = Refusal.apply(ctx.message, len(g), *g, *ctx.saved_tensors)
+        return None, *g
+
+
+def last(backward):
+    """A decorator for the backward pass of a `Step`, which it runs without a graph; differentiating its results raises.
+
+    The step's forward pass keeps the message as ctx.refusal and its tensors by save_for_backward.
+    """
+
+    @functools.wraps(backward)
+    def without_graph(ctx, *g):
+        require_one_gradient(*g)
+        with torch.no_grad():
+            found = backward(ctx, *g)
+        if not torch.is_grad_enabled():
+            return found
+        return Refusal.apply(ctx.refusal, len(found), *found, *g, *ctx.saved_tensors)
+
+    return without_graph
+
+
+def first_only(message, *tensors):
+    """The tensors (or None), each the same; where one has been differentiated, differentiating by any of them again raises."""
+    gated = [i for i, x in enumerate(tensors) if x is not None and x.requires_grad]
+    if not gated or not torch.is_grad_enabled():
+        return tensors
+    found = list(tensors)
+    for i, x in zip(gated, Gate.apply(message, *(tensors[i] for i in gated)), strict=True):
+        found[i] = x
+    return tuple(found)
+
+
+def require_one_gradient(*g):
+    """Refuses gradients (or None) that torch hands to a backward pass several at a time, for one that torch cannot see into."""
+    kinds = torch._C._functorch  # torch has no public name for it, and its own error names an operator that the caller never saw
+    for x in g:
+        if x is not None and (kinds.is_legacy_batchedtensor(x) or kinds.is_batchedtensor(x)):
+            raise NotImplementedError(BATCHED)
+
+
+def require_reverse_mode(*tensors):
+    """Refuses tensors (or None) that carry a forward-mode tangent, for a step that torch cannot see into."""
+    for x in tensors:
+        if x is not None and forward_ad.unpack_dual(x).tangent is not None:
+            raise NotImplementedError(FORWARD_MODE)

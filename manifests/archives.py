@@ -1,0 +1,112 @@
+"""Zip files from outside (.npz of numpy, furniture libraries) and the arrays in them, read within bounds.
+
+A zip's directory and an array's header say how large things are before memory is taken; both may lie, so what is read is
+counted, too. Whatever the zip library raises for a damaged, encrypted or unknown member ends as a Problem.
+"""
+
+import lzma
+import math
+import os
+import struct
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import IO
+
+import numpy as np
+
+from manifests.inputs import require_file
+from manifests.problems import Problem
+
+# What zipfile and its decompressors raise, by version and by kind of damage: RuntimeError for encrypted members,
+# NotImplementedError for unknown methods, ValueError for names that are no text and headers that are none
+DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    OSError,
+    EOFError,
+    ValueError,
+    RuntimeError,
+    NotImplementedError,
+    OverflowError,
+)
+MOST_MEMBERS = 20_000
+
+
+@contextmanager
+def opened_zip(path: str | os.PathLike, expected: str, remedy: str, most: int = MOST_MEMBERS) -> Iterator[zipfile.ZipFile]:
+    """An open zip of at most `most` members; damage that is met inside the block is a Problem, too.
+
+    expected, remedy  what should lie at `path`, with its article, and what to do about it
+    Raises            Problem
+    """
+    require_file(path, expected, remedy)
+    try:
+        with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
+            if len(archive.infolist()) > most:
+                raise Problem(path, f"at most {most:,} files in it", f"{len(archive.infolist()):,}", "split it into several")
+            yield archive
+    except Problem:
+        raise
+    except DAMAGE as error:
+        raise Problem(path, expected, _reason(error), remedy) from None
+
+
+def _reason(error):
+    """An error in one short line."""
+    first = (str(error).splitlines() or [""])[0][:100]
+    return f"'{first}'" if first else f"a damaged one ({type(error).__name__})"
+
+
+class ArrayHeader:
+    """What the head of an .npy stream says; the stream stands at the first value afterwards.
+
+    shape    whole numbers ≥ 0
+    dtype    of numbers alone: no objects, no records
+    fortran  True: the first axis runs fastest
+    Raises   ValueError
+    """
+
+    def __init__(self, stream: IO[bytes]):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # headers of Python 2 are read, with a warning
+            version = np.lib.format.read_magic(stream)
+            if version not in ((1, 0), (2, 0), (3, 0)):
+                raise ValueError(f"an array of version {version}")
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            self.shape, self.fortran, self.dtype = read(stream)
+        if any(isinstance(n, bool) or n < 0 for n in self.shape):
+            raise ValueError(f"an array of shape {self.shape}")
+        if self.dtype.hasobject or self.dtype.fields or self.dtype.subdtype:
+            raise ValueError(f"an array of {self.dtype}")
+
+    @property
+    def bytes(self) -> int:
+        """How many bytes the values take."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+
+def read_array(archive: zipfile.ZipFile, name: str, most_bytes: int) -> np.ndarray:
+    """An array of an .npz, without unpickling. Raises KeyError if it is not there, ValueError if it is too large or damaged."""
+    with archive.open(name if name in archive.namelist() else f"{name}.npy") as stream:
+        header = ArrayHeader(stream)
+        if header.bytes > most_bytes:
+            raise ValueError(f"{name}: at most {most_bytes:,} bytes expected, found {header.bytes:,}")
+        data = read_exactly(stream, header.bytes)
+    return np.frombuffer(data, header.dtype).reshape(header.shape, order="F" if header.fortran else "C")
+
+
+def read_exactly(stream: IO[bytes], count: int) -> bytes:
+    """The next `count` bytes. Raises EOFError if there are fewer."""
+    pieces, left = [], count
+    while left:
+        piece = stream.read(min(left, 1 << 24))
+        if not piece:
+            raise EOFError(f"{count:,} bytes expected, found {count - left:,}")
+        pieces.append(piece)
+        left -= len(piece)
+    return b"".join(pieces)

@@ -1,0 +1,81 @@
+"""A command on a disk that is full, in this process: what every command that writes must keep to."""
+
+import contextlib
+import io
+import random
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent / "endurance"))
+
+from full_disk import contents, drafts
+from full_disk_commands import COMMANDS
+
+from manifests.command_line import main
+
+BY_NAME = {command.name: command for command in COMMANDS}
+
+
+def done(words):
+    """(exit status, lines for the user on stderr, all of stderr) of a command line."""
+    program, *rest = words
+    error = io.StringIO()
+    with contextlib.redirect_stderr(error), contextlib.redirect_stdout(io.StringIO()):
+        if program == "manifests.page":
+            from manifests import page
+
+            status = page.main(rest)
+        else:
+            status = main(program, "", (rest[0],), rest)
+    lines = error.getvalue().replace("\r", "\n").splitlines()
+    return status, [line for line in lines if line.startswith(f"{program}: ")], error.getvalue()
+
+
+def limits(folder, seed, count=2):
+    """File sizes beyond which a disk is full, so that one or another of a folder's files does not fit: `count` of them."""
+    sizes = sorted({path.stat().st_size for path in folder.rglob("*") if path.is_file()} - {0})
+    several = sorted({0, sizes[-1] - 1} | {size - 1 for size in sizes})
+    return sorted(random.Random(seed).sample(several, min(count, len(several))))
+
+
+def check(name, room, disk, small_files, seed):
+    """Run a command of the table on full disks; raises AssertionError for what it must not do.
+
+    small_files  the fixture of that name: a count of bytes beyond which no file can be written
+    seed         which of its files do not fit
+
+    It fails first where nothing is yet, then, if it puts new results in the place of earlier ones, over these; each time
+    it must succeed afterwards, where there is room.
+    """
+    command = BY_NAME[name]
+    fine = (0, *command.statuses)
+    whole, fresh = disk / "whole", disk / "fresh"
+    for folder in (whole, fresh):
+        folder.mkdir(parents=True)
+
+    def succeeds(folder, over=False):
+        status, _, error = done(command.words(room, folder, over))
+        assert status in fine, (name, error[-500:])
+
+    def fails(folder, count, over=False):
+        earlier = contents(folder)
+        with small_files(count):
+            status, said, error = done(command.words(room, folder, over))
+        where = f"{name}, files of at most {count} bytes, {'over an earlier result' if over else 'where nothing is yet'}"
+        assert status == 1, (where, status, error[-500:])
+        assert len(said) == 1 and "Traceback" not in error, (where, error[-500:])
+        assert not drafts(folder), (where, drafts(folder))
+        left = contents(folder)
+        lost = [path for path in earlier if left.get(path) != earlier[path] and not command.may_change(path)]
+        assert not lost, (where, lost)
+        assert not [path for path in left if not (folder / path).stat().st_size and not command.may_be_empty(path)], where
+
+    succeeds(whole)
+    chosen = limits(whole, seed)
+    for count in chosen:
+        fails(fresh, count)
+    succeeds(fresh)
+    if command.overwrites:
+        for count in chosen:
+            fails(whole, count, over=True)
+        succeeds(whole, over=True)

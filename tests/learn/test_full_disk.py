@@ -1,0 +1,85 @@
+"""Every command of `learn` that writes, where the disk is full: one line, no draft, nothing lost, and the same command succeeds later.
+
+RLIMIT_FSIZE stands for the full disk: it needs no root. tests/endurance/full_disk.py does the same on real small file systems.
+"""
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+from full_disk_case import BY_NAME, check
+from full_disk_commands import RUN, SIZE, pictures
+from synthetic import matte, write_dataset
+
+from learn.editing import apart, edit
+from learn.evaluation import bench
+from learn.networks.coding import Ranges
+from learn.networks.compact import Compact
+from learn.training.checkpoint import save_weights
+from learn.training.sources import VALIDATION_SHAPES, by_hash
+from manifests.schema import ShapeEntry
+
+QUICK = (
+    "agree",
+    "predict, of a data set",
+    "predict, of a photograph",
+    "edit",
+    "transfer",
+    "train",
+    "evaluate",
+    "baselines",
+    "card",
+    "exposure",
+    "the demo's page",
+)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """What the commands read, its pictures made by the layer."""
+    room = tmp_path_factory.mktemp("room")
+    pictures(room)
+    (room / "run.json").write_text(json.dumps(RUN | {"network": "compact"}))
+    both = [matte("dark", 0.2), matte("light", 0.8)]
+    store = write_dataset(room / "data", both, np.random.default_rng(3), size=SIZE, seeds=1, noise=0.0, rotations=(0,))
+    validation = next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
+    entry = ShapeEntry(hash="s" * 64, category="sphere", side="train", role="train", segments=1, licence="CC0")
+    shapes = {"sphere": entry, validation: entry, "cube:1": msgspec.structs.replace(entry, side="test", role="test")}
+    store.write_json("dataset.json", msgspec.structs.replace(store.dataset(), shapes=shapes))
+    (path,) = store.record_files()
+    lines = [
+        msgspec.json.encode(
+            msgspec.structs.replace(r, id=f"{letter}-{r.id}", shape=shape, geometry_hash=letter * 64, split=shapes[shape].side)
+        )
+        for letter, shape in zip("ghi", shapes, strict=True)
+        for r in store.records()
+    ]
+    path.write_bytes(b"\n".join([*lines, b""]))
+    torch.manual_seed(0)
+    network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
+    (room / "out").mkdir()
+    save_weights(room / "out" / "weights.safetensors", network, network.state_dict(), json.dumps(RUN), SIZE)
+    (room / "agreement").mkdir()
+    summary = {"direct": {}, "breakdowns": {}, "causes": {}}
+    (room / "agreement" / "report.json").write_text(json.dumps({"summary": summary, "about": {}}))
+    return room
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Nothing here looks at how right the pictures are: they are what is written."""
+    monkeypatch.setattr(bench, "FIT_PIXELS", 8)
+    monkeypatch.setattr(apart, "method_for", lambda label: "auto")
+    monkeypatch.setattr(edit, "BALL", 16)
+    monkeypatch.setattr(edit, "TILE", 16)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_full_disk_costs_a_line_and_nothing_else(room, tmp_path, small_files, name):
+    check(name, room, tmp_path, small_files, seed=QUICK.index(name))
+
+
+def test_each_command_that_ends_in_seconds_is_tried_here_or_with_cycles():
+    assert set(QUICK) <= BY_NAME.keys()

@@ -1,0 +1,105 @@
+"""How every command ends: one line below its progress bar, and a status of 0, 1, 2, 3 or 130 whatever its output is."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from manifests import command_line
+from manifests.problems import Problem
+
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name not in ("PYTHONUNBUFFERED", "PYTHONIOENCODING")}
+
+
+def presets(root, **options):
+    """`plan --presets`: a page of text with characters beyond ASCII, printed without imports that take long."""
+    command = [sys.executable, "-m", "factory", "plan", "--presets"]
+    return subprocess.run(command, cwd=root, check=False, stderr=subprocess.PIPE, text=True, **options)
+
+
+def test_output_that_a_full_disk_refuses_ends_with_one_line_and_status_1(root):
+    with open("/dev/full", "w") as full:
+        done = presets(root, stdout=full, env=ENVIRONMENT)
+    assert (done.returncode, done.stderr) == (1, "factory: [Errno 28] No space left on device: 'standard output'\n")
+
+
+def test_a_reader_that_has_gone_ends_a_command_with_one_line_and_status_1(root):
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = presets(root, stdout=writer, env=ENVIRONMENT)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (1, "factory: [Errno 32] Broken pipe: 'standard output'\n")
+
+
+@pytest.mark.parametrize("words", [["plan", "smallest", "--no-probe"], ["materials", "list"], ["plan", "--help"]])
+def test_a_terminal_of_another_character_set_gets_escapes_instead_of_an_error(root, words):
+    command = [sys.executable, "-m", "factory", *words]
+    environment = ENVIRONMENT | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, cwd=root, capture_output=True, env=environment, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout.isascii()
+
+
+def test_a_command_whose_output_was_closed_by_the_caller_ends_with_0(root):
+    done = subprocess.run(f"'{sys.executable}' -m factory plan --presets >&-", shell=True, cwd=root, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.fixture
+def fail(monkeypatch, capsys):
+    """fail(error): what stderr holds after a command whose progress bar is interrupted by the error."""
+
+    def run_with(error):
+        def run(options):
+            from tqdm import tqdm
+
+            def step(_):
+                raise error
+
+            return [step(k) for k in tqdm(range(3), desc="at work")]  # the traceback keeps the bar alive
+
+        class Command:
+            @staticmethod
+            def register(subparsers):
+                subparsers.add_parser("work").set_defaults(run=run)
+
+        monkeypatch.setattr(command_line.importlib, "import_module", lambda name: Command)
+        assert command_line.main("factory", "", ("work",), ["work"]) == 1
+        return capsys.readouterr().err
+
+    return run_with
+
+
+@pytest.mark.parametrize("error", [Problem("x", "y", "z", "w"), OSError(28, "No space left on device", "out")])
+def test_what_is_wrong_stands_on_a_line_of_its_own_below_the_progress_bar(fail, error):
+    lines = re.split(r"[\r\n]+", fail(error).strip())
+    assert lines[-1] == f"factory: {error}"
+    assert any(line.startswith("at work") for line in lines[:-1])
+
+
+def test_a_file_name_with_a_line_break_does_not_break_the_line(fail):
+    assert fail(OSError(2, "No such file or directory", "a\nb")).endswith("\nfactory: [Errno 2] No such file or directory: 'a\\nb'\n")
+    assert fail(Problem("a\nb", "x", "y", "z")).endswith("\nfactory: a\\nb: x expected, found y; z\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["factory", "render", "smallest", "--out", "", "--shard", "1/2"], "--out"),
+        (["factory", "render", "smallest", "--out", "data", "--shard", ""], "--shard"),
+        (["factory", "render", "smallest", "--out=", "--limit", "1"], "--out"),
+        (["learn", "predict", "", "--out", "parts"], "an argument"),
+        (["factory", ""], "an argument"),
+    ],
+)
+def test_an_empty_argument_is_wrong_usage_and_never_the_current_folder(words, name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    program, *arguments = words
+    commands = ("render",) if program == "factory" else ("predict",)
+    with pytest.raises(SystemExit) as ended:
+        command_line.main(program, "", commands, arguments)
+    assert ended.value.code == 2
+    assert f"{name}: a value expected, found an empty one" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
