@@ -36,10 +36,10 @@ QUICK = replace(Settings(), passes=1, levels=(Level(pixels=60, light=(16, 32), m
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    """Two matte spheres under one light: two pictures, each the truth of the other's edit."""
+    """Two matte spheres under one light: two pictures, each the truth of the other's edit; at this turn the bright one is first."""
     folder = tmp_path_factory.mktemp("data")
     entries = [matte("dark", 0.1), matte("bright", 0.8)]
-    write_dataset(folder, entries, np.random.default_rng(1), size=SIZE, seeds=1, noise=0.0, rotations=(0,), method="quadrature")
+    write_dataset(folder, entries, np.random.default_rng(1), size=SIZE, seeds=1, noise=0.0, rotations=(2,), method="quadrature")
     return folder
 
 
