@@ -132,6 +132,7 @@ WRITERS = {
     ("manifests/store.py", "os.link"): "a whole file takes its place unless another has it",
     ("manifests/store.py", "os.replace"): "the same where there are no links",
     ("manifests/lock.py", "os.open"): "a lock is an empty file",
+    ("manifests/verification/repair.py", "shutil.rmtree"): "a folder that lies where a file should",
     ("factory/pool.py", "open"): "a worker's complaints, read while it lives and then thrown away",
     ("factory/forecast.py", "tempfile.TemporaryDirectory"): "three shots made on trial",
     ("factory/render/benchmark.py", "tempfile.TemporaryDirectory"): "pictures made to be timed",

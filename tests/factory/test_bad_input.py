@@ -111,7 +111,6 @@ def test_wrong_usage_is_told_with_the_remedy(command, tmp_path, monkeypatch, wor
         ("--samples", "2000000", "--samples: int <= 1048576 expected, found 2000000;"),
         ("--seed", "99999999999999999999", "--seed: int <= 9223372036854775807 expected, found 99999999999999999999;"),
         ("--seed", "-4", "--seed: int >= 0 expected, found -4;"),
-        ("--mesh", "", '--mesh: str of length >= 1 expected, found "";'),
     ],
 )
 def test_a_number_that_no_job_file_may_hold_leaves_the_dataset_as_it_is(

@@ -45,7 +45,7 @@ def room(tmp_path_factory):
     both = [matte("dark", 0.2), matte("light", 0.8)]
     store = write_dataset(room / "data", both, np.random.default_rng(3), size=SIZE, seeds=1, noise=0.0, rotations=(0,))
     validation = next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
-    entry = ShapeEntry(hash="s" * 64, category="sphere", side="train", role="train", segments=1, licence="CC0")
+    entry = ShapeEntry(hash="5" * 64, category="sphere", side="train", role="train", segments=1, licence="CC0")
     shapes = {"sphere": entry, validation: entry, "cube:1": msgspec.structs.replace(entry, side="test", role="test")}
     store.write_json("dataset.json", msgspec.structs.replace(store.dataset(), shapes=shapes))
     (path,) = store.record_files()
