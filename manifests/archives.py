@@ -8,6 +8,7 @@ import lzma
 import math
 import os
 import struct
+import tokenize
 import warnings
 import zipfile
 import zlib
@@ -34,6 +35,7 @@ DAMAGE = (
     NotImplementedError,
     OverflowError,
 )
+NO_HEADER = (SyntaxError, TypeError, MemoryError, RecursionError, tokenize.TokenError)  # besides ValueError, by numpy's parser
 MOST_MEMBERS = 20_000
 
 
@@ -78,7 +80,10 @@ class ArrayHeader:
             if version not in ((1, 0), (2, 0), (3, 0)):
                 raise ValueError(f"an array of version {version}")
             read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            self.shape, self.fortran, self.dtype = read(stream)
+            try:
+                self.shape, self.fortran, self.dtype = read(stream)
+            except NO_HEADER:
+                raise ValueError("a damaged array header") from None
         if any(isinstance(n, bool) or n < 0 for n in self.shape):
             raise ValueError(f"an array of shape {self.shape}")
         if self.dtype.hasobject or self.dtype.fields or self.dtype.subdtype:

@@ -15,15 +15,13 @@ channels, other shapes, values that are no radiance. Each reader raises manifest
 
 import hashlib
 import io
-import lzma
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifests import exr
+from manifests import archives, exr
 from manifests.files import npz_bytes
 from manifests.inputs import require_file
 from manifests.problems import Problem
@@ -49,10 +47,7 @@ UNIT_MEAN = 1e-4  # of a light's mean luminance; float32 sums keep it to 1e-6
 PACKED_UNIT = 32767  # of packed normals
 AGAIN = "render or copy it again"
 LIGHT_AGAIN = "render or copy the dataset again"
-_NO_ARCHIVE = (  # what zipfile and numpy raise for damaged, encrypted, nested or bottomless archives
-    OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
-    SyntaxError, TypeError, OverflowError, MemoryError,
-)  # fmt: skip
+_NO_ARCHIVE = (*archives.DAMAGE, KeyError)  # KeyError: a member is missing
 
 
 class Geometry(NamedTuple):
@@ -192,13 +187,11 @@ def _light_member(path: str | Path, archive: zipfile.ZipFile, name: str) -> np.n
     expected = LIGHT_MEMBERS[name][0]
     what = f"radiance of shape {expected}" if name == "L" else f"one number {name}"
     with archive.open(f"{name}.npy") as stored:
-        version = np.lib.format.read_magic(stored)
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
-        shape, fortran, dtype = read_header(stored)
-        if shape != expected or dtype.kind != "f":
-            raise Problem(path, what, f"{shape} of {dtype}", LIGHT_AGAIN)
-        values = np.frombuffer(stored.read(int(np.prod(shape)) * dtype.itemsize), dtype)
-        return values.reshape(shape, order="F" if fortran else "C")
+        header = archives.ArrayHeader(stored)
+        if header.shape != expected or header.dtype.kind != "f":
+            raise Problem(path, what, f"{header.shape} of {header.dtype}", LIGHT_AGAIN)
+        values = np.frombuffer(stored.read(header.bytes), header.dtype)
+        return values.reshape(header.shape, order="F" if header.fortran else "C")
 
 
 def pack_normals(normals: np.ndarray) -> np.ndarray:

@@ -4,11 +4,11 @@ L  (64, 128, 3) float32 radiance of unit mean luminance, light frame; all draws 
 """
 
 import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 
+from manifests import archives
 from manifests.inputs import require_file
 from manifests.problems import Problem
 from shaders import envmap
@@ -25,20 +25,15 @@ def read_maps(path):
     path = Path(path)
     rule, remedy = "an .npz of (64, 128, 3) light maps", "write it by numpy.savez(path, name=map)"
     require_file(path, rule, remedy, LARGEST_FILE)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            if len(members) > MOST_MAPS:
-                raise Problem(path, f"at most {MOST_MAPS} maps", str(len(members)), "give fewer maps")
-            return {member.filename.removesuffix(".npy"): _map(archive, member, path) for member in members}
-    except Problem:
-        raise
-    except (OSError, ValueError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
-        raise Problem(path, rule, str(error)[:160] or "none", remedy) from None
+    with archives.opened_zip(path, rule, remedy) as archive:
+        members = archive.infolist()
+        if len(members) > MOST_MAPS:
+            raise Problem(path, f"at most {MOST_MAPS} maps", str(len(members)), "give fewer maps")
+        return {member.filename.removesuffix(".npy"): _map(archive, member, path) for member in members}
 
 
 def _map(archive, member, path):
-    """L of one member of an archive, unit mean. Raises Problem, and what zipfile and numpy raise for a damaged one."""
+    """L of one member of an archive, unit mean. Raises Problem, and one of `archives.DAMAGE` for a damaged one."""
     where, remedy = f"{path}: {member.filename.removesuffix('.npy')}", "average it to 64×128 first"
     rule = "finite radiance of shape (64, 128, 3)"
     if member.file_size > LARGEST_MAP:  # by the directory, before memory is taken
@@ -46,10 +41,11 @@ def _map(archive, member, path):
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise Problem(where, "an array as numpy compresses it", "another compression", remedy)
     with archive.open(member) as stored:
-        L = np.lib.format.read_array(stored, allow_pickle=False)
-    if L.shape != (HEIGHT, WIDTH, 3) or L.dtype.kind not in "fui":
-        raise Problem(where, rule, f"{L.shape} of {L.dtype}", remedy)
-    L = L.astype(np.float64)
+        header = archives.ArrayHeader(stored)
+        if header.shape != (HEIGHT, WIDTH, 3) or header.dtype.kind not in "fui":
+            raise Problem(where, rule, f"{header.shape} of {header.dtype}", remedy)
+        values = np.frombuffer(archives.read_exactly(stored, header.bytes), header.dtype)
+    L = values.reshape(header.shape, order="F" if header.fortran else "C").astype(np.float64)
     if not np.isfinite(L).all() or L.max() > BRIGHTEST:
         found = f"values up to {L.max():g}" if np.isfinite(L).all() else "NaN or infinity"
         raise Problem(where, f"finite radiance up to {BRIGHTEST:g}", found, "clip it, and write it again")

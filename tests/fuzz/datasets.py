@@ -202,10 +202,18 @@ def wrong(template: str, data: Path, room: Room, result: Result) -> str | None:
     """What is not as it should be after a command that ended well."""
     if template.startswith("factory verify {data}") and result.status == 0:
         if "--repair" in template:
-            status_of(["factory", "verify", str(data), "--repair"])  # files of lines that could not be read
-            return None if status_of(["factory", "verify", str(data)]) == 0 else "not clean after --repair"
+            return not_mended(data, room)
         return None if "--quick" in template else unloadable(data)
     return files.unreadable(room.folder / "out", result)
+
+
+def not_mended(data: Path, room: Room) -> str | None:
+    """What --repair and a second run of the same job leave wrong, if the folder's job can be run at all."""
+    kind = "data" if (data / "records").is_dir() else "views"
+    seeds.fake_studio()
+    if status_of(["factory", "render", str(seeds.of(room) / f"job-of-{kind}.json"), "--out", str(data)]) != 0:
+        return None
+    return None if status_of(["factory", "verify", str(data)]) == 0 else "not clean after --repair and another run of the job"
 
 
 def unloadable(data: Path) -> str | None:

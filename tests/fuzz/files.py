@@ -84,6 +84,9 @@ def place(room: Room, format_: str, name: str, data: bytes) -> Path:
         path = room.folder / Path(name).name
     if format_ == "mesh":
         shutil.copy(seeds.of(room) / "mesh.mtl", room.folder)
+    if format_ == "pictures.txt":
+        for each in ("photograph.png", "second.png"):
+            shutil.copy(seeds.of(room) / each, room.folder)
     if format_ == "photograph":
         (room.folder / "masks").mkdir()
         shutil.copy(seeds.of(room) / "mask.png", room.folder / "masks" / "photograph.png")

@@ -72,7 +72,7 @@ def output(rng: np.random.Generator, room: Room) -> Case:
     words = [place if word == "PLACE" else word for word in commands.line(template.replace("{place}", "PLACE"), room)]
     inside = os.path.normpath(os.path.join("cwd", place)) if place and not place.startswith("/") else "place"
     writes = (inside.split("/no/")[0] + "/no" if "/no/" in inside else inside, "views/packed", f"{inside}.fits")
-    return Case(label=label, command=words, writes=("cwd",) if place == "." else writes, before=before, check=refused(place))
+    return Case(label=label, command=words, writes=("cwd", "views/packed") if place == "." else writes, before=before, check=refused(place))
 
 
 def refused(place: str):

@@ -106,7 +106,8 @@ def datasets(folder: Path) -> None:
     with_tests_on_path()
     shapes = [f"chair:{k}" for k in (0, 1, 2, 4, 13, 27)]  # 1 and 4 are for testing, 13 and 27 for validation
     for name, changes in (("data", {}), ("views", {"shapes": shapes, "views": [3], "pictures": False, "materials": ["brass"]})):
-        chosen = decode(json.dumps(job(folder) | changes).encode(), Job, name)
+        (folder / f"job-of-{name}.json").write_text(json.dumps(job(folder) | changes))
+        chosen = decode((folder / f"job-of-{name}.json").read_bytes(), Job, name)
         carry_out(planned(chosen, resolve(chosen, folder)), folder / name, Manner(studio=FAKE))
 
 
