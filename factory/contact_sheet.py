@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw
 
 from factory.shading import mirror_ball, shade
 from manifests.arrays import read_geometry, read_light, read_picture
+from manifests.problems import Problem
 from manifests.store import inside
 from shaders import frames, tone
 from shaders.envmap import roll
@@ -25,9 +26,10 @@ STYLE = "body{background:#181818;color:#ddd;font:14px sans-serif}td{padding:2px 
 
 
 def row(store, dataset, materials, record, size):
-    """The tiles of one record, in the order of COLUMNS."""
-    picture = read_picture(inside(store.folder, record.image), record.camera.size)
-    geometry = read_geometry(inside(store.folder, record.geometry), record.camera.size)
+    """The tiles of one record, in the order of COLUMNS. Raises Problem for files that are missing, damaged or altered."""
+    require_named(store, dataset, materials, record)
+    picture = read_picture(inside(store.folder, record.image), record.camera.size, record.image_hash)
+    geometry = read_geometry(inside(store.folder, record.geometry), record.camera.size, record.geometry_hash)
     normals, mask, segments = geometry.normals, geometry.mask, geometry.segments
     light = stored_light(store, dataset, record)
     elevation = np.radians(record.camera.elevation_deg)
@@ -44,6 +46,14 @@ def row(store, dataset, materials, record, size):
         tile(ours, size),
         tile(np.clip(np.abs(ours - theirs) * GAIN, 0, 255), size),
     ]
+
+
+def require_named(store, dataset, materials, record):
+    """Raises Problem if the dataset does not describe the light or a material that a record names."""
+    missing = [("materials.json", f"material '{name}'") for name in record.materials if name not in materials]
+    missing += [] if record.light in dataset.lights else [("dataset.json", f"light '{record.light}'")]
+    for file, what in missing:
+        raise Problem(store.folder / file, f"the {what}, which record {record.id} names,", "none", "verify lists all faults of the folder")
 
 
 def labelled(record, normals, segments, views, materials, light, elevation):
@@ -65,7 +75,8 @@ def view(record):
 
 def stored_light(store, dataset, record):
     """The light (64, 128, 3) as the camera of a record sees it."""
-    return roll(read_light(inside(store.folder, dataset.lights[record.light].file)), record.rotation_texels)
+    entry = dataset.lights[record.light]
+    return roll(read_light(inside(store.folder, entry.file), entry.file_hash), record.rotation_texels)
 
 
 def tile(display, size):

@@ -12,8 +12,9 @@ from pathlib import Path
 import msgspec
 
 from manifests.files import replacing, together, write_bytes
+from manifests.inputs import require_file
 from manifests.problems import Problem
-from manifests.store import Store, inside
+from manifests.store import Store, geometry_path, image_path, inside, light_path
 
 ROWS = 50_000  # of a Parquet row group
 
@@ -65,10 +66,11 @@ def to_tars(store: Store, folder, split=None, each=1000, watch=None):
     starts = range(0, len(records), each)
     with together():  # some of the tars would pass for all of them
         for name in ("dataset.json", "materials.json"):
-            write_bytes(folder / name, (store.folder / name).read_bytes())
-        for entry in store.dataset().lights.values():
+            write_bytes(folder / name, _bytes(store, name, name))
+        for name, entry in store.dataset().lights.items():
             (folder / "lights").mkdir(exist_ok=True)
-            write_bytes(folder / entry.file, inside(store.folder, entry.file).read_bytes())
+            path = light_path(name, entry.hash)
+            write_bytes(folder / path, _bytes(store, entry.file, path))
         for number, first in enumerate(starts):
             with replacing(folder / f"{number:06d}.tar") as file, tarfile.open(fileobj=file, mode="w") as tar:
                 for record in records[first : first + each]:
@@ -78,12 +80,19 @@ def to_tars(store: Store, folder, split=None, each=1000, watch=None):
     return len(starts)
 
 
+def _bytes(store, path, expected):
+    """A file that a manifest names. Raises Problem if it lies elsewhere than it should, or is no ordinary file."""
+    if path != expected:
+        raise Problem(f"{store.folder}: '{path}'", f"'{expected}'", "another name", "do not trust this manifest: verify names all faults")
+    return require_file(inside(store.folder, path), "a file of the dataset", "render or copy it again").read_bytes()
+
+
 def _add(tar, store, record):
     """A record's three files; nothing of the machine in their headers, so that the same records give the same tar."""
     parts = (
         ("json", msgspec.json.encode(record)),
-        ("image.exr", inside(store.folder, record.image).read_bytes()),
-        ("geometry.exr", inside(store.folder, record.geometry).read_bytes()),
+        ("image.exr", _bytes(store, record.image, image_path(record.id))),
+        ("geometry.exr", _bytes(store, record.geometry, geometry_path(record.geometry.rpartition("/")[2].removesuffix(".exr")))),
     )
     for ending, data in parts:
         info = tarfile.TarInfo(f"{record.id}.{ending}")

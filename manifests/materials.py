@@ -28,6 +28,7 @@ from shaders.mixture import Mixture
 
 VERSION = 1
 HASH_DIGITS = 16
+LARGEST_LABEL = 14.0  # log γ of the sharpest lobe that the layer is tested with is 11.5
 FOLDER = Path(__file__).parent
 BUILT_IN = (FOLDER / "materials.json", FOLDER / "materials-rgl.json")
 
@@ -142,6 +143,9 @@ def material(entry, where):
     label = np.asarray(entry.label)
     if label.size != dsbrdf.SIZE or not np.isfinite(label).all():
         raise Problem(f"{where}: {entry.name}", f"a label of {dsbrdf.SIZE} finite numbers", f"{label.size}", "fit the material again")
+    if label.max() > LARGEST_LABEL:
+        remedy = "fit or copy the materials again"
+        raise Problem(f"{where}: '{entry.name}'", f"natural logarithms up to {LARGEST_LABEL:g}", f"{label.max():g}", remedy)
     try:
         mixture = Mixture(**{f: getattr(entry.mixture, f) for f in entry.mixture.__struct_fields__})
     except ValueError as error:

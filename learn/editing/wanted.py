@@ -11,11 +11,10 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from learn.dataset import LARGEST_LABEL
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL
 from learn.pictures import MOST_REGIONS
 from manifests.inputs import require_file
-from manifests.materials import find
+from manifests.materials import LARGEST_LABEL, find
 from manifests.problems import Problem
 from shaders.dsbrdf import SHAPE, SIZE
 

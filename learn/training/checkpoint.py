@@ -25,7 +25,7 @@ from shaders.dsbrdf import SHAPE
 NETWORKS = {network.name: network for network in (Compact, Paper, Separate, EncoderDecoder)}
 PARTS = ("normals", "material", "light")
 FORMAT = "brdfactory weights 1"
-LARGEST_IN_RANGE = 17.0  # LARGEST_LABEL of learn.dataset and the margin that Ranges.of adds
+LARGEST_IN_RANGE = 17.0  # LARGEST_LABEL of manifests.materials and the margin that Ranges.of adds
 DAMAGED = "put a copy of it back, or move it away to begin again; weights.safetensors has the last validated step"
 Natural = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
 

@@ -92,10 +92,7 @@ def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
     lengths = np.sqrt(_dots(normals, normals)[mask])
     if np.abs(lengths - 1).max() > LENGTH:
         found.append(f"unit normals expected, found lengths {lengths.min():.4f}–{lengths.max():.4f}")
-    fov = None if camera.fov_deg is None else np.radians(camera.fov_deg)
-    cosine = _dots(normals, frames.view_vectors(*mask.shape, fov=fov))[mask]
-    if cosine.min() <= 0:
-        away = int((cosine <= 0).sum())
+    if away := turned_away(geometry, camera):
         found.append(f"normals that face the viewer expected, found {away} turned away")
     places = positions(geometry.depth, camera)
     radius = float(np.sqrt(_dots(places, places)[mask].max()))
@@ -104,6 +101,14 @@ def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
     if (likeness := likeness_of_slopes(places, normals, mask)) < AGAINST:
         found.append(f"normals that lean as the depth slopes expected, found a correlation of {likeness:.2f}")
     return found
+
+
+def turned_away(geometry: Geometry, camera: Camera) -> int:
+    """How many pixels of the object have normals that do not face the viewer: n·v ≤ 0."""
+    if camera.fov_deg is None:
+        return int((geometry.normals[geometry.mask][:, 2] <= 0).sum())
+    view = frames.view_vectors(*geometry.mask.shape, fov=np.radians(camera.fov_deg))
+    return int((_dots(geometry.normals.astype(np.float64), view)[geometry.mask] <= 0).sum())
 
 
 def positions(depth: np.ndarray, camera: Camera) -> np.ndarray:

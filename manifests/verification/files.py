@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifests import arrays
+from manifests import archives, arrays
 from manifests.inputs import require_file
 from manifests.materials import Entry
 from manifests.problems import Problem
@@ -191,7 +191,7 @@ class _Packed:
             if not len(hashes) == len(self._normals) == len(self._segments):
                 raise ValueError(f"{len(hashes)} views, {len(self._normals)} and {len(self._segments)} rows")
             self._rows, self._left_out = {hash_: row for row, hash_ in enumerate(hashes)}, set(left_out)
-        except (OSError, ValueError, TypeError, EOFError, SyntaxError, RecursionError, MemoryError) as error:
+        except (OSError, ValueError, EOFError, *archives.NO_HEADER) as error:
             self._texts.append(f"a whole cache of geometry expected, found {error or type(error).__name__}")
 
     def compare(self, hash_: str, geometry: arrays.Geometry) -> None:

@@ -20,14 +20,14 @@ ALBEDO = 0.4
 SHAPE, LIGHT, RENDER = "5" * 64, "a" * 64, "synthetic"  # stand-ins of hashes
 
 
-def matte(name="matte", albedo=ALBEDO):
+def matte(name="matte", albedo=ALBEDO, split="train"):
     """A material whose label and mixture are the same Lambert surface: c^γ = 1 for γ → 0, f = expm1(κ) = albedo/π."""
     m = np.full((3, 3, 2, 6), 1e-9)
     m[:, 0, 0] = np.log1p(albedo / np.pi)
-    return entry(name, m, Mixture.lambert([albedo] * 3))
+    return entry(name, m, Mixture.lambert([albedo] * 3), split)
 
 
-def entry(name, m, mixture):
+def entry(name, m, mixture, split="train"):
     label = tuple(np.log(m).reshape(-1).tolist())
     nodes = msgspec.convert(mixture.to_json(digits=12), catalogue.MixtureData)
     distance = catalogue.Distance(l1=(0.0,) * 6, display_l2=(0.0, 0.0, 0.0))
@@ -36,7 +36,7 @@ def entry(name, m, mixture):
         family="test",
         source="computed",
         licence="CC0",
-        split="train",
+        split=split,
         hash=catalogue.material_hash(label, nodes),
         errors=catalogue.Errors(nodes_vs_label=distance, nodes_vs_source=distance, label_vs_source=distance),
         label=label,
@@ -112,11 +112,6 @@ def write_dataset(
 def geometry_file(camera, viewpoint=0):
     """Where the geometry of the shape lies, relative to the folder."""
     return geometry_path(ids.geometry_id(SHAPE, ids.camera_words(camera), viewpoint, RENDER))
-
-
-def id_of(text):
-    """An id of the right form that depends on the text alone."""
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
 def write_record(store, dataset, material, turn, tier, seed, picture, mask, camera, geometry_hash):

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-from synthetic import id_of, matte, write_dataset, write_exr
+from synthetic import add_shape, matte, named, with_picture, write_dataset
 
 from learn.dataset import Records
 from learn.evaluation import bench, methods, page, pairs, run
@@ -19,7 +19,7 @@ from learn.networks.compact import Compact
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings
 from learn.training.checkpoint import save_weights
-from manifests import files
+from manifests import exr, files
 from manifests.problems import Problem
 from manifests.store import Lines
 from shaders import tone
@@ -161,7 +161,7 @@ def test_a_false_light_is_told_from_false_normals(data, weights):
 
 def test_false_normals_are_told_from_a_false_light(data, weights):
     work = bench.Bench(data, weights, refine=False)
-    edits = pairs.chosen(work.records.records, 8, 0)
+    edits = pairs.chosen(work.records.records, 12, 0)
     edit = max(edits, key=lambda each: float(work.records.image(each.truth).mean()))  # the brightest shows the error best
     batch, label = pairs.shown(work.records, edit), pairs.wanted(work.records, edit)
     wrong = methods.Layered(
@@ -234,14 +234,27 @@ def test_a_smaller_evaluation_in_the_same_folder_reports_its_own_edits_alone(opt
     assert told["tables"]["layer"]["rows"][-1]["cells"]["truths"] == 1
 
 
-def test_where_pictures_are_held_out_only_those_are_edited(data, options, tmp_path):
-    folder = tmp_path / "split"
-    shutil.copytree(data, folder)
-    records = [msgspec.structs.replace(r, split="test" if r.rotation_texels else "train") for r in Records(folder).records]
-    (folder / "records" / "worker-00.jsonl").write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in records))
-    run.make(replace(options, data=folder, edits=100))
+@pytest.fixture
+def both_sides(tmp_path):
+    """A function of a number: a data set of six training pictures and that many of a shape and materials held out."""
+
+    def written(held_out):
+        entries = [matte(f"{name}{mark}", albedo, split) for mark, split in (("", "train"), ("'", "test")) for name, albedo in ALBEDOS.items()]
+        words = {"size": SIZE, "noise": 0.0, "rotations": (0, 40), "seeds": 1, "method": "quadrature"}
+        store = write_dataset(tmp_path / "split", entries, np.random.default_rng(1), **words)
+        add_shape(store, "held out", "test")
+        train, test = ([r for r in store.records() if r.split == split] for split in ("train", "test"))
+        kept = [*train, *test[:held_out]]
+        store.record_files()[0].write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in kept))
+        return store.folder
+
+    return written
+
+
+def test_where_pictures_are_held_out_only_those_are_edited(both_sides, options):
+    run.make(replace(options, data=both_sides(6), edits=100))
     edits = files.read_lines(options.out / "edits.jsonl")
-    assert len(edits) == 6  # of twelve
+    assert len(edits) == 12  # of 24
     assert {row["split"] for row in edits} == {"test"}
 
 
@@ -286,10 +299,10 @@ def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path
     shutil.copytree(data, folder)
     lines = folder / "records" / "worker-00.jsonl"
     whole = lines.read_bytes()
-    first = {}  # the picture of each scene that stands first among its seeds, so that the same edits are drawn later
+    alike = {}  # of two pictures that differ in the seed alone, the one that edits are compared with
     for record in Records(folder).records:
-        first.setdefault((pairs.scene(record), record.materials), record)
-    seeds = list(first.values())
+        alike.setdefault((pairs.scene(record), record.materials), record)
+    seeds = list(alike.values())
     lines.write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in seeds))
     run.make(replace(options, data=folder))
     assert {row["layer"].get("seeds") for row in run.rows_of(options.out / "edits.jsonl").values()} == {None}
@@ -305,14 +318,9 @@ def test_weights_that_are_not_there_leave_no_settings_behind(options, tmp_path):
     run.make(options)
 
 
-def test_a_test_side_without_edits_is_told_as_such(data, options, tmp_path):
-    folder = tmp_path / "split"
-    shutil.copytree(data, folder)
-    records = Records(folder).records
-    records = [msgspec.structs.replace(r, split="test" if r is records[0] else "train") for r in records]
-    (folder / "records" / "worker-00.jsonl").write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in records))
-    with pytest.raises(Problem, match=f"pictures of the test side .* none among its 1 of {len(records)}"):
-        run.make(replace(options, data=folder))
+def test_a_test_side_without_edits_is_told_as_such(both_sides, options):
+    with pytest.raises(Problem, match="pictures of the test side .* none among its 1 of 7"):
+        run.make(replace(options, data=both_sides(1)))
 
 
 def test_a_folder_of_baselines_that_is_not_there_is_refused(options, tmp_path):
@@ -386,15 +394,19 @@ def two_regions(data, tmp_path):
     normals, depth, segments = records.geometry(record)
     segments = segments * np.where(np.arange(SIZE) < SIZE // 2, 1, 2)
     store = write_dataset(tmp_path / "two", [matte(n, a) for n, a in ALBEDOS.items()], np.random.default_rng(1), size=SIZE, rotations=(0,))
+    dataset = store.dataset()
+    shapes = {"sphere": msgspec.structs.replace(dataset.shapes["sphere"], segments=2)}
+    store.write_json("dataset.json", msgspec.structs.replace(dataset, shapes=shapes))
     channels = {f"normal.{axis}": normals[..., k] for k, axis in enumerate("XYZ")}
-    write_exr(store.folder / record.geometry, channels | {"depth.Z": depth, "segment": segments.astype(np.uint32)})
+    encoded = exr.encode(channels | {"depth.Z": depth, "segment": segments.astype(np.uint32)})
+    record = msgspec.structs.replace(record, rotation_texels=0, geometry_hash=store.place(record.geometry, encoded, "test"))
+    L = torch.from_numpy(Records(store.folder, lambda _: False).light("sky"))[None]
     (store.folder / "records" / "worker-00.jsonl").unlink()
-    lines, L = Lines(store.folder / "records" / "worker-00.jsonl"), torch.from_numpy(Records(store.folder).light("sky"))[None]
-    for k, names in enumerate((("dark", "bright"), ("bright", "middle"), ("middle", "middle"))):
+    lines = Lines(store.folder / "records" / "worker-00.jsonl")
+    for names in (("dark", "bright"), ("bright", "middle"), ("middle", "middle")):
         m = torch.from_numpy(np.stack([records.label(name) for name in names]))[None].exp()
         seen = render(torch.from_numpy(normals)[None], m, L, segments=torch.from_numpy(segments)[None], method="quadrature")[0].numpy()
-        write_exr(store.folder / f"images/two-{k}.exr", {c: seen[..., i].astype(np.float16) for i, c in enumerate("RGB")})
-        lines.append(msgspec.structs.replace(record, id=id_of(f"two-{k}"), materials=names, image=f"images/two-{k}.exr", rotation_texels=0))
+        lines.append(with_picture(store, named(msgspec.structs.replace(record, materials=names), dataset), seen))
     lines.close()
     return store.folder
 

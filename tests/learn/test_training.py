@@ -28,12 +28,7 @@ SIZE = 32
 @pytest.fixture(scope="module")
 def geometry(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
-    synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE)
-    dataset = json.loads((folder / "dataset.json").read_text())
-    dataset["shapes"] = {
-        "sphere": {"hash": "5" * 64, "category": "primitive", "side": "train", "role": "train", "segments": 1, "licence": "CC0"}
-    }
-    (folder / "dataset.json").write_text(json.dumps(dataset))
+    synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere")
     return Geometry(folder, progress=False)
 
 

@@ -1,5 +1,6 @@
 """What other programs get: every record once, its files beside it, the same bytes each time."""
 
+import os
 import tarfile
 
 import msgspec
@@ -8,6 +9,7 @@ import pytest
 from manifests.export import to_parquet, to_tars
 from manifests.problems import Problem
 from manifests.schema import Record
+from manifests.store import image_path
 
 
 def test_tars_hold_each_record_with_its_files_and_labels_beside(a_dataset, tmp_path):
@@ -32,13 +34,50 @@ def test_the_same_dataset_gives_the_same_tar(a_dataset, tmp_path):
     assert (tmp_path / "a" / "000000.tar").read_bytes() == (tmp_path / "b" / "000000.tar").read_bytes()
 
 
-def test_a_record_that_points_outside_is_not_exported(a_dataset, a_record, tmp_path):
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"image": "../secret"}, "another name"),
+        ({"image": "dataset.json"}, "another name"),
+        ({"geometry": "../secret"}, "another name"),
+        ({"geometry": "geometry/../../x/../secret.exr"}, "another name"),
+        ({"id": "../../../../tmp/x"}, "id: str matching"),
+        ({"id": "0/../../../../etc/passwd1"}, "id: str"),
+        ({"id": "f" * 24 + "/../x"}, "id: str"),
+        ({"id": "f" * 23 + "\0"}, "id: str matching"),
+    ],
+)
+def test_a_record_that_points_outside_is_not_exported(a_dataset, a_record, tmp_path, changes, message):
     (tmp_path / "secret").write_bytes(b"x")
+    a_dataset.place(image_path("f" * 24), b"picture", "t")
     path = a_dataset.record_files()[0]
-    path.write_bytes(path.read_bytes() + msgspec.json.encode(a_record("f" * 24, image="../secret")) + b"\n")
-    with pytest.raises(Problem, match="a path inside the dataset's folder"):
+    value = msgspec.to_builtins(a_record("f" * 24)) | changes
+    path.write_bytes(path.read_bytes() + msgspec.json.encode(value) + b"\n")
+    with pytest.raises(Problem, match=message) as caught:
         to_tars(a_dataset, tmp_path / "out")
-    assert not list((tmp_path / "out").glob("*.tar"))
+    assert str(caught.value).isprintable()
+    assert not [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
+
+
+@pytest.mark.parametrize("file", ["dataset.json", "000000.tar", "../x.npz", "lights/../../x.npz", "lights/a\0.npz"])
+def test_a_light_that_lies_elsewhere_is_not_exported(a_dataset, tmp_path, file):
+    dataset = a_dataset.dataset()
+    lights = {"lamp": msgspec.structs.replace(dataset.lights["lamp"], file=file)}
+    a_dataset.write_json("dataset.json", msgspec.structs.replace(dataset, lights=lights))
+    with pytest.raises(Problem, match="another name"):
+        to_tars(a_dataset, tmp_path / "out")
+
+
+@pytest.mark.parametrize("put", [os.mkfifo, lambda path: path.symlink_to(path.name), os.mkdir])
+@pytest.mark.parametrize("kind", ["image", "geometry", "light", "materials"])
+def test_what_is_no_file_is_not_waited_for(a_dataset, tmp_path, put, kind):
+    record = next(a_dataset.records())
+    name = {"image": record.image, "geometry": record.geometry, "light": a_dataset.dataset().lights["lamp"].file}
+    path = a_dataset.folder / name.get(kind, "materials.json")
+    path.unlink()
+    put(path)
+    with pytest.raises(Problem, match="expected, found"):
+        to_tars(a_dataset, tmp_path / "out")
 
 
 def test_an_earlier_export_s_tars_do_not_stay_among_the_new_ones(a_dataset, tmp_path):
