@@ -1,6 +1,7 @@
 """Whole files or none, and inputs that are looked at before they are opened."""
 
 import errno
+import json
 import os
 import signal
 import socket
@@ -193,3 +194,9 @@ def test_an_error_at_the_last_moment_names_the_file_and_leaves_the_earlier_one(t
     with pytest.raises(OSError, match=r"No space left on device: '.*/a'"):
         files.write_bytes(tmp_path / "a", b"new")
     assert names(tmp_path) == ["a"] and (tmp_path / "a").read_bytes() == b"old"
+
+
+def test_a_file_name_that_is_no_utf8_is_written_down_and_read_back(tmp_path):
+    name = os.fsdecode(b"ph\xe9to")
+    files.write_json(tmp_path / "a.json", {"name": name})
+    assert json.loads((tmp_path / "a.json").read_text(encoding="utf-8")) == {"name": name}
