@@ -330,7 +330,8 @@ def resized(array, size):
 
 def write_exr(path, array, names=("R", "G", "B")):
     """An EXR of float32 channels (H, W, C). Raises Problem for what is not finite."""
-    planes = {name: np.asarray(array[..., k], np.float32) for k, name in enumerate(names)}
+    with np.errstate(over="ignore"):  # beyond float32 is not finite
+        planes = {name: np.asarray(array[..., k], np.float32) for k, name in enumerate(names)}
     for plane in planes.values():
         require_finite(path, plane)
     exr.write(path, planes)

@@ -4,6 +4,7 @@ checkpoint.safetensors  all a run needs to go on: network, moving average, optim
 weights.safetensors     what a user needs: the moving average in half precision; metadata: network, size, step, and the run as JSON
 """
 
+import contextlib
 import hashlib
 from typing import Annotated, Literal
 
@@ -75,9 +76,10 @@ def load_network(path):
     """
     with tensor_file.opened(path) as stored:
         metadata = stored.metadata
-        if metadata.get("format") != FORMAT or metadata.get("network") not in NETWORKS:
-            found = metadata.get("network", "others")
-            raise Problem(path, f"weights of {' or '.join(NETWORKS)}", found, "use weights that `learn train` wrote")
+        for key, known in (("format", (FORMAT,)), ("network", tuple(NETWORKS))):
+            if metadata.get(key) not in known:
+                rule = f"weights of {key} {' or '.join(known)}"
+                raise Problem(path, rule, str(metadata.get(key, "none"))[:60], "use weights that `learn train` wrote")
         about = converted(metadata, About, f"{path}: metadata", strict=False)
         run = run_of(metadata, path)
         network = NETWORKS[about.network](Ranges(torch.zeros(108), torch.ones(108)))
@@ -117,6 +119,15 @@ def fill(network, stored, prefix=""):
     """
     state = network.state_dict()
     network.load_state_dict({name: stored.tensor(prefix + name).to(mine.dtype) for name, mine in state.items()})
+
+
+@contextlib.contextmanager
+def remedy(text):
+    """Every Problem of the block ends with this remedy: a file's reader does not know what the file is for."""
+    try:
+        yield
+    except Problem as problem:
+        raise Problem(problem.where, problem.expected, problem.found, text) from None
 
 
 def progress_of(stored):

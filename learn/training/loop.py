@@ -256,17 +256,19 @@ class Training:
     def _resume(self):
         """Go on from the checkpoint. Raises Problem for one of other settings, and for a damaged one, which stays as it is."""
         path = self.out / "checkpoint.safetensors"
-        with tensor_file.opened(path, "a checkpoint", checkpoint.DAMAGED) as stored:
+        with checkpoint.remedy(checkpoint.DAMAGED), tensor_file.opened(path, "a checkpoint") as stored:
             progress = checkpoint.progress_of(stored)
-            if decode(progress.run.encode(), Run, path) != self.run:
-                remedy = "give another --out, or the settings in run.json there"
-                raise Problem(path, "a checkpoint of this run", "one of other settings", remedy)
-            if progress.step > schedule.steps(self.run):
-                rule = f"a checkpoint of at most {schedule.steps(self.run)} steps"
-                raise Problem(path, rule, f"one of {progress.step}", checkpoint.DAMAGED)
-            expected, of_optimiser = self._shapes(stored)
-            stored.require(expected, "this run")
-            kept = {name: stored.tensor(name) for name in expected}
+            is_ours = decode(progress.run.encode(), Run, path) == self.run
+            if is_ours:
+                expected, of_optimiser = self._shapes(stored)
+                stored.require(expected, "this run")
+                kept = {name: stored.tensor(name) for name in expected}
+        if not is_ours:
+            hint = "give another --out, or the settings in run.json there"
+            raise Problem(path, "a checkpoint of this run", "one of other settings", hint)
+        total = schedule.steps(self.run)
+        if progress.step > total:
+            raise Problem(path, f"a checkpoint of at most {total} steps", f"one of {progress.step}", checkpoint.DAMAGED)
         if progress.digest not in (None, checkpoint.digest_of(kept)):
             raise Problem(path, "the numbers that were saved", "others", checkpoint.DAMAGED)
         for state, prefix in ((self.network.state_dict(), "network."), (self.average, "average.")):

@@ -25,7 +25,8 @@ PLACES = (  # file, its mutation, the command that goes on from it
     ("trained/run.json", ".json", "train"),
 )
 COMMANDS = {
-    "evaluate": "learn evaluate --data {seeds}/data --weights {seeds}/weights.safetensors --no-refine --edits 2 --processes 1 --out {room}/evaluation",
+    "evaluate": "learn evaluate --data {seeds}/data --weights {seeds}/weights.safetensors --no-refine --edits 2 --processes 1"
+    " --out {room}/evaluation",
     "fit": "factory materials fit {seeds}/nbrdf.npz --only brass --out {room}/own.json",
     "add": "factory materials add {seeds}/nbrdf.npz --only brass --out {room}/own.json",
     "shapes": "factory shapes add {seeds}/mesh.obj --category object --licence CC0 --library {room}/shapes",

@@ -32,7 +32,7 @@ import numpy as np
 
 from manifests import arrays, exr, ids
 from manifests.files import npz_bytes
-from manifests.schema import Camera, Job, Order, Record, View
+from manifests.schema import Camera, Job
 from manifests.store import Store, geometry_path, image_path, light_path
 from shaders.envmap import LUMINANCE, unit_mean
 
@@ -247,11 +247,28 @@ VIEW_FIELDS = {
     "side": ("train", "test"),
 } | {
     key: RECORD_FIELDS[key]
-    for key in ("id", "shape", "shape_hash", "category", "viewpoint", "azimuth_deg", "geometry", "geometry_hash", "seconds")
-    + tuple(key for key in RECORD_FIELDS if key.startswith("camera."))
+    for key in (
+        "id",
+        "shape",
+        "shape_hash",
+        "category",
+        "viewpoint",
+        "azimuth_deg",
+        "geometry",
+        "geometry_hash",
+        "seconds",
+        *tuple(key for key in RECORD_FIELDS if key.startswith("camera.")),
+    )
 }
-IN_ID = ("viewpoint", "rotation_texels", "tier", "light_resolution", "samples", "seed", "materials") + tuple(
-    key for key in RECORD_FIELDS if key.startswith("camera.")
+IN_ID = (
+    "viewpoint",
+    "rotation_texels",
+    "tier",
+    "light_resolution",
+    "samples",
+    "seed",
+    "materials",
+    *tuple(key for key in RECORD_FIELDS if key.startswith("camera.")),
 )
 
 
@@ -340,7 +357,7 @@ def entries(base: Path) -> Iterator[Tampering]:
         },
     }  # fmt: skip
     for kind, keys in changes.items():
-        for name in (list(dataset[kind])[0], list(dataset[kind])[-1]) if len(dataset[kind]) > 1 else dataset[kind]:
+        for name in (next(iter(dataset[kind])), list(dataset[kind])[-1]) if len(dataset[kind]) > 1 else dataset[kind]:
             for key, change in keys.items():
 
                 def forge(folder, rng, kind=kind, name=name, key=key, change=change):
@@ -384,7 +401,9 @@ def entries(base: Path) -> Iterator[Tampering]:
             job[path] = (not job["pictures"]) if path == "pictures" else new
             folder.write_json("dataset.json", value)
 
-        yield Tampering(f"dataset.json: order: {path}", order, harmless="what was rendered is what its ids say; the next run writes its order")
+        yield Tampering(
+            f"dataset.json: order: {path}", order, harmless="what was rendered is what its ids say; the next run writes its order"
+        )
     for what, change in {
         "shots more": lambda v: v["orders"][0].update(shots=10**6),
         "shots fewer": lambda v: v["orders"][0].update(shots=1),
@@ -392,7 +411,7 @@ def entries(base: Path) -> Iterator[Tampering]:
         "orders dropped": lambda v: v.update(orders=[]),
         "settings dropped": lambda v: v.update(settings={}),
         "settings renamed": lambda v: v.update(settings={"f" * 16: next(iter(v["settings"].values()))}),
-        "settings' values": lambda v: v.update(settings=dict.fromkeys(v["settings"], {"cycles.samples": 1})),
+        "settings' values": lambda v: v.update(settings={key_0: {"cycles.samples": 1} for key_0 in v["settings"]}),
         "versions": lambda v: v.update(versions={"blender": "9.9"}),
         "version": lambda v: v.update(version=2),
     }.items():
@@ -611,7 +630,7 @@ def contents(base: Path) -> Iterator[Tampering]:
         ("twice as bright", lambda L, s: {"L": 2 * L, "scale": s}, None),
         ("another scale", lambda L, s: {"L": L, "scale": 2 * s}, None),
         ("negative", lambda L, s: {"L": -L, "scale": s}, None),
-        ("NaN", lambda L, s: {"L": np.where(L == L.max(), np.nan, L), "scale": s}, None),
+        ("NaN", lambda L, s: {"L": np.where(L.max() == L, np.nan, L), "scale": s}, None),
         ("another size", lambda L, s: {"L": L[:32], "scale": s}, None),
         ("float64", lambda L, s: {"L": L.astype(np.float64), "scale": s}, None),
         ("one array more", lambda L, s: {"L": L, "scale": s, "M": L}, None),
@@ -754,8 +773,12 @@ def lists(base: Path) -> Iterator[Tampering]:
     yield Tampering("lines: all gone", raw(lambda data: b""), UNFINISHED)
     yield Tampering("lines: a byte-order mark", raw(lambda data: b"\xef\xbb\xbf" + data))
     if count:
-        yield Tampering("files: a picture more", added("images/ab/stray.exr", lambda path: path.write_bytes(b"x")), harmless="nothing names it")
-        yield Tampering("files: geometry more", added("geometry/ab/stray.exr", lambda path: path.write_bytes(b"x")), harmless="nothing names it")
+        yield Tampering(
+            "files: a picture more", added("images/ab/stray.exr", lambda path: path.write_bytes(b"x")), harmless="nothing names it"
+        )
+        yield Tampering(
+            "files: geometry more", added("geometry/ab/stray.exr", lambda path: path.write_bytes(b"x")), harmless="nothing names it"
+        )
         yield Tampering("files: a light more", added("lights/stray.npz", lambda path: path.write_bytes(b"x")), harmless="nothing names it")
         yield Tampering("files: a draft left", added("partial/x.exr", lambda path: path.write_bytes(b"x")), harmless="nothing names it")
         yield Tampering("files: a note in the folder", added("notes.txt", lambda path: path.write_bytes(b"x")), harmless="it is the user's")
@@ -981,7 +1004,9 @@ def refuses(data: Path) -> bool:
     return False
 
 
-def run(bases: list[Path], room: Path, seed: int = 0, only: Callable[[int], bool] = lambda k: True, readers: bool = True) -> Iterator[Verdict]:
+def run(
+    bases: list[Path], room: Path, seed: int = 0, only: Callable[[int], bool] = lambda k: True, readers: bool = True
+) -> Iterator[Verdict]:
     """The Verdict of each tampering with each data set; only: of which numbers."""
     number = 0
     for base in bases:

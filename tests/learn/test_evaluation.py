@@ -239,7 +239,9 @@ def both_sides(tmp_path):
     """A function of a number: a data set of six training pictures and that many of a shape and materials held out."""
 
     def written(held_out):
-        entries = [matte(f"{name}{mark}", albedo, split) for mark, split in (("", "train"), ("'", "test")) for name, albedo in ALBEDOS.items()]
+        entries = [
+            matte(f"{name}{mark}", albedo, split) for mark, split in (("", "train"), ("'", "test")) for name, albedo in ALBEDOS.items()
+        ]
         words = {"size": SIZE, "noise": 0.0, "rotations": (0, 40), "seeds": 1, "method": "quadrature"}
         store = write_dataset(tmp_path / "split", entries, np.random.default_rng(1), **words)
         add_shape(store, "held out", "test")
@@ -319,7 +321,7 @@ def test_weights_that_are_not_there_leave_no_settings_behind(options, tmp_path):
 
 
 def test_a_test_side_without_edits_is_told_as_such(both_sides, options):
-    with pytest.raises(Problem, match="pictures of the test side .* none among its 1 of 7"):
+    with pytest.raises(Problem, match=r"pictures of the test side .* none among its 1 of 7"):
         run.make(replace(options, data=both_sides(1)))
 
 

@@ -1,6 +1,7 @@
 """Whole files or none, and inputs that are looked at before they are opened."""
 
 import errno
+import json
 import os
 import signal
 import socket
@@ -200,3 +201,9 @@ def test_a_file_of_any_name_that_the_system_takes_can_be_written(tmp_path, name)
     files.write_bytes(tmp_path / name, b"content")
     assert (tmp_path / name).read_bytes() == b"content"
     assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_file_name_that_is_no_utf8_is_written_down_and_read_back(tmp_path):
+    name = os.fsdecode(b"ph\xe9to")
+    files.write_json(tmp_path / "a.json", {"name": name})
+    assert json.loads((tmp_path / "a.json").read_text(encoding="utf-8")) == {"name": name}

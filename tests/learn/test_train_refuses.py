@@ -1,0 +1,392 @@
+"""Training that cannot be, or not go on: one line that says what to do, and whatever was there stays."""
+
+import json
+import math
+import os
+import struct
+import zipfile
+
+import numpy as np
+import pytest
+import torch
+
+from learn.geometry import Geometry
+from learn.training import lights, loop, settings
+from learn.training.loop import Training
+from learn.training.relit import Pool
+from learn.training.settings import Data, Losses, Run, Schedule, Stage
+from manifests.command_line import main
+from manifests.problems import Problem
+from tests.learn import synthetic
+from tests.learn.test_train_command import RUN, store, train  # noqa: F401 -- a fixture
+
+SIZE = 32
+
+
+@pytest.fixture(scope="module")
+def pools(tmp_path_factory):
+    """Geometry of one ball, two materials, one map: the same for all sides."""
+    folder = tmp_path_factory.mktemp("dataset")
+    synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE)
+    dataset = json.loads((folder / "dataset.json").read_text())
+    dataset["shapes"] = {"sphere": {"hash": "s", "category": "sphere", "side": "train", "role": "train", "segments": 1, "licence": "CC0"}}
+    (folder / "dataset.json").write_text(json.dumps(dataset))
+    geometry, rng = Geometry(folder, progress=False), np.random.default_rng(2)
+    labels = {name: np.log(np.full(108, value, np.float32)) for name, value in (("a", 0.3), ("b", 0.5))}
+    maps = [lights.computed(rng).astype(np.float32)]
+    return {side: Pool(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
+
+
+def run(**changes):
+    given = {"name": "tiny", "size": SIZE, "parts": ("normals",), "data": Data(sharing=1), "losses": Losses(normals=1, material=0)}
+    return Run(**given | {"schedule": Schedule(steps=2, batch=2, warm_up=1), "seed": 3} | changes)
+
+
+def line(capsys):
+    """The one line on stderr that is a message."""
+    found = [each for each in capsys.readouterr().err.replace("\r", "\n").splitlines() if each.startswith("learn:")]
+    assert len(found) == 1
+    return found[0]
+
+
+# ------------------------------------------------------------------------------------------------------------- settings
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"losses": {"normals": 0, "material": 0}}, "losses: a weight above 0 of a term that trains normals"),
+        ({"losses": {"normals": 0, "material": 1}}, "a term that trains normals"),
+        ({"parts": ["material"], "losses": {"normals": 0, "material": 0, "target": 1}}, "a term that trains material"),
+        ({"parts": ["light"]}, "a term that trains light"),
+        ({"network": "encoder-decoder", "losses": {"normals": 1, "material": 0, "image": 1}}, "one of material, target"),
+        ({"stages": [{"parts": ["light"], "steps": 1}]}, r"stages\[0\]\.losses: a weight above 0"),
+        ({"schedule": {"rate": 1e30}}, "rate"),
+        ({"schedule": {"rate": 0}}, "rate"),
+        ({"schedule": {"rate": -1}}, "rate"),
+        ({"schedule": {"decay": 1e30}}, "decay"),
+        ({"schedule": {"batch": 100_000_000}}, "batch"),
+        ({"schedule": {"batch": 65_536}, "size": 1024}, "Mi pixels"),
+        ({"losses": {"normals": 1e30}}, "normals"),
+        ({"losses": {"normals": 1, "layer_light": [7, 9]}}, "layer_light: rows and columns that divide 64 and 128"),
+        ({"size": 60}, "size"),
+    ],
+)
+def test_a_run_that_cannot_be_trained_is_refused_before_anything_is_read(tmp_path, capsys, changes, words):
+    (tmp_path / "run.json").write_text(json.dumps(RUN | changes))
+    words_of_command = ["train", str(tmp_path / "run.json"), "--data", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]
+    assert main("learn", "", ("train",), words_of_command) == 1
+    with pytest.raises(Problem, match=words):
+        settings.read_run(tmp_path / "run.json")
+    assert "run.json" in line(capsys) and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--steps", "0"), ("--seed", "-1"), ("--workers", "-1"), ("--threads", "0"), ("--checkpoint-every", "0")]
+)
+def test_counts_that_are_none_are_wrong_usage(tmp_path, capsys, option, value):
+    with pytest.raises(SystemExit) as end:
+        main("learn", "", ("train",), ["train", "joint-compact", "--data", "d", "--out", str(tmp_path / "out"), option, value])
+    assert end.value.code == 2 and option in capsys.readouterr().err
+
+
+def test_presets_can_be_trained(root):
+    presets = sorted((root / "manifests" / "runs").glob("*.json"))
+    assert presets and [settings.read_run(path.stem).name for path in presets]
+
+
+def test_a_run_made_in_python_is_judged_as_one_from_a_file(pools, tmp_path):
+    for wrong in (run(losses=Losses(normals=0, material=0)), run(size=60), run(schedule=Schedule(rate=math.nan))):
+        with pytest.raises(Problem, match="run 'tiny'"):
+            Training(wrong, pools, tmp_path, workers=0)
+    staged = run(stages=(Stage(("light",), 1, Losses(light_log=1)),))
+    Training(staged, pools, tmp_path, workers=0)
+
+
+# ----------------------------------------------------------------------------------------------------------------- lock
+
+
+def test_a_second_run_into_a_folder_is_refused_and_writes_nothing(store, tmp_path, capsys, monkeypatch):  # noqa: F811
+    monkeypatch.setattr(loop, "PATIENCE", 0.0)
+    with loop.only_writer(tmp_path / "out"):
+        before = sorted(os.listdir(tmp_path / "out"))
+        assert train(store, tmp_path / "out") == 1
+        assert "a folder that no other run writes to" in line(capsys)
+        assert sorted(os.listdir(tmp_path / "out")) == before
+    assert train(store, tmp_path / "out") == 0  # and when the first has ended, it may
+
+
+def test_the_processes_that_relight_let_the_folder_go(tmp_path):
+    """A run that was killed leaves them behind for a moment: nobody need wait for that."""
+    with loop.only_writer(tmp_path):
+        child = os.fork()
+        if not child:
+            try:
+                loop.begin_worker(0)
+                os.fstat(loop._LOCKS[0])
+            except OSError:  # closed
+                os._exit(7)
+            os._exit(1)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+        with pytest.raises(Problem, match="no other run"), loop.lock.writing(tmp_path, patience=0):
+            pass  # the run itself still holds it
+
+
+# ----------------------------------------------------------------------------------------------------------- checkpoint
+
+
+@pytest.fixture
+def half_way(pools, tmp_path):
+    """A folder whose checkpoint is of step 1 of 2."""
+    training = Training(run(), pools, tmp_path / "out", sheet_every=0, checkpoint_every=1, workers=0)
+    save = training._save
+
+    def stop():
+        save()
+        raise KeyboardInterrupt
+
+    training._save = stop
+    with pytest.raises(KeyboardInterrupt):
+        training.train()
+    return tmp_path / "out"
+
+
+def rewritten(path, change):
+    """The checkpoint with its header and body changed."""
+    data = path.read_bytes()
+    length = struct.unpack("<Q", data[:8])[0]
+    header, body = change(json.loads(data[8 : 8 + length]), bytearray(data[8 + length :]))
+    text = json.dumps(header).encode()
+    path.write_bytes(struct.pack("<Q", len(text)) + text + bytes(body))
+
+
+def about(**values):
+    def change(header, body):
+        header["__metadata__"] |= values
+        return header, body
+
+    return change
+
+
+def one_bit(header, body):
+    start, _ = header["network.normals.weight"]["data_offsets"]
+    body[start] ^= 1
+    return header, body
+
+
+def not_a_number(header, body):
+    start, _ = header["average.normals.weight"]["data_offsets"]
+    body[start : start + 4] = np.float32(np.nan).tobytes()
+    return header, body
+
+
+def without_momentum(header, body):
+    name = next(name for name in header if name.endswith(".exp_avg"))
+    header[f"{name}x"] = header.pop(name)
+    return header, body
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_bytes(path.read_bytes()[:-100]),
+        lambda path: path.write_bytes(b"\x80\x04\x95" + bytes(100)),
+        lambda path: rewritten(path, one_bit),
+        lambda path: rewritten(path, not_a_number),
+        lambda path: rewritten(path, without_momentum),
+        lambda path: rewritten(path, about(step="-1")),
+        lambda path: rewritten(path, about(step="1e400")),
+        lambda path: rewritten(path, about(step="99")),
+        lambda path: rewritten(path, about(used="nan")),
+        lambda path: rewritten(path, about(run="{")),
+        lambda path: (path.unlink(), path.mkdir()),
+        lambda path: (path.unlink(), os.mkfifo(path)),
+    ],
+)
+def test_a_damaged_checkpoint_is_told_and_left_as_it_is(half_way, pools, damage):
+    path = half_way / "checkpoint.safetensors"
+    damage(path)
+    before = path.read_bytes() if path.is_file() else None
+    log = (half_way / "log.jsonl").read_bytes()
+    with pytest.raises(Problem, match=r"checkpoint\.safetensors"):
+        Training(run(), pools, half_way, workers=0)
+    assert before == (path.read_bytes() if path.is_file() else None)
+    assert (half_way / "log.jsonl").read_bytes() == log
+
+
+def test_a_damaged_checkpoint_is_told_with_the_way_on(half_way, pools):
+    (half_way / "checkpoint.safetensors").write_bytes(b"nothing")
+    with pytest.raises(Problem, match="move it away to begin again"):
+        Training(run(), pools, half_way, workers=0)
+
+
+def test_a_checkpoint_from_before_digests_is_gone_on_from(half_way, pools):
+    def without_digest(header, body):
+        del header["__metadata__"]["digest"]
+        return header, body
+
+    rewritten(half_way / "checkpoint.safetensors", without_digest)
+    assert Training(run(), pools, half_way, workers=0).step == 1
+
+
+def test_a_run_holds_one_checkpoint_and_no_draft_of_it(half_way):
+    assert sum("checkpoint" in name for name in os.listdir(half_way)) == 1
+
+
+# --------------------------------------------------------------------------------------------------------- not finite
+
+
+def test_a_step_that_is_not_finite_leaves_the_running_statistics_too(pools, tmp_path):
+    """Batch normalisation follows its input in the forward pass, and NaN in a running mean stays for ever."""
+    training = Training(run(), pools, tmp_path, sheet_every=0, workers=0)
+    batch = training._source()[0]
+    before = {name: tensor.clone() for name, tensor in training.network.state_dict().items()}
+    batch.image[0, 0, SIZE // 2, SIZE // 2] = torch.nan
+    record = training._one_step(batch)
+    assert not math.isfinite(record["loss"]) and training.skipped == 1
+    for name, tensor in training.network.state_dict().items():
+        assert torch.equal(tensor, before[name]), name
+
+
+def test_a_prediction_that_is_not_finite_is_a_skipped_step_and_no_error_of_the_layer(pools, tmp_path):
+    terms = Losses(normals=1, material=0, image=1, pixels=8, layer_light=(8, 16))
+    training = Training(run(losses=terms, skipped_steps=0), pools, tmp_path, sheet_every=0, workers=0)
+    with torch.no_grad():
+        training.network.normals.weight.fill_(3e38)
+    with pytest.raises(Problem, match="finite loss and gradients"):
+        training.train()
+
+
+def test_a_validation_that_is_not_finite_ends_in_one_line(pools, tmp_path):
+    training = Training(run(), pools, tmp_path, sheet_every=1, workers=0)
+    training.average["normals.weight"].fill_(3e38)
+    with pytest.raises(Problem, match="validation after step 0: finite predictions"):
+        training._validate()
+    assert not (tmp_path / "weights.safetensors").exists()
+
+
+# ------------------------------------------------------------------------------------------- what lies beside a data set
+
+
+class Failing:
+    """A source whose second batch cannot be made."""
+
+    def __init__(self, error):
+        self.error = error
+
+    def __getitem__(self, k):
+        if k:
+            raise self.error
+        return torch.zeros(2)
+
+
+@pytest.mark.parametrize(
+    "error", [Problem("picture.exr", "a file", "none", "render it again"), FileNotFoundError(2, "No such file", "picture.exr")]
+)
+def test_an_error_of_a_process_that_relights_is_raised_as_it_was(error):
+    loader = torch.utils.data.DataLoader(loop.ErrorsAsValues(Failing(error)), batch_size=None, sampler=range(2), num_workers=1)
+    batches = loop.received(loader)
+    assert torch.equal(next(batches), torch.zeros(2))
+    with pytest.raises(type(error)) as raised:
+        next(batches)
+    assert str(raised.value) == str(error)
+
+
+class Dying:
+    """A source whose process is killed."""
+
+    def __getitem__(self, k):
+        os.kill(os.getpid(), 9)
+
+
+def test_a_process_that_relights_and_is_killed_is_told_in_one_line():
+    loader = torch.utils.data.DataLoader(loop.ErrorsAsValues(Dying()), batch_size=None, sampler=range(2), num_workers=1)
+    with pytest.raises(Problem, match="--workers: processes that live"):
+        next(loop.received(loader))
+
+
+@pytest.mark.parametrize("name", ["views.json", "skipped.json", "sums.json"])
+@pytest.mark.parametrize(
+    "text", [b"", b"[" * 100_000, b"[1, 2]", b"5", b'{"a": 1}', b'{"normals.npy": [], "segments.npy": {}}', b"\xff", None]
+)
+def test_a_damaged_cache_of_geometry_is_made_again(tmp_path, name, text):
+    synthetic.write_dataset(tmp_path, [synthetic.matte()], np.random.default_rng(1), size=SIZE)
+    dataset = json.loads((tmp_path / "dataset.json").read_text())
+    dataset["shapes"] = {"sphere": {"hash": "s", "category": "sphere", "side": "train", "role": "train", "segments": 1, "licence": "CC0"}}
+    (tmp_path / "dataset.json").write_text(json.dumps(dataset))
+    sound = Geometry(tmp_path, progress=False).normals(0)
+    (tmp_path / "packed" / name).unlink()
+    if text is None:  # nothing waits for it: it is passed over, or told where a file has to take its place
+        os.mkfifo(tmp_path / "packed" / name)
+        try:
+            assert np.array_equal(Geometry(tmp_path, progress=False, skip_bad=True).normals(0), sound)
+        except Problem as problem:
+            assert f"{name}: " in str(problem) and "a pipe" in str(problem)
+        return
+    (tmp_path / "packed" / name).write_bytes(text)
+    assert np.array_equal(Geometry(tmp_path, progress=False, skip_bad=True).normals(0), sound)
+
+
+def npz(path, maps, compression=zipfile.ZIP_DEFLATED):
+    """An .npz of {name: array or bytes}."""
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        for name, array in maps.items():
+            with archive.open(f"{name}.npy", "w") as member:
+                if isinstance(array, bytes):
+                    member.write(array)
+                else:
+                    np.lib.format.write_array(member, array, allow_pickle=True)
+
+
+SKY = np.ones((64, 128, 3), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("maps", "words"),
+    [
+        ({"a": 0 * SKY}, "a: light expected, found a black map"),
+        ({"a": -SKY}, "a: light expected, found a black map"),
+        ({"a": SKY * np.float32(1e37)}, "radiance up to"),
+        ({"a": SKY * np.nan}, "NaN or infinity"),
+        ({"a": SKY[:, :, :1]}, "shape"),
+        ({"a": SKY.astype(complex)}, "complex128"),
+        ({"a": np.array([SKY.tolist()], object)}, "light maps"),
+        ({"a": np.zeros(1 << 20)}, "8388736 bytes"),
+        ({"a": b"\x93NUMPY"}, "light maps"),
+        ({f"m{k}": b"" for k in range(5000)}, "at most 4096 maps"),
+    ],
+)
+def test_light_maps_without_light_or_beyond_measure_are_refused(tmp_path, maps, words):
+    npz(tmp_path / "maps.npz", maps)
+    with pytest.raises(Problem, match=words):
+        lights.read_maps(tmp_path / "maps.npz")
+
+
+def test_light_maps_are_read_as_numpy_writes_them(tmp_path, rng):
+    maps = {"a": rng.random((64, 128, 3)), "b": rng.random((64, 128, 3)).astype(np.float32)}
+    for write in (np.savez, np.savez_compressed):
+        write(tmp_path / "maps.npz", **maps)
+        assert set(lights.read_maps(tmp_path / "maps.npz")) == set(maps)
+
+
+def test_light_maps_in_other_files_are_refused(tmp_path):
+    npz(tmp_path / "lzma.npz", {"a": SKY}, zipfile.ZIP_LZMA)
+    np.save(tmp_path / "one.npy", SKY)
+    os.mkfifo(tmp_path / "pipe.npz")
+    for name in ("lzma.npz", "one.npy", "pipe.npz"):
+        with pytest.raises(Problem, match=name.replace(".", r"\.")):
+            lights.read_maps(tmp_path / name)
+
+
+@pytest.mark.parametrize("text", [b"[1]\n", b"5\n", b"null\n", b"[" * 100_000 + b"\n", b'{"step": "one"}\n', b'{"step": null}\n'])
+def test_lines_of_a_log_that_are_none_are_dropped(pools, tmp_path, text):
+    (tmp_path / "log.jsonl").write_bytes(text)
+    Training(run(), pools, tmp_path, sheet_every=0, workers=0).train()
+    assert [json.loads(each)["step"] for each in (tmp_path / "log.jsonl").read_text().splitlines()] == [0, 1]
+
+
+def test_a_pipe_in_the_place_of_the_log_is_refused(pools, tmp_path):
+    os.mkfifo(tmp_path / "log.jsonl")
+    with pytest.raises(Problem, match=r"log\.jsonl: .* found a pipe"):
+        Training(run(), pools, tmp_path, workers=0)
