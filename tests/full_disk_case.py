@@ -8,11 +8,12 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "endurance"))
 
-from full_disk import contents, drafts
-from full_disk_commands import COMMANDS
+from full_disk import bad_records, contents, drafts
+from full_disk_commands import COMMANDS, RUN, SIZE, mesh, pictures
 
 from manifests.command_line import main
 
+__all__ = ["BY_NAME", "RUN", "SIZE", "bad_records", "check", "contents", "done", "drafts", "mesh", "pictures"]
 BY_NAME = {command.name: command for command in COMMANDS}
 
 

@@ -164,7 +164,7 @@ def writing(call):
         return text if owner not in ("", "files") else None
     if name in ("save", "savefig", "savez", "savez_compressed", "ParquetWriter"):
         return text if owner not in ("", *OURS) and first not in INTO_MEMORY else None
-    if owner == "shutil" or text == "os.link" or name in ("rename", "save_file", "tofile", "imsave", "mkstemp", "TemporaryDirectory"):
+    if (owner == "shutil" and name != "rmtree") or text == "os.link" or name in ("rename", "save_file", "tofile", "imsave", "mkstemp", "TemporaryDirectory"):
         return text
     return None
 

@@ -111,12 +111,12 @@ COMMANDS = (
     Command(
         "lights add, of npz", "factory lights add {room}/maps.npz --library {disk}/library --licence CC0", None, changes=("lights.json",)
     ),
-    Command("materials preview", "factory materials preview nickel --size 32 --out {disk}/materials.png"),
+    Command("materials preview", "factory materials preview white-diffuse-bball --of label --light gradient-1 --size 16 --out {disk}/materials.png"),
     Command("materials report", "factory materials report --out {disk}/out"),
     Command("materials add", "factory materials add {room}/own --closures 1 --out {disk}/own.json", None),
     Command("shapes preview", "factory shapes preview sphere:1 --size 64 --azimuths 0 --out {disk}/shapes.png"),
     Command("shapes add", "factory shapes add {room}/kettle.obj --library {disk}/mine --category object", None),
-    Command("agree", "learn agree {room}/data --limit 2 --out {disk}/out", statuses=(3,)),
+    Command("agree", "learn agree {room}/data --limit 2 --tolerance 0.1 --out {disk}/out", statuses=(3,)),
     Command("predict, of a data set", "learn predict {room}/data --out {disk}/out", "--overwrite"),
     Command("predict, of a photograph", "learn predict {room}/photo.png --mask {room}/mask.png --out {disk}/out", "--overwrite"),
     Command(
@@ -141,12 +141,12 @@ COMMANDS = (
     ),
     Command(
         "evaluate",
-        "learn evaluate --data {room}/data --edits 2 --no-refine --processes 1 --gallery 1 --out {disk}/out",
+        "learn evaluate --data {room}/data --weights {room}/out/weights.safetensors --edits 2 --no-refine --processes 1 --gallery 1 --out {disk}/out",
         None,
         changes=LINES,
     ),
     Command("baselines", "learn baselines --data {room}/data --only lombardi --out {disk}/out", None),
-    Command("card", "learn card --weights {room}/out/weights.safetensors --data {room}/data --batches 1 --out {disk}/out"),
+    Command("card", "learn card {room}/out/weights.safetensors --data {room}/data --batches 1 --out {disk}/out"),
     Command("steps", "learn steps {room}/run.json --data {room}/data --steps 1 --images 2 --out {disk}/out"),
     Command("exposure", "learn exposure --data {room}/data --out {disk}/out"),
     Command("promise", "learn promise --cases 1 --size 8 --out {disk}/out"),
