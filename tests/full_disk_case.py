@@ -13,7 +13,7 @@ from full_disk_commands import COMMANDS, RUN, SIZE, mesh, pictures
 
 from manifests.command_line import main
 
-__all__ = ["BY_NAME", "RUN", "SIZE", "bad_records", "check", "contents", "done", "drafts", "mesh", "pictures"]
+__all__ = ["BY_NAME", "RUN", "SIZE", "bad_records", "check", "check_read_only", "contents", "done", "drafts", "mesh", "pictures"]
 BY_NAME = {command.name: command for command in COMMANDS}
 
 
@@ -80,3 +80,20 @@ def check(name, room, disk, small_files, seed):
         for count in chosen:
             fails(whole, count, over=True)
         succeeds(whole, over=True)
+
+
+def check_read_only(name, room, disk, read_only):
+    """Run a command of the table where it may only read, then where it may not write; raises AssertionError for what it must not do.
+
+    read_only  the fixture of that name
+    """
+    command = BY_NAME[name]
+    for folder in ("out", "read only"):
+        (disk / folder).mkdir(parents=True)
+    read_only(room)
+    status, _, error = done(command.words(room, disk / "out"))
+    assert status in (0, *command.statuses), (name, "inputs that may only be read", error[-500:])
+    read_only(disk / "read only")
+    status, said, error = done(command.words(room, disk / "read only"))
+    assert status == 1, (name, "a folder in which nothing can be written", error[-500:])
+    assert len(said) == 1 and "Traceback" not in error and "Read-only file system" in said[0], (name, error[-500:])

@@ -84,9 +84,12 @@ def _without_an_image(disk):
     next(iter(sorted((disk / "data" / "images").rglob("*.exr")))).unlink()
 
 
-def _without_a_record(disk):
+def _without_some_records(disk):
     (path,) = (disk / "data" / "records").iterdir()
-    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:-3]))
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:-12]))
+    for line in lines[-12:]:
+        (disk / "data" / json.loads(line)["image"]).unlink()
 
 
 LINES = ("records/worker-00.jsonl", "views/worker-00.jsonl", "dataset.json", "log.jsonl", "edits.jsonl", "pictures.jsonl")
@@ -98,7 +101,7 @@ COMMANDS = (
         "factory render {room}/job.json --device cpu --out {disk}/data",
         None,
         ("data",),
-        _without_a_record,
+        _without_some_records,
         changes=LINES,
     ),
     Command("plan", "factory plan {room}/job.json --device cpu", None, temporary=True),
@@ -111,7 +114,10 @@ COMMANDS = (
     Command(
         "lights add, of npz", "factory lights add {room}/maps.npz --library {disk}/library --licence CC0", None, changes=("lights.json",)
     ),
-    Command("materials preview", "factory materials preview white-diffuse-bball --of label --light gradient-1 --size 16 --out {disk}/materials.png"),
+    Command(
+        "materials preview",
+        "factory materials preview white-diffuse-bball --of label --light gradient-1 --size 16 --out {disk}/materials.png",
+    ),
     Command("materials report", "factory materials report --out {disk}/out"),
     Command("materials add", "factory materials add {room}/own --closures 1 --out {disk}/own.json", None),
     Command("shapes preview", "factory shapes preview sphere:1 --size 64 --azimuths 0 --out {disk}/shapes.png"),
@@ -141,7 +147,8 @@ COMMANDS = (
     ),
     Command(
         "evaluate",
-        "learn evaluate --data {room}/data --weights {room}/out/weights.safetensors --edits 2 --no-refine --processes 1 --gallery 1 --out {disk}/out",
+        "learn evaluate --data {room}/data --weights {room}/out/weights.safetensors --edits 2 --no-refine --processes 1 --gallery 1"
+        " --out {disk}/out",
         None,
         changes=LINES,
     ),

@@ -5,7 +5,7 @@ RLIMIT_FSIZE stands for the full disk: it needs no root. tests/endurance/full_di
 
 import msgspec
 import pytest
-from full_disk_case import bad_records, check, contents, done, drafts, mesh, pictures
+from full_disk_case import bad_records, check, check_read_only, contents, done, drafts, mesh, pictures
 from PIL import Image
 from tetrahedron import FAKE, HERE
 
@@ -55,6 +55,13 @@ def test_a_full_disk_costs_a_line_and_nothing_else(room, tmp_path, small_files, 
     check(name, room, tmp_path, small_files, seed=QUICK.index(name))
 
 
+@pytest.mark.parametrize("name", QUICK)
+def test_a_read_only_disk_can_be_read_and_costs_a_line_where_it_was_to_be_written(room, tmp_path, read_only, name):
+    if name == "export --parquet":
+        pytest.importorskip("pyarrow", reason="needs pyarrow, which is optional")
+    check_read_only(name, room, tmp_path, read_only)
+
+
 def sizes(folder):
     """Sizes of the files of a folder."""
     return sorted({path.stat().st_size for path in folder.rglob("*") if path.is_file()} - {0})
@@ -88,3 +95,19 @@ def test_a_repair_on_a_full_disk_keeps_every_record(render, small_job, tmp_path,
     assert contents(tmp_path) == before and drafts(tmp_path) == []
     assert done(repair)[0] == 0
     assert len(list(Store(tmp_path).records())) == 2
+
+
+@pytest.mark.parametrize("command", ["verify", "status"])
+def test_a_data_set_that_may_only_be_read_is_verified_and_counted(room, read_only, command):
+    read_only(room)
+    assert done(["factory", command, str(room / "data")])[0] == 0
+
+
+def test_nothing_is_rendered_or_repaired_into_a_data_set_that_may_only_be_read(render, small_job, tmp_path, read_only):
+    render(small_job, tmp_path, limit=2)
+    next(iter((tmp_path / "images").rglob("*.exr"))).unlink()
+    read_only(tmp_path)
+    with pytest.raises((OSError, Problem), match="Read-only file system"):
+        render(small_job, tmp_path)
+    status, said, _ = done(["factory", "verify", str(tmp_path), "--repair"])
+    assert status == 1 and len(said) == 1 and "Read-only file system" in said[0]

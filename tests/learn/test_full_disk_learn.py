@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-from full_disk_case import RUN, SIZE, check, pictures
+from full_disk_case import RUN, SIZE, check, check_read_only, pictures
 from synthetic import id_of, matte, write_dataset
 
 from learn.editing import apart, edit
@@ -76,3 +76,8 @@ def quick(monkeypatch):
 @pytest.mark.parametrize("name", QUICK)
 def test_a_full_disk_costs_a_line_and_nothing_else(room, tmp_path, small_files, name):
     check(name, room, tmp_path, small_files, seed=QUICK.index(name))
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_read_only_disk_can_be_read_and_costs_a_line_where_it_was_to_be_written(room, tmp_path, read_only, name):
+    check_read_only(name, room, tmp_path, read_only)
