@@ -104,7 +104,9 @@ COMMANDS = (
         _without_some_records,
         changes=LINES,
     ),
-    Command("plan", "factory plan {room}/job.json --device cpu", None, temporary=True),
+    Command(
+        "plan", "factory plan {room}/job.json --device cpu", None, temporary=True, tolerates=True
+    ),  # another folder for temporary files
     Command("verify --repair", "factory verify {disk}/data --repair", None, ("data",), _without_an_image),
     Command("preview", "factory preview {room}/data --out {disk}/out --count 2 --size 32", "--overwrite"),
     Command("export --tars", "factory export {room}/data --tars {disk}/out --each 10", None),
