@@ -351,10 +351,10 @@ SLOW = """
 import os, time
 write, sync = os.write, os.fsync
 def slow_write(descriptor, data):
-    time.sleep(0.01)
+    time.sleep(0.03)
     return write(descriptor, data)
 def slow_sync(descriptor):
-    time.sleep(0.02)
+    time.sleep(0.1)
     return sync(descriptor)
 os.write, os.fsync = slow_write, slow_sync
 """
@@ -383,7 +383,10 @@ def slow(options):
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        time.sleep(moments.uniform(0.5 * taken, 0.9 * taken))
+        enough = round((number + 0.5) * 24 / options.kills)  # pictures, so that each kill finds the run at work
+        while process.poll() is None and sum(1 for _ in Store(killed).records()) < enough:
+            time.sleep(0.02)
+        time.sleep(moments.uniform(0.0, 0.15))
         if process.poll() is None:
             hit += 1
             os.kill(process.pid, signal.SIGKILL) if number % 2 else os.killpg(process.pid, signal.SIGKILL)

@@ -3,6 +3,11 @@
 RLIMIT_FSIZE stands for the full disk: it needs no root. tests/endurance/full_disk.py does the same on real small file systems.
 """
 
+import os
+import shutil
+import subprocess
+import sys
+
 import msgspec
 import pytest
 from full_disk_case import bad_records, check, check_read_only, contents, done, drafts, mesh, pictures
@@ -111,3 +116,34 @@ def test_nothing_is_rendered_or_repaired_into_a_data_set_that_may_only_be_read(r
         render(small_job, tmp_path)
     status, said, _ = done(["factory", "verify", str(tmp_path), "--repair"])
     assert status == 1 and len(said) == 1 and "Read-only file system" in said[0]
+
+
+DYING = """
+import os, signal
+call, count = os.{call}, 0
+def dying(*arguments):
+    global count
+    count += 1
+    if count == {number} and not os.path.exists("{mark}"):
+        os.close(os.open("{mark}", os.O_CREAT))
+        os.kill(os.getpid(), signal.SIGKILL)
+    return call(*arguments)
+os.{call} = dying
+"""
+
+
+@pytest.mark.parametrize(("call", "number"), [("write", 2), ("fsync", 1), ("fsync", 5), ("replace", 3), ("replace", 4), ("link", 2)])
+def test_a_kill_in_the_midst_of_writing_loses_nothing_and_leaves_no_draft(small_job, tmp_path, catalogue, light_file, call, number):
+    """By its number the call is one of the run's own, on the lights or the data set's description, or one of its worker's."""
+    (tmp_path / "job.json").write_bytes(msgspec.json.encode(msgspec.structs.replace(small_job, lights=(light_file.name,))))
+    shutil.copy(light_file, tmp_path)
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "sitecustomize.py").write_text(DYING.format(call=call, number=number, mark=tmp_path / "mark"))
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (tmp_path / "site", HERE, HERE.parent.parent)))}
+    folder = tmp_path / "data"
+    command = [sys.executable, str(HERE / "fake_render.py"), str(tmp_path / "job.json"), str(folder), str(catalogue)]
+    statuses = [subprocess.run(command, env=environment, capture_output=True).returncode for _ in range(2)]
+    assert (tmp_path / "mark").exists() and statuses[1] == 0
+    assert bad_records(folder) == 0 and drafts(folder) == []
+    assert len(Store(folder).ids()) == sum(1 for _ in Store(folder).records()) == 12
+    assert done(["factory", "verify", str(folder)])[0] == 0
