@@ -12,6 +12,7 @@ from pathlib import Path
 
 from factory.pool import Pool, setup_for
 from factory.run import Manner, assign, processors, register
+from manifests.problems import Problem
 from manifests.schema import Draw
 from manifests.store import Store
 from manifests.viewpoints import COUNT
@@ -52,7 +53,7 @@ def probe_shots(plan):
 
 
 def probed(plan, manner: Manner):
-    """The Forecast of a plan. Raises what the shots raise: a probe that fails tells before anything long starts."""
+    """The Forecast of a plan. Raises Problem for a shot that fails, OSError: a probe tells before anything long starts."""
     import time
 
     cost, sizes, start = defaultdict(list), defaultdict(list), time.perf_counter()
@@ -64,9 +65,9 @@ def probed(plan, manner: Manner):
         pool = Pool(
             1, lambda _: setup_for(folder, "probe", manner.device, threads, assignment, manner.studio), (), Path(folder) / "partial"
         )
-        for _, reply in pool.run(probe_shots(plan)):
+        for shot, reply in pool.run(probe_shots(plan)):
             if not reply.made:
-                raise RuntimeError(reply.reason)
+                raise Problem(f"{shot.shape}, view {shot.viewpoint}", "a shot that can be made", reply.reason, "mend what it names")
             if plan.job.pictures:
                 sizes["images"].append(reply.bytes)
             for kind, seconds in reply.spent.items():

@@ -207,9 +207,13 @@ class Store:
             return hashlib.sha256(data).hexdigest()
         whole = temporary.with_name(f"{temporary.name}.whole")
         try:
-            with replacing(whole, draft=temporary) as file:
-                file.write(data)
-            return hashlib.sha256(data).hexdigest() if _link(whole, target) else file_hash(target)
+            try:
+                with replacing(whole, draft=temporary) as file:
+                    file.write(data)
+                is_ours = _link(whole, target)
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(target)) from None
+            return hashlib.sha256(data).hexdigest() if is_ours else file_hash(target)
         finally:
             whole.unlink(missing_ok=True)
 

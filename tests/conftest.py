@@ -4,6 +4,7 @@ import contextlib
 import os
 import resource
 import signal
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -65,3 +66,20 @@ def small_files():
             signal.signal(signal.SIGXFSZ, handler)
 
     return limited
+
+
+@pytest.fixture
+def read_only():
+    """A function of a folder that makes it a read-only file system until the test ends; skips where mounting is not allowed."""
+    mounted = []
+
+    def mount(folder):
+        for options in (["--bind", folder, folder], ["-o", "remount,ro,bind", folder]):
+            done = subprocess.run(["mount", *map(str, options)], capture_output=True, text=True)
+            if done.returncode:
+                pytest.skip(f"needs the right to mount a file system: {done.stderr.strip()}")
+            mounted.append(folder)
+
+    yield mount
+    for folder in dict.fromkeys(mounted):
+        subprocess.run(["umount", str(folder)], check=True)

@@ -132,7 +132,6 @@ WRITERS = {
     ("manifests/store.py", "os.link"): "a whole file takes its place unless another has it",
     ("manifests/store.py", "os.replace"): "the same where there are no links",
     ("manifests/lock.py", "os.open"): "a lock is an empty file",
-    ("manifests/verification/repair.py", "shutil.rmtree"): "a folder that lies where a file should",
     ("factory/pool.py", "open"): "a worker's complaints, read while it lives and then thrown away",
     ("factory/forecast.py", "tempfile.TemporaryDirectory"): "three shots made on trial",
     ("factory/render/benchmark.py", "tempfile.TemporaryDirectory"): "pictures made to be timed",
@@ -165,7 +164,9 @@ def writing(call):
         return text if owner not in ("", "files") else None
     if name in ("save", "savefig", "savez", "savez_compressed", "ParquetWriter"):
         return text if owner not in ("", *OURS) and first not in INTO_MEMORY else None
-    if owner == "shutil" or text == "os.link" or name in ("rename", "save_file", "tofile", "imsave", "mkstemp", "TemporaryDirectory"):
+    if (owner == "shutil" and name != "rmtree") or text == "os.link":
+        return text
+    if name in ("rename", "save_file", "tofile", "imsave", "mkstemp", "TemporaryDirectory"):
         return text
     return None
 

@@ -20,6 +20,7 @@ import argparse
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -217,7 +218,8 @@ def one_size(disk, size, job, whole):
     faults += [] if verified.status == 0 else [f"verify: {verified.stderr[-300:]}"]
     faults += [f"draft {path}" for path in drafts(folder)]
     different = compared(whole, folder) if not second.status else ["not comparable"]
-    where = first.words[0].split(": ")[1].replace(f"{folder}/", "") if first.words else "it had room"
+    named = re.search(rf"{re.escape(str(folder))}/([^':]+)", first.words[0]) if first.words else None
+    where = named[1] if named else "it had room"
     return {
         "disk": disk.kind,
         "left_kib": left // 1024,
@@ -270,18 +272,18 @@ def commands(options):
             for command in COMMANDS:
                 if options.only and command.name not in options.only:
                     continue
-                results.append(one_command(disk, command, room))
+                results.append(one_command(disk, command, room, options.shares))
                 disk.empty()
                 mine = results[-1]
                 end = "; ".join(mine.faults) or "none"
                 told = f"| {mine.name} | {kind} | {mine.written} | {mine.full} | {mine.tolerated} | {end} |"
                 print(told, flush=True)
     told = [{**vars(result), "said": sorted(result.said)} for result in results]
-    (options.out / "commands.json").write_text(json.dumps(told, indent=1) + "\n")
+    (options.out / f"commands-{'-'.join(options.disks)}.json").write_text(json.dumps(told, indent=1) + "\n")
     return 1 if any(result.faults for result in results) else 0
 
 
-def one_command(disk, command, room):
+def one_command(disk, command, room, shares):
     """A command on disks that run out after several shares of what it writes, first into nothing, then over an earlier result."""
     result = Result(command.name, disk.kind)
 
@@ -303,7 +305,7 @@ def one_command(disk, command, room):
     if first.status not in (0, *command.statuses):
         result.faults.append(f"undisturbed: status {first.status}: {first.stderr[-300:]}")
         return result
-    for share in STEPS:
+    for share in shares:
         begin()
         disk.fill(int(result.written * share) // 1024 * 1024)
         earlier = contents(disk.folder)
@@ -349,10 +351,10 @@ SLOW = """
 import os, time
 write, sync = os.write, os.fsync
 def slow_write(descriptor, data):
-    time.sleep(0.01)
+    time.sleep(0.03)
     return write(descriptor, data)
 def slow_sync(descriptor):
-    time.sleep(0.02)
+    time.sleep(0.1)
     return sync(descriptor)
 os.write, os.fsync = slow_write, slow_sync
 """
@@ -381,7 +383,10 @@ def slow(options):
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        time.sleep(moments.uniform(0.5 * taken, 0.9 * taken))
+        enough = round((number + 0.5) * 24 / options.kills)  # pictures, so that each kill finds the run at work
+        while process.poll() is None and sum(1 for _ in Store(killed).records()) < enough:
+            time.sleep(0.02)
+        time.sleep(moments.uniform(0.0, 0.15))
         if process.poll() is None:
             hit += 1
             os.kill(process.pid, signal.SIGKILL) if number % 2 else os.killpg(process.pid, signal.SIGKILL)
@@ -445,6 +450,7 @@ def main():
     parser.add_argument("--sizes", type=int, default=32, metavar="N", help="disk sizes of `records` (default 32)")
     parser.add_argument("--disks", nargs="+", default=("tmpfs", "ext4"), choices=("tmpfs", "ext4"))
     parser.add_argument("--only", nargs="+", default=(), metavar="NAME", help="of `commands`: these alone")
+    parser.add_argument("--shares", type=float, nargs="+", default=STEPS, metavar="X", help=f"of `commands` (default {STEPS})")
     parser.add_argument("--kills", type=int, default=6, metavar="N", help="of `slow` (default 6)")
     parser.add_argument("--rounds", type=int, default=5, metavar="N", help="of `pace` (default 5)")
     parser.add_argument("--seed", type=int, default=0)

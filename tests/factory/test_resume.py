@@ -9,7 +9,10 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from tetrahedron import FAKE
 
+from factory.forecast import probed
+from factory.run import Manner
 from manifests import lock
 from manifests.problems import Problem
 from manifests.store import Store
@@ -152,3 +155,10 @@ def test_a_worker_whose_run_was_killed_ends_and_nobody_starts_before_it_has(smal
         count = len(ids(tmp_path / "data"))
         time.sleep(0.3)
         assert len(ids(tmp_path / "data")) == count < 144
+
+
+def test_a_forecast_whose_trial_shot_fails_says_so_in_a_line(plan_of, small_job, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    monkeypatch.setenv("FAKE_STUDIO", "nan:cube")
+    with pytest.raises(Problem, match="cube, view 0: a shot that can be made expected, found finite radiance"):
+        probed(plan_of(small_job), Manner(studio=FAKE))

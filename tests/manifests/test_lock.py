@@ -1,28 +1,9 @@
 """Locks where nothing can be written: whoever reads a data set needs none that is not there."""
 
-import subprocess
-
 import pytest
 
 from manifests import lock
 from manifests.problems import Problem
-
-
-@pytest.fixture
-def read_only(tmp_path):
-    """A function of a folder that makes it a read-only file system, its files kept."""
-    mounted = []
-
-    def mount(folder):
-        for options in (["--bind"], ["-o", "remount,ro,bind"]):
-            done = subprocess.run(["mount", *options, str(folder), str(folder)], capture_output=True, text=True)
-            if done.returncode:
-                pytest.skip(f"needs the right to mount: {done.stderr.strip()}")
-            mounted[:] = [folder]
-
-    yield mount
-    for folder in mounted:
-        subprocess.run(["umount", str(folder)], check=True)
 
 
 def test_a_folder_on_a_read_only_file_system_is_locked_without_a_file(tmp_path, read_only):

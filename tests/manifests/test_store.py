@@ -89,6 +89,12 @@ def test_another_schema_version_and_a_missing_dataset_are_refused(a_dataset, tmp
         Store(tmp_path / "nowhere").dataset()
 
 
+def test_geometry_that_the_disk_has_no_room_for_is_named_by_its_place(tmp_path, small_files):
+    with small_files(10), pytest.raises(OSError, match=r"'.*/geometry/ab/x\.exr'"):
+        Store(tmp_path).place("geometry/ab/x.exr", bytes(20), "w", keep_first=True)
+    assert os.listdir(tmp_path / "partial") == os.listdir(tmp_path / "geometry" / "ab") == []
+
+
 @pytest.mark.parametrize("damage", [lambda text: b"", lambda text: text[: len(text) // 2], lambda text: b"[]"])
 def test_a_damaged_dataset_says_that_it_can_be_made_again(a_dataset, damage):
     path = a_dataset.folder / "dataset.json"

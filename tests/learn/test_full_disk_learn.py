@@ -5,13 +5,11 @@ RLIMIT_FSIZE stands for the full disk: it needs no root. tests/endurance/full_di
 
 import json
 
-import msgspec
 import numpy as np
 import pytest
 import torch
-from full_disk_case import BY_NAME, check
-from full_disk_commands import RUN, SIZE, pictures
-from synthetic import id_of, matte, write_dataset
+from full_disk_case import RUN, SIZE, check, check_read_only, pictures
+from synthetic import add_shape, matte, write_dataset
 
 from learn.editing import apart, edit
 from learn.evaluation import bench
@@ -19,7 +17,6 @@ from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.training.checkpoint import save_weights
 from learn.training.sources import VALIDATION_SHAPES, by_hash
-from manifests.schema import ShapeEntry
 
 QUICK = (
     "agree",
@@ -30,8 +27,6 @@ QUICK = (
     "train",
     "evaluate",
     "baselines",
-    "card",
-    "exposure",
     "the demo's page",
 )
 
@@ -43,20 +38,9 @@ def room(tmp_path_factory):
     pictures(room)
     (room / "run.json").write_text(json.dumps(RUN | {"network": "compact"}))
     both = [matte("dark", 0.2), matte("light", 0.8)]
-    store = write_dataset(room / "data", both, np.random.default_rng(3), size=SIZE, seeds=1, noise=0.0, rotations=(0,))
-    validation = next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
-    entry = ShapeEntry(hash="5" * 64, category="primitive", side="train", role="train", segments=1, licence="CC0")
-    shapes = {"sphere": entry, validation: entry, "cube:1": msgspec.structs.replace(entry, side="test", role="test")}
-    store.write_json("dataset.json", msgspec.structs.replace(store.dataset(), shapes=shapes))
-    (path,) = store.record_files()
-    lines = [
-        msgspec.json.encode(
-            msgspec.structs.replace(r, id=id_of(f"{letter}-{r.id}"), shape=shape, geometry_hash=letter * 64, split=shapes[shape].side)
-        )
-        for letter, shape in zip("678", shapes, strict=True)
-        for r in store.records()
-    ]
-    path.write_bytes(b"\n".join([*lines, b""]))
+    store = write_dataset(room / "data", both, np.random.default_rng(3), SIZE, 1, 0.0, rotations=(0,), category="sphere")
+    add_shape(store, next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0), "train")
+    add_shape(store, "cube:1", "test")
     torch.manual_seed(0)
     network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
     (room / "out").mkdir()
@@ -81,5 +65,6 @@ def test_a_full_disk_costs_a_line_and_nothing_else(room, tmp_path, small_files, 
     check(name, room, tmp_path, small_files, seed=QUICK.index(name))
 
 
-def test_each_command_that_ends_in_seconds_is_tried_here_or_with_cycles():
-    assert set(QUICK) <= BY_NAME.keys()
+@pytest.mark.parametrize("name", QUICK)
+def test_a_read_only_disk_can_be_read_and_costs_a_line_where_it_was_to_be_written(room, tmp_path, read_only, name):
+    check_read_only(name, room, tmp_path, read_only)
