@@ -63,4 +63,4 @@ class RenderLayer(torch.nn.Module):
         return render(n, material, light, view, segments, mask, self.method, self.tolerance, self.elevation)
 
     def extra_repr(self):
-        return f"method={self.method!r}, tolerance={self.tolerance:g}, elevation={self.elevation:.4f}"
+        return f"method={self.method!r}, tolerance={float(self.tolerance):g}, elevation={float(self.elevation):.4f}"

@@ -5,6 +5,8 @@ sums with kernels, which such tensors do not allow; so it is one step for torch.
 becomes a longer batch of pictures. Forward mode and derivatives of derivatives are refused.
 """
 
+import contextlib
+
 import torch
 
 from learn import layer
@@ -42,6 +44,18 @@ def render(tensors, settings):
     return Picture.apply(*tensors, settings)
 
 
+@contextlib.contextmanager
+def hooks_allowed():
+    """Saved tensors may have hooks, which torch.func forbids within grad: a step's own inner graph, as of checkpoints, is none of its own."""
+    message = torch._C._autograd._saved_tensors_hooks_get_disabled_error_message()
+    torch._C._autograd._saved_tensors_hooks_enable()
+    try:
+        yield
+    finally:
+        if message is not None:
+            torch._C._autograd._saved_tensors_hooks_disable(message)
+
+
 def refuse_batch(g):
     """A hook on the picture's gradient: kernels cannot take many gradients as one tensor that stands for them."""
     if torch._C._functorch.is_batchedtensor(g) or torch._C._functorch.is_legacy_batchedtensor(g):
@@ -52,8 +66,8 @@ def folded(count, dimensions, tensors):
     """Tensors whose dimension of `count`, given or to be added, has become part of the first one, the batch of pictures."""
 
     def fold(dimension, x):
-        if not isinstance(x, torch.Tensor) or x.ndim == 0:  # refused by the layer, with the argument's name
-            return x
+        if not isinstance(x, torch.Tensor) or x.ndim == 0 or x.is_nested or x.layout != torch.strided:
+            return x  # refused by the layer, with the argument's name
         stacked = x.expand(count, *x.shape) if dimension is None else x.movedim(dimension, 0)
         return stacked.flatten(0, 1) if stacked.ndim > 1 else stacked
 
@@ -71,7 +85,8 @@ class Picture(torch.autograd.Function):
     @staticmethod
     def forward(*inputs):
         *tensors, settings = inputs
-        return layer.render(*tensors, *settings)
+        with hooks_allowed():
+            return layer.render(*tensors, *settings)
 
     @staticmethod
     def setup_context(ctx, inputs, output):
@@ -100,10 +115,10 @@ class Gradients(torch.autograd.Function):
     @staticmethod
     def forward(g, *inputs):
         *tensors, settings, wanted = inputs
-        with torch.enable_grad():
+        with hooks_allowed(), torch.enable_grad():
             leaves = [None if x is None else x.detach().requires_grad_(each) for x, each in zip(tensors[:4], wanted, strict=True)]
             picture = layer.render(*leaves, *tensors[4:], *settings)
-        return torch.autograd.grad(picture, [x for x, each in zip(leaves, wanted, strict=True) if each], g)
+            return torch.autograd.grad(picture, [x for x, each in zip(leaves, wanted, strict=True) if each], g)
 
     @staticmethod
     def setup_context(ctx, inputs, output):

@@ -31,7 +31,7 @@ FEW = 512  # pixels from which the backward pass is worth a second thread
 PASS = 65536  # pixels whose lists are made at a time
 KEPT = 2**26  # bytes of lists that a picture keeps for the backward pass
 ALL_LOBES = (0, 1, 2)
-LARGEST_CONTROL = torch.tensor([MAX_EXPONENT, math.inf])[:, None]  # of κ and of γ
+LARGEST_CONTROL = (MAX_EXPONENT,), (math.inf,)  # of κ and of γ
 VIEWER = np.array([0.0, 0.0, 1.0])
 SPREAD_BITS = np.array([int(f"{number:b}", 4) for number in range(256)], np.uint16)  # eight bits over the even places of sixteen
 TESTED, LISTED = 7e-8, 1e-8  # seconds to test sixteen blocks for a tile, and to sum a listed block for a pixel of it
@@ -87,11 +87,14 @@ def cone(vectors):
 
 @functools.lru_cache(maxsize=8)
 def map_lights(height, width, camera_from_light):
-    """The `Lights` of a map's texels in 4×4 tiles, and their places (T,) in the flattened map; camera_from_light as nine numbers."""
+    """The `Lights` of a map's texels in 4×4 tiles, and their places (T,) in the flattened map; camera_from_light as nine numbers.
+
+    All in numpy: a tensor that is kept from torch's inference mode could not be part of a graph later.
+    """
     row, column = np.divmod(np.arange(height * width), width)
     order = np.lexsort((column, row, column // 4, row // 4))
     rotation = np.array(camera_from_light).reshape(3, 3)
-    return lights_at(directions(height, width)[0].reshape(-1, 3)[order] @ rotation.T), torch.as_tensor(order)
+    return lights_at(directions(height, width)[0].reshape(-1, 3)[order] @ rotation.T), order
 
 
 def of_map(light, camera_from_light):
@@ -99,7 +102,7 @@ def of_map(light, camera_from_light):
     height, width = light.shape[:2]
     lights, order = map_lights(height, width, tuple(camera_from_light.double().flatten().tolist()))
     solid_angle = torch.as_tensor(directions(height, width)[1], dtype=light.dtype, device=light.device)
-    return lights, (light * solid_angle[..., None]).reshape(-1, 3)[order.to(light.device)]
+    return lights, (light * solid_angle[..., None]).reshape(-1, 3)[torch.from_numpy(order).to(light.device)]
 
 
 def radiance(n, view, m, E, lights, left_out=0.0, lobes=ALL_LOBES):
@@ -110,7 +113,7 @@ def radiance(n, view, m, E, lights, left_out=0.0, lobes=ALL_LOBES):
     if lobes != ALL_LOBES:
         m = lobe_shapes.only(m, np.isin(ALL_LOBES, lobes))
     if has_kernels:
-        return ViewedSum.apply(n, view.expand_as(n), torch.minimum(m, LARGEST_CONTROL), E, lights)
+        return ViewedSum.apply(n, view.expand_as(n), torch.minimum(m, m.new_tensor(LARGEST_CONTROL)), E, lights)
     return ExactSum.apply(n, view, m, E, torch.as_tensor(lights.w, dtype=n.dtype, device=n.device))
 
 
