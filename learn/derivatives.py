@@ -17,8 +17,8 @@ FORWARD_MODE = (
 )
 
 BATCHED = (
-    "derivatives: one gradient at a time expected, found a batch of them (vectorize=True, is_grads_batched=True or vmap); "
-    "ask for them in a loop"
+    "derivatives: one gradient at a time expected, found a batch of them (vectorize=True or is_grads_batched=True); "
+    "torch.func.jacrev and torch.func.vmap take batches"
 )
 THIRD = "derivatives: two at most, one of another, expected of the layer, found a third"
 

@@ -17,12 +17,12 @@ Pixels whose normal does not face the viewer (n·v ≤ learn.methods.HORIZON) co
 
 import torch
 
-from learn import layer_pixels, methods
-from learn.layer_inputs import checked, compact
+from learn import layer_pixels, methods, transforms
+from learn.layer_inputs import checked, checked_settings, compact
 from shaders.frames import ELEVATION
 
 
-def render(n, material, light, view=None, segments=None, mask=None, method="auto", tolerance=1e-2, elevation=ELEVATION):
+def render(n, material, light, view=None, segments=None, mask=None, method="auto", tolerance=1e-2, elevation=float(ELEVATION)):
     """Outgoing radiance (B, H, W, 3) towards the viewer; zeros outside the mask.
 
     n, material, light, view, segments   as above; one dtype and device (half precisions are summed in float32)
@@ -35,6 +35,8 @@ def render(n, material, light, view=None, segments=None, mask=None, method="auto
                not have: second ones (see above) when they are asked for, third ones, forward mode
     Source     supplement, "Details of Rendering Layer"
     """
+    if not torch.compiler.is_compiling() and transforms.are_active():
+        return transforms.render((n, material, light, view, segments, mask), (method, tolerance, elevation))
     inputs = checked(n, material, light, view, segments, mask, tolerance, elevation)
     batch, index = compact(inputs)
     chosen = methods.load(method)  # a misspelt name is refused even where nothing is to be rendered
@@ -42,22 +44,26 @@ def render(n, material, light, view=None, segments=None, mask=None, method="auto
         work = chosen.radiance
         if torch.compiler.is_compiling() and method != "exact":  # planned in numpy, which torch.compile must not take apart
             work = torch.compiler.disable(work)
-        radiance = work(batch, tolerance)
+        radiance = work(batch, inputs.tolerance)
     else:  # nothing to render, yet every argument keeps its place in the graph and gets a zero gradient
         radiance = batch.n + 0 * (batch.m.sum() + batch.light.sum() + (0 if view is None else batch.view.sum()))
-    picture = layer_pixels.spread(radiance, index, inputs.mask.numel())
-    return picture.reshape(n.shape).to(n.dtype)
+    picture = layer_pixels.spread(radiance, index, inputs.mask.numel()).reshape(n.shape).to(n.dtype)
+    if picture.requires_grad and not torch.compiler.is_compiling():
+        picture.register_hook(transforms.refuse_batch)
+    return picture
 
 
 class RenderLayer(torch.nn.Module):
     """`render` as a module without parameters, for use inside a network."""
 
-    def __init__(self, method="auto", tolerance=1e-2, elevation=ELEVATION):
+    def __init__(self, method="auto", tolerance=1e-2, elevation=float(ELEVATION)):
         super().__init__()
+        methods.load(method)
+        checked_settings(tolerance, elevation)
         self.method, self.tolerance, self.elevation = method, tolerance, elevation
 
     def forward(self, n, material, light, view=None, segments=None, mask=None):
         return render(n, material, light, view, segments, mask, self.method, self.tolerance, self.elevation)
 
     def extra_repr(self):
-        return f"method={self.method!r}, tolerance={self.tolerance:g}, elevation={self.elevation:.4f}"
+        return f"method={self.method!r}, tolerance={float(self.tolerance):g}, elevation={float(self.elevation):.4f}"

@@ -4,6 +4,7 @@ Each rule raises a ValueError that names the argument, the rule and what was fou
 """
 
 import math
+import numbers
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,13 +16,18 @@ from shaders.dsbrdf import SHAPE, SIZE
 from shaders.frames import camera_from_light
 
 LENGTH_TOLERANCE = 1e-2  # of unit vectors: half-float files are within 1e-3; an unnormalised network output is far outside
+FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64, torch.uint16, torch.uint32, torch.uint64)
+LEAST_TOLERANCE = 1e-12  # what is asked beyond float64's digits is treated as this
+MOST_PIXELS, MOST_TEXELS = 2**28, 2**25  # of one call: each pixel takes 12 bytes and more, each texel some 200
 
 
 @dataclass(frozen=True)
 class Inputs:
     """The layer's arguments in the dtype they are summed in: m (B, S, 108), mask (B, H, W) bool, segments (B, H, W) or None.
 
-    seen  (B, H, W) bool: inside the mask and facing the viewer; None: not known yet
+    tolerance  as it is given to the methods
+    seen       (B, H, W) bool: inside the mask and facing the viewer; None: not known yet
     """
 
     n: torch.Tensor
@@ -30,6 +36,7 @@ class Inputs:
     view: torch.Tensor | None
     segments: torch.Tensor | None
     mask: torch.Tensor
+    tolerance: float
     elevation: float
     seen: torch.Tensor | None = None
 
@@ -43,17 +50,58 @@ def require_shape(argument, tensor, rule, right):
         refuse(argument, rule, tuple(tensor.shape))
 
 
+def require_dense(argument, tensor):
+    """A torch tensor whose elements lie in memory, each at its place."""
+    if not isinstance(tensor, torch.Tensor):
+        refuse(argument, "a torch tensor", type(tensor).__name__)
+    if tensor.is_nested:
+        refuse(argument, "a dense tensor", "a nested one")
+    if tensor.layout != torch.strided:
+        refuse(argument, "a dense tensor", f"layout {tensor.layout}")
+
+
 def require_alike(tensors):
-    """One floating dtype and one device over all the arguments given."""
+    """One floating dtype and one device, with memory, over all the arguments given."""
     for argument, tensor in tensors.items():
-        if not isinstance(tensor, torch.Tensor):
-            refuse(argument, "a torch tensor", type(tensor).__name__)
-        if not tensor.is_floating_point():
-            refuse(argument, "a floating dtype", tensor.dtype)
+        require_dense(argument, tensor)
+        if tensor.dtype not in FLOATS:
+            refuse(argument, "a floating dtype of at least 16 bits" if tensor.is_floating_point() else "a floating dtype", tensor.dtype)
         for what in ("dtype", "device"):
             first = getattr(tensors["n"], what)
             if getattr(tensor, what) != first:
                 refuse(argument, f"the {what} of n, {first},", getattr(tensor, what))
+        if tensor.is_meta:
+            refuse(argument, "a tensor with values", "device meta")
+
+
+def require_beside(argument, tensor, n):
+    """A dense tensor on the device of n."""
+    require_dense(argument, tensor)
+    if tensor.device != n.device:
+        refuse(argument, f"the device of n, {n.device},", tensor.device)
+
+
+def number(argument, value, rule, right):
+    """The value as a float, if it is one real number that keeps the rule; a tensor of one element is none, and neither is a bool."""
+    # to the compiler numpy's numbers are tensors
+    is_real = isinstance(value, numbers.Real) or (torch.compiler.is_compiling() and hasattr(value, "dtype"))
+    if not is_real or isinstance(value, bool):
+        refuse(argument, rule, repr(value) if isinstance(value, str | bool | None) else type(value).__name__)
+    try:
+        converted = float(value)
+    except OverflowError:  # an integer or a fraction beyond 1e308
+        converted = math.inf
+    if not right(converted):
+        refuse(argument, rule, converted if converted in (math.inf, -math.inf) else value)
+    return converted
+
+
+def readable(tensor):
+    """The tensor as kernels can read it: without a pending negation, and not from inference mode where a graph is recorded."""
+    if torch.compiler.is_compiling():  # which knows neither
+        return tensor
+    tensor = tensor.resolve_neg()
+    return tensor.clone() if tensor.is_inference() and torch.is_grad_enabled() else tensor
 
 
 def require_values(argument, values, rule, right):
@@ -63,43 +111,51 @@ def require_values(argument, values, rule, right):
         refuse(argument, rule, f"{wrong[0].item():g} ({wrong.numel()} of {values.numel()} values)")
 
 
+def checked_settings(tolerance, elevation):
+    """The tolerance, LEAST_TOLERANCE at least, and the elevation as floats."""
+    tolerance = number("tolerance", tolerance, "a positive number", lambda x: 0 < x < math.inf)
+    return max(tolerance, LEAST_TOLERANCE), number("elevation", elevation, "radians in [-π/2, π/2]", lambda x: abs(x) <= math.pi / 2)
+
+
 def checked(n, material, light, view, segments, mask, tolerance, elevation):
     """The arguments of `render` as `Inputs`, or a ValueError."""
+    tolerance, elevation = checked_settings(tolerance, elevation)
     require_alike({"n": n, "material": material, "light": light} | ({} if view is None else {"view": view}))
     require_shape("n", n, "shape (B, H, W, 3)", n.ndim == 4 and n.shape[3] == 3)
     images, picture = n.shape[0], n.shape[:3]
+    if picture.numel() > MOST_PIXELS:
+        refuse("n", f"at most {MOST_PIXELS} pixels in one call", f"{tuple(n.shape)}; render the batch in parts")
     layers = material.ndim - 1
     rule = f"shape ({images}, {SIZE}), or ({images}, S, {SIZE}) with segments,"
     require_shape("material", material, rule, layers in (1, 2) and material.shape[0] == images and material.shape[-1] == SIZE)
     right = light.ndim == 4 and light.shape[0] == images and light.shape[3] == 3 and min(light.shape[1:3]) > 0
     require_shape("light", light, f"shape ({images}, Hl, Wl, 3)", right)
+    if light.shape[1] * light.shape[2] > MOST_TEXELS:
+        refuse("light", f"at most {MOST_TEXELS} texels", f"{tuple(light.shape)}; resize it (shaders.envmap.resize)")
     if view is not None:
         require_shape("view", view, f"the shape of n, {tuple(n.shape)},", view.shape == n.shape)
     if mask is not None:
+        require_beside("mask", mask, n)
         require_shape("mask", mask, f"shape {tuple(picture)}", mask.shape == picture)
         if mask.dtype != torch.bool:
             refuse("mask", "dtype torch.bool", mask.dtype)
     if layers == 2 and material.shape[1] != 1 and segments is None:
         refuse("segments", f"ids (B, H, W) for the {material.shape[1]} materials of each image", None)
     if segments is not None:
-        check_segments(segments, picture, material.shape[1] if layers == 2 else 1)
-    for argument, value, right in (
-        ("tolerance", tolerance, lambda x: 0 < x < math.inf),
-        ("elevation", elevation, lambda x: abs(x) <= math.pi / 2),
-    ):
-        if not right(value):
-            refuse(argument, "a positive number" if argument == "tolerance" else "radians in [-π/2, π/2]", value)
+        require_beside("segments", segments, n)
+        segments = checked_segments(segments, picture, material.shape[1] if layers == 2 else 1)
+    n, material, light, view = (None if x is None else readable(x) for x in (n, material, light, view))
     if segments is not None:
         mask = ((n.detach() != 0).any(-1) if mask is None else mask) & (segments > 0)
     dtype = torch.promote_types(n.dtype, torch.float32)
-    m = material.reshape(images, -1, SIZE).to(dtype)
+    m = (material if layers == 2 else material[:, None]).to(dtype)
     check_values(material.detach(), light.detach())
     n, light, view = n.to(dtype), light.to(dtype), None if view is None else view.to(dtype)
     mask, seen = found_by_kernel(n, view, mask) if layer_pixels.has_kernels(n) else (mask, None)
     if seen is None:  # no kernel, or something is wrong and has to be named
         mask = (n.detach() != 0).any(-1) if mask is None else mask
         check_lengths(n.detach(), None if view is None else view.detach(), mask)
-    return Inputs(n, m, light, view, segments, mask, elevation, seen)
+    return Inputs(n, m, light, view, segments, mask, tolerance, elevation, seen)
 
 
 def found_by_kernel(n, view, mask):
@@ -111,14 +167,17 @@ def found_by_kernel(n, view, mask):
     return mask, torch.from_numpy(states == layer_pixels.SEEN)
 
 
-def check_segments(segments, picture, materials):
+def checked_segments(segments, picture, materials):
+    """The segments as int64."""
     require_shape("segments", segments, f"shape {tuple(picture)}", segments.shape == picture)
-    if segments.is_floating_point() or segments.dtype == torch.bool:
+    if segments.dtype not in INTEGERS:
         refuse("segments", "an integer dtype", segments.dtype)
+    segments = segments.to(torch.int64)  # torch has no minimum and no comparison of most unsigned ones
     if segments.numel():
         low, high = segments.min().item(), segments.max().item()
         if low < 0 or high > materials:
             refuse("segments", f"ids 0 (background) … {materials} (the materials given)", f"{low} … {high}")
+    return segments
 
 
 def check_lengths(n, view, mask):
@@ -168,7 +227,7 @@ def compact(inputs):
             index = index[(n[:, 2] if view is None else (n * view).sum(-1)) > HORIZON]
     else:
         index = torch.from_numpy(np.flatnonzero(inputs.seen.numpy()))
-    pixels = inputs.mask[0].numel()
+    pixels = inputs.mask.shape[1:].numel()
     segments = inputs.m.shape[1]
     if inputs.segments is None:  # by image, as they lie
         ends = torch.arange(len(inputs.mask) + 1, device=index.device) * pixels
@@ -184,10 +243,10 @@ def compact(inputs):
     batch = Batch(
         n=unit(inputs.n, index),
         view=unit(inputs.view, index),
-        m=inputs.m.reshape(-1, *SHAPE)[present],
+        m=inputs.m.flatten(0, 1).unflatten(-1, SHAPE)[present],
         light=inputs.light,
         counts=tuple(counts.tolist()),
-        light_of=tuple((present // segments).tolist()),
+        light_of=tuple((present // max(segments, 1)).tolist()),
         camera_from_light=torch.as_tensor(camera_from_light(inputs.elevation)),
         one_material=segments == 1 and inputs.m.stride(0) == 0,
     )

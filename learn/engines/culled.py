@@ -23,7 +23,7 @@ import math
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import add_by_n, add_to, clear, cosine, half_offset, lobe, lobe_backward, peak_cosine, write_sums
+from learn.engines.distant import LEAST_COSINE, add_by_n, add_to, clear, cosine, half_offset, lobe, lobe_backward, peak_cosine, write_sums
 from learn.engines.exponentials import LOWEST, exp2, exp2m1, log2
 from learn.engines.vector import (
     FLOAT_POINTER,
@@ -52,6 +52,7 @@ LARGEST = 72.13475  # MAX_EXPONENT log2 e
 NEVER, ALWAYS = 1.0, -1e30  # as a cut: above and below any log2 c
 WIDENED = 1e-4  # radians by which the cone of a tile's normals is widened against rounding
 SLACK = 2e-6  # on cosines, for rounding
+LEAST_LOG = math.log2(LEAST_COSINE)
 INT_POINTER = types.CPointer(types.int32)
 
 SELECT = types.void(*[types.int64] * 7, *[FLOAT_POINTER] * 5, *[INT_POINTER] * 2)
@@ -78,7 +79,8 @@ def least_cosine(log_c, cos_b, sin_b):
     one_minus_c = 0.0 - exp2m1(maximum(log_c, LOWEST))
     c, sine = 1.0 - one_minus_c, sqrt(maximum(one_minus_c * (2.0 - one_minus_c), 0.0))
     whole = fma(sine, cos_b, c * sin_b) < 0.0  # the sum of the angles is beyond π
-    return choose(whole, ALWAYS, c * cos_b - sine * sin_b - SLACK)
+    least = choose(whole, ALWAYS, c * cos_b - sine * sin_b - SLACK)
+    return choose(log_c > LEAST_LOG, least, ALWAYS)  # c is held at LEAST_COSINE: every vector has a c above such a cut
 
 
 @inlined

@@ -84,8 +84,10 @@ class Batch:
 
 def load(name):
     """The module of a method."""
+    if not isinstance(name, str):
+        raise ValueError(f"method: one of {', '.join(NAMES)} expected, found {type(name).__name__}")
     if name not in NAMES:
-        raise ValueError(f"method: one of {', '.join(NAMES)} expected, found {name!r}; {closest(name, NAMES)}")
+        raise ValueError(f"method: one of {', '.join(NAMES)} expected, found {name[:60]!r}; {closest(name[:60], NAMES)}")
     return importlib.import_module(f"learn.methods.{name}")
 
 

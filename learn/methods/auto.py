@@ -54,6 +54,7 @@ COARSEST = 2  # level of the light: coarser ones save nothing that shows
 SOFT = 0.8  # standard deviation of what texels of a size can follow, in texels
 CULL_NODES, CULL_PIXELS, GUARANTEED = 8.0, 20.0, 0.5  # times the tolerance: culling's bound is far above what it leaves out in the mean
 SAMPLE = 64
+SAMPLE_PAIRS = 2**17  # of a pixel and a light that the check may cost: a small map shows single dots, which 64 pixels miss
 GROWTH = 1.4  # of the map's size where the check fails
 CUTS = (64, 256, 1024)
 SIZES = np.unique(np.geomspace(reflectance_map.SMALLEST, reflectance_map.LARGEST, 66).astype(int))  # of maps, 6 % apart
@@ -85,26 +86,35 @@ def part(batch, g):
     return replace(batch, n=n, view=view, m=batch.m[g : g + 1], counts=batch.counts[g : g + 1], light_of=batch.light_of[g : g + 1])
 
 
-def planned_sums(n, m, light, light_gradient, rotation, tolerance):
+def planned_sums(n, m, light, material_gradient, light_gradient, rotation, tolerance):
     """`planned.Sums` of one group for a distant viewer, arrays as there, that keep the tolerance on the sample."""
-    scene = planned.Scene(n, m, light, rotation, light_gradient)
-    lobes = np.flatnonzero(lobe_shapes.sharpness(m) > 0).tolist()
-    if len(n) < CHEAP:
-        return planned.Sums(scene, [planned.Way(tuple(lobes), 0, 0, 0.0)] if lobes else [], {})
-    pick = directional.spread_over(len(n), SAMPLE)
-    truth = scene.at(n[pick], tuple(lobes)).radiance if lobes else 0.0 * n[pick]
-    level = float(truth.mean())
-    scene.budget = tolerance * level
-    ways, known = best_plan(scene, lobes, tolerance), {}
-    sums = planned.Sums(scene, ways, known)
-    while not good(np.abs(sums.at_sample(pick) - truth), level, tolerance):
-        open_to_change = [part for part in sums.parts() if better(part.way, len(n)) != part.way]
-        if not open_to_change:
-            break
-        worst = max(open_to_change, key=lambda part: part.error(pick, scene.at(n[pick], part.way.lobes).radiance))
-        ways[ways.index(worst.way)] = better(worst.way, len(n))
-        sums = planned.Sums(scene, ways, known)
+    scene = planned.Scene(n, m, light, rotation, light_gradient, material_gradient)
+    lobes = directional.ALL_LOBES if material_gradient else tuple(np.flatnonzero(lobe_shapes.sharpness(m) > 0).tolist())
+    texels = light.shape[0] * light.shape[1]
+    if len(n) < CHEAP or directional.is_small(len(n), texels) or not lobes:
+        return planned.Sums(scene, [planned.Way(lobes, 0, 0, 0.0)] if lobes else [], {})
+    ways, known = [], {}
+    for pick in samples(len(n), texels):
+        truth = scene.at(n[pick], lobes).radiance
+        level = float(truth.mean())
+        if not ways:
+            scene.budget = tolerance * level
+            ways = best_plan(scene, lobes, tolerance)
+            sums = planned.Sums(scene, ways, known)
+        while not good(np.abs(sums.at_sample(pick) - truth), level, tolerance):
+            open_to_change = [part for part in sums.parts() if better(part.way, len(n)) != part.way]
+            if not open_to_change:
+                break
+            worst = max(open_to_change, key=lambda part: part.error(pick, scene.at(n[pick], part.way.lobes).radiance))
+            ways[ways.index(worst.way)] = better(worst.way, len(n))
+            sums = planned.Sums(scene, ways, known)
     return sums
+
+
+def samples(pixels, texels):
+    """Pixels to plan by and to check on (S,), then more of them to check on where the map is so small that they cost little."""
+    few, many = (directional.spread_over(pixels, count) for count in (SAMPLE, max(SAMPLE, SAMPLE_PAIRS // texels)))
+    return [few] if len(many) == len(few) else [few, many]
 
 
 def better(way, pixels):
@@ -129,8 +139,9 @@ def good(error, level, tolerance):
 
 
 def best_plan(scene, lobes, tolerance):
-    """The `planned.Way`s of a scene's lobes that reflect anything."""
+    """The `planned.Way`s of a scene's lobes: of those that reflect anything, or of all where the derivative by the material is wanted."""
     sharp, strength = lobe_shapes.sharpness(scene.m), lobe_shapes.strength(scene.m)
+    sharp = np.where(sharp > 0, sharp, lobe_shapes.sharpness(scene.m, dark=True))
     share = np.clip(3 * strength / max(strength.sum(), 1e-300), 0.1, 1.0)
     sizes, levels, pixels = np.full(3, -1), np.zeros(3, int), len(scene.n)
     detail = scene.light.detail()
@@ -203,14 +214,13 @@ def sum_seconds(sharp, pixels, lights, tolerance):
 
 def few_lights(batch, tolerance):
     """Radiance (P, 3) of one group seen from a view per pixel."""
-    exact = load("exact").radiance
-    if len(batch.n) < CHEAP or (torch.is_grad_enabled() and batch.light.requires_grad):
+    exact, (height, width) = load("exact").radiance, batch.light.shape[1:3]
+    if len(batch.n) < CHEAP or directional.is_small(len(batch.n), height * width):
         return exact(batch, tolerance)
-    pick = directional.sample(len(batch.n), SAMPLE, batch.n.device)
-    sampled = replace(batch, n=batch.n[pick], view=batch.view[pick], counts=(len(pick),))
+    if torch.is_grad_enabled() and batch.light.requires_grad:
+        return exact(batch, tolerance)
     with torch.no_grad():
-        truth = exact(sampled, tolerance)
-        level = truth.mean().item()
+        checks = [Check(batch, pick, tolerance) for pick in samples(len(batch.n), height * width)]
         ways = [
             way
             for count in CUTS
@@ -219,7 +229,23 @@ def few_lights(batch, tolerance):
                 functools.partial(hybrid.with_lights, count=count, left_out=0.25 * tolerance),
             )
         ]
-        chosen = next((way for way in ways if good((way(sampled) - truth).abs().numpy(), level, tolerance)), None)
+        chosen = next((way for way in ways if all(check.passes(way) for check in checks)), None)
     if not chosen:
         return exact(batch, tolerance)
     return chosen(first_only(batch, CARD.name, COMPILED) if directional.has_kernels(batch.n) else batch)
+
+
+class Check:
+    """Pixels `pick` of a batch of one group with a view per pixel, and their exact radiance, which is summed when first needed."""
+
+    def __init__(self, batch, pick, tolerance):
+        pick = torch.from_numpy(pick)
+        self.batch, self.tolerance = replace(batch, n=batch.n[pick], view=batch.view[pick], counts=(len(pick),)), tolerance
+
+    @functools.cached_property
+    def truth(self):
+        return load("exact").radiance(self.batch, self.tolerance)
+
+    def passes(self, way):
+        """Whether way(batch) keeps the tolerance there."""
+        return good((way(self.batch) - self.truth).abs().numpy(), self.truth.mean().item(), self.tolerance)

@@ -86,8 +86,7 @@ class Light:
         return [*parts, 1.0 - sum(parts)]
 
     def places(self, level):
-        lights, order = directional.map_lights(self.height >> level, self.width >> level, self.rotation)
-        return lights, order.numpy()
+        return directional.map_lights(self.height >> level, self.width >> level, self.rotation)
 
     def gradient(self, by_E, level):
         """Derivative (3, height, width) by the light, from the one (3, T) by a level's energies."""

@@ -2,8 +2,9 @@
 
 For each tile of like normals, a bound on what each 4×4 block of texels can add through each lobe is computed from cones about the block's
 directions and half vectors; blocks are left out from the smallest bound on until `share × tolerance` of the picture's mean radiance would
-be missing from some pixel. So the error is bounded, not estimated, up to how well 32 pixels tell the mean (learn/methods/directional.py).
-Derivatives leave out the same blocks.
+be missing from some pixel. The mean is estimated from 32 pixels first. What comes out is nowhere brighter than the whole sum, so that its
+own mean bounds the true one from below: where that says that more than the tolerance may be missing, the sum is made again with less left
+out. So the error is bounded, not estimated. Derivatives leave out the same blocks, except those by a lobe that is dim beside another.
 """
 
 from learn.methods import Batch, Card, by_group, directional
@@ -23,6 +24,11 @@ SHARE = 0.5  # of the tolerance that may be left out
 def radiance(batch: Batch, tolerance):
     def one_group(n, view, m, light):
         lights, E = directional.of_map(light, batch.camera_from_light)
-        return directional.near(n, view, m, E, lights, SHARE * tolerance, CARD.name)
+        left_out = SHARE * tolerance * directional.scale(n, view, m, E, lights)
+        seen = directional.radiance(n, view, m, E, lights, left_out, method=CARD.name)
+        least = seen.detach().mean().item()
+        if left_out > tolerance * least:
+            return directional.radiance(n, view, m, E, lights, SHARE * tolerance * least, method=CARD.name)
+        return seen
 
     return by_group(batch, one_group)

@@ -31,11 +31,13 @@ FEW = 512  # pixels from which the backward pass is worth a second thread
 PASS = 65536  # pixels whose lists are made at a time
 KEPT = 2**26  # bytes of lists that a picture keeps for the backward pass
 ALL_LOBES = (0, 1, 2)
-LARGEST_CONTROL = torch.tensor([MAX_EXPONENT, math.inf])[:, None]  # of κ and of γ
+LARGEST_CONTROL = (MAX_EXPONENT,), (math.inf,)  # of κ and of γ
 VIEWER = np.array([0.0, 0.0, 1.0])
 SPREAD_BITS = np.array([int(f"{number:b}", 4) for number in range(256)], np.uint16)  # eight bits over the even places of sixteen
 TESTED, LISTED = 7e-8, 1e-8  # seconds to test sixteen blocks for a tile, and to sum a listed block for a pixel of it
+DIM = 0.002  # of the highest lobe's κ: lobes below it count as if they had it where the derivative by κ is wanted
 SLACK = 1e-5  # radians by which cones are widened against rounding
+WHOLE = 2**19  # pairs of a pixel and a light up to which a sum leaves nothing out: it takes no longer than a plan with its check
 
 
 @dataclass(frozen=True)
@@ -85,11 +87,14 @@ def cone(vectors):
 
 @functools.lru_cache(maxsize=8)
 def map_lights(height, width, camera_from_light):
-    """The `Lights` of a map's texels in 4×4 tiles, and their places (T,) in the flattened map; camera_from_light as nine numbers."""
+    """The `Lights` of a map's texels in 4×4 tiles, and their places (T,) in the flattened map; camera_from_light as nine numbers.
+
+    All in numpy: a tensor that is kept from torch's inference mode could not be part of a graph later.
+    """
     row, column = np.divmod(np.arange(height * width), width)
     order = np.lexsort((column, row, column // 4, row // 4))
     rotation = np.array(camera_from_light).reshape(3, 3)
-    return lights_at(directions(height, width)[0].reshape(-1, 3)[order] @ rotation.T), torch.as_tensor(order)
+    return lights_at(directions(height, width)[0].reshape(-1, 3)[order] @ rotation.T), order
 
 
 def of_map(light, camera_from_light):
@@ -97,7 +102,7 @@ def of_map(light, camera_from_light):
     height, width = light.shape[:2]
     lights, order = map_lights(height, width, tuple(camera_from_light.double().flatten().tolist()))
     solid_angle = torch.as_tensor(directions(height, width)[1], dtype=light.dtype, device=light.device)
-    return lights, (light * solid_angle[..., None]).reshape(-1, 3)[order.to(light.device)]
+    return lights, (light * solid_angle[..., None]).reshape(-1, 3)[torch.from_numpy(order).to(light.device)]
 
 
 def has_kernels(n):
@@ -114,8 +119,13 @@ def radiance(n, view, m, E, lights, left_out=0.0, lobes=ALL_LOBES, method="direc
     if lobes != ALL_LOBES:
         m = lobe_shapes.only(m, np.isin(ALL_LOBES, lobes))
     if has_kernels(n):
-        return ViewedSum.apply(n, view.expand_as(n), torch.minimum(m, LARGEST_CONTROL), E, lights, method)
+        return ViewedSum.apply(n, view.expand_as(n), torch.minimum(m, m.new_tensor(LARGEST_CONTROL)), E, lights, method)
     return ExactSum.apply(n, view, m, E, torch.as_tensor(lights.w, dtype=n.dtype, device=n.device))
+
+
+def is_small(pixels, lights):
+    """Whether a sum of so many pixels and lights is too small for an approximation to save time."""
+    return pixels * lights <= WHOLE
 
 
 def near(n, view, m, E, lights, error, method="directional"):
@@ -149,7 +159,8 @@ class ListedSum(Step):
     def forward(ctx, n, m, E, lights, left_out, lobes, method):
         ctx.refusal = refusal(method)
         ctx.save_for_backward(n, m, E)
-        tables = Tables(m.double().numpy(), energy_blocks(E.numpy().T, lights), lights, ctx.needs_input_grad[2], lobes)
+        _, by_m, by_E, *_ = ctx.needs_input_grad
+        tables = Tables(m.double().numpy(), energy_blocks(E.numpy().T, lights), lights, by_E, lobes, by_m)
         ctx.listing = Listing(n.numpy(), tables, left_out)
         return torch.from_numpy(ctx.listing.radiance)
 
@@ -173,9 +184,9 @@ class Listing:
         out = np.empty_like(self.n)
         for start in range(0, len(n), PASS):
             part = self.n[start : start + PASS]
-            lists = select(part, tables, left_out)
+            lists = select(part, tables, tables.cones, left_out)
             run_forward(part, tables, lists, out[start : start + PASS])
-            if taken + self.kept < KEPT:
+            if taken + self.kept < KEPT and tables.way_back is tables.cones:
                 self.lists[start] = lists
                 self.kept += sum(array.nbytes for array in lists)
         self.radiance = put_back(out, self.order)
@@ -186,7 +197,7 @@ class Listing:
         by_sorted_n, by_m, by_E = np.empty_like(g), np.zeros((3, 3, 2, 6)), np.zeros((3, len(self.tables.lights.w)), np.float32)
         for start in range(0, len(g), PASS):
             part = slice(start, start + PASS)
-            lists = self.lists.get(start) or select(self.n[part], self.tables, self.left_out)
+            lists = self.lists.get(start) or select(self.n[part], self.tables, self.tables.way_back, self.left_out)
             energy_sums, lobe_sums = run_backward(self.n[part], self.tables, lists, g[part], by_sorted_n[part], with_n)
             by_m += self.tables.material_gradient(lobe_sums)
             by_E += unblocked(energy_sums)[:, : by_E.shape[1]]
@@ -242,10 +253,11 @@ def energy_blocks(E, lights):
 class Tables:
     """Some lobes of a material m (3, 3, 2, 6) at each light of energy (blocks, 3, 16), as learn.engines.culled wants to know them.
 
-    lobes  (blocks, many, 3, 2, 16);  cones  (wide blocks, CONE_ROWS, 16)
+    lobes     (blocks, many, 3, 2, 16);  cones  (wide blocks, CONE_ROWS, 16)
+    way_back  the cones by which lists are made for the backward pass: the same, unless a lobe is dim and its derivative wanted
     """
 
-    def __init__(self, m, energy, lights, light_gradient, lobes=ALL_LOBES):
+    def __init__(self, m, energy, lights, light_gradient, lobes=ALL_LOBES, material_gradient=False):
         self.lights, self.energy, self.numbers, self.many = lights, energy, list(lobes), len(lobes)
         self.lobes, self.cones = np.empty((lights.blocks, self.many, 3, 2, LANES), np.float32), lights.cones.copy()
         chosen = np.ascontiguousarray(lobe_first(m)[self.numbers], np.float32)
@@ -253,6 +265,23 @@ class Tables:
         if light_gradient:  # a dark block matters too: it counts as one of a tenth of the mean
             brightness = self.cones[:, 10]
             np.maximum(brightness, 0.1 * brightness.sum() / lights.blocks or 1.0, out=brightness)
+        self.way_back = self.with_dim_lobes() if material_gradient else self.cones
+
+    def with_dim_lobes(self):
+        """The cones, with no lobe lower than a part DIM of the highest.
+
+        A lobe of next to no height adds next to nothing and so may be left out everywhere, but its derivative by κ,
+        c^γ, does not depend on its height.
+        """
+        rows = slice(culled.CONE_ROWS - 3, culled.CONE_ROWS - 3 + self.many)  # the largest κ log2 e of each lobe
+        height = self.cones[:, rows]
+        least = np.where(np.arange(self.cones.shape[0] * LANES) < self.lights.blocks, np.float32(DIM) * height.max(), np.float32(0.0))
+        raised = np.maximum(height, least.reshape(-1, 1, LANES))
+        if np.array_equal(raised, height):
+            return self.cones
+        found = self.cones.copy()
+        found[:, rows] = raised
+        return found
 
     def material_gradient(self, lobe_sums):
         """(3, 3, 2, 6) float64 by m, from the sums (chunks, blocks, many, 3, 2, 16) of learn.engines.culled.backward."""
@@ -281,11 +310,10 @@ def tile_size(pixels):
     return 16 if pixels < 12288 else 32 if pixels < 24576 else culled.TILE
 
 
-def select(n, tables, left_out):
-    """Each tile's list, as learn.engines.culled has it: cuts, lengths, entries."""
+def select(n, tables, cones, left_out):
+    """Each tile's list, as learn.engines.culled has it: cuts, lengths, entries; cones are those of the tables, or their way back's."""
     size = tile_size(len(n))
     tiles = -(-len(n) // size)
-    cones = tables.cones
     room, budget = tables.lights.blocks, np.array([left_out], np.float32)
     cuts, lengths, entries = np.empty((tiles, room, 4), np.float32), np.empty(tiles, np.int32), np.empty((tiles, room), np.int32)
 

@@ -4,6 +4,8 @@ Broad lobes (sharpness ≤ BROAD, learn/methods/lobe_shapes.py) see the light cu
 sharp ones see every texel that can matter to them (learn/methods/culled.py).
 """
 
+import numpy as np
+
 from learn.methods import Batch, Card, by_group, directional, lobe_shapes, median_cut
 
 CARD = Card(
@@ -29,12 +31,16 @@ def with_lights(batch, count, left_out):
         out = 0
         if broad.any():
             lights, E = median_cut.cut(light, batch.camera_from_light, count)
-            out = directional.radiance(n, view, lobe_shapes.only(m, broad), E, lights)
+            out = directional.radiance(n, view, m, E, lights, lobes=numbers(broad))
         if not broad.all():
             lights, E = directional.of_map(light, batch.camera_from_light)
-            sharp = lobe_shapes.only(m, ~broad)
             allowed = left_out * directional.scale(n, view, m, E, lights)  # relative to all lobes, not to the sharp ones
-            out = out + directional.radiance(n, view, sharp, E, lights, allowed)
+            out = out + directional.radiance(n, view, m, E, lights, allowed, numbers(~broad))
         return out
 
     return by_group(batch, one_group)
+
+
+def numbers(lobes):
+    """The numbers, in a tuple, of lobes marked in an array (3,)."""
+    return tuple(np.flatnonzero(lobes).tolist())

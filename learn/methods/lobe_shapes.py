@@ -12,11 +12,14 @@ import torch
 from shaders.dsbrdf import MAX_EXPONENT
 
 
-def sharpness(m):
-    """g of each lobe (3,), numpy float64: the largest over channels and control values, among those that reflect anything."""
+def sharpness(m, dark=False):
+    """g of each lobe (3,), numpy float64: the largest over channels and control values, among those that reflect anything.
+
+    dark  whether those that reflect nothing count too, with what they would have if they did
+    """
     kappa, gamma = controls(m)
     steepening = np.where(kappa > 1e-4, kappa / -np.expm1(-np.maximum(kappa, 1e-4)), 1.0)
-    return (np.where(kappa > 0, gamma * steepening, 0.0)).max((0, 2))
+    return (np.where((kappa > 0) | dark, gamma * steepening, 0.0)).max((0, 2))
 
 
 def strength(m):

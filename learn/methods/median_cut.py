@@ -51,8 +51,13 @@ def with_lights(batch, lights):
 
 
 def cut(light, camera_from_light, count):
-    """`Lights` of at most `count` regions, and their E (T, 3), differentiable in light (height, width, 3)."""
+    """`Lights` of at most `count` regions, and their E (T, 3), differentiable in light (height, width, 3).
+
+    A map of no more texels is not cut: halving by energy would leave dark texels together beside a bright one.
+    """
     height, width = light.shape[:2]
+    if height * width <= count:
+        return directional.of_map(light, camera_from_light)
     w, solid_angle = directions(height, width)
     brightness = light.detach().double().cpu().numpy() @ LUMINANCE
     energy = (brightness + 1e-6 * max(brightness.mean(), 1e-30)) * solid_angle  # dark regions have a centre too

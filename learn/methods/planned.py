@@ -30,8 +30,9 @@ class Way:
 class Scene:
     """What all ways share: normals, material, light at its levels, and the tables of both."""
 
-    def __init__(self, n, m, light, rotation, light_gradient=True):
-        self.n, self.m, self.light, self.light_gradient = n, m, coarse.Light(light, rotation), light_gradient
+    def __init__(self, n, m, light, rotation, light_gradient=True, material_gradient=False):
+        self.n, self.m, self.light = n, m, coarse.Light(light, rotation)
+        self.light_gradient, self.material_gradient = light_gradient, material_gradient
         self.budget = 0.0  # tolerance × mean radiance: what a way's `culled` multiplies
         self.tables, self.kept = {}, 0
 
@@ -39,7 +40,7 @@ class Scene:
         """The `Listing` of some lobes at normals (N, 3)."""
         if (lobes, level) not in self.tables:
             lights, energy = self.light.at(level)
-            self.tables[lobes, level] = Tables(self.m, energy, lights, self.light_gradient, lobes)
+            self.tables[lobes, level] = Tables(self.m, energy, lights, self.light_gradient, lobes, self.material_gradient)
         listing = Listing(normals, self.tables[lobes, level], left_out, self.kept)
         self.kept += listing.kept
         return listing
@@ -129,13 +130,13 @@ class Sums:
 
 
 class Planned(Step):
-    """n (P, 3), m (3, 3, 2, 6), light → radiance (P, 3); plan(n, m, light, light_gradient), of arrays, gives `Sums`."""
+    """n (P, 3), m (3, 3, 2, 6), light → radiance (P, 3); plan(n, m, light, material_gradient, light_gradient), of arrays, gives `Sums`."""
 
     @staticmethod
     def forward(ctx, n, m, light, plan):
         ctx.refusal = refusal("auto")
         ctx.save_for_backward(n, m, light)
-        ctx.sums = plan(np.ascontiguousarray(n.numpy()), m.double().numpy(), light.numpy(), ctx.needs_input_grad[2])
+        ctx.sums = plan(np.ascontiguousarray(n.numpy()), m.double().numpy(), light.numpy(), *ctx.needs_input_grad[1:3])
         return torch.from_numpy(ctx.sums.radiance())
 
     @staticmethod

@@ -21,7 +21,7 @@ from learn.methods import Batch, Card, directional, lobe_shapes, merged, per_gro
 
 CARD = Card(
     name="reflectance_map",
-    approximates="radiance between normals by bicubic interpolation; all lights at the nodes",
+    approximates="radiance between normals by bicubic interpolation; all lights at the nodes. Small sums are made whole",
     error=1e-2,
     cost="nodes × texels + 16 × pixels; nodes grow with the sharpest lobe",
     memory="size² × 16 bytes, size ≤ 512, and 4 copies of it in the backward pass",
@@ -41,6 +41,8 @@ def radiance(batch: Batch, tolerance):
     def one_group(g, n, view, m, light):
         size = size_for(lobe_shapes.sharpness(m).max(), tolerance)
         lights, E = directional.of_map(light, batch.camera_from_light)
+        if directional.is_small(len(n), len(lights.w)):
+            return directional.radiance(n, None, m, E, lights, method=CARD.name)
         return with_nodes(n, size, lambda nodes: directional.near(nodes, None, m, E, lights, 0.1 * tolerance, CARD.name))
 
     return per_group(batch, one_group)

@@ -22,6 +22,7 @@ CARD = Card(
     memory="below 1 MiB beyond the pixels",
 )
 ROWS, ANGLES, LEAST_COSINE = 32, 48, 1e-3
+WHITE = (16, 32)  # least texels of white light: a smaller map's may all lie where a lobe does not look
 DARKEST = 1e-9  # reflectance below which a channel fades to black: the derivative of its inverse would overflow
 
 
@@ -34,8 +35,8 @@ def radiance(batch: Batch, tolerance):
         view = n.new_tensor([[0.0, 0.0, 1.0]]) if view is None else view
         cosine = (n * view).sum(-1)
         mirror = 2 * cosine[:, None] * n - view
-        white = directional.of_map(torch.ones_like(light), batch.camera_from_light)[1]
-        albedo = seen_at_angles(m, white, lights)
+        height, width = (max(size, least) for size, least in zip(light.shape[:2], WHITE, strict=True))
+        albedo = seen_at_angles(m, *directional.of_map(light.new_ones(height, width, 3), batch.camera_from_light))
         d = torch.as_tensor(directions(ROWS, 2 * ROWS)[0], dtype=n.dtype, device=n.device).reshape(-1, 3) @ batch.camera_from_light.to(n).T
         blurred = directional.radiance(d, d, m, E, lights).reshape(ROWS, 2 * ROWS, 3)
         return look_up_map(blurred, mirror @ batch.camera_from_light.to(n)) * look_up_angle(albedo, cosine) / albedo[-1].clamp(min=DARKEST)
@@ -43,7 +44,7 @@ def radiance(batch: Batch, tolerance):
     return by_group(batch, one_group)
 
 
-def seen_at_angles(m, white, lights):
+def seen_at_angles(m, lights, white):
     """A (ANGLES, 3) at n·v from LEAST_COSINE to 1 in equal steps; the view is fixed and the normal turns."""
     x = torch.linspace(LEAST_COSINE, 1.0, ANGLES, dtype=m.dtype, device=m.device)
     n = torch.stack([(1 - x * x).clamp(min=0).sqrt(), torch.zeros_like(x), x], -1)
