@@ -27,10 +27,7 @@ SIZE = 32
 def pools(tmp_path_factory):
     """Geometry of one ball, two materials, one map: the same for all sides."""
     folder = tmp_path_factory.mktemp("dataset")
-    synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE)
-    dataset = json.loads((folder / "dataset.json").read_text())
-    dataset["shapes"] = {"sphere": {"hash": "s", "category": "sphere", "side": "train", "role": "train", "segments": 1, "licence": "CC0"}}
-    (folder / "dataset.json").write_text(json.dumps(dataset))
+    synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere")
     geometry, rng = Geometry(folder, progress=False), np.random.default_rng(2)
     labels = {name: np.log(np.full(108, value, np.float32)) for name, value in (("a", 0.3), ("b", 0.5))}
     maps = [lights.computed(rng).astype(np.float32)]
@@ -311,10 +308,7 @@ def test_a_process_that_relights_and_is_killed_is_told_in_one_line():
     "text", [b"", b"[" * 100_000, b"[1, 2]", b"5", b'{"a": 1}', b'{"normals.npy": [], "segments.npy": {}}', b"\xff", None]
 )
 def test_a_damaged_cache_of_geometry_is_made_again(tmp_path, name, text):
-    synthetic.write_dataset(tmp_path, [synthetic.matte()], np.random.default_rng(1), size=SIZE)
-    dataset = json.loads((tmp_path / "dataset.json").read_text())
-    dataset["shapes"] = {"sphere": {"hash": "s", "category": "sphere", "side": "train", "role": "train", "segments": 1, "licence": "CC0"}}
-    (tmp_path / "dataset.json").write_text(json.dumps(dataset))
+    synthetic.write_dataset(tmp_path, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere")
     sound = Geometry(tmp_path, progress=False).normals(0)
     (tmp_path / "packed" / name).unlink()
     if text is None:  # nothing waits for it: it is passed over, or told where a file has to take its place
