@@ -35,7 +35,7 @@ LARGEST_CONTROL = (MAX_EXPONENT,), (math.inf,)  # of κ and of γ
 VIEWER = np.array([0.0, 0.0, 1.0])
 SPREAD_BITS = np.array([int(f"{number:b}", 4) for number in range(256)], np.uint16)  # eight bits over the even places of sixteen
 TESTED, LISTED = 7e-8, 1e-8  # seconds to test sixteen blocks for a tile, and to sum a listed block for a pixel of it
-DIM = 0.002  # of the highest lobe's κ: lobes below it count as if they had it where the derivative by κ is wanted
+DIM = 0.01  # of the highest lobe's κ: lobes below it count as if they had it where the derivative by κ is wanted
 SLACK = 1e-5  # radians by which cones are widened against rounding
 WHOLE = 2**19  # pairs of a pixel and a light up to which a sum leaves nothing out: it takes no longer than a plan with its check
 

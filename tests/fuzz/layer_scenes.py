@@ -58,10 +58,10 @@ class Scene:
 # ------------------------------------------------------------------------------------------------------------ scenes
 
 
-def scene(seed, number):
-    """The `Scene` of a number."""
+def scene(seed, number, sides=SIDES):
+    """The `Scene` of a number, its pictures of one of some sides."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
-    size, side = (int(rng.choice(HEIGHTS)), int(rng.choice(WIDTHS))), int(rng.choice(SIDES))
+    size, side = (int(rng.choice(HEIGHTS)), int(rng.choice(WIDTHS))), int(rng.choice(sides))
     images, materials = int(rng.choice([1, 1, 1, 2])), int(rng.choice([1, 1, 1, 2, 3]))
     elevation = float(rng.choice([ELEVATION, 0.0, rng.uniform(-math.pi / 2, math.pi / 2)]))
     n, view = normals(rng, images, side), None
@@ -240,7 +240,8 @@ def measured(scene, method, truth):
     for image, segment, pixels in groups(given):
         seen, true = (x[image].reshape(-1, 3)[pixels].double() for x in (picture, right))
         mean, error = true.mean().item(), (seen - true).abs().mean().item()
-        allowed = (bound_of(method, scene.tolerance) + ROUNDING) * mean + BLACK * peak(given, image, segment) + 1e-37
+        bound = bound_of(method, scene.tolerance)
+        allowed = (bound + ROUNDING) * mean + BLACK * peak(given, image, segment) + 1e-37 if bound < math.inf else math.inf
         found.append(Finding("value", error / max(mean, 1e-300), part_of(error, allowed)))
     outside = picture[~given["mask"]] if given["segments"] is None else picture[~given["mask"] | (given["segments"] == 0)]
     if outside.abs().sum() != 0:
@@ -256,7 +257,9 @@ def measured(scene, method, truth):
 
 def part_of(error, allowed):
     """Error over what is allowed; NaN and infinite errors are beyond everything."""
-    return error / allowed if math.isfinite(error) else math.inf
+    if not math.isfinite(error):
+        return math.inf
+    return error / allowed if allowed < math.inf else 0.0
 
 
 def slope_of_black(given, name):
@@ -270,10 +273,10 @@ def slope_of_black(given, name):
     return BLACK * total * (1 + 1 / max(parted(given["material"])[..., 0, :].max().item(), 1e-6)) / given["material"].numel()
 
 
-def survey(numbers, seed, names=METHODS, progress=False):
+def survey(numbers, seed, names=METHODS, sides=SIDES, progress=False):
     """Yields (number, method, size of the map, `Finding`) of each scene, method and quantity."""
     for number in tqdm(numbers, desc="scenes", disable=not progress, mininterval=10.0):
-        one = scene(seed, number)
+        one = scene(seed, number, sides)
         if not any(True for _ in groups(one.given)):
             continue
         truth = reference(one.given, weights_of(one.given["n"].double()))
@@ -304,11 +307,12 @@ def main(arguments=None):
     parser.add_argument("--first", type=int, default=0, metavar="I", help="number of the first (default 0)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="of everything left to chance (default 0)")
     parser.add_argument("--method", nargs="+", default=METHODS, choices=METHODS, help="all of these if none is given")
+    parser.add_argument("--sides", nargs="+", type=int, default=SIDES, metavar="S", help="of the pictures, pixels (default 4 to 32)")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     rows, wrong, begun = defaultdict(lambda: [0, 0, 0.0]), set(), time.monotonic()
     numbers = range(options.first, options.first + options.scenes)
-    for number, method, size, finding in survey(numbers, options.seed, options.method, progress=True):
+    for number, method, size, finding in survey(numbers, options.seed, options.method, options.sides, progress=True):
         what = band(size) if finding.what.startswith("value") else f"gradient by {finding.what}"
         row = rows[method, what]
         row[0], row[1], row[2] = row[0] + 1, row[1] + (not finding.part <= 1), max(row[2], finding.part)
