@@ -2,7 +2,7 @@
 
 import sys
 
-from manifests.command_line import main
+from manifests.cli import main
 
 COMMANDS = ("plan", "render", "status", "verify", "preview", "export", "materials", "shapes", "lights")
 

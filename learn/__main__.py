@@ -2,8 +2,8 @@
 
 import sys
 
-from learn.memory import keep_freed
-from manifests.command_line import main
+from learn.commands.allocator import keep_freed
+from manifests.cli import main
 
 COMMANDS = (
     "agree",

@@ -18,8 +18,8 @@ from typing import IO
 
 import numpy as np
 
+from manifests.errors import Problem
 from manifests.inputs import require_file
-from manifests.problems import Problem
 
 # What zipfile and its decompressors raise, by version and by kind of damage: RuntimeError for encrypted members,
 # NotImplementedError for unknown methods, ValueError for names that are no text and headers that are none

@@ -10,7 +10,7 @@ light map  npz: L, (64, 128, 3) float32, linear Rec.709 radiance of unit mean lu
            columns around the vertical axis, as the camera sees it at rotation 0; scale, the factor taken off.
 
 height, width are those of the picture. Whatever reads a file refuses what another program may have left there: missing
-channels, other shapes, values that are no radiance. Each reader raises manifests.problems.Problem.
+channels, other shapes, values that are no radiance. Each reader raises manifests.errors.Problem.
 """
 
 import hashlib
@@ -22,9 +22,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from manifests import archives, exr
+from manifests.errors import Problem
 from manifests.files import npz_bytes
 from manifests.inputs import require_file
-from manifests.problems import Problem
 from shaders.envmap import LUMINANCE, mean_radiance
 
 PICTURE_CHANNELS = ("R", "G", "B")

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import msgspec
 
+from manifests.errors import Problem
 from manifests.files import replacing, together, write_bytes
 from manifests.inputs import require_file
-from manifests.problems import Problem
 from manifests.store import Store, geometry_path, image_path, inside, light_path
 
 ROWS = 50_000  # of a Parquet row group

@@ -5,9 +5,9 @@ import io
 
 import numpy as np
 
+from manifests.errors import Problem
 from manifests.files import write_bytes
 from manifests.inputs import require_file
-from manifests.problems import Problem
 from manifests.quiet import silenced
 
 MAX_PIXELS = 1 << 26  # 8192²: a header may ask for more than there is memory

@@ -21,8 +21,8 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
+from manifests.errors import Problem
 from manifests.inputs import kind_of, require_file
-from manifests.problems import Problem
 
 MOST_LINE_BYTES = 256 << 20  # of a file of result lines: a thousand edits take 4 MB
 

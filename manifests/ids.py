@@ -3,7 +3,7 @@
 The one home of these functions, for the factory that gives ids and for whoever checks them. An id is a hash of inputs,
 never of pixels: two renders of one shot differ by 2e-6. Whatever changes a value here orphans every data set.
 
-render      fingerprint of the render settings in force (factory.fingerprint): a key of `settings` in dataset.json
+render      fingerprint of the render settings in force (factory.planning.fingerprint): a key of `settings` in dataset.json
 materials   one hash for each segment, in the order of segment ids
 rotations   texels by which a light map is rolled, 0 … 127
 key         spawn key of a combination of shape, materials and light: what a job leaves to chance comes from

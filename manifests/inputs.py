@@ -4,7 +4,7 @@ import os
 import stat
 from pathlib import Path
 
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),

@@ -10,7 +10,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 
 @contextmanager

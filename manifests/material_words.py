@@ -2,7 +2,7 @@
 
 import difflib
 
-from manifests.problems import closest
+from manifests.errors import closest
 
 NEAR = 0.75  # of difflib: one wrong letter in a word of five has 0.8
 ALIKE = {  # no material is called just so; these look like it on a sphere (judged by eye), the likest first

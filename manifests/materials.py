@@ -20,9 +20,9 @@ import numpy as np
 from msgspec import Struct
 
 from manifests import reading
+from manifests.errors import Problem
 from manifests.files import write_bytes
 from manifests.material_words import suggestion
-from manifests.problems import Problem
 from shaders import dsbrdf
 from shaders.mixture import Mixture
 

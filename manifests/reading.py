@@ -10,8 +10,8 @@ from typing import get_args
 
 import msgspec
 
+from manifests.errors import Problem, closest
 from manifests.inputs import require_file
-from manifests.problems import Problem, closest
 
 MAXIMUM_BYTES = 64 << 20  # a job is a page of text, dataset.json some MiB; what is far larger is another file under this name
 

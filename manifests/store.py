@@ -25,9 +25,9 @@ from pathlib import Path, PurePosixPath
 import msgspec
 
 from manifests import lock
+from manifests.errors import Problem
 from manifests.files import replacing
 from manifests.inputs import require_file
-from manifests.problems import Problem
 from manifests.reading import decode, read
 from manifests.schema import VERSION, Dataset, Failure, Record, View
 

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "endurance"))
 from full_disk import bad_records, contents, drafts
 from full_disk_commands import COMMANDS, RUN, SIZE, mesh, pictures
 
-from manifests.command_line import main
+from manifests.cli import main
 
 __all__ = ["BY_NAME", "RUN", "SIZE", "bad_records", "check", "check_read_only", "contents", "done", "drafts", "mesh", "pictures"]
 BY_NAME = {command.name: command for command in COMMANDS}
@@ -24,10 +24,10 @@ def done(words):
     program, *rest = words
     error = io.StringIO()
     with contextlib.redirect_stderr(error), contextlib.redirect_stdout(io.StringIO()):
-        if program == "manifests.page":
-            from manifests import page
+        if program == "learn.agreement.demo_page":
+            from learn.agreement import demo_page
 
-            status = page.main(rest)
+            status = demo_page.main(rest)
         else:
             status = main(program, "", (rest[0],), rest)
     lines = error.getvalue().replace("\r", "\n").splitlines()

@@ -132,11 +132,11 @@ WRITERS = {
     ("manifests/store.py", "os.link"): "a whole file takes its place unless another has it",
     ("manifests/store.py", "os.replace"): "the same where there are no links",
     ("manifests/lock.py", "os.open"): "a lock is an empty file",
-    ("factory/pool.py", "open"): "a worker's complaints, read while it lives and then thrown away",
-    ("factory/forecast.py", "tempfile.TemporaryDirectory"): "three shots made on trial",
-    ("factory/render/benchmark.py", "tempfile.TemporaryDirectory"): "pictures made to be timed",
+    ("factory/execution/pool.py", "open"): "a worker's complaints, read while it lives and then thrown away",
+    ("factory/planning/forecast.py", "tempfile.TemporaryDirectory"): "three shots made on trial",
+    ("factory/render/validation/benchmark.py", "tempfile.TemporaryDirectory"): "pictures made to be timed",
     ("learn/commands/steps.py", "tempfile.TemporaryDirectory"): "a run made to be timed",
-    ("learn/timing/startup.py", "tempfile.TemporaryDirectory"): "an empty cache",
+    ("learn/experiments/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",
 }
 INTO_MEMORY = {"buffer", "data", "file", "png"}  # first arguments that are streams
 OURS = {"checkpoint", "priors", "edit"}  # modules of ours whose save() goes through manifests.files

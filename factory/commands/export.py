@@ -22,8 +22,8 @@ def run(options):
     """Write what is asked for; 0."""
     from tqdm import tqdm
 
+    from manifests.errors import Problem
     from manifests.export import to_parquet, to_tars
-    from manifests.problems import Problem
     from manifests.store import Store
 
     store = Store(options.folder)

@@ -75,8 +75,8 @@ def run_preview(options):
 
     from factory.lights import load, names
     from factory.lights.preview import picture
+    from manifests.errors import Problem
     from manifests.files import write_image
-    from manifests.problems import Problem
 
     if not 8 <= options.size <= 1024:
         raise Problem("--size", "8 to 1024 pixels", str(options.size), "choose a size within")

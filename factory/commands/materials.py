@@ -83,7 +83,7 @@ def _sources_and_recipe(options):
 
     from factory.materials import recipe, sources
     from factory.materials.node_model import dictionary
-    from manifests.problems import Problem
+    from manifests.errors import Problem
 
     chosen = recipe.Recipe()
     if options.tolerance is not None:
@@ -112,7 +112,7 @@ def _light_map(name):
 
     from factory.lights import load
     from manifests.archives import opened_zip, read_array
-    from manifests.problems import Problem, closest
+    from manifests.errors import Problem, closest
     from shaders import envmap
 
     if ".npz:" not in name:
@@ -148,7 +148,7 @@ def run_add(options):
 
     from factory.materials import fitting, sources
     from manifests import materials as catalogue
-    from manifests.problems import Problem
+    from manifests.errors import Problem
 
     found, recipe = _sources_and_recipe(options)
     maps, older, title, credit = _light_maps(options.light), [], options.title, sources.credit(found)
@@ -199,9 +199,9 @@ def run_preview(options):
 
     from factory.lights import load
     from factory.materials.preview import sheet
+    from manifests.errors import Problem
     from manifests.files import write_image
     from manifests.materials import find, load_catalogue
-    from manifests.problems import Problem
 
     if not 16 <= options.size <= 512 or not 1 <= options.columns <= 64:
         raise Problem("--size, --columns", "16 to 512 pixels, 1 to 64 columns", f"{options.size}, {options.columns}", "choose within")

@@ -35,9 +35,9 @@ def register(subparsers):
 
 def run(options):
     """Print the plan; 0."""
-    from factory import jobs
-    from factory.run import planned
-    from manifests.problems import Problem
+    from factory.execution.run import planned
+    from factory.planning import jobs
+    from manifests.errors import Problem
 
     if options.presets or options.schema:
         print(_presets(jobs) if options.presets else _schema())
@@ -99,8 +99,8 @@ def split_counts(plan):
 
 
 def _forecast(plan, options):
-    from factory.forecast import probed
-    from factory.run import Manner
+    from factory.execution.run import Manner
+    from factory.planning.forecast import probed
 
     forecast = probed(plan, Manner(workers=options.workers, device=options.device, library=options.lights))
     whole = sum(forecast.seconds.values()) or 1.0

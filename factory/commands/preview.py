@@ -25,10 +25,10 @@ def run(options):
     """Write sheet.png and index.html; 0."""
     from tqdm import tqdm
 
-    from factory.contact_sheet import caption, page, row, sheet
+    from factory.preview.contact_sheet import caption, page, row, sheet
     from manifests import files
+    from manifests.errors import Problem
     from manifests.materials import load_catalogue
-    from manifests.problems import Problem
     from manifests.store import Store
 
     store = Store(options.folder)

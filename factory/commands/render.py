@@ -3,7 +3,7 @@
 import sys
 import time
 
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 EPILOG = """examples
   python -m factory render demo --out out/demo                         a preset (all are named below)
@@ -79,8 +79,8 @@ def run(options):
     """Render; 0 if every picture came out."""
     from msgspec import structs
 
-    from factory import jobs
-    from factory.run import Manner, carry_out, parsed_shard, planned
+    from factory.execution.run import Manner, carry_out, parsed_shard, planned
+    from factory.planning import jobs
 
     job, folder = chosen(options, jobs)
     if options.geometry_only:
@@ -121,7 +121,7 @@ def found(job, folder, options):
 
     from tqdm import tqdm
 
-    from factory.assets import resolve
+    from factory.planning.assets import resolve
 
     watch = partial(tqdm, leave=False, delay=1.0, mininterval=0.1 if sys.stderr.isatty() else 10.0)
     return resolve(job, folder, options.lights, options.catalogue, watch)

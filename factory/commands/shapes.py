@@ -102,9 +102,9 @@ def run_list(options):
         return 0
     from tqdm import tqdm
 
-    from factory.shapes.door import open_mesh
     from factory.shapes.libraries import find
-    from manifests.problems import Problem
+    from factory.shapes.mesh_import import open_mesh
+    from manifests.errors import Problem
 
     entries = [entry for entry in find(options.folder) if options.category in (None, entry.category)]
     failed, hashes = 0, {}
@@ -128,9 +128,9 @@ def run_preview(options):
     from tqdm import tqdm
 
     from factory.shapes.catalogue import load, specs
-    from factory.shapes.sheet import contact_sheet
+    from factory.shapes.contact_sheet import contact_sheet
+    from manifests.errors import Problem
     from manifests.files import write_image
-    from manifests.problems import Problem
 
     if not 16 <= options.size <= 2048:
         raise Problem("--size", "16 to 2048 pixels", str(options.size), "160 suits a contact sheet")
@@ -176,9 +176,9 @@ def _unfolded(shape):
 def run_add(options):
     from tqdm import tqdm
 
-    from factory.shapes.door import open_mesh
-    from factory.shapes.shelf import add
-    from manifests.problems import Problem
+    from factory.shapes.library import add
+    from factory.shapes.mesh_import import open_mesh
+    from manifests.errors import Problem
 
     if options.name and len(options.files) > 1:
         raise Problem("--name", "one FILE", str(len(options.files)), "add them one by one, or without --name")

@@ -3,7 +3,7 @@
 import sys
 from contextlib import contextmanager
 
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 SHOWN = 20
 
@@ -44,7 +44,7 @@ def run(options):
 
 def _is_clean(folder, options):
     """Report on one folder; True if it is clean, or was mended."""
-    from factory.fingerprint import render_fingerprint
+    from factory.planning.fingerprint import render_fingerprint
     from manifests.store import Store
     from manifests.verification import Verification, repair, summary
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from factory.lights import files, procedural
 from factory.lights.library import entry
 from factory.lights.light import from_pixels
-from manifests.problems import Problem, closest
+from manifests.errors import Problem, closest
 
 WHEEL_LICENCE = "CC0"
 WHEEL_SOURCE = "Greg Zaal, Poly Haven; shipped with Blender as"

@@ -12,9 +12,9 @@ import numpy as np
 
 from factory.lights import rgbe
 from manifests.archives import ArrayHeader, opened_zip, read_exactly
+from manifests.errors import Problem
 from manifests.exr import parts_of
 from manifests.inputs import require_file
-from manifests.problems import Problem
 from manifests.quiet import silenced
 from shaders import envmap
 

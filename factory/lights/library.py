@@ -11,8 +11,8 @@ from pathlib import Path
 
 from factory.lights import files
 from factory.lights.light import checked, from_pixels
+from manifests.errors import Problem
 from manifests.files import npz_bytes, together, write_bytes, write_text
-from manifests.problems import Problem
 from manifests.reading import read
 from shaders import envmap
 

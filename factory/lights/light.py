@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manifests.problems import Problem
+from manifests.errors import Problem
 from shaders import envmap
 
 LAYER_SIZE = (64, 128)  # the paper's map

@@ -11,7 +11,7 @@ import re
 
 import numpy as np
 
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 MAX_HEADER = 64 * 1024  # bytes; real headers hold a few hundred
 ROWS = 64  # scanlines that are unpacked together

@@ -13,8 +13,8 @@ import numpy as np
 
 from factory.materials.errors import relative_l1
 from factory.materials.samples import held_out
+from manifests.errors import Problem
 from manifests.inputs import require_file
-from manifests.problems import Problem
 
 MAXIMUM_BYTES = 16 << 20  # the table of MERL's hundred has some KiB
 COLUMNS = ("kd_r", "kd_g", "kd_b", "A_r", "A_g", "A_b", "B", "C", "ior")

@@ -12,8 +12,8 @@ import struct
 
 import numpy as np
 
+from manifests.errors import Problem
 from manifests.inputs import require_file
-from manifests.problems import Problem
 
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 SUFFIX = ".binary"

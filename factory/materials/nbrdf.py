@@ -10,8 +10,8 @@ Source: Sztrajman, Rainer, Ritschel, Weyrich, "Neural BRDF Representation and Im
 import numpy as np
 
 from manifests.archives import opened_zip, read_array
+from manifests.errors import Problem
 from manifests.inputs import require_file
-from manifests.problems import Problem
 
 LAYERS = ((6, 21), (21, 21), (21, 3))
 PARAMETERS = sum(a * b + b for a, b in LAYERS)  # 675

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from factory.materials import families, merl_binary, nbrdf
+from manifests.errors import Problem, closest
 from manifests.inputs import require_file
-from manifests.problems import Problem, closest
 
 MERL_CREDIT = (
     "MERL BRDF database (Matusik, Pfister, Brand, McMillan, SIGGRAPH 2003), through the neural fits of Sztrajman, Rainer, Ritschel,"

@@ -8,7 +8,7 @@ texels: each must have its known radiance. (A matte ball would do it too, but it
 import bpy
 import numpy as np
 
-from factory.render import film
+from factory.render import render_result
 from factory.render.settings import Setting, apply, assign
 from shaders import envmap
 
@@ -48,7 +48,7 @@ def look(scene):
         scene.collection.objects.link(eye)
     try:
         apply(scene, LOOK)
-        panorama = film.expose(scene)["Combined"][..., :3]
+        panorama = render_result.expose(scene)["Combined"][..., :3]
     finally:
         scene.camera = lens
         for path, value in kept.items():

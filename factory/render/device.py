@@ -2,7 +2,7 @@
 
 import bpy
 
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")  # fastest first: the order in which `auto` tries them
 NAMES = ("auto", "cpu", *(name.lower() for name in BACKENDS))

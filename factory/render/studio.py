@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from factory.render import body, camera, canary, checks, device, film, light, materials, window
+from factory.render import body, camera, canary, checks, device, light, materials, render_result, window
 from factory.render.settings import ALWAYS, GEOMETRY, PIXELS, TIERS, Setting, apply, assign, effective
 from shaders import nodes
 
@@ -48,7 +48,7 @@ class Studio:
     def __init__(self, device_name="auto", threads=None):
         """device_name: one of factory.render.device.NAMES; threads: CPU threads, None: all."""
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        film.tap_cycles()
+        render_result.tap_cycles()
         kind, backend, processors = device.choose(device_name)
         self._always = (
             *ALWAYS,
@@ -201,7 +201,7 @@ class Studio:
         self._object.rotation_euler = (0.0, 0.0, -self._azimuth)
         opening = window.around(self._vertices, self._azimuth, self._lens)
         window.open_on(self._scene, opening)
-        return opening, film.expose(self._scene)
+        return opening, render_result.expose(self._scene)
 
     def _set_tier(self, tier):
         if tier == self._tier:

@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from manifests.problems import Problem, closest
+from manifests.errors import Problem, closest
 
 FAMILIES = ("car", "chair", "sofa", "monitor")
 PAPER_COUNTS = {"car": 130, "chair": 50, "sofa": 50, "monitor": 50}  # the paper's numbers of models
@@ -14,7 +14,7 @@ def load(spec, **options):
     """The Mesh that a spec names.
 
     spec     "chair:17" | "sphere" | "sphere:4" (level) | "blob:3" (seed) | "file:PATH" | PATH
-    options  for files only: up=, front=, crease_deg=, category=, name=, maximum_triangles= (see factory.shapes.door.open_mesh)
+    options  for files only: up=, front=, crease_deg=, category=, name=, maximum_triangles= (see factory.shapes.mesh_import.open_mesh)
     Raises   Problem: an unknown name, a seed that is no number, or anything wrong with the file
     """
     spec = str(spec)
@@ -46,7 +46,7 @@ def specs(family, count=None, first=0):
 
 
 def _file(path, options):
-    from factory.shapes.door import open_mesh
+    from factory.shapes.mesh_import import open_mesh
 
     return open_mesh(path, **options)
 

@@ -11,7 +11,7 @@ from factory.shapes.creases import edge_pairs, face_normals
 from factory.shapes.enclosing import smallest_sphere
 from factory.shapes.raster import back_faces
 from factory.shapes.raw import WELD
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 FLAT = 1e-13  # of the size squared: a face of less area is none
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from factory.shapes.raw import AGAIN, MAXIMUM_TRIANGLES, Raw
+from manifests.errors import Problem, closest
 from manifests.inputs import require_file
-from manifests.problems import Problem, closest
 
 FORMATS = (".obj", ".ply", ".glb", ".stl", ".off")
 

@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import Meta, Struct, field
 
 from factory.shapes.raw import Raw, glimpse, require_count
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 LARGEST_SCENE = 64 << 20  # bytes of JSON

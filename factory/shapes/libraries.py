@@ -7,8 +7,8 @@ from pathlib import Path
 from factory.shapes.files import FORMATS
 from factory.shapes.raw import BYTES_A_TRIANGLE, MAXIMUM_TRIANGLES, MORE
 from manifests.archives import DAMAGE, opened_zip
+from manifests.errors import Problem, closest
 from manifests.inputs import require_file
-from manifests.problems import Problem, closest
 
 SYNSETS = {"02958343": "car", "03001627": "chair", "04256520": "sofa", "03211117": "monitor"}  # ShapeNet's names of the paper's categories
 WORDS = {

@@ -15,7 +15,7 @@ import numpy as np
 
 from factory.shapes.creases import CREASE_DEG, corner_normals, edge_pairs, face_normals
 from factory.shapes.enclosing import smallest_sphere
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 HASH_GRID = 1 << 16  # vertices are hashed to 1/65536 of the unit sphere's radius: twice the digits of a float16, none of libm's noise
 

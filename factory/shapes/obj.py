@@ -13,7 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from factory.shapes.raw import AGAIN, LONGEST_LINE, Raw, from_polygons, glimpse, number, require_count, text_lines
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 TEXT = "an OBJ file's text"
 NAMING = frozenset(b"usemtl mtllib o g usemap maplib shadow_obj trace_obj call csh".split())  # a name may end in a backslash

@@ -10,7 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from factory.shapes.raw import AGAIN, Raw, from_polygons, glimpse, number, require_count, text_lines, whole_number
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 KINDS = (b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF", b"STCOFF", b"STNOFF", b"STCNOFF")
 

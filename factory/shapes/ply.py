@@ -16,7 +16,7 @@ from typing import BinaryIO
 import numpy as np
 
 from factory.shapes.raw import AGAIN, NOTHING, Raw, from_polygons, glimpse, number, require_count, text_lines, whole_number
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8"}
 TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8"}

@@ -13,7 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from factory.shapes.polygons import TooLarge, fans, triangulate
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 MAXIMUM_TRIANGLES = 2_000_000
 BYTES_A_TRIANGLE = 250  # more than any format spends on one, OBJ with normals and texture coordinates included

@@ -12,7 +12,7 @@ from typing import BinaryIO
 import numpy as np
 
 from factory.shapes.raw import AGAIN, Raw, glimpse, number, require_count, text_lines
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 HEAD, TRIANGLE = 84, 50  # bytes
 CORNERS = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

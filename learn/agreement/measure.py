@@ -93,7 +93,7 @@ class Layer:
 
 
 def rendered(sample, tolerance):
-    """The Layer of a learn.dataset.Sample; tolerance: of the quadrature."""
+    """The Layer of a learn.data.records.Sample; tolerance: of the quadrature."""
     with torch.no_grad():
         integral, total = (render(**sample.for_layer(), method=method, tolerance=tolerance)[0] for method in ("quadrature", "exact"))
     n, segments, depth = (tensor.numpy() for tensor in (sample.n, sample.segments, sample.depth))

@@ -17,9 +17,9 @@ from learn.agreement import causes, page, plots
 from learn.agreement.measure import measure, rendered
 from learn.agreement.scenes import scenes
 from learn.agreement.summary import summarise
-from learn.dataset import Records
+from learn.data.records import Records
 from manifests import files
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 PANELS = 9  # pictures shown, the worst of the direct tier first
 

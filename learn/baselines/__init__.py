@@ -12,7 +12,7 @@ def found(folder):
     from pathlib import Path
 
     from learn.baselines import methods
-    from manifests.problems import Problem
+    from manifests.errors import Problem
 
     if not Path(folder).is_dir():
         raise Problem("--baselines", "a folder of weights", f"no folder {folder}", "train them: python -m learn baselines")

@@ -1,6 +1,6 @@
 """The baselines as rows of a table: name, parts(batch), edit(batch, label), as learn.evaluation.methods.Method has them.
 
-batch  learn.training.batch.Batch of one; label (S, 108) natural logarithms
+batch  learn.data.batch.Batch of one; label (S, 108) natural logarithms
 
 Networks see every picture at the size they were trained on, and what they say by pixel is interpolated back.
 """
@@ -11,12 +11,12 @@ import torch
 from torch.nn import functional as F
 
 from learn.baselines import posterior, priors
-from learn.baselines.encoder_decoder import EncoderDecoder, radiance
-from learn.baselines.separate import Separate
 from learn.evaluation.methods import Layered, network
+from learn.networks import weights
+from learn.networks.encoder_decoder import EncoderDecoder, radiance
 from learn.networks.prediction import Prediction
-from learn.training import checkpoint
-from manifests.problems import Problem
+from learn.networks.separate import Separate
+from manifests.errors import Problem
 
 
 def load(name, path):
@@ -24,7 +24,7 @@ def load(name, path):
     if name == "Lombardi-like":
         known = priors.load(path)
         return Layered(name, lambda batch: posterior.prediction(batch, known))
-    net, metadata = checkpoint.load_network(path)
+    net, metadata = weights.load_network(path)
     expected = Separate if name == "Baseline 2" else EncoderDecoder
     if not isinstance(net, expected):
         raise Problem(path, f"weights of {name}: network '{expected.name}'", f"'{net.name}'", "train it: python -m learn baselines")
@@ -33,7 +33,7 @@ def load(name, path):
 
 
 def predicting(net, size):
-    """Batch → Prediction of a learn.baselines.separate.Separate trained at `size`."""
+    """Batch → Prediction of a learn.networks.separate.Separate trained at `size`."""
     predict = network(net)
 
     def at_size(batch):

@@ -17,11 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from learn.networks import tensor_file
+from learn.networks import tensor_file, weights
 from learn.networks.coding import unit_mean
 from learn.refinement.coordinates import spherical_harmonics
-from learn.training import checkpoint
-from manifests.problems import Problem
+from manifests.errors import Problem
 from shaders import envmap
 
 FORMAT = "brdfactory priors 1"
@@ -109,7 +108,7 @@ def _degrees():
 
 def save(path, priors, told):
     """told: what they were fitted to, for whoever reads the file."""
-    checkpoint.save(path, vars(priors), {"format": FORMAT, "fitted": json.dumps(told)})
+    weights.save(path, vars(priors), {"format": FORMAT, "fitted": json.dumps(told)})
 
 
 def load(path):

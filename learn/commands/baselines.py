@@ -35,9 +35,9 @@ def register(subparsers):
 def run(options):
     import torch
 
-    from learn.baselines import making
+    from learn.baselines import training
 
     torch.set_num_threads(options.threads)
     for name in options.only:
         preset = None if name == "lombardi" else RUNS / f"{PRESETS[name]}.json"
-        print(making.make(name, preset, options))
+        print(training.make(name, preset, options))

@@ -33,8 +33,8 @@ def register(subparsers):
 
 
 def run(options):
-    from learn.timing import engines, report
+    from learn.experiments import engine_speed, speed_report
 
-    settings = engines.Settings(tuple(options.material or MATERIALS), tuple(options.threads), options.rounds, options.eager_pixels)
-    rows = engines.measure(settings)
-    print(report.write(rows, settings, options.out))
+    settings = engine_speed.Settings(tuple(options.material or MATERIALS), tuple(options.threads), options.rounds, options.eager_pixels)
+    rows = engine_speed.measure(settings)
+    print(speed_report.write(rows, settings, options.out))

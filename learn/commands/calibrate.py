@@ -18,10 +18,10 @@ def register(subparsers):
 def run(options):
     import json
 
-    from learn.charting import calibration
+    from learn.experiments import auto_calibration
     from manifests.files import write_json
 
-    fitted = calibration.fit()
+    fitted = auto_calibration.fit()
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_json(options.out, fitted)
     print(json.dumps(fitted, indent=1))

@@ -25,14 +25,16 @@ def register(subparsers):
 def run(options):
     import json
 
-    from learn.training import card, checkpoint, sources
-    from learn.training.settings import Run
+    from learn.data import sources
+    from learn.data.settings import Run
+    from learn.experiments import model_card
+    from learn.networks import weights as checkpoint
     from manifests.reading import decode
 
     _, metadata = checkpoint.load_network(options.weights)
     settings = decode(json.dumps(metadata["run"]).encode(), Run, options.weights)
     pools = sources.pools(settings.data, options.data, options.lights, pictures=options.pictures)
-    figures = card.make(options.weights, pools, options.out, options.batches, options.note, options.seeds)
+    figures = model_card.make(options.weights, pools, options.out, options.batches, options.note, options.seeds)
     for kind, of_kind in figures.items():
         print(f"{kind}: " + ", ".join(f"{name} {value[0]:.4g}" for name, value in of_kind.items()))
     print(f"See {options.out / 'card.md'}")

@@ -22,15 +22,15 @@ def register(subparsers):
 
 
 def run(options):
-    from learn.charting import cases, draw, measure
-    from learn.timing.report import made_by
+    from learn.experiments import chart_cases, chart_drawing, chart_measurement
+    from learn.experiments.speed_report import made_by
     from manifests import materials as catalogue
 
-    names, lights, size = cases.MATERIALS, cases.lights(options.lights, options.light), options.size
+    names, lights, size = chart_cases.MATERIALS, chart_cases.lights(options.lights, options.light), options.size
     if options.quick:
         names, lights, size = names[::3], dict(list(lights.items())[:2]), min(size, 64)
     made = made_by()
     labels = {name: catalogue.find(name).label for name in names}
-    rows = measure.measure(labels, lights, ("orthographic", "perspective"), size, options.processes)
-    draw.write(rows, made, options.out)
+    rows = chart_measurement.measure(labels, lights, ("orthographic", "perspective"), size, options.processes)
+    chart_drawing.write(rows, made, options.out)
     print(options.out / "chart.html")

@@ -41,7 +41,7 @@ def add(parser):
 def how(options):
     """learn.editing.edit.How of parsed options. Raises Problem."""
     from learn.editing.edit import How
-    from learn.prediction import WEIGHTS
+    from learn.editing.predict import WEIGHTS
     from learn.refinement import Settings
 
     check("--tolerance", 0 < options.tolerance < 1, "a number above 0 and below 1", options.tolerance)
@@ -60,7 +60,7 @@ def check_exposure(value):
 
 def check(name, holds, rule, value):
     """Raises Problem where a rule does not hold of an option's value."""
-    from manifests.problems import Problem
+    from manifests.errors import Problem
 
     if not holds:
         raise Problem(name, rule, f"{value:g}", "see --help")
@@ -68,7 +68,7 @@ def check(name, holds, rule, value):
 
 def balance_of(text):
     """ "none", "grey", or three positive factors."""
-    from manifests.problems import Problem
+    from manifests.errors import Problem
 
     if text in ("none", "grey"):
         return text

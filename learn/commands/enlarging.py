@@ -24,12 +24,12 @@ def register(subparsers):
 def run(options):
     import torch
 
-    from learn.dataset import Records
-    from learn.editing import enlarging_study
-    from learn.prediction import WEIGHTS
+    from learn.data.records import Records
+    from learn.editing.predict import WEIGHTS
+    from learn.experiments import upsampling_study
 
     torch.set_num_threads(1)
-    found = enlarging_study.study(Records(options.data), options.weights or WEIGHTS, options.out, options.edits)
+    found = upsampling_study.study(Records(options.data), options.weights or WEIGHTS, options.out, options.edits)
     for parts, rows in found["parts"].items():
         for name, row in rows.items():
             ratio, gain = ("{:.3f} [{:.3f}, {:.3f}]".format(*row[key]) for key in ("l2_ratio", "ssim_gain"))

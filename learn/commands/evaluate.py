@@ -37,12 +37,12 @@ def register(subparsers):
 def run(options):
     import os
 
-    from learn import prediction
+    from learn.editing import predict
     from learn.evaluation import report, run
 
     names = run.Options.__dataclass_fields__
     given = {name: value for name, value in vars(options).items() if name in names}
-    given["weights"] = options.weights or prediction.WEIGHTS
+    given["weights"] = options.weights or predict.WEIGHTS
     given["processes"] = options.processes or os.cpu_count() or 1
     print(report.line(run.make(run.Options(**given))))
     print(f"See {options.out / 'index.html'}")

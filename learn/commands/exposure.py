@@ -8,7 +8,7 @@ def register(subparsers):
         "exposure",
         help="measure the rule by which a photograph's unknown exposure is guessed",
         description="Exposes rendered pictures as a camera would, fits the factor back to their radiance against the object's brightness, "
-        "and says how far the fitted rule and the one in use (learn/pictures.py) miss. Writes exposure.json.",
+        "and says how far the fitted rule and the one in use (learn/data/photographs.py) miss. Writes exposure.json.",
     )
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset with pictures to fit on, of the training side")
     parser.add_argument("--check", type=Path, nargs="*", default=[], metavar="DIR", help="further ones, to measure the rules on")
@@ -17,9 +17,9 @@ def register(subparsers):
 
 
 def run(options):
-    from learn.dataset import Records
-    from learn.editing import exposure
-    from manifests.problems import Problem
+    from learn.data.records import Records
+    from learn.experiments import exposure
+    from manifests.errors import Problem
 
     records = [Records(folder) for folder in (options.data, *options.check)]
     for each in records:

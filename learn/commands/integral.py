@@ -17,12 +17,12 @@ def register(subparsers):
 
 
 def run(options):
-    from learn.timing import integral
-    from learn.timing.report import made_by
+    from learn.experiments import quadrature_accuracy
+    from learn.experiments.speed_report import made_by
     from manifests.files import write_json
 
     made = made_by()
-    rows = integral.measure(options.tolerance, options.threads)
+    rows = quadrature_accuracy.measure(options.tolerance, options.threads)
     for row in rows:
         found = ", ".join(f"{method}: " + ", ".join(f"{k} {v:.2g}" for k, v in row[method].items()) for method in ("quadrature", "exact"))
         print(f"γ {row['gamma']:g}: {found}; converged to {row['converged to']:.1g}")

@@ -21,8 +21,8 @@ def register(subparsers):
 def run(options):
     import numpy as np
 
-    from learn.charting import cases, pace
-    from learn.timing.report import made_by
+    from learn.experiments import auto_latency, chart_cases
+    from learn.experiments.speed_report import made_by
     from manifests import materials as catalogue
     from manifests.files import write_json
 
@@ -30,7 +30,7 @@ def run(options):
     labels = dict(list(labels.items())[:: options.every])
     found = made_by() | {"threads": options.threads, "light": options.light, "tolerances": {}}
     for tolerance in options.tolerance:
-        rows = pace.measure(labels, cases.computed_lights()[options.light], tolerance, options.threads)
+        rows = auto_latency.measure(labels, chart_cases.computed_lights()[options.light], tolerance, options.threads)
         within = {
             f"{kind} within {ms} ms": sum(r[kind] <= ms / 1e3 for r in rows)
             for kind in ("wall", "cpu", "shared")

@@ -29,8 +29,8 @@ def register(subparsers):
 
 
 def run(options):
-    from learn import prediction
+    from learn.editing import predict
 
     editing_options.check_exposure(options.exposure)
-    prediction.write(options.image, options.mask, options.weights or prediction.WEIGHTS, options.out, options.exposure, options.overwrite)
+    predict.write(options.image, options.mask, options.weights or predict.WEIGHTS, options.out, options.exposure, options.overwrite)
     print(f"See {options.out / 'sheet.png'}")

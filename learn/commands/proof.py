@@ -25,16 +25,17 @@ def register(subparsers):
 def run(options):
     import torch
 
-    from learn.training import proof, sources
-    from learn.training.settings import Data
+    from learn.data import sources
+    from learn.data.settings import Data
+    from learn.experiments import layer_ablation
     from manifests import lock
 
     torch.set_num_threads(1)
     data = Data(test_lights=tuple(options.held_out))
     pools = sources.pools(data, options.data, options.lights)
     with lock.writing(options.out, patience=0):
-        found = proof.prove(data, pools, options.out, options.size, options.seconds, range(options.seeds))
-    for part in proof.VARIANTS:
+        found = layer_ablation.prove(data, pools, options.out, options.size, options.seconds, range(options.seeds))
+    for part in layer_ablation.VARIANTS:
         for pair, (value, low, high) in found[part]["ratios"].items():
             print(f"{part}: render L2, {pair} = {value:.3f} [{low:.3f}, {high:.3f}]")
     print(f"See {options.out / 'report.json'}")

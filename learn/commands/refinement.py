@@ -37,10 +37,10 @@ def register(subparsers):
 def run(options):
     import torch
 
-    from learn.dataset import Records
+    from learn.data.records import Records
+    from learn.editing.predict import WEIGHTS
     from learn.evaluation.methods import network
-    from learn.prediction import WEIGHTS
-    from learn.training import checkpoint
+    from learn.networks import weights as checkpoint
     from manifests import lock
     from manifests.store import file_hash
 
@@ -60,21 +60,21 @@ def run(options):
 
 def _measure(options, predict, records, about):
     """The study, its times and the starts, as far as they are asked for and not there. about: what the figures depend on."""
-    from learn.refinement import chart, starts, study
+    from learn.experiments import refinement_ablation, refinement_chart, refinement_initialisations
 
-    study.settle(options.out, about)
-    needed = -(-options.starts // len(starts.STARTS))  # one start of each kind a picture
-    known = study.cases(records, max(options.pictures, needed), options.seed)
+    refinement_ablation.settle(options.out, about)
+    needed = -(-options.starts // len(refinement_initialisations.STARTS))  # one start of each kind a picture
+    known = refinement_ablation.cases(records, max(options.pictures, needed), options.seed)
     if options.only is None or options.only:
-        told = study.weights(predict, known[: options.pictures], options.out, options.only)
-        chart.chart(told, options.out / "study.png")
+        told = refinement_ablation.weights(predict, known[: options.pictures], options.out, options.only)
+        refinement_chart.chart(told, options.out / "study.png")
     batch = known[0].batch
-    times = {f"{len(b.image[0, 0])}": study.timed(predict, b) for b in (batch, study.doubled(batch))}
-    study.write(options.out / "times.json", times)
+    times = {f"{len(b.image[0, 0])}": refinement_ablation.timed(predict, b) for b in (batch, refinement_ablation.doubled(batch))}
+    refinement_ablation.write(options.out / "times.json", times)
     for size, seconds in times.items():
         print(f"{size}²: prediction {seconds['predict']:.2f} s, refinement {seconds['refine']:.1f} s")
     if options.starts:
-        told = starts.measured(predict, known[:needed], options.starts, options.out)
+        told = refinement_initialisations.measured(predict, known[:needed], options.starts, options.out)
         print(
             f"{told['starts']} starts: {told['above_their_start']} ended above, {told['not_finite']} not finite, re-rendering's median "
             f"display L2 {told['image_median'][0]:.0f} → {told['image_median'][1]:.0f} ({100 * told['median_change']:+.0f} %)"

@@ -18,12 +18,12 @@ def register(subparsers):
 
 
 def run(options):
-    from learn.timing import startup
-    from learn.timing.report import made_by
+    from learn.experiments import cold_start
+    from learn.experiments.speed_report import made_by
     from manifests.files import write_json
 
     made = made_by()
-    found = startup.measure(options.rounds, options.threads)
+    found = cold_start.measure(options.rounds, options.threads)
     for case, both in found.items():
         for kernels, times in both.items():
             print(f"{case}, kernels' folder {kernels}: " + ", ".join(f"{what} {seconds:.2f} s" for what, seconds in times.items()))

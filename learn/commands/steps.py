@@ -26,15 +26,17 @@ def run(options):
     import msgspec
     import torch
 
-    from learn.timing import steps
-    from learn.training import settings, sources
+    from learn.data import settings, sources
+    from learn.experiments import step_profile
 
     torch.set_num_threads(1)
     chosen = settings.read_run(options.settings)
     pools = sources.pools(chosen.data, options.data, options.lights)
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
-        found = steps.measure(msgspec.structs.replace(chosen, start=None), pools, options.out, Path(scratch), options.steps, options.images)
+        found = step_profile.measure(
+            msgspec.structs.replace(chosen, start=None), pools, options.out, Path(scratch), options.steps, options.images
+        )
     step, relit = found["step"], found["relit"]
     print(", ".join(f"{name} {ms:.0f} ms" for name, ms in step.items()))
     if "layer" in step:

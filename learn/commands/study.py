@@ -23,7 +23,7 @@ def register(subparsers):
         "--matte-first", type=whole, default=150, metavar="N", help="batches after which that variant admits all materials (default 150)"
     )
     parser.add_argument(
-        "--variants", nargs="*", metavar="NAME", help='of learn.training.normals_study; "L2" must be among them (default: all)'
+        "--variants", nargs="*", metavar="NAME", help='of learn.experiments.normals_ablation; "L2" must be among them (default: all)'
     )
     parser.add_argument("--batches", type=positive, default=12, metavar="N", help="of 16 pictures to measure on (default 12)")
     parser.add_argument("--held-out", nargs="*", default=[], metavar="LIGHT", help="names of light maps that only testing sees")
@@ -33,22 +33,23 @@ def register(subparsers):
 def run(options):
     import torch
 
-    from learn.training import normals_study, sources
-    from learn.training.settings import Data
+    from learn.data import sources
+    from learn.data.settings import Data
+    from learn.experiments import normals_ablation
     from manifests import lock
-    from manifests.problems import Problem, closest
+    from manifests.errors import Problem, closest
 
     torch.set_num_threads(1)
-    names = tuple(options.variants or normals_study.VARIANTS)
+    names = tuple(options.variants or normals_ablation.VARIANTS)
     for name in names:
-        if name not in normals_study.VARIANTS:
-            raise Problem(f"--variants: '{name}'", "a variant", "none of that name", closest(name, normals_study.VARIANTS))
+        if name not in normals_ablation.VARIANTS:
+            raise Problem(f"--variants: '{name}'", "a variant", "none of that name", closest(name, normals_ablation.VARIANTS))
     if "L2" not in names:
         raise Problem("--variants", '"L2", which all others are compared with', ", ".join(names), "add it")
     data = Data(sharing=8, test_lights=tuple(options.held_out))
     pools = sources.pools(data, options.data, options.lights)
     with lock.writing(options.out, patience=0):
-        found = normals_study.study(
+        found = normals_ablation.study(
             data,
             pools,
             options.out,

@@ -49,9 +49,10 @@ def run(options):
 
     import torch
 
-    from learn.baselines.swap import SwapTraining
-    from learn.timing.report import made_by
-    from learn.training import loop, settings, sources
+    from learn.baselines.material_swap import SwapTraining
+    from learn.data import settings, sources
+    from learn.experiments.speed_report import made_by
+    from learn.training import loop
 
     chosen = settings.read_run(options.settings, options.steps, options.seed)
     torch.set_num_threads(options.threads)

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from learn import pictures, prediction
-from learn.editing import apart, photograph, sheet, wanted
-from learn.evaluation import pairs
-from learn.training import checkpoint
+from learn.data import pairs, photographs
+from learn.editing import decomposition, photograph, targets
+from learn.editing import predict as prediction
+from learn.figures import montage
+from learn.networks import weights as checkpoint
 from manifests import files
-from manifests.problems import Problem
+from manifests.errors import Problem
 from shaders import tone
 
 TILE, BALL = 224, 128
@@ -20,7 +21,7 @@ PARTS = ("normals.exr", "normals.png", "light.exr", "light.png", "rendering.png"
 
 @dataclass(frozen=True)
 class How:
-    """weights: a file; settings: of refinement, None for none; tolerance: of the layer; detail: learn.editing.apart.Painter's.
+    """weights: a file; settings: of refinement, None for none; tolerance: of the layer; detail: learn.editing.decomposition.Painter's.
 
     exposure  factor from a photograph's radiance, balanced, to the network's; None: guessed
     balance   "none", "grey", or three factors by which colours are multiplied
@@ -42,12 +43,12 @@ class How:
 def run(path, masks, regions, materials, out, how, record=None, overwrite=False):
     """Write the edits and all beside them into the folder `out`.
 
-    materials  texts as `learn.editing.wanted` reads them; "A+B" gives region 1 and 2 their own
+    materials  texts as `learn.editing.targets` reads them; "A+B" gives region 1 and 2 their own
     Returns    what edit.json holds
     Raises     Problem
     """
     out = Path(out)
-    names = ["edited"] if len(materials) == 1 else [f"edited-{wanted.file_name(text)}" for text in materials]
+    names = ["edited"] if len(materials) == 1 else [f"edited-{targets.file_name(text)}" for text in materials]
     if len(set(materials)) < len(materials):
         raise Problem("--material", "materials of different names", ", ".join(materials), "name each once")
     names = [name if names.count(name) == 1 else f"{name}-{number}" for number, name in enumerate(names, 1)]
@@ -60,9 +61,9 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
     known = {} if opened.records is None else {name: opened.records.label(name) for name in opened.records.materials}
     pick = {text: choices(text, opened.count, lambda other: material_of(other, network, size, how), known) for text in materials}
     with tqdm(total=2 + len(materials), unit="step", desc="taking apart") as progress:
-        found = apart.taken(opened, network, size, how.settings)
+        found = decomposition.taken(opened, network, size, how.settings)
         progress.update()
-        painter = apart.Painter(found, how.tolerance, how.detail)
+        painter = decomposition.Painter(found, how.tolerance, how.detail)
         edits = {}
         for text in materials:
             progress.set_description(text[:24])
@@ -77,8 +78,8 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
 
 
 def choices(text, regions, predict, known=None):
-    """Labels a region, each (108,) or None, that a text asks for; `predict`, `known` as learn.editing.wanted.label_of has them."""
-    parts = [wanted.label_of(part, predict, known) for part in wanted.parts_of(text)]
+    """Labels a region, each (108,) or None, that a text asks for; `predict`, `known` as learn.editing.targets.label_of has them."""
+    parts = [targets.label_of(part, predict, known) for part in targets.parts_of(text)]
     if len(parts) == 1 and parts[0] is not None and len(parts[0]) > 1:
         parts = [part[None] for part in parts[0]]
     if len(parts) not in (1, regions):
@@ -94,7 +95,7 @@ def material_of(path, network, size, how):
     """
     beside, balance = mask_beside(path), "grey" if how.balance == "grey" else "none"
     opened = photograph.opened(path, [beside] if beside else [], None, balance, remedy=f"put {path.stem}.mask.png beside it")
-    return apart.taken(opened, network, size, how.settings).parts.label[0, :1].float().numpy()
+    return decomposition.taken(opened, network, size, how.settings).parts.label[0, :1].float().numpy()
 
 
 def mask_beside(path, folder=None):
@@ -111,23 +112,23 @@ def written(out, found, painter, edits, pick, names, metadata, how):
     opened, parts = found.photograph, found.parts
     mask = found.framed.mask
     n, L = parts.n[0].movedim(0, -1).numpy() * mask[..., None], parts.light[0].movedim(0, -1).numpy()
-    pictures.write_exr(out / "normals.exr", n, "XYZ")
-    pictures.write_exr(out / "light.exr", L)
-    save(out / "normals.png", sheet.normals(n, mask))
-    save(out / "light.png", sheet.light(L))
+    photographs.write_exr(out / "normals.exr", n, "XYZ")
+    photographs.write_exr(out / "light.exr", L)
+    save(out / "normals.png", montage.normals(n, mask))
+    save(out / "light.png", montage.light(L))
     again = painter.rendered_again()
     shown = exposure_of(opened)
     save(out / "rendering.png", tone.display(again, shown))
     save(out / "ball.png", material_ball(parts.label[0, 0], found))
-    save(out / "reflectance.png", sheet.rows([reflectance(found)], TILE))
+    save(out / "reflectance.png", montage.rows([reflectance(found)], TILE))
     prediction.write_material(out / "material.json", parts.label[0].numpy(), found.framed, metadata, how.weights)
     for name, edited in zip(names, edits.values(), strict=True):
         picture = tone.display(edited, shown)
         save(out / f"{name}.png", with_alpha(picture, opened))
         if opened.linear:
-            pictures.write_exr(out / f"{name}.exr", edited)
+            photographs.write_exr(out / f"{name}.exr", edited)
     truths = {text: truth(opened, text) for text in edits} if opened.record is not None else {}
-    save(out / "sheet.png", sheet.rows(lines(found, again, edits, pick, truths, shown), TILE))
+    save(out / "sheet.png", montage.rows(lines(found, again, edits, pick, truths, shown), TILE))
     told = {
         "photograph": opened.name,
         "size": opened.mask.shape,
@@ -155,18 +156,18 @@ def with_alpha(picture, opened):
 
 def on_ground(picture, opened):
     """Display values (H, W, 3) as a sheet shows them: what is transparent in the Photograph `opened` is not there."""
-    return picture if opened.opacity is None else sheet.GROUND + (picture - sheet.GROUND) * opened.opacity[..., None]
+    return picture if opened.opacity is None else montage.GROUND + (picture - montage.GROUND) * opened.opacity[..., None]
 
 
 def save(path, picture):
     """A PNG of display values (H, W, 3 or 4). Raises Problem for what is not finite."""
-    pictures.require_finite(path, picture)
+    photographs.require_finite(path, picture)
     files.write_image(path, np.clip(np.rint(picture), 0, 255).astype(np.uint8), "PNG")
 
 
 def material_ball(label, found, size=BALL):
     """Display picture (size, size, 3) of a ball in the material `label` (108,), under a plain light, seen as the Apart `found` was."""
-    return sheet.ball(label, sheet.room(), size, found.batch.elevation, 0.8)
+    return montage.ball(label, montage.room(), size, found.batch.elevation, 0.8)
 
 
 def reflectance(found):
@@ -176,11 +177,11 @@ def reflectance(found):
     bright = tone.auto_exposure(found.framed.radiance, mask)
     n = found.parts.n[0].movedim(0, -1).numpy()
     what = "reflectance map" if found.photograph.count == 1 else "reflectance map 1"
-    tiles = [(f"{what}, observed", sheet.observed(found.framed.radiance, n, mask, TILE, bright))]
+    tiles = [(f"{what}, observed", montage.observed(found.framed.radiance, n, mask, TILE, bright))]
     stages = [("predicted", found.start)] + ([("refined", found.refined.prediction)] if found.refined else [])
     for name, p in stages:
         light = p.light[0].movedim(0, -1)
-        tiles.append((f"{what}, {name}", sheet.ball(p.label[0, 0], light, BALL, elevation, bright)))
+        tiles.append((f"{what}, {name}", montage.ball(p.label[0, 0], light, BALL, elevation, bright)))
     return tiles
 
 
@@ -194,16 +195,18 @@ def lines(found, again, edits, pick, truths, shown):
         return on_ground(tone.display(picture, level), opened)
 
     first = [("photograph", display(opened.radiance, shown)), ("rendered again", display(again, shown))]
-    first += [("normals", sheet.normals(n, mask)), ("light", sheet.light(parts.light[0].movedim(0, -1).numpy()))]
+    first += [("normals", montage.normals(n, mask)), ("light", montage.light(parts.light[0].movedim(0, -1).numpy()))]
     several = opened.count > 1
     first += [(f"material {s}" if several else "material", material_ball(label, found)) for s, label in enumerate(parts.label[0], 1)]
     out = [first, reflectance(found)]
     for text, edited in edits.items():
-        names = wanted.parts_of(text) if len(wanted.parts_of(text)) == len(pick[text]) else [text] * len(pick[text])
+        names = targets.parts_of(text) if len(targets.parts_of(text)) == len(pick[text]) else [text] * len(pick[text])
         balls = {
-            wanted.caption_of(name): material_ball(label, found) for name, label in zip(names, pick[text], strict=True) if label is not None
+            targets.caption_of(name): material_ball(label, found)
+            for name, label in zip(names, pick[text], strict=True)
+            if label is not None
         }
-        line = [("photograph", first[0][1]), (wanted.caption_of(text), display(edited, shown)), *balls.items()]
+        line = [("photograph", first[0][1]), (targets.caption_of(text), display(edited, shown)), *balls.items()]
         true = truths.get(text)
         if true is not None:
             level = tone.auto_exposure(true, opened.mask)
@@ -215,9 +218,9 @@ def lines(found, again, edits, pick, truths, shown):
 
 def truth(opened, text):
     """(H, W, 3) of the record of the same scene in the materials that a text asks for, or None where the dataset has none."""
-    record, names = opened.record, wanted.parts_of(text)
+    record, names = opened.record, targets.parts_of(text)
     names = names * len(record.materials) if len(names) == 1 else names
-    asked = tuple(own if name == wanted.KEEP else name for name, own in zip(names, record.materials, strict=False))  # hidden ones unasked
+    asked = tuple(own if name == targets.KEEP else name for name, own in zip(names, record.materials, strict=False))  # hidden ones unasked
     same = (r for r in opened.records.records if pairs.scene(r) == pairs.scene(record) and r.materials[: len(asked)] == asked)
     return next((opened.records.image(other) for other in same), None)
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from learn import pictures
-from learn.dataset import Records
-from manifests.problems import Problem, closest
+from learn.data import photographs
+from learn.data.records import Records
+from manifests.errors import Problem, closest
 from shaders.envmap import LUMINANCE
 
 GREY = 1e-3  # coverage from which a mask has greys: half a step of 8 bits is 0.002, and white through the sRGB curve is 1 − 6e-8
@@ -85,7 +85,7 @@ def example(path, masks, regions):
     return Path(skimage.data.__file__).parent / "coffee.png", None if masks else regions or cup
 
 
-def opened(path, masks=(), regions=None, balance="none", exposure=None, record=None, remedy=pictures.MASK_REMEDY):
+def opened(path, masks=(), regions=None, balance="none", exposure=None, record=None, remedy=photographs.MASK_REMEDY):
     """The Photograph at `path`: a picture, or a dataset's folder, of which a record is taken.
 
     masks    files; several: each is a region of its own
@@ -102,13 +102,13 @@ def opened(path, masks=(), regions=None, balance="none", exposure=None, record=N
     if record is not None:
         raise Problem(f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out")
     if len(masks) <= 1:
-        radiance, coverage, alpha = pictures.read_soft(path, masks[0] if masks else None, regions, remedy)
+        radiance, coverage, alpha = photographs.read_soft(path, masks[0] if masks else None, regions, remedy)
         labels = (coverage >= 0.5).astype(np.uint8)
     else:
-        radiance, _, alpha = pictures.read_soft(path, masks[0])
+        radiance, _, alpha = photographs.read_soft(path, masks[0])
         coverage, labels = _several(masks, radiance.shape[:2])
     if regions is not None:
-        whole = pictures.read_labels(regions, radiance.shape[:2])
+        whole = photographs.read_labels(regions, radiance.shape[:2])
         labels = whole * (coverage >= 0.5)
         _require_pixels(labels, whole.max(), regions)
         coverage = without_unlabelled(coverage, labels)
@@ -116,7 +116,7 @@ def opened(path, masks=(), regions=None, balance="none", exposure=None, record=N
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
     before_background = bool(masks) or regions is not None
     factors = _balance(balance, radiance, coverage, before_background)
-    pictures.exposure_of(radiance * factors, labels > 0, exposure, path)
+    photographs.exposure_of(radiance * factors, labels > 0, exposure, path)
     linear = path.suffix.lower() == ".exr"
     own = alpha if before_background and (alpha < 1).any() else None
     return Photograph(path.stem, radiance, coverage, labels, factors, exposure, cut_out=not before_background, linear=linear, alpha=own)
@@ -144,7 +144,7 @@ def _require_none(path, rule, masks, regions, balance):
 
 def _several(masks, size):
     """Coverage and regions of one mask a region; where two overlap the later one holds."""
-    each = np.stack([pictures.read_mask(mask, size) for mask in masks])
+    each = np.stack([photographs.read_mask(mask, size) for mask in masks])
     labels = np.zeros(size, np.uint8)
     for number, one in enumerate(each, 1):
         labels[one >= 0.5] = number
@@ -155,8 +155,8 @@ def _several(masks, size):
 
 def _require_pixels(labels, count, where):
     for number in range(1, int(count) + 1):
-        if (found := int((labels == number).sum())) < pictures.LEAST_PIXELS:
-            rule = f"{pictures.LEAST_PIXELS} pixels or more in region {number}"
+        if (found := int((labels == number).sum())) < photographs.LEAST_PIXELS:
+            rule = f"{photographs.LEAST_PIXELS} pixels or more in region {number}"
             raise Problem(where, rule, str(found), "regions must lie inside the mask, and not under one another")
 
 
@@ -194,5 +194,5 @@ def _of_record(folder, exposure, wanted):
         regions = (regions > 0).astype(np.uint8)
     coverage, ones = (regions > 0).astype(np.float32), np.ones(3, np.float32)
     picture = sample.image.numpy()
-    exposure = pictures.exposure_of(picture, regions > 0, 1.0 if exposure is None else exposure, f"record {record.id}")
+    exposure = photographs.exposure_of(picture, regions > 0, 1.0 if exposure is None else exposure, f"record {record.id}")
     return Photograph(record.id, picture, coverage, regions, ones, exposure, cut_out=True, linear=True, records=records, record=record)

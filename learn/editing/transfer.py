@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from learn.editing import apart, edit, photograph, sheet
-from learn.training import checkpoint
+from learn.editing import decomposition, edit, photograph
+from learn.figures import montage
+from learn.networks import weights as checkpoint
 from manifests import files
+from manifests.errors import Problem
 from manifests.inputs import require_file
-from manifests.problems import Problem
 from shaders import tone
 
 REMEDY = "put NAME.mask.png beside it, white where the object is, or name a folder of masks: --mask-dir DIR"
@@ -87,17 +88,17 @@ def grid(group, pictures, network, size, out, name, how, progress):
     found, told = {}, []
     for path in group:
         progress.set_description(f"taking {path.stem} apart"[:30])
-        found[path] = apart.taken(pictures[path], network, size, how.settings)
+        found[path] = decomposition.taken(pictures[path], network, size, how.settings)
         refined = found[path].refined
         energies = None if refined is None else [refined.before["total"], refined.after["total"]]
         told.append({"name": path.stem, "grid": name, "exposure": found[path].framed.exposure, "energy": energies})
         progress.update()
-    head = [("", np.full((8, 8, 3), sheet.GROUND / 2))] + [
+    head = [("", np.full((8, 8, 3), montage.GROUND / 2))] + [
         (path.stem, edit.material_ball(own_label(found[path]), found[path])) for path in group
     ]
     lines = [head]
     for path in group:
-        painter = apart.Painter(found[path], how.tolerance, how.detail)
+        painter = decomposition.Painter(found[path], how.tolerance, how.detail)
         shown = edit.exposure_of(pictures[path])
         before = cropped(edit.on_ground(tone.display(pictures[path].radiance, shown), pictures[path]), found[path])
         line = [(path.stem, before)]
@@ -111,7 +112,7 @@ def grid(group, pictures, network, size, out, name, how, progress):
             line.append(("", cropped(edit.on_ground(whole, pictures[path]), found[path])))
             progress.update()
         lines.append(line)
-    edit.save(out / name, sheet.rows(lines, edit.TILE))
+    edit.save(out / name, montage.rows(lines, edit.TILE))
     return told
 
 

@@ -19,8 +19,8 @@ import sys
 import threading
 from pathlib import Path
 
+from manifests.errors import Problem
 from manifests.files import write_bytes
-from manifests.problems import Problem
 
 DIGEST = hashlib.sha256().digest_size
 _lock = threading.Lock()

@@ -10,12 +10,16 @@ import torch
 
 from learn.agreement import causes, surface
 from learn.agreement.measure import shared, squared
-from learn.dataset import Records
-from learn.evaluation import gallery, intrinsics, methods, metrics, pairs, perceptual
+from learn.data import pairs
+from learn.data.records import Records
+from learn.evaluation import gallery, methods
+from learn.experiments.speed_report import made_by
 from learn.layer import render
-from learn.timing.report import made_by
-from learn.training import checkpoint
-from manifests.problems import Problem
+from learn.metrics import intrinsics
+from learn.metrics import lpips as perceptual
+from learn.metrics import pictures as metrics
+from learn.networks import weights as checkpoint
+from manifests.errors import Problem
 from shaders import tone
 
 FIT_PIXELS = causes.PIXELS  # of a truth, at which label and nodes are compared: 2 s on one thread, 9 where 65,536 taps are needed

@@ -8,7 +8,7 @@ import msgspec
 
 from learn.evaluation import page, tables
 from learn.evaluation.methods import OURS, OURS_REFINED
-from learn.timing.report import made_by
+from learn.experiments.speed_report import made_by
 from manifests import files
 from manifests.store import file_hash
 

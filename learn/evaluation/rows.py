@@ -13,7 +13,7 @@ Names = Annotated[tuple[str, ...], Meta(min_length=1)]
 
 
 class Comparison(Struct):
-    """A picture against its truth (learn.evaluation.metrics.compare)."""
+    """A picture against its truth (learn.metrics.pictures.compare)."""
 
     l2: Figure
     l2_frame: Figure

@@ -18,13 +18,14 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
-from learn.dataset import Records
-from learn.evaluation import pairs, report, rows
+from learn.data import pairs
+from learn.data.records import Records
+from learn.evaluation import report, rows
 from learn.evaluation.bench import Bench
 from learn.evaluation.methods import TOLERANCE
 from learn.refinement import Settings
 from manifests import files, lock
-from manifests.problems import Problem
+from manifests.errors import Problem
 from manifests.store import Lines, file_hash
 
 
@@ -100,7 +101,7 @@ def units(out, chosen, gallery, repeats):
 
     An edit is made again if its picture is wanted and not there, or if its truth has more seeds by now: its later line holds.
 
-    repeats  learn.evaluation.pairs.repeats of the records
+    repeats  learn.data.pairs.repeats of the records
     """
     pictures, done = rows_of(out / "pictures.jsonl"), rows_of(out / "edits.jsonl")
     shown = {edit.id for edit in chosen[:gallery]}

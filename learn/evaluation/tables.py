@@ -1,7 +1,7 @@
 """From rows of figures to tables: means, 95 % intervals, and differences between methods on the same edits.
 
 A table is plain JSON: {"title", "note", "columns": [{"key", "label", "digits", "interval"}], "rows": [{"name", "cells": {key: cell}}]}.
-A cell is [mean, low, high], a number, a word, or None where a method has no such figure. Intervals: learn.intervals, over shapes and
+A cell is [mean, low, high], a number, a word, or None where a method has no such figure. Intervals: learn.metrics.bootstrap, over shapes and
 materials (of edits: the wanted ones).
 """
 
@@ -9,8 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from learn import intervals
 from learn.evaluation.methods import OURS, OURS_REFINED
+from learn.metrics import bootstrap
 from manifests.materials import load_catalogue
 
 LIMIT = 1.5  # times the node fit, as learn.agreement judges
@@ -64,7 +64,7 @@ class Rows:
         """material: the key of a row's material names."""
         self.rows = rows
         names = [["+".join(dict.fromkeys(row[material])) for row in rows], [row["shape"] for row in rows]]
-        self.weights = intervals.draws(intervals.groups_of(*reversed(names))) if rows else None
+        self.weights = bootstrap.draws(bootstrap.groups_of(*reversed(names))) if rows else None
         self.enough = all(len(set(each)) > 1 for each in names)  # one shape or one material has nothing to be drawn from
 
     def values(self, method, path):
@@ -84,7 +84,7 @@ class Rows:
 
     def interval(self, values):
         there = np.isfinite(values)
-        return intervals.interval(values[there], self.drawn(there)) if there.any() else None
+        return bootstrap.interval(values[there], self.drawn(there)) if there.any() else None
 
     def drawn(self, there):
         """The draws, of the rows that are there (P,) bool alone."""
@@ -130,7 +130,7 @@ def differences(rows):
             if other == mine or (mine == OURS and other == OURS_REFINED) or not np.isfinite(b).any():
                 continue
             cell, both = rows.interval(a - b), np.isfinite(a + b)
-            of = intervals.relative(b[both], a[both], rows.drawn(both))
+            of = bootstrap.relative(b[both], a[both], rows.drawn(both))
             verdict = "better" if cell[2] < 0 else "worse" if cell[1] > 0 else "undecided: 0 is inside"
             verdict = verdict if rows.enough else "undecided: two shapes and two materials are needed"
             cells = {"difference": cell, "ratio": of, "won": float((a < b)[both].mean()), "verdict": verdict}
@@ -161,7 +161,7 @@ def gains(rows):
     for title, there in groups.items():
         if there.any():
             a, b = before[there], after[there]
-            cells = {"edits": int(there.sum()), "ratio": intervals.relative(a, b, rows.drawn(there)), "won": float((b < a).mean())}
+            cells = {"edits": int(there.sum()), "ratio": bootstrap.relative(a, b, rows.drawn(there)), "won": float((b < a).mean())}
             for name, mean in (("mean", np.mean), ("median", np.median), ("geometric", lambda x: np.exp(np.log(x).mean()))):
                 cells |= {name: float(mean(a)), f"{name}_after": float(mean(b))}
             found.append({"name": title, "cells": cells})

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from learn import derivatives
-from manifests.problems import closest
+from learn.engines import derivatives
+from manifests.errors import closest
 
 NAMES = (  # modules of this folder; what they need is imported when they are first used
     "auto",
@@ -109,7 +109,7 @@ def by_group(batch, function):
 
 def per_group(batch, function):
     """As `by_group`, with the group's number as the first argument."""
-    if len(batch.counts) == 1:  # without a copy, for which torch would wake its threads (learn/layer_pixels.py)
+    if len(batch.counts) == 1:  # without a copy, for which torch would wake its threads (learn/engines/pixel_selection.py)
         return function(0, batch.n, batch.view, batch.m[0], batch.light[batch.light_of[0]])
     n = batch.n.split(batch.counts)
     view = batch.view.split(batch.counts) if batch.view is not None else [None] * len(n)

@@ -75,7 +75,9 @@ class Light:
         of what is lost that counts.
         """
         weights = LUMINANCE.astype(np.float32)[:, None, None]
-        brightness = (weights * self.E).sum(0, keepdims=True)  # not by BLAS, whose threads spin as torch's do (learn/layer_pixels.py)
+        brightness = (weights * self.E).sum(
+            0, keepdims=True
+        )  # not by BLAS, whose threads spin as torch's do (learn/engines/pixel_selection.py)
         total, seen, parts = float(brightness.sum()) or 1.0, brightness, []
         for level in range(1, 4):
             if not has_level(*self.size, level):

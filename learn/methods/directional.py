@@ -17,9 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from learn import layer_pixels
-from learn.derivatives import Step, last
-from learn.engines import cpu, culled, machine_code, threads
+from learn.engines import cpu, culled, machine_code, pixel_selection, threads
+from learn.engines.derivatives import Step, last
 from learn.engines.lights import LANES, Slab, blocked, cutoff, general_tables, lobe_first, unblocked
 from learn.methods import lobe_shapes, refusal
 from learn.methods.exact import ExactSum
@@ -301,7 +300,7 @@ def by_place(n):
 def put_back(values, order):
     """(P, 3) with values (P, 3) at the places order (P,)."""
     found = np.empty_like(values)
-    layer_pixels.run("pixels.spread", len(order), order, values, found)
+    pixel_selection.run("pixels.spread", len(order), order, values, found)
     return found
 
 

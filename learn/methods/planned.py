@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from learn.derivatives import Step, last
+from learn.engines.derivatives import Step, last
 from learn.methods import coarse, reflectance_map, refusal
 from learn.methods.directional import Listing, Tables
 

@@ -26,8 +26,8 @@ import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from learn.derivatives import require_reverse_mode
 from learn.engines import lights, machine_code, threads
+from learn.engines.derivatives import require_reverse_mode
 from learn.methods import HELD_SAMPLES, Batch, Card, by_group, first_only, load
 from learn.methods.exact import PAIRS
 from shaders.dsbrdf import MAX_EXPONENT

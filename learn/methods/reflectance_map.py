@@ -15,8 +15,8 @@ import math
 import numpy as np
 import torch
 
-from learn.derivatives import Step, last
 from learn.engines import interpolation, machine_code, threads
+from learn.engines.derivatives import Step, last
 from learn.methods import Batch, Card, directional, lobe_shapes, merged, per_group, refusal
 
 CARD = Card(

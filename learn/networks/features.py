@@ -18,7 +18,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from learn.networks import tensor_file
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 WIDTHS = ((64, 64), (128, 128), (256,))  # VGG16 as far as relu3_1
 CHANNELS = 16  # the picture's three and zeros: oneDNN's backward pass for three takes twenty times as long

@@ -19,9 +19,9 @@ from pathlib import Path
 import torch
 from safetensors import SafetensorError, safe_open
 
+from manifests.errors import Problem, closest
 from manifests.files import replacing
 from manifests.inputs import require_file
-from manifests.problems import Problem, closest
 
 EXPECTED = "weights in a .safetensors file"
 AGAIN = "copy the file again, or make it again"

@@ -43,7 +43,7 @@ class State:
 class Energy:
     """The energy of one picture.
 
-    batch   learn.training.batch.Batch of one
+    batch   learn.data.batch.Batch of one
     start   State: the prediction
     """
 

@@ -6,9 +6,9 @@ A run that was killed may have logged steps beyond its last checkpoint; it makes
 import json
 from pathlib import Path
 
+from manifests.errors import Problem
 from manifests.files import write_json, write_lines
 from manifests.inputs import require_file
-from manifests.problems import Problem
 from manifests.store import Lines
 
 

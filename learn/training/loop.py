@@ -15,15 +15,17 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from learn.data.settings import Run, require_trainable
+from learn.data.sources import source_of
+from learn.figures import training_sheet
 from learn.networks import features, tensor_file
+from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
-from learn.training import checkpoint, losses, measures, schedule, sheet
+from learn.training import losses, schedule, validation
 from learn.training.journal import Journal
-from learn.training.settings import Run, require_trainable
-from learn.training.sources import source_of
 from manifests import lock
+from manifests.errors import Problem
 from manifests.files import write_bytes
-from manifests.problems import Problem
 from manifests.reading import decode
 
 EVERY_SECONDS = 120  # between checkpoints, if no count of steps is given
@@ -52,7 +54,7 @@ def only_writer(out):
 class Training:
     """One run in one process.
 
-    run          learn.training.settings.Run; pools: learn.training.sources.pools; out: folder for weights, log and sheets
+    run          learn.data.settings.Run; pools: learn.data.sources.pools; out: folder for weights, log and sheets
     sheet_every  steps between validations, each with a sheet; 0: none
     tensorboard  write its events too
     """
@@ -228,11 +230,13 @@ class Training:
     def _validate(self):
         """Figures of the moving average on the validation side; its sheet; weights for users."""
         network, pool, batch = self.averaged(), self.pools["validation"], self.run.schedule.batch
-        with torch.no_grad(), measures.DeadUnits(network) as dead:
-            figures = measures.over(lambda b: self._predicted(network, b), pool, self.run, batches=2)
+        with torch.no_grad(), validation.DeadUnits(network) as dead:
+            figures = validation.over(lambda b: self._predicted(network, b), pool, self.run, batches=2)
             figures |= dead.figures()
             shown = source_of(pool, self.run, batch, 1)[0]
-            self.journal.show(self.step - 1, sheet.write(self.out / f"sheet-{self.step:07d}.jpg", shown, self._predicted(network, shown)))
+            self.journal.show(
+                self.step - 1, training_sheet.write(self.out / f"sheet-{self.step:07d}.jpg", shown, self._predicted(network, shown))
+            )
         run_json = msgspec.json.encode(self.run).decode()
         checkpoint.save_weights(self.out / "weights.safetensors", self.network, self.average, run_json, self.run.size, self.step)
         return figures

@@ -12,7 +12,7 @@ image           mean (c(I') − c(I))², I' from all three predictions, c = lear
 target          the same of O' in the target material, from predicted normals and light                     Eq. 5
 image_features, target_features   squared difference of features of c(I') and c(I), relative to c(I)'s; likewise O' and O
 I and O are what the layer makes of the truth at the same pixels under the same light resolution, so that truth has no loss; where a batch
-has rendered pictures (learn.training.cycles), I and O are those.
+has rendered pictures (learn.data.rendered), I and O are those.
 """
 
 import math

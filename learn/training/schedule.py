@@ -13,7 +13,7 @@ THIRDS = ((1.0, 0.9), (1e-2, 0.5), (1e-4, 0.5))  # paper: share of the rate and 
 
 @dataclass(frozen=True)
 class Phase:
-    """Steps first … first + steps − 1 of a run. parts and losses as in learn.training.settings.Run."""
+    """Steps first … first + steps − 1 of a run. parts and losses as in learn.data.settings.Run."""
 
     first: int
     steps: int

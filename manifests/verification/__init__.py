@@ -17,8 +17,8 @@ data set; docs/rendering.md says what that leaves.
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from manifests.errors import Problem
 from manifests.materials import Entry, read_catalogue
-from manifests.problems import Problem
 from manifests.schema import Dataset
 from manifests.splits import light_side
 from manifests.store import LINES, Store

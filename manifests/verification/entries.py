@@ -10,8 +10,8 @@ from functools import cache
 from pathlib import PurePath
 
 from manifests import splits
+from manifests.errors import Problem
 from manifests.materials import BUILT_IN, Entry, material, material_hash, read_catalogue
-from manifests.problems import Problem
 from manifests.schema import Dataset, Draw, Job
 from manifests.store import light_path
 from manifests.verification.faults import Fault

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from manifests.problems import printable
+from manifests.errors import printable
 
 Line = tuple[Path, int]  # file and number, from 1, of a line
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from manifests import archives, arrays
+from manifests.errors import Problem
 from manifests.inputs import require_file
 from manifests.materials import Entry
-from manifests.problems import Problem
 from manifests.schema import Dataset, Record, View
 from manifests.store import image_path, light_path
 from manifests.verification import contents
@@ -175,7 +175,7 @@ def _reflects(entry: Entry) -> bool:
 
 
 class _Packed:
-    """The cache of packed geometry (learn.geometry): each row is compared with the file that it was made from."""
+    """The cache of packed geometry (learn.data.geometry): each row is compared with the file that it was made from."""
 
     def __init__(self, folder: Path):
         self.folder, self._rows, self._left_out, self._texts = folder, {}, set(), []

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import msgspec
 
 from manifests import ids
+from manifests.errors import Problem
 from manifests.materials import Entry, material_hash
-from manifests.problems import Problem
 from manifests.schema import Dataset, Failure, Record, View
 from manifests.splits import split_of
 from manifests.store import LINES, Store, geometry_path, image_path, lines_of

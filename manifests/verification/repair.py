@@ -8,8 +8,8 @@ from pathlib import Path
 import msgspec
 
 from manifests import materials
+from manifests.errors import Problem
 from manifests.files import write_lines
-from manifests.problems import Problem
 from manifests.store import LINES, Store, geometry_path, image_path, light_path, lines_of
 from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of

@@ -61,10 +61,10 @@ def bare(options, folder):
 
 def ours(options, folder):
     """Seconds for 24 views by the pipeline: geometry still to be made, then relit; after one picture to warm up."""
-    from factory.assets import resolve
-    from factory.pipeline import Pipeline
+    from factory.execution.pipeline import Pipeline
+    from factory.execution.run import assign, planned, register
+    from factory.planning.assets import resolve
     from factory.render.studio import Studio
-    from factory.run import assign, planned, register
     from manifests.materials import load_catalogue
     from manifests.schema import Job
     from manifests.store import Lines, Store

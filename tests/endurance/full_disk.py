@@ -130,7 +130,11 @@ def run(words, environment=None, timeout=600):
         text=True,
         timeout=timeout,
     )
-    said = [line for line in done.stderr.replace("\r", "\n").splitlines() if line.startswith(("factory: ", "learn: ", "manifests.page: "))]
+    said = [
+        line
+        for line in done.stderr.replace("\r", "\n").splitlines()
+        if line.startswith(("factory: ", "learn: ", "learn.agreement.demo_page: "))
+    ]
     return Ended(done.returncode, said, done.stderr)
 
 

@@ -161,7 +161,7 @@ COMMANDS = (
     Command("promise", "learn promise --cases 1 --size 8 --out {disk}/out"),
     Command(
         "the demo's page",
-        "manifests.page --sheet {room}/photo.png --agreement {room}/agreement --out {disk}/index.html",
+        "learn.agreement.demo_page --sheet {room}/photo.png --agreement {room}/agreement --out {disk}/index.html",
     ),
 )
 

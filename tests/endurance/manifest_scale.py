@@ -17,9 +17,9 @@ from pathlib import Path
 
 import msgspec
 
-from factory.assets import Assets, Light, Shape, resolve
-from factory.plan import Plan
-from factory.shape_names import Source
+from factory.planning.assets import Assets, Light, Shape, resolve
+from factory.planning.plan import Plan
+from factory.planning.shape_names import Source
 from manifests.materials import Catalogue, encode
 from manifests.schema import (
     Camera,

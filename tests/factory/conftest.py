@@ -7,8 +7,8 @@ import pytest
 from small_catalogue import write_catalogue
 from tetrahedron import FAKE, HERE
 
-from factory.assets import resolve
-from factory.run import Manner, carry_out, planned
+from factory.execution.run import Manner, carry_out, planned
+from factory.planning.assets import resolve
 from manifests.schema import Camera, Job
 
 

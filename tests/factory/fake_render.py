@@ -2,9 +2,9 @@
 
 import sys
 
-from factory import jobs
-from factory.assets import resolve
-from factory.run import Manner, carry_out, planned
+from factory.execution.run import Manner, carry_out, planned
+from factory.planning import jobs
+from factory.planning.assets import resolve
 
 if __name__ == "__main__":
     job, folder = jobs.load(sys.argv[1])

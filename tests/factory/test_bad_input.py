@@ -6,8 +6,8 @@ import subprocess
 import msgspec
 import pytest
 
-from manifests.command_line import main
-from manifests.problems import Problem
+from manifests.cli import main
+from manifests.errors import Problem
 from manifests.schema import Dataset
 from manifests.store import Store
 from manifests.verification import faults_of
@@ -131,7 +131,7 @@ def test_a_job_file_with_windows_byte_order_mark_is_read(command, a_job, catalog
 
 
 def test_the_help_of_render_names_every_preset(capsys):
-    from factory import jobs
+    from factory.planning import jobs
 
     with pytest.raises(SystemExit):
         main("factory", "", COMMANDS, ["render", "--help"])
@@ -250,7 +250,7 @@ def test_a_light_file_that_is_gone_is_named(command, a_job, catalogue, tmp_path,
 def test_a_mesh_that_changed_since_the_plan_is_a_failure_with_its_reason(plan_of, small_job, tmp_path, monkeypatch):
     from tetrahedron import FAKE, HERE, TETRAHEDRON
 
-    from factory.run import Manner, carry_out
+    from factory.execution.run import Manner, carry_out
 
     monkeypatch.setenv("PYTHONPATH", str(HERE))
     mesh = tmp_path / "mesh.ply"

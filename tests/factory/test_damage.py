@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from tetrahedron import FAKE, HERE
 
-from factory.assets import resolve
-from factory.run import Manner, carry_out, planned
+from factory.execution.run import Manner, carry_out, planned
+from factory.planning.assets import resolve
 from manifests import exr
 from manifests.arrays import encode_geometry, read_geometry, read_light, read_scale
+from manifests.errors import Problem
 from manifests.materials import read_catalogue
-from manifests.problems import Problem
 from manifests.schema import Camera, Job
 from manifests.store import Store, file_hash
 from manifests.verification import Verification, faults_of, repair
@@ -156,7 +156,7 @@ def test_two_workers_that_meet_one_damaged_file_agree_on_what_lies_there(render,
     folder, job = begun
     for path in bytes_of(folder, "geometry"):
         not_unit(folder / path)
-    monkeypatch.setattr("factory.pool.CHUNK", 1)
+    monkeypatch.setattr("factory.execution.pool.CHUNK", 1)
     monkeypatch.setenv("FAKE_STUDIO", "slow")
     assert render(job, folder, workers=2).failed == 0
     assert faults(folder) == []

@@ -14,9 +14,9 @@ from full_disk_case import bad_records, check, check_read_only, contents, done, 
 from PIL import Image
 from tetrahedron import FAKE, HERE
 
-from factory.assets import resolve
-from factory.run import Manner, carry_out, planned
-from manifests.problems import Problem
+from factory.execution.run import Manner, carry_out, planned
+from factory.planning.assets import resolve
+from manifests.errors import Problem
 from manifests.schema import Camera, Job
 from manifests.store import Store
 

@@ -14,7 +14,7 @@ import pytest
 import manifests.exr
 from factory.lights import files, library, load
 from factory.lights.light import from_pixels, looks_like_eight_bits
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from factory.commands import lights as command
 from factory.lights import files, library, load, names, procedural
 from factory.lights.light import from_pixels, to_file_columns
 from factory.lights.preview import ball_normals, diffuse_ball, mirror_ball
-from manifests.command_line import main
-from manifests.problems import Problem
+from manifests.cli import main
+from manifests.errors import Problem
 from shaders import envmap, frames
 
 

@@ -10,10 +10,10 @@ from merl_file import smooth, write_binary
 from PIL import Image
 
 from factory.__main__ import COMMANDS
-from factory.material_names import chosen_entries
+from factory.planning.material_names import chosen_entries
 from manifests import materials
-from manifests.command_line import main
-from manifests.problems import Problem
+from manifests.cli import main
+from manifests.errors import Problem
 
 
 def run(*arguments):

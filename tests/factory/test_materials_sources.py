@@ -9,7 +9,7 @@ import pytest
 from merl_file import smooth, write_binary
 
 from factory.materials import abc, families, merl_binary, nbrdf, samples, sources
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 
 def test_a_merl_file_is_read_at_its_cell_centres(tmp_path):

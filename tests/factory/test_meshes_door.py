@@ -7,11 +7,11 @@ import pytest
 import trimesh
 
 from factory.shapes.catalogue import load
-from factory.shapes.door import open_mesh
 from factory.shapes.libraries import category_of, find
-from factory.shapes.shelf import add
+from factory.shapes.library import add
+from factory.shapes.mesh_import import open_mesh
 from factory.shapes.surfaces import Surface, ellipsoid, rounded_box, signed_volume
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 SWEET_HOME = Path("/usr/share/sweethome3d/furniture")
 
@@ -59,7 +59,7 @@ def test_an_obj_comes_y_up_with_its_front_at_z(tmp_path):
 
 @pytest.mark.parametrize(("up", "front", "turn"), [("y", "z", np.eye(3)), ("-z", "y", None), ("x", "-y", None)])
 def test_up_and_front_name_any_two_axes_and_never_mirror(tmp_path, up, front, turn):
-    from factory.shapes.door import world_from_file
+    from factory.shapes.mesh_import import world_from_file
 
     vertices, faces = arrow()
     rotation = world_from_file("a", up, front)

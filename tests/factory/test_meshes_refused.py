@@ -8,10 +8,10 @@ import zipfile
 import numpy as np
 import pytest
 
-from factory.shapes.door import open_mesh
 from factory.shapes.libraries import CATALOGUE, find
+from factory.shapes.mesh_import import open_mesh
 from factory.shapes.raw import MAXIMUM_TRIANGLES
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 

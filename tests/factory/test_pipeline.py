@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from tetrahedron import TETRAHEDRON
 
-from factory.contact_sheet import labelled, stored_light
-from factory.forecast import expected_events, probe_shots, probed
-from factory.run import Manner, carry_out, planned
-from factory.shading import lights, mirror_ball, shade
+from factory.execution.run import Manner, carry_out, planned
+from factory.planning.forecast import expected_events, probe_shots, probed
+from factory.preview.contact_sheet import labelled, stored_light
+from factory.preview.shading import lights, mirror_ball, shade
 from manifests.arrays import read_geometry, read_picture
 from manifests.materials import load_catalogue
 from manifests.schema import Camera, Job
@@ -27,7 +27,7 @@ blender = pytest.mark.blender
 @pytest.fixture(scope="module")
 def made(catalogue, light_file, tmp_path_factory):
     """A dataset of a chair in two materials, a mesh file and a sphere; both light resolutions, all tiers, two seeds; its Store."""
-    from factory.assets import resolve
+    from factory.planning.assets import resolve
 
     folder = tmp_path_factory.mktemp("made")
     (folder / "solid.ply").write_bytes(TETRAHEDRON)
@@ -142,7 +142,7 @@ def test_one_command_without_a_job_makes_pictures_and_a_second_adds_to_them(cata
 
 CALL = """
 import sys
-from manifests.command_line import main
+from manifests.cli import main
 sys.exit(main("factory", "", ("render", "preview"), sys.argv[1:]))
 """
 

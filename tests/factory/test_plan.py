@@ -9,13 +9,13 @@ import msgspec
 import pytest
 from tetrahedron import TETRAHEDRON
 
-from factory import jobs
-from factory.assets import Assets, Light, Material, Shape, resolve
 from factory.commands.plan import described, split_counts
-from factory.plan import Plan, camera_words, shot_seed
-from factory.shape_names import Source, local, sources
+from factory.planning import jobs
+from factory.planning.assets import Assets, Light, Material, Shape, resolve
+from factory.planning.plan import Plan, camera_words, shot_seed
+from factory.planning.shape_names import Source, local, sources
 from manifests import splits
-from manifests.problems import Problem
+from manifests.errors import Problem
 from manifests.schema import Camera, Draw, Job
 from manifests.viewpoints import azimuths_deg
 

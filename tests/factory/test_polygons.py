@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from factory.shapes import polygons
-from factory.shapes.door import open_mesh
+from factory.shapes.mesh_import import open_mesh
 from factory.shapes.polygons import TooLarge, fans, triangulate
 
 L_SHAPE = np.array([(0, 0), (4, 0), (4, 4), (2, 4), (2, 2), (0, 2)], float)

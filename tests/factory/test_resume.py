@@ -11,10 +11,10 @@ import msgspec
 import pytest
 from tetrahedron import FAKE
 
-from factory.forecast import probed
-from factory.run import Manner
+from factory.execution.run import Manner
+from factory.planning.forecast import probed
 from manifests import lock
-from manifests.problems import Problem
+from manifests.errors import Problem
 from manifests.store import Store
 from manifests.verification import faults_of
 
@@ -65,7 +65,7 @@ def test_shards_divide_the_shots_without_gap_or_overlap(render, small_job, tmp_p
 
 
 def test_two_workers_write_two_files_and_one_dataset(render, small_job, tmp_path, monkeypatch):
-    monkeypatch.setattr("factory.pool.CHUNK", 2)
+    monkeypatch.setattr("factory.execution.pool.CHUNK", 2)
     monkeypatch.setenv("FAKE_STUDIO", "slow")
     render(small_job, tmp_path, workers=2)
     assert len(Store(tmp_path).record_files()) == 2

@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from factory.shapes.catalogue import load
-from manifests.command_line import main
+from manifests.cli import main
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 

@@ -10,7 +10,7 @@ from factory.shapes.catalogue import FAMILIES, PAPER_COUNTS, load, specs
 from factory.shapes.creases import edge_pairs
 from factory.shapes.mesh import face_components
 from factory.shapes.raster import back_faces, look, silhouette
-from manifests.problems import Problem
+from manifests.errors import Problem
 from shaders.frames import camera_from_world
 
 FIRST = 10

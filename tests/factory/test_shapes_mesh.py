@@ -10,7 +10,7 @@ from factory.shapes.mesh import finish, geometry_hash
 from factory.shapes.primitives import icosphere
 from factory.shapes.raster import look
 from factory.shapes.surfaces import rounded_box
-from manifests.problems import Problem
+from manifests.errors import Problem
 from shaders.frames import camera_from_world
 
 

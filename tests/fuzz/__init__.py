@@ -40,7 +40,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 STATUSES = (0, 1, 2, 3, 130)
 

@@ -180,7 +180,7 @@ def _packed(data, rng):
 
 def _fresh_cache(data, rng):
     """The cache as training writes it: made from what lies in the folder."""
-    from learn.geometry import Geometry
+    from learn.data.geometry import Geometry
 
     Geometry(data, progress=False)
 
@@ -218,8 +218,8 @@ def not_mended(data: Path, room: Room) -> str | None:
 
 def unloadable(data: Path) -> str | None:
     """What of a folder that is called clean cannot be learned from."""
-    from learn.dataset import Records
-    from manifests.problems import Problem
+    from learn.data.records import Records
+    from manifests.errors import Problem
 
     try:
         records = Records(data)

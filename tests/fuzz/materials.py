@@ -100,10 +100,11 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
 
 def shown(asked):
     """Balls of the material that is asked for, one for each region; a picture's material is not predicted."""
-    from learn.editing import edit, sheet
+    from learn.editing import edit
+    from learn.figures import montage
 
     labels = edit.choices(asked, 2, lambda path: np.zeros((1, 108), np.float32), {"own": np.zeros(108, np.float32)})
-    return [sheet.ball(label, sheet.room(), 16, 0.35, 1.0) for label in labels if label is not None]
+    return [montage.ball(label, montage.room(), 16, 0.35, 1.0) for label in labels if label is not None]
 
 
 def not_finite(result: Result) -> str | None:

@@ -221,8 +221,8 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
 
 def opened(path: Path):
     """What `factory.shapes` makes of a file: the triangles as they stand there, and the mesh."""
-    from factory.shapes.door import open_mesh
     from factory.shapes.files import read
+    from factory.shapes.mesh_import import open_mesh
 
     return read(path), open_mesh(path)
 

@@ -81,14 +81,14 @@ def command(role, path, room, exposure, balance, rng):
 
 def opened(role, path, room, exposure, balance):
     """The Framed of a photograph that the file is, or is the mask or the regions of."""
-    from learn import pictures
+    from learn.data import photographs
     from learn.editing import photograph
 
     there = seeds.of(room)
     masks = [there / "mask.png"] if role == "photograph" else [path] if role == "mask" else []
     what = path if role in ("photograph", "material") else there / "photograph.png"
     found = photograph.opened(what, masks, path if role == "regions" else None, balance, exposure)
-    return pictures.framed(found.balanced, found.mask, 32, found.exposure)
+    return photographs.framed(found.balanced, found.mask, 32, found.exposure)
 
 
 def not_finite(result: Result) -> str | None:

@@ -147,9 +147,9 @@ def lost(result, out: Path, kept: bytes | None) -> str | None:
     if result.status == 1 and kept is not None and content(out / "checkpoint.safetensors") != kept:
         return "the checkpoint that was there is another, or gone"
     if result.status == 0:
-        from learn.training import checkpoint
+        from learn.networks import weights
 
-        checkpoint.load_network(out / "weights.safetensors")
+        weights.load_network(out / "weights.safetensors")
         steps = [json.loads(line)["step"] for line in (out / "log.jsonl").read_text().splitlines()]
         if steps != sorted(set(steps)):
             return f"the log has steps {steps}"

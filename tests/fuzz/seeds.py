@@ -89,10 +89,10 @@ def fake_studio() -> None:
     """Let `factory render` in this process make its pictures with the fake studio instead of Blender."""
     import functools
 
-    import factory.run
+    import factory.execution.run
 
     with_tests_on_path()
-    factory.run.Manner = functools.partial(factory.run.Manner, studio=FAKE)
+    factory.execution.run.Manner = functools.partial(factory.execution.run.Manner, studio=FAKE)
 
 
 def with_tests_on_path() -> None:
@@ -103,8 +103,8 @@ def with_tests_on_path() -> None:
 
 def datasets(folder: Path) -> None:
     """data/ and views/ of the fake studio."""
-    from factory.assets import resolve
-    from factory.run import Manner, carry_out, planned
+    from factory.execution.run import Manner, carry_out, planned
+    from factory.planning.assets import resolve
     from manifests.reading import decode
     from manifests.schema import Job
 

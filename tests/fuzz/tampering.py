@@ -972,8 +972,8 @@ def judged(base: Path, tampering: Tampering, room: Path, rng: np.random.Generato
 def faults_in(data: Path) -> list[str]:
     """Lines that verify prints of a folder."""
     from factory.commands.verify import reference_light
-    from factory.fingerprint import render_fingerprint
-    from manifests.problems import Problem
+    from factory.planning.fingerprint import render_fingerprint
+    from manifests.errors import Problem
     from manifests.verification import faults_of
 
     try:
@@ -986,8 +986,8 @@ def faults_in(data: Path) -> list[str]:
 
 def refuses(data: Path) -> bool:
     """Whether a reader of the data ends with a Problem, at the latest when it loads the files."""
-    from learn.dataset import Records
-    from manifests.problems import Problem
+    from learn.data.records import Records
+    from manifests.errors import Problem
 
     try:
         records = Records(data)
@@ -1046,8 +1046,8 @@ def synthetic(folder: Path) -> list[Path]:
 
 def rendered(folder: Path) -> list[Path]:
     """Data sets by Cycles, of the smallest size: the same three kinds, one of them under a light file of the user's own."""
-    from factory.assets import resolve
-    from factory.run import Manner, carry_out, planned
+    from factory.execution.run import Manner, carry_out, planned
+    from factory.planning.assets import resolve
 
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / "lamp.exr").exists():
@@ -1076,7 +1076,7 @@ def rendered(folder: Path) -> list[Path]:
 
 def _packed(folder):
     """The cache of a data set, as training leaves it."""
-    from learn.geometry import Geometry
+    from learn.data.geometry import Geometry
 
     if not (folder / "packed").exists():
         Geometry(folder, progress=False)

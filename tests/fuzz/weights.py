@@ -47,19 +47,18 @@ def prepare(folder: Path) -> None:
     from safetensors.torch import save
 
     from learn.baselines import priors
-    from learn.evaluation import perceptual
-    from learn.networks import features
+    from learn.metrics import lpips
+    from learn.networks import features, weights
     from learn.networks.coding import Ranges
-    from learn.training import checkpoint
     from manifests.materials import load_catalogue
 
     torch.manual_seed(0)
     labels = [entry.label.reshape(-1) for entry in load_catalogue().values()]
     ranges = Ranges.of(torch.from_numpy(np.stack(labels)).float())
     for name in FILES[:3]:
-        network = checkpoint.NETWORKS[name](ranges)
+        network = weights.NETWORKS[name](ranges)
         run = json.dumps({"name": "fuzzed", "parts": ["normals", "material", "light"]})
-        checkpoint.save_weights(folder / f"{name}.safetensors", network, network.state_dict(), run, 32, 7)
+        weights.save_weights(folder / f"{name}.safetensors", network, network.state_dict(), run, 32, 7)
     rng = np.random.default_rng(0)
     maps = [np.exp(rng.normal(size=(64, 128, 3))) for _ in range(3)]
     priors.save(folder / "priors.safetensors", priors.fitted(labels, maps), {"maps": 3})
@@ -69,9 +68,9 @@ def prepare(folder: Path) -> None:
         before = width
     (folder / "vgg16.safetensors").write_bytes(save({name: 0.1 * torch.randn(shape) for name, shape in shapes.items()}))
     shapes = {}
-    for (k, *_), shape in zip(perceptual.LAYERS, perceptual.SHAPES, strict=True):
+    for (k, *_), shape in zip(lpips.LAYERS, lpips.SHAPES, strict=True):
         shapes |= {f"features.{k}.weight": shape, f"features.{k}.bias": shape[:1]}
-    shapes |= {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(perceptual.SHAPES)}
+    shapes |= {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(lpips.SHAPES)}
     (folder / "lpips.safetensors").write_bytes(save({name: 0.1 * torch.rand(shape) for name, shape in shapes.items()}))
 
 
@@ -111,9 +110,8 @@ def used(name, path):
     import torch
 
     from learn.baselines import methods, priors
-    from learn.evaluation import perceptual
-    from learn.networks import features
-    from learn.training import checkpoint
+    from learn.metrics import lpips
+    from learn.networks import features, weights
 
     if name == "priors":
         known = priors.load(path)
@@ -122,10 +120,10 @@ def used(name, path):
         return tuple(features.load(path)(torch.rand(1, 3, 32, 32)))
     if name == "lpips":
         picture = 255 * np.random.default_rng(0).random((64, 64, 3))
-        return (torch.tensor(perceptual.of_file(path)(picture, picture[::-1].copy())),)
+        return (torch.tensor(lpips.of_file(path)(picture, picture[::-1].copy())),)
     if name == "encoder-decoder":
         return methods.load("Baseline 1", path).net(torch.rand(1, 3, 32, 32), torch.ones(1, 1, 32, 32), torch.zeros(1, 1, 108))[:4]
-    network, metadata = checkpoint.load_parts(path)
+    network, metadata = weights.load_parts(path)
     size = metadata["size"]
     if not (isinstance(size, int) and 32 <= size <= 1024):
         raise AssertionError(f"a size of {size!r} was accepted")

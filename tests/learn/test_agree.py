@@ -12,7 +12,7 @@ import torch
 from learn.__main__ import COMMANDS
 from learn.agreement import causes, report, surface
 from manifests import materials as catalogue
-from manifests.command_line import main
+from manifests.cli import main
 from shaders.envmap import directions
 from shaders.frames import camera_from_light
 from shaders.mixture import Mixture

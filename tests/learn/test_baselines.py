@@ -8,18 +8,19 @@ import pytest
 import torch
 
 from learn import baselines
-from learn.baselines import methods, posterior, priors, swap
-from learn.baselines.encoder_decoder import EncoderDecoder, radiance
-from learn.baselines.separate import Separate
+from learn.baselines import material_swap, methods, posterior, priors
+from learn.data import lights
+from learn.data.geometry import Geometry
+from learn.data.relit import Pool, Relit
+from learn.data.settings import Data, Losses, Run, Schedule
 from learn.evaluation.methods import rendered
-from learn.geometry import Geometry
 from learn.layer import render
+from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges, compressed
-from learn.training import checkpoint, lights
+from learn.networks.encoder_decoder import EncoderDecoder, radiance
+from learn.networks.separate import Separate
 from learn.training.loop import Training
-from learn.training.relit import Pool, Relit
-from learn.training.settings import Data, Losses, Run, Schedule
-from manifests.problems import Problem
+from manifests.errors import Problem
 from shaders import envmap
 from tests.learn import synthetic
 
@@ -66,7 +67,7 @@ def folder(pools, known, tmp_path_factory):
     """Weights of two steps, and priors: all that `found` looks for."""
     out = tmp_path_factory.mktemp("baselines")
     for name, kind, settings in (
-        ("baseline-1", swap.SwapTraining, run("encoder-decoder", normals=0, material=1, target=20)),
+        ("baseline-1", material_swap.SwapTraining, run("encoder-decoder", normals=0, material=1, target=20)),
         ("baseline-2", Training, run("separate", normals=1, material=1, light_log=1)),
     ):
         kind(settings, pools, out / name, sheet_every=2, workers=0).train()
@@ -123,7 +124,7 @@ def test_the_three_networks_share_nothing():
 
 
 def test_the_true_target_is_the_layers_picture_in_the_target_material(pools):
-    pair = swap.Paired(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]
+    pair = material_swap.Paired(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]
     for i in range(4):
         expected = rendered(
             pair.n[i : i + 1], pair.target_label[i], pair.light[i : i + 1], replace(pair, segments=pair.segments[i : i + 1])
@@ -133,15 +134,15 @@ def test_the_true_target_is_the_layers_picture_in_the_target_material(pools):
 
 
 def test_a_true_edit_has_no_loss(pools):
-    pair = swap.Paired(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]
+    pair = material_swap.Paired(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]
     network = EncoderDecoder(Ranges(torch.zeros(108), torch.ones(108)))
     edited = network(pair.image, pair.mask, pair.target_label)
     code, embedded = network.ranges.code(pair.label), network.ranges.code(pair.target_label)
     truth = edited._replace(code=code, embedded=embedded, picture=compressed(pair.target))
     weights = Losses(material=1, target=20)
-    assert max(value.item() for value in swap.terms(truth, pair, weights, network.ranges).values()) < 1e-10
-    assert swap.figures(truth, pair, network.ranges)["target_l2"] < 1e-3  # float32 through logarithm and back
-    assert swap.terms(edited, pair, weights, network.ranges)["target"] > 1e-3
+    assert max(value.item() for value in material_swap.terms(truth, pair, weights, network.ranges).values()) < 1e-10
+    assert material_swap.figures(truth, pair, network.ranges)["target_l2"] < 1e-3  # float32 through logarithm and back
+    assert material_swap.terms(edited, pair, weights, network.ranges)["target"] > 1e-3
 
 
 def test_radiance_inverts_the_compressed_picture():

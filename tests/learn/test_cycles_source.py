@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from learn.dataset import Records
-from learn.geometry import Geometry
-from learn.training import losses, measures, preflight, sources
-from learn.training.cycles import Album, Cycles, Mix, fits
-from learn.training.relit import Pool, Relit
-from learn.training.settings import Data, Losses, Run
+from learn.data import preflight, sources
+from learn.data.geometry import Geometry
+from learn.data.records import Records
+from learn.data.relit import Pool, Relit
+from learn.data.rendered import Album, Cycles, Mix, fits
+from learn.data.settings import Data, Losses, Run
+from learn.training import losses, validation
 from manifests import materials
-from manifests.problems import Problem
+from manifests.errors import Problem
 from manifests.store import Store
 from shaders import envmap
 from tests.learn import synthetic
@@ -65,7 +66,7 @@ def test_a_pictures_target_is_the_record_of_the_other_material_under_the_same_li
 def test_without_a_partner_the_layer_renders_the_target(album):
     lonely = Album(album.records, album.geometry, album.records.records[:1])
     batch = Cycles(pool(lonely, "test"), Data(), 1, SIZE, 5)[0]
-    mine = measures.picture(batch.n, batch.target_label, batch.light, batch)
+    mine = validation.picture(batch.n, batch.target_label, batch.light, batch)
     truth = batch.target.movedim(1, -1).numpy()
     assert np.abs(mine - truth).mean() / truth.mean() < 0.03  # two methods at 1e-2 and 2e-2
 
@@ -83,7 +84,7 @@ def test_augmentation_moves_picture_truth_and_target_together(album):
     inside = (batch.segments > 0)[:, None]
     assert ((batch.n.norm(dim=1, keepdim=True) > 0.5) == inside).all()
     assert (batch.picture * ~inside).abs().max() == 0
-    mine = measures.picture(batch.n, batch.label, batch.light, batch)  # channels of picture, label and light permuted alike
+    mine = validation.picture(batch.n, batch.label, batch.light, batch)  # channels of picture, label and light permuted alike
     truth = batch.picture.movedim(1, -1).numpy()
     assert np.abs(mine - truth).mean() / truth.mean() < 0.03
 

@@ -5,9 +5,9 @@ import pytest
 import synthetic
 import torch
 
-from learn.dataset import Records
+from learn.data.records import Records
 from learn.layer import render
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 
 @pytest.fixture

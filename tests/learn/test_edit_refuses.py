@@ -11,17 +11,17 @@ import torch
 from PIL import Image
 from synthetic import matte, write_dataset
 
-from learn import pictures
 from learn.__main__ import COMMANDS
-from learn.baselines.encoder_decoder import EncoderDecoder
-from learn.editing import photograph, wanted
+from learn.data import photographs
+from learn.editing import photograph, targets
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
-from learn.training.checkpoint import save_weights
-from manifests.command_line import main
+from learn.networks.encoder_decoder import EncoderDecoder
+from learn.networks.weights import save_weights
+from manifests.cli import main
+from manifests.errors import Problem
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
-from manifests.problems import Problem
 from shaders import tone
 
 SIZE = (48, 64)
@@ -161,12 +161,12 @@ def test_coloured_regions_are_told_apart_and_turned_as_the_file_says(files):
     values = np.zeros((*SIZE, 3), np.uint8)
     values[:, 20:30], values[:, 30:40] = (255, 0, 0), (0, 130, 0)  # of one grey
     Image.fromarray(values).save(files / "colours.png")
-    found = pictures.read_labels(files / "colours.png", SIZE)
+    found = photographs.read_labels(files / "colours.png", SIZE)
     assert found[0, 25] == 2 and found[0, 35] == 1 and found[0, 5] == 0
     turned, exif = Image.fromarray(values).transpose(Image.Transpose.ROTATE_90), Image.Exif()
     exif[0x0112] = 6  # turn it right for showing
     turned.save(files / "turned.png", exif=exif)
-    np.testing.assert_array_equal(pictures.read_labels(files / "turned.png", SIZE), found)
+    np.testing.assert_array_equal(photographs.read_labels(files / "turned.png", SIZE), found)
 
 
 @pytest.mark.parametrize(("command", "words"), [("edit", "--overwrite replaces it"), ("card", "the same command continues")])
@@ -217,14 +217,14 @@ def test_what_a_dataset_does_not_need_and_a_photograph_has_not_is_refused(files,
 
 
 def test_an_exr_edit_of_somebodys_own_is_not_overwritten(files, capsys, disc):
-    pictures.write_exr(files / "photo.exr", np.full((*SIZE, 3), 0.3, np.float32))
+    photographs.write_exr(files / "photo.exr", np.full((*SIZE, 3), 0.3, np.float32))
     (files / "out").mkdir()
     (files / "out" / "edited.exr").write_text("mine")
     status, line = told(capsys, *edit(files, photo="photo.exr"))
     assert status == 1 and "--overwrite" in line and (files / "out" / "edited.exr").read_text() == "mine"
     status, line = told(capsys, *edit(files, "--overwrite", photo="photo.exr"))
     assert (status, line) == (0, "")
-    edited, _ = pictures._exr_pixels(files / "out" / "edited.exr")
+    edited, _ = photographs._exr_pixels(files / "out" / "edited.exr")
     assert edited.shape == (*SIZE, 3) and edited[disc].std() > 0
 
 
@@ -277,7 +277,7 @@ def test_a_photograph_turned_by_its_camera_is_set_upright(files):
 
 
 def test_too_many_pixels_are_refused_before_they_are_read(files, monkeypatch):
-    monkeypatch.setattr(pictures, "MOST_PIXELS", 1000)
+    monkeypatch.setattr(photographs, "MOST_PIXELS", 1000)
     with pytest.raises(Problem, match="megapixels"):
         photograph.opened(files / "photo.png", [files / "mask.png"])
 
@@ -309,7 +309,7 @@ def test_a_material_file_without_a_material_is_refused(tmp_path, text, words):
     file = tmp_path / "material.json"
     file.write_text(text)
     with pytest.raises(Problem, match=words):
-        wanted.label_of(str(file), None)
+        targets.label_of(str(file), None)
 
 
 def test_transfer_needs_two_pictures_of_different_names(files, capsys):
@@ -333,7 +333,7 @@ def deep_png(path, values):
 def test_sixteen_bit_colour_keeps_its_upper_eight_bits(files):
     values = np.random.default_rng(0).integers(0, 1 << 16, (*SIZE, 3), dtype=np.uint16)
     deep_png(files / "deep.png", values)
-    radiance, _ = pictures.read(files / "deep.png", files / "mask.png")
+    radiance, _ = photographs.read(files / "deep.png", files / "mask.png")
     np.testing.assert_allclose(tone.srgb(radiance), values / 65535, atol=1 / 255)  # the lower eight are gone
 
 
@@ -341,7 +341,7 @@ def test_a_picture_of_twenty_megapixels_is_cut_to_its_object(files):
     values = np.zeros((3648, 5472, 4), np.uint8)
     values[1000:2000, 3000:4500] = (200, 100, 50, 255)
     Image.fromarray(values).save(files / "large.png", compress_level=1)
-    framed = pictures.framed(*pictures.read(files / "large.png"), 128, 1.0)
-    assert framed.radiance.shape == (128, 128, 3) and framed.box[2] == pytest.approx(1500 * pictures.MARGIN, rel=0.02)
+    framed = photographs.framed(*photographs.read(files / "large.png"), 128, 1.0)
+    assert framed.radiance.shape == (128, 128, 3) and framed.box[2] == pytest.approx(1500 * photographs.MARGIN, rel=0.02)
     seen = tone.display(framed.radiance[60:68, 60:68], 1.0)
     np.testing.assert_allclose(seen, np.broadcast_to([200, 100, 50], seen.shape), atol=1)

@@ -9,11 +9,12 @@ from PIL import Image
 from synthetic import entry, write_dataset
 
 from learn.__main__ import COMMANDS
-from learn.dataset import Records
-from learn.editing import apart, sheet
+from learn.data.records import Records
+from learn.editing import decomposition
+from learn.figures import montage
 from learn.refinement import refine
 from manifests import exr
-from manifests.command_line import main
+from manifests.cli import main
 from manifests.materials import load_catalogue
 from shaders import tone
 
@@ -21,9 +22,11 @@ from shaders import tone
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """The sum for mirrors too, and the first steps of refinement alone: nothing here looks at how well they are done."""
-    monkeypatch.setattr(apart, "method_for", lambda label: "auto")
+    monkeypatch.setattr(decomposition, "method_for", lambda label: "auto")
     monkeypatch.setattr(
-        apart, "refine", lambda batch, start, settings: refine(batch, start, replace(settings, passes=1, levels=settings.levels[:1]))
+        decomposition,
+        "refine",
+        lambda batch, start, settings: refine(batch, start, replace(settings, passes=1, levels=settings.levels[:1])),
     )
 
 
@@ -53,14 +56,14 @@ def edited(photo, name, *more, masks=("mask",), material="red-fabric"):
 @pytest.fixture
 def drawn(monkeypatch):
     """{caption: [display pictures]} of every sheet's tiles since."""
-    found, rows = {}, sheet.rows
+    found, rows = {}, montage.rows
 
     def kept(lines, size):
         for caption, picture in (pair for line in lines for pair in line):
             found.setdefault(caption, []).append(picture)
         return rows(lines, size)
 
-    monkeypatch.setattr(sheet, "rows", kept)
+    monkeypatch.setattr(montage, "rows", kept)
     return found
 
 
@@ -137,7 +140,7 @@ def test_a_transparent_photograph_stays_so_under_a_mask_and_on_the_sheet(photo, 
     done(*words)
     np.testing.assert_array_equal(np.asarray(Image.open(photo / "half" / "edited.png"))[..., 3], alpha)
     for caption in ("photograph", "rendered again", "brass"):
-        np.testing.assert_allclose(drawn[caption][0][:, :6], sheet.GROUND)
+        np.testing.assert_allclose(drawn[caption][0][:, :6], montage.GROUND)
 
 
 def test_every_ball_is_called_by_its_own_material(photo, drawn):

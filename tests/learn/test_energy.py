@@ -10,13 +10,13 @@ import torch
 import torch.nn.functional as F
 from scipy.optimize import OptimizeResult, minimize
 
+from learn.data.batch import Batch
 from learn.layer import render
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, coordinates, energy, loop, refine
+from learn.refinement import Settings, coordinates, descent, energy, refine
 from learn.refinement.coordinates import Light, Normals, principal_directions
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import NAMED, Level
-from learn.training.batch import Batch
 from manifests.materials import load_catalogue
 from shaders import envmap
 
@@ -99,7 +99,7 @@ def test_a_step_that_raises_the_energy_is_taken_back_and_the_one_before_it_stays
         calls.append(len(x))
         return minimize(value_and_slope, x, **options) if len(calls) == 1 else OptimizeResult(x=x + 0.1)
 
-    monkeypatch.setattr(loop, "minimize", good_then_bad)
+    monkeypatch.setattr(descent, "minimize", good_then_bad)
     start = truth._replace(label=truth.label + 0.3)
     found = refine(batch, start, replace(QUICK, order=("material", "light"), b=0.02, c=0.0))
     good, bad = found.history

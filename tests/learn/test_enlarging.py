@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from learn.editing import apart, enlarging, enlarging_study
+from learn.editing import decomposition
+from learn.experiments import upsampling, upsampling_study
 from tests.learn.test_editing import NETWORK, SIZE, Knowing, label_of, lit, opened
 
 
@@ -19,34 +20,34 @@ def edge():
 
 def test_a_joint_bilateral_enlargement_steps_where_the_photograph_does(edge):
     guide, low = edge
-    found = enlarging.joint_bilateral(low, guide.reshape(8, 4, 8, 4).mean((1, 3)).round(), guide)[..., 0]
+    found = upsampling.joint_bilateral(low, guide.reshape(8, 4, 8, 4).mean((1, 3)).round(), guide)[..., 0]
     assert found[:, :14].max() < 0.05
     assert found[:, 14:].min() > 0.95
-    flat = enlarging.joint_bilateral(low, np.zeros((8, 8)), np.zeros((32, 32)))[..., 0]
+    flat = upsampling.joint_bilateral(low, np.zeros((8, 8)), np.zeros((32, 32)))[..., 0]
     assert 0.2 < flat[16, 15] < 0.8  # without a guide the step is smeared
 
 
 def test_a_joint_bilateral_enlargement_keeps_a_constant(rng):
-    found = enlarging.joint_bilateral(np.full((8, 8, 3), 0.7), rng.random((8, 8)), rng.random((24, 24)))
+    found = upsampling.joint_bilateral(np.full((8, 8, 3), 0.7), rng.random((8, 8)), rng.random((24, 24)))
     np.testing.assert_allclose(found, 0.7, rtol=1e-5)
 
 
 def test_a_guided_enlargement_of_what_is_linear_in_the_guide_is_linear_in_the_photograph(rng):
     guide_low = rng.random((16, 16)).astype(np.float32)
     guide = np.repeat(np.repeat(guide_low, 4, 0), 4, 1)
-    found = enlarging.guided(2.0 * guide_low[..., None] + 0.5, guide_low, guide)
+    found = upsampling.guided(2.0 * guide_low[..., None] + 0.5, guide_low, guide)
     assert np.abs(found[..., 0] - (2.0 * guide + 0.5)).max() < 0.06  # FLAT against a variance of 1/12
-    still = enlarging.guided(np.full((16, 16, 1), 0.3, np.float32), guide_low, guide)
+    still = upsampling.guided(np.full((16, 16, 1), 0.3, np.float32), guide_low, guide)
     np.testing.assert_allclose(still, 0.3, atol=1e-5)
 
 
 def test_every_way_paints_a_smooth_object_alike_and_one_render_serves_all_details(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    found = apart.taken(opened(radiance, inside.astype(np.int64), 2.0), Knowing(label), NETWORK)
-    ways = enlarging.ways(found)
-    rendered, render = [], apart.render
-    monkeypatch.setattr(apart, "render", lambda *a, **k: rendered.append(a) or render(*a, **k))
+    found = decomposition.taken(opened(radiance, inside.astype(np.int64), 2.0), Knowing(label), NETWORK)
+    ways = upsampling.ways(found)
+    rendered, render = [], decomposition.render
+    monkeypatch.setattr(decomposition, "render", lambda *a, **k: rendered.append(a) or render(*a, **k))
     edits = {name: painter.edited([label[0]]) for name, painter in ways.items()}
     assert len(rendered) == 5  # in use and its details together once, three at the network's size, normals once
     core = np.hypot(*(np.indices((SIZE, SIZE)) - SIZE / 2 + 0.5)) < 22  # of 30: at the rim ways differ by right
@@ -60,7 +61,7 @@ def test_the_table_compares_with_the_way_in_use_on_the_same_edits(tmp_path):
         return {"normals enlarged": {"l2": 100.0, "ssim": 0.8}, "detail 1": {"l2": l2, "ssim": 0.7}}
 
     rows = [{"edit": "e", "shape": shape, "material": "m", "ours": ways(110.0), "true": ways(50.0)} for shape in "abc"]
-    enlarging_study.written(tmp_path, rows, {"edits": 3})
+    upsampling_study.written(tmp_path, rows, {"edits": 3})
     told = json.loads((tmp_path / "enlarging.json").read_text())["parts"]
     assert told["ours"]["detail 1"]["l2_ratio"] == pytest.approx([1.1] * 3)
     assert told["true"]["detail 1"]["l2_ratio"] == pytest.approx([0.5] * 3)
@@ -69,5 +70,5 @@ def test_the_table_compares_with_the_way_in_use_on_the_same_edits(tmp_path):
 
 def test_the_truth_itself_has_no_error(rng):
     picture, mask = rng.random((20, 20, 3)), np.ones((20, 20), bool)
-    assert enlarging_study.compared(picture, picture, mask) == {"l2": 0, "ssim": pytest.approx(1)}
-    assert enlarging_study.compared(picture * 0.5, picture, mask)["l2"] > 100
+    assert upsampling_study.compared(picture, picture, mask) == {"l2": 0, "ssim": pytest.approx(1)}
+    assert upsampling_study.compared(picture * 0.5, picture, mask)["l2"] > 100

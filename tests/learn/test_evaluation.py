@@ -11,16 +11,17 @@ import pytest
 import torch
 from synthetic import add_shape, matte, named, with_picture, write_dataset
 
-from learn.dataset import Records
-from learn.evaluation import bench, methods, page, pairs, run
+from learn.data import pairs
+from learn.data.records import Records
+from learn.evaluation import bench, methods, page, run
 from learn.layer import render
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.prediction import Prediction
+from learn.networks.weights import save_weights
 from learn.refinement import Settings
-from learn.training.checkpoint import save_weights
 from manifests import exr, files
-from manifests.problems import Problem
+from manifests.errors import Problem
 from manifests.store import Lines
 from shaders import tone
 from shaders.mixture import Mixture

@@ -14,20 +14,22 @@ import torch
 from synthetic import matte, write_dataset
 
 import learn.refinement
-from learn.baselines.encoder_decoder import EncoderDecoder
-from learn.baselines.separate import Separate
 from learn.commands import evaluate
-from learn.dataset import Records
-from learn.evaluation import bench, gallery, methods, metrics, page, pairs, report, run
+from learn.data import pairs
+from learn.data.records import Records
+from learn.evaluation import bench, gallery, methods, page, report, run
 from learn.evaluation.methods import OURS, OURS_REFINED
+from learn.metrics import pictures as metrics
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
+from learn.networks.encoder_decoder import EncoderDecoder
 from learn.networks.prediction import Prediction
+from learn.networks.separate import Separate
+from learn.networks.weights import save_weights
 from learn.refinement import Refined, Settings
 from learn.refinement.settings import Level
-from learn.training.checkpoint import save_weights
 from manifests import files
-from manifests.problems import Problem
+from manifests.errors import Problem
 from shaders import tone
 
 SIZE = 32

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import torch
 
+from learn.data import lights
+from learn.data.relit import Pool, Relit, gloss
+from learn.data.settings import Data, Losses, Run, Schedule
+from learn.experiments import layer_ablation, model_card, normals_ablation, step_profile, variants
+from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
-from learn.timing import steps
-from learn.training import card, checkpoint, lights, normals_study, proof, variants
-from learn.training.relit import Pool, Relit, gloss
-from learn.training.settings import Data, Losses, Run, Schedule
-from manifests.problems import Problem
+from manifests.errors import Problem
 from tests.learn.test_cycles_source import album_of, written
 
 SIZE = 32
@@ -57,7 +58,7 @@ def test_pictures_like_the_truth_have_no_l2_and_the_frame_dilutes_the_rest():
 
 
 def test_a_variant_ends_by_its_clock_and_is_not_trained_again(pools, tmp_path):
-    run = proof.settings("normals", "combined", Data(sharing=2), SIZE, 0.4, seed=1)
+    run = layer_ablation.settings("normals", "combined", Data(sharing=2), SIZE, 0.4, seed=1)
     tests = variants.held_out(pools, run.data, SIZE, 1)
     found = variants.trained(run, pools, tests, tmp_path, workers=0)
     assert found["seconds"] >= 0.4
@@ -71,20 +72,20 @@ def test_a_variant_ends_by_its_clock_and_is_not_trained_again(pools, tmp_path):
 def test_a_report_has_every_variant_with_its_interval(tmp_path):
     results = {
         part: {v: [result(100.0 * (i + 1), seed) for seed in (1, 2, 3)] for i, v in enumerate(of_part)}
-        for part, of_part in proof.VARIANTS.items()
+        for part, of_part in layer_ablation.VARIANTS.items()
     }
-    summary = proof.report(tmp_path, results, {"seconds": 1.0, "size": SIZE, "seeds": 3})
+    summary = layer_ablation.report(tmp_path, results, {"seconds": 1.0, "size": SIZE, "seeds": 3})
     told = (tmp_path / "report.md").read_text()
     assert json.loads((tmp_path / "report.json").read_text())["material"]["ratios"].keys() == summary["material"]["ratios"].keys()
     pairs = {"combined / standalone", "control / standalone", "both / standalone", "combined / control", "both / control"}
     assert set(summary["material"]["ratios"]) == pairs
-    for part, of_part in proof.VARIANTS.items():
+    for part, of_part in layer_ablation.VARIANTS.items():
         assert all(f"| {part} | {variant} |" in told for variant in of_part)
 
 
 def test_a_study_writes_its_table_and_chart(tmp_path):
     about = {"pretraining": 1.0, "seconds": 1.0, "size": SIZE, "seeds": 1, "shapes": 250}
-    summary = normals_study.report(tmp_path, {"L2": [result(100.0)], "pixels": [result(90.0)]}, about)
+    summary = normals_ablation.report(tmp_path, {"L2": [result(100.0)], "pixels": [result(90.0)]}, about)
     assert summary["rows"]["pixels"]["ratio"] == pytest.approx([0.9] * 3)
     assert "| 0.900 [0.900, 0.900] | 20.00" in (tmp_path / "table.md").read_text()
     assert (tmp_path / "chart.png").stat().st_size > 1000
@@ -92,12 +93,12 @@ def test_a_study_writes_its_table_and_chart(tmp_path):
 
 def test_fewer_shapes_than_a_variant_asks_for_are_told(pools):
     with pytest.raises(Problem, match="60 training shapes expected, found 1"):
-        normals_study._limited(pools, 60)
+        normals_ablation._limited(pools, 60)
 
 
 def test_every_variant_is_a_run_that_can_be_read_back():
-    for name, weights in normals_study.VARIANTS.items():
-        run = normals_study.settings(name, Data(), 64, 1.0, 0, 1e-3, None, weights, 5)
+    for name, weights in normals_ablation.VARIANTS.items():
+        run = normals_ablation.settings(name, Data(), 64, 1.0, 0, 1e-3, None, weights, 5)
         assert msgspec.json.decode(msgspec.json.encode(run), type=Run) == run
 
 
@@ -122,7 +123,7 @@ def test_a_card_measures_relit_and_rendered_pictures_apart(pools, tmp_path):
     network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
     run = Run(name="tiny", size=SIZE, data=Data(sharing=2))
     checkpoint.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7)
-    found = card.make(tmp_path / "w.safetensors", pools, tmp_path, batches=1, note="a note to readers")
+    found = model_card.make(tmp_path / "w.safetensors", pools, tmp_path, batches=1, note="a note to readers")
     assert {"angle_deg", "irradiance", "image_l2", "target_l2", "control_l2"} <= set(found["figures"])
     assert set(found["cycles"]) == set(found["figures"])
     told = json.loads((tmp_path / "card.json").read_text())
@@ -142,7 +143,7 @@ def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(pools, tmp
         torch.manual_seed(run.seed)
         network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
         checkpoint.save_weights(path, network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7)
-    found = card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[1:2])
+    found = model_card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[1:2])
     told = json.loads((tmp_path / "card.json").read_text())
     assert told["seeds"] == [[1, "7"], [2, "7"]]
     for name, of in told["figures_seeds"].items():
@@ -153,17 +154,17 @@ def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(pools, tmp
     assert told["figures_seeds"]["constant_irradiance"]["each"][0] == told["figures_seeds"]["constant_irradiance"]["each"][1]
     assert "seed 2, 7 steps" in (tmp_path / "card.md").read_text()
     with pytest.raises(Problem, match="seed 2 twice"):
-        card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[1:])
+        model_card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[1:])
     other = msgspec.structs.replace(runs[1], schedule=Schedule(steps=3))
     checkpoint.save_weights(paths[2], network, network.state_dict(), msgspec.json.encode(other).decode(), SIZE, 7)
     with pytest.raises(Problem, match="other settings"):
-        card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[2:])
+        model_card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[2:])
 
 
 def test_step_times_cover_every_part_and_add_up(pools, tmp_path):
     terms = Losses(albedo=0.3, light_log=0.3, light_rendered=1, image=1, target=1, pixels=8, layer_light=(8, 16))
     run = Run(name="tiny", size=SIZE, data=Data(sharing=2), losses=terms, schedule=Schedule(steps=4, batch=2))
-    found = steps.measure(run, pools, tmp_path, tmp_path / "scratch", 1, 4)
+    found = step_profile.measure(run, pools, tmp_path, tmp_path / "scratch", 1, 4)
     parts = {"data", "network", "normals and material terms", "light terms", "layer", "optimiser"}
     assert set(found["step"]) == parts | {"total"}
     assert found["step"]["total"] == pytest.approx(sum(found["step"][part] for part in parts))

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from learn import pictures
-from learn.editing import exposure
-from manifests.command_line import main
+from learn.data import photographs
+from learn.experiments import exposure
+from manifests.cli import main
 from tests.learn.test_cycles_source import written
 
 
@@ -51,4 +51,4 @@ def test_the_command_fits_one_dataset_and_measures_the_rule_in_use_on_another(tm
     told = json.loads((tmp_path / "out" / "exposure.json").read_text())
     assert told["pictures"] == 4
     assert set(told["missed"]) == {"fit", "check"}
-    assert told["rules"]["in use"] == [pictures.TYPICAL, pictures.DEPENDENCE]
+    assert told["rules"]["in use"] == [photographs.TYPICAL, photographs.DEPENDENCE]

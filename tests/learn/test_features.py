@@ -8,9 +8,10 @@ import torch
 from safetensors.torch import save_file
 from torch.nn import functional as F
 
+from learn.data import sources  # noqa: F401 -- the losses' package whole
 from learn.networks import features
-from learn.training import losses, sources  # noqa: F401 -- the losses' package whole
-from manifests.problems import Problem
+from learn.training import losses
+from manifests.errors import Problem
 
 
 @pytest.fixture(scope="module")

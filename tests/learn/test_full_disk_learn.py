@@ -11,12 +11,12 @@ import torch
 from full_disk_case import RUN, SIZE, check, check_read_only, pictures
 from synthetic import add_shape, matte, write_dataset
 
-from learn.editing import apart, edit
+from learn.data.sources import VALIDATION_SHAPES, by_hash
+from learn.editing import decomposition, edit
 from learn.evaluation import bench
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
-from learn.training.checkpoint import save_weights
-from learn.training.sources import VALIDATION_SHAPES, by_hash
+from learn.networks.weights import save_weights
 
 QUICK = (
     "agree",
@@ -55,7 +55,7 @@ def room(tmp_path_factory):
 def quick(monkeypatch):
     """Nothing here looks at how right the pictures are: they are what is written."""
     monkeypatch.setattr(bench, "FIT_PIXELS", 8)
-    monkeypatch.setattr(apart, "method_for", lambda label: "auto")
+    monkeypatch.setattr(decomposition, "method_for", lambda label: "auto")
     monkeypatch.setattr(edit, "BALL", 16)
     monkeypatch.setattr(edit, "TILE", 16)
 

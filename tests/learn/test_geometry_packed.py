@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import synthetic
 
-from learn.dataset import Records
-from learn.geometry import Geometry
-from learn.training.sources import without_twins
+from learn.data.geometry import Geometry
+from learn.data.records import Records
+from learn.data.sources import without_twins
 from manifests import exr
-from manifests.problems import Problem
+from manifests.errors import Problem
 from manifests.store import Lines
 from shaders import envmap
 

@@ -7,10 +7,10 @@ import msgspec
 import pytest
 import torch
 
-from learn.training import measures, schedule
+from learn.data.settings import Data, Losses, Run, Schedule, Stage
+from learn.training import schedule, validation
 from learn.training.journal import Journal
-from learn.training.settings import Data, Losses, Run, Schedule, Stage
-from manifests.problems import Problem
+from manifests.errors import Problem
 from manifests.reading import read
 
 STAGED = Run(
@@ -98,7 +98,7 @@ def test_dead_units_are_the_channels_that_never_light_up():
         layer.weight.zero_()
         layer.bias.copy_(torch.tensor([1.0, -1.0, -1.0, 0.5]))
     network = torch.nn.Sequential(layer, torch.nn.ReLU())
-    with measures.DeadUnits(network) as dead:
+    with validation.DeadUnits(network) as dead:
         assert dead.figures() == {}
         network(torch.zeros(2, 1, 3, 3))
         assert dead.figures() == {"dead_units": 0.5}

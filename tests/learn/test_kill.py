@@ -14,10 +14,10 @@ import hashlib, json, os, signal, sys
 from pathlib import Path
 import numpy as np, torch
 torch.set_num_threads(1)
-from learn.geometry import Geometry
+from learn.data.geometry import Geometry
 from learn.training import checkpoint, loop
-from learn.training.relit import Pool
-from learn.training.settings import Data, Losses, Run, Schedule
+from learn.data.relit import Pool
+from learn.data.settings import Data, Losses, Run, Schedule
 
 folder = Path(sys.argv[1])
 geometry = Geometry(folder / "data", progress=False)

@@ -5,9 +5,11 @@ import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from learn.evaluation import intrinsics, metrics, perceptual
+from learn.metrics import intrinsics
+from learn.metrics import lpips as perceptual
+from learn.metrics import pictures as metrics
 from learn.networks.coding import Ranges
-from manifests.problems import Problem
+from manifests.errors import Problem
 from shaders import envmap, tone
 from shaders.dsbrdf import SHAPE, evaluate
 from shaders.frames import ELEVATION
@@ -219,7 +221,7 @@ def test_lpips_is_the_packages(rng):
 
 
 def test_weights_without_a_layer_are_refused(tmp_path, rng):
-    from learn.training.checkpoint import save
+    from learn.networks.weights import save
 
     tensors = alex(rng)
     del tensors["lin3.weight"]

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from learn import pictures
 from learn.__main__ import COMMANDS
+from learn.data import photographs
 from learn.editing import edit, photograph
-from manifests import command_line, exr
-from manifests.problems import Problem
+from manifests import cli, exr
+from manifests.errors import Problem
 
 SIZE = (48, 64)
 
 
 def main(words):
     """The exit status of `learn WORDS`."""
-    return command_line.main("learn", "test", COMMANDS, words)
+    return cli.main("learn", "test", COMMANDS, words)
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_a_constant_picture_is_accepted_unless_it_is_nearly_black(tmp_path, mask
             photograph.opened(tmp_path / "photo.png", [mask_file])
         return
     found = photograph.opened(tmp_path / "photo.png", [mask_file])
-    framed = pictures.framed(found.balanced, found.mask, 32, found.exposure, "photo")
+    framed = photographs.framed(found.balanced, found.mask, 32, found.exposure, "photo")
     assert np.isfinite(framed.radiance).all()
 
 
@@ -101,7 +101,7 @@ def test_an_exposure_has_to_bring_the_object_to_what_networks_know(exr_file, mas
     path = exr_file(factor)
     if accepted:
         found = photograph.opened(path, [mask_file], exposure=exposure)
-        assert pictures.framed(found.balanced, found.mask, 32, exposure).radiance.max() == pytest.approx(0.8, rel=0.1)
+        assert photographs.framed(found.balanced, found.mask, 32, exposure).radiance.max() == pytest.approx(0.8, rel=0.1)
     else:
         with pytest.raises(Problem, match="mean luminance times the exposure"):
             photograph.opened(path, [mask_file], exposure=exposure)
@@ -142,12 +142,12 @@ def test_a_grey_balance_asks_for_a_background_that_is_not_black(tmp_path, ball, 
 def test_no_picture_is_written_that_is_not_finite(tmp_path):
     bad = np.ones((4, 4, 3), np.float32)
     bad[1, 2, 0] = np.nan
-    for write, name in ((pictures.write_exr, "a.exr"), (edit.save, "a.png")):
+    for write, name in ((photographs.write_exr, "a.exr"), (edit.save, "a.png")):
         with pytest.raises(Problem, match="a finite picture"):
             write(tmp_path / name, bad)
         assert not (tmp_path / name).exists()
     with pytest.raises(Problem, match="a finite picture"):  # finite as float64, not as the file's float32
-        pictures.write_exr(tmp_path / "a.exr", np.full((4, 4, 3), 1e39))
+        photographs.write_exr(tmp_path / "a.exr", np.full((4, 4, 3), 1e39))
 
 
 # -------------------------------------------------------------------------------------------------------------- formats
@@ -187,11 +187,11 @@ def test_formats_that_are_not_on_the_list_are_refused_with_the_list(tmp_path, ba
 
 @pytest.mark.parametrize("format_", ["PNG", "JPEG", "WEBP", "AVIF", "TIFF", "BMP", "GIF", "MPO"])
 def test_formats_on_the_list_are_read(tmp_path, ball, mask_file, format_):
-    if format_ == "AVIF" and format_ not in pictures._formats():
+    if format_ == "AVIF" and format_ not in photographs._formats():
         pytest.skip("this Pillow has no AVIF")
     (tmp_path / "photo.bin").write_bytes(encoded(bytes_of(ball), format_))
     found = photograph.opened(tmp_path / "photo.bin", [mask_file])
-    assert np.median(abs(found.radiance - pictures._linear(ball))) < 0.03  # colours are averaged by some formats, and palettes coarse
+    assert np.median(abs(found.radiance - photographs._linear(ball))) < 0.03  # colours are averaged by some formats, and palettes coarse
 
 
 @pytest.mark.parametrize("dtype", [np.int32, np.float32])
@@ -240,7 +240,7 @@ def test_an_object_as_long_as_a_picture_may_be_is_refused_before_its_square_is_m
     """The square over an object of 20,000 × 16 pixels would take 2 GB a channel."""
     radiance = np.broadcast_to(np.float32(0.5), (16, 20_000, 3))
     with pytest.raises(Problem, match="strip: an object at most 8135 pixels across expected, found 20000"):
-        pictures.framed(radiance, np.ones((16, 20_000), bool), 32, where="strip")
+        photographs.framed(radiance, np.ones((16, 20_000), bool), 32, where="strip")
 
 
 @pytest.mark.parametrize("size", [(1, 64), (64, 1), (4, 4)])
@@ -250,7 +250,7 @@ def test_pictures_of_a_few_rows_are_framed_or_refused(tmp_path, size):
     (tmp_path / "photo.png").write_bytes(encoded(rgba))
     try:
         found = photograph.opened(tmp_path / "photo.png")
-        framed = pictures.framed(found.balanced, found.mask, 32)
+        framed = photographs.framed(found.balanced, found.mask, 32)
     except Problem as problem:
         assert "16 pixels or more" in str(problem)
     else:

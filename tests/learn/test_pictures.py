@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from learn import pictures
-from manifests.problems import Problem
+from learn.data import photographs
+from manifests.errors import Problem
 
 
 @pytest.fixture
@@ -28,34 +28,34 @@ def mask_file(tmp_path, disc):
 @pytest.mark.parametrize(("mode", "suffix"), [("RGB", "png"), ("L", "png"), ("CMYK", "jpg"), ("P", "gif"), ("RGB", "tiff")])
 def test_pictures_of_any_mode_become_linear_radiance(tmp_path, mask_file, mode, suffix):
     path = saved(tmp_path / f"picture.{suffix}", np.full((60, 80, 3), 188, np.uint8), mode)
-    radiance, _ = pictures.read(path, mask_file)
+    radiance, _ = photographs.read(path, mask_file)
     assert radiance.shape == (60, 80, 3)
     np.testing.assert_allclose(radiance, 0.5, atol=0.02)  # sRGB 188 is 0.503; JPEG and palettes move a step or two
 
 
 def test_sixteen_bit_grey_is_read_at_its_depth(tmp_path, mask_file):
     path = saved(tmp_path / "deep.png", np.full((60, 80), 40000, np.uint16))
-    radiance, _ = pictures.read(path, mask_file)
+    radiance, _ = photographs.read(path, mask_file)
     assert radiance[0, 0, 0] == pytest.approx(((40000 / 65535 + 0.055) / 1.055) ** 2.4, rel=1e-5)
 
 
 def test_transparency_is_a_mask(tmp_path, disc):
     rgba = np.dstack([np.full((60, 80, 3), 99, np.uint8), disc.astype(np.uint8) * 255])
-    _, mask = pictures.read(saved(tmp_path / "cut.png", rgba))
+    _, mask = photographs.read(saved(tmp_path / "cut.png", rgba))
     assert (mask == disc).all()
 
 
 def test_a_dark_picture_is_taken_to_be_of_a_darker_scene_but_not_in_proportion():
     mask = np.ones((20, 20), bool)
-    found = [pictures.framed(np.full((20, 20, 3), Y, np.float32), mask, 16).exposure for Y in (0.05, 0.5)]
+    found = [photographs.framed(np.full((20, 20, 3), Y, np.float32), mask, 16).exposure for Y in (0.05, 0.5)]
     np.testing.assert_allclose(found, [0.23 * 0.05**-0.19, 0.23 * 0.5**-0.19], rtol=1e-5)  # docs/editing.md
-    assert pictures.framed(np.full((20, 20, 3), 0.5, np.float32), mask, 16, exposure=2.0).exposure == 2.0
+    assert photographs.framed(np.full((20, 20, 3), 0.5, np.float32), mask, 16, exposure=2.0).exposure == 2.0
 
 
 def test_a_thin_object_keeps_about_its_area_at_the_networks_size():
     y, x = np.mgrid[0:1200, 0:1200]
     ring = abs(np.hypot(x - 600, y - 600) - 590) < 1.5
-    found = pictures.framed(np.full((1200, 1200, 3), 0.5, np.float32), ring, 128)
+    found = photographs.framed(np.full((1200, 1200, 3), 0.5, np.float32), ring, 128)
     share = ring.sum() * (128 / found.box[2]) ** 2  # its area in the network's pixels
     assert 0.8 * share < found.mask.sum() < 1.5 * share
     np.testing.assert_allclose(found.radiance[found.mask], 0.5 * found.exposure, rtol=1e-3)
@@ -66,7 +66,7 @@ def test_an_object_that_is_nearly_all_air_is_refused():
     specks[::1990, ::1990] = True
     specks[:4, :4] = True
     with pytest.raises(Problem, match="16 pixels or more at the network's 128 × 128"):
-        pictures.framed(np.full((2000, 2000, 3), 0.5, np.float32), specks, 128)
+        photographs.framed(np.full((2000, 2000, 3), 0.5, np.float32), specks, 128)
 
 
 def test_what_cannot_be_used_is_refused_with_the_remedy(tmp_path, mask_file):
@@ -83,16 +83,16 @@ def test_what_cannot_be_used_is_refused_with_the_remedy(tmp_path, mask_file):
         ((tmp_path / "none.png", mask_file), "no such file"),
     ):
         with pytest.raises(Problem, match=words):
-            pictures.read(*arguments)
+            photographs.read(*arguments)
 
 
 def test_an_object_is_framed_in_its_middle_at_the_size_asked_for(disc):
     radiance = np.where(disc[..., None], 0.5, 9.0).astype(np.float32).repeat(3, -1)[..., :3]
-    framed = pictures.framed(radiance, disc, 32)
+    framed = photographs.framed(radiance, disc, 32)
     rows, columns = np.nonzero(framed.mask)
     assert framed.radiance.shape == (32, 32, 3)
     assert (abs(rows.mean() - 15.5), abs(columns.mean() - 15.5)) < (1, 1)
     inner = framed.mask & (framed.radiance[..., 0] > 0)
     np.testing.assert_allclose(framed.radiance[inner], 0.5 * framed.exposure, rtol=0.05)  # background at 9 does not leak in
     span = np.ptp(columns) + 1
-    assert span == pytest.approx(32 / pictures.MARGIN, abs=2)
+    assert span == pytest.approx(32 / photographs.MARGIN, abs=2)

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from learn.baselines import making, methods, posterior, priors
-from learn.baselines.encoder_decoder import Edited
+from learn.baselines import methods, posterior, priors
+from learn.baselines import training as making
+from learn.data import lights
+from learn.data.batch import Batch
+from learn.data.settings import Data, Run
+from learn.networks import weights
 from learn.networks.coding import compressed
-from learn.training import checkpoint, lights
-from learn.training.batch import Batch
-from learn.training.settings import Data, Run
+from learn.networks.encoder_decoder import Edited
 
 SIZE, HARMONICS = 16, (priors.DEGREE + 1) ** 2
 
@@ -69,7 +71,7 @@ def options(tmp_path):
     """As learn.commands.baselines parses them: a run's weights that held two maps out are to be followed."""
     path = tmp_path / "weights.safetensors"
     run = Run(name="ours", data=Data(validation_lights=("sky",), test_lights=("room",)))
-    checkpoint.save(path, {"weight": torch.zeros(1)}, {"run": msgspec.json.encode(run).decode()})
+    weights.save(path, {"weight": torch.zeros(1)}, {"run": msgspec.json.encode(run).decode()})
     return SimpleNamespace(out=tmp_path / "out", like=path, steps=7, data=None, lights=None, workers=0)
 
 

@@ -8,14 +8,14 @@ import pytest
 import torch
 from PIL import Image
 
-from learn import prediction
+from learn.data.settings import Run
+from learn.editing import predict
+from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
-from learn.training import checkpoint
-from learn.training.settings import Run
 from manifests import exr
+from manifests.errors import Problem
 from manifests.materials import load_catalogue
-from manifests.problems import Problem
 from shaders import envmap
 from tests.learn.test_cycles_source import written
 
@@ -37,7 +37,7 @@ def weights(tmp_path_factory):
 def predicted(weights, tmp_path_factory):
     """The folder of a prediction of a record, and the dataset it is of."""
     store, out = written(tmp_path_factory.mktemp("data")), tmp_path_factory.mktemp("out")
-    prediction.write(store.folder, None, weights, out)
+    predict.write(store.folder, None, weights, out)
     return out, store
 
 
@@ -67,7 +67,7 @@ def test_the_material_is_a_label_with_the_catalogues_nearest(predicted):
     assert len(told["label"]) == 108
     assert np.isfinite(told["label"]).all()
     catalogue = load_catalogue()
-    assert len(told["nearest"]) == prediction.NEAREST
+    assert len(told["nearest"]) == predict.NEAREST
     assert set(told["nearest"]) <= set(catalogue)
     assert told["run"] == "tiny"
 
@@ -76,37 +76,37 @@ def test_every_part_has_its_picture_and_the_sheet_all_of_them(predicted):
     names = ("picture", "normals", "light", "material", "rendering")
     assert {shown(predicted[0] / f"{name}.png").shape[:2] for name in names} == {(SIZE, SIZE)}
     height, width = shown(predicted[0] / "sheet.png").shape[:2]
-    assert width // prediction.TILE == len(names) and prediction.TILE < height < 2 * prediction.TILE  # a row, and its captions
+    assert width // predict.TILE == len(names) and predict.TILE < height < 2 * predict.TILE  # a row, and its captions
 
 
 def test_an_earlier_prediction_stays_unless_it_may_go(predicted, weights):
     out, store = predicted
     with pytest.raises(Problem, match="--overwrite"):
-        prediction.write(store.folder, None, weights, out)
+        predict.write(store.folder, None, weights, out)
     before = json.loads((out / "material.json").read_text())
-    prediction.write(store.folder, None, weights, out, overwrite=True)
+    predict.write(store.folder, None, weights, out, overwrite=True)
     after = json.loads((out / "material.json").read_text())
     np.testing.assert_allclose(after["label"], before["label"], atol=1e-4)  # the same picture; float32 sums in another order
     assert after["nearest"] == before["nearest"]
 
 
-@pytest.mark.parametrize("name", prediction.WRITTEN)
+@pytest.mark.parametrize("name", predict.WRITTEN)
 def test_no_file_that_is_there_is_replaced_unless_asked(predicted, weights, tmp_path, name):
     (tmp_path / name).write_text("mine")
     with pytest.raises(Problem, match="--overwrite"):
-        prediction.write(predicted[1].folder, None, weights, tmp_path)
+        predict.write(predicted[1].folder, None, weights, tmp_path)
     assert (tmp_path / name).read_text() == "mine"
 
 
 def test_what_is_claimed_is_what_is_written(predicted):
-    assert {path.name for path in predicted[0].iterdir()} == set(prediction.WRITTEN)
+    assert {path.name for path in predicted[0].iterdir()} == set(predict.WRITTEN)
 
 
 def test_a_material_of_the_catalogue_is_its_own_nearest(weights):
     _, metadata = checkpoint.load_network(weights)
     catalogue = load_catalogue()
     for name in ("brass", "red-fabric", "blue-rubber"):
-        assert prediction.nearest(catalogue[name].label.reshape(108).astype(np.float32), metadata["ranges"])[0] == name
+        assert predict.nearest(catalogue[name].label.reshape(108).astype(np.float32), metadata["ranges"])[0] == name
 
 
 def test_the_material_file_tells_where_the_object_was_and_at_what_exposure(weights, tmp_path):
@@ -115,7 +115,7 @@ def test_the_material_file_tells_where_the_object_was_and_at_what_exposure(weigh
     mask[10:50, 30:60] = 255
     Image.fromarray(values).save(tmp_path / "p.png")
     Image.fromarray(mask).save(tmp_path / "m.png")
-    prediction.write(tmp_path / "p.png", tmp_path / "m.png", weights, tmp_path / "out", exposure=0.7)
+    predict.write(tmp_path / "p.png", tmp_path / "m.png", weights, tmp_path / "out", exposure=0.7)
     told = json.loads((tmp_path / "out" / "material.json").read_text())
     top, left, side = told["box"]
     assert told["exposure"] == 0.7
@@ -127,4 +127,4 @@ def test_a_dataset_without_records_is_told(weights, tmp_path):
     for path in store.record_files():
         path.write_bytes(b"")
     with pytest.raises(Problem, match="records expected, found none"):
-        prediction.write(store.folder, None, weights, tmp_path / "out")
+        predict.write(store.folder, None, weights, tmp_path / "out")

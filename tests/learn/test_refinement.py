@@ -12,17 +12,18 @@ from scipy.optimize import OptimizeResult, minimize
 from synthetic import entry, write_dataset
 
 from learn.__main__ import COMMANDS
+from learn.data.batch import Batch
+from learn.experiments import refinement_ablation, refinement_chart, refinement_initialisations
 from learn.layer import render
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, chart, loop, refine, starts, study
+from learn.refinement import Settings, descent, refine
 from learn.refinement.coordinates import Light, Material, Normals, principal_directions, spherical_harmonics
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Level
-from learn.training.batch import Batch
 from learn.training.losses import log_albedo
-from manifests.command_line import main
+from manifests.cli import main
+from manifests.errors import Problem
 from manifests.materials import load_catalogue
-from manifests.problems import Problem
 from shaders import envmap, tone
 
 SIZE, ELEVATION = 24, 0.349
@@ -87,18 +88,18 @@ def test_a_stride_to_where_the_layer_cannot_follow_is_turned_back(scene, monkeyp
     def far_first(value_and_slope, x, **options):
         for far in (1e4, -1e4, np.nan):
             value, slope = value_and_slope(x + far)
-            assert value == loop.NOWHERE and not slope.any()
+            assert value == descent.NOWHERE and not slope.any()
         strides.append(len(x))
         return minimize(value_and_slope, x, **options)
 
-    monkeypatch.setattr(loop, "minimize", far_first)
+    monkeypatch.setattr(descent, "minimize", far_first)
     found = refine(batch, spoiled(truth, 1), replace(QUICK, order=("material",), passes=1))
     assert strides and found.after["total"] < found.before["total"]
 
 
 def test_a_step_that_ends_there_is_taken_back(scene, monkeypatch):
     batch, truth = scene
-    monkeypatch.setattr(loop, "minimize", lambda value_and_slope, x, **options: OptimizeResult(x=x + 1e4))
+    monkeypatch.setattr(descent, "minimize", lambda value_and_slope, x, **options: OptimizeResult(x=x + 1e4))
     found = refine(batch, truth, replace(QUICK, order=("material",), passes=1))
     assert not found.history and found.after == found.before
 
@@ -132,14 +133,14 @@ def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monke
     batch, truth = scene
     start = spoiled(truth, 1)
     once = refine(batch, start, replace(QUICK, passes=1))
-    plain, calls = loop.passed, []
+    plain, calls = descent.passed, []
 
     def lost(batch, state, *rest):
         calls.append(state)
         found, told = plain(batch, state, *rest)
         return (replace(found, light=found.light.roll(64, -1) ** 4), told) if len(calls) == 2 else (found, told)
 
-    monkeypatch.setattr(loop, "passed", lost)
+    monkeypatch.setattr(descent, "passed", lost)
     found = refine(batch, start, replace(QUICK, passes=2))
     assert len(calls) == 2
     assert torch.equal(found.prediction.light, once.prediction.light) and found.after == once.after
@@ -234,63 +235,69 @@ def test_more_than_one_picture_is_refused(scene):
 
 
 def test_a_studys_settings_are_read_from_their_names():
-    assert study.settings_of("default") == Settings()
-    assert study.settings_of("passes=1").passes == 1
-    assert {level.pixels for level in study.settings_of("pixels=600").levels} == {600}
-    assert study.settings_of("c=0.1").c == 0.1
-    for moved, values in study.SWEEPS.items():
-        assert study.value_of(moved) in values, moved  # the chart shades it
-        assert [study.value_of(moved, study.settings_of(f"{moved}={value:g}")) for value in values] == list(values)
+    assert refinement_ablation.settings_of("default") == Settings()
+    assert refinement_ablation.settings_of("passes=1").passes == 1
+    assert {level.pixels for level in refinement_ablation.settings_of("pixels=600").levels} == {600}
+    assert refinement_ablation.settings_of("c=0.1").c == 0.1
+    for moved, values in refinement_ablation.SWEEPS.items():
+        assert refinement_ablation.value_of(moved) in values, moved  # the chart shades it
+        assert [refinement_ablation.value_of(moved, refinement_ablation.settings_of(f"{moved}={value:g}")) for value in values] == list(
+            values
+        )
     with pytest.raises(Problem, match="a setting"):
-        study.settings_of("d=1")
+        refinement_ablation.settings_of("d=1")
 
 
 def known_cases(scene, count):
     """Cases of one picture under several ids; what it is called is the same."""
     batch, truth = scene
     picture = batch.image[0].movedim(0, -1).numpy()
-    return [study.Case(f"record-{i}", batch, [(truth.label[0], picture)]) for i in range(count)]
+    return [refinement_ablation.Case(f"record-{i}", batch, [(truth.label[0], picture)]) for i in range(count)]
 
 
 def test_a_study_has_a_row_a_picture_goes_on_where_it_was_and_refuses_other_weights(scene, tmp_path, monkeypatch):
-    made, refine_ = [], study.refine
-    monkeypatch.setattr(study, "refine", lambda batch, start, settings: made.append(settings.a) or refine_(batch, start, QUICK))
+    made, refine_ = [], refinement_ablation.refine
+    monkeypatch.setattr(
+        refinement_ablation, "refine", lambda batch, start, settings: made.append(settings.a) or refine_(batch, start, QUICK)
+    )
     start = spoiled(scene[1], 3)
-    told = study.weights(lambda _: start, known_cases(scene, 3), tmp_path, ["default", "a=1"])
+    told = refinement_ablation.weights(lambda _: start, known_cases(scene, 3), tmp_path, ["default", "a=1"])
     assert told["default"]["pictures"] == told["a=1"]["pictures"] == 3
     assert made == [0.05] * 3 + [1.0] * 3
     made.clear()
-    fewer = study.weights(lambda _: start, known_cases(scene, 2), tmp_path, ["default"])
+    fewer = refinement_ablation.weights(lambda _: start, known_cases(scene, 2), tmp_path, ["default"])
     assert not made and set(fewer) == {"default"} and fewer["default"]["pictures"] == 2
     assert json.loads((tmp_path / "study.json").read_text()).keys() == {"made_by", "default"}
-    study.settle(tmp_path, {"weights": "one"})
-    study.settle(tmp_path, {"weights": "one"})
+    refinement_ablation.settle(tmp_path, {"weights": "one"})
+    refinement_ablation.settle(tmp_path, {"weights": "one"})
     with pytest.raises(Problem, match="other weights"):
-        study.settle(tmp_path, {"weights": "two"})
+        refinement_ablation.settle(tmp_path, {"weights": "two"})
 
 
 def test_a_weight_moved_beside_the_default_alone_is_charted(tmp_path):
-    row = {figure: [2.0, 1.0, 2.0, 1.0] for figure in study.FIGURES}
-    chart.chart({"a=0.1": row}, tmp_path / "study.png")
+    row = {figure: [2.0, 1.0, 2.0, 1.0] for figure in refinement_ablation.FIGURES}
+    refinement_chart.chart({"a=0.1": row}, tmp_path / "study.png")
     assert (tmp_path / "study.png").stat().st_size > 1000
 
 
 def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
     start = spoiled(scene[1], 3)
-    told = starts.measured(lambda _: start, known_cases(scene, 4), 6, tmp_path, QUICK)
-    assert [row["kind"] for row in told["rows"]] == [*starts.STARTS, starts.STARTS[0]]
-    assert list(told["by_kind"]) == list(starts.STARTS)
+    told = refinement_initialisations.measured(lambda _: start, known_cases(scene, 4), 6, tmp_path, QUICK)
+    assert [row["kind"] for row in told["rows"]] == [*refinement_initialisations.STARTS, refinement_initialisations.STARTS[0]]
+    assert list(told["by_kind"]) == list(refinement_initialisations.STARTS)
     assert told["above_their_start"] == told["not_finite"] == 0
 
 
 def test_a_studys_figures_are_of_the_parts_it_is_given(scene):
     (case,), start = known_cases(scene, 1), spoiled(scene[1], 3)
-    found, own = study.figures(start, case.batch, case.truths), study.figures(scene[1], case.batch, case.truths)
+    found, own = refinement_ablation.figures(start, case.batch, case.truths), refinement_ablation.figures(scene[1], case.batch, case.truths)
     label, truth = case.truths[0]
     mask = (case.batch.segments[0] > 0).numpy()
     level = tone.auto_exposure(truth, mask)
-    assert found["edit"] == pytest.approx(tone.display_l2(study.picture(start, label, case.batch), truth, level, mask))
-    assert found["image"] == pytest.approx(tone.display_l2(study.picture(start, start.label[0], case.batch), truth, level, mask))
+    assert found["edit"] == pytest.approx(tone.display_l2(refinement_ablation.picture(start, label, case.batch), truth, level, mask))
+    assert found["image"] == pytest.approx(
+        tone.display_l2(refinement_ablation.picture(start, start.label[0], case.batch), truth, level, mask)
+    )
     assert own["edit"] < 1 < 20 < found["edit"] and own["image"] < 1 < 20 < found["image"]
     assert own["angle_deg"] < 0.1 < 10 < found["angle_deg"] and own["light"] == 0 < 0.1 < found["light"]
 
@@ -302,17 +309,17 @@ def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, m
 
     def refined(batch, start, settings):
         prediction, after = next(ends)
-        return loop.Refined(prediction, {"total": 1.0}, {"total": after}, [], 0.0)
+        return descent.Refined(prediction, {"total": 1.0}, {"total": after}, [], 0.0)
 
-    monkeypatch.setattr(starts, "refine", refined)
-    monkeypatch.setattr(starts, "picture", lambda parts, *_: np.zeros((SIZE, SIZE, 3), np.float32))
-    told = starts.measured(lambda _: start, known_cases(scene, 1), 4, tmp_path)
+    monkeypatch.setattr(refinement_initialisations, "refine", refined)
+    monkeypatch.setattr(refinement_initialisations, "picture", lambda parts, *_: np.zeros((SIZE, SIZE, 3), np.float32))
+    told = refinement_initialisations.measured(lambda _: start, known_cases(scene, 1), 4, tmp_path)
     assert (told["starts"], told["above_their_start"], told["not_finite"]) == (4, 2, 1)
     assert json.loads((tmp_path / "starts.json").read_text())["made_by"]["commit"]
 
 
 def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
-    for module in (study, starts):
+    for module in (refinement_ablation, refinement_initialisations):
         monkeypatch.setattr(
             module, "refine", lambda batch, start, settings: refine(batch, start, replace(settings, levels=LEVELS, passes=1))
         )

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from learn.training.sources import VALIDATION_SHAPES, by_hash
-from manifests.command_line import main
+from learn.data.sources import VALIDATION_SHAPES, by_hash
+from manifests.cli import main
 from tests.learn import synthetic
 from tests.learn.test_cycles_source import SIZE, damage, first, written
 
@@ -27,7 +27,7 @@ import hashlib, json, os, sys
 from pathlib import Path
 import torch
 from learn.training import loop
-from manifests.command_line import main
+from manifests.cli import main
 
 step = loop.Training._one_step
 

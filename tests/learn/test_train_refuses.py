@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 import torch
 
-from learn.geometry import Geometry
-from learn.training import lights, loop, settings
+from learn.data import lights, settings
+from learn.data.geometry import Geometry
+from learn.data.relit import Pool
+from learn.data.settings import Data, Losses, Run, Schedule, Stage
+from learn.training import loop
 from learn.training.loop import Training
-from learn.training.relit import Pool
-from learn.training.settings import Data, Losses, Run, Schedule, Stage
-from manifests.command_line import main
-from manifests.problems import Problem
+from manifests.cli import main
+from manifests.errors import Problem
 from tests.learn import synthetic
 from tests.learn.test_train_command import RUN, store, train  # noqa: F401 -- a fixture
 

@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 import torch
 
-from learn.geometry import Geometry
+from learn.data import augmentation, lights, sources
+from learn.data.geometry import Geometry
+from learn.data.relit import Pool, Relit
+from learn.data.settings import Data, Losses, Run, Schedule
+from learn.networks import weights as checkpoint
 from learn.networks.coding import REACH, Ranges, unit_mean
 from learn.networks.compact import CELLS, Compact, reflectance_map
 from learn.networks.paper import Paper
 from learn.networks.prediction import Prediction
-from learn.training import augmentation, checkpoint, lights, losses, measures, sources
+from learn.training import losses, validation
 from learn.training.loop import Training
-from learn.training.relit import Pool, Relit
-from learn.training.settings import Data, Losses, Run, Schedule
-from manifests.problems import Problem
+from manifests.errors import Problem
 from shaders import envmap
 from tests.learn import synthetic
 
@@ -128,7 +130,7 @@ def test_a_batch_depends_on_seed_and_number_alone_and_parts_make_the_whole(pools
 
 def test_a_relit_picture_is_the_layers_of_its_own_truth(pools):
     batch = Relit(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]  # held-out sides are not augmented
-    seen = measures.picture(batch.n, batch.label, batch.light, batch)
+    seen = validation.picture(batch.n, batch.label, batch.light, batch)
     mine = batch.image.movedim(1, -1).numpy()
     assert np.abs(seen - mine).mean() / mine.mean() < 0.03  # two methods at 1e-2 and 2e-2
 
@@ -172,15 +174,15 @@ def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_s
     segments[1:, : SIZE // 2][segments[1:, : SIZE // 2] > 0] = 2
     known = replace(batch, segments=segments, label=torch.from_numpy(label).expand(4, 2, 108))
     mine = torch.from_numpy(label[::-1].copy()).expand(4, 2, 108)
-    found = measures.albedos(mine, known, torch.full((3,), math.log(0.2)))
+    found = validation.albedos(mine, known, torch.full((3,), math.log(0.2)))
     double = pytest.approx(math.log(2), abs=0.01)  # of albedo + 1e-3
     assert math.isnan(found["albedo_1"][0])
     assert list(found["albedo_1"][1:]) == [double] * 3
     assert list(found["albedo_2"]) == [double] * 4
     assert list(found["constant_albedo_1"][1:]) == [pytest.approx(0, abs=0.01)] * 3
     assert list(found["constant_albedo_2"]) == [double] * 4
-    assert set(measures.albedos(mine[:, :1], known)) == {"albedo"}
-    assert measures._mean(found["albedo_1"]) == double
+    assert set(validation.albedos(mine[:, :1], known)) == {"albedo"}
+    assert validation._mean(found["albedo_1"]) == double
 
 
 def test_a_light_reduced_keeps_its_energy(rng):

@@ -10,14 +10,13 @@ import torch
 from safetensors.torch import save
 
 from learn.baselines import priors
-from learn.evaluation import perceptual
-from learn.networks import features, tensor_file
+from learn.data.photographs import Framed
+from learn.editing.predict import of
+from learn.metrics import lpips as perceptual
+from learn.networks import features, tensor_file, weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
-from learn.pictures import Framed
-from learn.prediction import of
-from learn.training import checkpoint
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 RUN = json.dumps({"name": "tiny", "parts": ["normals", "material", "light"]})
 
@@ -28,7 +27,7 @@ def sound(tmp_path_factory):
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
     torch.manual_seed(0)
     network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
-    checkpoint.save_weights(path, network, network.state_dict(), RUN, 32, 7)
+    weights.save_weights(path, network, network.state_dict(), RUN, 32, 7)
     return path
 
 
@@ -56,7 +55,7 @@ def joined(header, body):
 
 
 def test_sound_weights_are_read_with_their_size_as_a_number(sound):
-    network, metadata = checkpoint.load_parts(sound)
+    network, metadata = weights.load_parts(sound)
     assert (metadata["size"], metadata["step"], metadata["run"]["name"]) == (32, "7", "tiny")
     assert not network.training
 
@@ -99,7 +98,7 @@ def test_metadata_of_any_kind_are_refused_in_one_line(changed, key, value, words
         return header, body
 
     with pytest.raises(Problem, match=words):
-        checkpoint.load_parts(changed(change))
+        weights.load_parts(changed(change))
 
 
 def filled(value, whole=True):
@@ -155,27 +154,27 @@ def fewer(header, body):
 )
 def test_tensors_that_are_not_the_networks_are_refused(changed, change, words):
     with pytest.raises(Problem, match=words):
-        checkpoint.load_network(changed(change))
+        weights.load_network(changed(change))
 
 
 def test_a_header_that_is_said_to_be_huge_is_not_read(sound, tmp_path):
     for length in (1 << 63, 1 << 40, 99_000_000):
         (tmp_path / "w.safetensors").write_bytes(struct.pack("<Q", length) + sound.read_bytes()[8:])
         with pytest.raises(Problem, match="no header of at most 8 MiB"):
-            checkpoint.load_network(tmp_path / "w.safetensors")
+            weights.load_network(tmp_path / "w.safetensors")
 
 
 def test_other_tensors_are_refused_before_memory_is_taken_for_them(tmp_path, monkeypatch):
     """A sparse file of a gigabyte with one tensor: its name is refused by the header."""
     read = []
     monkeypatch.setattr(tensor_file.Stored, "tensor", lambda self, name: read.append(name))
-    header = {"__metadata__": {"format": checkpoint.FORMAT, "network": "compact", "size": "32"}}
+    header = {"__metadata__": {"format": weights.FORMAT, "network": "compact", "size": "32"}}
     header["normals.weight"] = {"dtype": "F32", "shape": [1 << 28], "data_offsets": [0, 1 << 30]}
     whole = joined(header, b"")
     (tmp_path / "w.safetensors").write_bytes(whole)
     os.truncate(tmp_path / "w.safetensors", len(whole) + (1 << 30))
     with pytest.raises(Problem, match="a tensor of shape"):
-        checkpoint.load_network(tmp_path / "w.safetensors")
+        weights.load_network(tmp_path / "w.safetensors")
     assert not read
 
 
@@ -183,13 +182,13 @@ def test_other_tensors_are_refused_before_memory_is_taken_for_them(tmp_path, mon
 def test_ranges_that_no_material_has_are_refused(tmp_path, centre, half):
     """Labels are read from codes by them: beyond them exp is infinite, or the reflectance no number."""
     network = Compact(Ranges(torch.full((108,), float(centre)), torch.full((108,), float(half))))
-    checkpoint.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), RUN, 32)
+    weights.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), RUN, 32)
     with pytest.raises(Problem, match="label_centre, label_half: ranges of labels"):
-        checkpoint.load_network(tmp_path / "w.safetensors")
+        weights.load_network(tmp_path / "w.safetensors")
 
 
 def test_weights_whose_prediction_overflows_are_told_by_it(sound):
-    network, _ = checkpoint.load_parts(sound)
+    network, _ = weights.load_parts(sound)
     with torch.no_grad():
         network.normals.weight.fill_(3e38)
     framed = Framed(np.full((32, 32, 3), 0.5, np.float32), np.ones((32, 32), bool), (0, 0, 32), 1.0)
@@ -200,7 +199,7 @@ def test_weights_whose_prediction_overflows_are_told_by_it(sound):
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: path.symlink_to("/dev/zero"), lambda path: path.symlink_to(path)])
 def test_what_is_no_file_is_refused_at_once_by_every_reader(tmp_path, make):
     make(tmp_path / "w.safetensors")
-    for read in (checkpoint.load_network, features.load, perceptual.of_file, priors.load):
+    for read in (weights.load_network, features.load, perceptual.of_file, priors.load):
         with pytest.raises(Problem, match=r"w\.safetensors: .* expected, found (a |too many)"):
             read(tmp_path / "w.safetensors")
 
@@ -254,7 +253,7 @@ def known(rng):
     ],
 )
 def test_priors_of_other_shapes_or_without_numbers_are_refused(tmp_path, known, name, value):
-    checkpoint.save(tmp_path / "p.safetensors", vars(known) | {name: value}, {"format": priors.FORMAT})
+    weights.save(tmp_path / "p.safetensors", vars(known) | {name: value}, {"format": priors.FORMAT})
     with pytest.raises(Problem, match=r"p\.safetensors: "):
         priors.load(tmp_path / "p.safetensors")
 

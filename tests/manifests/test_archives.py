@@ -11,7 +11,7 @@ import pytest
 from manifests import archives
 from manifests.archives import ArrayHeader
 from manifests.arrays import encode_light, read_light, read_scale
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 HEADER = "{'descr': '<f4', 'fortran_order': False, 'shape': (64, 128, 3), }\n"
 VERSIONS = ((1, 0), (2, 0), (3, 0))
@@ -81,7 +81,7 @@ def test_a_stored_light_with_a_damaged_array_header_is_told_in_one_line(tmp_path
 
 @pytest.mark.parametrize("text", [HEADER[:40], "{[]: 1}", "[" * 9000])
 def test_light_maps_for_training_with_a_damaged_array_header_are_told_in_one_line(tmp_path, text):
-    from learn.training.lights import read_maps
+    from learn.data.lights import read_maps
 
     path = light_with(tmp_path, "L.npy", stream(text).getvalue())
     with pytest.raises(Problem, match="a damaged array header"):

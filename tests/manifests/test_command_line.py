@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from manifests import command_line
-from manifests.problems import Problem
+from manifests import cli
+from manifests.errors import Problem
 
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name not in ("PYTHONUNBUFFERED", "PYTHONIOENCODING")}
 
@@ -65,8 +65,8 @@ def fail(monkeypatch, capsys):
             def register(subparsers):
                 subparsers.add_parser("work").set_defaults(run=run)
 
-        monkeypatch.setattr(command_line.importlib, "import_module", lambda name: Command)
-        assert command_line.main("factory", "", ("work",), ["work"]) == 1
+        monkeypatch.setattr(cli.importlib, "import_module", lambda name: Command)
+        assert cli.main("factory", "", ("work",), ["work"]) == 1
         return capsys.readouterr().err
 
     return run_with
@@ -99,7 +99,7 @@ def test_an_empty_argument_is_wrong_usage_and_never_the_current_folder(words, na
     program, *arguments = words
     commands = ("render",) if program == "factory" else ("predict",)
     with pytest.raises(SystemExit) as ended:
-        command_line.main(program, "", commands, arguments)
+        cli.main(program, "", commands, arguments)
     assert ended.value.code == 2
     assert f"{name}: a value expected, found an empty one" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -6,8 +6,8 @@ import tarfile
 import msgspec
 import pytest
 
+from manifests.errors import Problem
 from manifests.export import to_parquet, to_tars
-from manifests.problems import Problem
 from manifests.schema import Record
 from manifests.store import image_path
 

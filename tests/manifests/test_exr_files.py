@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from manifests import exr
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 
 def test_a_truncated_file_is_one_problem_and_the_library_says_nothing_beside_it(tmp_path, capfd):

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from manifests import files
+from manifests.errors import Problem
 from manifests.inputs import require_file
-from manifests.problems import Problem
 
 
 def test_a_block_that_fails_keeps_the_earlier_file_and_leaves_no_draft(tmp_path):

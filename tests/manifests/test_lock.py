@@ -3,7 +3,7 @@
 import pytest
 
 from manifests import lock
-from manifests.problems import Problem
+from manifests.errors import Problem
 
 
 def test_a_folder_on_a_read_only_file_system_is_locked_without_a_file(tmp_path, read_only):

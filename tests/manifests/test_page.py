@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from manifests import page
+from learn.agreement import demo_page
 
 FIGURES = {"pictures": 4, "l2": 1.25, "noise": 0.75, "net": 0.5, "ssim": 0.9991, "signed": -0.0123, "absolute": 0.02, "node_fit": None}
 
@@ -26,7 +26,7 @@ def agreement(tmp_path):
 
 
 def run(out, agreement, *sheets):
-    return page.main(["--out", str(out), "--agreement", str(agreement), *(f"--sheet={sheet}" for sheet in sheets)])
+    return demo_page.main(["--out", str(out), "--agreement", str(agreement), *(f"--sheet={sheet}" for sheet in sheets)])
 
 
 def test_the_page_shows_the_figures_of_the_report_and_escapes_names(tmp_path, agreement):
@@ -61,7 +61,7 @@ def test_every_link_of_the_page_leads_from_its_own_folder_to_a_file(tmp_path, ag
     ],
 )
 def test_the_verdict_says_what_the_report_found(direct, word):
-    assert word in page.verdict(direct)
+    assert word in demo_page.verdict(direct)
 
 
 def test_what_is_missing_or_damaged_is_told_in_one_line_and_no_page_is_left(tmp_path, agreement, capsys):
@@ -80,15 +80,15 @@ def test_predictions_stand_on_the_page_with_what_they_are_and_without_any_nothin
     sheet = tmp_path / "parts" / "sheet.png"
     sheet.parent.mkdir()
     sheet.write_bytes(b"")
-    shown = page.page(tmp_path / "index.html", [], agreement, "t", [sheet])
+    shown = demo_page.page(tmp_path / "index.html", [], agreement, "t", [sheet])
     assert "What a network reads" in shown
     assert "href='parts/sheet.png'" in shown
-    assert "What a network reads" not in page.page(tmp_path / "index.html", [], agreement, "t")
+    assert "What a network reads" not in demo_page.page(tmp_path / "index.html", [], agreement, "t")
 
 
 def test_a_prediction_that_is_not_there_is_told(tmp_path, agreement, capsys):
     arguments = ["--out", str(tmp_path / "index.html"), "--agreement", str(agreement), "--prediction", str(tmp_path / "gone.png")]
-    assert page.main(arguments) == 1
+    assert demo_page.main(arguments) == 1
     assert "gone.png" in capsys.readouterr().err
     assert not (tmp_path / "index.html").exists()
 
@@ -97,7 +97,7 @@ def test_edits_stand_on_the_page_only_where_there_are_some(tmp_path, agreement, 
     out, edit = tmp_path / "index.html", tmp_path / "edit.png"
     edit.write_bytes(b"")
     assert run(out, agreement) == 0 and "another material" not in out.read_text()
-    assert page.main(["--out", str(out), "--agreement", str(agreement), "--edit", str(edit)]) == 0
+    assert demo_page.main(["--out", str(out), "--agreement", str(agreement), "--edit", str(edit)]) == 0
     assert "another material" in out.read_text() and "src='edit.png'" in out.read_text()
-    assert page.main(["--out", str(out), "--agreement", str(agreement), "--edit", str(tmp_path / "gone.png")]) == 1
+    assert demo_page.main(["--out", str(out), "--agreement", str(agreement), "--edit", str(tmp_path / "gone.png")]) == 1
     assert "gone.png" in capsys.readouterr().err

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manifests import publish
-from manifests.problems import Problem
+from manifests.errors import Problem
 from manifests.reading import decode, read
 from manifests.schema import Dataset, Draw, Failure, Job, Record
 

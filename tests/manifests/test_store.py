@@ -8,7 +8,7 @@ import sys
 import msgspec
 import pytest
 
-from manifests.problems import Problem
+from manifests.errors import Problem
 from manifests.schema import Record
 from manifests.store import Lines, Store, file_hash, geometry_path, image_path, inside, light_path
 from manifests.verification import Fault, repair
@@ -137,7 +137,7 @@ def test_of_two_workers_who_mend_one_file_the_first_ones_stays(tmp_path):
 
 OTHER = """
 import sys
-from manifests.problems import Problem
+from manifests.errors import Problem
 from manifests.store import Lines
 try:
     Lines(sys.argv[1])

@@ -19,8 +19,8 @@ from manifests.arrays import (
     read_light,
     read_picture,
 )
+from manifests.errors import Problem
 from manifests.files import write_bytes, write_npz
-from manifests.problems import Problem
 from shaders.envmap import unit_mean
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from manifests import arrays, ids
+from manifests.errors import Problem
 from manifests.materials import encode, read_catalogue
-from manifests.problems import Problem
 from manifests.schema import Camera, Draw, Record
 from manifests.store import Store, file_hash, geometry_path, image_path
 from manifests.verification import Fault, Verification, faults_of, repair, shared_between, summary

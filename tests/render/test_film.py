@@ -9,7 +9,7 @@ pytestmark = pytest.mark.blender
 
 @pytest.fixture
 def chair(studio):
-    from factory.render import reference
+    from factory.render.validation import reference
     from factory.shapes.catalogue import load
     from shaders.mixture import Mixture
 
@@ -24,7 +24,7 @@ def chair(studio):
 def test_pixels_equal_blenders_own_file_bit_for_bit(chair, tmp_path):
     import bpy
 
-    from factory.render import film
+    from factory.render import render_result
     from manifests.quiet import silenced
     from manifests.schema import Camera
 
@@ -37,12 +37,12 @@ def test_pixels_equal_blenders_own_file_bit_for_bit(chair, tmp_path):
     with silenced(1):
         bpy.ops.render.render(scene=scene.name, write_still=True)
     with OpenEXR.File(str(tmp_path / "blender.exr")) as file:
-        np.testing.assert_array_equal(film._passes["Combined"], file.channels()["RGBA"].pixels)
+        np.testing.assert_array_equal(render_result._passes["Combined"], file.channels()["RGBA"].pixels)
 
 
 @pytest.mark.parametrize("fov_deg", [None, 50.0])
 def test_a_window_shows_the_pixels_of_the_whole_frame_noise_and_all(chair, fov_deg):
-    from factory.render import film, window
+    from factory.render import render_result, window
     from manifests.schema import Camera
 
     chair.set_camera(Camera(size=(40, 56), fov_deg=fov_deg))
@@ -55,7 +55,7 @@ def test_a_window_shows_the_pixels_of_the_whole_frame_noise_and_all(chair, fov_d
         chair._scene.cycles.samples = 2 if way == "picture" else 1
         chair._scene.cycles.seed = 3
         chair._scene.render.use_border = False
-        whole = film.expose(chair._scene)["Combined"]
+        whole = render_result.expose(chair._scene)["Combined"]
         np.testing.assert_array_equal(whole if way == "picture" else whole[..., 3] > 0.5, wanted)
 
 

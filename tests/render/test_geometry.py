@@ -9,9 +9,9 @@ pytestmark = pytest.mark.blender
 
 
 def test_normals_of_a_sphere_are_its_analytic_ones(studio):
-    from factory.render import proof
+    from factory.render.validation import closed_forms
 
-    figures = proof.geometry(studio, size=96, level=6)
+    figures = closed_forms.geometry(studio, size=96, level=6)
     assert figures["max_deg"] <= 0.1
     assert figures["length_error"] <= 1e-3
     assert figures["mask_pixels"] <= 2  # pixels whose centre lies within the mesh's sagitta of the silhouette
@@ -48,8 +48,8 @@ def test_a_sharp_edge_keeps_both_its_normals(studio):
 
 def test_segments_are_those_of_the_faces_seen(studio):
     """The upper half of a sphere is segment 2: seen from above the horizon, pixels whose world z is above 0 are."""
-    from factory.render import reference
     from factory.render.camera import camera_from_fixed_world
+    from factory.render.validation import reference
     from factory.shapes.primitives import sphere
     from manifests.schema import Camera
 

@@ -29,8 +29,8 @@ def test_an_enum_item_that_blender_does_not_have_is_refused(studio):
 
 
 def test_the_effective_settings_are_json_and_each_has_its_reason(studio):
-    from factory.render import reference
     from factory.render.settings import ALWAYS, GEOMETRY, PICTURE
+    from factory.render.validation import reference
 
     studio.set_light(reference.soft_light())
     settings = json.loads(json.dumps(studio.settings))
@@ -45,7 +45,7 @@ def test_the_effective_settings_are_json_and_each_has_its_reason(studio):
 
 def test_an_unknown_device_and_a_missing_gpu_are_one_line_each(studio):
     from factory.render import device
-    from manifests.problems import Problem
+    from manifests.errors import Problem
 
     with pytest.raises(Problem, match="--device: one of auto, cpu"):
         device.choose("gpu")

@@ -11,7 +11,7 @@ REPEAT = 1e-4
 
 @pytest.fixture
 def shown(studio):
-    from factory.render import reference
+    from factory.render.validation import reference
     from factory.shapes.catalogue import load
     from manifests.schema import Camera
     from shaders.mixture import Mixture
@@ -35,7 +35,7 @@ def test_the_same_shot_is_the_same_picture(shown):
 @pytest.mark.parametrize("change", ["seed", "samples", "tier", "view", "material", "light", "rotation", "camera"])
 def test_each_change_shows_and_undoing_it_brings_the_picture_back(shown, change):
     """Noise alone changes by .1–.2 at 4 samples; light, view and material by more."""
-    from factory.render import reference
+    from factory.render.validation import reference
     from manifests.schema import Camera
     from shaders.mixture import Mixture
 
@@ -62,12 +62,12 @@ def test_each_change_shows_and_undoing_it_brings_the_picture_back(shown, change)
 
 def test_a_seed_is_noticed_though_nothing_else_has_changed(shown):
     """Cycles' own properties tag nothing: without a tag of ours persistent data gives the first seed's noise for ever."""
-    from factory.render import film
+    from factory.render import render_result
 
     shown.render(4, 1)
-    before = film.expose(shown._scene)["Combined"]
+    before = render_result.expose(shown._scene)["Combined"]
     shown._scene.cycles.seed = 2
-    assert _apart(before, film.expose(shown._scene)["Combined"]) > 0.02
+    assert _apart(before, render_result.expose(shown._scene)["Combined"]) > 0.02
 
 
 def test_another_shape_and_back_is_the_same_picture(shown):
@@ -100,7 +100,8 @@ def test_the_canary_finds_a_light_that_cycles_did_not_notice(shown):
     """Trap 1: pixels edited in place change nothing in the next picture. The canary must say so."""
     import bpy
 
-    from factory.render import canary, light, reference
+    from factory.render import canary, light
+    from factory.render.validation import reference
 
     other = reference.soft_light()[::-1].copy()
     (image,) = (each for each in bpy.data.images if each.name.startswith("light"))
@@ -112,7 +113,8 @@ def test_the_canary_finds_a_light_that_cycles_did_not_notice(shown):
 
 
 def test_the_canary_finds_a_lost_light(shown):
-    from factory.render import canary, checks, reference
+    from factory.render import canary, checks
+    from factory.render.validation import reference
 
     texture = next(n for n in shown._scene.world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
     texture.image = None  # to Cycles the same as a file that is not there
@@ -124,7 +126,7 @@ def test_the_canary_finds_a_lost_light(shown):
 
 def test_a_whole_map_of_any_width_is_seen_as_its_64x128_average_is(shown):
     """Full resolution and 64×128 are one light: of a soft map the pictures differ by noise and by a texel's width."""
-    from factory.render import reference
+    from factory.render.validation import reference
 
     shown.set_light(reference.soft_light(128, 256), 17, "full")
     full = shown.render(256, 1)
@@ -138,6 +140,6 @@ def test_memory_stays_flat_over_meshes(tmp_path, root):
     import subprocess
     import sys
 
-    command = [sys.executable, "-m", "factory.render.benchmark", "memory", "--meshes", "40", "--threads", "1"]
+    command = [sys.executable, "-m", "factory.render.validation.benchmark", "memory", "--meshes", "40", "--threads", "1"]
     found = json.loads(subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout)["figures"]
     assert found["growth"] <= 0.03  # with persistent data never dropped it is over .1

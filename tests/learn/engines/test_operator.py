@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from learn.engines import machine_code, operator
+from learn.engines import machine_code
 from learn.layer import RenderLayer, render
+from learn.methods import exact_operator
 from tests.learn.engines.conftest import ROTATION, TOLERANCE, make_scene, random_material
 
 CAMERAS = pytest.mark.parametrize("perspective", [False, True], ids=["orthographic", "view per pixel"])
@@ -52,7 +53,7 @@ def test_float32_through_the_layer_matches_float64(rng, perspective):
 
 def test_float64_and_float32_take_different_paths(rng, monkeypatch):
     calls = []
-    monkeypatch.setattr(operator, "radiance", lambda batch: calls.append(batch.n.dtype) or torch.zeros_like(batch.n))
+    monkeypatch.setattr(exact_operator, "radiance", lambda batch: calls.append(batch.n.dtype) or torch.zeros_like(batch.n))
     for dtype in (torch.float32, torch.float64):
         render(**picture(rng, dtype=dtype), method="exact")
     assert calls == [torch.float32]

@@ -7,8 +7,8 @@ import pytest
 import torch
 from card_scenes import MATERIALS, light, material, sphere
 
-from learn import layer_pixels
-from learn.charting import cases
+from learn.engines import pixel_selection
+from learn.experiments import chart_cases
 from learn.layer import render
 from learn.methods import auto, coarse, directional, exact, lobe_shapes, planned
 from shaders.envmap import directions
@@ -42,7 +42,7 @@ def test_a_coarse_light_is_turned_with_the_fine_one():
 
 
 def test_detail_tells_a_lit_texel_from_a_smooth_sky():
-    parts = {name: coarse.Light(L.astype(np.float32), ROTATION).detail() for name, L in cases.computed_lights().items()}
+    parts = {name: coarse.Light(L.astype(np.float32), ROTATION).detail() for name, L in chart_cases.computed_lights().items()}
     for found in parts.values():
         assert sum(found) == pytest.approx(1.0) and min(found) >= 0
     assert parts["sky"][0] < 0.01 < 0.5 < parts["sun in a texel"][0] < parts["one texel"][0] == 1.0
@@ -59,7 +59,7 @@ def one_lobe(sharpness):
 @pytest.mark.parametrize("sharpness, level, limit", [(8.0, 1, 1e-3), (8.0, 2, 3e-3), (50.0, 1, 5e-3)])
 def test_a_broad_lobe_hardly_sees_that_its_light_is_coarse(sharpness, level, limit):
     n = sphere(24)[(sphere(24) != 0).any(-1)].numpy()
-    for L in cases.computed_lights().values():
+    for L in chart_cases.computed_lights().values():
         scene = planned.Scene(n, one_lobe(sharpness), L.astype(np.float32), ROTATION)
         fine, seen = scene.at(n, (0,)).radiance, scene.at(n, (0,), level).radiance
         error = np.abs(seen - fine).mean() / fine.mean()
@@ -168,7 +168,7 @@ def test_pixels_are_scaled_and_put_back_as_torch_would():
     index = torch.tensor([0, 7, 8, 30, 49])
     found = []
     for step, back in (
-        (layer_pixels.unit, layer_pixels.spread),
+        (pixel_selection.unit, pixel_selection.spread),
         (lambda v, i: torch.nn.functional.normalize(v[i], dim=-1), lambda r, i, p: r.new_zeros(p, 3).index_copy(0, i, r)),
     ):
         given = vectors.clone().requires_grad_()
@@ -181,15 +181,15 @@ def test_pixels_are_scaled_and_put_back_as_torch_would():
 def test_the_state_of_a_pixel_is_that_of_its_vectors():
     n = torch.tensor([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 0, 1.02], [float("nan"), 0, 1], [0.6, 0, 0.8], [0, 0, 0]])
     mask = torch.tensor([True, True, True, True, True, False, False])
-    outside, away, seen, wrong = layer_pixels.OUTSIDE, layer_pixels.AWAY, layer_pixels.SEEN, layer_pixels.WRONG
-    assert layer_pixels.states(n, None, None, 1e-2, 1e-4).tolist() == [outside, seen, away, wrong, wrong, seen, outside]
-    assert layer_pixels.states(n, None, mask, 1e-2, 1e-4).tolist() == [wrong, seen, away, wrong, wrong, outside, outside]
+    outside, away, seen, wrong = pixel_selection.OUTSIDE, pixel_selection.AWAY, pixel_selection.SEEN, pixel_selection.WRONG
+    assert pixel_selection.states(n, None, None, 1e-2, 1e-4).tolist() == [outside, seen, away, wrong, wrong, seen, outside]
+    assert pixel_selection.states(n, None, mask, 1e-2, 1e-4).tolist() == [wrong, seen, away, wrong, wrong, outside, outside]
     view = torch.tensor([[0.0, 0, 1]]).expand(7, 3).clone()
     view[1], view[5] = torch.tensor([0.0, 0, -1]), torch.tensor([0.0, 0, 2])
-    assert layer_pixels.states(n, view, None, 1e-2, 1e-4).tolist() == [outside, away, away, wrong, wrong, wrong, outside]
+    assert pixel_selection.states(n, view, None, 1e-2, 1e-4).tolist() == [outside, away, away, wrong, wrong, wrong, outside]
 
 
 def test_states_are_those_of_the_kernel():
     pixels = pytest.importorskip("learn.engines.pixels", reason="numba is not installed")
     names = ("OUTSIDE", "AWAY", "SEEN", "WRONG")
-    assert [getattr(pixels, name) for name in names] == [getattr(layer_pixels, name) for name in names]
+    assert [getattr(pixels, name) for name in names] == [getattr(pixel_selection, name) for name in names]

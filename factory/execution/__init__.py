@@ -1,0 +1,1 @@
+"""A plan carried out by worker processes, resumable at any moment."""

@@ -1,0 +1,180 @@
+"""What a job names, found: shapes, materials and lights with their hashes, sides and licences. Meshes and maps are read, then let go.
+
+source  where a shape or a light is read from: a spec such as "chair:17", or a path
+twin    the same mesh, fit or map under a second name: left out, since its pictures would be the first one's again
+"""
+
+from dataclasses import dataclass, field
+
+import msgspec
+
+from factory.planning.material_names import chosen_entries
+from factory.planning.shape_names import Source, load_mesh, local, sources
+from manifests import splits
+from manifests.errors import Problem
+from manifests.materials import Entry
+from manifests.schema import Draw, Role, Side
+
+
+class Shape(msgspec.Struct, frozen=True, kw_only=True):
+    """A shape of a job; segments: how many regions get a material of their own."""
+
+    name: str
+    source: Source
+    category: str
+    hash: str
+    segments: int
+    side: Side
+    role: Role
+    licence: str
+    report: str
+
+
+class Material(msgspec.Struct, frozen=True, kw_only=True):
+    """A material of a job; entry: its line of the catalogue, which the dataset's materials.json repeats."""
+
+    name: str
+    hash: str
+    side: Side
+    licence: str
+    source: str
+    entry: Entry
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """A light of a job; origin: where it comes from, for credits; L64 (64, 128, 3): the map that the dataset keeps."""
+
+    name: str
+    source: str
+    hash: str
+    scale: float
+    licence: str
+    origin: str
+    L64: object
+
+
+@dataclass(frozen=True)
+class Assets:
+    """Everything a job names; lights by the name the job uses. notes: what was left out, and why, one line each."""
+
+    shapes: list
+    materials: list
+    lights: dict
+    notes: list = field(default_factory=list)
+
+
+def resolve(job, folder=None, library=None, catalogues=(), watch=None):
+    """The Assets of a job.
+
+    folder      where the job's relative paths start and end: a path that leaves it is refused; None: paths may lead anywhere
+    library     a folder of the user's light maps, or None
+    catalogues  files of materials besides the built-in ones
+    watch       wraps an iterable to show its progress, tqdm-like, or None
+    Raises      Problem: an unknown name, a broken file, a path that leaves the folder, a job that leaves nothing to render
+    """
+    check(job)
+    notes = []
+    materials = _without_twins(_materials(job, catalogues), "material", notes)
+    lights = _lights(job, folder, library)
+    shapes = _without_twins(_shapes(job, folder, watch or _unwatched), "shape", notes)
+    if not shapes:
+        raise Problem("job: shapes", f"some with a role among {', '.join(job.roles)}", "none", "widen shapes or roles")
+    return Assets(shapes, materials, lights, notes)
+
+
+def check(job):
+    """What types cannot say: raises Problem for values that repeat, and for draws of more than there are."""
+    for key, most in (("views", 24), ("rotations", 128)):
+        value = getattr(job, key)
+        if isinstance(value, Draw):
+            if value.random > most:
+                raise Problem(f"job: {key}.random", f"at most {most}", str(value.random), f"there are {most} different ones")
+        elif len(set(value)) < len(value):
+            raise Problem(f"job: {key}", "each number once", f"{sorted({v for v in value if value.count(v) > 1})} twice", "drop the second")
+    for key in ("tiers", "light_resolutions"):
+        value = getattr(job, key)
+        if len(set(value)) < len(value):
+            raise Problem(f"job: {key}", "each name once", ", ".join(value), "drop what repeats")
+
+
+def _unwatched(items, **_):
+    return items
+
+
+def _shapes(job, folder, watch):
+    found = {}
+    for source in watch(list(dict.fromkeys(sources(job, folder))), desc="reading shapes", unit="shape"):
+        mesh = load_mesh(source)
+        known = found.setdefault(mesh.name, (source, mesh.category, mesh.hash, mesh.segments, mesh.report.line()))
+        if known[2] != mesh.hash:
+            raise Problem(
+                f"shape '{mesh.name}'", "one mesh under a name", f"{known[0].place} and {source.place}", "rename one of the files"
+            )
+    roles = splits.shape_roles([(name, category, hash_) for name, (_, category, hash_, _, _) in found.items()], job.split)
+    wanted = set(job.roles) or set(splits.SIDES)
+    return [
+        Shape(
+            name=name,
+            source=source,
+            category=category,
+            hash=hash_,
+            segments=segments,
+            side=splits.SIDES[roles[name]],
+            role=roles[name],
+            licence=source.licence,
+            report=report,
+        )
+        for name, (source, category, hash_, segments, report) in found.items()
+        if roles[name] in wanted
+    ]
+
+
+def _materials(job, catalogues):
+    chosen = chosen_entries(job.materials, catalogues)
+    sides = splits.material_sides([(e.name, e.split, e.hash) for e in chosen])
+    return [
+        Material(
+            name=e.name,
+            hash=e.hash,
+            side=sides[e.name],
+            licence=e.licence,
+            source=e.source,
+            entry=msgspec.structs.replace(e, split=sides[e.name]),  # a twin that is left out may have lifted it to test
+        )
+        for e in chosen
+    ]
+
+
+def _lights(job, folder, library):
+    from factory.lights import load
+    from factory.lights.files import is_light_path
+
+    found = {}
+    for name in dict.fromkeys(job.lights):
+        source = str(local(name, folder, "job: lights")) if is_light_path(name) else name
+        light = load(source, library)
+        found[name] = Light(
+            name=light.name,
+            source=source,
+            hash=light.hash,
+            scale=light.scale,
+            licence=light.licence,
+            origin=light.source,
+            L64=light.L64,
+        )
+    return found
+
+
+def _without_twins(assets, kind, notes):
+    """Each hash once, each name once. Raises Problem for two different things under one name."""
+    by_hash, by_name = {}, {}
+    for asset in assets:
+        if asset.hash in by_hash:
+            if asset.name != by_hash[asset.hash].name:
+                notes.append(f"{kind} '{asset.name}' is '{by_hash[asset.hash].name}' again, left out")
+            continue
+        if asset.name in by_name:
+            raise Problem(f"{kind} '{asset.name}'", "one thing under a name", "two that differ", "rename one of the files")
+        by_hash[asset.hash] = by_name[asset.name] = asset
+    return list(by_hash.values())

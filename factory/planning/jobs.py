@@ -1,0 +1,87 @@
+"""A job from a file, from a preset's name, or from the command line's --mesh, --material and --light."""
+
+import json
+import math
+from pathlib import Path
+
+import msgspec
+
+from manifests.errors import Problem, closest
+from manifests.reading import decode, read
+from manifests.schema import Camera, Draw, Job
+
+PRESETS = Path(__file__).resolve().parents[2] / "manifests" / "jobs"
+MAXIMUM_BYTES = 1 << 20
+# What a job's keys are called on the command line, where it is not --KEY
+OPTIONS = {"camera.fov_deg": "--fov", "shapes": "--mesh", "materials": "--material", "lights": "--light", "render": "render"}
+
+
+def presets():
+    """{name: path} of the jobs that come with the program."""
+    return {path.stem: path for path in sorted(PRESETS.glob("*.json"))}
+
+
+def load(name_or_path):
+    """The Job of a file or of a preset, and the folder in which its relative paths start.
+
+    Raises  Problem: no such file or preset, or anything wrong in it
+    """
+    path = Path(name_or_path)
+    if not path.exists() and path.suffix != ".json" and len(path.parts) == 1:
+        known = presets()
+        if path.name not in known:
+            raise Problem(f"job '{path}'", "a file or a preset", "neither", closest(path.name, known))
+        path = known[path.name]
+    return read(path, Job, MAXIMUM_BYTES), path.parent
+
+
+def from_options(options):
+    """The Job that `render --mesh … --material … --light …` means; options as argparse leaves them.
+
+    Raises  Problem for what a job file would be refused for: dataset.json holds jobs, and is read back under the same limits
+    """
+    height, width = size(options.size)
+    if options.fov is not None and not math.isfinite(options.fov):  # no JSON can say so
+        raise Problem("--fov", "degrees from 1 to 120", str(options.fov), "write --fov 40, or leave it out for an orthographic camera")
+    job = Job(
+        name="command line",
+        shapes=tuple(options.mesh),
+        materials=tuple(options.material),
+        lights=tuple(options.light),
+        views=numbers(options.views, "--views", 23),
+        rotations=numbers(options.rotations, "--rotations", 127),
+        tiers=tuple(options.tier or ["full"]),
+        light_resolutions=tuple(options.light_resolution or ["64x128"]),
+        samples=options.samples,
+        camera=Camera(size=(height, width), fov_deg=options.fov),
+        seed=options.seed,
+    )
+    try:
+        return decode(json.dumps(msgspec.to_builtins(job)).encode(), Job, "render")
+    except Problem as problem:
+        key = problem.where.removeprefix("render: ").partition("[")[0]
+        raise Problem(OPTIONS.get(key, f"--{key}"), problem.expected, problem.found, "see python -m factory render --help") from None
+
+
+def numbers(text, option, most):
+    """ "0,6" as (0, 6); "random:5" as a Draw. Raises Problem for anything else."""
+    word, colon, count = text.partition(":")
+    if word == "random" and colon and _is_number(count) and 1 <= int(count) <= most + 1:
+        return Draw(random=int(count))
+    parts = text.split(",")
+    if not all(_is_number(p) and int(p) <= most for p in parts):
+        raise Problem(option, f"numbers from 0 to {most}", f"'{text}'", f"write {option} 0,6 or {option} random:5")
+    return tuple(int(p) for p in parts)
+
+
+def _is_number(text):
+    """True for digits alone, and not so many that int refuses them."""
+    return text.isascii() and text.isdigit() and len(text) < 20
+
+
+def size(text):
+    """ "128" as (128, 128), "128x256" as height and width. Raises Problem."""
+    parts = text.lower().split("x")
+    if len(parts) > 2 or not all(_is_number(p) and 4 <= int(p) <= 8192 for p in parts):
+        raise Problem("--size", "pixels from 4 to 8192", f"'{text}'", "write --size 128, or --size 128x256 for height and width")
+    return int(parts[0]), int(parts[-1])

@@ -1,0 +1,1 @@
+"""A data set as pictures: contact sheet and web page."""

@@ -1,0 +1,1 @@
+"""Cycles, as the studio uses it, measured against closed forms."""

@@ -1,0 +1,121 @@
+"""The door for meshes from outside: a file comes in, a Mesh comes out: cleaned, oriented, turned to our axes, centred, scaled, hashed.
+
+A place is a path; of a library of many (a folder, a zip of Sweet Home 3D's) it may name the one after '#'. Reading options may follow
+after '?', so that a job file can carry them: "chairs/a.obj?up=z&front=-y", "BlendSwap-CC-0.sh3f#armchair?segments=materials".
+"""
+
+from pathlib import Path
+from urllib.parse import parse_qsl
+
+import numpy as np
+
+from factory.shapes.cleaning import clean, orient
+from factory.shapes.creases import CREASE_DEG
+from factory.shapes.files import check_format, from_bytes, read
+from factory.shapes.libraries import category_of, member
+from factory.shapes.mesh import finish
+from factory.shapes.raw import MAXIMUM_TRIANGLES
+from manifests.errors import Problem, closest
+
+AXES = {sign + axis: (1.0 if sign == "+" else -1.0) * np.eye(3)[k] for sign in "+-" for k, axis in enumerate("xyz")}
+Y_UP = (".obj", ".glb", ".sh3f")  # these come y up, front +z; the others as our world: z up, front +x
+OPTIONS = ("up", "front", "segments", "crease", "category")
+OWN_SEGMENT = "segment-"  # material names that `shapes add` writes: they always become segments
+
+
+def open_mesh(
+    place, *, up=None, front=None, crease_deg=CREASE_DEG, segments="one", category=None, name=None, maximum_triangles=MAXIMUM_TRIANGLES
+):
+    """The Mesh of a file.
+
+    place              PATH, or PATH#MEMBER of a library; with ?up=…&front=…&segments=…&crease=…&category=…
+    up, front          "+x", "-x", … "z": the file's axes that point up and to the front; None: y and z for OBJ and GLB, z and x for others
+    crease_deg         faces that meet at less than this angle look smooth
+    segments           "one", or "materials": a segment for each of an OBJ's materials
+    category, name     None: from the file's and the folders' names
+    maximum_triangles  more are refused before memory is taken
+    Raises             Problem
+    """
+    path, chosen, options = split_place(place)
+    up, front, segments, category = (
+        options.get(k, v) for k, v in (("up", up), ("front", front), ("segments", segments), ("category", category))
+    )
+    crease_deg = _angle(place, options.get("crease", crease_deg))
+    kind = Path(path).suffix.lower()
+    if chosen is not None or kind == ".sh3f":
+        data, inner, kind = member(path, chosen, maximum_triangles)
+        check_format(f"{path}#{inner}", kind)
+        raw, label = from_bytes(data, kind, f"{path}#{inner}", maximum_triangles), inner
+    else:
+        raw, label = read(path, maximum_triangles), Path(path).stem
+    vertices, faces, kept, cleaned = clean(raw.vertices, raw.faces, place)
+    faces, inner_share, turned = orient(vertices, faces)
+    rotation = world_from_file(place, up or ("+y" if kind in Y_UP else "+z"), front or ("+z" if kind in Y_UP else "+x"))
+    segment, parts, part = _segments(raw, kept, segments, place)
+    return finish(
+        name or label,
+        category or category_of(path, chosen or ""),
+        vertices @ rotation.T,
+        faces,
+        segment=segment,
+        parts=parts,
+        part=part,
+        crease_deg=crease_deg,
+        back_faces=inner_share,
+        cleaned=(*raw.notes, *cleaned, *turned),
+    )
+
+
+def split_place(place):
+    """(path, member or None, options) of "PATH#MEMBER?key=value&…"; a '#' or '?' that belongs to an existing path stays in it."""
+    text = str(place)
+    if Path(text).exists():
+        return text, None, {}
+    text, _, query = text.partition("?")
+    options = dict(parse_qsl(query))
+    for key in options:
+        if key not in OPTIONS:
+            raise Problem(place, f"options among {', '.join(OPTIONS)}", f"'{key}'", closest(key, OPTIONS))
+    path, mark, chosen = text.partition("#")
+    return path, chosen if mark else None, options
+
+
+def world_from_file(place, up, front):
+    """Rotation (3, 3) that takes the file's axes to ours: `up` to +z, `front` to +x. Raises Problem if they are not two axes."""
+    named = []
+    for label, axis in (("up", up), ("front", front)):
+        text = axis if axis[:1] in "+-" and axis else f"+{axis}"
+        if text not in AXES:
+            raise Problem(f"{place}: {label}", "an axis such as y, +z or -x", f"'{axis}'", "name one of the six")
+        named.append(AXES[text])
+    if abs(named[0] @ named[1]) > 0.5:
+        raise Problem(f"{place}: up and front", "two different axes", f"'{up}' and '{front}'", "pass --up and --front")
+    return np.stack([named[1], np.cross(named[0], named[1]), named[0]])
+
+
+def _angle(place, value):
+    try:
+        angle = float(value)
+    except ValueError:
+        angle = float("nan")
+    if not 0 <= angle <= 180:
+        raise Problem(f"{place}: crease", "an angle from 0 to 180 degrees", f"'{value}'", "45 suits most meshes")
+    return angle
+
+
+def _segments(raw, kept, wanted, place):
+    """Segments, part names and parts of the kept faces: parts are the OBJ's materials, segments too if wanted."""
+    if wanted not in ("one", "materials"):
+        raise Problem(f"{place}: segments", "'one' or 'materials'", f"'{wanted}'", closest(wanted, ("one", "materials")))
+    if raw.material is None:
+        return None, ("body",), None
+    used, part = np.unique(raw.material[kept], return_inverse=True)
+    names = [raw.materials[k] or "body" for k in used]
+    part = part.reshape(-1)
+    own = all(name.startswith(OWN_SEGMENT) for name in names)
+    if wanted == "one" and not own:
+        return None, tuple(names), part
+    if len(names) > 255:
+        raise Problem(place, "at most 255 materials", str(len(names)), "use segments=one")
+    order = np.argsort(np.argsort(names)) if own else np.arange(len(names))
+    return order[part] + 1, tuple(names), part

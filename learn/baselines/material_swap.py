@@ -1,0 +1,108 @@
+"""Training of Baseline 1: the loop of learn.training, given pictures of what is wanted. Its terms, weighed as a run's `losses` say:
+
+target           mean (O' − c(O))² over the mask's pixels and channels, c = learn.networks.coding.compressed
+target_features  the same two pictures compared by features (learn.networks.features): the paper's perceptual loss
+material         mean (code' − code)² of the input's material, read from f_m, and of the wanted one, read from e(m_t)
+"""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import torch
+
+from learn.data.relit import BRIGHTEST, Relit
+from learn.layer import render
+from learn.networks import weights as checkpoint
+from learn.networks.coding import compressed
+from learn.networks.encoder_decoder import EncoderDecoder, radiance
+from learn.training.loop import Training
+from learn.training.losses import compared_by
+from manifests.files import write_image
+from shaders import tone
+
+VALIDATION_BATCHES = 2
+ROWS = 6
+
+
+class Paired(Relit):
+    """Relit batches with the true O beside the true I: the same shape and light, rendered in the target material."""
+
+    def __getitem__(self, k):
+        batch = super().__getitem__(k)
+        pictures = []
+        for i in range(0, len(batch.n), self.data.sharing):  # a group shares material and light, so its map too
+            n, light = batch.n[i : i + self.data.sharing].movedim(1, -1).contiguous(), batch.light[i].movedim(0, -1).contiguous()
+            material = batch.target_label[i, :1].exp().expand(len(n), -1)
+            with torch.no_grad():
+                picture = render(n, material, light.expand(len(n), -1, -1, -1), tolerance=self.data.tolerance, elevation=batch.elevation)
+            pictures.append(picture.clamp(0, BRIGHTEST).movedim(-1, 1))
+        return replace(batch, target=torch.cat(pictures).contiguous())
+
+
+class SwapTraining(Training):
+    """As learn.training.loop.Training, for learn.networks.encoder_decoder.EncoderDecoder."""
+
+    network_name = EncoderDecoder.name
+
+    def _source(self):
+        run = self.run
+        return Paired(self.pools["train"], run.data, run.schedule.batch, run.size, run.seed, (self.rank, self.world))
+
+    def predict(self, model, batch, parts=None):
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.run.mixed_precision):
+            return model(batch.image, batch.mask, batch.target_label[:, :1])
+
+    def _terms(self, prediction, batch, weights, rng):
+        return terms(prediction, batch, weights, self.network.ranges, self.features)
+
+    def _validate(self):
+        run, network = self.run, self.averaged()
+        source = Paired(self.pools["validation"], run.data, run.schedule.batch, run.size, 20)
+        with torch.no_grad():
+            batches = [source[k] for k in range(VALIDATION_BATCHES)]
+            edits = [self._predicted(network, batch) for batch in batches]
+        sheet(self.out / f"sheet-{self.step:07d}.jpg", batches[0], edits[0])
+        run_json = msgspec.json.encode(run).decode()
+        checkpoint.save_weights(self.out / "weights.safetensors", self.network, self.average, run_json, run.size, self.step)
+        found = [figures(edit, batch, network.ranges) for edit, batch in zip(edits, batches, strict=True)]
+        return {name: float(np.mean([f[name] for f in found])) for name in found[0]}
+
+
+def terms(edited, batch, weights, ranges, features=None):
+    """{name: scalar}; see the module. weights: learn.data.settings.Losses; features: learn.networks.features.Features, if asked for."""
+    inside = (batch.segments > 0)[:, None] * batch.mask
+    truth = compressed(batch.target)
+    read = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean()
+    embedded = ((edited.embedded - ranges.code(batch.target_label[:, :1])) ** 2).mean()
+    found = {"material": read + embedded}
+    if weights.target:
+        found["target"] = ((edited.picture - truth) ** 2 * inside).sum() / (3 * inside.sum()).clamp(min=1)
+    if weights.target_features:
+        found["target_features"] = compared_by(features, edited.picture, truth, inside)
+    return found
+
+
+def figures(edited, batch, ranges):
+    """Display L2 over the mask of O' and of the input returned unchanged, against the true O; code_l2 of the input's material."""
+    drawn = radiance(edited.picture).movedim(1, -1).numpy()
+    found = {"target_l2": [], "unchanged_l2": []}
+    for i, truth in enumerate(batch.target.movedim(1, -1).numpy()):
+        mask = (batch.segments[i] > 0).numpy()
+        exposure = tone.auto_exposure(truth, mask)
+        for name, picture in (("target_l2", drawn[i]), ("unchanged_l2", batch.image[i].movedim(0, -1).numpy())):
+            found[name].append(tone.display_l2(picture, truth, exposure, mask))
+    code_l2 = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean().item()
+    return {name: float(np.mean(values)) for name, values in found.items()} | {"code_l2": code_l2}
+
+
+def sheet(path, batch, edited):
+    """A JPEG with a row an example: the picture as seen, O', O."""
+    rows = []
+    drawn = (radiance(edited.picture) * batch.mask).movedim(1, -1).numpy()
+    for i in range(min(ROWS, len(drawn))):
+        truth = batch.target[i].movedim(0, -1).numpy()
+        exposure = tone.auto_exposure(truth, (batch.segments[i] > 0).numpy())
+        cells = (batch.image[i].movedim(0, -1).numpy(), drawn[i], truth)
+        rows.append(np.concatenate([tone.display(cell, exposure) for cell in cells], 1))
+    write_image(path, np.concatenate(rows).astype(np.uint8), "JPEG", quality=90)

@@ -1,0 +1,51 @@
+"""From a dataset and light maps to the baselines' files: what `learn baselines` does for each name."""
+
+import msgspec
+
+from learn.baselines import FILES, priors
+from learn.baselines.material_swap import SwapTraining
+from learn.data import settings, sources
+from learn.networks import tensor_file
+from learn.training import loop
+from manifests.files import write_bytes
+from manifests.reading import decode
+
+FILE_OF = {"lombardi": FILES["Lombardi-like"], "baseline-1": FILES["Baseline 1"], "baseline-2": FILES["Baseline 2"]}
+
+
+def make(name, preset, options):
+    """Make one file in options.out, and say so in a line. options: as learn.commands.baselines parses them."""
+    target = options.out / FILE_OF[name]
+    if target.exists():
+        return f"{target} is there already"
+    options.out.mkdir(parents=True, exist_ok=True)
+    run = None if preset is None else resolved(settings.read_run(preset), options)
+    pools = sources.pools(held_out(options, settings.Data() if run is None else run.data), options.data, options.lights)
+    if run is None:
+        pool = pools["train"]
+        priors.save(
+            target, priors.fitted(list(pool.labels.values()), pool.maps), {"materials": sorted(pool.labels), "maps": len(pool.maps)}
+        )
+        return f"{target}: {len(pool.labels)} materials, {len(pool.maps)} light maps"
+    kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
+    folder = options.out / name
+    with loop.only_writer(folder):
+        figures = kind(run, pools, folder, workers=options.workers).train()
+    write_bytes(target, (folder / "weights.safetensors").read_bytes())
+    return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())
+
+
+def resolved(run, options):
+    """A preset with the steps and the held-out lights that were asked for."""
+    if options.steps is not None:
+        run = msgspec.structs.replace(run, schedule=msgspec.structs.replace(run.schedule, steps=options.steps))
+    return msgspec.structs.replace(run, data=held_out(options, run.data))
+
+
+def held_out(options, data):
+    """data with the held-out lights of the weights options.like, if there are any."""
+    if options.like is None:
+        return data
+    with tensor_file.opened(options.like) as stored:
+        like = decode(stored.metadata.get("run", "{}").encode(), settings.Run, options.like).data
+    return msgspec.structs.replace(data, validation_lights=like.validation_lights, test_lights=like.test_lights)

@@ -1,0 +1,65 @@
+"""A batch of examples: what a network is shown, and the truth about it.
+
+B pictures, S regions, H, W picture
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Truth in learn.data.records's frames and units, channels first.
+
+    image         (B, 3, H, W) linear radiance as a network sees it, augmented
+    mask          (B, 1, H, W) float, as a network sees it
+    n             (B, 3, H, W) unit normals, camera frame, 0 outside the object
+    segments      (B, H, W) int64, 1 … S, 0 outside the object
+    label         (B, S, 108) natural logarithms
+    light         (B, 3, 64, 128) linear radiance of unit mean luminance, light frame
+    target_label  (B, S, 108) another material for the same shape and light: what the target image O is made of
+    names         what each picture is, for messages: shape, …, material, apart by spaces
+    picture       (B, 3, H, W) the true I where it came from a renderer of its own; None: what the layer makes of the truth
+    target        (B, 3, H, W) the true O, likewise
+    """
+
+    image: torch.Tensor
+    mask: torch.Tensor
+    n: torch.Tensor
+    segments: torch.Tensor
+    label: torch.Tensor
+    light: torch.Tensor
+    target_label: torch.Tensor
+    names: tuple
+    elevation: float
+    picture: torch.Tensor | None = None
+    target: torch.Tensor | None = None
+
+
+def joined(examples, elevation):
+    """A Batch of examples: tuples (image, mask, n, segments, label, light, target label, name), arrays channels last.
+
+    An example may end in two more, picture and target, but then all must.
+    """
+    image, mask, n, segments, label, light, target, names, *true = zip(*examples, strict=True)
+
+    def plain(arrays):
+        return torch.stack([torch.as_tensor(np.ascontiguousarray(a)) for a in arrays])
+
+    def pictures(arrays):
+        return plain(arrays).movedim(-1, 1).contiguous()
+
+    return Batch(
+        pictures(image),
+        plain(mask)[:, None].float(),
+        pictures(n),
+        plain(segments),
+        plain(label),
+        pictures(light),
+        plain(target),
+        names,
+        elevation,
+        *(pictures(arrays) for arrays in true),
+    )

@@ -1,0 +1,183 @@
+"""A dataset's geometry, packed for training: each view of each shape once, with pictures (records) or without (views).
+
+V views, H, W picture. Beside a dataset's lines stands a cache of two memory-mapped arrays, five bytes a pixel, made on first use and
+again when they change:
+
+packed/normals.npy   (V, H, W, 2) int16, n_x and n_y in units of 1/32767; n_z = √(1 − n_x² − n_y²), for normals face the viewer;
+                     a normal is turned by .002° where it faces the viewer and by .5° at most, at the rim
+packed/segments.npy  (V, H, W) uint8, 1 … S, 0 in the background
+packed/skipped.json  hashes of files that were left out, and why
+packed/sums.json     CRC-32 of the two arrays' files, by which a damaged cache is known
+packed/views.json    the geometry files' hashes, by which a stale cache is known; written last, removed before anything else is changed
+
+A cache that is stale or damaged is made again. Where it cannot be kept (a full disk, a data set that may only be read) the arrays stay
+in memory.
+"""
+
+import json
+import sys
+import zlib
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from learn.data.records import Records
+from manifests.arrays import PACKED_UNIT, pack_normals
+from manifests.errors import Problem
+from manifests.files import replacing, write_text
+from manifests.inputs import require_file
+
+UNIT_TOLERANCE = 1e-2  # of |n|; files keep it to 1e-4
+LARGEST_JSON = 256 << 20  # bytes: 70 a view
+ARRAYS = ("normals.npy", "segments.npy")
+LEAST_COVERAGE = 0.02  # a view that shows less of its shape teaches nothing
+
+
+@dataclass(frozen=True)
+class View:
+    """One view of one shape: names as in its records, the geometry file's hash, the shape's side of the split."""
+
+    shape: str
+    category: str
+    viewpoint: int
+    side: str
+    hash: str
+
+
+class Geometry:
+    """The views of a dataset rendered with one orthographic camera.
+
+    skip_bad  leave damaged geometry out, and say so in `skipped`, {hash: what is wrong}; otherwise the first one raises
+    Raises  Problem: no dataset, nothing rendered, cameras of several sizes or with perspective; damaged geometry when it is packed
+    """
+
+    def __init__(self, folder, progress=True, skip_bad=False):
+        records = Records(folder)
+        first = {}
+        for record in chain(records.views(), records.records):
+            if record.coverage >= LEAST_COVERAGE:
+                first.setdefault(record.geometry_hash, record)
+        if not first:
+            raise Problem(folder, "views or records", "none", f"render some: python -m factory render geometry --out {folder}")
+        chosen = sorted(first.values(), key=lambda r: (r.shape, r.viewpoint, r.geometry_hash))
+        cameras = {(r.camera.size, r.camera.fov_deg, r.camera.elevation_deg) for r in chosen}
+        if len(cameras) > 1 or chosen[0].camera.fov_deg is not None:
+            raise Problem(folder, "one orthographic camera everywhere", f"{sorted(map(str, cameras))}", "render them with one job")
+        self.folder, self.size = Path(folder), chosen[0].camera.size
+        self.elevation = float(np.radians(chosen[0].camera.elevation_deg))
+        sides = {name: entry.side for name, entry in records.dataset.shapes.items()}
+        missing = sorted({r.shape for r in chosen} - set(sides))
+        if missing:
+            raise Problem(self.folder / "dataset.json", f"a shape '{missing[0]}', which a record names,", "none", "copy the dataset again")
+        self.skipped = self._known_as_bad() if skip_bad else {}
+        self._n = self._segments = None
+        hashes = [r.geometry_hash for r in chosen if r.geometry_hash not in self.skipped]
+        if self._is_fresh(hashes):
+            self._map(len(hashes))
+        if self._n is None:
+            self._pack(records, chosen, progress, skip_bad)
+        chosen = [r for r in chosen if r.geometry_hash not in self.skipped]
+        if not chosen:
+            raise Problem(folder, "geometry that can be used", "none", next(iter(self.skipped.values())))
+        self.views = [View(r.shape, r.category, r.viewpoint, sides[r.shape], r.geometry_hash) for r in chosen]
+
+    def __len__(self):
+        return len(self.views)
+
+    def normals(self, index):
+        """(H, W, 3) float32 unit normals, camera frame; 0 in the background."""
+        xy = self._n[index].astype(np.float32) / PACKED_UNIT
+        z = np.sqrt(np.clip(1.0 - (xy * xy).sum(-1, keepdims=True), 0.0, 1.0))
+        return np.concatenate([xy, z], -1) * (self._segments[index] > 0)[..., None]
+
+    def segments(self, index):
+        """(H, W) int64: 1 … S, 0 in the background."""
+        return self._segments[index].astype(np.int64)
+
+    def _at(self, name):
+        return self.folder / "packed" / name
+
+    def _known_as_bad(self):
+        """{hash: what is wrong} of files that were left out when the cache was made."""
+        known = self._remembered("skipped.json")
+        return known if isinstance(known, dict) and all(isinstance(text, str) for text in known.values()) else {}
+
+    def _is_fresh(self, hashes):
+        """Whether the cache was made of these files."""
+        return self._remembered("views.json") == hashes
+
+    def _remembered(self, name):
+        """What a small file of the cache holds; None if it is missing or damaged."""
+        try:
+            require_file(self._at(name), "a part of the cache", maximum_bytes=LARGEST_JSON)
+            return json.loads(self._at(name).read_text())
+        except (OSError, ValueError, RecursionError):
+            return None
+
+    def _map(self, count):
+        """Map the arrays of `count` views into memory, if they are those that were packed."""
+        sums, (height, width) = self._remembered("sums.json"), self.size
+        try:
+            if not isinstance(sums, dict) or any(_sum(self._at(name)) != sums.get(name) for name in ARRAYS):
+                return
+            n, segments = (np.load(self._at(name), mmap_mode="r", allow_pickle=False) for name in ARRAYS)
+        except (OSError, ValueError, EOFError):
+            return
+        if (n.shape, segments.shape) == ((count, height, width, 2), (count, height, width)):
+            self._n, self._segments = n, segments
+
+    def _pack(self, records, chosen, progress, skip_bad):
+        self.skipped, hashes = {}, []
+        n, segments = (np.zeros((len(chosen), *self.size, *rest), kind) for rest, kind in (((2,), np.int16), ((), np.uint8)))
+        for record in tqdm(chosen, "packing geometry", unit="view", disable=not progress, leave=False):
+            try:
+                normals, covered = self._checked(records, record)
+            except Problem as problem:
+                if not skip_bad:
+                    raise
+                self.skipped[record.geometry_hash] = str(problem)
+                continue
+            n[len(hashes)], segments[len(hashes)] = pack_normals(normals), covered
+            hashes.append(record.geometry_hash)
+        self._n, self._segments = n[: len(hashes)], segments[: len(hashes)]
+        try:
+            self._keep(hashes)
+        except OSError as error:
+            print(f"learn: packed geometry stays in memory, for it cannot be kept: {error}", file=sys.stderr)
+            return
+        self._map(len(hashes))
+
+    def _keep(self, hashes):
+        """Write the cache."""
+        self.folder.joinpath("packed").mkdir(exist_ok=True)
+        self._at("views.json").unlink(missing_ok=True)
+        for name, array in zip(ARRAYS, (self._n, self._segments), strict=True):
+            with replacing(self._at(name)) as file:
+                np.save(file, array, allow_pickle=False)
+        write_text(self._at("sums.json"), json.dumps({name: _sum(self._at(name)) for name in ARRAYS}))
+        write_text(self._at("skipped.json"), json.dumps(self.skipped))
+        write_text(self._at("views.json"), json.dumps(hashes))
+
+    def _checked(self, records, record):
+        """normals (H, W, 3), segments (H, W) of a record or a view. Raises Problem for what nobody can learn from."""
+        normals, _, segments = records.geometry(record)
+        where, remedy = self.folder / record.geometry, "python -m factory verify DIR --repair, then render again; or --skip-bad"
+        if not segments.any():
+            raise Problem(where, "a shape in the frame", "an empty mask", remedy)
+        lengths = np.linalg.norm(normals[segments > 0], axis=-1)
+        if not np.abs(lengths - 1).max() < UNIT_TOLERANCE:  # so asked, NaN is refused too
+            raise Problem(where, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", remedy)
+        return normals, segments
+
+
+def _sum(path):
+    """CRC-32 of a file's bytes: 2 GB a second."""
+    found = 0
+    require_file(path, "a part of the cache")
+    with open(path, "rb") as file:
+        while data := file.read(1 << 22):
+            found = zlib.crc32(data, found)
+    return found

@@ -1,0 +1,94 @@
+"""Light for relit pictures: maps turned, mirrored, mixed and tinted, and computed skies and rooms, for there are few maps.
+
+L  (64, 128, 3) float32 radiance of unit mean luminance, light frame; all draws from a numpy Generator
+"""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from manifests import archives
+from manifests.errors import Problem
+from manifests.inputs import require_file
+from shaders import envmap
+
+HEIGHT, WIDTH = 64, 128
+LARGEST_FILE = 256 << 20
+LARGEST_MAP = 1 << 20  # bytes: four times what a map of doubles takes
+MOST_MAPS = 4096  # together 400 MB in memory
+BRIGHTEST = 1e30  # far beyond any unit; sums of float32 stay finite
+
+
+def read_maps(path):
+    """{name: L} of an .npz of (64, 128, 3) arrays. Raises Problem."""
+    path = Path(path)
+    rule, remedy = "an .npz of (64, 128, 3) light maps", "write it by numpy.savez(path, name=map)"
+    require_file(path, rule, remedy, LARGEST_FILE)
+    with archives.opened_zip(path, rule, remedy) as archive:
+        members = archive.infolist()
+        if len(members) > MOST_MAPS:
+            raise Problem(path, f"at most {MOST_MAPS} maps", str(len(members)), "give fewer maps")
+        return {member.filename.removesuffix(".npy"): _map(archive, member, path) for member in members}
+
+
+def _map(archive, member, path):
+    """L of one member of an archive, unit mean. Raises Problem, and one of `archives.DAMAGE` for a damaged one."""
+    where, remedy = f"{path}: {member.filename.removesuffix('.npy')}", "average it to 64×128 first"
+    rule = "finite radiance of shape (64, 128, 3)"
+    if member.file_size > LARGEST_MAP:  # by the directory, before memory is taken
+        raise Problem(where, rule, f"{member.file_size} bytes", remedy)
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise Problem(where, "an array as numpy compresses it", "another compression", remedy)
+    with archive.open(member) as stored:
+        header = archives.ArrayHeader(stored)
+        if header.shape != (HEIGHT, WIDTH, 3) or header.dtype.kind not in "fui":
+            raise Problem(where, rule, f"{header.shape} of {header.dtype}", remedy)
+        values = np.frombuffer(archives.read_exactly(stored, header.bytes), header.dtype)
+    L = values.reshape(header.shape, order="F" if header.fortran else "C").astype(np.float64)
+    if not np.isfinite(L).all() or L.max() > BRIGHTEST:
+        found = f"values up to {L.max():g}" if np.isfinite(L).all() else "NaN or infinity"
+        raise Problem(where, f"finite radiance up to {BRIGHTEST:g}", found, "clip it, and write it again")
+    if not (L > 0).any():
+        raise Problem(where, "light", "a black map", "leave it out")
+    return envmap.unit_mean(np.maximum(L, 0).astype(np.float32))[0].astype(np.float32)
+
+
+def draw(rng, maps, real):
+    """One light. maps: a list of L; real: the share of plain maps, the rest mixtures and computed ones in equal parts."""
+    kind = rng.random()
+    if maps and kind < real:
+        L = _turned(rng, maps)
+    elif maps and kind < (1 + real) / 2:
+        share = rng.uniform(0.1, 0.9)
+        L = share * _turned(rng, maps) * _tint(rng, 0.3) + (1 - share) * _turned(rng, maps) * _tint(rng, 0.3)
+    else:
+        L = computed(rng)
+    return envmap.unit_mean((L * _tint(rng, 0.15)).astype(np.float32))[0].astype(np.float32)
+
+
+def computed(rng):
+    """A sky with a sun, or a room with lamps, or a mixture; over a ground."""
+    w, _ = envmap.directions(HEIGHT, WIDTH)
+    up = w[..., 1]
+    gradient = np.clip(0.5 + 0.5 * up / rng.uniform(0.1, 1.0), 0, 1)[..., None]
+    L = rng.uniform(0.02, 0.6) * _tint(rng, 0.4) + gradient * (rng.uniform(0.1, 1.5) * _tint(rng, 0.4))
+    for _ in range(rng.integers(0, 5)):
+        centre = rng.normal(size=3)
+        centre[1] = abs(centre[1]) * rng.choice([1.0, 1.0, 1.0, -0.5])
+        centre /= np.linalg.norm(centre)
+        width = np.exp(rng.uniform(np.log(0.04), np.log(0.7)))  # radians
+        lamp = np.clip((width - np.arccos(np.clip(w @ centre, -1, 1))) / (0.3 * width + 0.02) + 0.5, 0, 1)
+        share = np.exp(rng.uniform(np.log(0.03), np.log(1.0)))  # of the sphere's light, against the ambient's of about one half
+        L = L + (share / max(lamp.mean(), 1e-4) * lamp)[..., None] * _tint(rng, 0.4)
+    return L
+
+
+def _turned(rng, maps):
+    L = envmap.roll(maps[rng.integers(len(maps))], int(rng.integers(WIDTH)))
+    L = L[:, ::-1] if rng.random() < 0.5 else L
+    return L[..., rng.permutation(3)]
+
+
+def _tint(rng, strength):
+    return np.exp(rng.normal(0, strength, 3))

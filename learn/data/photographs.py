@@ -1,0 +1,343 @@
+"""Pictures from a user: any size, in the formats of FORMATS or OpenEXR, with a mask, brought to what the networks were trained on.
+
+radiance  (H, W, 3) float32 linear Rec.709; 8 and 16 bit files pass the sRGB curve backwards
+mask      (H, W) bool, from a file of the same size (brighter than half) or from the picture's own alpha
+Of 16-bit colour Pillow keeps the upper eight bits; of 16-bit grey all. Orientation is taken from the file, colour profiles are not read.
+
+Which radiance is accepted: finite values up to LARGEST_RADIANCE, negative ones counting as 0, of an object that is bright enough, and not
+too bright, for its exposure to be estimated (ESTIMATED) or for the networks (SEEN). A constant or fully clipped object is accepted.
+"""
+
+import functools
+import math
+import struct
+import warnings
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import ExifTags, Image, UnidentifiedImageError
+from scipy.ndimage import distance_transform_edt
+
+from manifests import exr
+from manifests.errors import Problem
+from manifests.inputs import require_file
+from shaders import tone
+from shaders.envmap import LUMINANCE
+
+# What Pillow may open. Left out are formats that start other programs (EPS starts Ghostscript), hold several sizes (ICO, ICNS), are read
+# line by line in Python (plain PPM), or that no camera and no painting program writes by default.
+FORMATS = ("PNG", "JPEG", "WEBP", "AVIF", "TIFF", "BMP", "GIF")
+FORMATS_TEXT = "PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR"
+MOST_PIXELS = 64_000_000
+MOST_SIDE = 65_535  # as JPEG; Pillow keeps a list of a picture's rows
+MOST_BYTES = 1 << 30  # of a file: MOST_PIXELS of four 32-bit channels
+# What Pillow's parsers raise on damaged files, besides OSError
+DAMAGED = (
+    SyntaxError,
+    EOFError,
+    ValueError,
+    TypeError,
+    LookupError,
+    AttributeError,
+    ArithmeticError,
+    RuntimeError,
+    struct.error,
+    zlib.error,
+    Image.DecompressionBombError,
+)
+TURNS = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}  # by the value of Exif's Orientation
+TILE_WIDTH, TILE_LENGTH = 322, 323  # tags of a TIFF
+LARGEST_RADIANCE = 1e10  # the sun's disk has 1.6e9 cd/m²: in no unit in use is anything brighter
+MOST_REGIONS = 8
+LEAST_PIXELS = 16  # of the mask; fewer tell nothing of a shape
+MASK_REMEDY = "give --mask FILE: white where the object is"
+MOST_SQUARE = 9600  # pixels along the side of the square over the object: of a square picture of MOST_PIXELS
+MARGIN = 1.18  # of the square over the object: objects span 0.85 of the median training picture
+# A photograph's scale is unknown: that under which a light of unit mean lit it is guessed from the object's mean luminance Y in the file as
+# TYPICAL · Y^−DEPENDENCE: the best line over 200 pictures of known light, exposed for their 99th percentile. `learn exposure` measures it
+# (docs/editing.md): over 600 others it is as good as their own line, and a third of them lie off either by more than a factor of 2.5.
+TYPICAL, DEPENDENCE = 0.23, 0.19
+# Mean luminance of an object whose exposure is estimated: below it 8 bits have three steps, above it a file is in units of its own.
+ESTIMATED = (1e-3, 1e3)
+# Mean luminance of an object times its exposure. Under light of unit mean the catalogue's materials on a sphere have 2.3e-4 (lit by a
+# sun from behind) to 1.8; a mirror that faces the sun may have far more, but not over a whole object.
+SEEN = (1e-4, 1e2)
+
+
+@dataclass(frozen=True)
+class Framed:
+    """A picture cut to the object's square. box: (top, left, side) in its pixels; exposure: radiance = photograph × exposure."""
+
+    radiance: np.ndarray
+    mask: np.ndarray
+    box: tuple
+    exposure: float
+
+
+def read(path, mask_path=None):
+    """radiance (H, W, 3), mask (H, W) bool. Raises as `read_soft`."""
+    radiance, coverage, _ = read_soft(path, mask_path)
+    return radiance, coverage >= 0.5
+
+
+def read_soft(path, mask_path=None, regions=None, remedy=MASK_REMEDY):
+    """radiance (H, W, 3); coverage (H, W) in [0, 1]: how much of each pixel the object covers, from a mask's grey or a picture's alpha;
+    and that alpha itself.
+
+    regions  a label image's file: without a mask and transparency the object is all its regions
+    remedy   of a picture without a mask
+
+    Raises  Problem: no such file, no picture, no mask, an empty one, one of another size
+    """
+    path = Path(path)
+    radiance, alpha = _pixels(path)
+    if mask_path is not None:
+        coverage = read_mask(mask_path, radiance.shape[:2])
+    elif (alpha < 0.5).any():
+        coverage = alpha
+    elif regions is not None:
+        coverage = (read_labels(regions, radiance.shape[:2]) > 0).astype(np.float32)
+    else:
+        raise Problem(path, "a mask, or transparency around the object", "neither", remedy)
+    if (coverage >= 0.5).sum() < LEAST_PIXELS:
+        found = f"{int((coverage >= 0.5).sum())}"
+        raise Problem(mask_path or path, f"an object of {LEAST_PIXELS} pixels or more in the mask", found, "white marks the object")
+    return radiance, coverage, alpha
+
+
+def read_mask(path, size):
+    """Coverage (H, W) of a mask file: its display value, 0 black to 1 white, times its own alpha. Raises Problem: not of that size."""
+    values, own = _pixels(Path(path))
+    _require_size(path, values.shape[:2], size, "a mask")
+    return tone.srgb(values.mean(-1)).astype(np.float32) * own
+
+
+def read_labels(path, size):
+    """Regions (H, W) uint8, 0 background, 1 … S by rising value: each grey, colour or palette entry but 0 is a region. Raises Problem."""
+    path = Path(path)
+    if path.suffix.lower() == ".exr":
+        raise Problem(path, "a picture of whole numbers, one a region", "an EXR", "save it as PNG")
+    values = _decoded(path, _label_values)
+    _require_size(path, values.shape[:2], size, "regions")
+    levels = [level for level in np.unique(values) if level != 0]
+    if not 1 <= len(levels) <= MOST_REGIONS:
+        remedy = "0 is background, and each region has one value; save without antialiasing or JPEG"
+        raise Problem(path, f"1 to {MOST_REGIONS} values besides 0", f"{len(levels)}", remedy)
+    return np.searchsorted([0, *levels], values).astype(np.uint8)
+
+
+def _label_values(picture):
+    """(H, W) whole numbers of a Pillow image: greys and palette entries as they are, of colours one number each."""
+    if picture.mode in ("P", "L", "1") or picture.mode.startswith("I"):
+        return np.asarray(picture)
+    r, g, b, alpha = np.moveaxis(np.asarray(picture.convert("RGBA"), np.uint32), -1, 0)
+    return np.where(alpha > 127, r << 16 | g << 8 | b, 0)
+
+
+def _require_size(path, found, expected, what):
+    if tuple(found) != tuple(expected):
+        rule = f"{what} of the picture's size {expected[1]} × {expected[0]}"
+        raise Problem(path, rule, f"{found[1]} × {found[0]}", "resize it")
+
+
+def _pixels(path):
+    """radiance (H, W, 3) linear, alpha (H, W) in [0, 1], upright as the file's orientation says."""
+    if path.suffix.lower() == ".exr":
+        return _exr_pixels(path)
+    values = _decoded(path, _display_values)
+    if values.ndim == 2:
+        low, high = values.min(), values.max()
+        if low < 0 or high > 65535:
+            raise Problem(path, "8 or 16 bit values", f"values from {low} to {high}", "save it as a 16-bit PNG, or as EXR")
+        return np.repeat(_linear(values.astype(np.float32) / 65535)[..., None], 3, -1), np.ones(values.shape, np.float32)
+    table = _linear(np.arange(256) / 255)  # one look-up a value: of twenty megapixels the power would take seconds and gigabytes
+    return table[values[..., :3]], values[..., 3].astype(np.float32) / 255
+
+
+def _display_values(picture):
+    """(H, W, 4) uint8 of a Pillow image's colours and transparency; (H, W) whole numbers of deeper greys."""
+    return np.asarray(picture if picture.mode.startswith("I") else picture.convert("RGBA"))
+
+
+def _decoded(path, values_of):
+    """What `values_of` takes from the Pillow image of a file, which is whole and upright. Raises Problem."""
+    require_file(path, "a picture", "check the name", MOST_BYTES)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of harmless oddities in a file's metadata
+            with Image.open(path, formats=_formats()) as opened:
+                _require_readable(path, opened)
+                opened.seek(0)  # of an animation, the first frame
+                return values_of(_upright(opened))
+    except Problem:
+        raise
+    except UnidentifiedImageError:
+        rule, remedy = f"a picture in one of the formats {FORMATS_TEXT}", "save it as PNG, JPEG or EXR"
+        raise Problem(path, rule, "another format, or a damaged file", remedy) from None
+    except (OSError, *DAMAGED) as error:
+        found = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+        raise Problem(path, f"a whole picture ({FORMATS_TEXT})", found, "save it again, as PNG, JPEG or EXR") from None
+
+
+@functools.cache
+def _formats():
+    """Those of FORMATS that the Pillow in use has: older ones have no AVIF."""
+    Image.init()
+    return [name for name in FORMATS if name in Image.OPEN]
+
+
+def _require_readable(path, picture):
+    """Raises Problem for a Pillow image, of which only the header was read, that is too large, or of numbers that are no display values."""
+    tags = getattr(picture, "tag_v2", {})  # of a TIFF, whose decoder takes memory for a whole tile
+    for what, width, height in (("", *picture.size), ("tiles of ", tags.get(TILE_WIDTH), tags.get(TILE_LENGTH))):
+        sides = [side for side in (width, height) if isinstance(side, int)]
+        if math.prod(sides) > MOST_PIXELS or max(sides, default=0) > MOST_SIDE:
+            rule = f"at most {MOST_PIXELS // 1_000_000} megapixels, and {MOST_SIDE} a side"
+            raise Problem(path, rule, f"{what}{width} × {height}", "make it smaller")
+    if picture.mode == "F":
+        raise Problem(path, "8 or 16 bit values", "floating point", "save it as EXR")
+
+
+def _upright(picture):
+    """The picture as its orientation says; one whose orientation cannot be read stays as it is."""
+    picture.load()
+    try:
+        orientation = picture.getexif().get(ExifTags.Base.Orientation)
+    except (OSError, *DAMAGED):  # a sound picture beside damaged metadata
+        return picture
+    turn = TURNS.get(orientation) if isinstance(orientation, int) else None
+    return picture if turn is None else picture.transpose(turn)
+
+
+def _linear(values):
+    """float32 linear values of display values in [0, 1]: the sRGB curve backwards."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def _exr_pixels(path):
+    channels = exr.read(path)
+    missing = [name for name in "RGB" if name not in channels]
+    if missing:
+        raise Problem(path, "channels R, G, B", f"only {', '.join(sorted(channels)) or 'none'}", "export it as RGB")
+    planes = {name: np.asarray(channels[name]) for name in "RGBA" if name in channels}
+    kinds = {(plane.shape, plane.dtype.kind) for plane in planes.values()}
+    if len({shape for shape, _ in kinds}) > 1 or any(len(shape) != 2 or kind not in "fu" for shape, kind in kinds):
+        raise Problem(path, "channels R, G, B and A of one size", "channels of several sizes, or deep data", "export it as flat RGB")
+    radiance = np.stack([planes[name].astype(np.float32) for name in "RGB"], -1)
+    alpha = planes["A"].astype(np.float32) if "A" in planes else np.ones(radiance.shape[:2], np.float32)
+    if not np.isfinite(radiance).all():
+        raise Problem(path, "finite radiance", "NaN or infinity", "export it again")
+    if not np.isfinite(alpha).all():
+        raise Problem(path, "a finite alpha channel", "NaN or infinity", "export it again")
+    if (brightest := radiance.max()) > LARGEST_RADIANCE:
+        raise Problem(path, f"radiance up to {LARGEST_RADIANCE:g}", f"{brightest:g}", "divide it by what white is, and export it again")
+    return np.maximum(radiance, 0), np.clip(alpha, 0, 1)
+
+
+def exposure_of(radiance, mask, exposure=None, where="the object"):
+    """The factor from a picture's radiance to the networks': the one given, or an estimate from the object's brightness.
+
+    radiance (H, W, 3), mask (H, W) bool, not empty
+    Raises  Problem at `where` for an object that is black, or too dark or too bright to be read
+    """
+    Y = float((radiance[mask] @ LUMINANCE).mean())
+    shown = f"{Y:.3g}" + ", black or negative" * (Y == 0)
+    if exposure is None:
+        if not ESTIMATED[0] <= Y <= ESTIMATED[1]:
+            rule = "an object of mean luminance {:g} to {:g}".format(*ESTIMATED)
+            raise Problem(where, rule, shown, "expose it so that white is 1, or say by --exposure what to multiply it by")
+        return TYPICAL * Y**-DEPENDENCE
+    if not SEEN[0] <= exposure * Y <= SEEN[1]:
+        rule = "an object whose mean luminance times the exposure is {:g} to {:g}".format(*SEEN)
+        raise Problem(where, rule, f"{shown} times {exposure:g}", "give another --exposure, or leave it out")
+    return exposure
+
+
+def framed(radiance, mask, size, exposure=None, where="the object"):
+    """The object's square at the networks' size.
+
+    exposure  None: guessed from the object's brightness
+    where     names the picture in a Problem
+    Returns   Framed with radiance (size, size, 3), mask (size, size)
+    Raises    Problem: too little of it is left at that size; as `exposure_of`
+    """
+    rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
+    side = max(int(np.ceil(MARGIN * max(np.ptp(rows), np.ptp(columns)))) + 1, 4)
+    if side > MOST_SQUARE:
+        across = max(np.ptp(rows), np.ptp(columns)) + 1
+        rule = f"an object at most {int(MOST_SQUARE / MARGIN)} pixels across"
+        raise Problem(where, rule, str(across), "make the picture smaller")
+    top, left = (rows[0] + rows[-1] + 1 - side) // 2, (columns[0] + columns[-1] + 1 - side) // 2
+    exposure = exposure_of(radiance, mask, exposure, where)
+    weight = placed(mask.astype(np.float32), (top, left, side))
+    covered = resized(weight, size)
+    colour = resized(placed(radiance * mask[..., None], (top, left, side)), size) / np.maximum(covered, 1e-3)[..., None]
+    inside = covered >= 0.5
+    if inside.sum() < 0.5 * covered.sum():  # wires and rims: the pixels that hold most of it, as many as its area
+        inside = covered >= max(np.sort(covered, None)[-round(float(covered.sum()))], 1e-2)
+    if inside.sum() < LEAST_PIXELS:
+        rule = f"an object of {LEAST_PIXELS} pixels or more at the network's {size} × {size}"
+        raise Problem("the mask", rule, f"{int(inside.sum())}", "mask a thicker part of it, or crop to it")
+    return Framed((colour * inside[..., None] * exposure).astype(np.float32), inside, (int(top), int(left), side), float(exposure))
+
+
+def framed_regions(regions, framed):
+    """(size, size) int64: regions (H, W) in the object's square, each pixel of the framed mask the nearest pixel's, 0 outside the mask."""
+    size = len(framed.mask)
+    at = ((np.arange(size) + 0.5) * framed.box[2] / size).astype(int)
+    near = distance_transform_edt(placed(regions, framed.box) == 0, return_distances=False, return_indices=True)
+    return placed(regions, framed.box)[tuple(near)][at][:, at].astype(np.int64) * framed.mask
+
+
+def placed(array, box):
+    """The square (top, left, side) of an array, 0 where it reaches beyond the picture."""
+    top, left, side = box
+    out = np.zeros((side, side, *array.shape[2:]), array.dtype)
+    first_row, first_column = max(top, 0), max(left, 0)
+    part = array[first_row : max(top + side, 0), first_column : max(left + side, 0)]
+    row, column = first_row - top, first_column - left
+    out[row : row + part.shape[0], column : column + part.shape[1]] = part
+    return out
+
+
+def put_back(array, square, box):
+    """A copy of the array with a square in its place, as far as it lies inside."""
+    top, left, side = box
+    out = array.copy()
+    target = out[max(top, 0) : max(top + side, 0), max(left, 0) : max(left + side, 0)]
+    row, column = max(-top, 0), max(-left, 0)
+    target[...] = square[row : row + target.shape[0], column : column + target.shape[1]]
+    return out
+
+
+def resized(array, size):
+    """Averaged or interpolated to (size, size)."""
+    planes = array[..., None] if array.ndim == 2 else array
+    method = Image.Resampling.BOX if len(array) >= size else Image.Resampling.BILINEAR
+    out = np.stack([np.asarray(Image.fromarray(planes[..., k]).resize((size, size), method)) for k in range(planes.shape[-1])], -1)
+    return out[..., 0] if array.ndim == 2 else out
+
+
+def write_exr(path, array, names=("R", "G", "B")):
+    """An EXR of float32 channels (H, W, C). Raises Problem for what is not finite."""
+    with np.errstate(over="ignore"):  # beyond float32 is not finite
+        planes = {name: np.asarray(array[..., k], np.float32) for k, name in enumerate(names)}
+    for plane in planes.values():
+        require_finite(path, plane)
+    exr.write(path, planes)
+
+
+def require_finite(path, values):
+    """Raises Problem if a picture that is about to be written to `path` holds NaN or infinity, of which no file is made."""
+    if not np.isfinite(values).all():
+        raise Problem(path, "a finite picture", "NaN or infinity", "give another --exposure, or other --weights or --material")

@@ -1,0 +1,81 @@
+"""Before training starts: is every picture that it will need there, whole, finite and of something?
+
+All files are read once; what was found good is remembered by size and time of change (packed/pictures.json), so that another run only
+asks the file system.
+"""
+
+import contextlib
+import json
+
+import numpy as np
+from tqdm import tqdm
+
+from manifests.errors import Problem
+from manifests.files import write_text
+from manifests.inputs import require_file
+from manifests.store import inside
+
+LARGEST_FILE = 256 << 20  # bytes: a hundred of a picture
+
+
+def checked(records, chosen, geometry, skip_bad=False, progress=True):
+    """The records among `chosen` that training can use, and {id: what is wrong} of the others.
+
+    records   learn.data.records.Records; geometry: learn.data.geometry.Geometry of the same folder
+    skip_bad  leave bad ones out; otherwise the first one raises
+    Raises    Problem that names the record's file and the remedy
+    """
+    path = records.folder / "packed" / "pictures.json"
+    known, good, skipped, seen = _remembered(path), [], {}, {hash_: None for hash_ in geometry.skipped}
+    seen |= {view.hash: True for view in geometry.views}
+    for record in tqdm(chosen, "checking pictures", unit="picture", disable=not progress, leave=False):
+        try:
+            stamp = _stamp(inside(records.folder, record.image))
+            for name in record.materials:
+                records.label(name)
+            records.light(record.light)
+            if stamp is None or known.get(record.id) != stamp:
+                _check(records, record)
+                known[record.id] = stamp
+            if not seen.get(record.geometry_hash):
+                found = geometry.skipped.get(record.geometry_hash, "a shape that covers next to nothing of the frame")
+                raise Problem(f"{records.folder}: record {record.id}", "usable geometry", found, "render it again")
+            good.append(record)
+        except Problem as problem:
+            if not skip_bad:
+                raise _skippable(problem) from None
+            skipped[record.id] = str(problem)
+    with contextlib.suppress(OSError):  # a full disk, a data set that may only be read: the next run checks them again
+        path.parent.mkdir(exist_ok=True)
+        write_text(path, json.dumps(known))
+    return good, skipped
+
+
+def _skippable(problem):
+    return Problem(problem.where, problem.expected, problem.found, f"{problem.remedy}, or leave it out by --skip-bad")
+
+
+def _check(records, record):
+    """Read a record's picture. Raises Problem."""
+    where = inside(records.folder, record.image)
+    image = records.image(record)
+    if not np.isfinite(image).all():
+        count = int((~np.isfinite(image)).sum())
+        raise Problem(where, "finite radiance", f"{count} values that are not", "render it again")
+
+
+def _stamp(path):
+    try:
+        stat = path.stat()
+    except OSError:
+        return None
+    return [stat.st_size, stat.st_mtime_ns]
+
+
+def _remembered(path):
+    try:
+        require_file(path, "what was checked before", maximum_bytes=LARGEST_FILE)
+        known = json.loads(path.read_text())
+    except (OSError, ValueError, RecursionError):  # missing or damaged: all is checked again
+        return {}
+    return known if isinstance(known, dict) else {}

@@ -1,0 +1,136 @@
+"""Examples relit on the fly: stored geometry, any material, any light, a picture by the layer. No image files at all.
+
+Batch k of a run is a function of (seed, side, k) alone: whoever asks for it, in whatever order, on whatever machine, sees the same.
+Pictures come in groups of `sharing`, of other shapes and views, that share a material and a light: then they share a reflectance map.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from learn.data import augmentation, lights
+from learn.data.batch import joined
+from learn.data.geometry import Geometry
+from learn.data.settings import Data
+from learn.layer import render
+from manifests.errors import Problem
+from shaders.dsbrdf import SHAPE
+
+SIDES = {"train": 0, "validation": 1, "test": 2}
+BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
+
+
+@dataclass(frozen=True)
+class Pool:
+    """What one side of the split may draw from.
+
+    views   indices into geometry; labels: {name: (108,) float32}; maps: [(64, 128, 3)]
+    album   learn.data.rendered.Album of this side's rendered pictures, or None
+    """
+
+    geometry: Geometry
+    views: np.ndarray
+    labels: dict
+    maps: list
+    side: str
+    album: object = None
+
+    def sizes(self):
+        """{what: how many} it may draw from."""
+        shapes = {self.geometry.views[v].shape for v in self.views}
+        found = {"shapes": len(shapes), "views": len(self.views), "materials": len(self.labels), "lights": len(self.maps)}
+        return found | ({"pictures": len(self.album)} if self.album else {})
+
+
+def gloss(label):
+    """The largest γ max(κ, 1) of a label's control values: how narrow its sharpest highlight is."""
+    kappa, gamma = np.exp(label.reshape(SHAPE)).transpose(2, 0, 1, 3)
+    return float((gamma * np.maximum(kappa, 1)).max())
+
+
+class Relit:
+    """Batches of relit examples.
+
+    pool     Pool
+    data     learn.data.settings.Data
+    batch    pictures a batch
+    size     height and width of pictures; geometry's are a whole number of times larger
+    part     (i, n): of every batch only the i-th of n equal parts, for several processes
+    """
+
+    def __init__(self, pool, data: Data, batch, size, seed, part=(0, 1)):
+        self.pool, self.data, self.size, self.seed = pool, data, size, seed
+        if any(side % size for side in pool.geometry.size):
+            found = f"{pool.geometry.size[0]} × {pool.geometry.size[1]}"
+            raise Problem(
+                pool.geometry.folder, f"geometry of a whole number of times {size} pixels", found, f"render it with --size {size}"
+            )
+        groups = -(-batch // data.sharing)
+        if groups % part[1]:
+            raise ValueError(f"batch: a multiple of {data.sharing * part[1]} pictures expected for {part[1]} processes, found {batch}")
+        self.groups = range(groups)[part[0] :: part[1]]
+        self.of_group = [len(range(g * data.sharing, min((g + 1) * data.sharing, batch))) for g in range(groups)]
+        self.names = sorted(pool.labels)
+        if data.matte_first:
+            self.names.sort(key=lambda name: gloss(pool.labels[name]))
+
+    def __getitem__(self, k):
+        """The k-th Batch."""
+        return joined([example for g in self.groups for example in self._group(k, g)], self.pool.geometry.elevation)
+
+    def _group(self, k, g):
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(SIDES[self.pool.side], k, g)))
+        count, training = self.of_group[g], self.pool.side == "train"
+        views = self.pool.views[rng.choice(len(self.pool.views), count, replace=count > len(self.pool.views))]
+        chosen = [self.names[i] for i in rng.choice(self._admitted(k), 2 * self.data.regions)]
+        channels = [rng.permutation(3) if training else np.arange(3) for _ in chosen]
+        labels = np.stack([self.pool.labels[name].reshape(3, 36)[c].reshape(108) for name, c in zip(chosen, channels, strict=True)])
+        if training:
+            L = lights.draw(rng, self.pool.maps, self.data.real_lights)
+        else:
+            L = np.roll(self.pool.maps[rng.integers(len(self.pool.maps))], int(rng.integers(lights.WIDTH)), 1)
+        label, target = labels[: self.data.regions], labels[self.data.regions :]
+        n, segments = self._geometry(views)
+        images = self._pictures(n, segments, label, L)
+        names = [
+            f"{self.pool.geometry.views[v].shape} view {self.pool.geometry.views[v].viewpoint} {'+'.join(chosen[: len(label)])}"
+            for v in views
+        ]
+        return [self._example(rng, n[i], segments[i], images[i], label, target, L, names[i], training) for i in range(count)]
+
+    def _admitted(self, k):
+        """How many of the materials batch k may draw from."""
+        if not self.data.matte_first or self.pool.side != "train":
+            return len(self.names)
+        return max(1, math.ceil(len(self.names) * min(1.0, (1 + 2 * k / self.data.matte_first) / 3)))
+
+    def _geometry(self, views):
+        n = torch.from_numpy(np.stack([self.pool.geometry.normals(v) for v in views]))
+        segments = torch.from_numpy(np.stack([self.pool.geometry.segments(v) for v in views]))
+        step = len(n[0]) // self.size
+        n, segments = n[:, step // 2 :: step, step // 2 :: step], segments[:, step // 2 :: step, step // 2 :: step]
+        return n.contiguous(), (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
+
+    def _pictures(self, n, segments, label, L):
+        """(B, H, W, 3) numpy: one material and light, expanded over the batch so that the layer shares its map."""
+        count = len(n)
+        material = torch.from_numpy(label).exp()[None].expand(count, -1, -1)
+        light = torch.from_numpy(L)[None].expand(count, -1, -1, -1)
+        with torch.no_grad():
+            shared = material[:, 0] if self.data.regions == 1 else material
+            picture = render(
+                n,
+                shared,
+                light,
+                segments=None if self.data.regions == 1 else segments,
+                tolerance=self.data.tolerance,
+                elevation=self.pool.geometry.elevation,
+            )
+        return picture.clamp(0, BRIGHTEST).numpy()
+
+    def _example(self, rng, n, segments, image, label, target, L, name, training):
+        mask = (segments > 0).numpy()
+        image, seen, (n, segments) = augmentation.seen(rng, image, mask, (n, segments), training and self.data.photograph)
+        return image, seen, n, segments, label, L, target, name

@@ -1,0 +1,103 @@
+"""Pixels picked out of pictures and put back, as differentiable steps: by learn.engines.pixels in float32 on the CPU, else by torch.
+
+vectors  (P, 3) normals or views of all pixels;  index (N,) places of the pixels that are seen
+
+On the way to the kernels numpy does what torch could do too: torch's operators wake OpenMP's threads for as few as 32,768 numbers, and
+these wait for more work spinning, in the way of the kernels' own threads (docs/log.md, 2026-11-21).
+"""
+
+import numpy as np
+import torch
+
+from learn.engines import machine_code, threads
+from learn.engines.derivatives import Step, require_one_gradient
+
+OUTSIDE, AWAY, SEEN, WRONG = range(4)  # states of a pixel, those of learn.engines.pixels, which needs numba to be read
+PIXEL = 6e-9  # seconds that a kernel needs for each
+SHORTEST = 1e-12  # as torch.nn.functional.normalize
+
+
+def has_kernels(tensor):
+    """Whether the kernels serve; under torch.compile torch's own operators do, which it can see into."""
+    right = tensor.dtype == torch.float32 and tensor.device.type == "cpu"
+    return right and not torch.compiler.is_compiling() and machine_code.is_available()
+
+
+def in_order(tensor):
+    """A tensor as a numpy array in C order."""
+    return np.ascontiguousarray(tensor.numpy())
+
+
+def run(name, count, *arguments):
+    """A kernel over range(count), on as many threads as torch may use."""
+    workers = threads.worth(torch.get_num_threads(), count * PIXEL)
+    threads.run(lambda first, last: machine_code.call(name, first, last, *arguments), threads.split(count, workers), workers)
+
+
+def states(n, view, mask, tolerance, horizon):
+    """State (P,) uint8 of each pixel as learn.engines.pixels has it; n, view (…, 3) float32, mask (…) bool; view and mask may be None."""
+    n, view, mask = (None if x is None else in_order(x.detach()) for x in (n, view, mask))
+    found, limits = np.empty(n.size // 3, np.uint8), np.array([tolerance, horizon], np.float32)
+    run("pixels.look", len(found), int(view is not None), int(mask is not None), n, view, limits, mask, found)
+    return found
+
+
+def unit(vectors, index):
+    """(N, 3) vectors at index, scaled to unit length."""
+    if has_kernels(vectors):
+        return Unit.apply(vectors, index)
+    return torch.nn.functional.normalize(vectors.index_select(0, index), dim=-1)
+
+
+def spread(radiance, index, pixels):
+    """(P, 3) with radiance (N, 3) at index, 0 elsewhere."""
+    if has_kernels(radiance):
+        return Spread.apply(radiance, index, pixels)
+    return radiance.new_zeros(pixels, 3).index_copy(0, index, radiance)
+
+
+class Unit(Step):
+    @staticmethod
+    def forward(ctx, vectors, index):
+        ctx.save_for_backward(vectors, index)
+        given, places = in_order(vectors), index.numpy()
+        found, length = np.empty((len(places), 3), np.float32), np.empty(len(places), np.float32)
+        run("pixels.unit", len(places), given, places, found, length)
+        ctx.kept = places, found, length, len(given)
+        return torch.from_numpy(found)
+
+    @staticmethod
+    def backward(ctx, g):
+        require_one_gradient(g)
+        if torch.is_grad_enabled():
+            return tangential(g, *ctx.saved_tensors), None
+        places, found, length, pixels = ctx.kept
+        by_vectors = np.zeros((pixels, 3), np.float32)
+        run("pixels.unit_backward", len(places), places, found, length, in_order(g), by_vectors)
+        return torch.from_numpy(by_vectors), None
+
+
+def tangential(g, vectors, index):
+    """(P, 3): derivatives by the vectors, given those by the unit vectors at index; the same in torch, to be differentiated again."""
+    picked = vectors.index_select(0, index)
+    length = picked.norm(dim=-1, keepdim=True).clamp(min=SHORTEST)
+    unit = picked / length
+    return torch.zeros_like(vectors).index_copy(0, index, (g - (g * unit).sum(-1, keepdim=True) * unit) / length)
+
+
+class Spread(Step):
+    @staticmethod
+    def forward(ctx, radiance, index, pixels):
+        ctx.places = index.numpy()
+        picture = np.zeros((pixels, 3), np.float32)
+        run("pixels.spread", len(ctx.places), ctx.places, in_order(radiance), picture)
+        return torch.from_numpy(picture)
+
+    @staticmethod
+    def backward(ctx, g):
+        require_one_gradient(g)
+        if torch.is_grad_enabled():
+            return g.index_select(0, torch.from_numpy(ctx.places)), None, None
+        values = np.empty((len(ctx.places), 3), np.float32)
+        run("pixels.pick", len(ctx.places), ctx.places, in_order(g), values)
+        return torch.from_numpy(values), None, None

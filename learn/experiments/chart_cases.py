@@ -1,0 +1,120 @@
+"""What the chart is measured on: materials, lights, cameras; and the methods' settings that make its points.
+
+A point is a method with a knob: `Setting(method, knob, radiance)`, radiance(batch) → (P, 3).
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from learn import methods
+from learn.layer.inputs import checked, compact
+from learn.methods import hybrid, median_cut, reflectance_map, sampling, spherical_gaussians
+from manifests.errors import Problem
+from shaders import envmap
+from shaders.frames import ELEVATION, view_vectors
+
+MATERIALS = (  # from matte to mirror
+    "pink-fabric", "white-diffuse-bball", "nylon", "pearl-paint", "gold-paint",
+    "red-plastic", "alum-bronze", "chrome",
+)  # fmt: skip
+SIZE = (64, 128)
+FIELD_OF_VIEW = np.radians(30)
+
+
+@dataclass(frozen=True)
+class Setting:
+    method: str
+    knob: str
+    radiance: callable
+
+
+def settings():
+    """Every point of the chart."""
+
+    def by_tolerance(name, *tolerances):
+        return [Setting(name, f"{t:g}", lambda b, n=name, t=t: methods.load(n).radiance(b, t)) for t in tolerances]
+
+    def by_count(name, function, *counts):
+        return [Setting(name, str(c), lambda b, c=c: function(b, c)) for c in counts]
+
+    return [
+        *by_tolerance("exact", 1e-2),
+        *by_tolerance("culled", 1e-1, 1e-2, 1e-4),
+        *by_count("reflectance_map", reflectance_map.with_size, 16, 32, 64, 96),
+        *by_count("median_cut", median_cut.with_lights, 64, 256, 1024, 4096),
+        *by_count("hybrid", lambda b, c: hybrid.with_lights(b, c, 1.0 / c), 64, 256, 1024),
+        *by_tolerance("quadrature", 1e-2),
+        *by_tolerance("spherical_harmonics", 1e-2),
+        *by_tolerance("split_sum", 1e-2),
+        *by_count("spherical_gaussians", spherical_gaussians.with_lights, 64),
+        *by_count("monte_carlo", lambda b, c: sampling.sampled(b, c // 2, c // 2), 16, 64),
+        *by_count("monte_carlo_light", lambda b, c: sampling.sampled(b, c, 0), 16),
+        *by_count("monte_carlo_brdf", lambda b, c: sampling.sampled(b, 0, c), 16),
+        *by_tolerance("auto", 5e-2, 1e-2, 1e-3, 1e-4, 1e-5),
+    ]
+
+
+def computed_lights():
+    """{name: (64, 128, 3)} of lights that need no file."""
+    w, solid_angle = envmap.directions(*SIZE)
+    sky = 0.2 + np.clip(w[..., 1:2], 0, 1) * [0.5, 0.8, 1.4]
+    lamps = (
+        0.05 + sum(5.0 * np.exp(40 * (w @ (a / np.linalg.norm(a)) - 1)) for a in np.array([(1, 1, 1), (-2, 1, 0), (0, 0.3, 1)]))[..., None]
+    )
+    sun, spot = np.full((*SIZE, 3), 0.4), np.zeros((*SIZE, 3))
+    sun[20, 40] = 0.6 * 4 * np.pi / solid_angle[20, 40]
+    spot[18, 25] = 1.0
+    found = {"sky": sky, "lamps": lamps * np.ones(3), "sun in a texel": sun, "one texel": spot}
+    return {name: envmap.unit_mean(L)[0] for name, L in found.items()}
+
+
+def lights(folder=None, names=None):
+    """The computed ones, or the sun in a texel and the maps of a folder: *.exr, or a dataset's lights/*.npz; all, or those named."""
+    if folder is None:
+        return computed_lights()
+    found = {"sun in a texel": computed_lights()["sun in a texel"]}
+    paths = sorted(Path(folder).glob("*.exr")) or sorted((Path(folder) / "lights").glob("**/*.npz"))
+    chosen = [path for path in paths if names is None or any(path.stem.startswith(name) for name in names)]
+    if not chosen:
+        stems = ", ".join(path.stem for path in paths) or "none"
+        raise Problem(
+            folder, "environment maps (*.exr, or a dataset with lights)", stems, "check the path and the names, or leave --lights out"
+        )
+    return found | {path.stem: envmap.unit_mean(envmap.resize(np.maximum(radiance_of(path), 0), *SIZE))[0] for path in chosen}
+
+
+def radiance_of(path):
+    """(height, width, 3) of an EXR, or of a dataset's light."""
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as stored:
+            return stored["L"].astype(np.float64)
+    import OpenEXR
+
+    with OpenEXR.File(str(path)) as file:
+        channels = file.channels()
+        return channels["RGB" if "RGB" in channels else "RGBA"].pixels[..., :3].astype(np.float64)
+
+
+def sphere(size):
+    """Normals (1, size, size, 3) of a sphere that covers 40 % of the picture."""
+    x = (torch.arange(size, dtype=torch.float64) + 0.5) / size * 2 - 1
+    y, x = torch.meshgrid(-x, x, indexing="ij")
+    xy = torch.stack([x, y], -1) / np.sqrt(1.6 / np.pi)
+    z2 = 1 - (xy * xy).sum(-1, keepdim=True)
+    n = torch.where(z2 > 1e-6, torch.cat([xy, z2.clamp(min=0).sqrt()], -1), 0.0)
+    return n[None].float()
+
+
+def batch_of(label, light, size, camera, wanted=False):
+    """A learn.methods.Batch of one sphere, with tensors that want gradients or not, and these tensors."""
+    n, m = sphere(size), torch.as_tensor(np.exp(np.asarray(label)).reshape(1, 108), dtype=torch.float32)
+    L = torch.as_tensor(light, dtype=torch.float32)[None]
+    view = None
+    if camera == "perspective":
+        view = torch.as_tensor(view_vectors(size, size, FIELD_OF_VIEW).copy(), dtype=torch.float32)[None]
+        n = torch.where((n * view).sum(-1, keepdim=True) > 1e-3, n, torch.zeros(()))
+    leaves = [x.requires_grad_(wanted) for x in (n, m, L)]
+    return compact(checked(*leaves, view, None, (n != 0).any(-1).detach(), 1e-2, ELEVATION))[0], leaves

@@ -1,0 +1,215 @@
+"""The page that goes with weights: what they learned from, what they do on pictures never seen, and what they do not.
+
+Made from the run's own files, and measured anew: `python -m learn card`.
+"""
+
+import json
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+
+from learn.data.relit import Relit
+from learn.data.rendered import Cycles
+from learn.data.settings import Run
+from learn.figures import training_sheet
+from learn.metrics import bootstrap
+from learn.networks import weights as checkpoint
+from learn.training import validation
+from manifests import files
+from manifests.errors import Problem
+from manifests.reading import decode
+
+BATCH, SEED = 16, 77
+WORDS = {
+    "angle_deg": "normals, mean angle (°)",
+    "cosine": "normals, mean cosine",
+    "irradiance": "irradiance, relative error",
+    "constant_irradiance": "the same of a constant light",
+    "albedo": "material, log albedo, root mean square error",
+    "constant_albedo": "the same of the training materials' mean",
+    "image_l2": "I′, display L2 over the mask",
+    "target_l2": "O′, display L2 over the mask",
+    "control_l2": "the same with predicted normals and a constant light",
+}
+
+
+def make(weights, pools, out, batches, note="", seeds=()):
+    """Measure weights on the test side, on relit pictures and, where the pool has an album, on all of its rendered ones.
+
+    pools  learn.data.sources.pools
+    seeds  weights of the same run with other seeds, measured on the same pictures for a table of all
+    Writes card.md, card.json, sheet.jpg, and sheet-cycles.jpg, to `out`. Returns {"figures", "cycles"}, {figure: [mean, low, high]} each
+    Raises Problem where one of the seeds is of another run, or a seed is there twice
+    """
+    network, metadata = checkpoint.load_network(weights)
+    run, out, test = decode(json.dumps(metadata["run"]).encode(), Run, weights), Path(out), pools["test"]
+    others = [_same_run(path, weights, run) for path in seeds]
+    _all_different([weights, *seeds], [run, *(other for _, _, other in others)])
+    out.mkdir(parents=True, exist_ok=True)
+    constant = validation.mean_albedo(pools["train"])
+    told = {"run": metadata["run"], "step": metadata.get("step"), "sizes": _sizes(network, pools), "note": note}
+    if others:
+        told["seeds"] = [[run.seed, told["step"]], *([other.seed, step] for _, step, other in others)]
+    relit = Relit(test, run.data, BATCH, run.size, SEED)
+    places = [("", relit, batches, "sheet.jpg")]
+    if test.album:
+        places.append(("cycles", Cycles(test, run.data, 1, run.size, SEED), len(test.album), "sheet-cycles.jpg"))
+        told["cycles_about"] = _of_album(test.album)
+    for where, source, count, sheet_name in places:
+        found = [measured(network, run, (source[k] for k in range(count)), constant, out / sheet_name)]
+        found += [measured(other, run, (source[k] for k in range(count)), constant) for other, _, _ in others]
+        told |= _under(where, found)
+    with files.together():
+        files.write_json(out / "card.json", told)
+        files.write_text(out / "card.md", _page(told))
+    return {key: told[key] for key in ("figures", "cycles") if key in told}
+
+
+def _same_run(path, first, run):
+    """(network, step, run) of weights that differ from the first in nothing but their seed."""
+    network, metadata = checkpoint.load_network(path)
+    other = decode(json.dumps(metadata["run"]).encode(), Run, path)
+    if msgspec.structs.replace(other, seed=run.seed, name=run.name, about=run.about) != run:
+        raise Problem(path, f"weights of the run of {first} with another seed", "other settings", "measure them by a card of their own")
+    return network, metadata.get("step"), other
+
+
+def _all_different(paths, runs):
+    for path, run in zip(paths, runs, strict=True):
+        if sum(other.seed == run.seed for other in runs) > 1:
+            raise Problem(path, "a seed that no other of these weights has", f"seed {run.seed} twice", "leave one of them out")
+
+
+def _under(where, found):
+    """What card.json says of one kind of pictures: of the first network, and of all if there are several.
+
+    found  (values {figure: (P,)}, names (P,)) of each network, on the same pictures
+    """
+    (values, names), *_ = found
+    resampled = bootstrap.draws(bootstrap.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1))))
+    told = {
+        where or "figures": {key: _interval(value, resampled) for key, value in values.items()},
+        f"{where}_pictures" if where else "pictures": len(names),
+    }
+    if len(found) > 1:
+        told[f"{where}_seeds" if where else "figures_seeds"] = {
+            key: {
+                "mean": _interval(np.mean([values[key] for values, _ in found], 0), resampled),
+                "each": [float(np.nanmean(values[key])) for values, _ in found],
+            }
+            for key in values
+        }
+    return told
+
+
+def measured(network, run, batches, constant_albedo, sheet_path=None):
+    """({figure: (P,)}, names (P,)) over batches. The first ones go on a sheet, if there is a path for it."""
+    rows, names, shown = [], [], []
+    for batch in batches:
+        with torch.no_grad():
+            segments = batch.segments if run.data.regions > 1 else None
+            prediction = network(batch.image, batch.mask, segments, run.parts, regions=run.data.regions)
+        rows.append(validation.of(prediction, batch, constant_albedo))
+        names += batch.names
+        if sum(len(each.names) for each, _ in shown) < training_sheet.ROWS:
+            shown.append((batch, prediction))
+    if sheet_path:
+        cells = np.concatenate([training_sheet.cells(*each) for each in shown])[: training_sheet.ROWS * run.size]
+        files.write_image(sheet_path, cells, "JPEG", quality=90)
+    return {key: np.concatenate([row[key] for row in rows]) for key in rows[0]}, names
+
+
+def _interval(values, weights):
+    """[mean, low, high] over the pictures that show what is measured."""
+    there = np.isfinite(values)
+    kept = weights[:, there]
+    return bootstrap.interval(values[there], kept[kept.sum(1) > 0])
+
+
+def _of_album(album):
+    """How its pictures were made."""
+
+    def of(get):
+        return sorted({get(record) for record in album.chosen})
+
+    counts = [len(of(get)) for get in (lambda r: r.shape, lambda r: r.materials, lambda r: r.light)]
+    how = [", ".join(map(str, of(get))) for get in (lambda r: r.tier, lambda r: r.samples, lambda r: r.camera.pixel)]
+    return "{} shapes, {} materials, {} lights; tier {}, {} samples, pixels: {}".format(*counts, *how)
+
+
+def _sizes(network, pools):
+    told = {"parameters": sum(p.numel() for p in network.parameters())}
+    told |= {side: pools[side].sizes() for side in ("train", "validation", "test")}
+    return told
+
+
+def _steps(told):
+    planned = f"{told['run']['schedule']['steps']} steps"
+    return f"{told['step']} of {planned}" if told["step"] else f"up to {planned}"
+
+
+def _page(told):
+    run, sizes = told["run"], told["sizes"]
+    lines = [f"# {run['name']}: {run.get('about', '')}", ""]
+    lines += [
+        f"{sizes['parameters'] / 1e6:.1f} M parameters, {run['size']} × {run['size']} pixels, {_steps(told)} of "
+        f"{run['schedule']['batch']} relit pictures.",
+        "",
+        "| side | shapes | views | materials | light maps |",
+        "|---|---|---|---|---|",
+    ]
+    for side in ("train", "validation", "test"):
+        s = sizes[side]
+        lines.append(f"| {side} | {s['shapes']} | {s['views']} | {s['materials']} | {s['lights']} |")
+    lines += [
+        "",
+        f"On {told['pictures']} pictures of the test side (shapes, materials and lights never seen; relit by the layer, so without "
+        "shadows, interreflection or a camera's faults), mean and 95 % interval over shapes and materials:",
+        "",
+        "| | mean | 95 % |",
+        "|---|---|---|",
+    ]
+    lines += _rows(told["figures"])
+    lines += _rows_of_seeds(told, "figures_seeds")
+    if "cycles" in told:
+        lines += [
+            "",
+            f"On {told['cycles_pictures']} pictures that Cycles rendered ({told['cycles_about']}), where I and O are Cycles' pictures, O "
+            "the same shape, view and light in another material:",
+            "",
+            "| | mean | 95 % |",
+            "|---|---|---|",
+            *_rows(told["cycles"]),
+            *_rows_of_seeds(told, "cycles_seeds"),
+        ]
+    lines += [
+        "",
+        told["note"],
+        "",
+        "Rows of sheet.jpg: picture, predicted and true normals, predicted and true light, true and predicted material, I′, O′, true O.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _words(key):
+    name, _, region = key.rpartition("_")
+    return f"{WORDS[name]}, region {region}" if region.isdigit() and name in WORDS else WORDS.get(key, key)
+
+
+def _rows(figures):
+    return [f"| {_words(key)} | {mean:.4g} | {low:.4g} – {high:.4g} |" for key, (mean, low, high) in figures.items()]
+
+
+def _rows_of_seeds(told, key):
+    """A table of several seeds on the same pictures."""
+    if key not in told:
+        return []
+    seeds = [f"seed {seed}" + (f", {step} steps" if step else "") for seed, step in told["seeds"]]
+    lines = ["", f"The same of {len(seeds)} seeds: the mean over them with its 95 % interval over shapes and materials, and each.", ""]
+    lines += [f"| | mean of {len(seeds)} | 95 % | {' | '.join(seeds)} |", "|" + "---|" * (3 + len(seeds))]
+    for name, of in told[key].items():
+        mean, low, high = of["mean"]
+        lines.append(f"| {_words(name)} | {mean:.4g} | {low:.4g} – {high:.4g} | " + " | ".join(f"{each:.4g}" for each in of["each"]) + " |")
+    return lines

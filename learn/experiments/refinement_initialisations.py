@@ -1,0 +1,73 @@
+"""Refinement from starts as bad as they come: none may end above itself, none may leave the finite.
+
+starts.jsonl  a line a start: the same command goes on from them
+starts.json   how many ended above their start, how many were not finite, how the re-rendering changed, by kind of start
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from tqdm import tqdm
+
+from learn.experiments.refinement_ablation import picture, write
+from learn.networks.prediction import Prediction
+from learn.refinement import Settings, refine
+from manifests import files
+from manifests.materials import load_catalogue
+from manifests.store import Lines
+from shaders import tone
+
+STARTS = ("network", "random material", "mean light", "noisy normals", "untrained")
+
+
+def measured(predict, known, count, out, settings=Settings()):  # noqa: B008 -- frozen
+    """starts.json: `count` refinements from starts of every kind in turn, of the Cases `known` (learn.experiments.refinement_ablation) in turn."""
+    done = {row["start"]: row for row in files.read_lines(Path(out) / "starts.jsonl")}
+    lines = Lines(Path(out) / "starts.jsonl")
+    for i in tqdm([i for i in range(count) if i not in done], unit="start"):
+        batch, kind = known[i // len(STARTS) % len(known)].batch, STARTS[i % len(STARTS)]
+        rng = torch.Generator().manual_seed(i)
+        start = spoiled(predict(batch), kind, rng)
+        told = refine(batch, start, settings)
+        parts = (told.prediction.label, told.prediction.light, told.prediction.n)
+        seen = batch.image[0].movedim(0, -1).numpy()
+        mask = (batch.segments[0] > 0).numpy()
+        level = tone.auto_exposure(seen, mask)
+        image = [float(tone.display_l2(picture(p, p.label[0], batch), seen, level, mask)) for p in (start, told.prediction)]
+        finite = all(bool(torch.isfinite(part).all()) for part in parts) and math.isfinite(told.after["total"])
+        done[i] = {"start": i, "kind": kind, "energy": [told.before["total"], told.after["total"]], "finite": finite, "image": image}
+        done[i]["seconds"] = told.seconds
+        lines.append(done[i])
+    lines.close()
+    rows = [done[i] for i in range(count)]
+    images = np.array([row["image"] for row in rows], float)  # null, read again, is NaN
+    told = {
+        "starts": len(rows),
+        "above_their_start": sum(row["finite"] and row["energy"][1] > row["energy"][0] for row in rows),
+        "not_finite": sum(not row["finite"] for row in rows),
+        "image_median": np.median(images, 0).tolist(),
+        "median_change": float(np.median(images[:, 1]) / np.median(images[:, 0]) - 1),
+        "by_kind": {kind: np.median([row["image"] for row in rows if row["kind"] == kind], 0).tolist() for kind in STARTS[: len(rows)]},
+        "seconds_median": float(np.median([row["seconds"] for row in rows])),
+        "rows": rows,
+    }
+    write(Path(out) / "starts.json", told)
+    return told
+
+
+def spoiled(start, kind, rng):
+    """A Prediction with one property replaced by what knows nothing of the picture; "untrained": all three."""
+    label, light, n = start.label, start.light, start.n
+    if kind in ("random material", "untrained"):
+        catalogue = sorted(load_catalogue().items())
+        chosen = catalogue[int(torch.randint(len(catalogue), (1,), generator=rng))][1]
+        label = torch.from_numpy(chosen.label.reshape(108)).float().expand_as(label).clone()
+    if kind in ("mean light", "untrained"):
+        light = torch.ones_like(light)
+    if kind in ("noisy normals", "untrained"):
+        n = n + 0.7 * torch.randn(n.shape, generator=rng)
+        n = F.normalize(torch.cat([n[:, :2], n[:, 2:].abs() + 1e-3], 1), dim=1)
+    return Prediction(n, None, label, None, light)

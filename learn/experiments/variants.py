@@ -1,0 +1,100 @@
+"""Variants of a run, each trained for the same processor time and measured on the same pictures of what none of them saw.
+
+What a variant does not predict is given true, so that each part stands alone. Data come from a process beside it: only networks, losses
+and layer are on the clock.
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+
+from learn.agreement.measure import similarity, squared
+from learn.data.relit import Relit
+from learn.metrics import bootstrap
+from learn.networks import weights
+from learn.training import loop, validation
+from manifests.files import write_text
+from manifests.reading import read
+from shaders import tone
+
+TEST_SEED = 43
+BATCH = 16
+
+
+def held_out(pools, data, size, batches):
+    """Batches of the test side, their pictures taken for the truth: the layer made them of it."""
+    source = Relit(pools["test"], data, BATCH, size, TEST_SEED)
+    return [replace(batch, picture=batch.image) for batch in (source[k] for k in range(batches))]
+
+
+def trained(run, pools, tests, folder, workers=1):
+    """Train a run by its clock, unless it is there already, and measure it: {"steps", "seconds", "run", "rows": [{figure: value}]}.
+
+    folder  for the run's files; result.json is written last, and then the checkpoint, which nobody needs any more, goes
+    """
+    folder = Path(folder)
+    if (folder / "result.json").exists():
+        return read(folder / "result.json", dict)
+    with loop.only_writer(folder):
+        training = loop.Training(run, pools, folder, sheet_every=0, workers=workers)
+        training.train()
+    weights.save_weights(folder / "weights.safetensors", training.network, training.average, "{}", run.size)
+    network = training.averaged()
+    rows = [row for batch in tests for row in _rows(training, network, batch)]
+    found = {"steps": training.step, "seconds": training.used, "run": msgspec.to_builtins(run), "rows": rows}
+    text = json.dumps(found)
+    write_text(folder / "result.json", text)
+    (folder / "checkpoint.safetensors").unlink(missing_ok=True)
+    return json.loads(text)
+
+
+def _rows(training, network, batch):
+    with torch.no_grad():
+        prediction = training.predict(network, batch)
+    figures = {}
+    if prediction.n is not None:
+        cosine, inside = (prediction.n * batch.n).sum(1).clamp(-1, 1), batch.segments > 0
+        figures["cosine"] = validation.means(cosine, inside)
+        figures["angle_deg"] = validation.means(cosine.arccos().rad2deg(), inside)
+    if prediction.code is not None:
+        figures["code_l2"] = ((prediction.code - network.ranges.code(batch.label)) ** 2).mean((1, 2)).double().numpy()
+    n = batch.n if prediction.n is None else prediction.n
+    label = batch.label if prediction.label is None else prediction.label
+    mine, truth = validation.picture(n, label, batch.light, batch), batch.picture.movedim(1, -1).numpy()
+    for i, name in enumerate(batch.names):
+        shape, *_, material = name.split(" ")
+        own = {key: float(value[i]) for key, value in figures.items()}
+        yield {"shape": shape, "material": material} | _compared(mine[i], truth[i], (batch.segments[i] > 0).numpy()) | own
+
+
+def _compared(mine, truth, mask):
+    """Display L2 over mask and frame, SSIM over the mask, at the truth's exposure."""
+    exposure = tone.auto_exposure(truth, mask)
+    mine, truth = tone.display(mine, exposure), tone.display(truth, exposure)
+    error = squared(mine, truth)
+    return {"l2": float(error[mask].mean()), "l2_frame": float(error.mean()), "ssim": similarity(mine, truth, mask)}
+
+
+def figures(results):
+    """{figure: [mean, low, high]} of one variant's results, a seed each; 95 % over shapes, materials and seeds."""
+    ones = np.ones_like(_values(results, "l2"))
+    keys = [key for key, value in results[0]["rows"][0].items() if not isinstance(value, str)]
+    return {key: bootstrap.ratio(ones, _values(results, key), _groups(results)) for key in keys}
+
+
+def ratio(a, b, key="l2"):
+    """[mean b / mean a, low, high] of two variants' results on the same pictures and seeds."""
+    return bootstrap.ratio(_values(a, key), _values(b, key), _groups(a))
+
+
+def _values(results, key):
+    return np.array([[row[key] for row in result["rows"]] for result in results])
+
+
+def _groups(results):
+    rows = results[0]["rows"]
+    return bootstrap.groups_of([row["shape"] for row in rows], [row["material"] for row in rows])

@@ -1,0 +1,1 @@
+"""Pictures that people look at: montages, spheres of materials, web pages."""

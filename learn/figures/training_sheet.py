@@ -1,0 +1,93 @@
+"""A sheet of pictures that shows how a run is doing, one example a row: people look before they read.
+
+Columns: picture as seen, predicted and true normals, predicted and true light, true and predicted material on a ball, I', O', true O.
+"""
+
+import numpy as np
+import torch
+from PIL import Image
+
+from learn.layer import render
+from learn.training.validation import picture
+from manifests.files import write_image
+from shaders import tone
+
+ROWS = 6
+
+
+def write(path, batch, prediction):
+    """The first rows of a batch as a JPEG; returns them as `cells` does."""
+    found = cells(batch, prediction)
+    write_image(path, found, "JPEG", quality=90)
+    return found
+
+
+def cells(batch, prediction):
+    """(rows H, columns W, 3) uint8 of the first rows of a batch. Parts that were not predicted are shown as true."""
+    n = batch.n if prediction.n is None else prediction.n
+    label = batch.label if prediction.label is None else prediction.label
+    light = batch.light if prediction.light is None else prediction.light
+    mine, target = picture(n, label, light, batch), picture(n, batch.target_label, light, batch)
+    true_target, true_image = (
+        picture(batch.n, truth, batch.light, batch) if rendered is None else rendered.movedim(1, -1).numpy()
+        for truth, rendered in ((batch.target_label, batch.target), (batch.label, batch.picture))
+    )
+    rows = []
+    for i in range(min(ROWS, len(n))):
+        mask = (batch.segments[i] > 0).numpy()
+        exposure, other = tone.auto_exposure(true_image[i], mask), tone.auto_exposure(true_target[i], mask)
+        seen = tone.display(batch.image[i].movedim(0, -1).numpy(), exposure)
+        size = len(mask)
+        row = [
+            seen,
+            _normals(n[i], mask),
+            _normals(batch.n[i], mask),
+            _light(light[i], size),
+            _light(batch.light[i], size),
+            _ball(batch.label[i, 0], size, batch.elevation),
+            _ball(label[i, 0], size, batch.elevation),
+            tone.display(mine[i], exposure),
+            tone.display(target[i], other),
+            tone.display(true_target[i], other),
+        ]
+        rows.append(np.concatenate([np.clip(c, 0, 255) for c in row], 1))
+    return np.concatenate(rows).astype(np.uint8)
+
+
+def parts(batch, prediction, again, exposure):
+    """{name: display picture} of one picture taken apart; again: (H, W, 3) radiance of the re-rendering."""
+    mask = batch.mask[0, 0].numpy() > 0
+    return {
+        "picture": tone.display(batch.image[0].movedim(0, -1).numpy(), exposure),
+        "normals": _normals(prediction.n[0], mask),
+        "light": _light(prediction.light[0], len(mask)),
+        "material": _ball(prediction.label[0, 0], len(mask), batch.elevation),
+        "rendering": tone.display(again, exposure),
+    }
+
+
+def _normals(n, mask):
+    return (n.detach().movedim(0, -1).numpy() * 0.5 + 0.5) * 255 * mask[..., None]
+
+
+def _light(light, size):
+    small = tone.display(light.detach().movedim(0, -1).float().numpy(), 0.5)
+    cell = np.full((size, size, 3), 40.0)
+    picture = np.asarray(Image.fromarray(small.astype(np.uint8)).resize((size, size // 2)), float)
+    top = (size - len(picture)) // 2
+    cell[top : top + len(picture)] = picture
+    return cell
+
+
+def _ball(label, size, elevation):
+    """The material on a ball in a plain room: bright above, one window."""
+    at = (np.arange(size) + 0.5) / size * 2.2 - 1.1
+    x, y = np.meshgrid(at, -at)
+    z = np.sqrt(np.clip(1 - x * x - y * y, 0, 1))
+    n = torch.from_numpy((np.stack([x, y, z], -1) * (z > 0)[..., None]).astype(np.float32))[None]
+    L = np.full((32, 64, 3), 0.4, np.float32)
+    L[:16] = 0.9
+    L[6:12, 8:16] = 12.0
+    with torch.no_grad():
+        radiance = render(n, label.detach().exp()[None], torch.from_numpy(L)[None], method="exact", elevation=elevation)
+    return tone.display(radiance[0].numpy(), 0.8)

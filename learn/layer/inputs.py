@@ -1,0 +1,253 @@
+"""What the rendering layer accepts: checked at the border, then compacted to the pixels that are seen.
+
+Each rule raises a ValueError that names the argument, the rule and what was found. Letters as in learn/layer/rendering.py.
+"""
+
+import math
+import numbers
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from learn.engines import pixel_selection
+from learn.methods import HORIZON, Batch
+from shaders.dsbrdf import SHAPE, SIZE
+from shaders.frames import camera_from_light
+
+LENGTH_TOLERANCE = 1e-2  # of unit vectors: half-float files are within 1e-3; an unnormalised network output is far outside
+FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64, torch.uint16, torch.uint32, torch.uint64)
+LEAST_TOLERANCE = 1e-12  # what is asked beyond float64's digits is treated as this
+MOST_PIXELS, MOST_TEXELS = 2**28, 2**25  # of one call: each pixel takes 12 bytes and more, each texel some 200
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The layer's arguments in the dtype they are summed in: m (B, S, 108), mask (B, H, W) bool, segments (B, H, W) or None.
+
+    tolerance  as it is given to the methods
+    seen       (B, H, W) bool: inside the mask and facing the viewer; None: not known yet
+    """
+
+    n: torch.Tensor
+    m: torch.Tensor
+    light: torch.Tensor
+    view: torch.Tensor | None
+    segments: torch.Tensor | None
+    mask: torch.Tensor
+    tolerance: float
+    elevation: float
+    seen: torch.Tensor | None = None
+
+
+def refuse(argument, rule, found):
+    raise ValueError(f"{argument}: {rule} expected, found {found}")
+
+
+def require_shape(argument, tensor, rule, right):
+    if not right:
+        refuse(argument, rule, tuple(tensor.shape))
+
+
+def require_dense(argument, tensor):
+    """A torch tensor whose elements lie in memory, each at its place."""
+    if not isinstance(tensor, torch.Tensor):
+        refuse(argument, "a torch tensor", type(tensor).__name__)
+    if tensor.is_nested:
+        refuse(argument, "a dense tensor", "a nested one")
+    if tensor.layout != torch.strided:
+        refuse(argument, "a dense tensor", f"layout {tensor.layout}")
+
+
+def require_alike(tensors):
+    """One floating dtype and one device, with memory, over all the arguments given."""
+    for argument, tensor in tensors.items():
+        require_dense(argument, tensor)
+        if tensor.dtype not in FLOATS:
+            refuse(argument, "a floating dtype of at least 16 bits" if tensor.is_floating_point() else "a floating dtype", tensor.dtype)
+        for what in ("dtype", "device"):
+            first = getattr(tensors["n"], what)
+            if getattr(tensor, what) != first:
+                refuse(argument, f"the {what} of n, {first},", getattr(tensor, what))
+        if tensor.is_meta:
+            refuse(argument, "a tensor with values", "device meta")
+
+
+def require_beside(argument, tensor, n):
+    """A dense tensor on the device of n."""
+    require_dense(argument, tensor)
+    if tensor.device != n.device:
+        refuse(argument, f"the device of n, {n.device},", tensor.device)
+
+
+def number(argument, value, rule, right):
+    """The value as a float, if it is one real number that keeps the rule; a tensor of one element is none, and neither is a bool."""
+    # to the compiler numpy's numbers are tensors
+    is_real = isinstance(value, numbers.Real) or (torch.compiler.is_compiling() and hasattr(value, "dtype"))
+    if not is_real or isinstance(value, bool):
+        refuse(argument, rule, repr(value) if isinstance(value, str | bool | None) else type(value).__name__)
+    try:
+        converted = float(value)
+    except OverflowError:  # an integer or a fraction beyond 1e308
+        converted = math.inf
+    if not right(converted):
+        refuse(argument, rule, converted if converted in (math.inf, -math.inf) else value)
+    return converted
+
+
+def readable(tensor):
+    """The tensor as kernels can read it: without a pending negation, and not from inference mode where a graph is recorded."""
+    if torch.compiler.is_compiling():  # which knows neither
+        return tensor
+    tensor = tensor.resolve_neg()
+    return tensor.clone() if tensor.is_inference() and torch.is_grad_enabled() else tensor
+
+
+def require_values(argument, values, rule, right):
+    """`right` marks the values (any shape) that keep the rule; NaN keeps none. The message shows the worst one's value."""
+    if not bool(right.all()):
+        wrong = values.detach()[~right]
+        refuse(argument, rule, f"{wrong[0].item():g} ({wrong.numel()} of {values.numel()} values)")
+
+
+def checked_settings(tolerance, elevation):
+    """The tolerance, LEAST_TOLERANCE at least, and the elevation as floats."""
+    tolerance = number("tolerance", tolerance, "a positive number", lambda x: 0 < x < math.inf)
+    return max(tolerance, LEAST_TOLERANCE), number("elevation", elevation, "radians in [-π/2, π/2]", lambda x: abs(x) <= math.pi / 2)
+
+
+def checked(n, material, light, view, segments, mask, tolerance, elevation):
+    """The arguments of `render` as `Inputs`, or a ValueError."""
+    tolerance, elevation = checked_settings(tolerance, elevation)
+    require_alike({"n": n, "material": material, "light": light} | ({} if view is None else {"view": view}))
+    require_shape("n", n, "shape (B, H, W, 3)", n.ndim == 4 and n.shape[3] == 3)
+    images, picture = n.shape[0], n.shape[:3]
+    if picture.numel() > MOST_PIXELS:
+        refuse("n", f"at most {MOST_PIXELS} pixels in one call", f"{tuple(n.shape)}; render the batch in parts")
+    layers = material.ndim - 1
+    rule = f"shape ({images}, {SIZE}), or ({images}, S, {SIZE}) with segments,"
+    require_shape("material", material, rule, layers in (1, 2) and material.shape[0] == images and material.shape[-1] == SIZE)
+    right = light.ndim == 4 and light.shape[0] == images and light.shape[3] == 3 and min(light.shape[1:3]) > 0
+    require_shape("light", light, f"shape ({images}, Hl, Wl, 3)", right)
+    if light.shape[1] * light.shape[2] > MOST_TEXELS:
+        refuse("light", f"at most {MOST_TEXELS} texels", f"{tuple(light.shape)}; resize it (shaders.envmap.resize)")
+    if view is not None:
+        require_shape("view", view, f"the shape of n, {tuple(n.shape)},", view.shape == n.shape)
+    if mask is not None:
+        require_beside("mask", mask, n)
+        require_shape("mask", mask, f"shape {tuple(picture)}", mask.shape == picture)
+        if mask.dtype != torch.bool:
+            refuse("mask", "dtype torch.bool", mask.dtype)
+    if layers == 2 and material.shape[1] != 1 and segments is None:
+        refuse("segments", f"ids (B, H, W) for the {material.shape[1]} materials of each image", None)
+    if segments is not None:
+        require_beside("segments", segments, n)
+        segments = checked_segments(segments, picture, material.shape[1] if layers == 2 else 1)
+    n, material, light, view = (None if x is None else readable(x) for x in (n, material, light, view))
+    if segments is not None:
+        mask = ((n.detach() != 0).any(-1) if mask is None else mask) & (segments > 0)
+    dtype = torch.promote_types(n.dtype, torch.float32)
+    m = (material if layers == 2 else material[:, None]).to(dtype)
+    check_values(material.detach(), light.detach())
+    n, light, view = n.to(dtype), light.to(dtype), None if view is None else view.to(dtype)
+    mask, seen = found_by_kernel(n, view, mask) if pixel_selection.has_kernels(n) else (mask, None)
+    if seen is None:  # no kernel, or something is wrong and has to be named
+        mask = (n.detach() != 0).any(-1) if mask is None else mask
+        check_lengths(n.detach(), None if view is None else view.detach(), mask)
+    return Inputs(n, m, light, view, segments, mask, tolerance, elevation, seen)
+
+
+def found_by_kernel(n, view, mask):
+    """mask (as given, or where n is not 0) and seen (B, H, W) bool; seen is None if a length inside the mask is wrong."""
+    states = pixel_selection.states(n, view, mask, LENGTH_TOLERANCE, HORIZON).reshape(n.shape[:3])
+    if states.size and states.max() == pixel_selection.WRONG:
+        return mask, None
+    mask = torch.from_numpy(states > pixel_selection.OUTSIDE) if mask is None else mask
+    return mask, torch.from_numpy(states == pixel_selection.SEEN)
+
+
+def checked_segments(segments, picture, materials):
+    """The segments as int64."""
+    require_shape("segments", segments, f"shape {tuple(picture)}", segments.shape == picture)
+    if segments.dtype not in INTEGERS:
+        refuse("segments", "an integer dtype", segments.dtype)
+    segments = segments.to(torch.int64)  # torch has no minimum and no comparison of most unsigned ones
+    if segments.numel():
+        low, high = segments.min().item(), segments.max().item()
+        if low < 0 or high > materials:
+            refuse("segments", f"ids 0 (background) … {materials} (the materials given)", f"{low} … {high}")
+    return segments
+
+
+def check_lengths(n, view, mask):
+    """n, view: (B, H, W, 3), or view None; what lies outside the mask may be anything."""
+    for argument, vectors in (("n", n), ("view", view)):
+        if vectors is not None:
+            length = vectors.float().norm(dim=-1)
+            right = (length - 1).abs() <= LENGTH_TOLERANCE
+            if not bool((right | ~mask).all()):
+                rule = f"unit vectors inside the mask (length 1 ± {LENGTH_TOLERANCE})"
+                require_values(argument, length[mask], rule, right[mask])
+
+
+def check_values(material, light):
+    kappa, gamma = material.reshape(*material.shape[:-1], *SHAPE).unbind(-2)
+    if within(light) and within(kappa) and within(gamma, above=True):
+        return
+    require_values("light", light, "finite radiance ≥ 0", (light >= 0) & light.isfinite())
+    require_values("material", kappa, "finite κ ≥ 0 (control values, not logarithms)", (kappa >= 0) & kappa.isfinite())
+    require_values("material", gamma, "finite γ > 0 (control values, not logarithms)", (gamma > 0) & gamma.isfinite())
+
+
+def within(values, above=False):
+    """Whether all values are finite and at least 0, or above it; NaN is neither."""
+    if not values.numel():
+        return True
+    if values.stride(0) == 0:  # one tensor expanded over the batch
+        values = values[:1]
+    low, high = (x.item() for x in values.aminmax())
+    return (low > 0 if above else low >= 0) and high < math.inf
+
+
+def unit(vectors, index):
+    """(N, 3) unit vectors of pictures (B, H, W, 3) at flat places index (N,); None of None."""
+    return None if vectors is None else pixel_selection.unit(vectors.reshape(-1, 3), index)
+
+
+def compact(inputs):
+    """The pixels inside the mask that face the viewer, sorted by image and segment.
+
+    Returns  a learn.methods.Batch of P pixels; index (P,) of each among the B·H·W pixels
+    """
+    if inputs.seen is None:  # who faces the viewer is found first, so that the graph holds one selection only
+        index = inputs.mask.reshape(-1).nonzero().squeeze(-1)
+        with torch.no_grad():
+            n, view = unit(inputs.n, index), unit(inputs.view, index)
+            index = index[(n[:, 2] if view is None else (n * view).sum(-1)) > HORIZON]
+    else:
+        index = torch.from_numpy(np.flatnonzero(inputs.seen.numpy()))
+    pixels = inputs.mask.shape[1:].numel()
+    segments = inputs.m.shape[1]
+    if inputs.segments is None:  # by image, as they lie
+        ends = torch.arange(len(inputs.mask) + 1, device=index.device) * pixels
+        counts = torch.searchsorted(index, ends).diff()
+        present = counts.nonzero().squeeze(-1)
+        counts = counts[present]
+    else:
+        group = index // pixels * segments + inputs.segments.reshape(-1)[index] - 1
+        if segments > 1:
+            order = torch.argsort(group, stable=True)
+            index, group = index[order], group[order]
+        present, counts = torch.unique_consecutive(group, return_counts=True)
+    batch = Batch(
+        n=unit(inputs.n, index),
+        view=unit(inputs.view, index),
+        m=inputs.m.flatten(0, 1).unflatten(-1, SHAPE)[present],
+        light=inputs.light,
+        counts=tuple(counts.tolist()),
+        light_of=tuple((present // max(segments, 1)).tolist()),
+        camera_from_light=torch.as_tensor(camera_from_light(inputs.elevation)),
+        one_material=segments == 1 and inputs.m.stride(0) == 0,
+    )
+    return batch, index

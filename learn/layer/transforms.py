@@ -1,0 +1,133 @@
+"""The rendering layer under torch.func: vmap, grad, vjp and jacrev, each alone or one inside another, for first derivatives.
+
+torch.func hands a function tensors that stand for many (vmap) or that are watched (grad). The layer looks at its arguments' values and
+sums with kernels, which such tensors do not allow; so it is one step for torch.func, which hands that step plain tensors. A batch by vmap
+becomes a longer batch of pictures. Forward mode and derivatives of derivatives are refused.
+"""
+
+import contextlib
+
+import torch
+
+from learn import layer
+from learn.engines import derivatives
+
+FORWARD_MODE = (
+    "derivatives: reverse mode (torch.func.grad, vjp, jacrev) expected, found forward mode (jvp, jacfwd, hessian), which the layer has not"
+)
+SECOND = 'derivatives: first ones expected under torch.func, found second ones; torch.autograd gives them with method="exact"'
+TRACED = (
+    "the layer cannot be recorded by {}, because its kernels read the tensors' values; torch.compile leaves it as one call, "
+    "and torch.func.vmap, grad, vjp and jacrev work"
+)
+KINDS = torch._C._TorchDispatchModeKey
+
+
+def are_active():
+    """Whether the caller is inside of a transform of torch.func. Raises NotImplementedError where calls are recorded instead."""
+    if torch.jit.is_tracing():
+        raise NotImplementedError(TRACED.format("torch.jit.trace"))
+    if any(torch._C._get_dispatch_mode(kind) is not None for kind in (KINDS.FAKE, KINDS.PROXY)):
+        raise NotImplementedError(TRACED.format("a tracer (make_fx, torch.func.linearize, FakeTensorMode)"))
+    return torch._C._are_functorch_transforms_active()
+
+
+def render(tensors, settings):
+    """`learn.layer.render` of n, material, light, view, segments and mask, and of method, tolerance and elevation."""
+    if any(isinstance(x, torch.Tensor) and torch._is_functional_tensor(x) for x in tensors):
+        raise NotImplementedError(TRACED.format("torch.func.functionalize"))
+    return Picture.apply(*tensors, settings)
+
+
+@contextlib.contextmanager
+def hooks_allowed():
+    """Within it saved tensors may have hooks, which torch.func forbids within grad; a step's own inner graph is not torch.func's."""
+    message = torch._C._autograd._saved_tensors_hooks_get_disabled_error_message()
+    torch._C._autograd._saved_tensors_hooks_enable()
+    try:
+        yield
+    finally:
+        if message is not None:
+            torch._C._autograd._saved_tensors_hooks_disable(message)
+
+
+def refuse_batch(g):
+    """A hook on the picture's gradient: kernels cannot take many gradients as one tensor that stands for them."""
+    derivatives.require_one_gradient(g)
+
+
+def folded(count, dimensions, tensors):
+    """Tensors whose dimension of `count`, given or to be added, has become part of the first one, the batch of pictures."""
+
+    def fold(dimension, x):
+        if not isinstance(x, torch.Tensor) or x.ndim == 0 or x.is_nested or x.layout != torch.strided:
+            return x  # refused by the layer, with the argument's name
+        stacked = x.expand(count, *x.shape) if dimension is None else x.movedim(dimension, 0)
+        return stacked.flatten(0, 1) if stacked.ndim > 1 else stacked
+
+    return [fold(dimension, x) for dimension, x in zip(dimensions, tensors, strict=True)]
+
+
+def parted(count, x):
+    """The reverse: (count · B, …) as (count, B, …)."""
+    return x.unflatten(0, (count, x.shape[0] // count if count else 0))
+
+
+class Picture(torch.autograd.Function):
+    """n, material, light, view, segments, mask (the last three may be None), settings → the picture."""
+
+    @staticmethod
+    def forward(*inputs):
+        *tensors, settings = inputs
+        with hooks_allowed():
+            return layer.render(*tensors, *settings)
+
+    @staticmethod
+    def setup_context(ctx, inputs, output):
+        *tensors, ctx.settings = inputs
+        ctx.save_for_backward(*tensors)
+
+    @staticmethod
+    def backward(ctx, g):
+        wanted = tuple(ctx.needs_input_grad[:4])
+        found = iter(Gradients.apply(g, *ctx.saved_tensors, ctx.settings, wanted))
+        return *(next(found) if each else None for each in wanted), None, None, None
+
+    @staticmethod
+    def vmap(info, dimensions, *inputs):
+        *tensors, settings = inputs
+        return parted(info.batch_size, Picture.apply(*folded(info.batch_size, dimensions[:6], tensors), settings)), 0
+
+    @staticmethod
+    def jvp(ctx, *tangents):
+        raise NotImplementedError(FORWARD_MODE)
+
+
+class Gradients(torch.autograd.Function):
+    """g, the six tensors, settings, which of the first four are wanted → derivatives of Σ g·picture by those."""
+
+    @staticmethod
+    def forward(g, *inputs):
+        *tensors, settings, wanted = inputs
+        with hooks_allowed(), torch.enable_grad():
+            leaves = [None if x is None else x.detach().requires_grad_(each) for x, each in zip(tensors[:4], wanted, strict=True)]
+            picture = layer.render(*leaves, *tensors[4:], *settings)
+            return torch.autograd.grad(picture, [x for x, each in zip(leaves, wanted, strict=True) if each], g)
+
+    @staticmethod
+    def setup_context(ctx, inputs, output):
+        pass
+
+    @staticmethod
+    def backward(ctx, *g):
+        raise NotImplementedError(SECOND)
+
+    @staticmethod
+    def vmap(info, dimensions, *inputs):
+        *tensors, settings, wanted = inputs
+        found = Gradients.apply(*folded(info.batch_size, dimensions[:7], tensors), settings, wanted)
+        return tuple(parted(info.batch_size, x) for x in found), (0,) * len(found)
+
+    @staticmethod
+    def jvp(ctx, *tangents):
+        raise NotImplementedError(FORWARD_MODE)

@@ -1,0 +1,160 @@
+"""The exact sum as a torch operator: one for the CPU kernels and the CUDA kernels, with a backward of its own.
+
+    exact_sum(n, view, m, light, rotation, counts, light_of) → radiance (P, 3)        arguments as in learn.engines.cpu
+
+float32 only. torch.compile and opcheck see an opaque operator with known shapes; autograd calls `exact_sum_backward`, which
+computes the pass again from the same inputs; and, where the graph of that pass is kept, `Second` to differentiate it. The number of
+threads is torch's own (torch.set_num_threads): a DataLoader worker has one.
+
+Defined by torch.library.define rather than the custom_op decorator: the same operator, but the decorator's first call imports
+the whole of torch._dynamo, one second.
+"""
+
+import importlib.util
+
+import torch
+
+from learn.engines import cpu, machine_code
+from learn.engines.derivatives import THIRD, Step, require_one_gradient, require_reverse_mode
+from shaders.dsbrdf import MAX_EXPONENT
+
+NAME = "brdfactory::exact_sum"
+
+
+def serves(batch):
+    """Whether an engine computes this `learn.methods.Batch`; the reference (learn.methods.exact) takes the others.
+
+    Engines hold exponents below MAX_EXPONENT by requiring it of κ: c^γ ≤ 1.
+    """
+    if batch.n.dtype != torch.float32 or batch.m.numel() == 0 or batch.m.detach()[..., 0, :].amax() > MAX_EXPONENT:
+        return False
+    if batch.n.device.type == "cuda":
+        return importlib.util.find_spec("triton") is not None
+    return batch.n.device.type == "cpu" and machine_code.is_available()
+
+
+def radiance(batch):
+    """(P, 3) outgoing radiance of a `learn.methods.Batch` that `serves` accepts."""
+    if not torch.compiler.is_compiling():
+        require_reverse_mode(batch.n, batch.view, batch.m, batch.light)  # torch drops a tangent that an operator knows nothing of
+    rotation = batch.camera_from_light.double().flatten().tolist()
+    return torch.ops.brdfactory.exact_sum(batch.n, batch.view, batch.m, batch.light, rotation, list(batch.counts), list(batch.light_of))
+
+
+CONSTANTS = "float[] rotation, int[] counts, int[] light_of"
+torch.library.define(NAME, f"(Tensor n, Tensor? view, Tensor m, Tensor light, {CONSTANTS}) -> Tensor")
+torch.library.define(
+    f"{NAME}_backward",
+    f"(Tensor g, Tensor n, Tensor? view, Tensor m, Tensor light, {CONSTANTS}, bool with_view) -> (Tensor, Tensor, Tensor, Tensor)",
+)
+
+
+def _numpy(tensor):
+    return None if tensor is None else tensor.detach().contiguous().numpy()
+
+
+@torch.library.impl(NAME, "CPU")
+def _sum_on_cpu(n, view, m, light, rotation, counts, light_of):
+    arrays = (_numpy(a) for a in (n, view, m, light))
+    return torch.from_numpy(cpu.radiance(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads()))
+
+
+@torch.library.impl(f"{NAME}_backward", "CPU")
+def _backward_on_cpu(g, n, view, m, light, rotation, counts, light_of, with_view):
+    """Derivatives by n, view (empty unless with_view), m, light."""
+    arrays = (_numpy(a) for a in (g, n, view, m, light))
+    found = cpu.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads(), with_view)
+    return tuple(n.new_empty(0) if a is None else torch.from_numpy(a) for a in found)
+
+
+@torch.library.impl(NAME, "CUDA")
+def _sum_on_cuda(n, view, m, light, rotation, counts, light_of):
+    from learn.engines import cuda
+
+    n, view, m, light = (None if a is None else a.contiguous() for a in (n, view, m, light))
+    return cuda.radiance(n, view, m, light, tuple(rotation), tuple(counts), light_of)
+
+
+@torch.library.impl(f"{NAME}_backward", "CUDA")
+def _backward_on_cuda(g, n, view, m, light, rotation, counts, light_of, with_view):
+    from learn.engines import cuda
+
+    g, n, view, m, light = (None if a is None else a.contiguous() for a in (g, n, view, m, light))
+    by_n, by_view, by_m, by_light = cuda.gradients(g, n, view, m, light, tuple(rotation), tuple(counts), light_of)
+    return by_n, by_view if with_view else n.new_empty(0), by_m, by_light
+
+
+def _plain(tensor):
+    return torch.empty_like(tensor, memory_format=torch.contiguous_format)
+
+
+@torch.library.register_fake(NAME)
+def _sum_shape(n, view, m, light, rotation, counts, light_of):
+    return _plain(n)
+
+
+@torch.library.register_fake(f"{NAME}_backward")
+def _backward_shapes(g, n, view, m, light, rotation, counts, light_of, with_view):
+    return _plain(n), _plain(view) if with_view else n.new_empty(0), _plain(m), _plain(light)
+
+
+def _remember(ctx, inputs, output):
+    n, view, m, light, *ctx.constants = inputs
+    ctx.save_for_backward(n, view, m, light)
+
+
+def _backward(ctx, g):
+    require_one_gradient(g)
+    given = g, *ctx.saved_tensors, *ctx.constants, ctx.needs_input_grad[1]
+    if torch.is_grad_enabled():  # a step more, which small pictures would feel
+        by_n, by_view, by_m, by_light = Gradients.apply(*given)
+    else:
+        by_n, by_view, by_m, by_light = torch.ops.brdfactory.exact_sum_backward(*given)
+    return by_n, by_view if ctx.needs_input_grad[1] else None, by_m, by_light, None, None, None
+
+
+class Gradients(Step):
+    """The operator `exact_sum_backward`, with a derivative."""
+
+    @staticmethod
+    def forward(ctx, g, n, view, m, light, *constants):
+        ctx.save_for_backward(g, n, view, m, light)
+        *ctx.constants, ctx.with_view = constants
+        return torch.ops.brdfactory.exact_sum_backward(g, n, view, m, light, *constants)
+
+    @staticmethod
+    def backward(ctx, by_n, by_view, by_m, by_light):
+        require_one_gradient(by_n, by_view, by_m, by_light)
+        view = ctx.saved_tensors[2]
+        if not ctx.with_view:
+            by_view = None if view is None else torch.zeros_like(view)
+        return *Second.apply(by_n, by_view, by_m, by_light, *ctx.saved_tensors, *ctx.constants), None
+
+
+class Second(Step):
+    """Derivatives of a loss by the results of the backward pass, and what that pass was given → derivatives by g, n, view, m and light.
+
+    No operator: torch.compile takes no second derivatives, and within an operator learn.methods.exact_second could not use autograd.
+    """
+
+    @staticmethod
+    def forward(ctx, by_n, by_view, by_m, by_light, g, n, view, m, light, rotation, counts, light_of):
+        direction, given = (by_n, by_view, by_m, by_light), (g, n, view, m, light)
+        if n.device.type == "cpu":
+            from learn.engines import second
+
+            arrays = [_numpy(x) for x in direction], *(_numpy(x) for x in given)
+            found = second.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads())
+            found = (None if x is None else torch.from_numpy(x) for x in found)
+        else:
+            from learn.methods.exact_second import of_groups
+
+            found = of_groups(direction, *given, rotation, counts, light_of)
+        return *found, None, None, None
+
+    @staticmethod
+    def backward(ctx, *g):
+        raise NotImplementedError(THIRD)
+
+
+torch.library.register_autograd(NAME, _backward, setup_context=_remember)

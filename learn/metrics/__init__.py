@@ -1,0 +1,1 @@
+"""How far pictures and intrinsics are from the truth, with confidence intervals."""

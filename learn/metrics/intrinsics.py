@@ -1,0 +1,132 @@
+"""How far predicted normals, materials and lights stand from the true ones, each in units that mean something by themselves.
+
+normals    angles over the mask in degrees: mean, median, and the shares below 11.25°, 22.5° and 30°; mean cosine (the paper's Table 2)
+material   brdf_log: root mean square of log((f' + ε)/(f + ε)) over half and difference angles, weighted by the light's cosine;
+           log_l2: mean squared difference of the 108 logarithms; code_l2: of the codes that networks predict. Regions count alike
+light      direction_deg: between the brightest directions, seen through a lobe of 10°; irradiance: relative root mean square error over 96
+           directions; spheres_l2: display L2 of three spheres, matte, glossy, sharp, as this viewer sees them; both maps as they come
+"""
+
+from functools import cache
+
+import numpy as np
+import torch
+
+from learn.layer import render
+from learn.training.validation import irradiance
+from shaders import dsbrdf, envmap, frames, tone
+
+LIMITS_DEG = (11.25, 22.5, 30.0)
+FLOOR = 1e-3  # ε in 1/sr: what lies below a thousandth of a white matte surface's f looks black
+GRID = (90, 45, 36)  # θ_h, θ_d, φ_d; MERL's, every second angle
+LOBE = 45.0  # of exp(LOBE (cos − 1)): half its peak at 10°
+COARSE = (32, 64)
+SPHERE = 32  # pixels
+SPHERES = {"matte": (1e-6, 0.8), "glossy": (30.0, 0.8), "sharp": (300.0, 0.8)}  # exponent, albedo about the normal
+
+
+def normals(n, true, inside):
+    """{figure: value} of unit normals (3, H, W) tensors over inside (H, W) bool."""
+    cosine = (n * true).sum(0)[inside].double().clamp(-1, 1)
+    degrees = cosine.arccos().rad2deg().numpy()
+    found = {"mean_deg": float(degrees.mean()), "median_deg": float(np.median(degrees)), "cosine": float(cosine.mean())}
+    return found | {f"below_{limit:g}": float((degrees < limit).mean()) for limit in LIMITS_DEG}
+
+
+def material(label, true, ranges):
+    """{figure: value} of labels (S, 108) tensors; ranges: learn.networks.coding.Ranges."""
+    pairs = zip(label.double().numpy(), true.double().numpy(), strict=True)
+    return {
+        "brdf_log": float(np.mean([brdf_log_error(a, b) for a, b in pairs])),
+        "log_l2": float(((label - true) ** 2).mean()),
+        "code_l2": float(((ranges.code(label) - ranges.code(true)) ** 2).mean()),
+    }
+
+
+def brdf_log_error(label, true):
+    """brdf_log of two labels (108,) of logarithms."""
+    cos_h, theta_d, weight = _grid()
+    f, right = (dsbrdf.evaluate(np.exp(x), cos_h, theta_d) for x in (label, true))
+    error = (np.log((f + FLOOR) / (right + FLOOR)) ** 2).mean(-1)
+    return float(np.sqrt((error * weight).sum() / weight.sum()))
+
+
+@cache
+def _grid():
+    """cos θ_h and θ_d (P,) of the grid's points, and the mean over φ_d of the light's cosine where light and view are above the surface.
+
+    θ_h = (π/2) u²: points crowd at the highlight, as MERL's do. cos_i, cos_o = cos_h cos_d ∓ sin_h sin_d cos φ_d.
+    """
+    half = np.pi / 2 * ((np.arange(GRID[0]) + 0.5) / GRID[0]) ** 2
+    difference = np.pi / 2 * (np.arange(GRID[1]) + 0.5) / GRID[1]
+    turn = np.pi * (np.arange(GRID[2]) + 0.5) / GRID[2]
+    theta_h, theta_d = (x.reshape(-1) for x in np.meshgrid(half, difference, indexing="ij"))
+    along = (np.cos(theta_h) * np.cos(theta_d))[:, None]
+    across = (np.sin(theta_h) * np.sin(theta_d))[:, None] * np.cos(turn)
+    cos_i, cos_o = along - across, along + across
+    weight = np.where((cos_i > 0) & (cos_o > 0), cos_i, 0.0).mean(-1)
+    kept = weight > 0
+    return np.cos(theta_h)[kept], theta_d[kept], weight[kept]
+
+
+def light(L, true, elevation):
+    """{figure: value} of maps (3, 64, 128) tensors, light frame."""
+    a, b = irradiance(L[None]), irradiance(true[None])
+    cosine = float(np.clip(brightest(L) @ brightest(true), -1, 1))
+    shown = {name: _sphere_l2(L, true, name, elevation) for name in SPHERES}
+    return {
+        "direction_deg": float(np.degrees(np.arccos(cosine))),
+        "irradiance": float(((a - b) ** 2).mean().sqrt() / (b**2).mean().sqrt()),
+        "spheres_l2": float(np.mean(list(shown.values()))),
+        **{f"{name}_sphere_l2": value for name, value in shown.items()},
+    }
+
+
+def brightest(L):
+    """Unit direction (3,), light frame, from where most luminance comes through a lobe of 10°; L (3, H, W)."""
+    w, lobes = _lobes()
+    luminance = envmap.resize(L.movedim(0, -1).double().numpy(), *COARSE).reshape(-1, 3) @ envmap.LUMINANCE
+    top = int((lobes @ luminance).argmax())
+    centre = (lobes[top] * luminance) @ w  # between texels: where the light within the lobe lies
+    return centre / max(np.linalg.norm(centre), 1e-12)
+
+
+@cache
+def _lobes():
+    w, solid_angle = envmap.directions(*COARSE)
+    w = w.reshape(-1, 3)
+    return w, np.exp(LOBE * (w @ w.T - 1)) * solid_angle.reshape(-1)
+
+
+def sphere_material(name):
+    """Label (108,) float32: one lobe of f = expm1(κ c^γ), κ such that the albedo seen from the normal is as SPHERES says."""
+    gamma, albedo = SPHERES[name]
+    theta = (np.arange(2000) + 0.5) / 2000 * np.pi / 2
+    weight = 2 * np.pi * np.sin(theta) * np.cos(theta) * (np.pi / 2) / 2000
+    power = np.cos(theta / 2) ** gamma
+    low, high = 0.0, 20.0
+    for _ in range(60):
+        kappa = 0.5 * (low + high)
+        low, high = (kappa, high) if (np.expm1(kappa * power) * weight).sum() < albedo else (low, kappa)
+    m = np.full(dsbrdf.SHAPE, 1e-9)
+    m[:, 0, 0], m[:, 0, 1] = kappa, gamma
+    return np.log(m).reshape(-1).astype(np.float32)
+
+
+@cache
+def _sphere(name):
+    x, y = frames.pixel_grid(SPHERE, SPHERE)
+    z = np.sqrt(np.clip(1 - x * x - y * y, 0, 1))
+    inside = z > 0.1
+    n = np.where(inside[..., None], np.stack([x, y, z], -1), 0)
+    n /= np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-9)
+    return torch.from_numpy(n.astype(np.float32))[None], inside, torch.from_numpy(np.exp(sphere_material(name)))[None]
+
+
+def _sphere_l2(L, true, name, elevation):
+    n, inside, m = _sphere(name)
+    with torch.no_grad():
+        mine, right = (
+            render(n, m, x.movedim(0, -1)[None].contiguous().float(), method="exact", elevation=elevation)[0].numpy() for x in (L, true)
+        )
+    return float(tone.display_l2(mine, right, tone.auto_exposure(right, inside), inside))

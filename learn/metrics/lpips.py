@@ -1,0 +1,66 @@
+"""LPIPS (Zhang et al. 2018), where a user has its weights; nothing is downloaded.
+
+Weights are one .safetensors file of AlexNet's five convolutions and LPIPS' five linear layers: `features.K.weight`, `features.K.bias`
+(K = 0, 3, 6, 8, 10, as torchvision numbers them) and `lin0.weight` … `lin4.weight`. Its checksum is told beside the figures.
+"""
+
+import torch
+from torch.nn import functional as F
+
+from learn.networks import tensor_file
+from manifests.errors import Problem
+
+SHAPES = ((64, 3, 11, 11), (192, 64, 5, 5), (384, 192, 3, 3), (256, 384, 3, 3), (256, 256, 3, 3))  # of AlexNet's kernels
+LAYERS = ((0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False))  # number, stride, padding, pooled before
+SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
+
+
+def of_file(path):
+    """(display values, display values) (H, W, 3) in [0, 255] → float, 0 alike; or None for no file. Raises Problem."""
+    if path is None:
+        return None
+    wanted = {}
+    for (k, *_), shape in zip(LAYERS, SHAPES, strict=True):
+        wanted |= {f"features.{k}.weight": shape, f"features.{k}.bias": shape[:1]}
+    wanted |= {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(SHAPES)}
+    remedy = "convert LPIPS' AlexNet weights under these names"
+    with tensor_file.opened(path, "LPIPS' weights in a .safetensors file", remedy) as stored:
+        missing = [name for name in wanted if name not in stored.shapes]
+        if missing:
+            names = list(wanted)
+            raise Problem(path, f"tensors {', '.join(names[:2])} … {names[-1]}", f"no {missing[0]}", remedy)
+        stored.require(wanted, "LPIPS' AlexNet", alone=False)
+        tensors = {name: stored.tensor(name) for name in wanted}
+    return lambda shown, right: distance(tensors, shown, right)
+
+
+def distance(tensors, shown, right):
+    """LPIPS of two pictures of display values (H, W, 3)."""
+    with torch.no_grad():
+        features = [stages(tensors, prepared(picture)) for picture in (shown, right)]
+        total = 0.0
+        for i, (a, b) in enumerate(zip(*features, strict=True)):
+            squared = (unit(a) - unit(b)) ** 2
+            total += float(F.conv2d(squared, tensors[f"lin{i}.weight"].float()).mean())
+    return total
+
+
+def prepared(display):
+    """(1, 3, H, W) of display values, centred and scaled as AlexNet was trained."""
+    x = torch.as_tensor(display, dtype=torch.float32).movedim(-1, 0)[None] / 127.5 - 1
+    return (x - x.new_tensor(SHIFT)[:, None, None]) / x.new_tensor(SCALE)[:, None, None]
+
+
+def stages(tensors, x):
+    """Features after each of the five convolutions."""
+    found = []
+    for number, stride, padding, pooled in LAYERS:
+        x = F.max_pool2d(x, 3, 2) if pooled else x
+        x = F.relu(F.conv2d(x, tensors[f"features.{number}.weight"].float(), tensors[f"features.{number}.bias"].float(), stride, padding))
+        found.append(x)
+    return found
+
+
+def unit(x):
+    """Features of unit length at each place."""
+    return x / (x.norm(dim=1, keepdim=True) + 1e-10)

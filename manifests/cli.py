@@ -1,0 +1,82 @@
+"""How `python -m factory` and `python -m learn` find their commands and end.
+
+A command is a module with `register(subparsers)`, which adds its parser and sets `run=` to a function of the parsed arguments that
+returns an exit status: 0 done, 1 failed, 2 wrong usage; and `continues=False` where a second run does not go on from what is there. Only
+argparse and the standard library may be imported at its top: heavy libraries load inside `run`, so that `--help` is quick.
+"""
+
+import argparse
+import importlib
+import os
+import sys
+import traceback
+
+from manifests.errors import Problem, printable
+
+
+def main(program, description, commands, arguments=None):
+    """Parse, run, and return the exit status; one line for a user's mistake, a trace only with --debug."""
+    if hasattr(sys.stdout, "reconfigure"):  # as stderr: what a terminal has no character for is escaped, no error
+        sys.stdout.reconfigure(errors="backslashreplace")
+    parser = argparse.ArgumentParser(prog=f"python -m {program}", description=description)
+    parser.add_argument("--debug", action="store_true", help="show the whole trace of an error")
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    words = sys.argv[1:] if arguments is None else arguments
+    named = [word for word in words if word in commands][:1]  # one command needs only its own module; --help and mistakes need all
+    for name in named or commands:
+        importlib.import_module(f"{program}.commands.{name}").register(subparsers)
+    debug, options = "--debug" in words, None
+    try:
+        try:
+            _refuse_empty(parser, words)
+            options = parser.parse_args(arguments)
+            return options.run(options) or 0
+        finally:  # here, where a full disk or a reader that has gone still has a line and a status
+            _flush_output()
+    except Problem as problem:
+        return _failed(program, problem, debug)
+    except OSError as error:  # full disk, missing file, no permission: the system's own words name the file
+        return _failed(program, error, debug)
+    except KeyboardInterrupt as interrupt:
+        traceback.clear_frames(interrupt.__traceback__)
+        how = "the same command continues" if getattr(options, "continues", True) else "the same command with --overwrite replaces it"
+        print(f"\n{program}: stopped; what was written stays, {how}", file=sys.stderr)
+        return 130
+
+
+def _refuse_empty(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """End with the usage and status 2 where an argument is empty.
+
+    An empty one is a shell variable that was not set: as a path it would mean the current folder,
+    and as --shard every picture.
+    """
+    for before, word in zip(["", *words], words, strict=False):
+        if not word or (word.startswith("--") and word.endswith("=")):
+            name = word.removesuffix("=") or (before if before.startswith("-") else "an argument")
+            parser.error(f"{name}: a value expected, found an empty one; is a shell variable not set?")
+
+
+def _flush_output() -> None:
+    """Write what was printed. Raises OSError; what cannot be written is then dropped, or Python would end with 120."""
+    if sys.stdout is None:  # closed by the caller
+        return
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+        raise OSError(error.errno, error.strerror, "standard output") from None
+
+
+def _failed(program: str, error: Exception, debug: bool) -> int:
+    """1, the exit status, after one line of what is wrong; with `debug` after the whole trace, too.
+
+    The frames that the error passed through are cleared first, which closes their progress bars:
+    the line then stands below them and not behind one.
+    """
+    if debug:
+        traceback.print_exception(error)
+    traceback.clear_frames(error.__traceback__)
+    print(f"{program}: {printable(str(error))}", file=sys.stderr)
+    return 1
