@@ -1,10 +1,5 @@
 """The fit errors of a catalogue as a table, plots and JSON, beside the limits they are to keep."""
 
-import os
-import platform
-import subprocess
-import sys
-from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +7,7 @@ import numpy as np
 from factory.materials.samples import HELD_OUT_DEG
 from manifests.files import together, write_figure, write_json, write_text
 from manifests.materials import read_catalogue
+from manifests.provenance import provenance
 
 LIMITS = (  # name, key of the figure, limit, what the prototype reached
     ("label against nodes, L1, median", "agreement_median", 0.015, "0.017"),
@@ -49,18 +45,6 @@ def figures(entries):
 def by_view(entries):
     """Median L1 (6,) of label against nodes at each held-out view angle."""
     return np.median([e.errors.nodes_vs_label.l1 for e in entries], axis=0)
-
-
-def provenance():
-    """What made a report: command, commit, machine, date."""
-    here = Path(__file__).parent
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=here, check=False).stdout.strip()
-    return {
-        "command": "python -m factory " + " ".join(Path(a).name if os.path.isabs(a) else a for a in sys.argv[1:]),
-        "commit": commit or "unknown",
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, numpy {np.__version__}",
-        "date": date.today().isoformat(),
-    }
 
 
 def write(path, out, source=None, abc=None):

@@ -1,16 +1,11 @@
 """The whole comparison: every scene of a dataset, then the files that tell of it."""
 
 import heapq
-import os
-import platform
-import subprocess
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
 import numpy as np
-import torch
 from tqdm import tqdm
 
 from learn.agreement import causes, page, plots
@@ -20,6 +15,7 @@ from learn.agreement.summary import summarise
 from learn.data.records import Records
 from manifests import files
 from manifests.errors import Problem
+from manifests.provenance import provenance
 
 PANELS = 9  # pictures shown, the worst of the direct tier first
 
@@ -100,15 +96,8 @@ def compare_condition(condition, records, sample, layer, entries):
 
 def about(options):
     """What made the report: command, commit, machine, date."""
-    here = Path(__file__).parent
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=here, check=False).stdout.strip()
     limit = "" if options.limit is None else f" --limit {options.limit}"
-    return {
-        "command": f"python -m learn agree {options.folder.name} --out {options.out.name}{limit} --tolerance {options.tolerance:g}",
-        "commit": commit or "unknown",
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}",
-        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-    }
+    return provenance(f"python -m learn agree {options.folder.name} --out {options.out.name}{limit} --tolerance {options.tolerance:g}")
 
 
 def make(options):

@@ -23,13 +23,13 @@ def register(subparsers):
 
 def run(options):
     from learn.experiments import chart_cases, chart_drawing, chart_measurement
-    from learn.experiments.speed_report import made_by
     from manifests import materials as catalogue
+    from manifests.provenance import provenance
 
     names, lights, size = chart_cases.MATERIALS, chart_cases.lights(options.lights, options.light), options.size
     if options.quick:
         names, lights, size = names[::3], dict(list(lights.items())[:2]), min(size, 64)
-    made = made_by()
+    made = provenance()
     labels = {name: catalogue.find(name).label for name in names}
     rows = chart_measurement.measure(labels, lights, ("orthographic", "perspective"), size, options.processes)
     chart_drawing.write(rows, made, options.out)

@@ -18,10 +18,10 @@ def register(subparsers):
 
 def run(options):
     from learn.experiments import quadrature_accuracy
-    from learn.experiments.speed_report import made_by
     from manifests.files import write_json
+    from manifests.provenance import provenance
 
-    made = made_by()
+    made = provenance()
     rows = quadrature_accuracy.measure(options.tolerance, options.threads)
     for row in rows:
         found = ", ".join(f"{method}: " + ", ".join(f"{k} {v:.2g}" for k, v in row[method].items()) for method in ("quadrature", "exact"))

@@ -22,13 +22,13 @@ def run(options):
     import numpy as np
 
     from learn.experiments import auto_latency, chart_cases
-    from learn.experiments.speed_report import made_by
     from manifests import materials as catalogue
     from manifests.files import write_json
+    from manifests.provenance import provenance
 
     labels = {name: material.label for name, material in catalogue.load_catalogue(catalogue.BUILT_IN[0]).items()}
     labels = dict(list(labels.items())[:: options.every])
-    found = made_by() | {"threads": options.threads, "light": options.light, "tolerances": {}}
+    found = provenance() | {"threads": options.threads, "light": options.light, "tolerances": {}}
     for tolerance in options.tolerance:
         rows = auto_latency.measure(labels, chart_cases.computed_lights()[options.light], tolerance, options.threads)
         within = {

@@ -19,14 +19,14 @@ def register(subparsers):
 
 def run(options):
     from learn.experiments import tolerance_check
-    from learn.experiments.speed_report import made_by
     from manifests import materials as catalogue
     from manifests.files import write_json
+    from manifests.provenance import provenance
 
     labels = [material.label for material in catalogue.load_catalogue(catalogue.BUILT_IN[0]).values()]
     rows = tolerance_check.measure(labels, options.cases, options.size, options.seed)
     kept = {f"{t:g}": sum(r["kept"] for r in rows if r["tolerance"] == t) / options.cases for t in tolerance_check.TOLERANCES}
-    found = made_by() | {"cases": options.cases, "kept": kept, "misses": [r for r in rows if not r["kept"]]}
+    found = provenance() | {"cases": options.cases, "kept": kept, "misses": [r for r in rows if not r["kept"]]}
     options.out.mkdir(parents=True, exist_ok=True)
     write_json(options.out / "promise.json", found)
     print(f"kept: {', '.join(f'{share:.1%} at {t}' for t, share in kept.items())}")

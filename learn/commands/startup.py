@@ -19,10 +19,10 @@ def register(subparsers):
 
 def run(options):
     from learn.experiments import cold_start
-    from learn.experiments.speed_report import made_by
     from manifests.files import write_json
+    from manifests.provenance import provenance
 
-    made = made_by()
+    made = provenance()
     found = cold_start.measure(options.rounds, options.threads)
     for case, both in found.items():
         for kernels, times in both.items():

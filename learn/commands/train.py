@@ -51,8 +51,8 @@ def run(options):
 
     from learn.baselines.material_swap import SwapTraining
     from learn.data import settings, sources
-    from learn.experiments.speed_report import made_by
     from learn.training import loop
+    from manifests.provenance import provenance
 
     chosen = settings.read_run(options.settings, options.steps, options.seed)
     torch.set_num_threads(options.threads)
@@ -64,7 +64,7 @@ def run(options):
         training = kind(chosen, pools, options.out, options.sheet_every, options.checkpoint_every, options.workers, options.tensorboard)
         figures = training.train()
         if training.rank == 0:
-            training.journal.made(made_by(), {side: pool.sizes() for side, pool in pools.items()}, len(left_out), training.step, figures)
+            training.journal.made(provenance(), {side: pool.sizes() for side, pool in pools.items()}, len(left_out), training.step, figures)
     if figures:
         print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
     print(f"See {options.out}: weights.safetensors, log.jsonl, sheet-*.jpg")

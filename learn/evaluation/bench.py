@@ -13,13 +13,13 @@ from learn.agreement.measure import shared, squared
 from learn.data import pairs
 from learn.data.records import Records
 from learn.evaluation import gallery, methods
-from learn.experiments.speed_report import made_by
 from learn.layer import render
 from learn.metrics import intrinsics
 from learn.metrics import lpips as perceptual
 from learn.metrics import pictures as metrics
 from learn.networks import weights as checkpoint
 from manifests.errors import Problem
+from manifests.provenance import provenance
 from shaders import tone
 
 FIT_PIXELS = causes.PIXELS  # of a truth, at which label and nodes are compared: 2 s on one thread, 9 where 65,536 taps are needed
@@ -37,7 +37,7 @@ class Bench:
         self.records = Records(data)
         self.repeats, self._judged = pairs.repeats(self.records.records), {}
         net, metadata = checkpoint.load_parts(weights)
-        self.commit = made_by()["commit"]
+        self.commit = provenance()["commit"]
         self.size, self.ranges, self.perceptual = metadata["size"], net.ranges, perceptual.of_file(lpips)
         if refine:
             from learn.refinement import refine as work

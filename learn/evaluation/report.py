@@ -8,8 +8,8 @@ import msgspec
 
 from learn.evaluation import page, tables
 from learn.evaluation.methods import OURS, OURS_REFINED
-from learn.experiments.speed_report import made_by
 from manifests import files
+from manifests.provenance import provenance
 from manifests.store import file_hash
 
 CURVE = "radiance × exposure, clipped to [0, 1], sRGB curve (IEC 61966-2-1), × 255; exposure: the truth's 99th percentile of luminance → 1"
@@ -24,7 +24,7 @@ def about(options, records, kept, left_out, perceptual):
         missing["LPIPS"] = "no weights were given (--lpips FILE); nothing is downloaded"
     asked = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
     return {
-        "made": made_by(),
+        "made": provenance(),
         "asked": {
             key: Path(value).name if key in ("data", "weights", "out", "baselines", "lpips") and value else value
             for key, value in asked.items()

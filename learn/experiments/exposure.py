@@ -10,10 +10,10 @@ Y  mean luminance of the object in the file, linear; P pictures
 import numpy as np
 
 from learn.data import photographs
-from learn.experiments.speed_report import made_by
 from learn.metrics import bootstrap
 from manifests import files
 from manifests.errors import Problem
+from manifests.provenance import provenance
 from shaders import tone
 from shaders.envmap import LUMINANCE
 
@@ -84,5 +84,5 @@ def study(records, others, out):
     for folder, (y, x, _) in ((records.folder, (Y, X, groups)), *((other.folder, measured(other)) for other in others)):
         found["missed"][folder.name] = {rule: missed(y, x, *values) for rule, values in rules.items()}
     out.mkdir(parents=True, exist_ok=True)
-    files.write_json(out / "exposure.json", {"made_by": made_by()} | found)
+    files.write_json(out / "exposure.json", {"made_by": provenance()} | found)
     return found

@@ -15,8 +15,8 @@ from tqdm import tqdm
 
 from learn.data.settings import Losses, Run, Schedule
 from learn.experiments import variants
-from learn.experiments.speed_report import made_by
 from manifests import files
+from manifests.provenance import provenance
 
 VARIANTS = {
     "material": {
@@ -70,7 +70,7 @@ def report(out, results, about):
         pairs += [("control", v) for v in ("combined", "both") if {"control", v} <= of_part.keys()]
         summary[part]["ratios"] = {f"{b} / {a}": variants.ratio(of_part[a], of_part[b]) for a, b in pairs}
     pictures = len(next(iter(next(iter(results.values())).values()))[0]["rows"])
-    summary["about"] = made_by() | about | {"pictures": pictures}
+    summary["about"] = provenance() | about | {"pictures": pictures}
     with files.together():
         files.write_json(out / "report.json", summary)
         files.write_text(out / "report.md", page(summary))

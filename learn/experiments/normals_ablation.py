@@ -20,9 +20,9 @@ from tqdm import tqdm
 from learn.data.settings import Losses, Run, Schedule
 from learn.data.sources import by_hash
 from learn.experiments import variants
-from learn.experiments.speed_report import made_by
 from manifests import files
 from manifests.errors import Problem
+from manifests.provenance import provenance
 
 VARIANTS = {
     "L2": {},
@@ -110,7 +110,7 @@ def report(out, results, about):
         rows[name]["ratio"] = variants.ratio(results["L2"], found)
         rows[name]["angle_ratio"] = variants.ratio(results["L2"], found, "angle_deg")
     pictures = len(results["L2"][0]["rows"])
-    summary = {"rows": rows, "about": made_by() | about | {"pictures": pictures}}
+    summary = {"rows": rows, "about": provenance() | about | {"pictures": pictures}}
     with files.together():
         files.write_json(out / "table.json", summary)
         files.write_text(out / "table.md", page(summary))

@@ -19,12 +19,12 @@ from tqdm import tqdm
 
 from learn.data import pairs
 from learn.data.batch import Batch
-from learn.experiments.speed_report import made_by
 from learn.layer import render
 from learn.refinement import NAMED, Settings, refine
 from learn.training.validation import irradiance
 from manifests import files
 from manifests.errors import Problem
+from manifests.provenance import provenance
 from manifests.store import Lines
 from shaders import tone
 
@@ -181,4 +181,4 @@ def doubled(batch):
 
 def write(path, told):
     """Figures by name, and what made them."""
-    files.write_json(path, {"made_by": made_by()} | told)
+    files.write_json(path, {"made_by": provenance()} | told)

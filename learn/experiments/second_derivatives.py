@@ -91,7 +91,7 @@ def peak():
 
 
 def main(out):
-    from learn.experiments.speed_report import made_by
+    from manifests.provenance import provenance
 
     cases = {}
     for dtype, rounds in ROUNDS.items():
@@ -109,7 +109,7 @@ def main(out):
             name = f"{dtype}, {'view per pixel' if perspective else 'orthographic'}"
             cases[name] = found | {"second ÷ backward": found["second"] / found["backward"]}
             print(f"{name}: second ÷ backward {cases[name]['second ÷ backward']:.2f}", found)
-    made = made_by() | {"command": f"python -m learn.experiments.second_derivatives {Path(out).name}"}
+    made = provenance() | {"command": f"python -m learn.experiments.second_derivatives {Path(out).name}"}
     files.write_json(Path(out), {"lights": math.prod(LIGHT), "threads": 1, "cases": cases, "about": made})
 
 

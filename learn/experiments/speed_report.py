@@ -1,46 +1,9 @@
 """The table of `learn bench`, in Markdown and JSON, with the command, commit, machine and date that made it."""
 
 import dataclasses
-import datetime
-import importlib.metadata
-import os
-import platform
-import subprocess
-import sys
-from pathlib import Path
 
 from manifests import files
-
-
-def made_by():
-    """What has to stand beside any published figure."""
-    here = Path(__file__).parent
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=here, check=False).stdout.strip()
-    versions = {name: importlib.metadata.version(name) for name in ("torch", "numba", "llvmlite")}
-    return {
-        "command": " ".join(["python -m learn", *(named(argument) for argument in sys.argv[1:])]),
-        "commit": commit or "none",
-        "date": datetime.date.today().isoformat(),
-        "machine": f"{processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}",
-        "versions": versions,
-    }
-
-
-def named(argument):
-    """An argument as it is published: of a path on this machine the last part alone."""
-    return f"…/{Path(argument).name}" if os.path.isabs(argument) else argument
-
-
-def processor():
-    """The processor's name, and the widest vectors it has."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    found = dict(line.replace("\t", "").split(":", 1) for line in lines if ":" in line)
-    flags = found.get("flags", "").split()
-    width = next((name for name in ("avx512f", "avx2", "sse2") if name in flags), platform.machine())
-    return f"{found.get('model name', platform.machine()).strip()} ({width})"
+from manifests.provenance import provenance
 
 
 def markdown(rows, settings, made):
@@ -70,7 +33,7 @@ def markdown(rows, settings, made):
 def write(rows, settings, folder):
     """Writes bench.md and bench.json into the folder; returns the Markdown."""
     folder.mkdir(parents=True, exist_ok=True)
-    made = made_by()
+    made = provenance()
     text = markdown(rows, settings, made)
     content = {"made_by": made, "settings": dataclasses.asdict(settings), "rows": [dataclasses.asdict(row) for row in rows]}
     with files.together():

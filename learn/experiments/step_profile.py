@@ -18,10 +18,10 @@ import msgspec
 import torch
 
 from learn.data.relit import Relit
-from learn.experiments.speed_report import made_by
 from learn.training import losses, schedule
 from learn.training.loop import Training
 from manifests import files
+from manifests.provenance import provenance
 
 WARM_UP = 2
 
@@ -34,7 +34,7 @@ def measure(run, pools, out, scratch, steps, images):
     """
     out = Path(out)
     found = {"step": of_step(run, pools, scratch, steps), "relit": of_relighting(run, pools, images)}
-    found["about"] = made_by() | {"run": run.name, "size": run.size, "batch": run.schedule.batch, "steps": steps, "threads": 1}
+    found["about"] = provenance() | {"run": run.name, "size": run.size, "batch": run.schedule.batch, "steps": steps, "threads": 1}
     with files.together():
         files.write_json(out / "step-time.json", found)
         files.write_text(out / "step-time.md", page(found))

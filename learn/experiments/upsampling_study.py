@@ -16,13 +16,13 @@ from learn.agreement.measure import similarity
 from learn.data import pairs, photographs
 from learn.editing import decomposition, photograph
 from learn.experiments import upsampling
-from learn.experiments.speed_report import made_by
 from learn.metrics import bootstrap
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings
 from manifests import files, lock
 from manifests.errors import Problem
+from manifests.provenance import provenance
 from manifests.store import Lines, file_hash
 from shaders import tone
 
@@ -83,7 +83,7 @@ def compared(picture, truth, mask):
 
 def written(out, rows, about):
     """enlarging.json of rows as rows.jsonl has them."""
-    found = {"made_by": made_by(), "about": about, "parts": {}}
+    found = {"made_by": provenance(), "about": about, "parts": {}}
     weights = bootstrap.draws(bootstrap.groups_of([row["shape"] for row in rows], [row["material"] for row in rows]))
     for parts in ("ours", "true"):
         names = list(rows[0][parts])

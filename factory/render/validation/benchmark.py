@@ -9,16 +9,14 @@ import argparse
 import contextlib
 import hashlib
 import json
-import os
-import platform
-import subprocess
 import sys
 import tempfile
 import time
-from datetime import date
 from pathlib import Path
 
 import numpy as np
+
+from manifests.provenance import provenance
 
 VIEWS = 24
 SIZE = 256
@@ -219,18 +217,6 @@ MEASURES = {"cost": cost, "memory": memory} | {
 }
 
 
-def provenance(arguments):
-    """The command, commit, machine and date that made a result."""
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
-    return {
-        "command": "python -m factory.render.validation.benchmark " + " ".join(arguments),
-        "commit": commit or "unknown",
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
-        "load": round(os.getloadavg()[0], 2),
-        "date": date.today().isoformat(),
-    }
-
-
 def main(arguments):
     parser = argparse.ArgumentParser(
         prog="python -m factory.render.validation.benchmark", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
@@ -246,7 +232,7 @@ def main(arguments):
     parser.add_argument("--scratch", default=None, help="cost: folder for the files (default: the system's)")
     parser.add_argument("--out", help="a JSON file to write besides printing")
     options = parser.parse_args(arguments)
-    result = {"figures": MEASURES[options.measure](options), **provenance(arguments)}
+    result = {"figures": MEASURES[options.measure](options), **provenance()}
     text = json.dumps(result, indent=2, ensure_ascii=False)
     print(text)
     if options.out:

@@ -1,0 +1,70 @@
+"""What has to stand beside any published figure: the command, commit, date, machine and versions that made it."""
+
+import importlib.metadata
+import os
+import platform
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+LIBRARIES = ("numpy", "torch", "numba", "llvmlite", "bpy")
+
+
+def provenance(command: str | None = None) -> dict:
+    """{"command", "commit", "date", "machine", "versions"} of this process.
+
+    command  as a reader would type it; None: this process's own, with paths of this machine shortened
+    """
+    return {
+        "command": command or own_command(),
+        "commit": commit(),
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "machine": f"{processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}",
+        "versions": versions(),
+    }
+
+
+def own_command() -> str:
+    """The command line of this process: `python -m PROGRAM ARGUMENT …`."""
+    program = getattr(sys.modules.get("__main__"), "__spec__", None)
+    name = program.name.removesuffix(".__main__") if program else "brdfactory"
+    return " ".join([f"python -m {name}", *map(shortened, sys.argv[1:])])
+
+
+def shortened(argument: str) -> str:
+    """An argument as it is published: only the last part of a path on this machine."""
+    return f"…/{Path(argument).name}" if os.path.isabs(argument) else argument
+
+
+def commit() -> str:
+    """The short hash of this checkout's commit, "none" outside a checkout; asked in this file's folder, not the caller's."""
+    command = ["git", "rev-parse", "--short", "HEAD"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parent, check=False)
+    except OSError:  # no git
+        return "none"
+    return done.stdout.strip() or "none"
+
+
+def versions() -> dict:
+    """{library: version} of those libraries that figures depend on and that are installed."""
+    found = {}
+    for name in LIBRARIES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def processor() -> str:
+    """The processor's name, and the widest vectors it has."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    fields = dict(line.replace("\t", "").split(":", 1) for line in lines if ":" in line)
+    flags = fields.get("flags", "").split()
+    widest = next((name for name in ("avx512f", "avx2", "sse2") if name in flags), platform.machine())
+    return f"{fields.get('model name', platform.machine()).strip()} ({widest})"
