@@ -133,7 +133,7 @@ WRITERS = {
     ("manifests/store.py", "os.replace"): "the same where there are no links",
     ("manifests/lock.py", "os.open"): "a lock is an empty file",
     ("factory/execution/pool.py", "open"): "a worker's complaints, read while it lives and then thrown away",
-    ("factory/planning/forecast.py", "tempfile.TemporaryDirectory"): "three shots made on trial",
+    ("factory/execution/forecast.py", "tempfile.TemporaryDirectory"): "three shots made on trial",
     ("factory/render/validation/benchmark.py", "tempfile.TemporaryDirectory"): "pictures made to be timed",
     ("learn/commands/steps.py", "tempfile.TemporaryDirectory"): "a run made to be timed",
     ("learn/experiments/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",

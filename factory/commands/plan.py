@@ -99,8 +99,8 @@ def split_counts(plan):
 
 
 def _forecast(plan, options):
+    from factory.execution.forecast import probed
     from factory.execution.run import Manner
-    from factory.planning.forecast import probed
 
     forecast = probed(plan, Manner(workers=options.workers, device=options.device, library=options.lights))
     whole = sum(forecast.seconds.values()) or 1.0

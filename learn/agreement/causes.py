@@ -20,8 +20,9 @@ import zlib
 import numpy as np
 import torch
 
-from learn.agreement.measure import at_pixels, narrow, shared, squared
+from learn.agreement.measure import at_pixels, narrow
 from learn.methods import quadrature
+from learn.metrics.pictures import shared, squared
 from shaders import closures, dsbrdf, tone
 from shaders.envmap import directions
 from shaders.frames import camera_from_light

@@ -12,11 +12,11 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import torch
-from skimage.metrics import structural_similarity
 
 from learn.agreement import surface
 from learn.layer import render
 from learn.methods import quadrature
+from learn.metrics.pictures import shared, similarity, squared
 from shaders import tone
 from shaders.dsbrdf import SHAPE
 
@@ -135,31 +135,6 @@ def at_pixels(sample, index, n=None, turn=0, tolerance=1e-2):
         one["n"] = torch.from_numpy(n.astype(np.float32))[None, None]
     with torch.no_grad():
         return render(**one, method="quadrature", tolerance=tolerance)[0, 0].double().numpy()
-
-
-def squared(a, b):
-    """Mean over channels of the squared difference, (H, W)."""
-    return ((a - b) ** 2).mean(-1)
-
-
-def shared(errors):
-    """Mean over channels and over pairs of seeds of the product of two seeds' errors (seeds, …, 3): what is not noise."""
-    total, own = errors.sum(0), (errors**2).sum(0)
-    count = len(errors)
-    return ((total**2 - own) / (count * (count - 1))).mean(-1)
-
-
-def similarity(a, b, mask):
-    """SSIM of display values, mean over the mask; None where the picture is smaller than the window."""
-    values = similarity_map(a, b)
-    return None if values is None else float(values[mask].mean())
-
-
-def similarity_map(a, b):
-    """SSIM (H, W) of display values at each pixel, window 7; None where the picture is smaller than the window."""
-    if min(a.shape[:2]) < 7:
-        return None
-    return structural_similarity(a, b, data_range=255.0, channel_axis=-1, full=True)[1].mean(-1)
 
 
 def measure(condition, pictures, layer, entries):

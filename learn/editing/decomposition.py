@@ -18,9 +18,9 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from learn.data import photographs
 from learn.data.batch import Batch
 from learn.editing import predict
-from learn.editing.method import method_for
 from learn.editing.photograph import Photograph
 from learn.layer import render
+from learn.layer.display_method import method_for
 from learn.networks.prediction import Prediction
 from learn.refinement import Refined, refine
 

@@ -12,9 +12,9 @@ import torch
 from learn.data import photographs
 from learn.data.batch import Batch
 from learn.data.records import Records
-from learn.figures import training_sheet
 from learn.figures.montage import rows as captioned
 from learn.networks import weights as checkpoint
+from learn.training import montage as training_sheet
 from learn.training import validation
 from manifests import files
 from manifests.errors import Problem

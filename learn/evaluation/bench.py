@@ -9,7 +9,6 @@ import numpy as np
 import torch
 
 from learn.agreement import causes, surface
-from learn.agreement.measure import shared, squared
 from learn.data import pairs
 from learn.data.records import Records
 from learn.evaluation import gallery, methods
@@ -17,6 +16,7 @@ from learn.layer import render
 from learn.metrics import intrinsics
 from learn.metrics import lpips as perceptual
 from learn.metrics import pictures as metrics
+from learn.metrics.pictures import shared, squared
 from learn.networks import weights as checkpoint
 from manifests.errors import Problem
 from manifests.provenance import provenance

@@ -4,7 +4,7 @@ batch   learn.data.batch.Batch of one picture; its truth (n, label, light) is fo
 label   (S, 108) natural logarithms of the wanted material, one a region
 A method remembers the parts of the last batch it saw: the edits of one picture share its prediction and its refinement.
 
-Baselines come from `learn.baselines.found(folder)`: the Methods whose weights lie in the folder, and {name: what is missing} of the others.
+Baselines come from `learn.evaluation.baseline_methods.present_and_missing(folder)`: the Methods whose weights lie in the folder, and {name: what is missing} of the others.
 """
 
 from dataclasses import dataclass
@@ -167,9 +167,9 @@ def entrants(net, refine, baselines=None):
     if baselines is None:
         left_out["baselines of Section 4.5"] = "no --baselines DIR was given"
     else:
-        from learn import baselines as others
+        from learn.evaluation import baseline_methods
 
-        found, left_out = others.found(baselines)
+        found, left_out = baseline_methods.present_and_missing(baselines)
         for method in found:
             rows += [method, Refined(method, refine)] if refine and method.name in REFINED else [method]
     rows += [ours, Refined(ours, refine)] if refine else [ours]

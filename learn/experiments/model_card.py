@@ -13,9 +13,9 @@ import torch
 from learn.data.relit import Relit
 from learn.data.rendered import Cycles
 from learn.data.settings import Run
-from learn.figures import training_sheet
 from learn.metrics import bootstrap
 from learn.networks import weights as checkpoint
+from learn.training import montage as training_sheet
 from learn.training import validation
 from manifests import files
 from manifests.errors import Problem

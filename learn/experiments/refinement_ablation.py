@@ -20,8 +20,8 @@ from tqdm import tqdm
 from learn.data import pairs
 from learn.data.batch import Batch
 from learn.layer import render
+from learn.metrics.radiometry import irradiance
 from learn.refinement import NAMED, Settings, refine
-from learn.training.validation import irradiance
 from manifests import files
 from manifests.errors import Problem
 from manifests.provenance import provenance

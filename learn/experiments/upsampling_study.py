@@ -12,11 +12,11 @@ import torch
 import torch.nn.functional as F
 from tqdm import tqdm
 
-from learn.agreement.measure import similarity
 from learn.data import pairs, photographs
 from learn.editing import decomposition, photograph
 from learn.experiments import upsampling
 from learn.metrics import bootstrap
+from learn.metrics.pictures import similarity
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings

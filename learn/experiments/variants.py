@@ -12,9 +12,9 @@ import msgspec
 import numpy as np
 import torch
 
-from learn.agreement.measure import similarity, squared
 from learn.data.relit import Relit
 from learn.metrics import bootstrap
+from learn.metrics.pictures import similarity, squared
 from learn.networks import weights
 from learn.training import loop, validation
 from manifests.files import write_text

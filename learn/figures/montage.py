@@ -8,8 +8,8 @@ import torch
 from PIL import Image, ImageDraw
 from scipy.ndimage import distance_transform_edt
 
-from learn.editing.method import method_for
 from learn.layer import render
+from learn.layer.display_method import method_for
 from shaders import tone
 
 BORDER, CAPTION, GROUND = 4, 14, 32.0

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from learn.layer import render
-from learn.training.validation import irradiance
+from learn.metrics.radiometry import irradiance
 from shaders import dsbrdf, envmap, frames, tone
 
 LIMITS_DEG = (11.25, 22.5, 30.0)

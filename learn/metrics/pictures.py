@@ -11,8 +11,8 @@ lpips       only with weights (learn.metrics.lpips)
 """
 
 import numpy as np
+from skimage.metrics import structural_similarity
 
-from learn.agreement.measure import similarity_map, squared
 from shaders import tone
 
 LEAST_L2 = 0.01  # of PSNR
@@ -50,3 +50,28 @@ def flip(shown, right):
     test, reference = (np.ascontiguousarray(x / 255.0, np.float32) for x in (shown, right))
     errors, _, _ = evaluate(reference, test, "LDR", inputsRGB=True, applyMagma=False)
     return errors[..., 0]
+
+
+def squared(a, b):
+    """Mean over channels of the squared difference, (H, W)."""
+    return ((a - b) ** 2).mean(-1)
+
+
+def shared(errors):
+    """Mean over channels and over pairs of seeds of the product of two seeds' errors (seeds, …, 3): what is not noise."""
+    total, own = errors.sum(0), (errors**2).sum(0)
+    count = len(errors)
+    return ((total**2 - own) / (count * (count - 1))).mean(-1)
+
+
+def similarity(a, b, mask):
+    """SSIM of display values, mean over the mask; None where the picture is smaller than the window."""
+    values = similarity_map(a, b)
+    return None if values is None else float(values[mask].mean())
+
+
+def similarity_map(a, b):
+    """SSIM (H, W) of display values at each pixel, window 7; None where the picture is smaller than the window."""
+    if min(a.shape[:2]) < 7:
+        return None
+    return structural_similarity(a, b, data_range=255.0, channel_axis=-1, full=True)[1].mean(-1)

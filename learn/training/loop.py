@@ -17,11 +17,11 @@ from tqdm import tqdm
 
 from learn.data.settings import Run, require_trainable
 from learn.data.sources import source_of
-from learn.figures import training_sheet
 from learn.networks import features, tensor_file
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.training import losses, schedule, validation
+from learn.training import montage as training_sheet
 from learn.training.journal import Journal
 from manifests import lock
 from manifests.errors import Problem

@@ -16,7 +16,7 @@ import torch
 
 from learn.data.sources import source_of
 from learn.layer import render
-from learn.training.losses import log_albedo, log_rendered
+from learn.metrics.radiometry import irradiance, log_albedo
 from shaders import tone
 
 TOLERANCE = 2e-2
@@ -105,12 +105,6 @@ class DeadUnits:
         """{"dead_units": share of all channels}; {} before anything was predicted."""
         channels = torch.cat(list(self.alive.values())) if self.alive else torch.zeros(0)
         return {"dead_units": 1 - channels.float().mean().item()} if len(channels) else {}
-
-
-def irradiance(light):
-    """(B, 3, D) radiance leaving white matte surfaces that face D directions."""
-    values = log_rendered(light).exp() - 0.05
-    return values[..., : values.shape[-1] // 3]
 
 
 def compared(n, label, light, true_label, batch, rendered=None):

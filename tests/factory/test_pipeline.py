@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from tetrahedron import TETRAHEDRON
 
+from factory.execution.forecast import expected_events, probe_shots, probed
 from factory.execution.run import Manner, carry_out, planned
-from factory.planning.forecast import expected_events, probe_shots, probed
 from factory.preview.contact_sheet import labelled, stored_light
 from factory.preview.shading import lights, mirror_ball, shade
 from manifests.arrays import read_geometry, read_picture

@@ -11,8 +11,8 @@ import msgspec
 import pytest
 from tetrahedron import FAKE
 
+from factory.execution.forecast import probed
 from factory.execution.run import Manner
-from factory.planning.forecast import probed
 from manifests import lock
 from manifests.errors import Problem
 from manifests.store import Store

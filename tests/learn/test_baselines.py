@@ -8,11 +8,12 @@ import pytest
 import torch
 
 from learn import baselines
-from learn.baselines import material_swap, methods, posterior, priors
+from learn.baselines import material_swap, posterior, priors
 from learn.data import lights
 from learn.data.geometry import Geometry
 from learn.data.relit import Pool, Relit
 from learn.data.settings import Data, Losses, Run, Schedule
+from learn.evaluation import baseline_methods as methods
 from learn.evaluation.methods import rendered
 from learn.layer import render
 from learn.networks import weights as checkpoint
@@ -83,7 +84,7 @@ def batch(pools):
 
 
 def test_all_three_are_found_in_a_folder_and_keep_the_protocol(folder, batch):
-    present, missing = baselines.found(folder)
+    present, missing = methods.present_and_missing(folder)
     assert [method.name for method in present] == ["Lombardi-like", "Baseline 1", "Baseline 2"]
     assert not missing
     mask = batch.mask[0, 0].numpy() > 0
@@ -99,7 +100,7 @@ def test_all_three_are_found_in_a_folder_and_keep_the_protocol(folder, batch):
 
 
 def test_what_is_missing_is_named_with_its_remedy(tmp_path):
-    present, missing = baselines.found(tmp_path)
+    present, missing = methods.present_and_missing(tmp_path)
     assert not present
     assert set(missing) == set(baselines.FILES)
     assert all("python -m learn baselines" in reason for reason in missing.values())
@@ -108,7 +109,7 @@ def test_what_is_missing_is_named_with_its_remedy(tmp_path):
 def test_weights_of_another_network_are_refused(folder, tmp_path):
     (tmp_path / "baseline-2.safetensors").write_bytes((folder / "baseline-1.safetensors").read_bytes())
     with pytest.raises(Problem, match="'separate'"):
-        baselines.found(tmp_path)
+        methods.present_and_missing(tmp_path)
 
 
 def test_the_three_networks_share_nothing():
@@ -198,7 +199,7 @@ def test_files_that_are_no_priors_are_refused(folder):
 
 
 def test_a_picture_of_another_size_is_seen_at_the_networks_own(folder, pools):
-    (method,) = (m for m in baselines.found(folder)[0] if m.name == "Baseline 2")
+    (method,) = (m for m in methods.present_and_missing(folder)[0] if m.name == "Baseline 2")
     net, _ = checkpoint.load_network(folder / "baseline-2.safetensors")
     batch = Relit(pools["test"], Data(sharing=1), 1, SIZE, 5)[0]
     double = {name: getattr(batch, name).repeat_interleave(2, -1).repeat_interleave(2, -2) for name in ("image", "mask", "n", "segments")}

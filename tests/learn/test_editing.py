@@ -17,9 +17,9 @@ from learn.__main__ import COMMANDS
 from learn.data.records import Records
 from learn.editing import decomposition, edit, photograph, targets, transfer
 from learn.editing.decomposition import Painter
-from learn.editing.method import method_for
 from learn.figures import montage
 from learn.layer import render
+from learn.layer.display_method import method_for
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.paper import Paper

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from learn.baselines import methods, posterior, priors
+from learn.baselines import posterior, priors
 from learn.baselines import training as making
 from learn.data import lights
 from learn.data.batch import Batch
 from learn.data.settings import Data, Run
+from learn.evaluation import baseline_methods as methods
 from learn.networks import weights
 from learn.networks.coding import compressed
 from learn.networks.encoder_decoder import Edited

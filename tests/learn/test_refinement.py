@@ -15,12 +15,12 @@ from learn.__main__ import COMMANDS
 from learn.data.batch import Batch
 from learn.experiments import refinement_ablation, refinement_chart, refinement_initialisations
 from learn.layer import render
+from learn.metrics.radiometry import log_albedo
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings, descent, refine
 from learn.refinement.coordinates import Light, Material, Normals, principal_directions, spherical_harmonics
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Level
-from learn.training.losses import log_albedo
 from manifests.cli import main
 from manifests.errors import Problem
 from manifests.materials import load_catalogue

@@ -13,6 +13,7 @@ from learn.data import augmentation, lights, sources
 from learn.data.geometry import Geometry
 from learn.data.relit import Pool, Relit
 from learn.data.settings import Data, Losses, Run, Schedule
+from learn.metrics import radiometry
 from learn.networks import weights as checkpoint
 from learn.networks.coding import REACH, Ranges, unit_mean
 from learn.networks.compact import CELLS, Compact, reflectance_map
@@ -163,7 +164,7 @@ def test_no_light_loss_wants_a_colour_where_the_truth_has_none(pools, term):
 @pytest.mark.parametrize("albedo", [0.05, 0.8])
 def test_the_log_albedo_of_a_lambertian_is_its_own(albedo):
     label = torch.from_numpy(np.log(lambertian(albedo))).float()
-    assert losses.log_albedo(label)[0].item() == pytest.approx(math.log(albedo + 1e-3), abs=2e-3)  # 48 nodes
+    assert radiometry.log_albedo(label)[0].item() == pytest.approx(math.log(albedo + 1e-3), abs=2e-3)  # 48 nodes
 
 
 def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_shown(pools):

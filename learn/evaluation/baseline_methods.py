@@ -6,11 +6,12 @@ Networks see every picture at the size they were trained on, and what they say b
 """
 
 from dataclasses import replace
+from pathlib import Path
 
 import torch
 from torch.nn import functional as F
 
-from learn.baselines import posterior, priors
+from learn.baselines import FILES, posterior, priors
 from learn.evaluation.methods import Layered, network
 from learn.networks import weights
 from learn.networks.encoder_decoder import EncoderDecoder, radiance
@@ -87,3 +88,21 @@ def regions(batch):
     """[(1, 1, H, W) float]: the mask, or its part in each segment."""
     count = batch.label.shape[1]
     return [batch.mask] if count == 1 else [batch.mask * (batch.segments == s + 1)[:, None] for s in range(count)]
+
+
+def present_and_missing(folder):
+    """The methods whose files lie in a folder, and what is missing for the others.
+
+    Returns  [learn.evaluation.methods.Method] in the paper's order, {name: why it is not there}
+    Raises   Problem: a file is there and is not what its name says
+    """
+    if not Path(folder).is_dir():
+        raise Problem("--baselines", "a folder of weights", f"no folder {folder}", "train them: python -m learn baselines")
+    present, missing = [], {}
+    for name, file in FILES.items():
+        path = Path(folder) / file
+        if path.exists():
+            present.append(load(name, path))
+        else:
+            missing[name] = f"no {file} in {folder}: python -m learn baselines --out {folder}"
+    return present, missing
