@@ -1,34 +1,28 @@
-"""`python -m learn`: check the two renderers against each other, and learn from records."""
+"""`python -m learn`: train networks, edit photographs with them, and check the two renderers against each other."""
 
 import sys
 
-from learn.commands.allocator import keep_freed
+from learn.training.allocator import keep_freed
 from manifests.cli import main
 
-COMMANDS = (
-    "agree",
-    "bench",
-    "chart",
-    "promise",
-    "pace",
-    "startup",
-    "integral",
-    "calibrate",
-    "train",
-    "predict",
-    "edit",
-    "transfer",
-    "exposure",
-    "enlarging",
-    "refinement",
-    "proof",
-    "study",
-    "steps",
-    "card",
-    "baselines",
-    "evaluate",
-)
+COMMANDS = ("train", "predict", "edit", "transfer", "agree", "evaluate", "evaluate-network", "train-baselines")
+MOVED = {  # earlier names of commands, and what to type now
+    "baselines": "python -m learn train-baselines",
+    "bench": "python -m learn.experiments engine-speed",
+    "calibrate": "python -m learn.experiments calibrate-auto",
+    "card": "python -m learn evaluate-network",
+    "chart": "python -m learn.experiments work-precision",
+    "enlarging": "python -m learn.experiments upsampling",
+    "exposure": "python -m learn.experiments exposure",
+    "integral": "python -m learn.experiments quadrature-accuracy",
+    "pace": "python -m learn.experiments latency",
+    "promise": "python -m learn.experiments tolerance-check",
+    "proof": "python -m learn.experiments layer-ablation",
+    "refinement": "python -m learn.experiments refinement-ablation",
+    "startup": "python -m learn.experiments cold-start",
+    "steps": "python -m learn.experiments step-profile",
+    "study": "python -m learn.experiments normals-ablation",
+}
 
 if __name__ == "__main__":
-    keep_freed()
-    sys.exit(main("learn", __doc__.split(": ", 1)[1], COMMANDS))
+    sys.exit(main("learn", __doc__.split(": ", 1)[1], COMMANDS, moved=MOVED, prepare=keep_freed))

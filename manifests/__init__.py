@@ -1,1 +1,6 @@
 """What is written down: the contract on disk between the factory that renders and the networks that learn."""
+
+from pathlib import Path
+
+JOBS = Path(__file__).resolve().parent / "jobs"  # jobs that come with the program
+RUNS = Path(__file__).resolve().parent / "runs"  # training runs that come with the program

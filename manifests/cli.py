@@ -14,8 +14,15 @@ import traceback
 from manifests.errors import Problem, printable
 
 
-def main(program, description, commands, arguments=None):
-    """Parse, run, and return the exit status; one line for a user's mistake, a trace only with --debug."""
+def main(program, description, commands, arguments=None, moved=None, prepare=None):
+    """Parse, run, and return the exit status; one line for a user's mistake, a trace only with --debug.
+
+    program    package whose `commands` folder holds the modules, and what follows `python -m`
+    commands   names in the order of the help; "evaluate-network" lives in evaluate_network.py
+    arguments  words, None: this process's
+    moved      {earlier name: what to type now}
+    prepare    called before a command runs, and not for --help
+    """
     if hasattr(sys.stdout, "reconfigure"):  # as stderr: what a terminal has no character for is escaped, no error
         sys.stdout.reconfigure(errors="backslashreplace")
     parser = argparse.ArgumentParser(prog=f"python -m {program}", description=description)
@@ -23,13 +30,19 @@ def main(program, description, commands, arguments=None):
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     words = sys.argv[1:] if arguments is None else arguments
     named = [word for word in words if word in commands][:1]  # one command needs only its own module; --help and mistakes need all
+    first = next((word for word in words if not word.startswith("-")), None)
+    if moved and not named and first in moved:
+        print(f"{program}: '{first}' has a new name; type `{moved[first]}`", file=sys.stderr)
+        return 2
     for name in named or commands:
-        importlib.import_module(f"{program}.commands.{name}").register(subparsers)
+        importlib.import_module(f"{program}.commands.{name.replace('-', '_')}").register(subparsers)
     debug, options = "--debug" in words, None
     try:
         try:
             _refuse_empty(parser, words)
             options = parser.parse_args(arguments)
+            if prepare:
+                prepare()
             return options.run(options) or 0
         finally:  # here, where a full disk or a reader that has gone still has a line and a status
             _flush_output()

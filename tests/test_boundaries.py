@@ -135,7 +135,7 @@ WRITERS = {
     ("factory/execution/pool.py", "open"): "a worker's complaints, read while it lives and then thrown away",
     ("factory/execution/forecast.py", "tempfile.TemporaryDirectory"): "three shots made on trial",
     ("factory/render/validation/benchmark.py", "tempfile.TemporaryDirectory"): "pictures made to be timed",
-    ("learn/commands/steps.py", "tempfile.TemporaryDirectory"): "a run made to be timed",
+    ("learn/experiments/commands/step_profile.py", "tempfile.TemporaryDirectory"): "a run made to be timed",
     ("learn/experiments/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",
 }
 INTO_MEMORY = {"buffer", "data", "file", "png"}  # first arguments that are streams

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import msgspec
 
+from manifests import JOBS
 from manifests.errors import Problem, closest
 from manifests.reading import decode, read
 from manifests.schema import Camera, Draw, Job
 
-PRESETS = Path(__file__).resolve().parents[2] / "manifests" / "jobs"
 MAXIMUM_BYTES = 1 << 20
 # What a job's keys are called on the command line, where it is not --KEY
 OPTIONS = {"camera.fov_deg": "--fov", "shapes": "--mesh", "materials": "--material", "lights": "--light", "render": "render"}
@@ -18,7 +18,7 @@ OPTIONS = {"camera.fov_deg": "--fov", "shapes": "--mesh", "materials": "--materi
 
 def presets():
     """{name: path} of the jobs that come with the program."""
-    return {path.stem: path for path in sorted(PRESETS.glob("*.json"))}
+    return {path.stem: path for path in sorted(JOBS.glob("*.json"))}
 
 
 def load(name_or_path):

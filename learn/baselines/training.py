@@ -1,4 +1,4 @@
-"""From a dataset and light maps to the baselines' files: what `learn baselines` does for each name."""
+"""From a dataset and light maps to the baselines' files: what `learn train-baselines` does for each name."""
 
 import msgspec
 
@@ -14,7 +14,7 @@ FILE_OF = {"lombardi": FILES["Lombardi-like"], "baseline-1": FILES["Baseline 1"]
 
 
 def make(name, preset, options):
-    """Make one file in options.out, and say so in a line. options: as learn.commands.baselines parses them."""
+    """Make one file in options.out, and say so in a line. options: as learn.commands.train_baselines parses them."""
     target = options.out / FILE_OF[name]
     if target.exists():
         return f"{target} is there already"

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from learn.commands.numbers import positive
+from manifests.option_types import positive
 
 
 def register(subparsers):

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from learn.commands.numbers import positive, whole
+from manifests.option_types import positive, whole
 
 
 def register(subparsers):

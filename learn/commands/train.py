@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from learn.commands.numbers import positive, whole
-
-RUNS = Path(__file__).parents[2] / "manifests" / "runs"
+from manifests import RUNS
+from manifests.option_types import positive, whole
 
 
 def register(subparsers):

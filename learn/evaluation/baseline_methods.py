@@ -104,5 +104,5 @@ def present_and_missing(folder):
         if path.exists():
             present.append(load(name, path))
         else:
-            missing[name] = f"no {file} in {folder}: python -m learn baselines --out {folder}"
+            missing[name] = f"no {file} in {folder}: python -m learn train-baselines --out {folder}"
     return present, missing

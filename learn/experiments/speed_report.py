@@ -1,4 +1,4 @@
-"""The table of `learn bench`, in Markdown and JSON, with the command, commit, machine and date that made it."""
+"""The table of `learn.experiments engine-speed`, in Markdown and JSON, with the command, commit, machine and date that made it."""
 
 import dataclasses
 

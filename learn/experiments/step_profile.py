@@ -1,4 +1,4 @@
-"""Where a training step's time goes, and how fast pictures are relit: what `learn steps` measures.
+"""Where a training step's time goes, and how fast pictures are relit: what `learn.experiments step-profile` measures.
 
 All in processor time of one thread, medians over steps; data are timed in this process too, though training has them made beside it.
 

@@ -12,7 +12,7 @@ derivative is wanted too, which a cut light gives coarsely, the sum is exact.
 
 The error is the mean absolute difference over the mean radiance, both over pixels and channels, of each material and light.
 The constants in calibration.json beside this file were measured on 2026-11-21 and trimmed by hand on six materials, where they beat the
-first fit; `python -m learn calibrate` fits them for another machine.
+first fit; `python -m learn.experiments calibrate-auto` fits them for another machine.
 """
 
 import functools

@@ -37,7 +37,7 @@ READERS = {  # command line: what it may write
     "learn train {seeds}/run.json --data {data} --steps 1 --workers 0 --out {out}": TRAINING,
     "learn train {seeds}/run.json --data {data} --steps 1 --workers 0 --skip-bad --out {out}": TRAINING,
     "learn train {seeds}/pictures.json --data {views} --pictures {data} --steps 1 --workers 0 --out {out}": TRAINING,
-    "learn exposure --data {data} --out {out}": WITHIN,
+    "learn.experiments exposure --data {data} --out {out}": WITHIN,
 }
 RARE = ("learn edit", "factory render", "learn agree")
 

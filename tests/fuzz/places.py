@@ -23,7 +23,7 @@ OUTPUTS = (  # commands that read little and write something
     "learn predict {seeds}/second.png --weights {seeds}/weights.safetensors --overwrite --out {place}",
     "learn agree {seeds}/data --limit 1 --out {place}",
     "learn train {seeds}/run.json --data {views} --workers 0 --steps 1 --out {place}",
-    "learn exposure --data {seeds}/data --out {place}",
+    "learn.experiments exposure --data {seeds}/data --out {place}",
 )
 NAMES = ("", ".", "..", "/", "/dev/null", "/dev/full", "/proc/self/mem", "-", "~", "x" * 300, "no/such/folder/out", "é\udcff", "a\nb", "-x")
 

@@ -169,14 +169,17 @@ def test_coloured_regions_are_told_apart_and_turned_as_the_file_says(files):
     np.testing.assert_array_equal(photographs.read_labels(files / "turned.png", SIZE), found)
 
 
-@pytest.mark.parametrize(("command", "words"), [("edit", "--overwrite replaces it"), ("card", "the same command continues")])
+@pytest.mark.parametrize(("command", "words"), [("edit", "--overwrite replaces it"), ("evaluate-network", "the same command continues")])
 def test_a_command_that_is_stopped_says_how_to_go_on(capsys, monkeypatch, command, words):
     def stopped(options):
         raise KeyboardInterrupt
 
-    module = importlib.import_module(f"learn.commands.{command}")
+    module = importlib.import_module(f"learn.commands.{command.replace('-', '_')}")
     monkeypatch.setattr(module, "run", stopped)
-    given = {"edit": ["edit", "p.png", "--material", "brass", "--out", "o"], "card": ["card", "w", "--data", "d", "--out", "o"]}
+    given = {
+        "edit": ["edit", "p.png", "--material", "brass", "--out", "o"],
+        "evaluate-network": ["evaluate-network", "w", "--data", "d", "--out", "o"],
+    }
     assert main("learn", "test", COMMANDS, given[command]) == 130
     assert words in capsys.readouterr().err
 

@@ -7,7 +7,7 @@ import pytest
 
 TAKES_AND_FREES = """
 import resource, numpy as np
-from learn.commands.allocator import keep_freed
+from learn.training.allocator import keep_freed
 if {keep} and not keep_freed():
     raise SystemExit(3)
 for turn in range(4):

@@ -69,7 +69,7 @@ def test_baseline_1_draws_each_region_in_its_own_material(batch):
 
 @pytest.fixture
 def options(tmp_path):
-    """As learn.commands.baselines parses them: a run's weights that held two maps out are to be followed."""
+    """As learn.commands.train_baselines parses them: a run's weights that held two maps out are to be followed."""
     path = tmp_path / "weights.safetensors"
     run = Run(name="ours", data=Data(validation_lights=("sky",), test_lights=("room",)))
     weights.save(path, {"weight": torch.zeros(1)}, {"run": msgspec.json.encode(run).decode()})

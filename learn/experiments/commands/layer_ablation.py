@@ -1,13 +1,13 @@
-"""`learn proof`: does training through the layer help? Section 4.3's experiment."""
+"""`learn.experiments layer-ablation`: does training through the layer help? Section 4.3's experiment."""
 
 from pathlib import Path
 
-from learn.commands.numbers import above_zero, positive
+from manifests.option_types import above_zero, positive
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "proof",
+        "layer-ablation",
         help="Section 4.3's experiment: training through the layer against training without it",
         description="Trains material alone and normals alone, with and without the layer, each for the same processor time, and measures "
         "all on shapes, materials and lights never seen. Writes report.json; run again to continue.",

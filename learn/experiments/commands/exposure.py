@@ -1,4 +1,4 @@
-"""`learn exposure`: the rule by which a photograph's unknown exposure is guessed, measured on pictures of known light."""
+"""`learn.experiments exposure`: the rule by which a photograph's unknown exposure is guessed, measured on pictures of known light."""
 
 from pathlib import Path
 

@@ -1,16 +1,16 @@
-"""`learn baselines`: everything that the comparison of Section 4.5 needs besides our own weights."""
+"""`learn train-baselines`: everything that the comparison of Section 4.5 needs besides our own weights."""
 
 from pathlib import Path
 
-from learn.commands.numbers import positive, whole
+from manifests import RUNS
+from manifests.option_types import positive, whole
 
-RUNS = Path(__file__).parents[2] / "manifests" / "runs"
 PRESETS = {"baseline-1": "baseline-1-compact", "baseline-2": "baseline-2-compact"}
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "baselines",
+        "train-baselines",
         help="train the methods that the paper compares with",
         description="Fits the priors of the Lombardi-like method (seconds) and trains Baseline 1 and Baseline 2 (an hour or so each on one "
         "processor core), on the same data and the same split as weights that you have. Writes lombardi.safetensors, "

@@ -1,11 +1,11 @@
-"""`learn calibrate`: fit the numbers by which method="auto" plans."""
+"""`learn.experiments calibrate-auto`: fit the numbers by which method="auto" plans."""
 
 from pathlib import Path
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "calibrate",
+        "calibrate-auto",
         help='fit the numbers by which method="auto" plans',
         description="Measures errors of maps and times of sums on this machine and fits the few numbers from which auto plans. They decide "
         "how fast auto is, not how right: what it renders is checked. Put the file in "

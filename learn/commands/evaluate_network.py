@@ -1,13 +1,13 @@
-"""`learn card`: the page that goes with weights, measured on what they never saw."""
+"""`learn evaluate-network`: the page that goes with weights, measured on what they never saw."""
 
 from pathlib import Path
 
-from learn.commands.numbers import positive
+from manifests.option_types import positive
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "card",
+        "evaluate-network",
         help="measure weights on shapes, materials and lights they never saw",
         description="Measures weights on the test side of a dataset and writes card.md, card.json and sheet.jpg: data, splits, figures.",
     )

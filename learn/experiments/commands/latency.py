@@ -1,11 +1,11 @@
-"""`learn pace`: how long method="auto" takes on every material."""
+"""`learn.experiments latency`: how long method="auto" takes on every material."""
 
 from pathlib import Path
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "pace",
+        "latency",
         help='how long method="auto" takes on every material',
         description="Times auto, forward and backward, on a sphere over 40 %% of a 256 × 256 picture, for each of MERL's materials, alone "
         "and in a batch that shares light and material: pace.json.",

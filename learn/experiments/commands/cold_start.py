@@ -1,11 +1,11 @@
-"""`learn startup`: how long the layer's first use takes."""
+"""`learn.experiments cold-start`: how long the layer's first use takes."""
 
 from pathlib import Path
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "startup",
+        "cold-start",
         help="how long the layer's first use takes",
         description="Times what importing the layer adds to a program that has torch, its first picture and its first derivatives, in "
         "fresh processes: with no kernels kept from before, when they must be compiled, and with them. Other work on the machine adds to "

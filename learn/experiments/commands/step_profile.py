@@ -1,13 +1,13 @@
-"""`learn steps`: where a training step's time goes, and how fast pictures are relit."""
+"""`learn.experiments step-profile`: where a training step's time goes, and how fast pictures are relit."""
 
 from pathlib import Path
 
-from learn.commands.numbers import positive
+from manifests.option_types import positive
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "steps",
+        "step-profile",
         help="where a training step's time goes, and how fast pictures are relit",
         description="Makes a few steps of a run and times data, network, layer and losses apart; writes step-time.json and step-time.md.",
     )

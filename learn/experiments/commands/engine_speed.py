@@ -1,4 +1,4 @@
-"""`learn bench`: how fast and how right the layer's engines are on this machine."""
+"""`learn.experiments engine-speed`: how fast and how right the layer's engines are on this machine."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ MATERIALS = ("beige-fabric", "blue-acrylic", "chrome")
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "bench",
+        "engine-speed",
         help="time the rendering layer's engine against plain torch",
         description="Times the exact sum (a sphere that covers 40 %% of a 256 × 256 picture, a 64 × 128 light map), forward and backward, "
         "orthographic and with a view vector per pixel, against the same sum in plain torch operators. Engine and torch take turns, and "

@@ -1,13 +1,13 @@
-"""`learn study`: what helps normals beyond their own squared difference, at equal processor time."""
+"""`learn.experiments normals-ablation`: what helps normals beyond their own squared difference, at equal processor time."""
 
 from pathlib import Path
 
-from learn.commands.numbers import above_zero, positive, whole
+from manifests.option_types import above_zero, positive, whole
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "study",
+        "normals-ablation",
         help="normals: what the layer's picture, features, a curriculum and more shapes add at equal processor time",
         description="Trains normals by L2 alone, then goes on from there with each variant for the same processor time, and measures all "
         "on shapes, materials and lights never seen. Writes table.json, table.md, chart.png; run again to continue.",

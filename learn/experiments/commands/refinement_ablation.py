@@ -1,13 +1,13 @@
-"""`learn refinement`: what refinement does against its weights, from bad starts, and how long it takes."""
+"""`learn.experiments refinement-ablation`: what refinement does against its weights, from bad starts, and how long it takes."""
 
 from pathlib import Path
 
-from learn.commands.numbers import positive, whole
+from manifests.option_types import positive, whole
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "refinement",
+        "refinement-ablation",
         help="measure refinement: against its weights, from bad starts, and its time",
         description="Refines pictures of a dataset in which scenes were rendered in several materials, so that the truth of an edit is "
         "known. Writes study.json and study.png (re-rendering, edit, normals and light against each weight, passes and pixels), "

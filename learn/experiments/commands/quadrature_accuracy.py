@@ -1,11 +1,11 @@
-"""`learn integral`: how near quadrature is to the integral, and how fast."""
+"""`learn.experiments quadrature-accuracy`: how near quadrature is to the integral, and how fast."""
 
 from pathlib import Path
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "integral",
+        "quadrature-accuracy",
         help='how near method="quadrature" is to the integral, and how fast',
         description="Renders a sphere over 40 %% of a 256 × 256 picture under a sun in one texel, for lobes of γ from 0.01 to 1e5, and "
         "compares the half-vector quadrature, and the paper's sum over texels, with the converged integral: quadrature.json.",

@@ -1,11 +1,11 @@
-"""`learn promise`: whether method="auto" keeps the tolerances it is given."""
+"""`learn.experiments tolerance-check`: whether method="auto" keeps the tolerances it is given."""
 
 from pathlib import Path
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "promise",
+        "tolerance-check",
         help='whether method="auto" keeps its tolerance',
         description="Draws random materials, lights and cameras, renders each exactly and by auto at tolerances from 5e-2 to 1e-4, and "
         "writes how often the tolerance was kept and every case where it was not: promise.json.",

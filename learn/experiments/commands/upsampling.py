@@ -1,13 +1,13 @@
-"""`learn enlarging`: how an edit gets to the photograph's own size, measured."""
+"""`learn.experiments upsampling`: how an edit gets to the photograph's own size, measured."""
 
 from pathlib import Path
 
-from learn.commands.numbers import positive
+from manifests.option_types import positive
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "enlarging",
+        "upsampling",
         help="measure ways to bring an edit to the photograph's own size, and what --detail does",
         description="Edits rendered pictures larger than the network's size whose truth is known, by the way in use, with detail carried "
         "over, and by others, with our parts and with true ones. Writes enlarging.json: display L2 and SSIM over the object.",

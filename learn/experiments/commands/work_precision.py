@@ -1,11 +1,11 @@
-"""`learn chart`: how much time each rendering method takes for how much error."""
+"""`learn.experiments work-precision`: how much time each rendering method takes for how much error."""
 
 from pathlib import Path
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
-        "chart",
+        "work-precision",
         help="time against error of every rendering method",
         description="Renders a sphere in materials from matte to mirror under several lights, from far and from near, by every method at "
         "several settings, and draws time against error: chart.png, chart.csv and chart.html.",

@@ -1,0 +1,1 @@
+"""The experiments as commands: one module each, as manifests.cli describes them."""
