@@ -1,6 +1,7 @@
 """A dataset at a glance: for each record image, normals, mask, light ball, the label's own rendering, and the difference.
 
-Tiles are (size, size, 3) uint8. The label is shaded at every k-th pixel only, enough to look at (factory.preview.shading). The difference is
+Tiles are (size, size, 3) uint8. The label is shaded at every k-th pixel only, enough to look at
+(factory.preview.shading). The difference is
 |display − display| × GAIN: noise, shadows and interreflection included, which only `learn agree` takes apart.
 """
 

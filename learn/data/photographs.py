@@ -64,7 +64,8 @@ MASK_REMEDY = "give --mask FILE: white where the object is"
 MOST_SQUARE = 9600  # pixels along the side of the square over the object: of a square picture of MOST_PIXELS
 MARGIN = 1.18  # of the square over the object: objects span 0.85 of the median training picture
 # A photograph's scale is unknown: that under which a light of unit mean lit it is guessed from the object's mean luminance Y in the file as
-# TYPICAL · Y^−DEPENDENCE: the best line over 200 pictures of known light, exposed for their 99th percentile. `learn.experiments exposure` measures it
+# TYPICAL · Y^−DEPENDENCE: the best line over 200 pictures of known light, exposed for their 99th percentile.
+# `python -m learn.experiments exposure` measures it
 # (docs/editing.md): over 600 others it is as good as their own line, and a third of them lie off either by more than a factor of 2.5.
 TYPICAL, DEPENDENCE = 0.23, 0.19
 # Mean luminance of an object whose exposure is estimated: below it 8 bits have three steps, above it a file is in units of its own.

@@ -1,7 +1,8 @@
 """From rows of figures to tables: means, 95 % intervals, and differences between methods on the same edits.
 
 A table is plain JSON: {"title", "note", "columns": [{"key", "label", "digits", "interval"}], "rows": [{"name", "cells": {key: cell}}]}.
-A cell is [mean, low, high], a number, a word, or None where a method has no such figure. Intervals: learn.metrics.bootstrap, over shapes and
+A cell is [mean, low, high], a number, a word, or None where a method has no such figure. Intervals: learn.metrics.bootstrap, over shapes
+and
 materials (of edits: the wanted ones).
 """
 

@@ -1,7 +1,8 @@
 """The exact sum, timed against plain torch: the same scene, taking turns, medians of ratios.
 
 The scene is the one of the measures: a sphere over 40 % of a 256² picture (26,214 pixels or a few more), a 64×128 map with a sun.
-Plain torch (learn.experiments.eager_sum) renders evenly spaced pixels of it; its time is proportional to pixels, and is scaled to all of them.
+Plain torch (learn.experiments.eager_sum) renders evenly spaced pixels of it; its time is proportional to pixels, and is
+scaled to all of them.
 Both wall and processor time are kept: on a busy machine the second is the steadier.
 """
 

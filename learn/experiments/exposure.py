@@ -30,7 +30,10 @@ def seen(radiance, mask):
 
 
 def fitted(Y, X, groups):
-    """{"typical": [value, low, high], "dependence": …}: the least squares' line, 95 % over whole groups (learn.metrics.bootstrap.groups_of)."""
+    """{"typical": [value, low, high], "dependence": …}: the least squares' line.
+
+    The interval of 95 % is over whole groups (learn.metrics.bootstrap.groups_of).
+    """
     x, y = np.log(Y), np.log(X)
     ones = np.ones((1, len(x)))
     lines = np.concatenate([_lines(x, y, ones), _lines(x, y, bootstrap.draws(groups))])

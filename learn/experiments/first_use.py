@@ -1,4 +1,6 @@
-"""A program's first use of the layer, timed from inside: learn.experiments.cold_start runs it as `python -m learn.experiments.first_use CASE THREADS`.
+"""A program's first use of the layer, timed from inside.
+
+learn.experiments.cold_start runs it as `python -m learn.experiments.first_use CASE THREADS`.
 
 Prints one line of JSON, seconds by the clock: import (what `learn.layer` adds to torch), picture (the first), derivatives (the first
 picture with them), and both once more. The picture: a sphere over 40 % of 256 × 256, a light of 64 × 128 texels, lobes from matte to sharp.

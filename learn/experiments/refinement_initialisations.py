@@ -24,7 +24,10 @@ STARTS = ("network", "random material", "mean light", "noisy normals", "untraine
 
 
 def measured(predict, known, count, out, settings=Settings()):  # noqa: B008 -- frozen
-    """starts.json: `count` refinements from starts of every kind in turn, of the Cases `known` (learn.experiments.refinement_ablation) in turn."""
+    """starts.json: `count` refinements from starts of every kind in turn.
+
+    known  Cases of learn.experiments.refinement_ablation, taken in turn
+    """
     done = {row["start"]: row for row in files.read_lines(Path(out) / "starts.jsonl")}
     lines = Lines(Path(out) / "starts.jsonl")
     for i in tqdm([i for i in range(count) if i not in done], unit="start"):

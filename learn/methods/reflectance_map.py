@@ -60,7 +60,10 @@ def with_size(batch, size):
 
 
 def size_for(sharpness, tolerance):
-    """Nodes along a side for lobes up to an exponent: h/σ = (tolerance / 0.1)^(1/3), found by `python -m learn.experiments calibrate-auto`."""
+    """Nodes along a side for lobes up to an exponent: h/σ = (tolerance / 0.1)^(1/3).
+
+    `python -m learn.experiments calibrate-auto` found it.
+    """
     spacing = (tolerance / 0.1) ** (1 / 3) / math.sqrt(max(sharpness, 2.0))
     return int(np.clip(math.ceil(2 * math.sqrt(2) / spacing) + 5, SMALLEST, LARGEST))
 
