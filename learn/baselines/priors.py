@@ -113,7 +113,7 @@ def save(path, priors, told):
 
 def load(path):
     """Priors of a file. Raises Problem."""
-    remedy = "fit them: python -m learn baselines"
+    remedy = "fit them: python -m learn train-baselines"
     with tensor_file.opened(path, "priors in a .safetensors file", remedy) as stored:
         names = Priors.__dataclass_fields__
         if stored.metadata.get("format") != FORMAT or set(stored.shapes) != set(names):

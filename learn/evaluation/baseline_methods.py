@@ -28,7 +28,7 @@ def load(name, path):
     net, metadata = weights.load_network(path)
     expected = Separate if name == "Baseline 2" else EncoderDecoder
     if not isinstance(net, expected):
-        raise Problem(path, f"weights of {name}: network '{expected.name}'", f"'{net.name}'", "train it: python -m learn baselines")
+        raise Problem(path, f"weights of {name}: network '{expected.name}'", f"'{net.name}'", "train it: python -m learn train-baselines")
     size = metadata["size"]
     return Layered(name, predicting(net, size)) if name == "Baseline 2" else Swapped(name, net, size)
 
@@ -97,7 +97,7 @@ def present_and_missing(folder):
     Raises   Problem: a file is there and is not what its name says
     """
     if not Path(folder).is_dir():
-        raise Problem("--baselines", "a folder of weights", f"no folder {folder}", "train them: python -m learn baselines")
+        raise Problem("--baselines", "a folder of weights", f"no folder {folder}", "train them: python -m learn train-baselines")
     present, missing = [], {}
     for name, file in FILES.items():
         path = Path(folder) / file

@@ -4,8 +4,8 @@ batch   learn.data.batch.Batch of one picture; its truth (n, label, light) is fo
 label   (S, 108) natural logarithms of the wanted material, one a region
 A method remembers the parts of the last batch it saw: the edits of one picture share its prediction and its refinement.
 
-Baselines come from `learn.evaluation.baseline_methods.present_and_missing(folder)`: the Methods whose
- weights lie in the folder, and {name: what is missing} of the others.
+Baselines come from `learn.evaluation.baseline_methods.present_and_missing(folder)`: the Methods whose weights
+lie in the folder, and {name: what is missing} of the others.
 """
 
 from dataclasses import dataclass

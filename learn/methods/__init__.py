@@ -96,6 +96,11 @@ def refusal(name, why=COMPILED):
     return f'method: "exact" expected where derivatives are differentiated again, found "{name}", {why}; render with method="exact"'
 
 
+def wants_gradient(*tensors):
+    """Whether a derivative by any of the tensors (or None) can be asked for."""
+    return torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in tensors)
+
+
 def first_only(batch, name, why):
     """The batch for a method that has first derivatives only, which costs it 0.1 ms: `derivatives.first_only`."""
     n, view, m, light = derivatives.first_only(refusal(name, why), batch.n, batch.view, batch.m, batch.light)

@@ -39,6 +39,7 @@ from learn.methods import (
     per_group,
     planned,
     reflectance_map,
+    wants_gradient,
 )
 
 CARD = Card(
@@ -86,12 +87,13 @@ def part(batch, g):
     return replace(batch, n=n, view=view, m=batch.m[g : g + 1], counts=batch.counts[g : g + 1], light_of=batch.light_of[g : g + 1])
 
 
-def planned_sums(n, m, light, material_gradient, light_gradient, rotation, tolerance):
-    """`planned.Sums` of one group for a distant viewer, arrays as there, that keep the tolerance on the sample."""
+def planned_sums(n, m, light, gradients, rotation, tolerance):
+    """`planned.Sums` of one group for a distant viewer, arguments as there, that keep the tolerance on the sample."""
+    _, material_gradient, light_gradient = gradients
     scene = planned.Scene(n, m, light, rotation, light_gradient, material_gradient)
     lobes = directional.ALL_LOBES if material_gradient else tuple(np.flatnonzero(lobe_shapes.sharpness(m) > 0).tolist())
     texels = light.shape[0] * light.shape[1]
-    if len(n) < CHEAP or directional.is_small(len(n), texels) or not lobes:
+    if len(n) < CHEAP or directional.is_small(len(n), texels, any(gradients)) or not lobes:
         return planned.Sums(scene, [planned.Way(lobes, 0, 0, 0.0)] if lobes else [], {})
     ways, known = [], {}
     for pick in samples(len(n), texels):
@@ -215,9 +217,9 @@ def sum_seconds(sharp, pixels, lights, tolerance):
 def few_lights(batch, tolerance):
     """Radiance (P, 3) of one group seen from a view per pixel."""
     exact, (height, width) = load("exact").radiance, batch.light.shape[1:3]
-    if len(batch.n) < CHEAP or directional.is_small(len(batch.n), height * width):
+    if len(batch.n) < CHEAP or directional.is_small(len(batch.n), height * width, wants_gradient(batch.n, batch.view, batch.m)):
         return exact(batch, tolerance)
-    if torch.is_grad_enabled() and batch.light.requires_grad:
+    if wants_gradient(batch.light):
         return exact(batch, tolerance)
     with torch.no_grad():
         checks = [Check(batch, pick, tolerance) for pick in samples(len(batch.n), height * width)]

@@ -36,6 +36,7 @@ SPREAD_BITS = np.array([int(f"{number:b}", 4) for number in range(256)], np.uint
 TESTED, LISTED = 7e-8, 1e-8  # seconds to test sixteen blocks for a tile, and to sum a listed block for a pixel of it
 DIM = 0.01  # of the highest lobe's κ: lobes below it count as if they had it where the derivative by κ is wanted
 SLACK = 1e-5  # radians by which cones are widened against rounding
+FEW_TEXELS = 512  # of a map of 16 × 32, up to which gradients are those of the whole sum
 WHOLE = 2**19  # pairs of a pixel and a light up to which a sum leaves nothing out: it takes no longer than a plan with its check
 
 
@@ -122,9 +123,13 @@ def radiance(n, view, m, E, lights, left_out=0.0, lobes=ALL_LOBES, method="direc
     return ExactSum.apply(n, view, m, E, torch.as_tensor(lights.w, dtype=n.dtype, device=n.device))
 
 
-def is_small(pixels, lights):
-    """Whether a sum of so many pixels and lights is too small for an approximation to save time."""
-    return pixels * lights <= WHOLE
+def is_small(pixels, lights, with_gradients=False):
+    """Whether a sum of so many pixels and lights is to be made whole: an approximation would save no time, or its gradients would be wrong.
+
+    Few texels are large ones. Each one's max(0, n·w) has a corner where the texel comes up over a pixel's horizon, which no
+    interpolation between normals and no coarser light has where it should be.
+    """
+    return pixels * lights <= WHOLE or (with_gradients and lights <= FEW_TEXELS)
 
 
 def near(n, view, m, E, lights, error, method="directional"):

@@ -130,13 +130,16 @@ class Sums:
 
 
 class Planned(Step):
-    """n (P, 3), m (3, 3, 2, 6), light → radiance (P, 3); plan(n, m, light, material_gradient, light_gradient), of arrays, gives `Sums`."""
+    """n (P, 3), m (3, 3, 2, 6), light → radiance (P, 3); plan(n, m, light, gradients), of arrays, gives `Sums`.
+
+    gradients  which derivatives are wanted: by n, m and light
+    """
 
     @staticmethod
     def forward(ctx, n, m, light, plan):
         ctx.refusal = refusal("auto")
         ctx.save_for_backward(n, m, light)
-        ctx.sums = plan(np.ascontiguousarray(n.numpy()), m.double().numpy(), light.numpy(), *ctx.needs_input_grad[1:3])
+        ctx.sums = plan(np.ascontiguousarray(n.numpy()), m.double().numpy(), light.numpy(), ctx.needs_input_grad[:3])
         return torch.from_numpy(ctx.sums.radiance())
 
     @staticmethod

@@ -28,7 +28,7 @@ from torch.utils.checkpoint import checkpoint
 
 from learn.engines import lights, machine_code, threads
 from learn.engines.derivatives import require_reverse_mode
-from learn.methods import HELD_SAMPLES, Batch, Card, by_group, first_only, load
+from learn.methods import HELD_SAMPLES, Batch, Card, by_group, first_only, load, wants_gradient
 from learn.methods.exact import PAIRS
 from shaders.dsbrdf import MAX_EXPONENT
 from shaders.spline import basis
@@ -72,10 +72,6 @@ def radiance(batch: Batch, tolerance):
             band, count = first_only(band, CARD.name, HELD_SAMPLES), min(taps * WIDER[split], MOST)
             out = out + by_group(band, functools.partial(over_taps, camera_from_light=batch.camera_from_light, taps=count))
     return out
-
-
-def wants_gradient(*tensors):
-    return torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in tensors)
 
 
 def least_rows(tolerance):

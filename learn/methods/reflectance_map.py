@@ -17,7 +17,7 @@ import torch
 
 from learn.engines import interpolation, machine_code, threads
 from learn.engines.derivatives import Step, last
-from learn.methods import Batch, Card, directional, lobe_shapes, merged, per_group, refusal
+from learn.methods import Batch, Card, directional, lobe_shapes, merged, per_group, refusal, wants_gradient
 
 CARD = Card(
     name="reflectance_map",
@@ -41,7 +41,7 @@ def radiance(batch: Batch, tolerance):
     def one_group(g, n, view, m, light):
         size = size_for(lobe_shapes.sharpness(m).max(), tolerance)
         lights, E = directional.of_map(light, batch.camera_from_light)
-        if directional.is_small(len(n), len(lights.w)):
+        if directional.is_small(len(n), len(lights.w), wants_gradient(n, m, light)):
             return directional.radiance(n, None, m, E, lights, method=CARD.name)
         return with_nodes(n, size, lambda nodes: directional.near(nodes, None, m, E, lights, 0.1 * tolerance, CARD.name))
 

@@ -56,23 +56,30 @@ BASES = {
     "learn edit": "{seeds}/second.png --material white-acrylic " + commands.QUICK_EDIT,
     "learn transfer": "{seeds}/second.png {seeds}/photograph.png " + commands.QUICK_EDIT,
     "learn train": "{seeds}/run.json --data {views} --steps 1 --workers 0 --out {out}",
-    "learn exposure": "--data {seeds}/data --out {out}",
-    "learn card": "{seeds}/weights.safetensors --data {views} --batches 1 --out {out}",
-    "learn steps": "{seeds}/run.json --data {views} --steps 1 --images 2 --out {out}",
-    "learn refinement": "--data {seeds}/nothing --out {out}",
+    "learn.experiments exposure": "--data {seeds}/data --out {out}",
+    "learn evaluate-network": "{seeds}/weights.safetensors --data {views} --batches 1 --out {out}",
+    "learn.experiments step-profile": "{seeds}/run.json --data {views} --steps 1 --images 2 --out {out}",
+    "learn.experiments refinement-ablation": "--data {seeds}/nothing --out {out}",
     "learn evaluate": "--data {seeds}/data --weights {seeds}/weights.safetensors --no-refine --edits 1 --processes 1 --out {out}",
-    "learn enlarging": "--data {seeds}/nothing --out {out}",
-    "learn baselines": "--data {seeds}/nothing --out {out}",
-    "learn proof": "--data {seeds}/nothing --out {out}",
-    "learn study": "--data {seeds}/nothing --out {out}",
-    "learn bench": "--out {out}",
-    "learn chart": "--out {out}",
-    "learn promise": "--out {out}",
-    "learn pace": "--out {out}",
-    "learn startup": "--out {out}",
-    "learn integral": "--out {out}",
+    "learn.experiments upsampling": "--data {seeds}/nothing --out {out}",
+    "learn train-baselines": "--data {seeds}/nothing --out {out}",
+    "learn.experiments layer-ablation": "--data {seeds}/nothing --out {out}",
+    "learn.experiments normals-ablation": "--data {seeds}/nothing --out {out}",
+    "learn.experiments engine-speed": "--out {out}",
+    "learn.experiments work-precision": "--out {out}",
+    "learn.experiments tolerance-check": "--out {out}",
+    "learn.experiments latency": "--out {out}",
+    "learn.experiments cold-start": "--out {out}",
+    "learn.experiments quadrature-accuracy": "--out {out}",
 }
-LONG = tuple(f"learn {name}" for name in ("bench", "chart", "promise", "pace", "startup", "integral"))  # minutes, if not refused
+LONG = (  # minutes, if not refused
+    "learn.experiments engine-speed",
+    "learn.experiments work-precision",
+    "learn.experiments tolerance-check",
+    "learn.experiments latency",
+    "learn.experiments cold-start",
+    "learn.experiments quadrature-accuracy",
+)
 WORK = (  # larger numbers are more work, and right
     *("--steps", "--edits", "--count", "--workers", "--threads", "--processes", "--rounds", "--cases", "--pictures", "--starts"),
     *(
@@ -138,7 +145,7 @@ def parser_of(name: str) -> argparse.ArgumentParser:
     """The parser of a command, "factory lights add"."""
     program, command, *action = name.split()
     subparsers = argparse.ArgumentParser().add_subparsers()
-    importlib.import_module(f"{program}.commands.{command}").register(subparsers)
+    importlib.import_module(f"{program}.commands.{command.replace('-', '_')}").register(subparsers)
     parser = subparsers.choices[command]
     for each in action:
         parser = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction)).choices[each]

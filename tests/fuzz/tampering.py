@@ -205,6 +205,8 @@ def learned(folder: Path) -> object:
 
 
 def _map(folder, file):
+    if not (folder / file).is_file():  # a pipe would be waited for
+        raise FileNotFoundError(file)
     with np.load(folder / file, allow_pickle=False) as stored:
         return stored["L"].astype(np.float32).tobytes()
 

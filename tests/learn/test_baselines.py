@@ -103,7 +103,7 @@ def test_what_is_missing_is_named_with_its_remedy(tmp_path):
     present, missing = methods.present_and_missing(tmp_path)
     assert not present
     assert set(missing) == set(baselines.FILES)
-    assert all("python -m learn baselines" in reason for reason in missing.values())
+    assert all("python -m learn train-baselines" in reason for reason in missing.values())
 
 
 def test_weights_of_another_network_are_refused(folder, tmp_path):

@@ -30,7 +30,7 @@ def test_levels_that_nothing_reaches_are_left_out():
 
 
 def test_the_page_says_where_auto_is_not_the_fastest(tmp_path):
-    chart_drawing.write(rows(), {"command": "learn chart", "commit": "none", "date": "today", "machine": "one"}, tmp_path)
+    chart_drawing.write(rows(), {"command": "work-precision", "commit": "none", "date": "today", "machine": "one"}, tmp_path)
     page = (tmp_path / "chart.html").read_text()
     assert "<td>0.001<td>quick<td>1000.0<td>2000.0<td>auto<td>2000.0<td><b>2000.0</b>" in page
     assert len((tmp_path / "chart.csv").read_text().splitlines()) == 2 + 9 and (tmp_path / "chart.png").stat().st_size > 1000
