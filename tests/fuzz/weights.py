@@ -109,7 +109,8 @@ def used(name, path):
     """What a reader of such files makes of it."""
     import torch
 
-    from learn.baselines import methods, priors
+    from learn.baselines import priors
+    from learn.evaluation import baseline_methods as methods
     from learn.metrics import lpips
     from learn.networks import features, weights
 
