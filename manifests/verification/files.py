@@ -182,7 +182,8 @@ class _Packed:
         if kind_of(folder) != "a folder" or kind_of(folder / "views.json") is None:
             return
         try:
-            for name in PACKED:
+            sums = [name for name in ("sums.json",) if kind_of(folder / name) is not None]  # earlier caches have none
+            for name in (*PACKED, *sums):
                 require_file(folder / name, "a cache's file")
             hashes, left_out = (json.loads((folder / name).read_text("utf-8")) for name in ("views.json", "skipped.json"))
             self._normals, self._segments = (

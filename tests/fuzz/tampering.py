@@ -82,11 +82,12 @@ class Folder:
     def __init__(self, path: Path):
         self.path = Path(path)
         self.kind = "records" if (self.path / "records").exists() else "views"
-        (self.lines_file,) = sorted((self.path / self.kind).glob("*.jsonl"))
+        self.lines_file = min((self.path / self.kind).glob("*.jsonl"))
 
     def lines(self) -> list[dict]:
         """The records or views."""
-        return [json.loads(line) for line in self.lines_file.read_bytes().splitlines()]
+        files = sorted(self.lines_file.parent.glob("*.jsonl"))
+        return [json.loads(line) for file in files for line in file.read_bytes().splitlines()]
 
     def write(self, lines: list[dict]) -> None:
         """Puts other records or views in their place."""
@@ -217,10 +218,20 @@ def _learned(folder):
                 pixels += [there.picture_of(line).tobytes(), _map(folder, dataset["lights"][line["light"]]["file"])]
             found.append((json.dumps(own), *(hashlib.sha256(each).hexdigest() for each in pixels)))
         lights = {name: (entry["side"], _map(folder, entry["file"])) for name, entry in dataset["lights"].items()}
-        packed = {p.name: p.read_bytes() for p in sorted((folder / "packed").glob("*.*"))}
-        return sorted(found), lights, labels if there.kind == "views" else None, packed
+        return sorted(found), lights, labels if there.kind == "views" else None, _packed_geometry(folder)
     except Exception as error:  # whatever it is, nothing can be learned
         return f"unreadable: {type(error).__name__}"
+
+
+def _packed_geometry(folder):
+    """Digest of the geometry that training reads, through the cache of a folder that has one; None for one without."""
+    from learn.data.geometry import Geometry
+
+    if not (folder / "packed").exists():
+        return None
+    geometry = Geometry(folder, progress=False)
+    arrays_ = [np.ascontiguousarray(array) for k in range(len(geometry)) for array in (geometry.normals(k), geometry.segments(k))]
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays_)).hexdigest()
 
 
 def _map(folder, file):
@@ -441,11 +452,14 @@ def entries(base: Path) -> Iterator[Tampering]:
             folder.write_json("dataset.json", value)
 
         yield Tampering(f"dataset.json: {what}", change_dataset)
-    yield from _labels(labels)
+    yield from _labels(labels, in_no_id=folder.kind == "views")
 
 
-def _labels(labels):
-    """Each field of a material's label, as it is and with hashes that fit."""
+def _labels(labels, in_no_id):
+    """Each field of a material's label, as it is and with hashes that fit.
+
+    in_no_id  whether no id is a hash of the materials' hashes: geometry shows no material
+    """
     for number in range(len(labels["materials"])):
         name = labels["materials"][number]["name"]
         for key, change, reason in (
@@ -475,7 +489,8 @@ def _labels(labels):
                         folder.write_json("dataset.json", dataset)
                     folder.write_json("materials.json", value)
 
-                yield Tampering(f"materials.json: '{name}': {key}{level}", forge, harmless=reason or PEOPLE)
+                fits = CONSISTENT if "both" in level and in_no_id else None
+                yield Tampering(f"materials.json: '{name}': {key}{level}", forge, fits, harmless=reason or PEOPLE)
 
     def drop(folder, rng):
         value = folder.json("materials.json")
