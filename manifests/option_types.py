@@ -1,5 +1,7 @@
 """Numbers that options take: functions for argparse's `type`, which turns their ValueError into a line of usage."""
 
+MATERIALS = ("dataset", "built-in")  # whose materials: the data set's own, or those that come with the program
+
 
 def positive(text):
     """A whole number from 1. Raises ValueError."""

@@ -4,6 +4,7 @@ path  the key's place as msgspec gives it, "$.camera.size[0]"; a user sees "came
 """
 
 import codecs
+import os
 import re
 from pathlib import Path
 from typing import get_args
@@ -21,9 +22,14 @@ def read(path, type_, maximum_bytes=MAXIMUM_BYTES):
 
     Raises  Problem: missing, too large, malformed, unknown key (with the closest one), wrong type
     """
+    return decode(read_bytes(path, maximum_bytes), type_, path)
+
+
+def read_bytes(path: str | os.PathLike, maximum_bytes: int = MAXIMUM_BYTES) -> bytes:
+    """The bytes of a JSON file, without a mark of their order. Raises Problem: missing, no ordinary file, too large."""
     path = Path(path)
     require_file(path, "a JSON file", _remedy(path), maximum_bytes)
-    return decode(path.read_bytes().removeprefix(codecs.BOM_UTF8), type_, path)  # editors on Windows write the mark
+    return path.read_bytes().removeprefix(codecs.BOM_UTF8)  # editors on Windows write the mark
 
 
 def _remedy(path):

@@ -73,7 +73,7 @@ def options(tmp_path):
     path = tmp_path / "weights.safetensors"
     run = Run(name="ours", data=Data(validation_lights=("sky",), test_lights=("room",)))
     weights.save(path, {"weight": torch.zeros(1)}, {"run": msgspec.json.encode(run).decode()})
-    return SimpleNamespace(out=tmp_path / "out", like=path, steps=7, data=None, lights=None, workers=0)
+    return SimpleNamespace(out=tmp_path / "out", like=path, steps=7, data=None, lights=None, workers=0, materials=None)
 
 
 def test_a_preset_holds_out_the_lights_that_other_weights_held_out(options):
@@ -81,7 +81,7 @@ def test_a_preset_holds_out_the_lights_that_other_weights_held_out(options):
     run = making.resolved(preset, options)
     assert run.data == Data(sharing=2, validation_lights=("sky",), test_lights=("room",))
     assert run.schedule.steps == 7
-    assert making.resolved(preset, SimpleNamespace(like=None, steps=None)) == preset
+    assert making.resolved(preset, SimpleNamespace(like=None, steps=None, materials=None)) == preset
 
 
 def test_priors_are_fitted_without_the_lights_that_other_weights_held_out(options, monkeypatch, rng):
