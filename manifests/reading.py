@@ -7,17 +7,18 @@ import codecs
 import os
 import re
 from pathlib import Path
-from typing import get_args
+from typing import TypeVar, get_args
 
 import msgspec
 
 from manifests.errors import Problem, closest
 from manifests.inputs import require_file
 
+T = TypeVar("T")
 MAXIMUM_BYTES = 64 << 20  # a job is a page of text, dataset.json some MiB; what is far larger is another file under this name
 
 
-def read(path, type_, maximum_bytes=MAXIMUM_BYTES):
+def read(path: str | os.PathLike, type_: type[T], maximum_bytes: int = MAXIMUM_BYTES) -> T:
     """The file as a `type_`.
 
     Raises  Problem: missing, too large, malformed, unknown key (with the closest one), wrong type
@@ -43,7 +44,7 @@ def _remedy(path):
     return closest(path.name, names) if names else "check the path"
 
 
-def decode(data, type_, where):
+def decode(data: bytes, type_: type[T], where: object) -> T:
     """JSON bytes as a `type_`; `where` names their origin in a Problem."""
     try:
         return msgspec.json.decode(data, type=type_)

@@ -136,12 +136,12 @@ class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=F
     seconds: Amount
 
     @property
-    def coverage(self):
+    def coverage(self) -> float:
         """Share of the frame that the object covers."""
         return self.statistics.coverage
 
     @property
-    def segments(self):
+    def segments(self) -> int:
         """How many the shape has."""
         return len(self.materials)
 
