@@ -139,7 +139,7 @@ WRITERS = {
     ("learn/experiments/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",
 }
 INTO_MEMORY = {"buffer", "data", "file", "png"}  # first arguments that are streams
-OURS = {"checkpoint", "priors", "edit"}  # modules of ours whose save() goes through manifests.files
+OURS = {"checkpoint", "weights", "priors", "edit"}  # modules of ours whose save() goes through manifests.files
 
 
 def writing(call):

@@ -321,7 +321,7 @@ def test_the_objects_own_material_is_rendered_once(monkeypatch):
 def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        edit.apart, "taken", lambda opened, *_: asked.append(opened) or decomposition.Apart(opened, None, None, start(), None)
+        edit.decomposition, "taken", lambda opened, *_: asked.append(opened) or decomposition.Apart(opened, None, None, start(), None)
     )
 
     def start():

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np, torch
 torch.set_num_threads(1)
 from learn.data.geometry import Geometry
-from learn.training import checkpoint, loop
+from learn.networks import weights as checkpoint
+from learn.training import loop
 from learn.data.relit import Pool
 from learn.data.settings import Data, Losses, Run, Schedule
 

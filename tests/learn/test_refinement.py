@@ -11,9 +11,9 @@ import torch.nn.functional as F
 from scipy.optimize import OptimizeResult, minimize
 from synthetic import entry, write_dataset
 
-from learn.__main__ import COMMANDS
 from learn.data.batch import Batch
 from learn.experiments import refinement_ablation, refinement_chart, refinement_initialisations
+from learn.experiments.__main__ import COMMANDS
 from learn.layer import render
 from learn.metrics.radiometry import log_albedo
 from learn.networks.prediction import Prediction
@@ -330,7 +330,7 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
     materials = [entry(name, catalogue[name].m.reshape(3, 3, 2, 6), catalogue[name].mixture) for name in ("red-fabric", "delrin")]
     write_dataset(tmp_path / "data", materials, rng, size=32, seeds=1, rotations=(0,))
     words = [
-        "refinement",
+        "refinement-ablation",
         "--data",
         str(tmp_path / "data"),
         "--out",
@@ -341,16 +341,16 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
         "default",
         "a=0.2",
     ]
-    assert main("learn", "t", COMMANDS, [*words, "--starts", "5"]) == 0
+    assert main("learn.experiments", "t", COMMANDS, [*words, "--starts", "5"]) == 0
     told = {name: json.loads((tmp_path / "out" / f"{name}.json").read_text()) for name in ("study", "times", "starts")}
     assert set(told["study"]) == {"made_by", "default", "a=0.2"} and set(told["times"]) == {"made_by", "32", "64"}
     assert told["starts"]["starts"] == 5 and len(told["starts"]["by_kind"]) == 5
     assert told["study"]["default"]["image"][1] < told["study"]["default"]["image"][0]
     assert (tmp_path / "out" / "study.png").exists()
     before = [(tmp_path / "out" / name).read_bytes() for name in ("rows.jsonl", "starts.jsonl")]
-    assert main("learn", "t", COMMANDS, [*words, "--starts", "5"]) == 0
+    assert main("learn.experiments", "t", COMMANDS, [*words, "--starts", "5"]) == 0
     assert [(tmp_path / "out" / name).read_bytes() for name in ("rows.jsonl", "starts.jsonl")] == before
     for wrong in (["--pictures", "0"], ["--starts", "-3"]):
         with pytest.raises(SystemExit):
-            main("learn", "t", COMMANDS, [*words, *wrong])
+            main("learn.experiments", "t", COMMANDS, [*words, *wrong])
     capsys.readouterr()

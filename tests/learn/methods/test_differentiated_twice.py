@@ -40,6 +40,7 @@ def a_coarse_split_sum(monkeypatch):
 def no_sum_is_small(monkeypatch):
     """Small sums are made whole, by the exact sum, and the scenes here are small: what approximates is what this file is about."""
     monkeypatch.setattr(directional, "WHOLE", 0)
+    monkeypatch.setattr(directional, "FEW_TEXELS", 0)
 
 
 def scene_of(dtype, perspective, gammas, size=5):
