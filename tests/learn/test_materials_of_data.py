@@ -5,8 +5,10 @@ import json
 import msgspec
 import numpy as np
 import pytest
+import torch
 
-from learn.data import settings, sources
+from learn.baselines import priors
+from learn.data import lights, settings, sources
 from learn.data.records import Records
 from learn.data.settings import Data
 from learn.experiments import refinement_initialisations
@@ -147,6 +149,14 @@ def test_a_damaged_material_stops_a_run_or_is_left_out_and_told(tmp_path, entrie
     found, bad = sources.materials_of(Data(), records, skip_bad=True)
     assert [m.name for m in found["train"]] == ["chrome"]
     assert set(bad) == {"steel"}
+
+
+def test_priors_of_one_grey_material_hold_that_material_alone(rng):
+    grey = np.tile(np.linspace(-1.0, 0.0, 36, dtype=np.float32), 3)  # the three channels alike: nothing spreads
+    fitted = priors.fitted([grey], [lights.computed(rng).astype(np.float32)])
+    assert all(part.isfinite().all() for part in vars(fitted).values())
+    z = torch.ones(1, len(fitted.directions), dtype=torch.float64)
+    np.testing.assert_allclose(fitted.label(z)[0], grey, atol=1e-12)  # float64
 
 
 def test_bad_starts_of_refinement_are_drawn_from_the_data_sets_own_materials(metals):
