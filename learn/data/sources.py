@@ -170,14 +170,14 @@ def _side(view):
     return "validation" if by_hash(view.shape, VALIDATION_SHAPES) == 0 else "train"
 
 
-def materials_of(data: Data, records: Records, skip_bad: bool = False) -> tuple[dict[str, list[Material]], dict[str, str]]:
+def materials_of(data: Data, records: Records | None, skip_bad: bool = False) -> tuple[dict[str, list[Material]], dict[str, str]]:
     """({side: the materials that a run draws from}, {name: what is wrong} of those that were left out).
 
     Some of the training materials are for validation instead: one in ten, eight at most. A data set with fewer than
     ten keeps all of them for training.
 
     data      says whose materials: the data set's own, or the built-in ones
-    records   of the data set
+    records   of the data set; None will do for the built-in ones
     skip_bad  leave damaged materials out; otherwise the first one raises
     Raises    Problem: a damaged material, no material for training
     """
@@ -197,7 +197,7 @@ def materials_of(data: Data, records: Records, skip_bad: bool = False) -> tuple[
     if not train:
         found = f"{len(known)}, all of them for testing" if known else "none"
         remedy = 'name some of the training side in the job (merl/train), or set "materials": "built-in" in the run'
-        raise Problem(records.folder, "materials for training", found, remedy)
+        raise Problem("materials" if records is None else records.folder, "materials for training", found, remedy)
     chosen = train[: min(VALIDATION_MATERIALS, len(train) // LEAST_FOR_VALIDATION)]
     names = {m.name for m in chosen}
     rest = [m for m in train if m.name not in names]

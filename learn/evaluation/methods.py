@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from learn.data.records import Records
 from learn.layer import render
 from learn.networks.prediction import Prediction
 from manifests.materials import load_catalogue
@@ -114,10 +115,10 @@ class MeanMaterial(Layered):
         return super().edit(batch, self.parts(batch).label)
 
 
-def training_labels(records, materials: str) -> list[np.ndarray]:
+def training_labels(records: Records | None, materials: str) -> list[np.ndarray]:
     """Labels (108,) of the materials for training.
 
-    records    learn.data.records.Records
+    records    of the data set; None will do for "built-in"
     materials  "dataset": those that the data set has on its training side, maybe none; "built-in": the built-in catalogue's
     """
     if materials == "built-in":

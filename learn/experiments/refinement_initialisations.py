@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from tqdm import tqdm
 
+from learn.data.records import Records
 from learn.experiments.refinement_ablation import picture, write
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings, refine
@@ -23,10 +24,9 @@ from shaders import tone
 STARTS = ("network", "random material", "mean light", "noisy normals", "untrained")
 
 
-def labels_of(records, materials: str) -> list[np.ndarray]:
+def labels_of(records: Records, materials: str) -> list[np.ndarray]:
     """Labels (108,) that random materials are drawn from, in order of name.
 
-    records    learn.data.records.Records
     materials  "dataset": all of the data set's; "built-in": all of the built-in catalogue's
     """
     if materials == "built-in":
