@@ -1,5 +1,8 @@
 """The arrays of a dataset on disk: channel names, types, units, frames and rounding. The one home of all of them.
 
+The constants FILES and PACKED say each array in a line; docs/dataset.md repeats the table for people, and a test
+compares the two.
+
 picture    OpenEXR, half: R, G, B. Linear Rec.709 radiance under the light scaled to unit mean luminance; row 0 at the top.
 geometry   OpenEXR, float32: normal.X, normal.Y, normal.Z, unit vectors in the camera frame (x right, y up, z towards
            the viewer), 0 in the background; depth.Z, distance along the optical axis behind the plane through the
@@ -34,17 +37,82 @@ SEGMENT_CHANNEL = "segment"
 STEPS_PER_UNIT = np.float32(1 << 15)  # of normals and depth
 LARGEST_HALF = 65504.0  # a sun seen in a mirror may exceed it; it is far above any exposure's white
 MOST_SEGMENTS = 255
+PACKED_UNIT = 32767  # of packed normals
 LIGHT_SHAPE = (64, 128, 3)
 LIGHT_BYTES = 4 << 20  # a stored map takes a tenth of it
 LIGHT_MEMBERS = {"L": (LIGHT_SHAPE, np.dtype(np.float32)), "scale": ((), np.dtype(np.float64))}
-PICTURE_TYPES = dict.fromkeys(PICTURE_CHANNELS, np.dtype(np.float16))
-GEOMETRY_TYPES = dict.fromkeys((*NORMAL_CHANNELS, DEPTH_CHANNEL), np.dtype(np.float32))
-GEOMETRY_TYPES[SEGMENT_CHANNEL] = np.dtype(np.uint32)
+PACKED_NORMALS, PACKED_SEGMENTS = "normals.npy", "segments.npy"  # names in the cache of geometry that training keeps
+
+
+class Array(NamedTuple):
+    """How one array is written: a channel of an OpenEXR file, a member of an .npz file, or an .npy file."""
+
+    name: str
+    type: np.dtype
+    shape: str
+    unit: str
+    frame: str
+    rounding: str
+
+
+_FRAME = "height × width"  # of the picture
+_STEP = f"steps of 2^-{int(np.log2(STEPS_PER_UNIT))}"
+PICTURE = tuple(
+    Array(
+        name,
+        np.dtype(np.float16),
+        _FRAME,
+        f"radiance, linear Rec.709 {colour}, relative to the light's mean luminance",
+        "picture, row 0 at the top",
+        f"half precision, at most {LARGEST_HALF:g}",
+    )
+    for name, colour in zip(PICTURE_CHANNELS, ("red", "green", "blue"), strict=True)
+)
+GEOMETRY = (
+    *(
+        Array(name, np.dtype(np.float32), _FRAME, "part of a unit vector; 0 in the background", f"camera, {axis}", _STEP)
+        for name, axis in zip(NORMAL_CHANNELS, ("x right", "y up", "z towards the viewer"), strict=True)
+    ),
+    Array(
+        DEPTH_CHANNEL,
+        np.dtype(np.float32),
+        _FRAME,
+        "radii of the sphere that the object fills; 0 in the background",
+        "camera, along the optical axis, behind the plane through the object's centre",
+        _STEP,
+    ),
+    Array(SEGMENT_CHANNEL, np.dtype(np.uint32), _FRAME, f"segment id, 1 to {MOST_SEGMENTS}; 0 in the background", "picture", "none"),
+)
+LIGHT = (
+    Array(
+        "L",
+        LIGHT_MEMBERS["L"][1],
+        " × ".join(map(str, LIGHT_SHAPE)),
+        "radiance, linear Rec.709, of mean luminance 1 over the sphere",
+        "light, rows from the zenith down, as the camera sees it at rotation 0",
+        "none",
+    ),
+    Array("scale", LIGHT_MEMBERS["scale"][1], "one number", "mean luminance of the map before it was divided by it", "none", "none"),
+)
+PACKED = (
+    Array(
+        PACKED_NORMALS,
+        np.dtype(np.int16),
+        f"views × {_FRAME} × 2",
+        f"x and y of the normals in units of 1/{PACKED_UNIT}; z = √(1 − x² − y²)",
+        "camera",
+        f"steps of 1/{PACKED_UNIT}",
+    ),
+    Array(PACKED_SEGMENTS, np.dtype(np.uint8), f"views × {_FRAME}", "segment id, 0 in the background", "picture", "none"),
+)
+FILES = {"images/ab/ID.exr": PICTURE, "geometry/ab/ID.exr": GEOMETRY, "lights/NAME-HASH.npz": LIGHT}
+PICTURE_TYPES = {array.name: array.type for array in PICTURE}
+GEOMETRY_TYPES = {array.name: array.type for array in GEOMETRY}
+PACKED_TYPES = {array.name: array.type for array in PACKED}
 PIXEL_BYTES = 4 * len(GEOMETRY_TYPES)  # the most that a pixel of ours takes, uncompressed
 HEADER_BYTES = 1 << 20  # the most that an EXR's header and its table of lines take beside the pixels
 UNIT_LENGTH = 1e-2  # of |n|; what is written keeps it to 1e-4
 UNIT_MEAN = 1e-4  # of a light's mean luminance; float32 sums keep it to 1e-6
-PACKED_UNIT = 32767  # of packed normals
 AGAIN = "render or copy it again"
 LIGHT_AGAIN = "render or copy the dataset again"
 _NO_ARCHIVE = (*archives.DAMAGE, KeyError)  # KeyError: a member is missing
@@ -197,6 +265,21 @@ def _light_member(path: str | Path, archive: zipfile.ZipFile, name: str) -> np.n
 def pack_normals(normals: np.ndarray) -> np.ndarray:
     """x and y of normals (…, 3) that face the viewer as (…, 2) int16 in units of 1/32767: what caches of geometry hold."""
     return np.rint(normals[..., :2] * PACKED_UNIT).astype(np.int16)
+
+
+def unpack_normals(packed: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Unit normals (…, 3) float32 of packed ones (…, 2); 0 outside the mask (…) bool."""
+    xy = packed.astype(np.float32) / PACKED_UNIT
+    z = np.sqrt(np.clip(1.0 - (xy * xy).sum(-1, keepdims=True), 0.0, 1.0))
+    return np.concatenate([xy, z], -1) * mask[..., None]
+
+
+def table() -> str:
+    """The arrays of a dataset's files as a Markdown table, a line for each array, as docs/dataset.md holds it."""
+    lines = ["| file | array | type | shape | unit | frame | rounding |", "|---|---|---|---|---|---|---|"]
+    for file, arrays in FILES.items():
+        lines += [f"| `{file}` | `{a.name}` | {a.type} | {a.shape} | {a.unit} | {a.frame} | {a.rounding} |" for a in arrays]
+    return "\n".join(lines) + "\n"
 
 
 def _channels(

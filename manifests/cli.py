@@ -10,11 +10,20 @@ import importlib
 import os
 import sys
 import traceback
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from manifests.errors import Problem, printable
 
 
-def main(program, description, commands, arguments=None, moved=None, prepare=None):
+def main(
+    program: str,
+    description: str,
+    commands: Sequence[str],
+    arguments: list[str] | None = None,
+    moved: Mapping[str, str] | None = None,
+    prepare: Callable[[], Any] | None = None,
+) -> int:
     """Parse, run, and return the exit status; one line for a user's mistake, a trace only with --debug.
 
     program    package whose `commands` folder holds the modules, and what follows `python -m`

@@ -1,6 +1,7 @@
 """What is wrong with something a user gave, said in one line: where, what was expected, what was found, the remedy."""
 
 import difflib
+from collections.abc import Iterable
 
 
 class Problem(ValueError):
@@ -12,11 +13,11 @@ class Problem(ValueError):
     remedy    what to do about it
     """
 
-    def __init__(self, where, expected, found, remedy):
+    def __init__(self, where: object, expected: str, found: str, remedy: str):
         self.where, self.expected, self.found, self.remedy = str(where), expected, found, remedy
         super().__init__(printable(f"{where}: {expected} expected, found {found}; {remedy}"))
 
-    def __reduce__(self):  # crosses process borders whole
+    def __reduce__(self) -> tuple:  # crosses process borders whole
         return Problem, (self.where, self.expected, self.found, self.remedy)
 
 
@@ -27,7 +28,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def closest(name, names, count=3):
+def closest(name: object, names: Iterable[object], count: int = 3) -> str:
     """The known names nearest to one that is not known, as text: 'did you mean chair, hair?', or the first few there are."""
     near = difflib.get_close_matches(str(name), [str(n) for n in names], n=count, cutoff=0.5)
     if near:

@@ -6,25 +6,29 @@ that share its id: ID.json (the record), ID.image.exr, ID.geometry.exr; dataset.
 
 import contextlib
 import io
+import os
 import tarfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from manifests.errors import Problem
 from manifests.files import replacing, together, write_bytes
 from manifests.inputs import require_file
+from manifests.schema import Record
 from manifests.store import Store, geometry_path, image_path, inside, light_path
 
 ROWS = 50_000  # of a Parquet row group
 
 
-def chosen(store: Store, split=None):
+def chosen(store: Store, split: str | None = None) -> list[Record]:
     """The records of a split (None: all), in the order of their ids."""
     return sorted(store.records(lambda record: split in (None, record.split)), key=lambda record: record.id)
 
 
-def to_parquet(store: Store, path, split=None):
+def to_parquet(store: Store, path: str | os.PathLike, split: str | None = None) -> int:
     """Write the records as a table, nested keys as columns such as `camera.size`; returns how many. Raises Problem without pyarrow."""
     try:
         import pyarrow
@@ -52,7 +56,13 @@ def _flat(value, prefix=""):
     return flat
 
 
-def to_tars(store: Store, folder, split=None, each=1000, watch=None):
+def to_tars(
+    store: Store,
+    folder: str | os.PathLike,
+    split: str | None = None,
+    each: int = 1000,
+    watch: Callable[[], Any] | None = None,
+) -> int:
     """Write the records and their files as numbered tars of `each` records; returns how many tars. Files are checked to be inside.
 
     Raises  Problem if the folder holds tars: those beyond the new ones' numbers would pass for records of this export

@@ -2,6 +2,9 @@
 
 import contextlib
 import io
+import os
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +27,7 @@ class Part:
     bytes          that the library takes to read it, at most: for the pixels, and for a tile where there are tiles
     """
 
-    def __init__(self, header):
+    def __init__(self, header: dict[str, Any]):
         import OpenEXR
 
         self.flat = header.get("type", OpenEXR.scanlineimage) in (OpenEXR.scanlineimage, OpenEXR.tiledimage)
@@ -36,12 +39,12 @@ class Part:
         self.bytes = 4 * len(self.channels) * (self.height * self.width + tile)
 
 
-def parts_of(file):
+def parts_of(file: Any) -> list[Part]:
     """The Part of each part of an OpenEXR.File that is open; the library reads them all, whichever is asked for."""
     return [Part(file.header(k)) for k in range(len(file.parts))]
 
 
-def read(path, data=None):
+def read(path: str | os.PathLike, data: bytes | None = None) -> dict[str, np.ndarray]:
     """Channels of a file, name → (height, width) array of the file's own type.
 
     data    the file's bytes, where they are in memory already; `path` only names them then
@@ -75,7 +78,7 @@ def _read(path, data):
         raise Problem(path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again") from None
 
 
-def encode(channels):
+def encode(channels: Mapping[str, np.ndarray]) -> bytes:
     """The bytes of an OpenEXR file of channels, name → (height, width) array of float16, float32 or uint32."""
     import OpenEXR
 
@@ -87,6 +90,6 @@ def encode(channels):
     return buffer.getvalue()
 
 
-def write(path, channels):
+def write(path: str | os.PathLike, channels: Mapping[str, np.ndarray]) -> None:
     """Writes channels as `encode` takes them, whole or not at all. Raises OSError with the system's reason."""
     write_bytes(path, encode(channels))

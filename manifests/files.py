@@ -256,7 +256,7 @@ def write_lines(path: str | os.PathLike, lines: Iterable[bytes], draft: Path | N
         Path(path).unlink(missing_ok=True)
 
 
-def claim(folder, names, overwrite, inputs=()):
+def claim(folder: Path, names: Iterable[str], overwrite: bool, inputs: Iterable[str | os.PathLike | None] = ()) -> None:
     """Raises Problem if one of the files is there and may not be replaced, or is one of the inputs, which never may."""
     if folder.exists() and not folder.is_dir():
         raise Problem(folder, "a folder, or a name for a new one", "a file", "give another --out")
@@ -269,7 +269,7 @@ def claim(folder, names, overwrite, inputs=()):
         raise Problem(there[0], "no earlier result", "one", "give another --out, or --overwrite")
 
 
-def write_text(path, text):
+def write_text(path: str | os.PathLike, text: str) -> None:
     """UTF-8 text, whole or not at all: a kill or a full disk leaves the earlier file. Raises as `replacing`.
 
     Bytes of file names that are no UTF-8 (surrogates in Python) are written as \\udcXX, which JSON reads back as they were.
@@ -277,7 +277,7 @@ def write_text(path, text):
     write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
-def write_json(path, value):
+def write_json(path: str | os.PathLike, value: Any) -> None:
     """As `write_text`; null stands for what JSON has no number for: NaN, infinity."""
     write_text(path, json.dumps(_finite(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 

@@ -7,6 +7,7 @@ its lock on to its workers: while one still finishes its shot after the run was 
 import fcntl
 import os
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from manifests.errors import Problem
 
 
 @contextmanager
-def writing(folder, shard=None, patience=20.0):
+def writing(folder: str | os.PathLike, shard: tuple[int, int] | None = None, patience: float = 20.0) -> Iterator[list[int]]:
     """Hold the right to write; yields the descriptors to hand on to workers.
 
     shard     None, or (i, n): part i of n, 1 ≤ i ≤ n; parts run side by side
@@ -41,7 +42,7 @@ def writing(folder, shard=None, patience=20.0):
 
 
 @contextmanager
-def changing(folder):
+def changing(folder: str | os.PathLike) -> Iterator[None]:
     """Hold dataset.json for a read, a change and a write: parts of a job array take turns."""
     Path(folder).mkdir(parents=True, exist_ok=True)
     descriptor = os.open(Path(folder) / ".lock-dataset", os.O_RDWR | os.O_CREAT, 0o666)

@@ -1,6 +1,7 @@
 """What a material's name that is not known may mean: an everyday word, a part of a name, a slip of the pen."""
 
 import difflib
+from collections.abc import Collection
 
 from manifests.errors import closest
 
@@ -28,7 +29,7 @@ ALIKE = {  # no material is called just so; these look like it on a sphere (judg
 }
 
 
-def suggestion(name, known):
+def suggestion(name: object, known: Collection[str]) -> str:
     """What to try instead, as text: materials that look like an everyday word, names that have the word, or the closest names.
 
     known  every name that would be understood

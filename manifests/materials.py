@@ -11,6 +11,8 @@ A catalogue is one JSON file, a material a line. `materials.json` holds MERL's h
 import functools
 import hashlib
 import json
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -40,12 +42,12 @@ class Distance(Struct, frozen=True, forbid_unknown_fields=True):
     display_l2: tuple[float, ...] = ()
 
     @property
-    def mean(self):
+    def mean(self) -> float:
         """L1 over the six views."""
         return float(np.mean(self.l1))
 
     @property
-    def worst(self):
+    def worst(self) -> float:
         """L1 at the worst view."""
         return max(self.l1)
 
@@ -121,24 +123,24 @@ class Material:
     mixture: Mixture
 
     @property
-    def m(self):
+    def m(self) -> np.ndarray:
         """κ and γ control values (3, 3, 2, 6): exp(label), what shaders.dsbrdf evaluates."""
         return np.exp(self.label)
 
 
-def material_hash(label, mixture):
+def material_hash(label: tuple[float, ...], mixture: MixtureData) -> str:
     """Hash of a material: of its label (108 numbers) and the mixture (MixtureData) that renders it, as an Entry holds them."""
     return hashlib.sha256(msgspec.json.encode([label, mixture])).hexdigest()[:HASH_DIGITS]
 
 
-def require_own_hash(entry, where):
+def require_own_hash(entry: Entry, where: object) -> None:
     """Raises Problem if an entry's hash is not that of its label and mixture: one of the three was altered; `where` names the file."""
     if entry.hash != (own := material_hash(entry.label, entry.mixture)):
         remedy = "copy the file again, or fit the material again"
         raise Problem(f"{where}: '{entry.name}'", f"hash {own}, of its label and mixture,", entry.hash, remedy)
 
 
-def material(entry, where):
+def material(entry: Entry, where: object) -> Material:
     """The entry ready for use. Raises Problem if its numbers do not fit together, or its hash not to them; `where` names the file."""
     label = np.asarray(entry.label)
     if label.size != dsbrdf.SIZE or not np.isfinite(label).all():
@@ -155,7 +157,7 @@ def material(entry, where):
     return Material(**fields, label=label.reshape(dsbrdf.SHAPE), mixture=mixture)
 
 
-def read_catalogue(path):
+def read_catalogue(path: str | os.PathLike) -> Catalogue:
     """The catalogue file at `path`, checked against its type. Raises Problem, one line."""
     catalogue = reading.read(path, Catalogue)
     if catalogue.version != VERSION:
@@ -163,7 +165,7 @@ def read_catalogue(path):
     return catalogue
 
 
-def encode(catalogue):
+def encode(catalogue: Catalogue) -> bytes:
     """The bytes of a catalogue's file: one line for each material, keys in the order of the type."""
     head = msgspec.to_builtins(catalogue)
     entries = head.pop("materials")
@@ -172,17 +174,17 @@ def encode(catalogue):
     return text.encode("utf-8")
 
 
-def write(catalogue, path):
+def write(catalogue: Catalogue, path: str | os.PathLike) -> None:
     """Writes the file, whole or not at all."""
     write_bytes(path, encode(catalogue))
 
 
 @functools.cache
-def _loaded(path, _stamp):
+def _loaded(path: Path, _stamp: int) -> dict[str, Material]:
     return {entry.name: material(entry, path.name) for entry in read_catalogue(path).materials}
 
 
-def load_catalogue(*paths):
+def load_catalogue(*paths: str | os.PathLike) -> dict[str, Material]:
     """{name: Material} of the files given, or of the built-in ones; a later file's material takes the place of an earlier one's name."""
     materials = {}
     for path in map(Path, paths or [p for p in BUILT_IN if p.exists()]):
@@ -190,7 +192,7 @@ def load_catalogue(*paths):
     return materials
 
 
-def find(name, materials=None):
+def find(name: str, materials: Mapping[str, Material] | None = None) -> Material:
     """The material of that name. Raises Problem that lists the closest names, or what an everyday word may mean."""
     materials = load_catalogue() if materials is None else materials
     if name not in materials:

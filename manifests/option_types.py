@@ -1,7 +1,9 @@
 """Numbers that options take: functions for argparse's `type`, which turns their ValueError into a line of usage."""
 
+MATERIALS = ("dataset", "built-in")  # whose materials: the data set's own, or those that come with the program
 
-def positive(text):
+
+def positive(text: str) -> int:
     """A whole number from 1. Raises ValueError."""
     value = int(text)
     if value < 1:
@@ -9,7 +11,7 @@ def positive(text):
     return value
 
 
-def whole(text):
+def whole(text: str) -> int:
     """A whole number from 0. Raises ValueError."""
     value = int(text)
     if value < 0:
@@ -17,7 +19,7 @@ def whole(text):
     return value
 
 
-def above_zero(text):
+def above_zero(text: str) -> float:
     """A finite number above 0. Raises ValueError."""
     value = float(text)
     if not 0 < value < float("inf"):

@@ -13,7 +13,7 @@ FOLDER = Path(__file__).parent / "json-schema"
 TYPES = {"job": Job, "record": Record, "view": View, "dataset": Dataset, "failure": Failure, "materials": Catalogue}
 
 
-def documents():
+def documents() -> dict[str, str]:
     """{file name: text} of every schema."""
     return {f"{name}.schema.json": _document(name, type_) for name, type_ in TYPES.items()}
 
@@ -23,7 +23,7 @@ def _document(name, type_):
     return msgspec.json.format(msgspec.json.encode(schema, order="deterministic"), indent=1).decode() + "\n"
 
 
-def main():
+def main() -> int:
     """Write the files."""
     FOLDER.mkdir(exist_ok=True)
     for name, text in documents().items():

@@ -6,6 +6,7 @@ import functools
 import os
 import sys
 import threading
+from collections.abc import Iterator
 
 _TURNING = {1: threading.Lock(), 2: threading.Lock()}  # two threads that turn the same descriptor would restore each other's nowhere
 
@@ -22,7 +23,7 @@ def _flush():
 
 
 @contextlib.contextmanager
-def silenced(*descriptors):
+def silenced(*descriptors: int) -> Iterator[None]:
     """Everything written to these file descriptors (1: stdout, 2: stderr) inside the block, from C or Python, is dropped."""
     for descriptor in descriptors:
         _TURNING[descriptor].acquire()

@@ -4,26 +4,33 @@ path  the key's place as msgspec gives it, "$.camera.size[0]"; a user sees "came
 """
 
 import codecs
+import os
 import re
 from pathlib import Path
-from typing import get_args
+from typing import TypeVar, get_args
 
 import msgspec
 
 from manifests.errors import Problem, closest
 from manifests.inputs import require_file
 
+T = TypeVar("T")
 MAXIMUM_BYTES = 64 << 20  # a job is a page of text, dataset.json some MiB; what is far larger is another file under this name
 
 
-def read(path, type_, maximum_bytes=MAXIMUM_BYTES):
+def read(path: str | os.PathLike, type_: type[T], maximum_bytes: int = MAXIMUM_BYTES) -> T:
     """The file as a `type_`.
 
     Raises  Problem: missing, too large, malformed, unknown key (with the closest one), wrong type
     """
+    return decode(read_bytes(path, maximum_bytes), type_, path)
+
+
+def read_bytes(path: str | os.PathLike, maximum_bytes: int = MAXIMUM_BYTES) -> bytes:
+    """The bytes of a JSON file, without a mark of their order. Raises Problem: missing, no ordinary file, too large."""
     path = Path(path)
     require_file(path, "a JSON file", _remedy(path), maximum_bytes)
-    return decode(path.read_bytes().removeprefix(codecs.BOM_UTF8), type_, path)  # editors on Windows write the mark
+    return path.read_bytes().removeprefix(codecs.BOM_UTF8)  # editors on Windows write the mark
 
 
 def _remedy(path):
@@ -37,7 +44,7 @@ def _remedy(path):
     return closest(path.name, names) if names else "check the path"
 
 
-def decode(data, type_, where):
+def decode(data: bytes, type_: type[T], where: object) -> T:
     """JSON bytes as a `type_`; `where` names their origin in a Problem."""
     try:
         return msgspec.json.decode(data, type=type_)

@@ -136,12 +136,12 @@ class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=F
     seconds: Amount
 
     @property
-    def coverage(self):
+    def coverage(self) -> float:
         """Share of the frame that the object covers."""
         return self.statistics.coverage
 
     @property
-    def segments(self):
+    def segments(self) -> int:
         """How many the shape has."""
         return len(self.materials)
 
@@ -171,7 +171,7 @@ class View(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=Fal
 
 
 class ShapeEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A shape of a dataset: what it is, and on which side of the split its hash stands. parts: segment id − 1 → names in it."""
+    """A shape of a dataset: what it is, and on which side of the split its hash stands. report: what was mended in its mesh."""
 
     hash: Hash
     category: str
@@ -183,7 +183,7 @@ class ShapeEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class LightEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A light of a dataset: its stored 64×128 map (npz: `L` (64, 128, 3) float32 of unit mean luminance, `scale`).
+    """A light of a dataset: its stored 64×128 map (manifests.arrays: LIGHT).
 
     side  by its hash; None in datasets from before lights had sides: manifests.splits.light_side gives it then
     """

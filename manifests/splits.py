@@ -8,8 +8,10 @@ twins  one mesh or fit under two names, found by hash: both take one side, and t
 import hashlib
 import re
 from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from manifests.reading import read
 
@@ -19,12 +21,12 @@ PRECEDENCE = ("test", "pretrain", "finetune", "train")  # what twins take, the f
 
 
 @cache
-def rules():
+def rules() -> dict[str, Any]:
     """manifests/splits.json."""
     return read(Path(__file__).parent / "splits.json", dict)
 
 
-def shape_roles(shapes, rule):
+def shape_roles(shapes: Sequence[tuple[str, str, str]], rule: str) -> dict[str, str]:
     """The role of each shape.
 
     shapes   [(name, category, hash)], each name once
@@ -40,13 +42,13 @@ def shape_roles(shapes, rule):
     return _twins_together(roles, {name: hash_ for name, _, hash_ in shapes})
 
 
-def numbered_role(name, rule):
+def numbered_role(name: str, rule: str) -> str | None:
     """The role of "chair:17" by its number alone, or None where the rule has no range that holds it (then its hash decides)."""
     number = NUMBERED.match(name)
     return _by_number(int(number[2]), rules()[rule]["shapes"].get(number[1], {})) if number else None
 
 
-def role_of(name, category, hash_, rule):
+def role_of(name: str, category: str, hash_: str, rule: str) -> str | None:
     """The role of a shape by itself, or None where it depends on the other meshes of its category, by the rank among their hashes."""
     ranges = rules()[rule]["shapes"].get(category)
     if not ranges:
@@ -55,23 +57,23 @@ def role_of(name, category, hash_, rule):
     return None if number is None else _by_number(number, ranges) or _by_hash(hash_)
 
 
-def material_sides(materials):
+def material_sides(materials: Sequence[tuple[str, str, str]]) -> dict[str, str]:
     """The side of each material: [(name, its catalogue's split, hash)] to {name: side}; twins together."""
     return _twins_together({name: split for name, split, _ in materials}, {name: hash_ for name, _, hash_ in materials})
 
 
-def paper_training(names):
+def paper_training(names: Iterable[str]) -> set[str]:
     """The paper's 60 of the materials for training: those whose names' hashes are least, so that nobody's taste chooses."""
     order = sorted(names, key=lambda name: hashlib.sha256(f"paper {name}".encode()).digest())
     return set(order[: rules()["paper"]["train_materials"]])
 
 
-def light_side(hash_):
+def light_side(hash_: str) -> str:
     """The side of a light, by the hash of its map: of pictures it says nothing, to who samples lights for training everything."""
     return _by_hash(hash_)
 
 
-def split_of(shape_side, material_sides_):
+def split_of(shape_side: str, material_sides_: Iterable[str]) -> str:
     """A record's split: the side that shape and all materials share, or mixed."""
     return shape_side if all(side == shape_side for side in material_sides_) else "mixed"
 

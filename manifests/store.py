@@ -19,8 +19,9 @@ import hashlib
 import os
 import re
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import msgspec
 
@@ -51,22 +52,22 @@ class _Version(msgspec.Struct):
     version: int
 
 
-def image_path(id_):
+def image_path(id_: str) -> str:
     """Where a record's picture lies, relative to the folder: sharded by the id's first two digits."""
     return f"images/{id_[:2]}/{id_}.exr"
 
 
-def geometry_path(id_):
+def geometry_path(id_: str) -> str:
     """Where a shape's normals, depth and segments from one view lie."""
     return f"geometry/{id_[:2]}/{id_}.exr"
 
 
-def light_path(name, hash_):
+def light_path(name: str, hash_: str) -> str:
     """Where a light's stored 64×128 map lies."""
     return f"lights/{NAME.sub('-', name).strip('-.')[:60] or 'light'}-{hash_[:12]}.npz"
 
 
-def file_hash(path):
+def file_hash(path: str | os.PathLike) -> str:
     """sha256 (hex) of a file's bytes. Raises FileNotFoundError; Problem for a folder, a pipe or a device."""
     if os.path.exists(path):
         require_file(path, "a file")  # opening a pipe would wait for its writer
@@ -74,7 +75,7 @@ def file_hash(path):
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def inside(folder, relative):
+def inside(folder: str | os.PathLike, relative: str) -> Path:
     """The path of a file that a manifest names.
 
     Raises  Problem if it is absolute, climbs out by "..", or leads out of the folder through a link
@@ -110,10 +111,10 @@ def lines_of(path: str | os.PathLike) -> Iterator[tuple[int, bytes]]:
 class Store:
     """A dataset on disk. Reading needs nothing but the folder; writing goes through a Writer, one a worker."""
 
-    def __init__(self, folder):
+    def __init__(self, folder: str | os.PathLike):
         self.folder = Path(folder)
 
-    def dataset(self):
+    def dataset(self) -> Dataset:
         """dataset.json as a Dataset. Raises Problem if it is missing, damaged or of another schema version."""
         path = self.folder / "dataset.json"
         if not os.path.lexists(path):
@@ -127,7 +128,7 @@ class Store:
             raise Problem(problem.where, problem.expected, problem.found, remedy) from None
         raise Problem(path, f"schema version {VERSION}", str(version), "read it with the program version that wrote it")
 
-    def record_files(self, kind="records"):
+    def record_files(self, kind: str = "records") -> list[Path]:
         """The files of one kind of lines, one a worker, in order of name. Raises Problem where their folder is none."""
         folder = self.folder / kind
         try:
@@ -138,19 +139,19 @@ class Store:
             raise Problem(folder, f"a folder of {kind}", str(error.strerror or error).lower(), REPAIR) from None
         return [folder / name for name in sorted(names) if name.endswith(".jsonl")]
 
-    def records(self, keep=None):
+    def records(self, keep: Callable[[Record], Any] | None = None) -> Iterator[Record]:
         """Each Record, file after file; keep(record) filters. Raises Problem at a line that no writer can have left."""
         return filter(keep, self._decoded(Record, "records")) if keep else self._decoded(Record, "records")
 
-    def views(self, keep=None):
+    def views(self, keep: Callable[[View], Any] | None = None) -> Iterator[View]:
         """Each View, as `records` gives each Record."""
         return filter(keep, self._decoded(View, "views")) if keep else self._decoded(View, "views")
 
-    def ids(self, kind="records"):
+    def ids(self, kind: str = "records") -> set[str]:
         """The set of ids of all lines of a kind: what a run that continues leaves out. Reads nothing else of a line."""
         return {line.id for line in self._decoded(_Id, kind)}
 
-    def known(self, kind="records"):
+    def known(self, kind: str = "records") -> tuple[set[str], dict[str, str]]:
         """(ids, hashes): the ids of all lines of a kind; the hash of each geometry file that a record or a view names.
 
         hashes  {path: hash}, the first that is named where lines disagree
@@ -163,7 +164,7 @@ class Store:
                     ids.add(line.id)
         return ids, hashes
 
-    def failures(self):
+    def failures(self) -> Iterator[Failure]:
         """Every Failure written down."""
         for path in sorted(self.folder.glob("failures*.jsonl")):
             for number, line in lines_of(path):
@@ -183,12 +184,12 @@ class Store:
                     record = _line(line, type_, f"{path}:{number}", remedy)
                 yield record
 
-    def write_json(self, name, value, worker="main"):
+    def write_json(self, name: str, value: Any, worker: str = "main") -> None:
         """Write a small JSON file by way of partial/."""
         text = msgspec.json.format(msgspec.json.encode(value, order="deterministic"), indent=1)
         self.place(name, text + b"\n", worker)
 
-    def place(self, relative, data, worker, keep_first=False):
+    def place(self, relative: str, data: bytes, worker: str, keep_first: bool = False) -> str:
         """Put a file in place whole, and return the sha256 of what lies there then.
 
         relative    its path in the folder
@@ -217,7 +218,7 @@ class Store:
         finally:
             whole.unlink(missing_ok=True)
 
-    def place_instead(self, relative, data, worker, damaged):
+    def place_instead(self, relative: str, data: bytes, worker: str, damaged: str | None) -> str:
         """Put a file in the place of a damaged one, and return the sha256 of what lies there then.
 
         damaged  sha256 of the damaged file, None if it cannot be read. If another file lies there by now, another worker
@@ -229,7 +230,7 @@ class Store:
                 return found
             return self.place(relative, data, worker)
 
-    def sweep(self, prefix=""):
+    def sweep(self, prefix: str = "") -> None:
         """Remove what killed runs left half-written, files and lines; `prefix` of the workers' names confines it to one shard's."""
         partial = self.folder / "partial"
         for path in partial.glob(f"{prefix}*") if partial.is_dir() else ():
@@ -239,7 +240,7 @@ class Store:
                 Lines(path).close()
 
 
-def readable_hash(path):
+def readable_hash(path: str | os.PathLike) -> str | None:
     """sha256 (hex) of a file's bytes; None if nothing is there that can be read."""
     try:
         return file_hash(path)
@@ -274,7 +275,7 @@ class Lines:
     Raises  Problem if another process has the file open to write into it
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str | os.PathLike):
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
@@ -296,11 +297,11 @@ class Lines:
         except OSError:  # a file system without locks
             pass
 
-    def append(self, value):
+    def append(self, value: Any) -> None:
         """Write one value as a line. Raises OSError (full disk) with nothing of the line left behind."""
         self.append_line(msgspec.json.encode(value) + b"\n")
 
-    def append_line(self, line):
+    def append_line(self, line: bytes) -> None:
         """As `append`, of a line as bytes with its newline."""
         try:
             if self._torn:
@@ -317,7 +318,7 @@ class Lines:
             raise OSError(error.errno, error.strerror, str(self.path)) from None
         self._length += len(line)
 
-    def close(self):
+    def close(self) -> None:
         """Give the file back."""
         self._closed()
 

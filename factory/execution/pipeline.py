@@ -97,22 +97,29 @@ class Pipeline:
         """The View of a shot without a picture, its geometry in place."""
         self._show_shape(shot)
         self._show_view(shot)
-        geometry, shape = self._geometry(shot), self.assignment.shapes[shot.shape]
+        geometry = self._geometry(shot)
         return View(
-            id=shot.id,
-            shape=shot.shape,
-            shape_hash=shape.hash,
-            category=shape.category,
-            viewpoint=shot.viewpoint,
-            azimuth_deg=azimuths_deg()[shot.viewpoint],
-            camera=self.assignment.job.camera,
+            **self._shared(View, shot, geometry, start),
             segments=self._segments,
-            geometry=geometry.path,
-            geometry_hash=geometry.hash,
             side=shot.split,
             coverage=round(geometry.coverage, 6),
-            seconds=round(time.perf_counter() - start, 4),
         )
+
+    def _shared(self, line, shot, geometry, start):
+        """{field: value} that a Record and a View of a shot have alike.
+
+        line   Record or View; start: when the shot was begun, by time.perf_counter
+        """
+        shape = self.assignment.shapes[shot.shape]
+        return shot.repeated_in(line) | {
+            "shape_hash": shape.hash,
+            "category": shape.category,
+            "azimuth_deg": azimuths_deg()[shot.viewpoint],
+            "camera": self.assignment.job.camera,
+            "geometry": geometry.path,
+            "geometry_hash": geometry.hash,
+            "seconds": round(time.perf_counter() - start, 4),
+        }
 
     def _pictured(self, shot, start):
         """The Record of a shot, its picture and geometry in place."""
@@ -125,7 +132,15 @@ class Pipeline:
         image = image_path(shot.id)
         with self._timed("writing"):
             image_hash = self.store.place(image, encode_picture(radiance), self.worker)
-        return self._record(shot, geometry, image, image_hash, _statistics(radiance, geometry), time.perf_counter() - start)
+        statistics = _statistics(radiance, geometry)
+        return Record(
+            **self._shared(Record, shot, geometry, start),
+            light_hash=self.assignment.lights[shot.light].hash,
+            samples=self.assignment.job.samples,
+            image=image,
+            image_hash=image_hash,
+            statistics=statistics,
+        )
 
     @contextmanager
     def _timed(self, what):
@@ -221,33 +236,6 @@ class Pipeline:
         except OSError as error:
             return None, error.strerror or str(error)
         return seen, "; ".join(checks.geometry(seen, self._segments))
-
-    def _record(self, shot, geometry, image, image_hash, statistics, seconds):
-        job, shape = self.assignment.job, self.assignment.shapes[shot.shape]
-        return Record(
-            id=shot.id,
-            shape=shot.shape,
-            shape_hash=shape.hash,
-            category=shape.category,
-            viewpoint=shot.viewpoint,
-            azimuth_deg=azimuths_deg()[shot.viewpoint],
-            camera=job.camera,
-            materials=shot.materials,
-            light=shot.light,
-            light_hash=self.assignment.lights[shot.light].hash,
-            rotation_texels=shot.rotation_texels,
-            tier=shot.tier,
-            light_resolution=shot.light_resolution,
-            samples=job.samples,
-            seed=shot.seed,
-            image=image,
-            image_hash=image_hash,
-            geometry=geometry.path,
-            geometry_hash=geometry.hash,
-            split=shot.split,
-            statistics=statistics,
-            seconds=round(seconds, 4),
-        )
 
 
 def _replaced(path, fault, digest, expected):

@@ -253,16 +253,7 @@ def processors():
 
 
 def _failure(shot, reason):
-    return Failure(
-        id=shot.id,
-        shape=shot.shape,
-        materials=shot.materials,
-        light=shot.light,
-        viewpoint=shot.viewpoint,
-        tier=shot.tier,
-        reason=reason,
-        when=datetime.now(UTC).isoformat(timespec="seconds"),
-    )
+    return Failure(**shot.repeated_in(Failure), reason=reason, when=datetime.now(UTC).isoformat(timespec="seconds"))
 
 
 def planned(job, assets):

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from manifests.arrays import LIGHT_SHAPE
 from manifests.errors import Problem
 from shaders import envmap
 
-LAYER_SIZE = (64, 128)  # the paper's map
+LAYER_SIZE = LIGHT_SHAPE[:2]  # the paper's map
 RIPPLE = 0.05  # negative radiance up to this share of the mean is lossy compression's ripple, set to 0; Blender's night map has 1.0 %
 DARKEST, BRIGHTEST = 1e-30, 1e30  # mean luminance: beyond, float32 radiance divided by it loses digits, or is infinite
 PRECISE = 1024  # rows of a map up to which one of odd width is averaged in float64 throughout; 4096 of them would take 0.8 GB

@@ -7,6 +7,7 @@ twin    the same mesh, fit or map under a second name: left out, since its pictu
 from dataclasses import dataclass, field
 
 import msgspec
+import numpy as np
 
 from factory.planning.material_names import chosen_entries
 from factory.planning.shape_names import Source, load_mesh, local, sources
@@ -51,17 +52,17 @@ class Light:
     scale: float
     licence: str
     origin: str
-    L64: object
+    L64: np.ndarray
 
 
 @dataclass(frozen=True)
 class Assets:
     """Everything a job names; lights by the name the job uses. notes: what was left out, and why, one line each."""
 
-    shapes: list
-    materials: list
-    lights: dict
-    notes: list = field(default_factory=list)
+    shapes: list[Shape]
+    materials: list[Material]
+    lights: dict[str, Light]
+    notes: list[str] = field(default_factory=list)
 
 
 def resolve(job, folder=None, library=None, catalogues=(), watch=None):

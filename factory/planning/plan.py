@@ -10,16 +10,22 @@ order     shape, light, light resolution, tier, materials, rotation, view: what 
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import msgspec
 import numpy as np
 
+from factory.planning.assets import Assets
 from manifests import ids
 from manifests.ids import TEXELS, camera_words, geometry_id, shot_seed
-from manifests.schema import Draw, Job, LightResolution, Tier
+from manifests.schema import Draw, Failure, Job, LightResolution, Record, Tier, View
 from manifests.splits import split_of
 
 __all__ = ["TEXELS", "Plan", "Shot", "camera_words", "geometry_id", "shot_seed"]
+
+
+# Fields of a Shot that the lines of a data set repeat as they are; its geometry is an id, theirs a path
+REPEATED = ("id", "shape", "materials", "light", "viewpoint", "rotation_texels", "tier", "light_resolution", "seed", "split")
 
 
 class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -43,17 +49,21 @@ class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     picture: bool = True
     geometry_hash: str | None = None
 
+    def repeated_in(self, line: type[Record | View | Failure]) -> dict[str, Any]:
+        """{field: value} of what a line of this kind repeats of its shot, under the same names."""
+        return {name: getattr(self, name) for name in REPEATED if name in line.__struct_fields__}
+
 
 @dataclass(frozen=True)
 class Plan:
     """A job whose names are resolved.
 
-    assets  factory.planning.assets.Assets: shapes, materials and lights of the job, hashed
+    assets  shapes, materials and lights of the job, hashed
     render  fingerprint of the settings in force (factory.planning.fingerprint)
     """
 
     job: Job
-    assets: object
+    assets: Assets
     render: str
 
     def __len__(self):

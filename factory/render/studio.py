@@ -16,6 +16,7 @@ import numpy as np
 
 from factory.render import body, camera, canary, checks, device, light, materials, render_result, window
 from factory.render.settings import ALWAYS, GEOMETRY, PIXELS, TIERS, Setting, apply, assign, effective
+from manifests.arrays import LIGHT_SHAPE
 from shaders import nodes
 
 HELD = 512  # node groups kept: more than there are materials in a catalogue
@@ -135,8 +136,8 @@ class Studio:
         """
         seen = light.as_seen(np.asarray(L, np.float32), rotation_texels)
         nearest = light_resolution == "64x128"
-        if nearest and seen.shape != (64, 128, 3):
-            raise ValueError(f"light: shape (64, 128, 3) expected for {light_resolution}, found {seen.shape}; resize it first")
+        if nearest and seen.shape != LIGHT_SHAPE:
+            raise ValueError(f"light: shape {LIGHT_SHAPE} expected for {light_resolution}, found {seen.shape}; resize it first")
         light.build(self._scene, seen, nearest)
         self._seen = seen
         self._show("picture")

@@ -70,8 +70,8 @@ def _principal(labels):
     all_labels = np.concatenate([labels.reshape(-1, 3, 36)[:, list(order)].reshape(-1, 108) for order in orders])
     mean = all_labels.mean(0)
     _, spread, directions = np.linalg.svd(all_labels - mean, full_matrices=False)
-    variance = np.cumsum(spread**2) / (spread**2).sum()
-    count = int(np.searchsorted(variance, KEPT)) + 1
+    total = (spread**2).sum()  # 0 for a data set of one grey material: nothing spreads
+    count = int(np.searchsorted(np.cumsum(spread**2) / total, KEPT)) + 1 if total > 0 else 1
     return mean, (spread[:count, None] / np.sqrt(len(all_labels))) * directions[:count]
 
 

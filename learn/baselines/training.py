@@ -8,7 +8,6 @@ from learn.data import settings, sources
 from learn.networks import tensor_file
 from learn.training import loop
 from manifests.files import write_bytes
-from manifests.reading import decode
 
 FILE_OF = {"lombardi": FILES["Lombardi-like"], "baseline-1": FILES["Baseline 1"], "baseline-2": FILES["Baseline 2"]}
 
@@ -43,9 +42,13 @@ def resolved(run, options):
 
 
 def held_out(options, data):
-    """data with the held-out lights of the weights options.like, if there are any."""
+    """data with the held-out lights of the weights options.like, if there are any, and with materials from where theirs came.
+
+    options.materials, if it is given, says whose materials, whatever the weights' were.
+    """
     if options.like is None:
-        return data
+        return settings.with_materials(data, options.materials)
     with tensor_file.opened(options.like) as stored:
-        like = decode(stored.metadata.get("run", "{}").encode(), settings.Run, options.like).data
-    return msgspec.structs.replace(data, validation_lights=like.validation_lights, test_lights=like.test_lights)
+        like = settings.decode_run(stored.metadata.get("run", "{}").encode(), options.like).data
+    data = msgspec.structs.replace(data, materials=like.materials, validation_lights=like.validation_lights, test_lights=like.test_lights)
+    return settings.with_materials(data, options.materials)

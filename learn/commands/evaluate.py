@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from manifests.option_types import positive, whole
+from manifests.option_types import MATERIALS, positive, whole
 
 
 def register(subparsers):
@@ -27,6 +27,12 @@ def register(subparsers):
     )
     parser.add_argument(
         "--lpips", type=Path, metavar="FILE", help="LPIPS' AlexNet weights, .safetensors (docs/evaluation.md); else no such column"
+    )
+    parser.add_argument(
+        "--materials",
+        choices=MATERIALS,
+        default="dataset",
+        help="whose training materials the row 'mean material' is the mean of: the data set's own, or the built-in ones (default: dataset)",
     )
     parser.add_argument("--seed", type=whole, default=0, metavar="N", help="which edits are drawn (default 0)")
     parser.add_argument("--processes", type=positive, metavar="N", help="at work at once (default: one a core)")

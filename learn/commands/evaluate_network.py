@@ -26,13 +26,12 @@ def run(options):
     import json
 
     from learn.data import sources
-    from learn.data.settings import Run
+    from learn.data.settings import decode_run
     from learn.experiments import model_card
     from learn.networks import weights as checkpoint
-    from manifests.reading import decode
 
     _, metadata = checkpoint.load_network(options.weights)
-    settings = decode(json.dumps(metadata["run"]).encode(), Run, options.weights)
+    settings = decode_run(json.dumps(metadata["run"]).encode(), options.weights)
     pools = sources.pools(settings.data, options.data, options.lights, pictures=options.pictures)
     figures = model_card.make(options.weights, pools, options.out, options.batches, options.note, options.seeds)
     for kind, of_kind in figures.items():

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from manifests import RUNS
-from manifests.option_types import positive, whole
+from manifests.option_types import MATERIALS, positive, whole
 
 
 def register(subparsers):
@@ -12,7 +12,8 @@ def register(subparsers):
         "train",
         help="train networks that read normals, material and light from a picture",
         description="Trains from a dataset's geometry: pictures are relit on the fly by the layer, in materials and lights drawn "
-        "anew each time. Writes weights.safetensors, checkpoint.safetensors, log.jsonl, run.json, made.json and a sheet of pictures every "
+        "anew each time, the dataset's own unless the run or --materials asks for the built-in materials. "
+        "Writes weights.safetensors, checkpoint.safetensors, log.jsonl, run.json, made.json and a sheet of pictures every "
         "so often. "
         "Run the same command again to continue; a killed run ends with the same weights as one that was not.",
     )
@@ -20,6 +21,11 @@ def register(subparsers):
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where weights, log and sheets go")
     parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps, each a (64, 128, 3) array")
+    parser.add_argument(
+        "--materials",
+        choices=MATERIALS,
+        help="the data set's own materials, or the built-in ones of MERL and RGL (default: as the run says)",
+    )
     parser.add_argument(
         "--pictures",
         type=Path,
@@ -53,7 +59,7 @@ def run(options):
     from learn.training import loop
     from manifests.provenance import provenance
 
-    chosen = settings.read_run(options.settings, options.steps, options.seed)
+    chosen = settings.read_run(options.settings, options.steps, options.seed, options.materials)
     torch.set_num_threads(options.threads)
     with loop.only_writer(options.out):
         pools = sources.pools(chosen.data, options.data, options.lights, pictures=options.pictures, skip_bad=options.skip_bad)

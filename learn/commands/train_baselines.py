@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from manifests import RUNS
-from manifests.option_types import positive, whole
+from manifests.option_types import MATERIALS, positive, whole
 
 PRESETS = {"baseline-1": "baseline-1-compact", "baseline-2": "baseline-2-compact"}
 
@@ -22,6 +22,11 @@ def register(subparsers):
     parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps, each a (64, 128, 3) array")
     parser.add_argument(
         "--like", type=Path, metavar="WEIGHTS", help="hold out the lights that these weights' run held out (default: the presets')"
+    )
+    parser.add_argument(
+        "--materials",
+        choices=MATERIALS,
+        help="the data set's own materials, or the built-in ones of MERL and RGL (default: as --like or the preset says)",
     )
     parser.add_argument(
         "--only", nargs="+", choices=("lombardi", *PRESETS), default=("lombardi", *PRESETS), metavar="NAME", help="some of the three"

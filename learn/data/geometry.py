@@ -25,14 +25,14 @@ import numpy as np
 from tqdm import tqdm
 
 from learn.data.records import Records
-from manifests.arrays import PACKED_UNIT, pack_normals
+from manifests.arrays import PACKED_NORMALS, PACKED_SEGMENTS, PACKED_TYPES, pack_normals, unpack_normals
 from manifests.errors import Problem
 from manifests.files import replacing, write_text
 from manifests.inputs import require_file
 
 UNIT_TOLERANCE = 1e-2  # of |n|; files keep it to 1e-4
 LARGEST_JSON = 256 << 20  # bytes: 70 a view
-ARRAYS = ("normals.npy", "segments.npy")
+ARRAYS = (PACKED_NORMALS, PACKED_SEGMENTS)
 LEAST_COVERAGE = 0.02  # a view that shows less of its shape teaches nothing
 
 
@@ -89,9 +89,7 @@ class Geometry:
 
     def normals(self, index):
         """(H, W, 3) float32 unit normals, camera frame; 0 in the background."""
-        xy = self._n[index].astype(np.float32) / PACKED_UNIT
-        z = np.sqrt(np.clip(1.0 - (xy * xy).sum(-1, keepdims=True), 0.0, 1.0))
-        return np.concatenate([xy, z], -1) * (self._segments[index] > 0)[..., None]
+        return unpack_normals(self._n[index], self._segments[index] > 0)
 
     def segments(self, index):
         """(H, W) int64: 1 … S, 0 in the background."""
@@ -131,7 +129,8 @@ class Geometry:
 
     def _pack(self, records, chosen, progress, skip_bad):
         self.skipped, hashes = {}, []
-        n, segments = (np.zeros((len(chosen), *self.size, *rest), kind) for rest, kind in (((2,), np.int16), ((), np.uint8)))
+        shapes = ((len(chosen), *self.size, 2), (len(chosen), *self.size))
+        n, segments = (np.zeros(shape, PACKED_TYPES[name]) for shape, name in zip(shapes, ARRAYS, strict=True))
         for record in tqdm(chosen, "packing geometry", unit="view", disable=not progress, leave=False):
             try:
                 normals, covered = self._checked(records, record)

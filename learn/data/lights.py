@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from manifests import archives
+from manifests.arrays import LIGHT_SHAPE
 from manifests.errors import Problem
 from manifests.inputs import require_file
 from shaders import envmap
 
-HEIGHT, WIDTH = 64, 128
+HEIGHT, WIDTH, _ = LIGHT_SHAPE
 LARGEST_FILE = 256 << 20
 LARGEST_MAP = 1 << 20  # bytes: four times what a map of doubles takes
 MOST_MAPS = 4096  # together 400 MB in memory
@@ -42,7 +43,7 @@ def _map(archive, member, path):
         raise Problem(where, "an array as numpy compresses it", "another compression", remedy)
     with archive.open(member) as stored:
         header = archives.ArrayHeader(stored)
-        if header.shape != (HEIGHT, WIDTH, 3) or header.dtype.kind not in "fui":
+        if header.shape != LIGHT_SHAPE or header.dtype.kind not in "fui":
             raise Problem(where, rule, f"{header.shape} of {header.dtype}", remedy)
         values = np.frombuffer(archives.read_exactly(stored, header.bytes), header.dtype)
     L = values.reshape(header.shape, order="F" if header.fortran else "C").astype(np.float64)

@@ -21,6 +21,7 @@ from PIL import ExifTags, Image, UnidentifiedImageError
 from scipy.ndimage import distance_transform_edt
 
 from manifests import exr
+from manifests.arrays import PICTURE_CHANNELS
 from manifests.errors import Problem
 from manifests.inputs import require_file
 from shaders import tone
@@ -227,14 +228,14 @@ def _linear(values):
 
 def _exr_pixels(path):
     channels = exr.read(path)
-    missing = [name for name in "RGB" if name not in channels]
+    missing = [name for name in PICTURE_CHANNELS if name not in channels]
     if missing:
         raise Problem(path, "channels R, G, B", f"only {', '.join(sorted(channels)) or 'none'}", "export it as RGB")
-    planes = {name: np.asarray(channels[name]) for name in "RGBA" if name in channels}
+    planes = {name: np.asarray(channels[name]) for name in (*PICTURE_CHANNELS, "A") if name in channels}
     kinds = {(plane.shape, plane.dtype.kind) for plane in planes.values()}
     if len({shape for shape, _ in kinds}) > 1 or any(len(shape) != 2 or kind not in "fu" for shape, kind in kinds):
         raise Problem(path, "channels R, G, B and A of one size", "channels of several sizes, or deep data", "export it as flat RGB")
-    radiance = np.stack([planes[name].astype(np.float32) for name in "RGB"], -1)
+    radiance = np.stack([planes[name].astype(np.float32) for name in PICTURE_CHANNELS], -1)
     alpha = planes["A"].astype(np.float32) if "A" in planes else np.ones(radiance.shape[:2], np.float32)
     if not np.isfinite(radiance).all():
         raise Problem(path, "finite radiance", "NaN or infinity", "export it again")
@@ -329,7 +330,7 @@ def resized(array, size):
     return out[..., 0] if array.ndim == 2 else out
 
 
-def write_exr(path, array, names=("R", "G", "B")):
+def write_exr(path, array, names=PICTURE_CHANNELS):
     """An EXR of float32 channels (H, W, C). Raises Problem for what is not finite."""
     with np.errstate(over="ignore"):  # beyond float32 is not finite
         planes = {name: np.asarray(array[..., k], np.float32) for k, name in enumerate(names)}

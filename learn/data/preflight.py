@@ -43,7 +43,7 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
             good.append(record)
         except Problem as problem:
             if not skip_bad:
-                raise _skippable(problem) from None
+                raise skippable(problem) from None
             skipped[record.id] = str(problem)
     with contextlib.suppress(OSError):  # a full disk, a data set that may only be read: the next run checks them again
         path.parent.mkdir(exist_ok=True)
@@ -51,7 +51,8 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
     return good, skipped
 
 
-def _skippable(problem):
+def skippable(problem: Problem) -> Problem:
+    """The Problem with a remedy that names --skip-bad too."""
     return Problem(problem.where, problem.expected, problem.found, f"{problem.remedy}, or leave it out by --skip-bad")
 
 

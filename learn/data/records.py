@@ -146,6 +146,11 @@ class Records(torch.utils.data.Dataset):
             raise Problem(f"{where}: '{name}'", f"hash {known.hash}, as in dataset.json,", found.hash, "copy the dataset again")
         return found
 
+    def side(self, name: str) -> str:
+        """The side of the split, "train" or "test", that this data set gives to one of its materials."""
+        known = self.dataset.materials.get(name)
+        return self.materials[name].split if known is None else known.side
+
     def label(self, name):
         """The label (108,) float32 of a material of this dataset: natural logarithms."""
         return self.material(name).label.reshape(SIZE).astype(np.float32)

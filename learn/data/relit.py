@@ -5,7 +5,7 @@ Pictures come in groups of `sharing`, of other shapes and views, that share a ma
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -28,6 +28,7 @@ class Pool:
 
     views   indices into geometry; labels: {name: (108,) float32}; maps: [(64, 128, 3)]
     album   learn.data.rendered.Album of this side's rendered pictures, or None
+    skipped {name: what is wrong} of materials that were left out
     """
 
     geometry: Geometry
@@ -36,6 +37,7 @@ class Pool:
     maps: list
     side: str
     album: object = None
+    skipped: dict = field(default_factory=dict)
 
     def sizes(self):
         """{what: how many} it may draw from."""

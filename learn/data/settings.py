@@ -7,11 +7,13 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from manifests.arrays import LIGHT_SHAPE
 from manifests.errors import Problem
-from manifests.reading import read
+from manifests.reading import decode, read_bytes
 
 PRESETS = Path(__file__).parents[2] / "manifests" / "runs"
-LIGHT = (64, 128)  # rows and columns of a light map
+VERSION = 2  # of Run
+LIGHT = LIGHT_SHAPE[:2]  # rows and columns of a light map
 MOST_PIXELS = 1 << 26  # of a batch: their truth and pictures take 3 GiB, what networks keep of them ten times as much
 
 Part = Literal["normals", "material", "light"]
@@ -23,6 +25,7 @@ Size = Annotated[int, Meta(ge=32, le=1024, multiple_of=16)]  # of pictures: netw
 class Data(Struct, frozen=True, forbid_unknown_fields=True):
     """Where samples come from and who is held out.
 
+    materials      dataset: the data set's own, on the sides that it gives them; built-in: MERL's and RGL's, whatever the data set holds
     source         relit: by the layer from geometry; pictures: records that Cycles rendered; mix: batches of both
     pictures_share of a mix's batches, that are of pictures
     sharing        relit pictures, of different shapes and views, that share a material and a light: their reflectance map is computed once
@@ -34,6 +37,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     validation_lights, test_lights   names of maps that training never sees; where a run names none at all, a map's hash decides
     """
 
+    materials: Literal["dataset", "built-in"] = "dataset"
     source: Literal["relit", "pictures", "mix"] = "relit"
     pictures_share: Annotated[float, Meta(ge=0, le=1)] = 0.25
     sharing: Count = 4
@@ -104,6 +108,7 @@ class Stage(Struct, frozen=True, forbid_unknown_fields=True):
 class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One training run.
 
+    version          2; a run of version 1 could not choose its materials and took the built-in ones (`decode_run`)
     size             of pictures; a dataset's geometry may be a whole number of times larger
     start            weights to begin with, a path from where the command is run
     stages           what is trained before: each part alone, say, before all together
@@ -111,7 +116,7 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     skipped_steps    how many steps may turn out not finite before the run ends
     """
 
-    version: Literal[1] = 1
+    version: Literal[1, 2] = 2
     name: str
     about: str = ""
     network: Literal["compact", "paper", "separate", "encoder-decoder"] = "compact"
@@ -142,21 +147,43 @@ MOVES = {
 OF_ENCODER_DECODER = ("material", "target", "target_features")
 
 
-def read_run(name: str | Path, steps: int | None = None, seed: int | None = None) -> Run:
+def read_run(name: str | Path, steps: int | None = None, seed: int | None = None, materials: str | None = None) -> Run:
     """The Run of a file, or of the preset of that name, which can be trained.
 
-    steps, seed  other than it says, or None
+    steps, seed, materials  other than it says, or None
     Raises       Problem: missing, malformed, values out of range, nothing to train, a batch beyond all memory
     """
     path = Path(name)
     where = path if path.suffix == ".json" else PRESETS / f"{path.name}.json"
-    run = read(where, Run)
+    run = decode_run(read_bytes(where), where)
     if steps is not None:
         run = msgspec.structs.replace(run, schedule=msgspec.structs.replace(run.schedule, steps=steps))
     if seed is not None:
         run = msgspec.structs.replace(run, seed=seed)
+    run = msgspec.structs.replace(run, data=with_materials(run.data, materials))
     require_trainable(run, where)
     return run
+
+
+def with_materials(data: Data, choice: str | None) -> Data:
+    """A run's Data with the materials that an option --materials asks for; None leaves the run's."""
+    return data if choice is None else msgspec.structs.replace(data, materials=choice)
+
+
+def decode_run(data: bytes, where: str | Path) -> Run:
+    """The Run that JSON bytes hold, in the current version; one of version 1 takes the built-in materials, as it did.
+
+    data    of a run file, or of the metadata of weights and checkpoints
+    where   what names their origin in a Problem
+    Raises  Problem: malformed, unknown keys, wrong types
+    """
+    run = decode(data, Run, where)
+    if run.version == VERSION:
+        return run
+    says_materials = "materials" in msgspec.json.decode(data).get("data", {})
+    materials = run.data.materials if says_materials else "built-in"
+    settings = msgspec.structs.replace(run.data, materials=materials)
+    return msgspec.structs.replace(run, version=VERSION, data=settings)
 
 
 def converted(values, type_, where, strict=True):

@@ -1,4 +1,8 @@
-"""From a run's settings and folders to its batches: who is for training, who is held out."""
+"""From a run's settings and folders to its batches: who is for training, who is held out.
+
+Shapes, materials and lights are the data set's own, on the sides of the split that it gives them. The built-in
+materials take the place of its own where the run says so ("materials": "built-in").
+"""
 
 import hashlib
 
@@ -10,12 +14,15 @@ from learn.data.lights import read_maps
 from learn.data.records import Records
 from learn.data.relit import SIDES, Pool, Relit
 from learn.data.rendered import Album, Cycles, Mix, fits
-from manifests import materials, splits
+from learn.data.settings import Data
+from manifests import splits
 from manifests.errors import Problem, closest
+from manifests.materials import Material, load_catalogue
 from shaders.envmap import same_capture
 
 VALIDATION_SHAPES = 25  # one in so many training shapes is for choosing weights instead
-VALIDATION_MATERIALS = 8
+VALIDATION_MATERIALS = 8  # at most, and one in so many training materials:
+LEAST_FOR_VALIDATION = 10
 VALIDATION_LIGHTS = 6  # one in so many training maps, where the run names none
 TWIN = 0.05
 
@@ -28,24 +35,27 @@ def by_hash(name, parts):
 def pools(data, folder, maps_file=None, progress=True, pictures=None, skip_bad=False):
     """{"train": Pool, "validation": Pool, "test": Pool}: disjoint in shapes, materials and lights, all checked before anything is trained.
 
-    A side for which no light is left, validation or test, is lit by all maps; training never sees a held-out one.
+    A side for which no light is left, validation or test, is lit by all maps, and one for which no material is left draws
+    from those of training; training never sees a held-out one.
 
     data       learn.data.settings.Data
     folder     a dataset with geometry; its lights are used too
     maps_file  an .npz of further light maps, or None
     pictures   a dataset with records that Cycles rendered, or None: those of `folder`, where the run asks for pictures
     skip_bad   leave out what is damaged, and count it; otherwise the first one raises
-    Raises     Problem: a held-out light that is not there, a side without shapes, damaged geometry or pictures
+    Raises     Problem: a held-out light that is not there, a side without shapes, no material for training, a damaged material,
+               damaged geometry or pictures
     """
     geometry, records = Geometry(folder, progress, skip_bad), Records(folder)
     maps = {name: records.light(name) for name in records.dataset.lights} | ({} if maps_file is None else read_maps(maps_file))
     maps = without_twins(maps, (*data.validation_lights, *data.test_lights))
     held = _held_out(data, maps, records.dataset.lights)
-    labels, sides = _materials(), [_side(view) for view in geometry.views]
+    materials, bad = materials_of(data, records, skip_bad)
+    sides = [_side(view) for view in geometry.views]
     albums = {}
     if pictures is not None or data.source != "relit":
         known = {name: (held.get(name, "train"), L) for name, L in maps.items()}
-        albums = _albums(data, pictures or folder, geometry, known, skip_bad, progress)
+        albums = _albums(data, pictures or folder, geometry, known, materials, skip_bad, progress)
     found = {}
     for side in SIDES:
         views = np.array([i for i, s in enumerate(sides) if s == side])
@@ -54,7 +64,8 @@ def pools(data, folder, maps_file=None, progress=True, pictures=None, skip_bad=F
         names = [name for name in maps if held.get(name, "train") == side]
         if not names and side != "train":  # without maps training draws computed light, never a held-out map
             names = maps
-        found[side] = Pool(geometry, views, labels[side], [maps[name] for name in sorted(names)], side, albums.get(side))
+        labels = {m.name: m.label.reshape(-1).astype(np.float32) for m in materials[side] or materials["train"]}
+        found[side] = Pool(geometry, views, labels, [maps[name] for name in sorted(names)], side, albums.get(side), bad)
     return found
 
 
@@ -68,9 +79,9 @@ def source_of(pool, run, batch, seed, part=(0, 1)):
 
 
 def skipped(pools):
-    """{record id or geometry hash: what is wrong} of all that was left out."""
-    albums = [pool.album for pool in pools.values() if pool.album]
-    return pools["train"].geometry.skipped | {key: told for album in albums for key, told in album.skipped.items()}
+    """{record id, geometry hash or material: what is wrong} of all that was left out."""
+    albums, train = [pool.album for pool in pools.values() if pool.album], pools["train"]
+    return train.geometry.skipped | train.skipped | {key: told for album in albums for key, told in album.skipped.items()}
 
 
 def _held_out(data, maps, entries):
@@ -87,9 +98,9 @@ def _held_out(data, maps, entries):
     return held | {name: "validation" for name in maps if name not in held and by_hash(hashes[name], VALIDATION_LIGHTS) == 0}
 
 
-def _albums(data, folder, geometry, maps, skip_bad, progress):
+def _albums(data, folder, geometry, maps, materials, skip_bad, progress):
     """{side: Album}: a picture is for training or testing if shape, materials and light all are; for validation if its shape is and nothing
-    of it is for testing. maps: {name: (side, L)}. Raises Problem for no pictures, or damaged ones.
+    of it is for testing. maps: {name: (side, L)}; materials: as of `materials_of`. Raises Problem for no pictures, or damaged ones.
     """
     records = Records(folder)
     geometry = geometry if geometry.folder.resolve() == records.folder.resolve() else Geometry(folder, progress, skip_bad)
@@ -98,13 +109,12 @@ def _albums(data, folder, geometry, maps, skip_bad, progress):
         remedy = "render some: python -m factory render JOB, or take another number of regions"
         raise Problem(folder, f"pictures of {data.regions} material{'s' * (data.regions > 1)}", f"none in {len(records)} records", remedy)
     good, wrong = preflight.checked(records, fitting, geometry, skip_bad, progress)
-    labels = _materials()
-    material = {name: side for side in SIDES for name in labels[side]}
+    side_of = {key: side for side in SIDES for m in materials[side] for key in (m.name, m.hash)}
     shape = {view.hash: _side(view) for view in geometry.views}
     light = {name: _light_side(records.light(name), maps) for name in {r.light for r in good}}
     chosen = {side: [] for side in SIDES}
     for record in good:
-        of_materials = {material.get(name) or _own_side(records.dataset, name) for name in record.materials}
+        of_materials = {_side_of_material(records, name, side_of) for name in record.materials}
         others = of_materials | {light[record.light]}
         side = shape[record.geometry_hash]
         if others == {side} or (side == "validation" and "test" not in others):
@@ -115,9 +125,13 @@ def _albums(data, folder, geometry, maps, skip_bad, progress):
     return {side: Album(records, geometry, of_side, wrong) for side, of_side in chosen.items()}
 
 
-def _own_side(dataset, name):
-    """The side of a material that only this dataset knows."""
-    return dataset.materials[name].side if name in dataset.materials else "train"
+def _side_of_material(records, name, side_of):
+    """The side of a material of a data set with pictures: the strictest that its data set, its name or its hash says.
+
+    side_of  {name or hash: side} of the materials that the run draws from
+    """
+    sides = {records.side(name), side_of.get(name), side_of.get(records.material(name).hash)}
+    return next(side for side in ("test", "validation", "train") if side in sides)
 
 
 def _light_side(L, maps):
@@ -156,14 +170,35 @@ def _side(view):
     return "validation" if by_hash(view.shape, VALIDATION_SHAPES) == 0 else "train"
 
 
-def _materials():
-    """{side: {name: label (108,) float32}}: MERL's split of the catalogue; RGL's train; some training ones are for validation."""
-    catalogue = materials.load_catalogue()
-    train = sorted((name for name, m in catalogue.items() if m.split == "train"), key=lambda name: by_hash(name, 1 << 30))
-    chosen = set(train[:VALIDATION_MATERIALS])
-    labels = {name: m.label.reshape(-1).astype(np.float32) for name, m in catalogue.items()}
-    return {
-        "train": {name: labels[name] for name in train if name not in chosen},
-        "validation": {name: labels[name] for name in chosen},
-        "test": {name: labels[name] for name, m in catalogue.items() if m.split == "test"},
-    }
+def materials_of(data: Data, records: Records | None, skip_bad: bool = False) -> tuple[dict[str, list[Material]], dict[str, str]]:
+    """({side: the materials that a run draws from}, {name: what is wrong} of those that were left out).
+
+    Some of the training materials are for validation instead: one in ten, eight at most. A data set with fewer than
+    ten keeps all of them for training.
+
+    data      says whose materials: the data set's own, or the built-in ones
+    records   of the data set; None will do for the built-in ones
+    skip_bad  leave damaged materials out; otherwise the first one raises
+    Raises    Problem: a damaged material, no material for training
+    """
+    bad: dict[str, str] = {}
+    if data.materials == "built-in":
+        known = [(m, m.split) for m in load_catalogue().values()]
+    else:
+        known = []
+        for name in records.materials:
+            try:
+                known.append((records.material(name), records.side(name)))
+            except Problem as problem:
+                if not skip_bad:
+                    raise preflight.skippable(problem) from None
+                bad[name] = str(problem)
+    train = sorted((m for m, side in known if side == "train"), key=lambda m: by_hash(m.name, 1 << 30))
+    if not train:
+        found = f"{len(known)}, all of them for testing" if known else "none"
+        remedy = 'name some of the training side in the job (merl/train), or set "materials": "built-in" in the run'
+        raise Problem("materials" if records is None else records.folder, "materials for training", found, remedy)
+    chosen = train[: min(VALIDATION_MATERIALS, len(train) // LEAST_FOR_VALIDATION)]
+    names = {m.name for m in chosen}
+    rest = [m for m in train if m.name not in names]
+    return {"train": rest, "validation": chosen, "test": [m for m, side in known if side == "test"]}, bad

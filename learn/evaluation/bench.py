@@ -31,9 +31,10 @@ class Bench:
 
     data, weights, baselines, lpips   paths; the last two may be None
     refine                            whether refined rows are made
+    materials                         whose training materials the mean material is of, "dataset" or "built-in"
     """
 
-    def __init__(self, data, weights, baselines=None, refine=True, lpips=None):
+    def __init__(self, data, weights, baselines=None, refine=True, lpips=None, materials="dataset"):
         self.records = Records(data)
         self.repeats, self._judged = pairs.repeats(self.records.records), {}
         net, metadata = checkpoint.load_parts(weights)
@@ -41,7 +42,7 @@ class Bench:
         self.size, self.ranges, self.perceptual = metadata["size"], net.ranges, perceptual.of_file(lpips)
         if refine:
             from learn.refinement import refine as work
-        self.entrants = methods.entrants(net, work if refine else None, baselines)
+        self.entrants = methods.entrants(net, work if refine else None, methods.training_labels(self.records, materials), baselines)
 
     def work(self, first, edits, whole, folder=None):
         """(row of the source picture or None, [row of each edit]).

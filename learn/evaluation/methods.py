@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from learn.data.records import Records
 from learn.layer import render
 from learn.networks.prediction import Prediction
 from manifests.materials import load_catalogue
@@ -101,9 +102,9 @@ class Unchanged:
 class MeanMaterial(Layered):
     """The training materials' mean label whatever is asked for, in true normals and light, or in a method's."""
 
-    def __init__(self, method=None):
+    def __init__(self, labels, method=None):
+        """labels: (M, 108) of the training materials; method: whose normals and light are taken, None: the true ones."""
         super().__init__(f"mean material, {'true normals and light' if method is None else 'the rest of ' + method.name}", self._predict)
-        labels = [entry.label.reshape(-1) for entry in load_catalogue().values() if entry.split == "train"]
         self.label, self.method = torch.from_numpy(np.mean(labels, 0)).float(), method
 
     def _predict(self, batch):
@@ -112,6 +113,17 @@ class MeanMaterial(Layered):
 
     def edit(self, batch, label):
         return super().edit(batch, self.parts(batch).label)
+
+
+def training_labels(records: Records | None, materials: str) -> list[np.ndarray]:
+    """Labels (108,) of the materials for training.
+
+    records    of the data set; None will do for "built-in"
+    materials  "dataset": those that the data set has on its training side, maybe none; "built-in": the built-in catalogue's
+    """
+    if materials == "built-in":
+        return [m.label.reshape(-1) for m in load_catalogue().values() if m.split == "train"]
+    return [records.material(name).label.reshape(-1) for name in records.materials if records.side(name) == "train"]
 
 
 def network(net):
@@ -157,11 +169,12 @@ class Entrants:
 OURS, OURS_REFINED = "ours", "ours, refined"
 
 
-def entrants(net, refine, baselines=None):
+def entrants(net, refine, labels, baselines=None):
     """The Entrants.
 
     net        a network of learn.networks
     refine     (Batch, Prediction) → learn.refinement.Refined, or None: nobody is refined
+    labels     (M, 108) of training materials, whose mean is an entrant; none: that row is left out
     baselines  a folder of weights, or None
     """
     ours, rows, left_out = Layered(OURS, network(net)), [], {}
@@ -176,5 +189,8 @@ def entrants(net, refine, baselines=None):
     rows += [ours, Refined(ours, refine)] if refine else [ours]
     if not refine:
         left_out["refined rows"] = "--no-refine was given"
-    trivial = [Unchanged(), MeanMaterial(), constant_light(), constant_light(ours)]
-    return Entrants((*trivial, *rows, layer_alone()), (MeanMaterial(ours),), left_out)
+    mean = [MeanMaterial(labels), MeanMaterial(labels, ours)] if len(labels) else []
+    if not mean:
+        left_out["mean material"] = "the data set has no material for training; --materials built-in takes the built-in ones"
+    trivial = [Unchanged(), *mean[:1], constant_light(), constant_light(ours)]
+    return Entrants((*trivial, *rows, layer_alone()), tuple(mean[1:]), left_out)

@@ -39,13 +39,14 @@ def about(options, records, kept, left_out, perceptual):
     }
 
 
-def write(out, pictures, edits, shown, about, entrants):
+def write(out, pictures, edits, shown, about, entrants, families):
     """report.json, report.md, index.html in `out`. Returns {"tables", "headline"}.
 
     pictures, edits  rows of the two files of lines
     shown            ids of the edits whose gallery pictures are shown
+    families         {name: family} of the data set's materials
     """
-    found = tables.all_of(pictures, edits)
+    found = tables.all_of(pictures, edits, families)
     commits = sorted({row.get("commit", "none") for row in (*pictures, *edits)})
     told = {
         "about": about | {"edits": len(edits), "pictures": len(pictures), "lines": commits},

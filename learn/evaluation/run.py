@@ -31,7 +31,10 @@ from manifests.store import Lines, file_hash
 
 @dataclass(frozen=True)
 class Options:
-    """data, weights, out: paths; baselines: a folder, or None; lpips: a file, or None; gallery: how many edits are shown."""
+    """data, weights, out: paths; baselines: a folder, or None; lpips: a file, or None; gallery: how many edits are shown.
+
+    materials  whose training materials the row "mean material" is of: "dataset" or "built-in"
+    """
 
     data: Path
     weights: Path
@@ -43,6 +46,7 @@ class Options:
     processes: int = 1
     gallery: int = 12
     lpips: Path | None = None
+    materials: str = "dataset"
 
 
 def make(options):
@@ -60,8 +64,9 @@ def make(options):
         files.settle(out / "settings.json", settings(options))
         work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
         lines = [[row for id_, row in rows_of(out / name).items() if id_ in wanted] for name, wanted in names(chosen).items()]
+        families = {entry.name: entry.family for entry in records.materials.values()}
         about = report.about(options, records, kept, bench.entrants.left_out, bench.perceptual)
-        return report.write(out, *lines, [edit.id for edit in chosen[: options.gallery]], about, bench.entrants)
+        return report.write(out, *lines, [edit.id for edit in chosen[: options.gallery]], about, bench.entrants, families)
 
 
 def names(chosen):
@@ -77,6 +82,7 @@ def arguments(options):
         "baselines": options.baselines,
         "refine": options.refine,
         "lpips": options.lpips,
+        "materials": options.materials,
     }
 
 
@@ -93,6 +99,7 @@ def settings(options):
         "tolerance": TOLERANCE,
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),
+        "mean_material_of": options.materials,
     }
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from learn.evaluation.methods import OURS, OURS_REFINED
 from learn.metrics import bootstrap
-from manifests.materials import load_catalogue
 
 LIMIT = 1.5  # times the node fit, as learn.agreement judges
 
@@ -142,16 +141,18 @@ def differences(rows):
     return table("Differences on the same edits", note, columns, found)
 
 
-def gains(rows):
-    """What refinement takes off the edits' mean, median and geometric mean: of all, by light, by shape, by the family of what is wanted."""
+def gains(rows, known):
+    """What refinement takes off the edits' mean, median and geometric mean: of all, by light, by shape, by the family of what is wanted.
+
+    known  {name: family} of the data set's materials
+    """
     before, after = (rows.values(name, ("l2",)) for name in (OURS, OURS_REFINED))
     both = np.isfinite(before + after)
     if not both.any():
         return None
-    known = {name: each.family for name, each in load_catalogue().items()}
 
     def family(row):
-        families = {known.get(name, "not in the built-in catalogues") for name in row["wanted"]}
+        families = {known.get(name, "of no known family") for name in row["wanted"]}
         return families.pop() if len(families) == 1 else "several families"
 
     groups = {"all edits": both}
@@ -270,8 +271,8 @@ def _layer_cells(truths):
     return cells
 
 
-def all_of(pictures, edits):
-    """{key: table} of rows of pictures.jsonl and edits.jsonl; tables without rows are left out."""
+def all_of(pictures, edits, families):
+    """{key: table} of rows of pictures.jsonl and edits.jsonl; tables without rows are left out. families: as `gains` takes them."""
     P, E = Rows(pictures, "materials"), Rows(edits, "wanted")
     material_alone = (
         "The method's material, with true normals and light, rendered again and compared with the picture (the paper's Table 1)."
@@ -286,7 +287,7 @@ def all_of(pictures, edits):
     found = {
         "edits": by_method(E, "Edits against their truth", given, [((), PICTURE, ""), ((), GIVEN, "")]),
         "differences": differences(E),
-        "gains": gains(E),
+        "gains": gains(E, families),
         "refinement": refinement(P),
         "rerendered": by_method(
             P, "Pictures rendered again", again, [(("rendered_all",), PICTURE, ""), (("rendered_all_true_light",), LIT, "_lit")]

@@ -12,6 +12,7 @@ import torch
 from learn import methods
 from learn.layer.inputs import checked, compact
 from learn.methods import hybrid, median_cut, reflectance_map, sampling, spherical_gaussians
+from manifests import arrays, exr
 from manifests.errors import Problem
 from shaders import envmap
 from shaders.frames import ELEVATION, view_vectors
@@ -89,13 +90,11 @@ def lights(folder=None, names=None):
 def radiance_of(path):
     """(height, width, 3) of an EXR, or of a dataset's light."""
     if path.suffix == ".npz":
-        with np.load(path, allow_pickle=False) as stored:
-            return stored["L"].astype(np.float64)
-    import OpenEXR
-
-    with OpenEXR.File(str(path)) as file:
-        channels = file.channels()
-        return channels["RGB" if "RGB" in channels else "RGBA"].pixels[..., :3].astype(np.float64)
+        return arrays.read_light(path).astype(np.float64)
+    channels = exr.read(path)
+    if missing := [name for name in arrays.PICTURE_CHANNELS if name not in channels]:
+        raise Problem(path, f"channels {', '.join(arrays.PICTURE_CHANNELS)}", f"no {', '.join(missing)}", "export it as RGB")
+    return np.stack([channels[name] for name in arrays.PICTURE_CHANNELS], -1).astype(np.float64)
 
 
 def sphere(size):

@@ -12,14 +12,13 @@ import torch
 
 from learn.data.relit import Relit
 from learn.data.rendered import Cycles
-from learn.data.settings import Run
+from learn.data.settings import decode_run
 from learn.metrics import bootstrap
 from learn.networks import weights as checkpoint
 from learn.training import montage as training_sheet
 from learn.training import validation
 from manifests import files
 from manifests.errors import Problem
-from manifests.reading import decode
 
 BATCH, SEED = 16, 77
 WORDS = {
@@ -44,7 +43,7 @@ def make(weights, pools, out, batches, note="", seeds=()):
     Raises Problem where one of the seeds is of another run, or a seed is there twice
     """
     network, metadata = checkpoint.load_network(weights)
-    run, out, test = decode(json.dumps(metadata["run"]).encode(), Run, weights), Path(out), pools["test"]
+    run, out, test = decode_run(json.dumps(metadata["run"]).encode(), weights), Path(out), pools["test"]
     others = [_same_run(path, weights, run) for path in seeds]
     _all_different([weights, *seeds], [run, *(other for _, _, other in others)])
     out.mkdir(parents=True, exist_ok=True)
@@ -70,7 +69,7 @@ def make(weights, pools, out, batches, note="", seeds=()):
 def _same_run(path, first, run):
     """(network, step, run) of weights that differ from the first in nothing but their seed."""
     network, metadata = checkpoint.load_network(path)
-    other = decode(json.dumps(metadata["run"]).encode(), Run, path)
+    other = decode_run(json.dumps(metadata["run"]).encode(), path)
     if msgspec.structs.replace(other, seed=run.seed, name=run.name, about=run.about) != run:
         raise Problem(path, f"weights of the run of {first} with another seed", "other settings", "measure them by a card of their own")
     return network, metadata.get("step"), other

@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from tqdm import tqdm
 
+from learn.data.records import Records
 from learn.experiments.refinement_ablation import picture, write
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings, refine
@@ -23,17 +24,28 @@ from shaders import tone
 STARTS = ("network", "random material", "mean light", "noisy normals", "untrained")
 
 
-def measured(predict, known, count, out, settings=Settings()):  # noqa: B008 -- frozen
+def labels_of(records: Records, materials: str) -> list[np.ndarray]:
+    """Labels (108,) that random materials are drawn from, in order of name.
+
+    materials  "dataset": all of the data set's; "built-in": all of the built-in catalogue's
+    """
+    if materials == "built-in":
+        return [m.label.reshape(108) for _, m in sorted(load_catalogue().items())]
+    return [records.label(name) for name in sorted(records.materials)]
+
+
+def measured(predict, known, count, out, labels, settings=Settings()):  # noqa: B008 -- frozen
     """starts.json: `count` refinements from starts of every kind in turn.
 
-    known  Cases of learn.experiments.refinement_ablation, taken in turn
+    known   Cases of learn.experiments.refinement_ablation, taken in turn
+    labels  (M, 108) of the materials that random ones are drawn from
     """
     done = {row["start"]: row for row in files.read_lines(Path(out) / "starts.jsonl")}
     lines = Lines(Path(out) / "starts.jsonl")
     for i in tqdm([i for i in range(count) if i not in done], unit="start"):
         batch, kind = known[i // len(STARTS) % len(known)].batch, STARTS[i % len(STARTS)]
         rng = torch.Generator().manual_seed(i)
-        start = spoiled(predict(batch), kind, rng)
+        start = spoiled(predict(batch), kind, rng, labels)
         told = refine(batch, start, settings)
         parts = (told.prediction.label, told.prediction.light, told.prediction.n)
         seen = batch.image[0].movedim(0, -1).numpy()
@@ -61,13 +73,15 @@ def measured(predict, known, count, out, settings=Settings()):  # noqa: B008 -- 
     return told
 
 
-def spoiled(start, kind, rng):
-    """A Prediction with one property replaced by what knows nothing of the picture; "untrained": all three."""
+def spoiled(start, kind, rng, labels):
+    """A Prediction with one property replaced by what knows nothing of the picture; "untrained": all three.
+
+    labels  (M, 108): a random material is one of these
+    """
     label, light, n = start.label, start.light, start.n
     if kind in ("random material", "untrained"):
-        catalogue = sorted(load_catalogue().items())
-        chosen = catalogue[int(torch.randint(len(catalogue), (1,), generator=rng))][1]
-        label = torch.from_numpy(chosen.label.reshape(108)).float().expand_as(label).clone()
+        chosen = labels[int(torch.randint(len(labels), (1,), generator=rng))]
+        label = torch.from_numpy(chosen).float().expand_as(label).clone()
     if kind in ("mean light", "untrained"):
         light = torch.ones_like(light)
     if kind in ("noisy normals", "untrained"):

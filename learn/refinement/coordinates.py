@@ -40,7 +40,10 @@ class Material:
 
 @functools.cache
 def principal_directions():
-    """σ_k u_k, (K, 108), the largest first, of the training materials' labels under every exchange of colour channels."""
+    """σ_k u_k, (K, 108), the largest first, of the training materials' labels under every exchange of colour channels.
+
+    The materials are the built-in ones: they belong to the method, as its weights do, for a photograph has no data set.
+    """
     labels = [m.label.reshape(3, 36) for m in load_catalogue().values() if m.split == "train"]
     orders = [(0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)]
     all_labels = np.stack([label[list(order)].reshape(108) for label in labels for order in orders])

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from learn.data.settings import Run, require_trainable
+from learn.data.settings import decode_run, require_trainable
 from learn.data.sources import source_of
 from learn.networks import features, tensor_file
 from learn.networks import weights as checkpoint
@@ -26,7 +26,6 @@ from learn.training.journal import Journal
 from manifests import lock
 from manifests.errors import Problem
 from manifests.files import write_bytes
-from manifests.reading import decode
 
 EVERY_SECONDS = 120  # between checkpoints, if no count of steps is given
 PATIENCE = 2.0  # seconds for a killed run to be gone
@@ -262,7 +261,7 @@ class Training:
         path = self.out / "checkpoint.safetensors"
         with checkpoint.remedy(checkpoint.DAMAGED), tensor_file.opened(path, "a checkpoint") as stored:
             progress = checkpoint.progress_of(stored)
-            is_ours = decode(progress.run.encode(), Run, path) == self.run
+            is_ours = decode_run(progress.run.encode(), path) == self.run
             if is_ours:
                 expected, of_optimiser = self._shapes(stored)
                 stored.require(expected, "this run")

@@ -88,7 +88,7 @@ def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
     for what, values in (("normals", geometry.normals), ("depth", geometry.depth)):
         steps = values * STEPS_PER_UNIT
         if (steps != np.rint(steps)).any():
-            found.append(f"{what} in steps of 2^-15 expected, found others")
+            found.append(f"{what} in steps of 2^-{int(np.log2(STEPS_PER_UNIT))} expected, found others")
     lengths = np.sqrt(_dots(normals, normals)[mask])
     if np.abs(lengths - 1).max() > LENGTH:
         found.append(f"unit normals expected, found lengths {lengths.min():.4f}–{lengths.max():.4f}")

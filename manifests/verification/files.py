@@ -19,7 +19,7 @@ from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of
 
 MASK_BYTES = 64 << 20  # of masks that are kept, a bit a pixel: records of one shape follow each other
-PACKED = ("normals.npy", "segments.npy", "views.json", "skipped.json")
+PACKED = (*arrays.PACKED_TYPES, "views.json", "skipped.json")
 
 Reference = Callable[[str, str], tuple[np.ndarray, float] | None]
 
@@ -187,7 +187,7 @@ class _Packed:
                 require_file(folder / name, "a cache's file")
             hashes, left_out = (json.loads((folder / name).read_text("utf-8")) for name in ("views.json", "skipped.json"))
             self._normals, self._segments = (
-                np.load(folder / name, mmap_mode="r", allow_pickle=False) for name in ("normals.npy", "segments.npy")
+                np.load(folder / name, mmap_mode="r", allow_pickle=False) for name in (arrays.PACKED_NORMALS, arrays.PACKED_SEGMENTS)
             )
             if not len(hashes) == len(self._normals) == len(self._segments):
                 raise ValueError(f"{len(hashes)} views, {len(self._normals)} and {len(self._segments)} rows")

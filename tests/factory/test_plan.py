@@ -12,11 +12,11 @@ from tetrahedron import TETRAHEDRON
 from factory.commands.plan import described, split_counts
 from factory.planning import jobs
 from factory.planning.assets import Assets, Light, Material, Shape, resolve
-from factory.planning.plan import Plan, camera_words, shot_seed
+from factory.planning.plan import Plan, Shot, camera_words, shot_seed
 from factory.planning.shape_names import Source, local, sources
 from manifests import splits
 from manifests.errors import Problem
-from manifests.schema import Camera, Draw, Job
+from manifests.schema import Camera, Draw, Failure, Job, Record, View
 from manifests.viewpoints import azimuths_deg
 
 
@@ -257,3 +257,11 @@ def test_a_plan_says_what_it_means(plan_of, small_job):
     assert "12 pictures of 16×16, 1 samples, orthographic" in text
     assert "materials  3: 1 test, 2 train" in text
     assert re.search(r"split +.*(train|mixed)", text)
+
+
+@pytest.mark.parametrize("line", [Record, View, Failure])
+def test_a_line_repeats_every_field_of_its_shot_that_it_has_but_the_geometry(stub, job, line):
+    shot = next(iter(stub(job)))
+    shared = set(Shot.__struct_fields__) & set(line.__struct_fields__) - {"geometry", "geometry_hash"}
+    assert shot.repeated_in(line) == {name: getattr(shot, name) for name in shared}
+    assert {"id", "shape", "viewpoint"} <= shared

@@ -132,16 +132,29 @@ def test_the_source_is_what_the_run_says(album):
 
 
 def test_no_picture_of_a_held_out_material_trains(store):
-    catalogue = materials.load_catalogue()
-    test = next(m for m in catalogue.values() if m.split == "test")
+    test = next(m for m in materials.load_catalogue().values() if m.split == "test")
     dark = materials.read_catalogue(store.folder / "materials.json").materials[0]
     synthetic.exchange(store, msgspec.structs.replace(dark, name=test.name), "dark")
-    maps = {"sky": ("train", Records(store.folder).light("sky"))}
-    found = sources._albums(Data(source="pictures"), store.folder, Geometry(store.folder, progress=False), maps, False, False)
-    assert {r.materials for r in found["train"].chosen} == {("light",)}
-    held = {"other name": ("test", envmap.roll(maps["sky"][1], 17))}
+    assert of_training(store, Data(source="pictures", materials="built-in")) == {("light",)}
+    sky = Records(store.folder).light("sky")
     with pytest.raises(Problem, match="pictures for training"):
-        sources._albums(Data(source="pictures"), store.folder, Geometry(store.folder, progress=False), held, False, False)
+        of_training(store, Data(source="pictures"), {"other name": ("test", envmap.roll(sky, 17))})
+
+
+def test_no_picture_of_a_material_that_the_data_set_holds_out_trains(store):
+    dark = materials.read_catalogue(store.folder / "materials.json").materials[0]
+    assert of_training(store, Data(source="pictures")) == {("dark",), ("light",)}
+    synthetic.exchange(store, msgspec.structs.replace(dark, split="test"))
+    assert of_training(store, Data(source="pictures")) == {("light",)}
+
+
+def of_training(store, data, maps=None):
+    """The materials of the pictures that would train."""
+    records = Records(store.folder)
+    maps = maps or {"sky": ("train", records.light("sky"))}
+    drawn, _ = sources.materials_of(data, records)
+    albums = sources._albums(data, store.folder, Geometry(store.folder, progress=False), maps, drawn, False, False)
+    return {record.materials for record in albums["train"].chosen}
 
 
 # Bad data

@@ -200,7 +200,22 @@ def test_the_mean_material_is_of_training_materials_alone(monkeypatch):
     known = {"a": (1.0, "train"), "b": (3.0, "train"), "far off": (1000.0, "test"), "farther": (1e6, "validation")}
     entries = {name: SimpleNamespace(label=np.full((3, 3, 2, 6), value), split=split) for name, (value, split) in known.items()}
     monkeypatch.setattr(methods, "load_catalogue", lambda: entries)
-    assert methods.MeanMaterial().label.tolist() == [2.0] * 108
+    assert methods.MeanMaterial(methods.training_labels(None, "built-in")).label.tolist() == [2.0] * 108
+
+
+def test_the_mean_material_is_of_the_data_sets_own_unless_the_built_in_ones_are_asked_for(data):
+    records = Records(data)
+    own = [records.label(name) for name in records.materials if records.side(name) == "train"]
+    assert own
+    mean = methods.MeanMaterial(methods.training_labels(records, "dataset")).label
+    np.testing.assert_allclose(mean, np.mean(own, 0), rtol=1e-6)  # float32
+    assert len(methods.training_labels(records, "built-in")) == 124
+
+
+def test_without_materials_for_training_the_mean_material_is_left_out_and_the_reason_told():
+    found = methods.entrants(None, None, [])
+    assert not any(isinstance(each, methods.MeanMaterial) for each in (*found.edits, *found.parts))
+    assert "--materials built-in" in found.left_out["mean material"]
 
 
 def test_constant_light_takes_normals_as_its_name_says(batch):

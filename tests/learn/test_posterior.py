@@ -12,6 +12,7 @@ from learn.baselines import training as making
 from learn.data import lights
 from learn.data.batch import Batch
 from learn.data.settings import Data, Run
+from learn.editing.predict import WEIGHTS
 from learn.evaluation import baseline_methods as methods
 from learn.networks import weights
 from learn.networks.coding import compressed
@@ -73,7 +74,7 @@ def options(tmp_path):
     path = tmp_path / "weights.safetensors"
     run = Run(name="ours", data=Data(validation_lights=("sky",), test_lights=("room",)))
     weights.save(path, {"weight": torch.zeros(1)}, {"run": msgspec.json.encode(run).decode()})
-    return SimpleNamespace(out=tmp_path / "out", like=path, steps=7, data=None, lights=None, workers=0)
+    return SimpleNamespace(out=tmp_path / "out", like=path, steps=7, data=None, lights=None, workers=0, materials=None)
 
 
 def test_a_preset_holds_out_the_lights_that_other_weights_held_out(options):
@@ -81,7 +82,17 @@ def test_a_preset_holds_out_the_lights_that_other_weights_held_out(options):
     run = making.resolved(preset, options)
     assert run.data == Data(sharing=2, validation_lights=("sky",), test_lights=("room",))
     assert run.schedule.steps == 7
-    assert making.resolved(preset, SimpleNamespace(like=None, steps=None)) == preset
+    assert making.resolved(preset, SimpleNamespace(like=None, steps=None, materials=None)) == preset
+
+
+def test_baselines_draw_from_the_materials_of_the_weights_they_are_like(options):
+    assert making.held_out(options, Data(materials="built-in")).materials == "dataset"
+    options.materials = "built-in"  # as --materials asks
+    assert making.held_out(options, Data()).materials == "built-in"
+    options.materials, options.like = None, WEIGHTS  # a run of version 1, which could not choose
+    assert making.held_out(options, Data()).materials == "built-in"
+    options.like = None
+    assert making.held_out(options, Data()).materials == "dataset"
 
 
 def test_priors_are_fitted_without_the_lights_that_other_weights_held_out(options, monkeypatch, rng):

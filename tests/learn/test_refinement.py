@@ -39,6 +39,9 @@ def sky(seed=0):
     return torch.from_numpy(envmap.unit_mean(L)[0]).movedim(-1, 0)[None]
 
 
+LABELS = [material.label.reshape(108) for material in load_catalogue().values()]
+
+
 def label_of(name):
     return torch.from_numpy(load_catalogue()[name].label.reshape(1, 1, 108).astype(np.float32))
 
@@ -282,7 +285,7 @@ def test_a_weight_moved_beside_the_default_alone_is_charted(tmp_path):
 
 def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
     start = spoiled(scene[1], 3)
-    told = refinement_initialisations.measured(lambda _: start, known_cases(scene, 4), 6, tmp_path, QUICK)
+    told = refinement_initialisations.measured(lambda _: start, known_cases(scene, 4), 6, tmp_path, LABELS, QUICK)
     assert [row["kind"] for row in told["rows"]] == [*refinement_initialisations.STARTS, refinement_initialisations.STARTS[0]]
     assert list(told["by_kind"]) == list(refinement_initialisations.STARTS)
     assert told["above_their_start"] == told["not_finite"] == 0
@@ -313,7 +316,7 @@ def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, m
 
     monkeypatch.setattr(refinement_initialisations, "refine", refined)
     monkeypatch.setattr(refinement_initialisations, "picture", lambda parts, *_: np.zeros((SIZE, SIZE, 3), np.float32))
-    told = refinement_initialisations.measured(lambda _: start, known_cases(scene, 1), 4, tmp_path)
+    told = refinement_initialisations.measured(lambda _: start, known_cases(scene, 1), 4, tmp_path, LABELS)
     assert (told["starts"], told["above_their_start"], told["not_finite"]) == (4, 2, 1)
     assert json.loads((tmp_path / "starts.json").read_text())["made_by"]["commit"]
 

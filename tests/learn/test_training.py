@@ -263,8 +263,8 @@ def test_weights_come_back_to_half_precision(tmp_path):
 
 
 def test_sides_share_no_material_and_twin_maps_are_known(rng):
-    materials = sources._materials()
-    names = [set(materials[side]) for side in ("train", "validation", "test")]
+    materials, _ = sources.materials_of(Data(materials="built-in"), None)
+    names = [{m.name for m in materials[side]} for side in ("train", "validation", "test")]
     assert not (names[0] & names[1] or names[0] & names[2] or names[1] & names[2])
     assert all(names)
     L = rng.random((64, 128, 3))

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from manifests.option_types import positive, whole
+from manifests.option_types import MATERIALS, positive, whole
 
 
 def register(subparsers):
@@ -30,6 +30,12 @@ def register(subparsers):
         metavar="SETTING",
         help="default, paper, a=0.1, passes=3, pixels=600 …: these alone (default: all; none: no study)",
     )
+    parser.add_argument(
+        "--materials",
+        choices=MATERIALS,
+        default="dataset",
+        help="where the bad starts' random materials come from: the data set's own, or the built-in ones (default: dataset)",
+    )
     parser.add_argument("--seed", type=whole, default=0, metavar="N", help="which pictures")
     parser.set_defaults(run=run)
 
@@ -40,6 +46,7 @@ def run(options):
     from learn.data.records import Records
     from learn.editing.predict import WEIGHTS
     from learn.evaluation.methods import network
+    from learn.experiments import refinement_initialisations
     from learn.networks import weights as checkpoint
     from manifests import lock
     from manifests.store import file_hash
@@ -53,13 +60,18 @@ def run(options):
         "data": options.data.resolve().name,
         "materials": file_hash(options.data / "materials.json"),
         "weights": file_hash(weights),
+        "starts_of": options.materials,
     }
+    labels = refinement_initialisations.labels_of(records, options.materials)
     with lock.writing(options.out, patience=0):
-        _measure(options, predict, records, about)
+        _measure(options, predict, records, labels, about)
 
 
-def _measure(options, predict, records, about):
-    """The study, its times and the starts, as far as they are asked for and not there. about: what the figures depend on."""
+def _measure(options, predict, records, labels, about):
+    """The study, its times and the starts, as far as they are asked for and not there. about: what the figures depend on.
+
+    labels  of the materials that bad starts are drawn from
+    """
     from learn.experiments import refinement_ablation, refinement_chart, refinement_initialisations
 
     refinement_ablation.settle(options.out, about)
@@ -74,7 +86,7 @@ def _measure(options, predict, records, about):
     for size, seconds in times.items():
         print(f"{size}²: prediction {seconds['predict']:.2f} s, refinement {seconds['refine']:.1f} s")
     if options.starts:
-        told = refinement_initialisations.measured(predict, known[:needed], options.starts, options.out)
+        told = refinement_initialisations.measured(predict, known[:needed], options.starts, options.out, labels)
         print(
             f"{told['starts']} starts: {told['above_their_start']} ended above, {told['not_finite']} not finite, re-rendering's median "
             f"display L2 {told['image_median'][0]:.0f} → {told['image_median'][1]:.0f} ({100 * told['median_change']:+.0f} %)"
