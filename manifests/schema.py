@@ -171,7 +171,7 @@ class View(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=Fal
 
 
 class ShapeEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A shape of a dataset: what it is, and on which side of the split its hash stands. parts: segment id − 1 → names in it."""
+    """A shape of a dataset: what it is, and on which side of the split it stands. segments: how many regions take materials."""
 
     hash: Hash
     category: str
