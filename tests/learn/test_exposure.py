@@ -47,7 +47,7 @@ def test_a_rule_that_is_right_misses_nothing_and_one_off_by_three_misses_by_thre
 def test_the_command_fits_one_dataset_and_measures_the_rule_in_use_on_another(tmp_path):
     folders = [str(written(tmp_path / name).folder) for name in ("fit", "check")]
     words = ["exposure", "--data", folders[0], "--check", folders[1], "--out", str(tmp_path / "out")]
-    assert main("learn", "", ("exposure",), words) == 0
+    assert main("learn.experiments", "", ("exposure",), words) == 0
     told = json.loads((tmp_path / "out" / "exposure.json").read_text())
     assert told["pictures"] == 4
     assert set(told["missed"]) == {"fit", "check"}
