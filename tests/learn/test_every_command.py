@@ -23,7 +23,6 @@ from learn.networks.weights import save_weights
 PROGRAMS = ("factory", "learn", "learn.experiments")
 RUN = {  # command: its words, and a file that it must leave; None: it writes nothing
     "factory status": ("{room}/data --json", None),
-    "factory verify": ("{room}/data --quick", None),
     "learn evaluate-network": ("{room}/weights.safetensors --data {room}/data --batches 1 --out {out}", "*"),
     "learn.experiments step-profile": ("{room}/run.json --data {room}/data --steps 1 --images 2 --out {out}", "*.json"),
     "learn.experiments tolerance-check": ("--cases 1 --size 8 --out {out}", "*.json"),
@@ -32,6 +31,7 @@ RUN = {  # command: its words, and a file that it must leave; None: it writes no
 ELSEWHERE = {  # command: (file, what stands there)
     "factory plan": ("tests/manifests/test_command_line.py", '"plan", "smallest"'),
     "factory render": ("tests/factory/test_pipeline.py", '"render",'),
+    "factory verify": ("tests/factory/test_bad_input.py", 'command("verify", tmp_path / "data")[0] == 0'),
     "factory preview": ("tests/factory/test_pipeline.py", '"preview"'),
     "factory export": ("tests/factory/test_full_disk_factory.py", '"export --tars"'),
     "factory materials": ("tests/factory/test_materials_command.py", '"materials", "add"'),

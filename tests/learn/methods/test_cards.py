@@ -105,7 +105,11 @@ def test_derivatives_of_an_approximation_are_those_of_its_own_picture(name):
 
 @pytest.mark.parametrize("m", MATERIALS)
 def test_harmonics_are_right_for_any_material_under_constant_light_seen_straight_on(m):
-    given = {"n": torch.as_tensor(VIEWER).reshape(1, 1, 1, 3), "material": material(*MATERIALS[m], torch.float64), "light": torch.ones(1, 24, 48, 3).double()}
+    given = {
+        "n": torch.as_tensor(VIEWER).reshape(1, 1, 1, 3),
+        "material": material(*MATERIALS[m], torch.float64),
+        "light": torch.ones(1, 24, 48, 3).double(),
+    }
     seen = render(**given, method="spherical_harmonics")[0, 0, 0].numpy()
     truth = radiance(VIEWER, given["material"].numpy().reshape(3, 3, 2, 6), given["light"][0].numpy())
     np.testing.assert_allclose(seen, truth, rtol=5e-3)  # the sum over texels of 7.5° that light is projected by: 4e-3
