@@ -54,7 +54,7 @@ NOT_RUN = {  # command: why not
     "learn.experiments calibrate-auto": "fits the plan's constants to hundreds of timings: ten minutes",
     "learn.experiments layer-ablation": "trains thirteen networks; tests/learn/test_experiments.py runs its parts",
     "learn.experiments normals-ablation": "trains several networks; tests/learn/test_experiments.py runs its parts",
-    "learn.experiments refinement-ablation": "refines for seconds per picture and start; tests/learn/test_refinement.py runs the refinement",
+    "learn.experiments refinement-ablation": "refines for seconds per picture; tests/learn/test_refinement.py runs the refinement",
     "learn.experiments upsampling": "needs the edits of an evaluation; tests/learn/test_enlarging.py runs its parts",
 }
 

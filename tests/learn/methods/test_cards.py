@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from card_scenes import LIGHTS, MATERIALS, light, material, perspective, sphere
-
 from dense_integral import VIEWER, radiance
 
 from learn import methods
