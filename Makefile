@@ -9,7 +9,7 @@ WORKERS ?= 2
 .PHONY: help demo demo-small test fuzz lint clean
 help:
 	@echo "make demo    install into $(VENV)/, render a small data set, check that two renderers agree, edit a picture and a photograph; then open $(OUT)/index.html"
-	@echo "make demo-small  the same with the smallest job: eight pictures"
+	@echo "make demo-small  the same with the smallest job: sixteen pictures"
 	@echo "make test    install into $(VENV)/ and run the tests"
 	@echo "make fuzz    feed damaged files and odd options to every command for ten minutes"
 	@echo "make lint    check the code's style"

@@ -1,8 +1,9 @@
 """How `python -m factory` and `python -m learn` find their commands and end.
 
 A command is a module with `register(subparsers)`, which adds its parser and sets `run=` to a function of the parsed arguments that
-returns an exit status: 0 done, 1 failed, 2 wrong usage; and `continues=False` where a second run does not go on from what is there. Only
-argparse and the standard library may be imported at its top: heavy libraries load inside `run`, so that `--help` is quick.
+returns an exit status: 0 done, 1 failed, 2 wrong usage, another one where the command's help says what it means; and `continues=False`
+where a second run does not go on from what is there. Only argparse and the standard library may be imported at its top:
+heavy libraries load inside `run`, so that `--help` is quick.
 """
 
 import argparse

@@ -171,7 +171,12 @@ class View(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=Fal
 
 
 class ShapeEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A shape of a dataset: what it is, and on which side of the split its hash stands. report: what was mended in its mesh."""
+    """A shape of a dataset.
+
+    side      of the split, where its hash stands
+    segments  how many regions take materials
+    report    what was mended in its mesh
+    """
 
     hash: Hash
     category: str

@@ -109,7 +109,7 @@ def lines_of(path: str | os.PathLike) -> Iterator[tuple[int, bytes]]:
 
 
 class Store:
-    """A dataset on disk. Reading needs nothing but the folder; writing goes through a Writer, one a worker."""
+    """A dataset on disk. Reading needs nothing but the folder; a worker places files by `place` and appends lines by its own `Lines`."""
 
     def __init__(self, folder: str | os.PathLike):
         self.folder = Path(folder)

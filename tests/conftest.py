@@ -9,8 +9,32 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from skips import unexpected
 
 ROOT = Path(__file__).resolve().parent.parent
+SKIPPED = []  # (test or module, reason) of this run, in the process that reports
+
+
+def pytest_runtest_logreport(report):
+    if report.skipped and not hasattr(report, "wasxfail"):
+        SKIPPED.append((report.nodeid, report.longrepr[2]))
+
+
+def pytest_collectreport(report):
+    if report.skipped:  # importorskip at the top of a module
+        SKIPPED.append((report.nodeid, report.longrepr[2]))
+
+
+def pytest_sessionfinish(session, exitstatus):
+    if unexpected(SKIPPED) and exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter):
+    if lines := unexpected(SKIPPED):
+        terminalreporter.section("skipped though tests/skips.py does not expect it", red=True)
+        for line in lines:
+            terminalreporter.line(line)
 
 
 @pytest.fixture(autouse=True)

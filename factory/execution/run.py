@@ -4,7 +4,6 @@ import os
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -267,8 +266,3 @@ def parsed_shard(text):
     if not (slash and text.isascii() and len(text) < 20 and i.isdigit() and n.isdigit() and 1 <= int(i) <= int(n)):
         raise Problem("--shard", "I/N with 1 ≤ I ≤ N", f"'{text}'", "write --shard 1/8 for the first of eight parts")
     return int(i), int(n)
-
-
-def base_folder(job_path, assets):
-    """Where a job file's relative paths start."""
-    return Path(assets) if assets else Path(job_path).parent

@@ -4,6 +4,8 @@ from pathlib import Path
 
 from manifests.option_types import positive
 
+DISAGREE = 3  # exit status: the report is whole, and says that the renderers disagree beyond the limit
+
 
 def register(subparsers):
     parser = subparsers.add_parser(
@@ -11,7 +13,8 @@ def register(subparsers):
         help="compare Cycles' pictures with the layer's, and say why they differ",
         description="Renders every record of a dataset again with the differentiable layer, from its label, normals and light, "
         "and compares. Writes index.html (open it first), report.md, report.json and charts. Pictures rendered twice with different seeds "
-        "(a job's repeats = 2) let it tell noise from disagreement.",
+        "(a job's repeats = 2) let it tell noise from disagreement. Exit status: 0 where the two renderers agree within the limit, "
+        "or where the pictures do not suffice to judge it; 3 where they disagree beyond it; 1 and 2 as for every command.",
     )
     parser.add_argument("dataset", type=Path, metavar="DIR", help="a folder that `python -m factory render` wrote")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the report goes")
@@ -33,9 +36,11 @@ def fraction(text):
     return value
 
 
-def run(options):
+def run(options) -> int:
+    """The exit status: DISAGREE where the limit is judged and not kept, else 0."""
     from learn.agreement import page, report
 
     summary = report.make(report.Options(options.dataset, options.out, options.limit, options.tolerance))
     print(page.verdict(summary["direct"]))
     print(f"See {options.out / 'index.html'}")
+    return DISAGREE if summary["direct"]["holds"] is False else 0

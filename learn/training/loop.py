@@ -1,6 +1,7 @@
-"""The training loop, read downward.
+"""The training of one network: steps, validations, weights and checkpoints.
 
-Everything random in step k depends on (seed, k) alone: a run that was killed goes on from its last checkpoint to bitwise the same weights.
+Everything random in step k depends on (seed, k) alone: a run that was killed goes on from its last checkpoint to bitwise the same weights,
+unless its schedule ends by the clock (`schedule.seconds`).
 """
 
 import contextlib

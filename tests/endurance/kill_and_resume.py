@@ -26,17 +26,21 @@ SAME_PICTURE = 2e-3  # relative to the picture's largest value: two steps of a h
 VARYING = {"image_hash", "geometry_hash", "seconds", "statistics"}  # of a record: what Cycles' repeatability leaves open
 
 
-def disturbed(command, folder, kills, window, seed, environment=None):
+def disturbed(command, folder, kills, window, seed, environment=None, working=False):
     """Start the command again and again, kill it at random moments, let the last one end; returns how many kills hit a living run.
 
-    window  seconds from a start within which its kill comes
+    window   seconds within which a kill comes, counted from the start
+    working  count them from the moment at which the run has written a record of its own: no kill then falls into its imports
     """
     moments = random.Random(seed)
     hit = 0
     for number in range(kills):
+        before = _written(folder)
         process = subprocess.Popen(
             command, start_new_session=True, env={**os.environ, **(environment or {})}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
+        while working and process.poll() is None and _written(folder) <= before:
+            time.sleep(0.01)
         time.sleep(moments.uniform(*window))
         if process.poll() is None:
             hit += 1
@@ -47,6 +51,11 @@ def disturbed(command, folder, kills, window, seed, environment=None):
         process.wait()
     subprocess.run(command, check=True, env={**os.environ, **(environment or {})}, stdout=subprocess.DEVNULL)
     return hit
+
+
+def _written(folder):
+    """Bytes of a dataset's records."""
+    return sum(path.stat().st_size for path in Store(folder).record_files())
 
 
 def compared(whole, killed):

@@ -99,8 +99,7 @@ def test_the_stored_light_is_the_one_that_lit_the_picture(made):
         # brighter and darker sides agree: a light turned by 5 texels, mirrored or at another azimuth would not correlate so
         assert np.corrcoef(_blurred(picture.mean(-1))[inner], label.mean(-1)[inner])[0, 1] > 0.9
         checked += 1
-    if not checked:
-        pytest.skip("the draw gave the sphere another material than matte")
+    assert checked  # seed 11 draws the matte material for the sphere
 
 
 def _blurred(values):

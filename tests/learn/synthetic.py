@@ -20,17 +20,20 @@ ALBEDO = 0.4
 SHAPE, LIGHT, RENDER = "5" * 64, "a" * 64, "synthetic"  # stand-ins of hashes
 
 
-def matte(name="matte", albedo=ALBEDO, split="train"):
-    """A material whose label and mixture are the same Lambert surface: c^γ = 1 for γ → 0, f = expm1(κ) = albedo/π."""
+def matte(name="matte", albedo=ALBEDO, split="train", node_fit=0.0):
+    """A material whose label and mixture are the same Lambert surface: c^γ = 1 for γ → 0, f = expm1(κ) = albedo/π.
+
+    node_fit  the display L2 between label and nodes that its catalogue entry states
+    """
     m = np.full((3, 3, 2, 6), 1e-9)
     m[:, 0, 0] = np.log1p(albedo / np.pi)
-    return entry(name, m, Mixture.lambert([albedo] * 3), split)
+    return entry(name, m, Mixture.lambert([albedo] * 3), split, node_fit)
 
 
-def entry(name, m, mixture, split="train"):
+def entry(name, m, mixture, split="train", node_fit=0.0):
     label = tuple(np.log(m).reshape(-1).tolist())
     nodes = msgspec.convert(mixture.to_json(digits=12), catalogue.MixtureData)
-    distance = catalogue.Distance(l1=(0.0,) * 6, display_l2=(0.0, 0.0, 0.0))
+    distance = catalogue.Distance(l1=(0.0,) * 6, display_l2=(node_fit,) * 3)
     return catalogue.Entry(
         name=name,
         family="test",

@@ -20,7 +20,8 @@ from shaders.mixture import Mixture
 
 @pytest.fixture
 def folder(tmp_path, rng):
-    synthetic.write_dataset(tmp_path / "data", [synthetic.matte()], rng, size=32, noise=0.02)
+    """Pictures of the layer itself with noise; the catalogue states a node fit of .1, which the noise's mean stays far below."""
+    synthetic.write_dataset(tmp_path / "data", [synthetic.matte(node_fit=0.1)], rng, size=32, noise=0.02)
     return tmp_path / "data"
 
 
@@ -88,6 +89,25 @@ def test_nodes_that_are_not_the_label_show_as_node_fit(tmp_path, rng):
     assert row["signed"] == pytest.approx(0.4 / 0.36 - 1, abs=2e-3)  # the noise of 750 pixels: 0.001
     assert row["causes"]["node_fit"] == pytest.approx(row["causes"]["net"], rel=0.02)
     assert row["causes"]["rest"] < 0.01 * row["causes"]["node_fit"]
+
+
+def test_renderers_that_agree_within_the_limit_end_with_status_0(folder, capsys):
+    status, out = agree(folder)
+    head = json.loads((out / "report.json").read_text())["summary"]["direct"]
+    assert head["holds"] is True and "within the limit" in capsys.readouterr().out
+    assert status == 0
+
+
+def test_renderers_that_disagree_beyond_the_limit_end_with_status_3_and_a_whole_report(tmp_path, rng, capsys):
+    """Cycles' stand-in renders an albedo of .36 where the label says .4: some hundred times the stated node fit."""
+    data = tmp_path / "data"
+    store = synthetic.write_dataset(data, [synthetic.matte("grey", 0.36)], rng, size=32, noise=0.001)
+    synthetic.exchange(store, synthetic.matte("grey", 0.4, node_fit=0.1))
+    status, out = agree(data)
+    head = json.loads((out / "report.json").read_text())["summary"]["direct"]
+    assert head["holds"] is False and head["like_net"] > 100 * head["limit"] * head["node_fit"]
+    assert "beyond the limit" in capsys.readouterr().out and (out / "index.html").exists()
+    assert status == 3
 
 
 def test_one_seed_leaves_noise_unknown_and_says_so(tmp_path, rng, capsys):

@@ -274,9 +274,11 @@ def test_sides_share_no_material_and_twin_maps_are_known(rng):
 
 def test_a_photographed_picture_keeps_its_radiance_but_for_exposure_and_noise(rng):
     image, mask = np.full((32, 32, 3), 0.3, np.float32), np.ones((32, 32), bool)
-    ratios = [augmentation.photographed(rng, image, mask).mean() / 0.3 for _ in range(40)]
-    assert np.std(np.log(ratios)) == pytest.approx(augmentation.EXPOSURE, rel=0.5)  # 40 draws
-    assert abs(np.mean(np.log(ratios))) < 0.15
+    draws = 1000
+    ratios = np.log([augmentation.photographed(rng, image, mask).mean() / 0.3 for _ in range(draws)])
+    sigma = augmentation.EXPOSURE / np.sqrt(draws)
+    assert np.std(ratios) == pytest.approx(augmentation.EXPOSURE, abs=4 * sigma / np.sqrt(2))  # four standard deviations: 9 %
+    assert abs(np.mean(ratios)) < 4 * sigma
 
 
 def test_a_nibbled_mask_loses_its_rim_at_most(rng):

@@ -23,14 +23,18 @@ def run(options):
 
     from learn.experiments import auto_latency, chart_cases
     from manifests import materials as catalogue
+    from manifests.errors import Problem, closest
     from manifests.files import write_json
     from manifests.provenance import provenance
 
+    lights = chart_cases.computed_lights()
+    if options.light not in lights:
+        raise Problem("--light", "a computed light", f"'{options.light}'", closest(options.light, lights))
     labels = {name: material.label for name, material in catalogue.load_catalogue(catalogue.BUILT_IN[0]).items()}
     labels = dict(list(labels.items())[:: options.every])
     found = provenance() | {"threads": options.threads, "light": options.light, "tolerances": {}}
     for tolerance in options.tolerance:
-        rows = auto_latency.measure(labels, chart_cases.computed_lights()[options.light], tolerance, options.threads)
+        rows = auto_latency.measure(labels, lights[options.light], tolerance, options.threads)
         within = {
             f"{kind} within {ms} ms": sum(r[kind] <= ms / 1e3 for r in rows)
             for kind in ("wall", "cpu", "shared")

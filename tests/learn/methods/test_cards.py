@@ -1,16 +1,31 @@
 """Every method keeps what its card claims, on three materials under three lights, from far and from near."""
 
 import functools
+import math
 
+import numpy as np
 import pytest
 import torch
 from card_scenes import LIGHTS, MATERIALS, light, material, perspective, sphere
+from dense_integral import VIEWER, radiance
 
 from learn import methods
 from learn.layer import render
 
 TOLERANCE = 1e-2
 CAMERAS = ("orthographic", "perspective")
+MEASURED = {  # errors kept by methods whose cards claim none, or one above 1, which a black picture keeps: some 1.3 times those measured
+    "quadrature": {"matte": 1e-3, "satin": 1e-3, "glossy": 1e-2},  # the paper's sum itself is .005 from the integral for "glossy"
+    "monte_carlo": {"matte": 0.02, "satin": 0.02, "glossy": 0.02},  # noise of 512 samples per pixel
+    "monte_carlo_light": {"matte": 0.012, "satin": 0.015, "glossy": 0.04},
+    "monte_carlo_brdf": {"matte": 0.16, "satin": 0.08, "glossy": 0.08},
+    "spherical_harmonics": {"matte": 0.05, "satin": 0.95},  # made for matte; all materials in a test of its own below
+}
+SLOPES = {  # the same of derivatives, where the method's own are near the sum's; others: finite differences below, test_sampling.py
+    "quadrature": {"n": 0.13, "view": 0.15, "material": 2e-3, "light": 0.02},
+    "monte_carlo": {"n": 0.2, "view": 0.2, "material": 0.01, "light": 0.25},
+    "spherical_gaussians": {"light": 0.33},  # the places of its lights are held, so that this is not the slope of its own picture
+}
 
 
 def scene(camera, m, L):
@@ -52,10 +67,51 @@ def test_error_and_derivatives_are_within_the_cards_claims(name):
                 if card.error is not None:
                     # float32 takes up to 1e-5 of its own
                     assert distance(seen, truth) <= card.error + 1e-5, (camera, m, L)
+                if (name, L) != ("monte_carlo_brdf", "sun"):  # which finds a sun in one texel by chance alone
+                    assert distance(seen, truth) <= MEASURED.get(name, {}).get(m, math.inf), (camera, m, L)
                 for key, slope in slopes.items():
                     assert slope.isfinite().all(), (camera, m, L, key)
-                    if card.gradient is not None:
+                    if card.gradient is None:
+                        assert distance(slope, true_slopes[key]) <= SLOPES.get(name, {}).get(key, math.inf), (camera, m, L, key)
+                    else:
                         assert distance(slope, true_slopes[key]) <= card.gradient + 1e-5, (camera, m, L, key)
+
+
+@pytest.mark.parametrize("name", ["spherical_harmonics", "split_sum", "spherical_gaussians"])
+def test_derivatives_of_an_approximation_are_those_of_its_own_picture(name):
+    """Central differences in float64 along a random direction of each argument."""
+    given = {key: value.double() for key, value in scene("perspective", "satin", "lamps").items()}
+    given["light"] = given["light"][:, ::4, ::4]  # the time is that of the light's texels
+    mask = given["n"].norm(dim=-1) > 0.5
+    generator = torch.Generator().manual_seed(5)
+    weights = torch.rand(*mask.shape, 3, dtype=torch.float64, generator=generator) + 0.5
+    leaves = {key: value.clone().requires_grad_() for key, value in given.items()}
+    (render(**leaves, mask=mask, method=name) * weights).sum().backward()
+    for key, value in given.items():
+        if (name, key) == ("spherical_gaussians", "light"):  # held: SLOPES has it
+            continue
+        along = torch.randn(value.shape, dtype=torch.float64, generator=generator) * (value if key in ("material", "light") else 1)
+        slope = (leaves[key].grad * along).sum()
+
+        def total(step, key=key, value=value, along=along):
+            return (render(**given | {key: value + step * along}, mask=mask, method=name) * weights).sum()
+
+        differences = (total(1e-6) - total(-1e-6)) / 2e-6
+        size = (leaves[key].grad * along).norm()  # the terms of the sum, which partly cancel
+        # 1e-6 of float64's 1e-16 leaves 1e-10 of the picture; look-ups with corners between texels stay below 1e-4
+        assert abs(slope - differences) <= 1e-4 * size + 1e-8 * total(0.0).abs(), (key, slope, differences)
+
+
+@pytest.mark.parametrize("m", MATERIALS)
+def test_harmonics_are_right_for_any_material_under_constant_light_seen_straight_on(m):
+    given = {
+        "n": torch.as_tensor(VIEWER).reshape(1, 1, 1, 3),
+        "material": material(*MATERIALS[m], torch.float64),
+        "light": torch.ones(1, 24, 48, 3).double(),
+    }
+    seen = render(**given, method="spherical_harmonics")[0, 0, 0].numpy()
+    truth = radiance(VIEWER, given["material"].numpy().reshape(3, 3, 2, 6), given["light"][0].numpy())
+    np.testing.assert_allclose(seen, truth, rtol=5e-3)  # the sum over texels of 7.5° that light is projected by: 4e-3
 
 
 @pytest.mark.parametrize("name", methods.NAMES)
