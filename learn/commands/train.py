@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from learn.commands import device_option
 from manifests import RUNS
 from manifests.option_types import positive, whole
 
@@ -40,6 +41,7 @@ def register(subparsers):
     parser.add_argument(
         "--workers", type=whole, default=1, metavar="N", help="processes that relight (default 1; 0: none beside the network)"
     )
+    device_option.add(parser)
     parser.set_defaults(run=run)
 
 
@@ -49,18 +51,20 @@ def run(options):
     import torch
 
     from learn.baselines.material_swap import SwapTraining
-    from learn.data import settings, sources
+    from learn.data import devices, settings, sources
     from learn.training import loop
     from manifests.provenance import provenance
 
     chosen = settings.read_run(options.settings, options.steps, options.seed)
+    device = devices.choose(options.device)
     torch.set_num_threads(options.threads)
     with loop.only_writer(options.out):
         pools = sources.pools(chosen.data, options.data, options.lights, pictures=options.pictures, skip_bad=options.skip_bad)
         if left_out := sources.skipped(pools):
             print(f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}", file=sys.stderr)
         kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
-        training = kind(chosen, pools, options.out, options.sheet_every, options.checkpoint_every, options.workers, options.tensorboard)
+        saving = options.sheet_every, options.checkpoint_every
+        training = kind(chosen, pools, options.out, *saving, options.workers, options.tensorboard, device)
         figures = training.train()
         if training.rank == 0:
             training.journal.made(provenance(), {side: pool.sizes() for side, pool in pools.items()}, len(left_out), training.step, figures)
