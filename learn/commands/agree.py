@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from learn.commands import device_option
 from manifests.option_types import positive
 
 
@@ -23,6 +24,7 @@ def register(subparsers):
         metavar="X",
         help="relative error allowed to the layer's integral (default 0.004; less is slower)",
     )
+    device_option.add(parser)
     parser.set_defaults(run=run)
 
 
@@ -35,7 +37,9 @@ def fraction(text):
 
 def run(options):
     from learn.agreement import page, report
+    from learn.data import devices
 
-    summary = report.make(report.Options(options.dataset, options.out, options.limit, options.tolerance))
+    device = devices.choose(options.device)
+    summary = report.make(report.Options(options.dataset, options.out, options.limit, options.tolerance, device))
     print(page.verdict(summary["direct"]))
     print(f"See {options.out / 'index.html'}")

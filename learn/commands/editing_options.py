@@ -53,7 +53,8 @@ def how(options):
     check_exposure(options.exposure)
     settings = Settings() if options.refine else None
     balance = balance_of(options.white_balance)
-    return How(options.weights or WEIGHTS, settings, options.tolerance, options.detail, options.exposure, balance, devices.choose(options.device))
+    device = devices.choose(options.device)
+    return How(options.weights or WEIGHTS, settings, options.tolerance, options.detail, options.exposure, balance, device)
 
 
 def check_exposure(value):

@@ -89,16 +89,18 @@ class Painter:
         label = torch.as_tensor(label, dtype=torch.float32).to(self.n.device)
         several = len(label) > 1
         with torch.no_grad():
-            picture = array(render(
-                self.n[None],
-                (label if several else label[0])[None].exp(),
-                self.apart.parts.light.movedim(1, -1).contiguous(),
-                segments=self.segments[None] if several else None,
-                mask=self.segments[None] > 0,
-                method=method_for(label),
-                tolerance=self.tolerance,
-                elevation=self.apart.batch.elevation,
-            )[0])
+            picture = array(
+                render(
+                    self.n[None],
+                    (label if several else label[0])[None].exp(),
+                    self.apart.parts.light.movedim(1, -1).contiguous(),
+                    segments=self.segments[None] if several else None,
+                    mask=self.segments[None] > 0,
+                    method=method_for(label),
+                    tolerance=self.tolerance,
+                    elevation=self.apart.batch.elevation,
+                )[0]
+            )
         return self.enlarged(picture) / self.apart.exposure.astype(np.float32)
 
     def enlarged(self, picture):

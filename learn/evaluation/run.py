@@ -31,7 +31,10 @@ from manifests.store import Lines, file_hash
 
 @dataclass(frozen=True)
 class Options:
-    """data, weights, out: paths; baselines: a folder, or None; lpips: a file, or None; gallery: how many edits are shown."""
+    """data, weights, out: paths; baselines: a folder, or None; lpips: a file, or None; gallery: how many edits are shown.
+
+    device  of networks, refinement and the layer: "cpu", or "cuda:0"
+    """
 
     data: Path
     weights: Path
@@ -43,6 +46,7 @@ class Options:
     processes: int = 1
     gallery: int = 12
     lpips: Path | None = None
+    device: str = "cpu"
 
 
 def make(options):
@@ -77,6 +81,7 @@ def arguments(options):
         "baselines": options.baselines,
         "refine": options.refine,
         "lpips": options.lpips,
+        "device": options.device,
     }
 
 
@@ -84,7 +89,7 @@ def settings(options):
     """What determines a line's figures: files by their bytes."""
     folder = options.baselines
     of_baselines = {} if folder is None else {p.name: file_hash(p) for p in sorted(Path(folder).glob("*.safetensors")) if p.is_file()}
-    return {
+    found = {
         "data": Path(options.data).resolve().name,
         "materials": file_hash(Path(options.data) / "materials.json"),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
@@ -94,6 +99,7 @@ def settings(options):
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),
     }
+    return found if options.device == "cpu" else found | {"device": torch.device(options.device).type}
 
 
 def units(out, chosen, gallery, repeats):
