@@ -55,8 +55,8 @@ def run(options):
     from learn.training import loop
     from manifests.provenance import provenance
 
-    chosen = settings.read_run(options.settings, options.steps, options.seed)
     device = devices.choose(options.device)
+    chosen = settings.read_run(options.settings, options.steps, options.seed)
     torch.set_num_threads(options.threads)
     with loop.only_writer(options.out):
         pools = sources.pools(chosen.data, options.data, options.lights, pictures=options.pictures, skip_bad=options.skip_bad)

@@ -29,11 +29,11 @@ def choose(name: str = "auto") -> torch.device:
         return torch.device("cuda", number)
     if name == "auto" and not count:
         return torch.device("cpu")
-    seen = "this build of torch has no CUDA" if torch.version.cuda is None else f"{count} CUDA devices"
-    remedy = "give --device cpu, or install torch's build for your CUDA driver"
     if count:
-        remedy = f"start at most {count} processes on this machine"
-    raise Problem("--device", f"CUDA device {number}", seen, remedy)
+        raise Problem("--device", f"CUDA device {number}", f"{count} of them", f"start at most {count} processes on this machine")
+    found = "a build of torch without CUDA" if torch.version.cuda is None else "none that torch sees"
+    remedy = "give --device cpu, or install the build of torch for your CUDA driver"
+    raise Problem("--device", "a CUDA device", found, remedy)
 
 
 def of(module: torch.nn.Module) -> torch.device:
