@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from learn.agreement import surface
+from learn.data.devices import array
 from learn.layer import render
 from learn.methods import quadrature
 from learn.metrics.pictures import shared, similarity, squared
@@ -92,18 +93,19 @@ class Layer:
     cos_o: np.ndarray
 
 
-def rendered(sample, tolerance):
-    """The Layer of a learn.data.records.Sample; tolerance: of the quadrature."""
+def rendered(sample, tolerance, device="cpu"):
+    """The Layer of a learn.data.records.Sample, rendered on a device; tolerance: of the quadrature."""
+    arguments = sample.for_layer(device)
     with torch.no_grad():
-        integral, total = (render(**sample.for_layer(), method=method, tolerance=tolerance)[0] for method in ("quadrature", "exact"))
+        integral, total = (render(**arguments, method=method, tolerance=tolerance)[0] for method in ("quadrature", "exact"))
     n, segments, depth = (tensor.numpy() for tensor in (sample.n, sample.segments, sample.depth))
     camera = sample.record.camera
     pixel = 2 * camera.half_extent / max(camera.size)
     view = np.array([0.0, 0.0, 1.0]) if sample.view is None else sample.view.numpy()
     inner = surface.inner(n, segments, depth, pixel)
-    integral = integral.double().numpy()
-    spread = footprint(sample, integral, inner, tolerance)
-    return Layer(integral, spread, total.double().numpy(), segments > 0, inner, (n * view).sum(-1))
+    integral = array(integral.double())
+    spread = footprint(sample, integral, inner, tolerance, device)
+    return Layer(integral, spread, array(total.double()), segments > 0, inner, (n * view).sum(-1))
 
 
 def narrow(m):
@@ -111,7 +113,7 @@ def narrow(m):
     return bool(quadrature.exponents(m).max() > NARROW)
 
 
-def footprint(sample, integral, inner, tolerance):
+def footprint(sample, integral, inner, tolerance, device="cpu"):
     """The integral averaged over each inner pixel's square, by normals between the neighbours' (H, W, 3); elsewhere as it is.
 
     Where no lobe is narrow, a pixel's centre stands for its square (measured: below 0.001 display L2), and nothing is rendered; nor where
@@ -122,19 +124,19 @@ def footprint(sample, integral, inner, tolerance):
         return integral
     places = surface.sub_pixel_normals(sample.n.numpy(), OFFSETS).reshape(len(OFFSETS), -1, 3)[:, index]
     spread = integral.reshape(-1, 3).copy()
-    spread[index] = np.mean([at_pixels(sample, index, n=place, tolerance=tolerance) for place in places], axis=0)
+    spread[index] = np.mean([at_pixels(sample, index, n=place, tolerance=tolerance, device=device) for place in places], axis=0)
     return spread.reshape(integral.shape)
 
 
-def at_pixels(sample, index, n=None, turn=0, tolerance=1e-2):
+def at_pixels(sample, index, n=None, turn=0, tolerance=1e-2, device="cpu"):
     """The layer's integral (Q, 3) at flat pixel indices, by other normals n (Q, 3), or under the light turned by whole texels."""
-    one = sample.for_layer()
+    one = sample.for_layer(device)
     picked = {key: one[key].flatten(1, 2)[:, None, index] for key in ("n", "view", "segments") if one[key] is not None}
     one = one | picked | {"light": one["light"].roll(turn, 2)}
     if n is not None:
-        one["n"] = torch.from_numpy(n.astype(np.float32))[None, None]
+        one["n"] = torch.from_numpy(n.astype(np.float32))[None, None].to(device)
     with torch.no_grad():
-        return render(**one, method="quadrature", tolerance=tolerance)[0, 0].double().numpy()
+        return array(render(**one, method="quadrature", tolerance=tolerance)[0, 0].double())
 
 
 def measure(condition, pictures, layer, entries):

@@ -22,12 +22,16 @@ PANELS = 9  # pictures shown, the worst of the direct tier first
 
 @dataclass(frozen=True)
 class Options:
-    """folder of the dataset; out; limit: pictures at most, None: all; tolerance of the converged integral."""
+    """folder of the dataset; out; limit: pictures at most, None: all; tolerance of the converged integral; device: of the layer's pictures.
+
+    What takes a disagreement apart (learn.agreement.causes) is computed on the CPU, in float64.
+    """
 
     folder: Path
     out: Path
     limit: int | None = None
     tolerance: float = 4e-3
+    device: object = "cpu"
 
 
 class Worst:
@@ -73,7 +77,7 @@ def compare(options):
             if not sample.mask.any():
                 bar.update(sum(len(condition.records) for condition in group))
                 continue
-            layer = rendered(sample, options.tolerance)
+            layer = rendered(sample, options.tolerance, options.device)
             entries = [records.material(name) for name in group[0].records[0].materials]
             for condition in group:
                 row, shown = compare_condition(condition, records, sample, layer, entries)

@@ -11,6 +11,8 @@ import msgspec
 import numpy as np
 import torch
 
+from learn.data import devices
+from learn.data.devices import array
 from learn.data.relit import BRIGHTEST, Relit
 from learn.layer import render
 from learn.networks import weights as checkpoint
@@ -50,7 +52,7 @@ class SwapTraining(Training):
         return Paired(self.pools["train"], run.data, run.schedule.batch, run.size, run.seed, (self.rank, self.world))
 
     def predict(self, model, batch, parts=None):
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.run.mixed_precision):
+        with devices.mixed_precision(self.device, self.run.mixed_precision):
             return model(batch.image, batch.mask, batch.target_label[:, :1])
 
     def _terms(self, prediction, batch, weights, rng):
@@ -60,7 +62,7 @@ class SwapTraining(Training):
         run, network = self.run, self.averaged()
         source = Paired(self.pools["validation"], run.data, run.schedule.batch, run.size, 20)
         with torch.no_grad():
-            batches = [source[k] for k in range(VALIDATION_BATCHES)]
+            batches = [source[k].to(self.device) for k in range(VALIDATION_BATCHES)]
             edits = [self._predicted(network, batch) for batch in batches]
         sheet(self.out / f"sheet-{self.step:07d}.jpg", batches[0], edits[0])
         run_json = msgspec.json.encode(run).decode()
@@ -85,12 +87,12 @@ def terms(edited, batch, weights, ranges, features=None):
 
 def figures(edited, batch, ranges):
     """Display L2 over the mask of O' and of the input returned unchanged, against the true O; code_l2 of the input's material."""
-    drawn = radiance(edited.picture).movedim(1, -1).numpy()
+    drawn = array(radiance(edited.picture).movedim(1, -1))
     found = {"target_l2": [], "unchanged_l2": []}
-    for i, truth in enumerate(batch.target.movedim(1, -1).numpy()):
-        mask = (batch.segments[i] > 0).numpy()
+    for i, truth in enumerate(array(batch.target.movedim(1, -1))):
+        mask = array(batch.segments[i] > 0)
         exposure = tone.auto_exposure(truth, mask)
-        for name, picture in (("target_l2", drawn[i]), ("unchanged_l2", batch.image[i].movedim(0, -1).numpy())):
+        for name, picture in (("target_l2", drawn[i]), ("unchanged_l2", array(batch.image[i].movedim(0, -1)))):
             found[name].append(tone.display_l2(picture, truth, exposure, mask))
     code_l2 = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean().item()
     return {name: float(np.mean(values)) for name, values in found.items()} | {"code_l2": code_l2}
@@ -99,10 +101,10 @@ def figures(edited, batch, ranges):
 def sheet(path, batch, edited):
     """A JPEG with a row an example: the picture as seen, O', O."""
     rows = []
-    drawn = (radiance(edited.picture) * batch.mask).movedim(1, -1).numpy()
+    drawn = array((radiance(edited.picture) * batch.mask).movedim(1, -1))
     for i in range(min(ROWS, len(drawn))):
-        truth = batch.target[i].movedim(0, -1).numpy()
-        exposure = tone.auto_exposure(truth, (batch.segments[i] > 0).numpy())
-        cells = (batch.image[i].movedim(0, -1).numpy(), drawn[i], truth)
+        truth = array(batch.target[i].movedim(0, -1))
+        exposure = tone.auto_exposure(truth, array(batch.segments[i] > 0))
+        cells = (array(batch.image[i].movedim(0, -1)), drawn[i], truth)
         rows.append(np.concatenate([tone.display(cell, exposure) for cell in cells], 1))
     write_image(path, np.concatenate(rows).astype(np.uint8), "JPEG", quality=90)

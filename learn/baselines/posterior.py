@@ -39,7 +39,7 @@ class Posterior:
         self.batch, self.priors = batch, priors
         self.regions = batch.label.shape[1]
         inside = ((batch.segments[0] > 0) & (batch.mask[0, 0] > 0)).flatten().nonzero()[:, 0]
-        self.where = inside[torch.linspace(0, len(inside) - 1, min(PIXELS, len(inside))).long()]
+        self.where = inside[torch.linspace(0, len(inside) - 1, min(PIXELS, len(inside))).long().to(inside.device)]
         self.n = batch.n[0].flatten(1).T[self.where][None, None]
         self.segments = batch.segments[0].flatten()[self.where][None, None]
         self.seen = compressed(batch.image[0].flatten(1).T[self.where])

@@ -42,6 +42,10 @@ class Priors:
     light_mean: torch.Tensor
     light_spread: torch.Tensor
 
+    def to(self, device: torch.device | str) -> "Priors":
+        """The same priors with their tensors on a device."""
+        return Priors(**{name: tensor.to(device) for name, tensor in vars(self).items()})
+
     def label(self, z):
         """(…, 108) of z (…, K)."""
         return self.mean + z @ self.directions

@@ -12,8 +12,8 @@ from manifests.files import write_bytes
 FILE_OF = {"lombardi": FILES["Lombardi-like"], "baseline-1": FILES["Baseline 1"], "baseline-2": FILES["Baseline 2"]}
 
 
-def make(name, preset, options):
-    """Make one file in options.out, and say so in a line. options: as learn.commands.train_baselines parses them."""
+def make(name, preset, options, device="cpu"):
+    """Make one file in options.out, and say so in a line. options: as learn.commands.train_baselines parses them; device: of networks."""
     target = options.out / FILE_OF[name]
     if target.exists():
         return f"{target} is there already"
@@ -29,7 +29,7 @@ def make(name, preset, options):
     kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
     folder = options.out / name
     with loop.only_writer(folder):
-        figures = kind(run, pools, folder, workers=options.workers).train()
+        figures = kind(run, pools, folder, workers=options.workers, device=device).train()
     write_bytes(target, (folder / "weights.safetensors").read_bytes())
     return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from learn.commands import device_option
 from manifests.option_types import positive
 
 DISAGREE = 3  # exit status: the report is whole, and says that the renderers disagree beyond the limit
@@ -26,6 +27,7 @@ def register(subparsers):
         metavar="X",
         help="relative error allowed to the layer's integral (default 0.004; less is slower)",
     )
+    device_option.add(parser)
     parser.set_defaults(run=run)
 
 
@@ -39,8 +41,10 @@ def fraction(text):
 def run(options) -> int:
     """The exit status: DISAGREE where the limit is judged and not kept, else 0."""
     from learn.agreement import page, report
+    from learn.data import devices
 
-    summary = report.make(report.Options(options.dataset, options.out, options.limit, options.tolerance))
+    device = devices.choose(options.device)
+    summary = report.make(report.Options(options.dataset, options.out, options.limit, options.tolerance, device))
     print(page.verdict(summary["direct"]))
     print(f"See {options.out / 'index.html'}")
     return DISAGREE if summary["direct"]["holds"] is False else 0

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from learn.commands import device_option
+
 LARGEST_FACTOR = 100  # of a white balance
 
 
@@ -35,11 +37,13 @@ def add(parser):
         help="none: as the camera balanced it (default); grey: as if the background were grey on average; or three factors R,G,B",
     )
     parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
+    device_option.add(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace what is there")
 
 
 def how(options):
     """learn.editing.edit.How of parsed options. Raises Problem."""
+    from learn.data import devices
     from learn.editing.edit import How
     from learn.editing.predict import WEIGHTS
     from learn.refinement import Settings
@@ -49,7 +53,8 @@ def how(options):
     check_exposure(options.exposure)
     settings = Settings() if options.refine else None
     balance = balance_of(options.white_balance)
-    return How(options.weights or WEIGHTS, settings, options.tolerance, options.detail, options.exposure, balance)
+    device = devices.choose(options.device)
+    return How(options.weights or WEIGHTS, settings, options.tolerance, options.detail, options.exposure, balance, device)
 
 
 def check_exposure(value):

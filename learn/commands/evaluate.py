@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from learn.commands import device_option
 from manifests.option_types import MATERIALS, positive, whole
 
 
@@ -37,18 +38,21 @@ def register(subparsers):
     parser.add_argument("--seed", type=whole, default=0, metavar="N", help="which edits are drawn (default 0)")
     parser.add_argument("--processes", type=positive, metavar="N", help="at work at once (default: one a core)")
     parser.add_argument("--gallery", type=whole, default=12, metavar="N", help="edits that are shown as pictures (default 12)")
+    device_option.add(parser)
     parser.set_defaults(run=run)
 
 
 def run(options):
     import os
 
+    from learn.data import devices
     from learn.editing import predict
     from learn.evaluation import report, run
 
     names = run.Options.__dataclass_fields__
     given = {name: value for name, value in vars(options).items() if name in names}
     given["weights"] = options.weights or predict.WEIGHTS
+    given["device"] = str(devices.choose(options.device))
     given["processes"] = options.processes or os.cpu_count() or 1
     print(report.line(run.make(run.Options(**given))))
     print(f"See {options.out / 'index.html'}")

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from learn.commands import device_option
 from manifests.option_types import positive
 
 
@@ -19,21 +20,23 @@ def register(subparsers):
     parser.add_argument("--seeds", type=Path, nargs="+", default=[], metavar="FILE", help="weights of the same run with other seeds")
     parser.add_argument("--batches", type=positive, default=16, metavar="N", help="of 16 pictures (default 16)")
     parser.add_argument("--note", default="", metavar="TEXT", help="what else a reader must know")
+    device_option.add(parser)
     parser.set_defaults(run=run)
 
 
 def run(options):
     import json
 
-    from learn.data import sources
+    from learn.data import devices, sources
     from learn.data.settings import decode_run
     from learn.experiments import model_card
     from learn.networks import weights as checkpoint
 
+    device = devices.choose(options.device)
     _, metadata = checkpoint.load_network(options.weights)
     settings = decode_run(json.dumps(metadata["run"]).encode(), options.weights)
     pools = sources.pools(settings.data, options.data, options.lights, pictures=options.pictures)
-    figures = model_card.make(options.weights, pools, options.out, options.batches, options.note, options.seeds)
+    figures = model_card.make(options.weights, pools, options.out, options.batches, options.note, options.seeds, device)
     for kind, of_kind in figures.items():
         print(f"{kind}: " + ", ".join(f"{name} {value[0]:.4g}" for name, value in of_kind.items()))
     print(f"See {options.out / 'card.md'}")

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from learn.commands import editing_options
+from learn.commands import device_option, editing_options
 
 
 def register(subparsers):
@@ -24,13 +24,16 @@ def register(subparsers):
         "--exposure", type=float, metavar="X", help="radiance is the picture times X (default: from the object's brightness)"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the parts go")
+    device_option.add(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace what is there")
     parser.set_defaults(run=run, continues=False)
 
 
 def run(options):
+    from learn.data import devices
     from learn.editing import predict
 
     editing_options.check_exposure(options.exposure)
-    predict.write(options.image, options.mask, options.weights or predict.WEIGHTS, options.out, options.exposure, options.overwrite)
+    device, weights = devices.choose(options.device), options.weights or predict.WEIGHTS
+    predict.write(options.image, options.mask, weights, options.out, options.exposure, options.overwrite, device)
     print(f"See {options.out / 'sheet.png'}")

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from learn.commands import device_option
 from manifests import RUNS
 from manifests.option_types import MATERIALS, positive, whole
 
@@ -46,6 +47,7 @@ def register(subparsers):
     parser.add_argument(
         "--workers", type=whole, default=1, metavar="N", help="processes that relight (default 1; 0: none beside the network)"
     )
+    device_option.add(parser)
     parser.set_defaults(run=run)
 
 
@@ -55,10 +57,11 @@ def run(options):
     import torch
 
     from learn.baselines.material_swap import SwapTraining
-    from learn.data import settings, sources
+    from learn.data import devices, settings, sources
     from learn.training import loop
     from manifests.provenance import provenance
 
+    device = devices.choose(options.device)
     chosen = settings.read_run(options.settings, options.steps, options.seed, options.materials)
     torch.set_num_threads(options.threads)
     with loop.only_writer(options.out):
@@ -66,7 +69,8 @@ def run(options):
         if left_out := sources.skipped(pools):
             print(f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}", file=sys.stderr)
         kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
-        training = kind(chosen, pools, options.out, options.sheet_every, options.checkpoint_every, options.workers, options.tensorboard)
+        saving = options.sheet_every, options.checkpoint_every
+        training = kind(chosen, pools, options.out, *saving, options.workers, options.tensorboard, device)
         figures = training.train()
         if training.rank == 0:
             training.journal.made(provenance(), {side: pool.sizes() for side, pool in pools.items()}, len(left_out), training.step, figures)

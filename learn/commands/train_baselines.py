@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from learn.commands import device_option
 from manifests import RUNS
 from manifests.option_types import MATERIALS, positive, whole
 
@@ -34,6 +35,7 @@ def register(subparsers):
     parser.add_argument("--steps", type=positive, metavar="N", help="of each training, other than its preset says")
     parser.add_argument("--threads", type=positive, default=1, metavar="N", help="of the network (default 1)")
     parser.add_argument("--workers", type=whole, default=1, metavar="N", help="processes that relight (default 1; 0: none)")
+    device_option.add(parser)
     parser.set_defaults(run=run)
 
 
@@ -41,8 +43,10 @@ def run(options):
     import torch
 
     from learn.baselines import training
+    from learn.data import devices
 
+    device = devices.choose(options.device)
     torch.set_num_threads(options.threads)
     for name in options.only:
         preset = None if name == "lombardi" else RUNS / f"{PRESETS[name]}.json"
-        print(training.make(name, preset, options))
+        print(training.make(name, preset, options, device))

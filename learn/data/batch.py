@@ -3,7 +3,7 @@
 B pictures, S regions, H, W picture
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -36,6 +36,20 @@ class Batch:
     elevation: float
     picture: torch.Tensor | None = None
     target: torch.Tensor | None = None
+
+    def to(self, device: torch.device | str, non_blocking: bool = False) -> "Batch":
+        """The batch with its tensors on a device; the batch itself where they are there already."""
+        return self._with_tensors(lambda tensor: tensor.to(device, non_blocking=non_blocking))
+
+    def pin_memory(self) -> "Batch":
+        """The batch in page-locked memory, from which copies to a CUDA device need not be waited for; DataLoader calls this."""
+        return self._with_tensors(torch.Tensor.pin_memory)
+
+    def _with_tensors(self, function):
+        """The batch with each tensor replaced by function(tensor); the batch itself if none of them changes."""
+        old = [getattr(self, field.name) for field in fields(self)]
+        new = [function(value) if isinstance(value, torch.Tensor) else value for value in old]
+        return self if all(a is b for a, b in zip(old, new, strict=True)) else Batch(*new)
 
 
 def joined(examples, elevation):

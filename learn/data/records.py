@@ -60,14 +60,14 @@ class Sample:
         """Of the camera, radians: the layer's argument of this name."""
         return float(np.radians(self.record.camera.elevation_deg))
 
-    def for_layer(self):
-        """render's arguments, as a batch of one."""
+    def for_layer(self, device="cpu"):
+        """render's arguments, as a batch of one; its tensors on a device."""
         return {
-            "n": self.n[None],
-            "material": self.material[None],
-            "light": self.light[None],
-            "view": None if self.view is None else self.view[None],
-            "segments": self.segments[None],
+            "n": self.n[None].to(device),
+            "material": self.material[None].to(device),
+            "light": self.light[None].to(device),
+            "view": None if self.view is None else self.view[None].to(device),
+            "segments": self.segments[None].to(device),
             "elevation": self.elevation,
         }
 

@@ -17,6 +17,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn.data import photographs
 from learn.data.batch import Batch
+from learn.data.devices import array
 from learn.editing import predict
 from learn.editing.photograph import Photograph
 from learn.layer import render
@@ -78,25 +79,28 @@ class Painter:
         self.filled = nearest(self.regions, self.regions > 0)
         rows = ((np.arange(self.grid) + 0.5) * side / self.grid).astype(int)
         wide = dilated(self.coverage > 0)[rows][:, rows]
-        self.segments = torch.from_numpy(np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64))
-        self.own = apart.parts.label[0].float().numpy()
+        segments = np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
+        self.segments = torch.from_numpy(segments).to(self.n.device)
+        self.own = array(apart.parts.label[0].float())
         self._again = self._ratio = self._behind = None
 
     def radiance(self, label):
         """(side, side, 3) linear radiance in the photograph's own exposure; label (S, 108) or (1, 108) for all regions."""
-        label = torch.as_tensor(label, dtype=torch.float32)
+        label = torch.as_tensor(label, dtype=torch.float32).to(self.n.device)
         several = len(label) > 1
         with torch.no_grad():
-            picture = render(
-                self.n[None],
-                (label if several else label[0])[None].exp(),
-                self.apart.parts.light.movedim(1, -1).contiguous(),
-                segments=self.segments[None] if several else None,
-                mask=self.segments[None] > 0,
-                method=method_for(label),
-                tolerance=self.tolerance,
-                elevation=self.apart.batch.elevation,
-            )[0].numpy()
+            picture = array(
+                render(
+                    self.n[None],
+                    (label if several else label[0])[None].exp(),
+                    self.apart.parts.light.movedim(1, -1).contiguous(),
+                    segments=self.segments[None] if several else None,
+                    mask=self.segments[None] > 0,
+                    method=method_for(label),
+                    tolerance=self.tolerance,
+                    elevation=self.apart.batch.elevation,
+                )[0]
+            )
         return self.enlarged(picture) / self.apart.exposure.astype(np.float32)
 
     def enlarged(self, picture):
@@ -157,7 +161,7 @@ class Painter:
 
 def enlarged_normals(n, mask, size):
     """(size, size, 3) unit normals of n (3, h, w), continued beyond the mask (h, w)."""
-    filled = torch.stack([torch.from_numpy(nearest(channel.numpy(), mask)) for channel in n])
+    filled = torch.stack([torch.from_numpy(nearest(channel, mask)) for channel in array(n)]).to(n.device)
     smooth = F.interpolate(filled[None], (size, size), mode="bilinear", antialias=size < n.shape[-1])[0]
     return F.normalize(smooth, dim=0).movedim(0, -1).contiguous()
 

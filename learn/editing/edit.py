@@ -7,6 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 from learn.data import pairs, photographs
+from learn.data.devices import array
 from learn.editing import decomposition, photograph, targets
 from learn.editing import predict as prediction
 from learn.figures import montage
@@ -25,6 +26,7 @@ class How:
 
     exposure  factor from a photograph's radiance, balanced, to the network's; None: guessed
     balance   "none", "grey", or three factors by which colours are multiplied
+    device    of the network, refinement and the layer: as torch.device takes it
     """
 
     weights: Path
@@ -33,6 +35,7 @@ class How:
     detail: float
     exposure: float | None = None
     balance: object = "none"
+    device: object = "cpu"
 
     def told(self):
         """What a result's JSON says of it."""
@@ -55,7 +58,7 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
     inputs = [path, *masks, *([regions] if regions else []), *materials]
     endings = (".png", ".exr") if Path(path).is_dir() or Path(path).suffix.lower() == ".exr" else (".png",)
     files.claim(out, [*PARTS, "sheet.png", "edit.json", *(name + ending for name in names for ending in endings)], overwrite, inputs)
-    network, metadata = checkpoint.load_parts(how.weights)
+    network, metadata = checkpoint.load_parts(how.weights, how.device)
     size = metadata["size"]
     opened = photograph.opened(path, masks, regions, how.balance, how.exposure, record)
     known = {} if opened.records is None else {name: opened.records.label(name) for name in opened.records.materials}
@@ -95,7 +98,7 @@ def material_of(path, network, size, how):
     """
     beside, balance = mask_beside(path), "grey" if how.balance == "grey" else "none"
     opened = photograph.opened(path, [beside] if beside else [], None, balance, remedy=f"put {path.stem}.mask.png beside it")
-    return decomposition.taken(opened, network, size, how.settings).parts.label[0, :1].float().numpy()
+    return array(decomposition.taken(opened, network, size, how.settings).parts.label[0, :1].float())
 
 
 def mask_beside(path, folder=None):
@@ -111,7 +114,7 @@ def written(out, found, painter, edits, pick, names, metadata, how):
     """Writes every file; returns what edit.json holds."""
     opened, parts = found.photograph, found.parts
     mask = found.framed.mask
-    n, L = parts.n[0].movedim(0, -1).numpy() * mask[..., None], parts.light[0].movedim(0, -1).numpy()
+    n, L = array(parts.n[0].movedim(0, -1)) * mask[..., None], array(parts.light[0].movedim(0, -1))
     photographs.write_exr(out / "normals.exr", n, "XYZ")
     photographs.write_exr(out / "light.exr", L)
     save(out / "normals.png", montage.normals(n, mask))
@@ -121,7 +124,7 @@ def written(out, found, painter, edits, pick, names, metadata, how):
     save(out / "rendering.png", tone.display(again, shown))
     save(out / "ball.png", material_ball(parts.label[0, 0], found))
     save(out / "reflectance.png", montage.rows([reflectance(found)], TILE))
-    prediction.write_material(out / "material.json", parts.label[0].numpy(), found.framed, metadata, how.weights)
+    prediction.write_material(out / "material.json", array(parts.label[0]), found.framed, metadata, how.weights)
     for name, edited in zip(names, edits.values(), strict=True):
         picture = tone.display(edited, shown)
         save(out / f"{name}.png", with_alpha(picture, opened))
@@ -172,10 +175,10 @@ def material_ball(label, found, size=BALL):
 
 def reflectance(found):
     """Captions and spheres of the first region: what the picture shows, what was predicted, what refinement made of it."""
-    first, elevation = found.batch.segments[0].numpy() == 1, found.batch.elevation
+    first, elevation = array(found.batch.segments[0]) == 1, found.batch.elevation
     mask = first if first.any() else found.framed.mask  # too small to be seen at the network's size
     bright = tone.auto_exposure(found.framed.radiance, mask)
-    n = found.parts.n[0].movedim(0, -1).numpy()
+    n = array(found.parts.n[0].movedim(0, -1))
     what = "reflectance map" if found.photograph.count == 1 else "reflectance map 1"
     tiles = [(f"{what}, observed", montage.observed(found.framed.radiance, n, mask, TILE, bright))]
     stages = [("predicted", found.start)] + ([("refined", found.refined.prediction)] if found.refined else [])
@@ -189,13 +192,13 @@ def lines(found, again, edits, pick, truths, shown):
     """The sheet's rows: before and after, the parts, the reflectance map; and edits beside their truth where there is one."""
     opened, parts = found.photograph, found.parts
     mask = found.framed.mask
-    n = parts.n[0].movedim(0, -1).numpy()
+    n = array(parts.n[0].movedim(0, -1))
 
     def display(picture, level):
         return on_ground(tone.display(picture, level), opened)
 
     first = [("photograph", display(opened.radiance, shown)), ("rendered again", display(again, shown))]
-    first += [("normals", montage.normals(n, mask)), ("light", montage.light(parts.light[0].movedim(0, -1).numpy()))]
+    first += [("normals", montage.normals(n, mask)), ("light", montage.light(array(parts.light[0].movedim(0, -1))))]
     several = opened.count > 1
     first += [(f"material {s}" if several else "material", material_ball(label, found)) for s, label in enumerate(parts.label[0], 1)]
     out = [first, reflectance(found)]

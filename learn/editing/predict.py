@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from learn.data import photographs
+from learn.data import devices, photographs
 from learn.data.batch import Batch
+from learn.data.devices import array
 from learn.data.records import Records
 from learn.figures.montage import rows as captioned
 from learn.networks import weights as checkpoint
@@ -29,7 +30,7 @@ WRITTEN = ("material.json", "normals.exr", "light.exr", "rendering.exr", "mask.p
 
 
 def of(framed, network, regions=None, count=1):
-    """(Batch of one, Prediction) of a learn.data.photographs.Framed.
+    """(Batch of one, Prediction) of a learn.data.photographs.Framed, both on the network's device.
 
     regions  (size, size) 1 … S, None for one; count: S, of which a small one may have no pixel left at the network's size
     Raises   Problem: the network predicts what is not finite
@@ -41,29 +42,30 @@ def of(framed, network, regions=None, count=1):
     label = torch.zeros(1, count, 108)
     normals = torch.zeros_like(image)
     batch = Batch(image, mask[None, None].float(), normals, segments, label, nothing, label, ("picture",), float(ELEVATION))
+    batch = batch.to(devices.of(network))
     with torch.no_grad():
-        predicted = network(batch.image, batch.mask, segments if count > 1 else None, regions=count)
+        predicted = network(batch.image, batch.mask, batch.segments if count > 1 else None, regions=count)
     if not all(part.isfinite().all() for part in (predicted.n, predicted.label, predicted.light)):
         rule = "weights that predict finite normals, light and material"
         raise Problem("--weights", rule, "NaN or infinity", "train them again, or leave --weights out")
     return batch, predicted
 
 
-def write(image, mask, weights, out, exposure=None, overwrite=False):
+def write(image, mask, weights, out, exposure=None, overwrite=False, device="cpu"):
     """Predict and write everything. Raises Problem: bad picture, mask or weights, or files that are there already."""
     out = Path(out)
     files.claim(out, WRITTEN, overwrite, (image, mask))
     if mask is not None and Path(image).is_dir():
         raise Problem("--mask", "a photograph: a dataset's records have masks", f"the dataset {image}", "leave --mask out")
-    network, metadata = checkpoint.load_parts(weights)
+    network, metadata = checkpoint.load_parts(weights, device)
     radiance, covered, exposure = _from_record(image, exposure) if Path(image).is_dir() else (*photographs.read(image, mask), exposure)
     framed = photographs.framed(radiance, covered, metadata["size"], exposure, image)
     batch, predicted = of(framed, network)
     seen = replace(batch, n=predicted.n, label=predicted.label, light=predicted.light)
     again = validation.picture(predicted.n, predicted.label, predicted.light, seen)[0]
     out.mkdir(parents=True, exist_ok=True)
-    n = (predicted.n[0] * batch.mask[0]).movedim(0, -1).numpy()
-    light = predicted.light[0].movedim(0, -1).numpy()
+    n = array((predicted.n[0] * batch.mask[0]).movedim(0, -1))
+    light = array(predicted.light[0].movedim(0, -1))
     bright = tone.auto_exposure(framed.radiance, framed.mask)
     cells = training_sheet.parts(batch, predicted, again, bright)
     names = {"picture": "photograph", "rendering": "rendered again"}
@@ -75,7 +77,7 @@ def write(image, mask, weights, out, exposure=None, overwrite=False):
             _save(out / f"{name}.png", cell)
         _save(out / "mask.png", 255.0 * framed.mask)
         _save(out / "sheet.png", captioned([[(names.get(name, name), cell) for name, cell in cells.items()]], TILE))
-        write_material(out / "material.json", predicted.label[0].numpy(), framed, metadata, weights)
+        write_material(out / "material.json", array(predicted.label[0]), framed, metadata, weights)
 
 
 def _from_record(folder, exposure):

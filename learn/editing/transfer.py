@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from learn.data.devices import array
 from learn.editing import decomposition, edit, photograph
 from learn.figures import montage
 from learn.networks import weights as checkpoint
@@ -50,7 +51,7 @@ def run(paths, mask_folder, out, how, per_grid=6, overwrite=False):
     names = ["grid.png"] if len(groups) == 1 else [f"grid-{i:02d}.png" for i in range(1, len(groups) + 1)]
     pairs = [f"{a.stem}-in-{b.stem}.png" for group in groups for a in group for b in group if a is not b]
     files.claim(out, [*names, *pairs, "transfer.json"], overwrite, paths)
-    network, metadata = checkpoint.load_parts(how.weights)
+    network, metadata = checkpoint.load_parts(how.weights, how.device)
     for path in (path for group in groups[1:] for path in group):
         opened(path, mask_folder, how)  # what is wrong with any is said before the first is worked on; kept they would fill the memory
     out.mkdir(parents=True, exist_ok=True)
@@ -118,7 +119,7 @@ def grid(group, pictures, network, size, out, name, how, progress):
 
 def own_label(found):
     """(108,) of a picture's object."""
-    return found.parts.label[0, 0].float().numpy()
+    return array(found.parts.label[0, 0].float())
 
 
 def cropped(picture, found):

@@ -74,7 +74,8 @@ def _load(name, code):
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     empty = llvm.parse_assembly("", context=llvm.create_context())
-    engine = llvm.create_mcjit_compiler(empty, _target_machine(llvm))
+    # its own memory manager lays code and data side by side; LLVM's may put them over 2 GiB apart, and then aborts the process
+    engine = llvm.create_mcjit_compiler(empty, _target_machine(llvm), use_lmm=True)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     return engine.get_function_address(_symbol(name)), engine

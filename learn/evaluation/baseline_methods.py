@@ -12,6 +12,7 @@ import torch
 from torch.nn import functional as F
 
 from learn.baselines import FILES, posterior, priors
+from learn.data.devices import array
 from learn.evaluation.methods import Layered, network
 from learn.networks import weights
 from learn.networks.encoder_decoder import EncoderDecoder, radiance
@@ -20,12 +21,12 @@ from learn.networks.separate import Separate
 from manifests.errors import Problem
 
 
-def load(name, path):
-    """The method of that name from its file. Raises Problem."""
+def load(name, path, device="cpu"):
+    """The method of that name from its file, on a device. Raises Problem."""
     if name == "Lombardi-like":
-        known = priors.load(path)
+        known = priors.load(path).to(device)
         return Layered(name, lambda batch: posterior.prediction(batch, known))
-    net, metadata = weights.load_network(path)
+    net, metadata = weights.load_network(path, device)
     expected = Separate if name == "Baseline 2" else EncoderDecoder
     if not isinstance(net, expected):
         raise Problem(path, f"weights of {name}: network '{expected.name}'", f"'{net.name}'", "train it: python -m learn train-baselines")
@@ -78,10 +79,10 @@ class Swapped:
         """(H, W, 3) numpy linear radiance, zeros outside the mask."""
         seen, picture = resized(batch, self.size), torch.zeros_like(batch.image)
         with torch.no_grad():
-            for region, at_size, wanted in zip(regions(batch), regions(seen), label, strict=True):
+            for region, at_size, wanted in zip(regions(batch), regions(seen), label.to(batch.label.device), strict=True):
                 drawn = radiance(self.net(seen.image * at_size, at_size, wanted[None, None]).picture)
                 picture += interpolated(drawn, picture.shape[-2:]) * region
-        return picture[0].movedim(0, -1).numpy()
+        return array(picture[0].movedim(0, -1))
 
 
 def regions(batch):
@@ -90,7 +91,7 @@ def regions(batch):
     return [batch.mask] if count == 1 else [batch.mask * (batch.segments == s + 1)[:, None] for s in range(count)]
 
 
-def present_and_missing(folder):
+def present_and_missing(folder, device="cpu"):
     """The methods whose files lie in a folder, and what is missing for the others.
 
     Returns  [learn.evaluation.methods.Method] in the paper's order, {name: why it is not there}
@@ -102,7 +103,7 @@ def present_and_missing(folder):
     for name, file in FILES.items():
         path = Path(folder) / file
         if path.exists():
-            present.append(load(name, path))
+            present.append(load(name, path, device))
         else:
             missing[name] = f"no {file} in {folder}: python -m learn train-baselines --out {folder}"
     return present, missing

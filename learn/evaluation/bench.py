@@ -10,6 +10,7 @@ import torch
 
 from learn.agreement import causes, surface
 from learn.data import pairs
+from learn.data.devices import array
 from learn.data.records import Records
 from learn.evaluation import gallery, methods
 from learn.layer import render
@@ -32,17 +33,20 @@ class Bench:
     data, weights, baselines, lpips   paths; the last two may be None
     refine                            whether refined rows are made
     materials                         whose training materials the mean material is of, "dataset" or "built-in"
+    device                            of networks, refinement and the layer
     """
 
-    def __init__(self, data, weights, baselines=None, refine=True, lpips=None, materials="dataset"):
+    def __init__(self, data, weights, baselines=None, refine=True, lpips=None, materials="dataset", device="cpu"):
         self.records = Records(data)
         self.repeats, self._judged = pairs.repeats(self.records.records), {}
-        net, metadata = checkpoint.load_parts(weights)
+        net, metadata = checkpoint.load_parts(weights, device)
+        self.device = torch.device(device)
         self.commit = provenance()["commit"]
         self.size, self.ranges, self.perceptual = metadata["size"], net.ranges, perceptual.of_file(lpips)
         if refine:
             from learn.refinement import refine as work
-        self.entrants = methods.entrants(net, work if refine else None, methods.training_labels(self.records, materials), baselines)
+        labels = methods.training_labels(self.records, materials)
+        self.entrants = methods.entrants(net, work if refine else None, labels, baselines, self.device)
 
     def work(self, first, edits, whole, folder=None):
         """(row of the source picture or None, [row of each edit]).
@@ -52,7 +56,7 @@ class Bench:
         whole   whether the source's own row is wanted
         folder  where pictures of the edits go, or None: no pictures
         """
-        batch = pairs.shown(self.records, first)
+        batch = pairs.shown(self.records, first).to(self.device)
         if batch.image.shape[-2:] != (self.size, self.size):
             found = f"{batch.image.shape[-1]} × {batch.image.shape[-2]}"
             raise Problem(
@@ -61,7 +65,7 @@ class Bench:
         return self._taken_apart(first.source, batch) if whole else None, [self._edited(edit, batch, folder) for edit in edits]
 
     def _taken_apart(self, record, batch):
-        truth = batch.image[0].movedim(0, -1).numpy()
+        truth = array(batch.image[0].movedim(0, -1))
         row = {"id": record.id, "commit": self.commit, "methods": {}} | told(record)
         done = {}  # many methods share a part: what was measured of it once is not measured again
         for method in (*self.entrants.edits, *self.entrants.parts):
@@ -98,13 +102,13 @@ class Bench:
         for name, three in predicted.items():
             key = ("rendered", *map(id, three))
             if key not in done:
-                done[key] = metrics.compare(methods.rendered(*three, batch), truth, inside.numpy(), self.perceptual)
+                done[key] = metrics.compare(methods.rendered(*three, batch), truth, array(inside), self.perceptual)
             found[f"rendered_{name}"] = done[key]
         return found
 
     def _edited(self, edit, batch, folder):
         label, truth = pairs.wanted(self.records, edit), self.records.image(edit.truth)
-        mask = (batch.segments[0] > 0).numpy()
+        mask = array(batch.segments[0] > 0)
         truth = truth * mask[..., None]
         row = {
             "id": edit.id,

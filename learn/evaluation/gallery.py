@@ -7,6 +7,7 @@ white FULL or more.
 import numpy as np
 from PIL import Image
 
+from learn.data.devices import array
 from manifests.files import write_image
 from shaders import tone
 
@@ -20,7 +21,7 @@ def write(path, batch, truth, pictures, mask):
     pictures  {name: (H, W, 3) radiance}, in the order of the columns
     """
     exposure, window = tone.auto_exposure(truth, mask), around(mask)
-    seen = batch.image[0].movedim(0, -1).numpy()
+    seen = array(batch.image[0].movedim(0, -1))
     right = tone.display(truth, exposure)
     empty = np.full((*mask.shape, 3), BACKGROUND)
     above, below = [cut(tone.display(seen, tone.auto_exposure(seen, mask)), mask), cut(right, mask)], [empty, empty]

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from learn.data.devices import array
 from learn.data.records import Records
 from learn.layer import render
 from learn.networks.prediction import Prediction
@@ -42,7 +43,7 @@ class Method(Protocol):
 
 def rendered(n, label, light, batch):
     """(H, W, 3) numpy radiance by the layer of n (1, 3, H, W), label (S, 108) or (1, S, 108), light (1, 3, 64, 128)."""
-    label = label if label.ndim == 3 else label[None]
+    label = (label if label.ndim == 3 else label[None]).to(light.device)
     several = label.shape[1] > 1
     with torch.no_grad():
         picture = render(
@@ -55,7 +56,7 @@ def rendered(n, label, light, batch):
             tolerance=TOLERANCE,
             elevation=batch.elevation,
         )
-    return picture[0].numpy()
+    return array(picture[0])
 
 
 class Layered:
@@ -96,7 +97,7 @@ class Unchanged:
         return None
 
     def edit(self, batch, label):
-        return (batch.image * batch.mask)[0].movedim(0, -1).numpy()
+        return array((batch.image * batch.mask)[0].movedim(0, -1))
 
 
 class MeanMaterial(Layered):
@@ -109,7 +110,7 @@ class MeanMaterial(Layered):
 
     def _predict(self, batch):
         found = Prediction(batch.n, None, None, None, batch.light) if self.method is None else self.method.parts(batch)
-        return found._replace(code=None, label=self.label.expand_as(batch.label))
+        return found._replace(code=None, label=self.label.to(batch.label.device).expand_as(batch.label))
 
     def edit(self, batch, label):
         return super().edit(batch, self.parts(batch).label)
@@ -169,13 +170,14 @@ class Entrants:
 OURS, OURS_REFINED = "ours", "ours, refined"
 
 
-def entrants(net, refine, labels, baselines=None):
+def entrants(net, refine, labels, baselines=None, device="cpu"):
     """The Entrants.
 
     net        a network of learn.networks
     refine     (Batch, Prediction) → learn.refinement.Refined, or None: nobody is refined
     labels     (M, 108) of training materials, whose mean is an entrant; none: that row is left out
     baselines  a folder of weights, or None
+    device     where the baselines compute
     """
     ours, rows, left_out = Layered(OURS, network(net)), [], {}
     if baselines is None:
@@ -183,7 +185,7 @@ def entrants(net, refine, labels, baselines=None):
     else:
         from learn.evaluation import baseline_methods
 
-        found, left_out = baseline_methods.present_and_missing(baselines)
+        found, left_out = baseline_methods.present_and_missing(baselines, device)
         for method in found:
             rows += [method, Refined(method, refine)] if refine and method.name in REFINED else [method]
     rows += [ours, Refined(ours, refine)] if refine else [ours]

@@ -34,6 +34,7 @@ class Options:
     """data, weights, out: paths; baselines: a folder, or None; lpips: a file, or None; gallery: how many edits are shown.
 
     materials  whose training materials the row "mean material" is of: "dataset" or "built-in"
+    device     of networks, refinement and the layer: "cpu", or "cuda:0"
     """
 
     data: Path
@@ -47,6 +48,7 @@ class Options:
     gallery: int = 12
     lpips: Path | None = None
     materials: str = "dataset"
+    device: str = "cpu"
 
 
 def make(options):
@@ -83,6 +85,7 @@ def arguments(options):
         "refine": options.refine,
         "lpips": options.lpips,
         "materials": options.materials,
+        "device": options.device,
     }
 
 
@@ -90,7 +93,7 @@ def settings(options):
     """What determines a line's figures: files by their bytes."""
     folder = options.baselines
     of_baselines = {} if folder is None else {p.name: file_hash(p) for p in sorted(Path(folder).glob("*.safetensors")) if p.is_file()}
-    return {
+    found = {
         "data": Path(options.data).resolve().name,
         "materials": file_hash(Path(options.data) / "materials.json"),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
@@ -101,6 +104,7 @@ def settings(options):
         "lpips": None if options.lpips is None else file_hash(options.lpips),
         "mean_material_of": options.materials,
     }
+    return found if options.device == "cpu" else found | {"device": torch.device(options.device).type}
 
 
 def units(out, chosen, gallery, repeats):

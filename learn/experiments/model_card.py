@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import torch
 
+from learn.data import devices
 from learn.data.relit import Relit
 from learn.data.rendered import Cycles
 from learn.data.settings import decode_run
@@ -34,17 +35,18 @@ WORDS = {
 }
 
 
-def make(weights, pools, out, batches, note="", seeds=()):
+def make(weights, pools, out, batches, note="", seeds=(), device="cpu"):
     """Measure weights on the test side, on relit pictures and, where the pool has an album, on all of its rendered ones.
 
     pools  learn.data.sources.pools
     seeds  weights of the same run with other seeds, measured on the same pictures for a table of all
+    device  where networks and the layer compute
     Writes card.md, card.json, sheet.jpg, and sheet-cycles.jpg, to `out`. Returns {"figures", "cycles"}, {figure: [mean, low, high]} each
     Raises Problem where one of the seeds is of another run, or a seed is there twice
     """
-    network, metadata = checkpoint.load_network(weights)
+    network, metadata = checkpoint.load_network(weights, device)
     run, out, test = decode_run(json.dumps(metadata["run"]).encode(), weights), Path(out), pools["test"]
-    others = [_same_run(path, weights, run) for path in seeds]
+    others = [_same_run(path, weights, run, device) for path in seeds]
     _all_different([weights, *seeds], [run, *(other for _, _, other in others)])
     out.mkdir(parents=True, exist_ok=True)
     constant = validation.mean_albedo(pools["train"])
@@ -66,9 +68,9 @@ def make(weights, pools, out, batches, note="", seeds=()):
     return {key: told[key] for key in ("figures", "cycles") if key in told}
 
 
-def _same_run(path, first, run):
+def _same_run(path, first, run, device="cpu"):
     """(network, step, run) of weights that differ from the first in nothing but their seed."""
-    network, metadata = checkpoint.load_network(path)
+    network, metadata = checkpoint.load_network(path, device)
     other = decode_run(json.dumps(metadata["run"]).encode(), path)
     if msgspec.structs.replace(other, seed=run.seed, name=run.name, about=run.about) != run:
         raise Problem(path, f"weights of the run of {first} with another seed", "other settings", "measure them by a card of their own")
@@ -106,7 +108,9 @@ def _under(where, found):
 def measured(network, run, batches, constant_albedo, sheet_path=None):
     """({figure: (P,)}, names (P,)) over batches. The first ones go on a sheet, if there is a path for it."""
     rows, names, shown = [], [], []
+    device = devices.of(network)
     for batch in batches:
+        batch = batch.to(device)
         with torch.no_grad():
             segments = batch.segments if run.data.regions > 1 else None
             prediction = network(batch.image, batch.mask, segments, run.parts, regions=run.data.regions)

@@ -8,6 +8,7 @@ import torch
 from PIL import Image, ImageDraw
 from scipy.ndimage import distance_transform_edt
 
+from learn.data.devices import array
 from learn.layer import render
 from learn.layer.display_method import method_for
 from shaders import tone
@@ -68,12 +69,13 @@ def sphere(size):
 
 
 def ball(label, L, size, elevation, exposure):
-    """Display picture of a ball of a material, label (108,), under a light map (Hl, Wl, 3)."""
-    n, light = torch.from_numpy(sphere(size))[None], torch.as_tensor(L, dtype=torch.float32)[None].contiguous()
+    """Display picture of a ball of a material, label (108,), under a light map (Hl, Wl, 3); rendered where the label is."""
     label = torch.as_tensor(label, dtype=torch.float32)
+    n, light = torch.from_numpy(sphere(size))[None].to(label.device), torch.as_tensor(L, dtype=torch.float32)[None]
+    light = light.to(label.device).contiguous()
     with torch.no_grad():
         radiance = render(n, label.exp()[None], light, method=method_for(label), elevation=elevation)
-    return tone.display(radiance[0].numpy(), exposure)
+    return tone.display(array(radiance[0]), exposure)
 
 
 def room():

@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 import torch
 
+from learn.data.devices import array
 from learn.layer import render
 from learn.metrics.radiometry import irradiance
 from shaders import dsbrdf, envmap, frames, tone
@@ -28,14 +29,14 @@ SPHERES = {"matte": (1e-6, 0.8), "glossy": (30.0, 0.8), "sharp": (300.0, 0.8)}  
 def normals(n, true, inside):
     """{figure: value} of unit normals (3, H, W) tensors over inside (H, W) bool."""
     cosine = (n * true).sum(0)[inside].double().clamp(-1, 1)
-    degrees = cosine.arccos().rad2deg().numpy()
+    degrees = array(cosine.arccos().rad2deg())
     found = {"mean_deg": float(degrees.mean()), "median_deg": float(np.median(degrees)), "cosine": float(cosine.mean())}
     return found | {f"below_{limit:g}": float((degrees < limit).mean()) for limit in LIMITS_DEG}
 
 
 def material(label, true, ranges):
     """{figure: value} of labels (S, 108) tensors; ranges: learn.networks.coding.Ranges."""
-    pairs = zip(label.double().numpy(), true.double().numpy(), strict=True)
+    pairs = zip(array(label.double()), array(true.double()), strict=True)
     return {
         "brdf_log": float(np.mean([brdf_log_error(a, b) for a, b in pairs])),
         "log_l2": float(((label - true) ** 2).mean()),
@@ -85,7 +86,7 @@ def light(L, true, elevation):
 def brightest(L):
     """Unit direction (3,), light frame, from where most luminance comes through a lobe of 10°; L (3, H, W)."""
     w, lobes = _lobes()
-    luminance = envmap.resize(L.movedim(0, -1).double().numpy(), *COARSE).reshape(-1, 3) @ envmap.LUMINANCE
+    luminance = envmap.resize(array(L.movedim(0, -1).double()), *COARSE).reshape(-1, 3) @ envmap.LUMINANCE
     top = int((lobes @ luminance).argmax())
     centre = (lobes[top] * luminance) @ w  # between texels: where the light within the lobe lies
     return centre / max(np.linalg.norm(centre), 1e-12)
@@ -125,8 +126,8 @@ def _sphere(name):
 
 def _sphere_l2(L, true, name, elevation):
     n, inside, m = _sphere(name)
+    n, m = n.to(L.device), m.to(L.device)
     with torch.no_grad():
-        mine, right = (
-            render(n, m, x.movedim(0, -1)[None].contiguous().float(), method="exact", elevation=elevation)[0].numpy() for x in (L, true)
-        )
+        maps = (x.movedim(0, -1)[None].contiguous().float() for x in (L, true))
+        mine, right = (array(render(n, m, x, method="exact", elevation=elevation)[0]) for x in maps)
     return float(tone.display_l2(mine, right, tone.auto_exposure(right, inside), inside))

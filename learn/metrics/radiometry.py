@@ -22,15 +22,15 @@ _LOBES = {}
 def log_rendered(light):
     """(B, 3, 3 · DIRECTIONS) log(0.05 + mean of L under normalised lobes cos^g) around directions spread over the sphere."""
     H, W = light.shape[-2:]
-    if (H, W) not in _LOBES:
+    if (key := (H, W, light.device)) not in _LOBES:
         w, omega = envmap.directions(H, W)
         k = np.arange(DIRECTIONS) + 0.5
         y, turn = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k
         centre = np.stack([np.sqrt(1 - y * y) * np.cos(turn), y, np.sqrt(1 - y * y) * np.sin(turn)], -1)
         cosine = np.clip(w.reshape(-1, 3) @ centre.T, 0, None)
         lobes = np.concatenate([cosine**g * omega.reshape(-1, 1) for g in GLOSS], 1)
-        _LOBES[H, W] = torch.as_tensor(lobes / lobes.sum(0), dtype=torch.float32)
-    return torch.log(0.05 + light.reshape(-1, H * W) @ _LOBES[H, W]).reshape(len(light), 3, -1)
+        _LOBES[key] = torch.as_tensor(lobes / lobes.sum(0), dtype=torch.float32).to(light.device)
+    return torch.log(0.05 + light.reshape(-1, H * W) @ _LOBES[key]).reshape(len(light), 3, -1)
 
 
 _NODES = 48
@@ -42,11 +42,12 @@ def log_albedo(label):
     t = (np.arange(_NODES) + 0.5) / _NODES
     half = t**2 * np.pi / 4  # θ_i/2, dense about the highlight
     weight = 2 * np.pi * np.sin(2 * half) * np.cos(2 * half) * 2 * (2 * t * np.pi / 4) / _NODES
-    B = torch.as_tensor(np.asarray(basis(half)), dtype=label.dtype)
+    B = torch.as_tensor(np.asarray(basis(half)), dtype=label.dtype).to(label.device)
     values = torch.einsum("tj,...nskj->...nskt", B, kappa_gamma)
-    log_cos = torch.as_tensor(np.log(np.cos(half)), dtype=label.dtype)
+    log_cos = torch.as_tensor(np.log(np.cos(half)), dtype=label.dtype).to(label.device)
     lobes = torch.expm1((values[..., 0, :] * torch.exp(values[..., 1, :] * log_cos)).clamp(max=KAPPA_CEILING)).sum(-2)
-    return torch.log((lobes * torch.as_tensor(weight, dtype=label.dtype)).sum(-1) + 1e-3)
+    weight = torch.as_tensor(weight, dtype=label.dtype).to(label.device)
+    return torch.log((lobes * weight).sum(-1) + 1e-3)
 
 
 def irradiance(light):

@@ -45,8 +45,9 @@ class Features(nn.Module):
                 layer.weight[:, : kernel.shape[1]] = kernel.flip(1) if flipped and i == 0 else kernel
                 layer.bias.copy_(bias)
             self.convolutions.append(layer)
-        self.mean, self.deviation = (torch.tensor(values)[:, None, None] for values in (mean, deviation))
         self.requires_grad_(False).eval().to(torch.bfloat16, memory_format=torch.channels_last)
+        for name, values in (("mean", mean), ("deviation", deviation)):  # last: these stay float32
+            self.register_buffer(name, torch.tensor(values)[:, None, None], persistent=False)
 
     def forward(self, x):
         """[(B, C, h, w) bfloat16] at the layers TAKEN."""

@@ -68,10 +68,11 @@ def save_weights(path, network, state, run_json, size, step=None):
     save(path, half, {"format": FORMAT, "network": network.name, "size": str(size), "run": run_json} | told)
 
 
-def load_network(path):
+def load_network(path, device="cpu"):
     """(network ready to predict, metadata) of a weights file.
 
-    metadata  size: of pictures, a whole number; run: a dict, at least {}; ranges: of the network; and the file's own texts
+    device    where the network is to compute
+    metadata  size: of pictures, a whole number; run: a dict, at least {}; ranges: of the network, on the CPU; and the file's own texts
     Raises    Problem: no weights, other metadata or tensors than `learn train` writes, numbers that are not finite
     """
     with tensor_file.opened(path) as stored:
@@ -85,13 +86,14 @@ def load_network(path):
         network = NETWORKS[about.network](Ranges(torch.zeros(108), torch.ones(108)))
         stored.require(shapes(network), f"this {network.name} network")
         fill(network, stored)
-    _require_ranges(network.ranges, path)
-    return network.eval(), metadata | {"size": about.size, "run": run, "ranges": network.ranges}
+    ranges = network.ranges
+    _require_ranges(ranges, path)
+    return network.to(device).eval(), metadata | {"size": about.size, "run": run, "ranges": ranges}
 
 
-def load_parts(path):
+def load_parts(path, device="cpu"):
     """As `load_network`, of one that tells normals, material and light apart. Raises Problem for another."""
-    network, metadata = load_network(path)
+    network, metadata = load_network(path, device)
     missing = set(PARTS) - set(metadata["run"].get("parts", PARTS))
     if not isinstance(network, (Compact, ThreeNetworks)) or missing:
         found = f"'{network.name}' without {' and '.join(sorted(missing))}" if missing else f"'{network.name}'"
@@ -139,7 +141,7 @@ def digest_of(named):
     """sha256 (hex) of {name: tensor}: names, types, shapes and bytes."""
     found = hashlib.sha256()
     for name, tensor in sorted(named.items()):
-        flat = tensor.detach().contiguous().reshape(-1).view(torch.uint8)
+        flat = tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8)
         found.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
         found.update(memoryview(flat.numpy()))
     return found.hexdigest()

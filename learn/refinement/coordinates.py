@@ -30,9 +30,9 @@ class Material:
 
     def __init__(self, label):
         self.start = label.detach().double()
-        self.directions = torch.from_numpy(principal_directions())
+        self.directions = torch.from_numpy(principal_directions()).to(label.device)
         self.shape = (label.shape[1], len(self.directions))
-        self.predicted = torch.zeros(self.shape, dtype=torch.float64)
+        self.predicted = torch.zeros(self.shape, dtype=torch.float64, device=label.device)
 
     def __call__(self, z):
         return self.start + (z @ self.directions)[None]
@@ -58,10 +58,10 @@ class Light:
     def __init__(self, light, degree):
         H, W = light.shape[-2:]
         self.start = light.detach().clamp(min=LEAST_LIGHT).log()
-        self.waves = torch.from_numpy(spherical_harmonics(H, W, degree))
-        self.solid_angle = torch.as_tensor(envmap.row_solid_angles(H, W), dtype=light.dtype)
+        self.waves = torch.from_numpy(spherical_harmonics(H, W, degree)).to(light.device)
+        self.solid_angle = torch.as_tensor(envmap.row_solid_angles(H, W), dtype=light.dtype).to(light.device)
         self.shape = (len(self.waves), 3)
-        self.predicted = torch.zeros(self.shape, dtype=torch.float64)
+        self.predicted = torch.zeros(self.shape, dtype=torch.float64, device=light.device)
 
     def __call__(self, z):
         change = torch.einsum("jc,jhw->chw", z.to(self.waves), self.waves).clamp(-LARGEST_CHANGE, LARGEST_CHANGE)
@@ -98,7 +98,7 @@ class Normals:
         self.p = disk(n, mask)
         self.grids = [(g, g) for g in GRIDS if g < min(self.size)] + [tuple(self.size)]
         self.shape = (sum(2 * h * w for h, w in self.grids),)
-        self.predicted = torch.zeros(self.shape, dtype=torch.float64)
+        self.predicted = torch.zeros(self.shape, dtype=torch.float64, device=n.device)
 
     def __call__(self, z):
         change, first = 0, 0

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from scipy.optimize import minimize
 
+from learn.data.devices import array
 from learn.networks.prediction import Prediction
 from learn.refinement.coordinates import Light, Material, Normals
 from learn.refinement.energy import Energy, State
@@ -74,7 +75,7 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
 def passed(batch, start, inside, settings):
     """(State, history) after all levels, held to `start`, a Prediction or a State: whatever lowers the energy about it."""
     maps = coordinates(start, inside, settings)
-    z = {name: m.predicted.numpy().flatten() for name, m in maps.items()}
+    z = {name: array(m.predicted).flatten() for name, m in maps.items()}
     energy = Energy(batch, at_rest(maps), settings)
     best, history = energy.finest(at_rest(maps)), []
     for number, level in enumerate(settings.levels):
@@ -112,7 +113,7 @@ def at_rest(maps):
 
 def state_of(maps, z, known=None):
     """State of vectors {name: (Z,) numpy or tensor}; what `z` does not name is taken from the State `known`."""
-    moved = {name: torch.as_tensor(z[name]).reshape(m.shape) for name, m in maps.items() if name in z}
+    moved = {name: torch.as_tensor(z[name]).to(m.predicted.device).reshape(m.shape) for name, m in maps.items() if name in z}
     fields = {FIELDS[name]: maps[name](value) for name, value in moved.items()}
     fields["z"] = ({} if known is None else known.z) | moved
     return State(**fields) if known is None else replace(known, **fields)
@@ -122,18 +123,19 @@ def descended(energy, maps, z, names, level, where, iterations):
     """{name: vector} of the named properties after L-BFGS at one level; where it meets no finite energy it stays."""
     sizes = [len(z[name]) for name in names]
     still = state_of(maps, z)
+    device = still.n.device
 
     def parts(x):
         return dict(zip(names, np.split(x, np.cumsum(sizes)[:-1]), strict=True))
 
     def value_and_slope(x):
-        moved = {name: torch.from_numpy(v.copy()).requires_grad_() for name, v in parts(x).items()}
+        moved = {name: torch.from_numpy(v.copy()).to(device).requires_grad_() for name, v in parts(x).items()}
         state = state_of(maps, moved, still)
         if not state.drawable:
             return NOWHERE, np.zeros_like(x)
         value = energy.total(energy.terms(state, where, level.light, level.method, level.tolerance))
         slopes = torch.autograd.grad(value, list(moved.values()))
-        slope = np.concatenate([s.numpy() for s in slopes])
+        slope = np.concatenate([array(s) for s in slopes])
         if not (math.isfinite(value.item()) and np.isfinite(slope).all()):
             return NOWHERE, np.zeros_like(x)
         return value.item(), slope.astype(np.float64)

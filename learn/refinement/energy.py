@@ -16,8 +16,10 @@ Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texe
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
+from learn.data.devices import array
 from learn.layer import render
 from learn.networks.coding import compressed
 from learn.training.losses import reduced, solid_angles
@@ -54,7 +56,7 @@ class Energy:
         self.frame, self.segments = inside[None], batch.segments.clamp(min=1)
         self.regions = start.label.shape[1]
         image = batch.image[0].movedim(0, -1).reshape(-1, 3)
-        exposure = tone.auto_exposure(image[self.inside].numpy(), torch.ones(len(self.inside), dtype=torch.bool).numpy())
+        exposure = tone.auto_exposure(array(image[self.inside]), np.ones(len(self.inside), bool))
         self.exposure, self.seen = exposure, compressed(image * exposure)
         self.log_light = torch.log1p(start.light)
         self.share = solid_angles(start.light)
@@ -64,7 +66,7 @@ class Energy:
         if not count or count >= len(self.inside):
             return self.inside
         at = (torch.arange(count) * 0.6180339887498949) % 1  # golden section: any count is even, and no row is preferred
-        return self.inside[(at * len(self.inside)).long().unique()]
+        return self.inside[(at * len(self.inside)).long().unique().to(self.inside.device)]
 
     def image(self, state, where, light, method, tolerance):
         """Mean square over pixels `where` and channels; all pixels go to the layer as a frame, whose neighbours' normals are alike."""

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from learn.data import devices
 from learn.data.settings import decode_run, require_trainable
 from learn.data.sources import source_of
 from learn.networks import features, tensor_file
@@ -57,22 +58,24 @@ class Training:
     run          learn.data.settings.Run; pools: learn.data.sources.pools; out: folder for weights, log and sheets
     sheet_every  steps between validations, each with a sheet; 0: none
     tensorboard  write its events too
+    device       torch.device of network, optimiser, batches and losses; what is random comes from the CPU, but dropout
     """
 
-    def __init__(self, run, pools, out, sheet_every=500, checkpoint_every=None, workers=1, tensorboard=False):
+    def __init__(self, run, pools, out, sheet_every=500, checkpoint_every=None, workers=1, tensorboard=False, device="cpu"):
         require_trainable(run, f"run '{run.name}'")
         self.run, self.pools, self.out = run, pools, Path(out)
         self.sheet_every, self.checkpoint_every, self.workers = sheet_every, checkpoint_every, workers
         self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+        self.device = torch.device(device)
         self.out.mkdir(parents=True, exist_ok=True)
         torch.manual_seed(run.seed)
         labels = torch.from_numpy(np.stack(list(pools["train"].labels.values())))
-        self.network = checkpoint.NETWORKS[run.network](Ranges.of(labels)).to(memory_format=torch.channels_last)
+        self.network = checkpoint.NETWORKS[run.network](Ranges.of(labels)).to(self.device, memory_format=torch.channels_last)
         self.average = {name: t.detach().clone() for name, t in self.network.state_dict().items()}
         self.optimiser = schedule.optimiser(self.network, run.schedule)
         self.step, self.skipped, self.used = 0, 0, 0.0
         wanted = next((phase.losses for phase in schedule.phases(run) if losses.by_features(phase.losses)), None)
-        self.features = features.load(wanted.features, wanted.features_sha256) if wanted else None
+        self.features = features.load(wanted.features, wanted.features_sha256).to(self.device) if wanted else None
         if (self.out / "checkpoint.safetensors").exists():
             self._resume()
         elif run.start:
@@ -83,8 +86,9 @@ class Training:
         self.journal = Journal(self.out, self.step, tensorboard) if self.rank == 0 else None
         self.model = self.network
         if self.world > 1:
-            torch.distributed.init_process_group("gloo")
-            self.model = torch.nn.parallel.DistributedDataParallel(self.network, find_unused_parameters=True)
+            torch.distributed.init_process_group(devices.process_group_backend(self.device))
+            own = None if self.device.type == "cpu" else [self.device]
+            self.model = torch.nn.parallel.DistributedDataParallel(self.network, own, find_unused_parameters=True)
 
     def train(self):
         """All steps that are left; returns the last validation's figures."""
@@ -95,7 +99,7 @@ class Training:
         bar = tqdm(total=total, initial=self.step, unit="step", desc=run.name, disable=self.rank > 0)
         for batch in self._batches() if not self._is_done() else ():
             begun = time.process_time()
-            record = self._one_step(batch)
+            record = self._one_step(batch.to(self.device, non_blocking=True))
             self.used += time.process_time() - begun
             self.step += 1
             bar.update()
@@ -141,6 +145,7 @@ class Training:
                 num_workers=self.workers,
                 worker_init_fn=begin_worker,
                 prefetch_factor=2,
+                pin_memory=self.device.type == "cuda",
             )
         )
 
@@ -181,7 +186,7 @@ class Training:
         """The model's Prediction of a batch, in the run's precision; parts: None for the run's."""
         parts = self.run.parts if parts is None else parts
         segments = batch.segments if self.run.data.regions > 1 else None
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.run.mixed_precision):
+        with devices.mixed_precision(self.device, self.run.mixed_precision):
             n = None if "normals" in parts else batch.n
             return model(batch.image, batch.mask, segments, parts, n, self.run.data.regions)
 
@@ -190,7 +195,8 @@ class Training:
 
     def averaged(self):
         """A network with the moving average's weights, ready to predict."""
-        network = checkpoint.NETWORKS[self.run.network](self.network.ranges).to(memory_format=torch.channels_last)
+        network = checkpoint.NETWORKS[self.run.network](self.network.ranges)
+        network = network.to(self.device, memory_format=torch.channels_last)
         network.load_state_dict(self.average)
         return network.eval()
 
@@ -231,9 +237,9 @@ class Training:
         """Figures of the moving average on the validation side; its sheet; weights for users."""
         network, pool, batch = self.averaged(), self.pools["validation"], self.run.schedule.batch
         with torch.no_grad(), validation.DeadUnits(network) as dead:
-            figures = validation.over(lambda b: self._predicted(network, b), pool, self.run, batches=2)
+            figures = validation.over(lambda b: self._predicted(network, b), pool, self.run, batches=2, device=self.device)
             figures |= dead.figures()
-            shown = source_of(pool, self.run, batch, 1)[0]
+            shown = source_of(pool, self.run, batch, 1)[0].to(self.device)
             self.journal.show(
                 self.step - 1, training_sheet.write(self.out / f"sheet-{self.step:07d}.jpg", shown, self._predicted(network, shown))
             )
@@ -280,7 +286,9 @@ class Training:
                 tensor.copy_(kept[prefix + name])
         for i, parameter in enumerate(self.network.parameters()):
             if i in of_optimiser:
-                self.optimiser.state[parameter] = {name: kept[f"optimiser.{i}.{name}"] for name in of_optimiser[i]}
+                state = {name: kept[f"optimiser.{i}.{name}"] for name in of_optimiser[i]}  # "step" stays on the CPU: torch counts it there
+                moments = {name: state[name].to(parameter.device) for name in ("exp_avg", "exp_avg_sq")}
+                self.optimiser.state[parameter] = state | moments
         self.step, self.skipped, self.used = progress.step, progress.skipped, progress.used
 
     def _shapes(self, stored):

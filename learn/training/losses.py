@@ -34,7 +34,7 @@ BRIGHTEST_SEEN = 1.2  # of a compressed picture, for features, which never saw a
 def terms(prediction, batch, losses, rng, ranges, features=None):
     """{name: scalar} of the terms whose weight is not 0.
 
-    rng       a torch Generator, for the sampled pixels
+    rng       a torch Generator on the CPU, for the sampled pixels: the same on every device
     ranges    of the label codes
     features  learn.networks.features.Features, if a term compares by them
     """
@@ -180,7 +180,7 @@ def whole(n, label, light, batch, pull=0.0):
 def sampled(batch, pixels, rng):
     """Flat indices (B, P) of pixels drawn from each object, −1 where an object has fewer; and how many there are."""
     inside = ((batch.segments > 0) & (batch.mask[:, 0] > 0)).flatten(1)
-    draw = torch.rand(inside.shape, generator=rng).masked_fill(~inside, -1.0)
+    draw = torch.rand(inside.shape, generator=rng).to(inside.device).masked_fill(~inside, -1.0)
     value, index = draw.topk(min(pixels, inside.shape[1]), dim=1)
     return index.masked_fill(value < 0, -1), int((value >= 0).sum())
 
@@ -222,7 +222,7 @@ def reduced(light, size):
     H, W = light.shape[-2:]
     if tuple(size) == (H, W):
         return light
-    rows = torch.as_tensor(row_means(H, size[0]), dtype=light.dtype)
+    rows = torch.as_tensor(row_means(H, size[0]), dtype=light.dtype).to(light.device)
     columns = light.reshape(*light.shape[:-1], size[1], W // size[1]).mean(-1)
     return torch.einsum("rh,bchw->bcrw", rows, columns)
 
@@ -239,5 +239,5 @@ def row_means(before, after):
 def solid_angles(light):
     """(Hl, Wl) shares of the sphere, summing to 1."""
     H, W = light.shape[-2:]
-    share = torch.as_tensor(np.asarray(envmap.row_solid_angles(H, W)).reshape(-1), dtype=light.dtype) / (4 * math.pi)
+    share = torch.as_tensor(np.asarray(envmap.row_solid_angles(H, W)).reshape(-1), dtype=light.dtype).to(light.device) / (4 * math.pi)
     return share[:, None].expand(H, W)

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from PIL import Image
 
+from learn.data.devices import array
 from learn.layer import render
 from learn.training.validation import picture
 from manifests.files import write_image
@@ -29,14 +30,14 @@ def cells(batch, prediction):
     light = batch.light if prediction.light is None else prediction.light
     mine, target = picture(n, label, light, batch), picture(n, batch.target_label, light, batch)
     true_target, true_image = (
-        picture(batch.n, truth, batch.light, batch) if rendered is None else rendered.movedim(1, -1).numpy()
+        picture(batch.n, truth, batch.light, batch) if rendered is None else array(rendered.movedim(1, -1))
         for truth, rendered in ((batch.target_label, batch.target), (batch.label, batch.picture))
     )
     rows = []
     for i in range(min(ROWS, len(n))):
-        mask = (batch.segments[i] > 0).numpy()
+        mask = array(batch.segments[i] > 0)
         exposure, other = tone.auto_exposure(true_image[i], mask), tone.auto_exposure(true_target[i], mask)
-        seen = tone.display(batch.image[i].movedim(0, -1).numpy(), exposure)
+        seen = tone.display(array(batch.image[i].movedim(0, -1)), exposure)
         size = len(mask)
         row = [
             seen,
@@ -56,9 +57,9 @@ def cells(batch, prediction):
 
 def parts(batch, prediction, again, exposure):
     """{name: display picture} of one picture taken apart; again: (H, W, 3) radiance of the re-rendering."""
-    mask = batch.mask[0, 0].numpy() > 0
+    mask = array(batch.mask[0, 0]) > 0
     return {
-        "picture": tone.display(batch.image[0].movedim(0, -1).numpy(), exposure),
+        "picture": tone.display(array(batch.image[0].movedim(0, -1)), exposure),
         "normals": _normals(prediction.n[0], mask),
         "light": _light(prediction.light[0], len(mask)),
         "material": _ball(prediction.label[0, 0], len(mask), batch.elevation),
@@ -67,11 +68,11 @@ def parts(batch, prediction, again, exposure):
 
 
 def _normals(n, mask):
-    return (n.detach().movedim(0, -1).numpy() * 0.5 + 0.5) * 255 * mask[..., None]
+    return (array(n.movedim(0, -1)) * 0.5 + 0.5) * 255 * mask[..., None]
 
 
 def _light(light, size):
-    small = tone.display(light.detach().movedim(0, -1).float().numpy(), 0.5)
+    small = tone.display(array(light.movedim(0, -1).float()), 0.5)
     cell = np.full((size, size, 3), 40.0)
     picture = np.asarray(Image.fromarray(small.astype(np.uint8)).resize((size, size // 2)), float)
     top = (size - len(picture)) // 2
@@ -88,6 +89,7 @@ def _ball(label, size, elevation):
     L = np.full((32, 64, 3), 0.4, np.float32)
     L[:16] = 0.9
     L[6:12, 8:16] = 12.0
+    n, light = n.to(label.device), torch.from_numpy(L)[None].to(label.device)
     with torch.no_grad():
-        radiance = render(n, label.detach().exp()[None], torch.from_numpy(L)[None], method="exact", elevation=elevation)
-    return tone.display(radiance[0].numpy(), 0.8)
+        radiance = render(n, label.detach().exp()[None], light, method="exact", elevation=elevation)
+    return tone.display(array(radiance[0]), 0.8)

@@ -14,6 +14,7 @@ import math
 import numpy as np
 import torch
 
+from learn.data.devices import array
 from learn.data.sources import source_of
 from learn.layer import render
 from learn.metrics.radiometry import irradiance, log_albedo
@@ -23,10 +24,10 @@ TOLERANCE = 2e-2
 LEAST_PIXELS = 16  # of a region, to count as shown
 
 
-def over(predict, pool, run, batches, seed=20):
-    """Means over the first batches of a pool. predict: Batch → Prediction."""
+def over(predict, pool, run, batches, seed=20, device="cpu"):
+    """Means over the first batches of a pool. predict: Batch → Prediction, both on the device."""
     source, constant = source_of(pool, run, run.schedule.batch, seed), mean_albedo(pool)
-    found = [of(predict(batch), batch, constant) for batch in (source[k] for k in range(batches))]
+    found = [of(predict(batch), batch, constant) for batch in (source[k].to(device) for k in range(batches))]
     return {name: _mean(np.concatenate([f[name] for f in found])) for name in found[0]}
 
 
@@ -56,7 +57,7 @@ def of(prediction, batch, constant_albedo=None):
         truth = irradiance(batch.light)
         for name, value in (("irradiance", light), ("constant_irradiance", constant)):
             error = ((irradiance(value) - truth) ** 2).mean((1, 2)).sqrt() / (truth**2).mean((1, 2)).sqrt()
-            found[name] = error.double().numpy()
+            found[name] = array(error.double())
     if prediction.label is not None:
         found |= albedos(prediction.label, batch, constant_albedo)
         found["image_l2"] = compared(n, prediction.label, light, batch.label, batch, batch.picture)
@@ -70,12 +71,12 @@ def albedos(label, batch, constant=None):
     """{name: (B,)} of albedo's errors, and of the control's where there is one; label (B, S, 108)."""
     found, regions = {}, label.shape[1]
     true = log_albedo(batch.label[:, :regions])
-    guesses = {"albedo": log_albedo(label)} | ({} if constant is None else {"constant_albedo": constant.expand_as(true)})
+    guesses = {"albedo": log_albedo(label)} | ({} if constant is None else {"constant_albedo": constant.to(true.device).expand_as(true)})
     for s in range(regions):
         shown = (batch.segments == s + 1).sum((1, 2)) >= LEAST_PIXELS
         for name, guess in guesses.items():
             error = ((guess - true)[:, s] ** 2).mean(-1).sqrt()
-            found[f"{name}_{s + 1}" if regions > 1 else name] = error.where(shown, math.nan).double().numpy()
+            found[f"{name}_{s + 1}" if regions > 1 else name] = array(error.where(shown, math.nan).double())
     return found
 
 
@@ -114,9 +115,9 @@ def compared(n, label, light, true_label, batch, rendered=None):
     """
     inside = batch.segments > 0
     mine = picture(n, label, light, batch)
-    truth = picture(batch.n, true_label, batch.light, batch) if rendered is None else rendered.movedim(1, -1).numpy()
+    truth = picture(batch.n, true_label, batch.light, batch) if rendered is None else array(rendered.movedim(1, -1))
     out = []
-    for a, b, mask in zip(mine, truth, inside.numpy(), strict=True):
+    for a, b, mask in zip(mine, truth, array(inside), strict=True):
         out.append(tone.display_l2(a, b, tone.auto_exposure(b, mask), mask))
     return np.array(out)
 
@@ -136,8 +137,8 @@ def picture(n, label, light, batch):
             tolerance=TOLERANCE,
             elevation=batch.elevation,
         )
-    return radiance.numpy()
+    return array(radiance)
 
 
 def means(values, inside):
-    return ((values * inside).sum((1, 2)) / inside.sum((1, 2))).double().numpy()
+    return array(((values * inside).sum((1, 2)) / inside.sum((1, 2))).double())

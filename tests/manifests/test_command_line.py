@@ -1,5 +1,6 @@
 """How every command ends: one line below its progress bar, and a status of 0, 1, 2, 3 or 130 whatever its output is."""
 
+import importlib.util
 import os
 import re
 import subprocess
@@ -33,7 +34,14 @@ def test_a_reader_that_has_gone_ends_a_command_with_one_line_and_status_1(root):
     assert (done.returncode, done.stderr) == (1, "factory: [Errno 32] Broken pipe: 'standard output'\n")
 
 
-@pytest.mark.parametrize("words", [["plan", "smallest", "--no-probe"], ["materials", "list"], ["plan", "--help"]])
+HAS_BLENDER = importlib.util.find_spec("bpy") is not None
+WITH_BLENDER = pytest.mark.skipif(not HAS_BLENDER, reason="the job's light maps come with Blender (pip install .[factory])")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [pytest.param(["plan", "smallest", "--no-probe"], marks=WITH_BLENDER), ["materials", "list"], ["plan", "--help"]],
+)
 def test_a_terminal_of_another_character_set_gets_escapes_instead_of_an_error(root, words):
     command = [sys.executable, "-m", "factory", *words]
     environment = ENVIRONMENT | {"PYTHONIOENCODING": "ascii"}

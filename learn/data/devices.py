@@ -1,0 +1,57 @@
+"""Where networks and the layer compute, and the one way from there to numpy.
+
+A device is a torch.device: "cpu", or "cuda" where torch sees one. Sources of batches, files and figures stay on the CPU.
+"""
+
+import os
+
+import numpy as np
+import torch
+
+from manifests.errors import Problem
+
+CHOICES = ("auto", "cpu", "cuda")
+
+
+def choose(name: str = "auto") -> torch.device:
+    """The device that a name of CHOICES stands for; auto: CUDA where torch sees it, else the CPU.
+
+    Of several processes of one run (torchrun) each takes the CUDA device of its own number, LOCAL_RANK.
+    Raises  Problem where CUDA is asked for and torch sees none
+    """
+    if name not in CHOICES:
+        raise ValueError(f"device: one of {', '.join(CHOICES)} expected, found {name!r}")
+    if name == "cpu":
+        return torch.device("cpu")
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    number = int(os.environ.get("LOCAL_RANK", 0))
+    if number < count:
+        return torch.device("cuda", number)
+    if name == "auto" and not count:
+        return torch.device("cpu")
+    if count:
+        raise Problem("--device", f"CUDA device {number}", f"{count} of them", f"start at most {count} processes on this machine")
+    found = "a build of torch without CUDA" if torch.version.cuda is None else "none that torch sees"
+    remedy = "give --device cpu, or install the build of torch for your CUDA driver"
+    raise Problem("--device", "a CUDA device", found, remedy)
+
+
+def of(module: torch.nn.Module) -> torch.device:
+    """The device of a module's first parameter or buffer; the CPU for a module that has neither."""
+    tensors = (*module.parameters(), *module.buffers())
+    return tensors[0].device if tensors else torch.device("cpu")
+
+
+def array(tensor: torch.Tensor) -> np.ndarray:
+    """The tensor's values in numpy, of any device; on the CPU the same memory."""
+    return tensor.detach().cpu().numpy()
+
+
+def mixed_precision(device: torch.device, enabled: bool) -> torch.autocast:
+    """A context in which networks on this device compute in bfloat16, if enabled."""
+    return torch.autocast(device.type, torch.bfloat16, enabled=enabled)
+
+
+def process_group_backend(device: torch.device) -> str:
+    """The name of torch.distributed's backend for tensors on this device."""
+    return "nccl" if device.type == "cuda" else "gloo"
