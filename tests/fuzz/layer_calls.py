@@ -17,6 +17,7 @@ import math
 import signal
 import sys
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -290,6 +291,12 @@ def together(arguments, rng):
 
 def make(rng):
     """A `Call`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # torch announces changes of quantized and nested tensors
+        return _made(rng)
+
+
+def _made(rng):
     call = Call(valid(rng))
     for _ in range(int(rng.choice([0, 1, 1, 1, 1, 2]))):
         if rng.random() < 0.12 and not call.changed:
