@@ -155,6 +155,8 @@ def run_add(options):
     if options.out.exists():
         before = catalogue.read_catalogue(options.out)
         older, title = [e for e in before.materials if e.name not in found], title or before.title
+        for entry in older:  # they are compared with the new ones, and written again
+            catalogue.material(entry, options.out)
         credit = before.credit if credit in before.credit else f"{before.credit}; {credit}"
         if tuple(maps) != before.light_maps:
             given = " ".join(f"--light {n}" for n in before.light_maps) or "no --light"
