@@ -25,9 +25,10 @@ from learn.training import montage as training_sheet
 from learn.training.journal import Journal
 from manifests import lock
 from manifests.errors import Problem
-from manifests.files import write_bytes
+from manifests.files import require_place_for_file, write_bytes
 from manifests.reading import decode
 
+WRITTEN = ("run.json", "log.jsonl", "weights.safetensors", "checkpoint.safetensors", "made.json")
 EVERY_SECONDS = 120  # between checkpoints, if no count of steps is given
 PATIENCE = 2.0  # seconds for a killed run to be gone
 _LOCKS = []  # descriptors of the folders that this process holds
@@ -65,6 +66,8 @@ class Training:
         self.sheet_every, self.checkpoint_every, self.workers = sheet_every, checkpoint_every, workers
         self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
         self.out.mkdir(parents=True, exist_ok=True)
+        for name in WRITTEN:  # before hours of training, not after them
+            require_place_for_file(self.out / name)
         torch.manual_seed(run.seed)
         labels = torch.from_numpy(np.stack(list(pools["train"].labels.values())))
         self.network = checkpoint.NETWORKS[run.network](Ranges.of(labels)).to(memory_format=torch.channels_last)

@@ -81,11 +81,12 @@ class Folder:
     def __init__(self, path: Path):
         self.path = Path(path)
         self.kind = "records" if (self.path / "records").exists() else "views"
-        (self.lines_file,) = sorted((self.path / self.kind).glob("*.jsonl"))
+        self.lines_file, *self.further_files = sorted((self.path / self.kind).glob("*.jsonl"))
 
     def lines(self) -> list[dict]:
         """The records or views."""
-        return [json.loads(line) for line in self.lines_file.read_bytes().splitlines()]
+        files = [self.lines_file, *self.further_files]
+        return [json.loads(line) for file in files for line in file.read_bytes().splitlines()]
 
     def write(self, lines: list[dict]) -> None:
         """Puts other records or views in their place."""

@@ -381,7 +381,8 @@ def test_lines_of_a_log_that_are_none_are_dropped(pools, tmp_path, text):
     assert [json.loads(each)["step"] for each in (tmp_path / "log.jsonl").read_text().splitlines()] == [0, 1]
 
 
-def test_a_pipe_in_the_place_of_the_log_is_refused(pools, tmp_path):
-    os.mkfifo(tmp_path / "log.jsonl")
-    with pytest.raises(Problem, match=r"log\.jsonl: .* found a pipe"):
+@pytest.mark.parametrize("name", loop.WRITTEN)
+def test_a_pipe_in_the_place_of_a_result_is_refused_before_training(pools, tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(Problem, match=rf"{name}: .* found a pipe"):
         Training(run(), pools, tmp_path, workers=0)
