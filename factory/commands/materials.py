@@ -209,6 +209,8 @@ def run_preview(options):
         raise Problem("--size, --columns", "16 to 512 pixels, 1 to 64 columns", f"{options.size}, {options.columns}", "choose within")
     materials = load_catalogue(*(options.catalogue or ()))
     chosen = [find(name, materials) for name in options.materials] or sorted(materials.values(), key=lambda m: (m.family, m.name))
+    if not chosen:
+        raise Problem(options.catalogue[0], "a material to draw", "none", "add one: python -m factory materials add")
     light = load(options.light)
 
     def watch(items):

@@ -73,6 +73,23 @@ def test_a_material_cannot_be_added_beside_one_whose_numbers_no_fit_gives(own, t
     assert "'earlier': natural logarithms up to 14 expected, found 1e+19" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("l1", [[], [0.1], [0.1] * 7, [1e308] * 6, [-1.0] * 6])
+def test_errors_that_no_fit_has_are_refused_where_a_catalogue_is_read(own, tmp_path, capsys, l1):
+    catalogue = json.loads((own / "own.json").read_text())
+    catalogue["materials"][0]["errors"]["nodes_vs_label"]["l1"] = l1
+    (tmp_path / "own.json").write_text(json.dumps(catalogue))
+    assert run("materials", "report", tmp_path / "own.json", "--out", tmp_path / "out") == 1
+    assert "own.json: materials[0].errors.nodes_vs_label.l1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [("report",), ("preview", "--catalogue")])
+def test_a_catalogue_without_materials_is_refused_where_some_are_needed(own, tmp_path, capsys, command):
+    catalogue = json.loads((own / "own.json").read_text()) | {"materials": []}
+    (tmp_path / "own.json").write_text(json.dumps(catalogue))
+    assert run("materials", *command, tmp_path / "own.json", "--out", tmp_path / "out") == 1
+    assert "own.json: a material to " in capsys.readouterr().err
+
+
 def test_another_recipe_is_another_fit(own):
     from factory.materials import fitting, recipe, sources
 

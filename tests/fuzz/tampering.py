@@ -17,6 +17,7 @@ the folder that contradicts him: such tamperings carry their reason in `principl
 
 import argparse
 import hashlib
+import io
 import json
 import os
 import shutil
@@ -86,7 +87,7 @@ class Folder:
     def lines(self) -> list[dict]:
         """The records or views."""
         files = [self.lines_file, *self.further_files]
-        return [json.loads(line) for file in files for line in file.read_bytes().splitlines()]
+        return [json.loads(line) for file in files for line in content(file).splitlines()]
 
     def write(self, lines: list[dict]) -> None:
         """Puts other records or views in their place."""
@@ -94,7 +95,7 @@ class Folder:
 
     def json(self, name: str) -> dict:
         """dataset.json or materials.json."""
-        return json.loads((self.path / name).read_bytes())
+        return json.loads(content(self.path / name))
 
     def write_json(self, name: str, value: dict) -> None:
         """Puts another in its place."""
@@ -178,6 +179,13 @@ class Folder:
                 path.unlink()
 
 
+def content(path: Path) -> bytes:
+    """The bytes of an ordinary file; for a pipe this would wait. Raises FileNotFoundError."""
+    if not path.is_file():
+        raise FileNotFoundError(path)
+    return path.read_bytes()
+
+
 def learned(folder: Path) -> object:
     """Everything that could be learned from a folder, read without a check; a text that says so if it cannot be read."""
     try:
@@ -199,16 +207,14 @@ def learned(folder: Path) -> object:
                 pixels += [there.picture_of(line).tobytes(), _map(folder, dataset["lights"][line["light"]]["file"])]
             found.append((json.dumps(own), *(hashlib.sha256(each).hexdigest() for each in pixels)))
         lights = {name: (entry["side"], _map(folder, entry["file"])) for name, entry in dataset["lights"].items()}
-        packed = {p.name: p.read_bytes() for p in sorted((folder / "packed").glob("*.*"))}
+        packed = {p.name: content(p) for p in sorted((folder / "packed").glob("*.*"))}
         return sorted(found), lights, labels if there.kind == "views" else None, packed
     except Exception as error:  # whatever it is, nothing can be learned
         return f"unreadable: {type(error).__name__}"
 
 
 def _map(folder, file):
-    if not (folder / file).is_file():  # a pipe would be waited for
-        raise FileNotFoundError(file)
-    with np.load(folder / file, allow_pickle=False) as stored:
+    with np.load(io.BytesIO(content(folder / file)), allow_pickle=False) as stored:
         return stored["L"].astype(np.float32).tobytes()
 
 
