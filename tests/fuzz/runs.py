@@ -140,7 +140,7 @@ def lost(result, out: Path, kept: bytes | None) -> str | None:
         from learn.networks import weights
 
         weights.load_network(out / "weights.safetensors")
-        steps = [json.loads(line)["step"] for line in (out / "log.jsonl").read_text().splitlines()]
+        steps = [json.loads(line)["step"] for line in (out / "log.jsonl").read_text(encoding="utf-8").splitlines()]
         if steps != sorted(set(steps)):
             return f"the log has steps {steps}"
     return None

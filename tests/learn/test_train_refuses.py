@@ -374,7 +374,9 @@ def test_light_maps_in_other_files_are_refused(tmp_path):
             lights.read_maps(tmp_path / name)
 
 
-@pytest.mark.parametrize("text", [b"[1]\n", b"5\n", b"null\n", b"[" * 100_000 + b"\n", b'{"step": "one"}\n', b'{"step": null}\n'])
+@pytest.mark.parametrize(
+    "text", [b"[1]\n", b"5\n", b"null\n", b"[" * 100_000 + b"\n", b'{"step": "one"}\n', b'{"step": null}\n', b'\xef\xbb\xbf{"step": -1}\n']
+)
 def test_lines_of_a_log_that_are_none_are_dropped(pools, tmp_path, text):
     (tmp_path / "log.jsonl").write_bytes(text)
     Training(run(), pools, tmp_path, sheet_every=0, workers=0).train()
