@@ -111,3 +111,10 @@ def test_a_nested_light_is_refused_by_its_name_under_transforms_too(transform):
     }
     with pytest.raises(ValueError, match="light: a dense tensor expected, found a nested one"):
         calls[transform](lambda m: render(n, m, light))
+
+
+@pytest.mark.parametrize("method", ["auto", "culled", "hybrid", "quadrature"])
+def test_a_tolerance_beyond_float32_is_taken_without_a_warning(method):
+    n = torch.tensor([0.0, 0.0, 1.0]).expand(1, 4, 4, 3)
+    picture = render(n, torch.ones(1, 108), torch.ones(1, 6, 8, 3), method=method, tolerance=1e300)
+    assert picture.isfinite().all()
