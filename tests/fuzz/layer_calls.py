@@ -393,7 +393,9 @@ def transformed(call):
     def total(m):
         return picture(m).sum()
 
-    if not isinstance(m, torch.Tensor) or m.is_quantized or (call.way == "batched gradients" and not m.is_floating_point()):
+    # torch itself refuses these two ways where a tensor can have no derivative, before the layer is called
+    underivable = call.way in ("batched gradients", "jvp") and isinstance(m, torch.Tensor) and not m.is_floating_point()
+    if not isinstance(m, torch.Tensor) or m.is_quantized or underivable:
         return Answer(picture(m))
     if call.way == "vmap":
         return Answer(torch.func.vmap(picture)(torch.stack([m, m]))[1])
@@ -516,7 +518,10 @@ def judged(call) -> str | None:
     signal.signal(signal.SIGALRM, _alarm)
     signal.setitimer(signal.ITIMER_REAL, SECONDS)
     try:
-        answer = perform(call)
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            warnings.simplefilter("ignore", DeprecationWarning)  # of torch's own parts, which nobody is shown
+            answer = perform(call)
     except REFUSALS as error:
         return refusal_fault(call, error)
     except Hang:
@@ -525,7 +530,7 @@ def judged(call) -> str | None:
         return f"{type(error).__name__}: {str(error).splitlines()[0][:200] if str(error) else ''}"
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-    return answer_fault(call, answer)
+    return f"warning: {warned[0].message}".splitlines()[0][:200] if warned else answer_fault(call, answer)
 
 
 # ------------------------------------------------------------------------------------------------------------- running
