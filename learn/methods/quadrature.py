@@ -46,7 +46,7 @@ WIDER = {2: 4, 4: 2, math.inf: 1}  # times as many taps for lobes of each split'
 LOOSE = 5e-3  # tolerance from which taps serve those bands too; below, they would need more time than split texels
 LEAST, MOST = 256, 16384  # taps
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
-LARGEST_IN_KERNEL = 1e36  # κ and γ: the kernel's spline takes up to sixteen times as much, and float32 ends at 3.4e38
+LARGEST_IN_KERNEL = 1e7  # κ and γ: beyond, the rounding of the kernel's spline is negative exponents. The sharpest material has γ 1.2e6
 RADII = np.concatenate([[0.0], np.geomspace(1e-5, np.pi / 2, 1024)])  # θ_h grid on which the lobes' energy is added up
 THETA_D = np.linspace(0, np.pi / 2, 13)
 
