@@ -213,6 +213,27 @@ def learned(folder: Path) -> object:
         return f"unreadable: {type(error).__name__}"
 
 
+def is_harmed(data: Path, base: Path) -> bool:
+    """Whether something else is learned from a copy than from its base. A cache that training makes again does no harm."""
+    now, before = learned(data), learned(base)
+    if isinstance(now, tuple) and isinstance(before, tuple) and not _cache_is_used(data, base):
+        now = (*now[:-1], before[-1])
+    return now != before
+
+
+def _cache_is_used(data, base):
+    """Whether training would take the cache of packed geometry as it is (learn.data.geometry)."""
+    from learn.data.geometry import ARRAYS, _sum
+
+    try:
+        views, sums = (json.loads(content(data / "packed" / name)) for name in ("views.json", "sums.json"))
+        if views != json.loads(content(base / "packed" / "views.json")):
+            return False
+        return isinstance(sums, dict) and all(_sum(data / "packed" / name) == sums.get(name) for name in ARRAYS)
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
 def _map(folder, file):
     with np.load(io.BytesIO(content(folder / file)), allow_pickle=False) as stored:
         return stored["L"].astype(np.float32).tobytes()
@@ -975,7 +996,7 @@ def judged(base: Path, tampering: Tampering, room: Path, rng: np.random.Generato
     shutil.copytree(base, data)
     tampering.forge(Folder(data), rng)
     faults = faults_in(data)
-    harmful = learned(data) != learned(base)
+    harmful = is_harmed(data, base)
     refused = readers and refuses(data)
     return Verdict(tampering, harmful, bool(faults), refused, faults[0] if faults else "")
 
@@ -1106,7 +1127,7 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     data = room.folder / "data"
     shutil.copytree(base, data)
     tampering.forge(Folder(data), rng)
-    harmful = learned(data) != learned(base)
+    harmful = is_harmed(data, base)
 
     def check(result: Result) -> str | None:
         if harmful and result.status == 0 and tampering.principle is None:
