@@ -83,7 +83,7 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
     this project has one, and writers that swallow errors leave them.
     """
     path = Path(path)
-    _require_place_for_file(path)
+    require_place_for_file(path)
     if draft is None:
         _remove_abandoned_drafts(path.parent)
         name = os.fsdecode(os.fsencode(path.name)[:180])  # a name has 255 bytes at most, of any kind
@@ -183,7 +183,7 @@ def _is_alive(process: int) -> bool:
     return True
 
 
-def _require_place_for_file(path: Path) -> None:
+def require_place_for_file(path: Path) -> None:
     """Raises Problem if something lies at `path` that is no file: a rename would take a device's place."""
     try:
         found = kind_of(os.stat(path).st_mode)

@@ -15,11 +15,11 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from manifests import reading
 from manifests.errors import Problem
@@ -35,11 +35,15 @@ FOLDER = Path(__file__).parent
 BUILT_IN = (FOLDER / "materials.json", FOLDER / "materials-rgl.json")
 
 
+RelativeError = Annotated[float, Meta(ge=0, le=1e12)]  # of f · cos; beyond, sums over materials are no numbers
+DisplayError = Annotated[float, Meta(ge=0, le=255.0**2)]  # mean square of differences in [0, 255]
+
+
 class Distance(Struct, frozen=True, forbid_unknown_fields=True):
     """l1: at 0.5, 15, 30, 45, 60, 75° (fractions of the reference); display_l2: a value a light map."""
 
-    l1: tuple[float, ...]
-    display_l2: tuple[float, ...] = ()
+    l1: Annotated[tuple[RelativeError, ...], Meta(min_length=6, max_length=6)]
+    display_l2: tuple[DisplayError, ...] = ()
 
     @property
     def mean(self) -> float:

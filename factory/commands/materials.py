@@ -155,6 +155,8 @@ def run_add(options):
     if options.out.exists():
         before = catalogue.read_catalogue(options.out)
         older, title = [e for e in before.materials if e.name not in found], title or before.title
+        for entry in older:  # they are compared with the new ones, and written again
+            catalogue.material(entry, options.out)
         credit = before.credit if credit in before.credit else f"{before.credit}; {credit}"
         if tuple(maps) != before.light_maps:
             given = " ".join(f"--light {n}" for n in before.light_maps) or "no --light"
@@ -207,6 +209,8 @@ def run_preview(options):
         raise Problem("--size, --columns", "16 to 512 pixels, 1 to 64 columns", f"{options.size}, {options.columns}", "choose within")
     materials = load_catalogue(*(options.catalogue or ()))
     chosen = [find(name, materials) for name in options.materials] or sorted(materials.values(), key=lambda m: (m.family, m.name))
+    if not chosen:
+        raise Problem(options.catalogue[0], "a material to draw", "none", "add one: python -m factory materials add")
     light = load(options.light)
 
     def watch(items):

@@ -23,11 +23,21 @@ BARREN = 8  # deaths with no picture in between after which the machine is to bl
 PATIENCE = 600.0  # seconds of silence before a worker counts as hung, or 50 times the longest shot so far
 
 
+def _line(message):
+    """A message as a line of JSON. Raises Problem where a name of a file or folder in it is no text."""
+    try:
+        return msgspec.json.encode(message) + b"\n"
+    except UnicodeEncodeError as error:
+        remedy = "rename it, or give another --out"
+        raise Problem(ascii(error.object), "a name of a file or a folder in UTF-8", "other bytes", remedy) from None
+
+
 class _Worker:
     """A process and what it still owes."""
 
     def __init__(self, setup, descriptors, log):
         self.setup, self.log = setup, log
+        first = _line(setup)  # before there is a process that would have to be ended
         self.made, self.failed, self.owed, self.heard = 0, 0, deque(), time.monotonic()
         with open(log, "wb") as complaints:
             self.process = subprocess.Popen(
@@ -39,17 +49,17 @@ class _Worker:
                 env={**os.environ, "PYTHONUNBUFFERED": "1"},
             )
         self._rest = b""
-        self._send(setup)
+        self._send(first)
 
     def hand(self, shots):
         """Give it shots to make."""
         self.owed.extend(shots)
         self.heard = time.monotonic()
-        self._send(Chunk(list(shots)))
+        self._send(_line(Chunk(list(shots))))
 
-    def _send(self, message):
+    def _send(self, line):
         try:
-            self.process.stdin.write(msgspec.json.encode(message) + b"\n")
+            self.process.stdin.write(line)
             self.process.stdin.flush()
         except BrokenPipeError:
             pass  # it has died: its output ends, and that is where the dead are noticed

@@ -6,6 +6,7 @@ measurement, the recipe, the light maps and this program's fitting code. A secon
 
 import concurrent.futures
 import hashlib
+import os
 from pathlib import Path
 
 import msgspec
@@ -16,8 +17,11 @@ from factory.materials import errors, recipe
 from factory.materials.samples import held_out
 from factory.materials.sphere import Sphere
 from manifests import materials as catalogue
+from manifests.errors import Problem
 from manifests.files import write_bytes
+from manifests.inputs import require_file
 from manifests.materials import Distance, Entry, Errors, MixtureData, Neighbour
+from manifests.reading import decode
 
 VERSION = 2  # of the fitting code: raise it with any change that alters a fit, and kept fits are made again
 PROBE = np.linspace(0.01, 0.999, 64)[:, None], np.linspace(0.05, 0.999, 16)  # cos_h, cos_d at which a measurement is hashed
@@ -56,11 +60,16 @@ def fit_all(sources, recipe_, maps, out, workers=1):
 
 
 def _kept(file):
-    """The entry of a fit that was kept; None if there is none, or a damaged one."""
-    try:
-        return msgspec.json.decode(file.read_bytes(), type=Entry)
-    except (FileNotFoundError, msgspec.DecodeError, UnicodeDecodeError):
+    """The entry of a fit that was kept; None if there is none, or a damaged one. Raises Problem where something else lies there."""
+    if not os.path.lexists(file):
         return None
+    require_file(file, "a kept fit", "delete it")
+    try:
+        entry_ = decode(file.read_bytes(), Entry, file)
+        catalogue.material(entry_, file)  # numbers that were altered are no JSON error
+    except Problem:
+        return None
+    return entry_
 
 
 def _each(names, workers):

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from factory.materials.samples import HELD_OUT_DEG
+from manifests.errors import Problem
 from manifests.files import together, write_figure, write_json, write_text
 from manifests.materials import read_catalogue
 from manifests.provenance import provenance
@@ -57,6 +58,8 @@ def write(path, out, source=None, abc=None):
 
     catalogue = read_catalogue(path)
     entries = catalogue.materials
+    if not entries:
+        raise Problem(path, "a material to report on", "none", "add one: python -m factory materials add")
     found, made = figures(entries), provenance()
     witnesses = {}
     if source and abc:

@@ -10,7 +10,9 @@ from pathlib import Path
 
 from manifests.errors import Problem
 from manifests.files import write_bytes, write_text
+from manifests.inputs import require_file
 
+LARGEST_NOTE = 1 << 20  # bytes; a note has some hundreds
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 
 
@@ -39,10 +41,11 @@ def add(mesh, library, *, source, licence):
 
 def _hash_noted(note):
     """The hash of the mesh that a note is about. Raises Problem for a damaged note."""
+    remedy = f"delete it, and {note.stem}.obj beside it unless that is this mesh; or pass a different --name"
+    require_file(note, "a mesh's note as JSON", remedy, LARGEST_NOTE)
     try:
         return json.loads(note.read_bytes()).get("hash")
-    except (ValueError, AttributeError) as error:
-        remedy = f"delete it, and {note.stem}.obj beside it unless that is this mesh; or pass a different --name"
+    except (ValueError, AttributeError, RecursionError) as error:
         raise Problem(note, "a mesh's note as JSON", str(error)[:100], remedy) from None
 
 

@@ -60,7 +60,7 @@ def read(path, command):
         return json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise Problem(path, "a file", "none", f"run `{command}` first") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise Problem(path, "JSON", str(error), f"run `{command}` again") from None
 
 

@@ -14,6 +14,7 @@ from learn.data.batch import Batch
 from learn.data.devices import array
 from learn.data.records import Records
 from learn.figures.montage import rows as captioned
+from learn.layer.inputs import LENGTH_TOLERANCE
 from learn.networks import weights as checkpoint
 from learn.training import montage as training_sheet
 from learn.training import validation
@@ -45,7 +46,9 @@ def of(framed, network, regions=None, count=1):
     batch = batch.to(devices.of(network))
     with torch.no_grad():
         predicted = network(batch.image, batch.mask, batch.segments if count > 1 else None, regions=count)
-    if not all(part.isfinite().all() for part in (predicted.n, predicted.label, predicted.light)):
+    lengths = predicted.n.movedim(1, -1)[mask[None].to(predicted.n.device)].norm(dim=-1)  # 0 where numbers before their scaling overflowed
+    finite = all(part.isfinite().all() for part in (predicted.n, predicted.label, predicted.light))
+    if not (finite and ((lengths - 1).abs() <= LENGTH_TOLERANCE).all()):
         rule = "weights that predict finite normals, light and material"
         raise Problem("--weights", rule, "NaN or infinity", "train them again, or leave --weights out")
     return batch, predicted

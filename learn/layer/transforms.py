@@ -11,6 +11,7 @@ import torch
 
 from learn import layer
 from learn.engines import derivatives
+from learn.layer.inputs import require_dense
 
 FORWARD_MODE = (
     "derivatives: reverse mode (torch.func.grad, vjp, jacrev) expected, found forward mode (jvp, jacfwd, hessian), which the layer has not"
@@ -20,6 +21,7 @@ TRACED = (
     "the layer cannot be recorded by {}, because its kernels read the tensors' values; torch.compile leaves it as one call, "
     "and torch.func.vmap, grad, vjp and jacrev work"
 )
+NAMES = ("n", "material", "light", "view", "segments", "mask")
 KINDS = torch._C._TorchDispatchModeKey
 
 
@@ -34,8 +36,11 @@ def are_active():
 
 def render(tensors, settings):
     """`learn.layer.render` of n, material, light, view, segments and mask, and of method, tolerance and elevation."""
-    if any(isinstance(x, torch.Tensor) and torch._is_functional_tensor(x) for x in tensors):
-        raise NotImplementedError(TRACED.format("torch.func.functionalize"))
+    for name, x in zip(NAMES, tensors, strict=True):
+        if isinstance(x, torch.Tensor):
+            if torch._is_functional_tensor(x):
+                raise NotImplementedError(TRACED.format("torch.func.functionalize"))
+            require_dense(name, x)  # torch.func itself fails at others, in words of its own
     return Picture.apply(*tensors, settings)
 
 

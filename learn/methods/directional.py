@@ -318,7 +318,7 @@ def select(n, tables, cones, left_out):
     """Each tile's list, as learn.engines.culled has it: cuts, lengths, entries; cones are those of the tables, or their way back's."""
     size = tile_size(len(n))
     tiles = -(-len(n) // size)
-    room, budget = tables.lights.blocks, np.array([left_out], np.float32)
+    room, budget = tables.lights.blocks, np.array([min(left_out, np.finfo(np.float32).max)], np.float32)
     cuts, lengths, entries = np.empty((tiles, room, 4), np.float32), np.empty(tiles, np.int32), np.empty((tiles, room), np.int32)
 
     def kernel(first, last):

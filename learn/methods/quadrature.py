@@ -46,6 +46,7 @@ WIDER = {2: 4, 4: 2, math.inf: 1}  # times as many taps for lobes of each split'
 LOOSE = 5e-3  # tolerance from which taps serve those bands too; below, they would need more time than split texels
 LEAST, MOST = 256, 16384  # taps
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
+LARGEST_IN_KERNEL = 1e7  # κ and γ: beyond, the rounding of the kernel's spline is negative exponents. The sharpest material has γ 1.2e6
 RADII = np.concatenate([[0.0], np.geomspace(1e-5, np.pi / 2, 1024)])  # θ_h grid on which the lobes' energy is added up
 THETA_D = np.linspace(0, np.pi / 2, 13)
 
@@ -132,7 +133,8 @@ def over_taps(n, view, m, light, camera_from_light, taps):
     if not used.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
     around, solid_angle = spiral(m.detach()[:, used], taps)
-    if not wants_gradient(n, view, m, light) and n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available():
+    plain = not wants_gradient(n, view, m, light) and n.dtype == torch.float32 and n.device.type == "cpu"
+    if plain and machine_code.is_available() and m.detach().max() <= LARGEST_IN_KERNEL:
         return by_kernel(n, view, m, light, camera_from_light, around, solid_angle)
     m = m[:, used]
     around, solid_angle = (torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in (around, solid_angle))

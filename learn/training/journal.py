@@ -68,7 +68,7 @@ def _forget(path, step):
     kept, whole = [], path.read_bytes()
     for line in whole.splitlines(keepends=True):
         try:
-            if line.endswith(b"\n") and json.loads(line)["step"] < step:
+            if line.endswith(b"\n") and json.loads(line.decode())["step"] < step:  # of bytes it would take a byte-order mark
                 kept.append(line)
         except (ValueError, KeyError, TypeError, RecursionError):
             continue

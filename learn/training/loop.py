@@ -27,8 +27,9 @@ from learn.training import montage as training_sheet
 from learn.training.journal import Journal
 from manifests import lock
 from manifests.errors import Problem
-from manifests.files import write_bytes
+from manifests.files import require_place_for_file, write_bytes
 
+WRITTEN = ("run.json", "log.jsonl", "weights.safetensors", "checkpoint.safetensors", "made.json")
 EVERY_SECONDS = 120  # between checkpoints, if no count of steps is given
 PATIENCE = 2.0  # seconds for a killed run to be gone
 _LOCKS = []  # descriptors of the folders that this process holds
@@ -68,6 +69,8 @@ class Training:
         self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
         self.device = torch.device(device)
         self.out.mkdir(parents=True, exist_ok=True)
+        for name in WRITTEN:  # before hours of training, not after them
+            require_place_for_file(self.out / name)
         torch.manual_seed(run.seed)
         labels = torch.from_numpy(np.stack(list(pools["train"].labels.values())))
         self.network = checkpoint.NETWORKS[run.network](Ranges.of(labels)).to(self.device, memory_format=torch.channels_last)

@@ -86,7 +86,7 @@ def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
     if geometry.normals[~mask].any() or geometry.depth[~mask].any():
         found.append("normals and depth 0 in the background expected, found others")
     for what, values in (("normals", geometry.normals), ("depth", geometry.depth)):
-        steps = values * STEPS_PER_UNIT
+        steps = values.astype(np.float64) * STEPS_PER_UNIT  # a damaged value times 2^15 may be beyond float32
         if (steps != np.rint(steps)).any():
             found.append(f"{what} in steps of 2^-{int(np.log2(STEPS_PER_UNIT))} expected, found others")
     lengths = np.sqrt(_dots(normals, normals)[mask])

@@ -46,13 +46,48 @@ def test_a_second_call_takes_the_fits_that_are_kept(own, capsys):
     assert (own / "own.json").read_bytes() == before[1]
 
 
-@pytest.mark.parametrize("damage", [lambda data: b"", lambda data: data[:-10]])
+def another_number(data):
+    """The same fit with the first number of its label changed: right JSON, but not what was fitted."""
+    entry = json.loads(data)
+    entry["label"][0] += 0.5
+    return json.dumps(entry).encode()
+
+
+DAMAGE = {"empty": lambda data: b"", "cut": lambda data: data[:-10], "another number": another_number}
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
 def test_a_damaged_fit_is_fitted_again(own, damage):
     (kept,) = (own / "own.json.fits").iterdir()
     whole, catalogue = kept.read_bytes(), (own / "own.json").read_bytes()
     kept.write_bytes(damage(whole))
     assert run("materials", "add", own, "--closures", 1, "--out", own / "own.json") == 0
     assert (kept.read_bytes(), (own / "own.json").read_bytes()) == (whole, catalogue)
+
+
+def test_a_material_cannot_be_added_beside_one_whose_numbers_no_fit_gives(own, tmp_path, capsys):
+    catalogue = json.loads((own / "own.json").read_text())
+    catalogue["materials"][0] |= {"name": "earlier", "label": [1e19, *catalogue["materials"][0]["label"][1:]]}
+    (tmp_path / "own.json").write_text(json.dumps(catalogue))
+    assert run("materials", "add", own, "--closures", 1, "--out", tmp_path / "own.json") == 1
+    assert "'earlier': natural logarithms up to 14 expected, found 1e+19" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("l1", [[], [0.1], [0.1] * 7, [1e308] * 6, [-1.0] * 6])
+def test_errors_that_no_fit_has_are_refused_where_a_catalogue_is_read(own, tmp_path, capsys, l1):
+    catalogue = json.loads((own / "own.json").read_text())
+    catalogue["materials"][0]["errors"]["nodes_vs_label"]["l1"] = l1
+    (tmp_path / "own.json").write_text(json.dumps(catalogue))
+    assert run("materials", "report", tmp_path / "own.json", "--out", tmp_path / "out") == 1
+    assert "own.json: materials[0].errors.nodes_vs_label.l1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [("report",), ("preview", "--catalogue")])
+def test_a_catalogue_without_materials_is_refused_where_some_are_needed(own, tmp_path, capsys, command):
+    catalogue = json.loads((own / "own.json").read_text()) | {"materials": []}
+    (tmp_path / "own.json").write_text(json.dumps(catalogue))
+    assert run("materials", *command, tmp_path / "own.json", "--out", tmp_path / "out") == 1
+    assert "own.json: a material to " in capsys.readouterr().err
 
 
 def test_another_recipe_is_another_fit(own):

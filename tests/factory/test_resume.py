@@ -38,6 +38,11 @@ def test_a_run_makes_every_shot_once_and_its_folder_verifies(render, small_job, 
     assert faults(tmp_path) == []
 
 
+def test_a_folder_whose_name_is_no_text_is_refused_before_a_worker_starts(render, small_job, tmp_path):
+    with pytest.raises(Problem, match=r"out\\udcff': a name of a file or a folder in UTF-8 expected"):
+        render(small_job, tmp_path / "out\udcff")
+
+
 def test_a_second_run_makes_nothing_and_a_larger_job_adds_only_what_is_new(render, small_job, tmp_path):
     render(small_job, tmp_path)
     assert render(small_job, tmp_path).made == 0

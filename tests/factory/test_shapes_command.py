@@ -83,7 +83,7 @@ def test_a_mesh_of_the_library_that_was_damaged_since_is_written_again(kettle, t
     assert path.read_bytes() == whole
 
 
-@pytest.mark.parametrize("damaged", [b"", b"{", b"[]", b"\xff"])
+@pytest.mark.parametrize("damaged", [b"", b"{", b"[]", b"\xff", b"[" * 100_000], ids=["empty", "cut", "a list", "no text", "deep"])
 def test_a_damaged_note_of_the_library_says_what_to_do_and_so_it_works(kettle, tmp_path, capsys, damaged):
     arguments = ("add", kettle, "--library", tmp_path / "mine", "--category", "object")
     assert shapes(*arguments) == 0

@@ -163,7 +163,7 @@ def _packed(data, rng):
     """The cache that training keeps beside the records, damaged."""
     folder = data / "packed"
     folder.mkdir()
-    name = mutation.pick(rng, ("views.json", "skipped.json", "pictures.json", "normals.npy", "segments.npy"))
+    name = mutation.pick(rng, ("views.json", "skipped.json", "sums.json", "pictures.json", "normals.npy", "segments.npy"))
     if name.endswith(".json"):
         hashes = [json.loads(line)["geometry_hash"] for line in lines_of(data).read_bytes().splitlines()]
         value = mutation.pick(rng, (sorted(set(hashes)), {h: "bad" for h in hashes}, [], {}, None, 1, "x", [[1]], {"a": {}}))

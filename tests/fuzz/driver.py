@@ -59,10 +59,15 @@ class Limits:
 # ---------------------------------------------------------------------------------------------- what there is to run
 
 
-def generators(names: list[str] | None = None) -> dict[str, ModuleType]:
-    """{name: module} of the generators of this package: those that define `case`. Raises ValueError for an unknown name."""
+def generator_names() -> list[str]:
+    """Names of the generators of this package: the modules that define `case`. None is imported."""
     sources = {path.stem: path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))}
-    known = [name for name, text in sources.items() if "\ndef case(" in text]  # other modules are not imported
+    return [name for name, text in sources.items() if "\ndef case(" in text]
+
+
+def generators(names: list[str] | None = None) -> dict[str, ModuleType]:
+    """{name: module} of all generators, or of those named. Raises ValueError for an unknown name."""
+    known = generator_names()
     found = {name: importlib.import_module(f".{name}", __package__) for name in known if not names or name in names}
     if unknown := set(names or ()) - set(found):
         raise ValueError(f"unknown generators: {', '.join(sorted(unknown))}")

@@ -17,6 +17,7 @@ import math
 import signal
 import sys
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -290,6 +291,12 @@ def together(arguments, rng):
 
 def make(rng):
     """A `Call`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # torch announces changes of quantized and nested tensors
+        return _made(rng)
+
+
+def _made(rng):
     call = Call(valid(rng))
     for _ in range(int(rng.choice([0, 1, 1, 1, 1, 2]))):
         if rng.random() < 0.12 and not call.changed:
@@ -386,7 +393,9 @@ def transformed(call):
     def total(m):
         return picture(m).sum()
 
-    if not isinstance(m, torch.Tensor) or m.is_quantized or (call.way == "batched gradients" and not m.is_floating_point()):
+    # torch itself refuses these two ways where a tensor can have no derivative, before the layer is called
+    underivable = call.way in ("batched gradients", "jvp") and isinstance(m, torch.Tensor) and not m.is_floating_point()
+    if not isinstance(m, torch.Tensor) or m.is_quantized or underivable:
         return Answer(picture(m))
     if call.way == "vmap":
         return Answer(torch.func.vmap(picture)(torch.stack([m, m]))[1])
@@ -509,7 +518,10 @@ def judged(call) -> str | None:
     signal.signal(signal.SIGALRM, _alarm)
     signal.setitimer(signal.ITIMER_REAL, SECONDS)
     try:
-        answer = perform(call)
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            warnings.simplefilter("ignore", DeprecationWarning)  # of torch's own parts, which nobody is shown
+            answer = perform(call)
     except REFUSALS as error:
         return refusal_fault(call, error)
     except Hang:
@@ -518,7 +530,7 @@ def judged(call) -> str | None:
         return f"{type(error).__name__}: {str(error).splitlines()[0][:200] if str(error) else ''}"
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-    return answer_fault(call, answer)
+    return f"warning: {warned[0].message}".splitlines()[0][:200] if warned else answer_fault(call, answer)
 
 
 # ------------------------------------------------------------------------------------------------------------- running

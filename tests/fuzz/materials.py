@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from . import Case, Result, Room, mutation, seeds
+from . import Case, Result, Room, commands, mutation, seeds
 
 NUMBERS = (
     *("0", "-80", "-80.001", "-79.999", "4.4", "4.401", "14", "14.001", "-1e308", "1e308", "1e309", "-1e400", "1e-400", "-0.0"),
@@ -94,7 +94,7 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
         there = seeds.of(room)
         words = ["edit", there / "second.png", "--no-refine", "--weights", there / "weights.safetensors"]
         words += [f"--material={asked}", "--out", room.folder / "out"]
-        return Case(label=text, command=["learn", *map(str, words)])
+        return Case(label=text, command=["learn", *map(str, words)], before=commands.draw_small)
     return Case(label=text, run=lambda: shown(asked), check=not_finite)
 
 

@@ -1,7 +1,8 @@
 """Training: run files, light maps, options, the caches beside a data set, and what an earlier run left in the folder.
 
-First each key of a run file in turn gets each of VALUES; then PLACES are damaged in turn; then chance. What is accepted
-is trained for two steps of two pictures of 32 × 32. A run that is refused leaves the checkpoint that was there as it was.
+Every other case walks through a plan: what an earlier run left is damaged, then OPTIONS are tried, then each key of a run file gets each
+of VALUES. The cases between are by chance, as is what comes after the plan. An accepted run trains for two steps of two
+pictures of 32 × 32 pixels. A refused run leaves the checkpoint that was there as it was.
 """
 
 import json
@@ -34,9 +35,10 @@ OPTIONS = (
     *(("--workers", value) for value in ("-1", "1")),
 )
 LEFT = ("checkpoint.safetensors", "log.jsonl", "run.json", "weights.safetensors", "made.json")
-CACHE = ("views.json", "normals.npy", "segments.npy", "skipped.json")
+CACHE = ("views.json", "normals.npy", "segments.npy", "skipped.json", "sums.json")
 DAMAGE = ("empty", "cut", "noise", "a pipe", "a folder", "a circle of links", "text", "lists", "NaN", "removed", "of another")
-PLACES = [("left", name, how) for name in LEFT for how in DAMAGE] + [("cache", name, how) for name in CACHE for how in DAMAGE]
+PLANNED = [("left", name, how) for name in LEFT for how in DAMAGE] + [("cache", name, how) for name in CACHE for how in DAMAGE]
+PLANNED += [("option", *each) for each in OPTIONS] + [("run", key, value) for key in KEYS for value in VALUES]
 RUN = {
     "name": "fuzzed",
     "size": 32,
@@ -49,46 +51,43 @@ MEMORY_MB = 2048  # networks are made before their settings can be seen to be to
 
 
 def prepare(folder: Path) -> None:
-    """The shared seeds."""
-    seeds.shared(folder)
+    """The shared seeds; a data set whose cache of packed geometry is complete."""
+    from learn.data.geometry import Geometry
+
+    shutil.copytree(seeds.shared(folder) / "views", folder / "views")
+    Geometry(folder / "views", progress=False)
 
 
 def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     """See the module."""
     there, out, more = seeds.of(room), room.folder / "out", []
-    data = there / "views"
-    run, text, label = json.loads(json.dumps(RUN)), None, ""
-    writes = ["out"]
-    planned = len(KEYS) * len(VALUES)
-    if index < planned:
-        key, value = KEYS[index // len(VALUES)], VALUES[index % len(VALUES)]
-        parent = run
-        *sections, last = key.split(".")
-        for section in sections:
-            parent = parent[section]
-        parent[last] = value
-        label = f"run {key}: {str(value)[:40]}"
-    elif index < planned + len(PLACES):
-        where, name, how = PLACES[index - planned]
-        label = f"{where} {name}: {how}"
-        if where == "left":
+    data = room.folder / "views"  # a copy of its own: training writes the cache anew where it is damaged
+    shutil.copytree(room.seeds / "views", data)
+    run, text = json.loads(json.dumps(RUN)), None
+    if index % 2 or index // 2 >= len(PLANNED):
+        label, run, text, more = by_chance(rng, room, run, out)
+    else:
+        what, first, second = PLANNED[index // 2]
+        label = f"{what} {first}: {str(second)[:40]}"
+        if what == "run":
+            *sections, last = first.split(".")
+            parent = run
+            for section in sections:
+                parent = parent[section]
+            parent[last] = second
+        elif what == "left":
             shutil.copytree(there / "trained", out)
             run = json.loads((there / "run.json").read_text())
-            damage(out / name, how, rng)
+            damage(out / first, second, rng)
+        elif what == "cache":
+            damage(data / "packed" / first, second, rng)
         else:
-            data = cached(there, room)
-            damage(data / "packed" / name, how, rng)
-            writes.append("views")
-    elif index < planned + len(PLACES) + len(OPTIONS):
-        more = list(OPTIONS[index - planned - len(PLACES)])
-        label = " ".join(more)
-    else:
-        label, run, text, more = by_chance(rng, room, run, out)
+            more = [first, second]
     path = room.folder / "run.json"
     path.write_bytes(text if text is not None else json.dumps(run).encode())
     words = ["learn", "train", path, "--data", data, "--out", out, *([] if "--workers" in more else ["--workers", "0"]), *more]
     kept = content(out / "checkpoint.safetensors")
-    return Case(label=label, command=list(map(str, words)), writes=tuple(writes), check=lambda result: lost(result, out, kept))
+    return Case(label=label, command=list(map(str, words)), writes=("out", "views"), check=lambda result: lost(result, out, kept))
 
 
 def by_chance(rng, room, run, out):
@@ -110,15 +109,6 @@ def by_chance(rng, room, run, out):
     data, label = mutation.some_text((out / "log.jsonl").read_bytes(), rng)
     (out / "log.jsonl").write_bytes(data)
     return f"log: {label}", own, None, []
-
-
-def cached(there, room):
-    """A copy of the data set with its cache of geometry."""
-    copy = room.folder / "views"
-    shutil.copytree(there / "views", copy)
-    if not (copy / "packed").is_dir():
-        raise RuntimeError("the seeds have no cache of geometry")
-    return copy
 
 
 def damage(path: Path, how: str, rng: np.random.Generator) -> None:
@@ -150,7 +140,7 @@ def lost(result, out: Path, kept: bytes | None) -> str | None:
         from learn.networks import weights
 
         weights.load_network(out / "weights.safetensors")
-        steps = [json.loads(line)["step"] for line in (out / "log.jsonl").read_text().splitlines()]
+        steps = [json.loads(line)["step"] for line in (out / "log.jsonl").read_text(encoding="utf-8").splitlines()]
         if steps != sorted(set(steps)):
             return f"the log has steps {steps}"
     return None

@@ -18,6 +18,7 @@ the folder that contradicts him: such tamperings carry their reason in `principl
 import argparse
 import contextlib
 import hashlib
+import io
 import json
 import os
 import shutil
@@ -95,7 +96,7 @@ class Folder:
 
     def json(self, name: str) -> dict:
         """dataset.json or materials.json."""
-        return json.loads((self.path / name).read_bytes())
+        return json.loads(content(self.path / name))
 
     def write_json(self, name: str, value: dict) -> None:
         """Puts another in its place."""
@@ -179,6 +180,13 @@ class Folder:
                 path.unlink()
 
 
+def content(path: Path) -> bytes:
+    """The bytes of an ordinary file; for a pipe this would wait. Raises FileNotFoundError."""
+    if not path.is_file():
+        raise FileNotFoundError(path)
+    return path.read_bytes()
+
+
 def learned(folder: Path) -> object:
     """Everything that could be learned from a folder, read without a check; a text that says so if it cannot be read."""
     with _without_pipes(folder):
@@ -223,6 +231,11 @@ def _learned(folder):
         return f"unreadable: {type(error).__name__}"
 
 
+def is_harmed(data: Path, base: Path) -> bool:
+    """Whether something else is learned from a copy than from its base. A cache that training makes again does no harm."""
+    return learned(data) != learned(base)
+
+
 def _packed_geometry(folder):
     """Digest of the geometry that training reads, through the cache of a folder that has one; None for one without."""
     from learn.data.geometry import Geometry
@@ -235,7 +248,7 @@ def _packed_geometry(folder):
 
 
 def _map(folder, file):
-    with np.load(folder / file, allow_pickle=False) as stored:
+    with np.load(io.BytesIO(content(folder / file)), allow_pickle=False) as stored:
         return stored["L"].astype(np.float32).tobytes()
 
 
@@ -998,7 +1011,7 @@ def judged(base: Path, tampering: Tampering, room: Path, rng: np.random.Generato
     shutil.copytree(base, data)
     tampering.forge(Folder(data), rng)
     faults = faults_in(data)
-    harmful = learned(data) != learned(base)
+    harmful = is_harmed(data, base)
     refused = readers and refuses(data)
     return Verdict(tampering, harmful, bool(faults), refused, faults[0] if faults else "")
 
@@ -1129,7 +1142,7 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     data = room.folder / "data"
     shutil.copytree(base, data)
     tampering.forge(Folder(data), rng)
-    harmful = learned(data) != learned(base)
+    harmful = is_harmed(data, base)
 
     def check(result: Result) -> str | None:
         if harmful and result.status == 0 and tampering.principle is None:

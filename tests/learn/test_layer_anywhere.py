@@ -96,3 +96,25 @@ def test_nothing_is_ever_infinite(method, dtype):
             assert leaf.grad is None or leaf.grad.isfinite().all(), name
 
     holds()
+
+
+@pytest.mark.filterwarnings("ignore:The PyTorch API of nested tensors:UserWarning")
+@pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated:DeprecationWarning")  # by torch.func.jvp itself
+@pytest.mark.parametrize("transform", ["vmap", "grad", "jvp"])
+def test_a_nested_light_is_refused_by_its_name_under_transforms_too(transform):
+    n, m = torch.tensor([0.0, 0.0, 1.0]).expand(1, 2, 2, 3), torch.ones(1, 108)
+    light = torch.nested.nested_tensor([torch.ones(4, 8, 3)])
+    calls = {
+        "vmap": lambda picture: torch.func.vmap(picture)(m[None]),
+        "grad": lambda picture: torch.func.grad(lambda m: picture(m).sum())(m),
+        "jvp": lambda picture: torch.func.jvp(picture, (m,), (m,)),
+    }
+    with pytest.raises(ValueError, match="light: a dense tensor expected, found a nested one"):
+        calls[transform](lambda m: render(n, m, light))
+
+
+@pytest.mark.parametrize("method", ["auto", "culled", "hybrid", "quadrature"])
+def test_a_tolerance_beyond_float32_is_taken_without_a_warning(method):
+    n = torch.tensor([0.0, 0.0, 1.0]).expand(1, 4, 4, 3)
+    picture = render(n, torch.ones(1, 108), torch.ones(1, 6, 8, 3), method=method, tolerance=1e300)
+    assert picture.isfinite().all()

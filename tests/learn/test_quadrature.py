@@ -109,3 +109,10 @@ def test_lobes_without_reflection_cost_nothing_and_change_nothing():
     assert (kept[..., 0, :] == 0).all()
     one = scene(1e4)
     torch.testing.assert_close(render(**(one | {"material": kept.reshape(1, 108)}), method="quadrature"), torch.zeros_like(one["n"]))
+
+
+@pytest.mark.parametrize("kappa", [1e12, 1e30, 1e38, 3e38])
+def test_heights_at_the_end_of_float32_give_finite_pictures(kappa):
+    one = scene(54.0, rows=8, matte=0.01)
+    one["material"].reshape(3, 3, 2, 6)[0, 0, 0, 4] = kappa  # between small control values: the spline's steps are as large
+    assert render(**one, method="quadrature").isfinite().all()

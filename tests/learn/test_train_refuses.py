@@ -374,14 +374,17 @@ def test_light_maps_in_other_files_are_refused(tmp_path):
             lights.read_maps(tmp_path / name)
 
 
-@pytest.mark.parametrize("text", [b"[1]\n", b"5\n", b"null\n", b"[" * 100_000 + b"\n", b'{"step": "one"}\n', b'{"step": null}\n'])
+@pytest.mark.parametrize(
+    "text", [b"[1]\n", b"5\n", b"null\n", b"[" * 100_000 + b"\n", b'{"step": "one"}\n', b'{"step": null}\n', b'\xef\xbb\xbf{"step": -1}\n']
+)
 def test_lines_of_a_log_that_are_none_are_dropped(pools, tmp_path, text):
     (tmp_path / "log.jsonl").write_bytes(text)
     Training(run(), pools, tmp_path, sheet_every=0, workers=0).train()
     assert [json.loads(each)["step"] for each in (tmp_path / "log.jsonl").read_text().splitlines()] == [0, 1]
 
 
-def test_a_pipe_in_the_place_of_the_log_is_refused(pools, tmp_path):
-    os.mkfifo(tmp_path / "log.jsonl")
-    with pytest.raises(Problem, match=r"log\.jsonl: .* found a pipe"):
+@pytest.mark.parametrize("name", loop.WRITTEN)
+def test_a_pipe_in_the_place_of_a_result_is_refused_before_training(pools, tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(Problem, match=rf"{name}: .* found a pipe"):
         Training(run(), pools, tmp_path, workers=0)

@@ -187,10 +187,11 @@ def test_ranges_that_no_material_has_are_refused(tmp_path, centre, half):
         weights.load_network(tmp_path / "w.safetensors")
 
 
-def test_weights_whose_prediction_overflows_are_told_by_it(sound):
+@pytest.mark.parametrize("value", [3e38, 1e30])  # of the second the squared length is infinite, and the scaled normals are 0
+def test_weights_whose_prediction_overflows_are_told_by_it(sound, value):
     network, _ = weights.load_parts(sound)
     with torch.no_grad():
-        network.normals.weight.fill_(3e38)
+        network.normals.weight.fill_(value)
     framed = Framed(np.full((32, 32, 3), 0.5, np.float32), np.ones((32, 32), bool), (0, 0, 32), 1.0)
     with pytest.raises(Problem, match="--weights: weights that predict finite"):
         of(framed, network)

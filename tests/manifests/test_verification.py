@@ -225,6 +225,7 @@ def encoded(normals, depth, segments):
         (lambda n, d, s: (n, 1.5 * d, s), "inside the unit sphere expected"),
         (lambda n, d, s: (n, np.where(s > 0, d, 0.25), s), "in the background expected"),
         (lambda n, d, s: (n, np.where(s > 0, d + 1e-6, 0), s), "depth in steps of 2^-15 expected"),
+        (lambda n, d, s: (n, np.where(s > 0, 3e38, 0), s), "inside the unit sphere expected"),
         (lambda n, d, s: (n * [-1, 1, 1], d, s), "normals that lean as the depth slopes expected"),
         (lambda n, d, s: (n * [1, -1, 1], d, s), "normals that lean as the depth slopes expected"),
         (lambda n, d, s: (n, -d, s), "normals that lean as the depth slopes expected"),
