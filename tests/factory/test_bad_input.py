@@ -78,7 +78,7 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(comman
         (["render", "dmeo", "--out", "X"], "did you mean demo", 1),
         (["render", "demo", "--out", "X", "--workers", "0"], "--workers", 2),
         (["render", "demo", "--out", "X", "--shard", "9/8"], "1 ≤ I ≤ N", 1),
-        (["render", "demo", "--out", "X", "--shard", "²/3"], "1 ≤ I ≤ N expected, found '²/3'", 1),
+        (["render", "demo", "--out", "X", "--shard", "²/3"], "expected 1 ≤ I ≤ N, found '²/3'", 1),
         (["render", "demo", "--out", "X", "--shard", "1/" + "9" * 5000], "1 ≤ I ≤ N", 1),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "9" * 5000, "--out", "X"], "pixels from 4 to 8192", 1),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "9" * 5000, "--out", "X"], "numbers from 0 to 23", 1),
@@ -86,7 +86,7 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(comman
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "24", "--out", "X"], "numbers from 0 to 23", 1),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "0", "--out", "X"], "pixels from 4 to 8192", 1),
         (["plan"], "a job expected", 1),
-        (["plan", "nowhere.json"], "nowhere.json: a JSON file expected, found no such file; check the path", 1),
+        (["plan", "nowhere.json"], "nowhere.json: expected a JSON file, found no such file (check the path", 1),
         (["status", "nowhere"], "a dataset", 1),
         (["verify", "nowhere"], "a dataset", 1),
         (["preview", "nowhere"], "a dataset", 1),
@@ -104,13 +104,13 @@ def test_wrong_usage_is_told_with_the_remedy(command, tmp_path, monkeypatch, wor
 @pytest.mark.parametrize(
     ("option", "value", "says"),
     [
-        ("--fov", "150", "--fov: float <= 120.0 expected, found 150.0;"),
-        ("--fov", "-5", "--fov: float >= 1.0 expected, found -5.0;"),
-        ("--fov", "nan", "--fov: degrees from 1 to 120 expected, found nan;"),
-        ("--fov", "inf", "--fov: degrees from 1 to 120 expected, found inf;"),
-        ("--samples", "2000000", "--samples: int <= 1048576 expected, found 2000000;"),
-        ("--seed", "99999999999999999999", "--seed: int <= 9223372036854775807 expected, found 99999999999999999999;"),
-        ("--seed", "-4", "--seed: int >= 0 expected, found -4;"),
+        ("--fov", "150", "--fov: expected float <= 120.0, found 150.0"),
+        ("--fov", "-5", "--fov: expected float >= 1.0, found -5.0"),
+        ("--fov", "nan", "--fov: expected degrees from 1 to 120, found nan"),
+        ("--fov", "inf", "--fov: expected degrees from 1 to 120, found inf"),
+        ("--samples", "2000000", "--samples: expected int <= 1048576, found 2000000"),
+        ("--seed", "99999999999999999999", "--seed: expected int <= 9223372036854775807, found 99999999999999999999"),
+        ("--seed", "-4", "--seed: expected int >= 0, found -4"),
     ],
 )
 def test_a_number_that_no_job_file_may_hold_leaves_the_dataset_as_it_is(
@@ -144,7 +144,7 @@ def test_the_help_of_render_names_every_preset(capsys):
     ("damage", "says"),
     [
         (lambda value: b"{", "JSON expected"),
-        (lambda value: json.dumps({**value, "flavour": 1}).encode(), "a known key expected, found 'flavour'"),
+        (lambda value: json.dumps({**value, "flavour": 1}).encode(), "expected a known key, found 'flavour'"),
         (lambda value: json.dumps({**value, "version": 7}).encode(), "version"),
         (lambda value: json.dumps({**value, "version": "one"}).encode(), "expected"),
     ],
@@ -210,7 +210,7 @@ def test_missing_files_are_named_and_made_again_after_repair(command, render, sm
     records = list(Store(tmp_path / "data").records())
     (tmp_path / "data" / records[0].image).unlink()
     status, said = command("verify", tmp_path / "data")
-    assert status == 1 and f"{records[0].image}: an OpenEXR file expected, found no such file" in said
+    assert status == 1 and f"{records[0].image}: expected an OpenEXR file, found no such file" in said
     status, said = command("preview", tmp_path / "data", "--out", tmp_path / "p", "--count", "12")
     assert status == 1 and records[0].id in said
     assert command("verify", tmp_path / "data", "--repair")[0] == 0
@@ -226,7 +226,7 @@ def test_a_preview_replaces_a_page_only_when_told(command, render, small_job, tm
     words = ("preview", tmp_path / "data", "--out", page.parent, "--size", "16")
     status, said = command(*words)
     assert (
-        status == 1 and "index.html: no earlier result expected, found one; give another --out, or --overwrite" in said and one_line(said)
+        status == 1 and "index.html: expected no earlier result, found one (give another --out, or --overwrite" in said and one_line(said)
     )
     assert page.read_text() == "mine" and not sheet.exists()
     assert command(*words, "--overwrite")[0] == 0

@@ -102,7 +102,7 @@ def test_add_refuses_a_broken_file_in_one_line(tmp_path, capsys):
     bad.write_bytes(b"")
     assert shapes("add", bad, "--library", tmp_path / "mine") == 1
     said = capsys.readouterr().err.strip().splitlines()
-    assert any("a mesh expected, found an empty file" in line for line in said) and not (tmp_path / "mine").exists()
+    assert any("expected a mesh, found an empty file" in line for line in said) and not (tmp_path / "mine").exists()
 
 
 def test_help_explains_a_shape(capsys):

@@ -340,8 +340,8 @@ SKY = np.ones((64, 128, 3), np.float32)
 @pytest.mark.parametrize(
     ("maps", "words"),
     [
-        ({"a": 0 * SKY}, "a: light expected, found a black map"),
-        ({"a": -SKY}, "a: light expected, found a black map"),
+        ({"a": 0 * SKY}, "a: expected light, found a black map"),
+        ({"a": -SKY}, "a: expected light, found a black map"),
         ({"a": SKY * np.float32(1e37)}, "radiance up to"),
         ({"a": SKY * np.nan}, "NaN or infinity"),
         ({"a": SKY[:, :, :1]}, "shape"),

@@ -200,7 +200,7 @@ def test_weights_whose_prediction_overflows_are_told_by_it(sound):
 def test_what_is_no_file_is_refused_at_once_by_every_reader(tmp_path, make):
     make(tmp_path / "w.safetensors")
     for read in (weights.load_network, features.load, perceptual.of_file, priors.load):
-        with pytest.raises(Problem, match=r"w\.safetensors: .* expected, found (a |too many)"):
+        with pytest.raises(Problem, match=r"w\.safetensors: expected .*, found (a |too many)"):
             read(tmp_path / "w.safetensors")
 
 

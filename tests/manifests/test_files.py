@@ -178,7 +178,7 @@ def test_the_longest_names_a_file_can_have_can_be_written(tmp_path, name):
 @pytest.mark.parametrize("make", [os.mkdir, os.mkfifo, lambda path: path.symlink_to("/dev/null")], ids=["folder", "pipe", "device"])
 def test_what_is_no_file_is_neither_written_into_nor_replaced(tmp_path, make):
     make(tmp_path / "out")
-    with pytest.raises(Problem, match="a file, or a name for a new one expected, found a"):
+    with pytest.raises(Problem, match="expected a file, or a name for a new one, found a"):
         files.write_bytes(tmp_path / "out", b"x")
     assert names(tmp_path) == ["out"] and not (tmp_path / "out").is_file()
 

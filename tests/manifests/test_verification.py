@@ -134,11 +134,11 @@ def test_whatever_determines_a_picture_is_held_against_its_id(store, changes):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"azimuth_deg": 15.0}, "azimuth 0 of viewpoint 0 expected, found 15"),
-        ({"category": "chair"}, "shape 'ball' with category primitive expected, found chair"),
+        ({"azimuth_deg": 15.0}, "expected azimuth 0 of viewpoint 0, found 15"),
+        ({"category": "chair"}, "expected shape 'ball' with category primitive, found chair"),
         ({"split": "mixed"}, "with split"),
-        ({"shape": "cube"}, "shape 'ball' with name ball expected, found cube"),
-        ({"light": "sun"}, "light 'lamp' with name lamp expected, found sun"),
+        ({"shape": "cube"}, "expected shape 'ball' with name ball, found cube"),
+        ({"light": "sun"}, "expected light 'lamp' with name lamp, found sun"),
         ({"image": "../../etc/passwd"}, "expected, found ../../etc/passwd"),
         ({"image": "images/ab/other.exr"}, "image at images/"),
         ({"geometry": "/etc/passwd"}, "expected, found /etc/passwd"),
@@ -228,7 +228,7 @@ def encoded(normals, depth, segments):
         (lambda n, d, s: (n * [-1, 1, 1], d, s), "normals that lean as the depth slopes expected"),
         (lambda n, d, s: (n * [1, -1, 1], d, s), "normals that lean as the depth slopes expected"),
         (lambda n, d, s: (n, -d, s), "normals that lean as the depth slopes expected"),
-        (lambda n, d, s: (n, d, s * 2), "segments up to 1 expected, found 2"),
+        (lambda n, d, s: (n, d, s * 2), "expected segments up to 1, found 2"),
         (lambda n, d, s: (n, d, s * 256), "segments 0 to 255 expected"),
         (lambda n, d, s: (n, d, s * 257), "segments 0 to 255 expected"),
         (lambda n, d, s: (0 * n, 0 * d, 0 * s), "an empty mask"),
@@ -344,7 +344,7 @@ def test_a_label_that_fits_its_hash_but_no_id_leaves_nothing_that_confirms_it(st
     [
         ("shapes", "ball", {"side": "test"}, "side train of its role"),
         ("shapes", "ball", {"side": "test", "role": "test"}, "role"),
-        ("materials", "matte", {"side": "test"}, "side train expected, found test"),
+        ("materials", "matte", {"side": "test"}, "expected side train, found test"),
         ("materials", "matte", {"licence": "mine"}, "licence 'CC0', as in materials.json,"),
         ("lights", "lamp", {"side": "test"}, "by its hash expected"),
         ("lights", "lamp", {"scale": 9.0}, "as in dataset.json, expected"),
@@ -373,7 +373,7 @@ def test_what_nothing_names_is_found(store):
     path.write_bytes(encode(msgspec.structs.replace(catalogue, materials=(*catalogue.materials, more))))
     found = "\n".join(texts(store))
     assert "light 'sun': a light that an order names expected" in found
-    assert "materials.json: a material that dataset.json names expected, found 'felt'" in found
+    assert "materials.json: expected a material that dataset.json names, found 'felt'" in found
 
 
 def test_records_that_no_order_asks_for_are_found(store):
@@ -387,7 +387,7 @@ def test_records_that_no_order_asks_for_are_found(store):
     (store.folder / first.image).rename(store.folder / image_path(id_))
     alter(store, id=id_, image=image_path(id_), rotation_texels=77)
     assert list(Verification(store).in_records()) == []
-    assert texts(store) == [f"record {id_}: an order in dataset.json that asks for it expected, found none"]
+    assert texts(store) == [f"record {id_}: expected an order in dataset.json that asks for it, found none"]
 
 
 def test_an_altered_order_condemns_no_picture(store):
@@ -396,14 +396,14 @@ def test_an_altered_order_condemns_no_picture(store):
     order = msgspec.structs.replace(dataset.orders[0], job=job)
     store.write_json("dataset.json", msgspec.structs.replace(dataset, orders=(order,)))
     (fault,) = faults_of(store)
-    assert "orders that ask for all lines expected, found none for 8" in fault.text and not fault.mendable
+    assert "expected orders that ask for all lines, found none for 8" in fault.text and not fault.mendable
 
 
 def test_more_shots_than_an_order_can_mean_are_found(store):
     dataset = store.dataset()
     order = msgspec.structs.replace(dataset.orders[0], shots=9)
     store.write_json("dataset.json", msgspec.structs.replace(dataset, orders=(order,)))
-    assert "at most 8 shots of its job expected, found 9" in texts(store)[0]
+    assert "expected at most 8 shots of its job, found 9" in texts(store)[0]
 
 
 def test_another_render_version_in_dataset_json_condemns_no_picture(store):
@@ -424,7 +424,7 @@ def test_missing_altered_and_stray_files_are_found(store):
     (store.folder / "partial" / "worker-00-x.exr").write_bytes(b"")
     (store.folder / "records" / "notes.txt").write_bytes(b"")
     found = "\n".join(texts(store))
-    assert f"{first.image}: an OpenEXR file expected, found no such file" in found
+    assert f"{first.image}: expected an OpenEXR file, found no such file" in found
     assert f"{second.image}: a whole OpenEXR file expected" in found
     assert "stray.exr: a record that names it expected" in found
     assert ".npz: a stored light map expected" in found
@@ -438,7 +438,7 @@ def test_duplicates_torn_and_foreign_lines_are_found(store):
     whole = path.read_bytes()
     path.write_bytes(whole + whole.splitlines(keepends=True)[0] + b'{"id": 3}\n' + b'{"id": "abc')
     found = "\n".join(fault.text for fault in Verification(store).in_records())
-    assert "once expected, found again" in found
+    assert "expected once, found again" in found
     assert "worker-00.jsonl:10: a record expected" in found
     assert "worker-00.jsonl:11: a whole line expected" in found
     assert repair(store, faults_of(store)) == (3, 0)
@@ -517,7 +517,7 @@ def test_links_pipes_and_folders_in_the_place_of_files_are_lines_and_repair_touc
     repair(store, found)
     assert {path.name: path.read_bytes() for path in outside.iterdir()} == dict.fromkeys(names, b"mine")
     left = faults_of(store)
-    assert all(".npz: a stored light map expected, found no such file" in fault.text for fault in left), left
+    assert all(".npz: expected a stored light map, found no such file" in fault.text for fault in left), left
 
 
 def test_the_list_of_places_is_the_one_that_is_tested(store):
@@ -569,7 +569,7 @@ def test_views_are_held_against_their_ids_and_their_shape(whole, tmp_path):
         ({"shape_hash": "6" * 64}, "the hash of what it says"),
         ({"camera": Camera(size=(16, 16), elevation_deg=30.0)}, "the hash of what it says"),
         ({"azimuth_deg": 1.0}, "azimuth 0 of viewpoint 0"),
-        ({"segments": 3}, "segments 2 expected, found 3"),
+        ({"segments": 3}, "expected segments 2, found 3"),
         ({"side": "train" if side == "test" else "test"}, f"side {side} expected"),
         ({"category": "chair"}, "category primitive expected"),
         ({"coverage": 0.1}, "coverage 0.1"),
