@@ -48,7 +48,9 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
     """
     began = time.perf_counter()
     if len(batch.image) != 1 or any(part is None for part in (prediction.n, prediction.label, prediction.light)):
-        raise ValueError("refine: expected one picture with normals, material and light, found others (predict all three, and refine one by one)")
+        raise ValueError(
+            "refine: expected one picture with normals, material and light, found others (predict all three, and refine one by one)"
+        )
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
     reached = at_rest(coordinates(prediction, inside, settings))
     if not reached.drawable:

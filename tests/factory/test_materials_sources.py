@@ -38,8 +38,8 @@ def test_a_cell_without_any_measurement_takes_the_nearest_one(tmp_path):
         (struct.pack("<3i", 90, 90, -180), "expected a header of three sizes such as 90, 90, 180, found 90, 90, -180"),
         (struct.pack("<3i", 2**30, 2**30, 2**30), "a header of three sizes"),
         (struct.pack("<3i", 90, 90, 180) + b"\0" * 800, r"expected 34992012 bytes after such a header, found 812"),
-        (struct.pack("<3i", 2, 2, 2) + struct.pack("<24d", *[np.nan] * 24), "finite values expected"),
-        (struct.pack("<3i", 2, 2, 2) + struct.pack("<24d", *[-1.0] * 24), "a measurement at every θ_d expected"),
+        (struct.pack("<3i", 2, 2, 2) + struct.pack("<24d", *[np.nan] * 24), "expected finite values"),
+        (struct.pack("<3i", 2, 2, 2) + struct.pack("<24d", *[-1.0] * 24), "expected a measurement at every θ_d"),
     ],
 )
 def test_a_broken_merl_file_is_refused_in_one_line(tmp_path, content, message):
@@ -84,9 +84,9 @@ def test_neural_weights_are_found_by_name_and_unknown_names_listed(tmp_path, rng
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
-        ({"names": np.array(["a"])}, "an npz with `names` and `weights` expected"),
+        ({"names": np.array(["a"])}, "expected an npz with `names` and `weights`"),
         ({"names": np.array(["a"]), "weights": np.zeros((1, 7))}, r"expected weights \(N, 675\) beside N names, found weights \(1, 7\)"),
-        ({"names": np.array(["a"]), "weights": np.full((1, 675), np.inf)}, "finite weights expected"),
+        ({"names": np.array(["a"]), "weights": np.full((1, 675), np.inf)}, "expected finite weights"),
         ({"names": np.array([{"a": 1}], dtype=object), "weights": np.zeros((1, 675))}, "found 'an array of object'"),
     ],
 )
@@ -100,7 +100,7 @@ def test_an_archive_of_other_things_is_refused(tmp_path, arrays, message):
 def test_a_material_whose_name_would_lead_out_of_a_folder_is_refused(tmp_path, rng, name):
     """Fits are kept in files that are named after the materials."""
     np.savez(tmp_path / "own.npz", names=np.array([name, "felt"]), weights=np.stack([network(rng)] * 2))
-    with pytest.raises(Problem, match=r"own\.npz: names of letters"):
+    with pytest.raises(Problem, match=r"own\.npz: expected names of letters"):
         sources.load(tmp_path / "own.npz")
 
 
@@ -127,7 +127,7 @@ def test_a_pipe_as_a_source_is_refused_and_not_waited_for(tmp_path, name):
 )
 def test_a_row_of_the_abc_table_that_is_none_is_refused(tmp_path, row):
     (tmp_path / "abc.csv").write_text("name,kd_r,kd_g,kd_b,A_r,A_g,A_b,B,C,ior\n" + row + "\n")
-    with pytest.raises(Problem, match=r"abc\.csv: line [12]: numbers under kd_r"):
+    with pytest.raises(Problem, match=r"abc\.csv: line [12]: expected numbers under kd_r"):
         abc.load(tmp_path / "abc.csv")
 
 

@@ -240,7 +240,7 @@ def test_a_binary_ply_may_have_a_header_of_windows():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda data: data[:-3], "expected as its header says, found the end of the file"),
+        (lambda data: data[:-3], "as its header says, found the end of the file"),
         (lambda data: data + b"abc", "3 bytes more"),
         (lambda data: data.replace(b"property float z", b"property float w"), "no z"),
         (lambda data: data.replace(b"uchar int", b"float int"), "a line of a PLY header"),

@@ -89,12 +89,12 @@ def test_a_view_that_does_not_fit_is_found_and_repair_lets_it_be_made_again(rend
     path, side = store.record_files("views")[0], next(store.views()).side
     good = path.read_bytes()
     for changes, message in (
-        ({"side": "train" if side == "test" else "test"}, f"expected with side {side}, found"),
-        ({"segments": 4}, "expected with segments 1, found 4"),
-        ({"shape": "ball"}, "expected, found ball"),
-        ({"viewpoint": 5}, "the hash of what it says, expected"),
-        ({"geometry": "../away.exr"}, "expected, found ../away.exr"),
-        ({"coverage": 0.9}, "coverage 0.900000 expected"),
+        ({"side": "train" if side == "test" else "test"}, f"with side {side}, found"),
+        ({"segments": 4}, "with segments 1, found 4"),
+        ({"shape": "ball"}, ", found ball"),
+        ({"viewpoint": 5}, "the hash of what it says"),
+        ({"geometry": "../away.exr"}, ", found ../away.exr"),
+        ({"coverage": 0.9}, "expected coverage 0.900000"),
         ({"geometry_hash": "0" * 64}, "the file was altered"),
     ):
         path.write_bytes(good)

@@ -197,7 +197,7 @@ def test_a_light_or_a_label_out_of_range_stops_before_training_or_its_pictures_a
         label = (*dark.label[:5], 1e30, *dark.label[6:])
         hash_ = materials.material_hash(label, dark.mixture)
         synthetic.exchange(store, msgspec.structs.replace(dark, label=label, hash=hash_))
-        told, bad = "'dark': natural logarithms up to 14 expected", {r.id for r in store.records() if r.materials == ("dark",)}
+        told, bad = "'dark': expected natural logarithms up to 14", {r.id for r in store.records() if r.materials == ("dark",)}
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
     with pytest.raises(Problem, match=told):
         preflight.checked(records, records.records, geometry, progress=False)

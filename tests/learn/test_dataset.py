@@ -63,9 +63,9 @@ def damage(folder, what):
 @pytest.mark.parametrize(
     ("what", "message"),
     [
-        ("truncated picture", "a whole OpenEXR file expected"),
+        ("truncated picture", "expected a whole OpenEXR file"),
         ("missing geometry", "expected an OpenEXR file, found no such file"),
-        ("truncated light", "a stored light map expected"),
+        ("truncated light", "expected a stored light map"),
         ("no materials", "expected an entry for 'matte', which a record names, found none"),
         ("no dataset", r"expected a dataset \(dataset.json\), found none"),
     ],

@@ -48,8 +48,8 @@ REFUSALS = {
     "n: expected unit vectors inside the mask (length 1 ± 0.01), found nan": {"n": lambda s: s["n"] * torch.nan},
     "n: expected a torch tensor, found ndarray": {"n": lambda s: s["n"].numpy()},
     "n: expected a floating dtype, found torch.int64": {"n": lambda s: s["n"].long()},
-    "view: unit vectors inside the mask": {"view": lambda s: 0.5 * s["view"]},
-    "view: the shape of n, (1, 3, 3, 3), expected": {"view": lambda s: s["view"][:, :2]},
+    "view: expected unit vectors inside the mask": {"view": lambda s: 0.5 * s["view"]},
+    "view: expected the shape of n, (1, 3, 3, 3)": {"view": lambda s: s["view"][:, :2]},
     "light: expected finite radiance ≥ 0, found -1 (1 of 96 values)": {"light": lambda s: negative(s["light"])},
     "light: expected finite radiance ≥ 0, found inf": {"light": lambda s: s["light"] / 0},
     "light: expected shape (1, Hl, Wl, 3), found (4, 8, 3)": {"light": lambda s: s["light"][0]},
@@ -63,12 +63,12 @@ REFUSALS = {
     },
     "segments: expected ids 0 (background) … 1 (the materials given), found 2 … 2": {"segments": lambda s: torch.full((1, 3, 3), 2)},
     "segments: expected an integer dtype, found torch.float32": {"segments": lambda s: torch.ones(1, 3, 3)},
-    "segments: shape (1, 3, 3) expected": {"segments": lambda s: torch.ones(3, 3, dtype=torch.long)},
+    "segments: expected shape (1, 3, 3)": {"segments": lambda s: torch.ones(3, 3, dtype=torch.long)},
     "mask: expected dtype torch.bool, found torch.int64": {"mask": lambda s: torch.ones(1, 3, 3, dtype=torch.long)},
-    "mask: shape (1, 3, 3) expected": {"mask": lambda s: torch.ones(3, 3, dtype=torch.bool)},
+    "mask: expected shape (1, 3, 3)": {"mask": lambda s: torch.ones(3, 3, dtype=torch.bool)},
     "tolerance: expected a positive number, found 0": {"tolerance": lambda s: 0},
     "elevation: expected radians in [-π/2, π/2], found 20": {"elevation": lambda s: 20},
-    "method: one of auto, exact": {"method": lambda s: "exakt"},
+    "method: expected one of auto, exact": {"method": lambda s: "exakt"},
 }
 
 

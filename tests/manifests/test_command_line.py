@@ -81,7 +81,7 @@ def test_what_is_wrong_stands_on_a_line_of_its_own_below_the_progress_bar(fail, 
 
 def test_a_file_name_with_a_line_break_does_not_break_the_line(fail):
     assert fail(OSError(2, "No such file or directory", "a\nb")).endswith("\nfactory: [Errno 2] No such file or directory: 'a\\nb'\n")
-    assert fail(Problem("a\nb", "x", "y", "z")).endswith("\nfactory: a\\nb: expected x, found y (z\n")
+    assert fail(Problem("a\nb", "x", "y", "z")).endswith("\nfactory: a\\nb: expected x, found y (z)\n")
 
 
 @pytest.mark.parametrize(

@@ -41,10 +41,10 @@ def test_the_same_dataset_gives_the_same_tar(a_dataset, tmp_path):
         ({"image": "dataset.json"}, "another name"),
         ({"geometry": "../secret"}, "another name"),
         ({"geometry": "geometry/../../x/../secret.exr"}, "another name"),
-        ({"id": "../../../../tmp/x"}, "id: str matching"),
-        ({"id": "0/../../../../etc/passwd1"}, "id: str"),
-        ({"id": "f" * 24 + "/../x"}, "id: str"),
-        ({"id": "f" * 23 + "\0"}, "id: str matching"),
+        ({"id": "../../../../tmp/x"}, "id: expected str matching"),
+        ({"id": "0/../../../../etc/passwd1"}, "id: expected str"),
+        ({"id": "f" * 24 + "/../x"}, "id: expected str"),
+        ({"id": "f" * 23 + "\0"}, "id: expected str matching"),
     ],
 )
 def test_a_record_that_points_outside_is_not_exported(a_dataset, a_record, tmp_path, changes, message):
@@ -76,7 +76,7 @@ def test_what_is_no_file_is_not_waited_for(a_dataset, tmp_path, put, kind):
     path = a_dataset.folder / name.get(kind, "materials.json")
     path.unlink()
     put(path)
-    with pytest.raises(Problem, match="expected, found"):
+    with pytest.raises(Problem, match=", found"):
         to_tars(a_dataset, tmp_path / "out")
 
 

@@ -111,7 +111,7 @@ def test_a_stored_light_comes_back(tmp_path, rng):
 def test_segments_that_would_wrap_are_refused(tmp_path, geometry, segment):
     channels = dict.fromkeys((*NORMAL_CHANNELS, DEPTH_CHANNEL), np.zeros((2, 2), np.float32))
     exr.write(tmp_path / "g.exr", channels | {SEGMENT_CHANNEL: np.full((2, 2), segment, np.float32)})
-    with pytest.raises(Problem, match="segments 0 to 255 expected"):
+    with pytest.raises(Problem, match="expected segments 0 to 255"):
         read_geometry(tmp_path / "g.exr")
 
 

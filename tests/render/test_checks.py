@@ -47,7 +47,7 @@ def test_magenta_on_any_material_is_found_and_a_red_picture_is_not(picture):
 
 def test_a_picture_that_covers_less_than_its_geometry_is_found(picture, geometry):
     (line,) = checks.picture(picture, 0.25, np.zeros((32, 32)))
-    assert "coverage 0.2500 expected" in line
+    assert "expected coverage 0.2500" in line
 
 
 @pytest.mark.parametrize(
