@@ -108,7 +108,7 @@ def differences(scene, method, constant, step=1e-7):
 def require_refusal(scene, method, constant):
     """Each pair alone is refused by the method's name and with the remedy, where the graph is used and not where it is kept."""
     leaves, slopes = first(scene, method, constant, create_graph=True)
-    named = rf'^method: expected "exact" .* found "{method}", .*render with method="exact"$'
+    named = rf'^method: expected "exact" .* found "{method}", .*render with method="exact"\)$'
     for slope in slopes.values():
         assert slope.isfinite().all() and slope.any()
         for leaf in leaves.values():
