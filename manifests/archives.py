@@ -100,7 +100,7 @@ def read_array(archive: zipfile.ZipFile, name: str, most_bytes: int) -> np.ndarr
     with archive.open(name if name in archive.namelist() else f"{name}.npy") as stream:
         header = ArrayHeader(stream)
         if header.bytes > most_bytes:
-            raise ValueError(f"{name}: at most {most_bytes:,} bytes expected, found {header.bytes:,}")
+            raise ValueError(f"{name}: expected at most {most_bytes:,} bytes, found {header.bytes:,}")
         data = read_exactly(stream, header.bytes)
     return np.frombuffer(data, header.dtype).reshape(header.shape, order="F" if header.fortran else "C")
 
@@ -111,7 +111,7 @@ def read_exactly(stream: IO[bytes], count: int) -> bytes:
     while left:
         piece = stream.read(min(left, 1 << 24))
         if not piece:
-            raise EOFError(f"{count:,} bytes expected, found {count - left:,}")
+            raise EOFError(f"expected {count:,} bytes, found {count - left:,}")
         pieces.append(piece)
         left -= len(piece)
     return b"".join(pieces)

@@ -76,7 +76,7 @@ def _refuse_empty(parser: argparse.ArgumentParser, words: list[str]) -> None:
     for before, word in zip(["", *words], words, strict=False):
         if not word or (word.startswith("--") and word.endswith("=")):
             name = word.removesuffix("=") or (before if before.startswith("-") else "an argument")
-            parser.error(f"{name}: a value expected, found an empty one; is a shell variable not set?")
+            parser.error(f"{name}: expected a value, found an empty one (is a shell variable not set?)")
 
 
 def _flush_output() -> None:

@@ -15,7 +15,7 @@ class Problem(ValueError):
 
     def __init__(self, where: object, expected: str, found: str, remedy: str):
         self.where, self.expected, self.found, self.remedy = str(where), expected, found, remedy
-        super().__init__(printable(f"{where}: {expected} expected, found {found}; {remedy}"))
+        super().__init__(printable(f"{where}: expected {expected}, found {found} ({remedy})"))
 
     def __reduce__(self) -> tuple:  # crosses process borders whole
         return Problem, (self.where, self.expected, self.found, self.remedy)

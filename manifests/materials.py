@@ -141,7 +141,7 @@ def require_own_hash(entry: Entry, where: object) -> None:
     """Raises Problem if an entry's hash is not that of its label and mixture: one of the three was altered; `where` names the file."""
     if entry.hash != (own := material_hash(entry.label, entry.mixture)):
         remedy = "copy the file again, or fit the material again"
-        raise Problem(f"{where}: '{entry.name}'", f"hash {own}, of its label and mixture,", entry.hash, remedy)
+        raise Problem(f"{where}: '{entry.name}'", f"hash {own}, of its label and mixture", entry.hash, remedy)
 
 
 def material(entry: Entry, where: object) -> Material:

@@ -75,7 +75,7 @@ def unit_mean(L):
     """
     scale = float(mean_radiance(L) @ LUMINANCE)
     if not (np.isfinite(scale) and scale > 0):
-        raise ValueError(f"light: positive finite mean luminance expected, found {scale:g}; check the file's pixels")
+        raise ValueError(f"light: expected positive finite mean luminance, found {scale:g} (check the file's pixels)")
     return np.asarray(L / scale, dtype=np.float32), scale
 
 

@@ -108,13 +108,13 @@ def check(mixture):
     for name, shape in shapes.items():
         array = getattr(mixture, name)
         if array.shape != shape:
-            raise ValueError(f"mixture.{name}: shape {shape} expected, found {array.shape}; one row a stop, one column a closure")
+            raise ValueError(f"mixture.{name}: expected shape {shape}, found {array.shape} (one row a stop, one column a closure)")
         if not np.isfinite(array).all():
-            raise ValueError(f"mixture.{name}: finite numbers expected, found {array[~np.isfinite(array)][0]}; fit the material again")
+            raise ValueError(f"mixture.{name}: expected finite numbers, found {array[~np.isfinite(array)][0]} (fit the material again)")
     unknown = [kind for kind in mixture.kinds if kind not in KINDS]
     if unknown or not k:
-        raise ValueError(f"mixture.kinds: names among {', '.join(KINDS)} expected, found {unknown or 'none'}; name stock closures")
+        raise ValueError(f"mixture.kinds: expected names among {', '.join(KINDS)}, found {unknown or 'none'} (name stock closures)")
     if not 1 <= v <= MAX_STOPS or (np.diff(mixture.stops) <= 0).any() or mixture.stops[0] < 0 or mixture.stops[-1] > 1:
-        raise ValueError(f"mixture.stops: 1 to {MAX_STOPS} ascending facings in [0, 1] expected, found {v}; a colour ramp holds no more")
+        raise ValueError(f"mixture.stops: expected 1 to {MAX_STOPS} ascending facings in [0, 1], found {v} (a colour ramp holds no more)")
     if (mixture.weights < 0).any():
-        raise ValueError(f"mixture.weights: values ≥ 0 expected, found {mixture.weights.min():g}; Cycles has no negative closures")
+        raise ValueError(f"mixture.weights: expected values ≥ 0, found {mixture.weights.min():g} (Cycles has no negative closures)")

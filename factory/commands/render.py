@@ -71,7 +71,7 @@ def _whole(text):
     import argparse
 
     if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 10**9):
-        raise argparse.ArgumentTypeError(f"a whole number of 1 or more expected, found '{text}'")
+        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, found '{text}'")
     return int(text)
 
 

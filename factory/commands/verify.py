@@ -37,7 +37,7 @@ def run(options):
             print(f"factory: {error}", file=sys.stderr)
             dirty += 1
     for kind, name, where, other, there in shared_between(datasets):
-        print(f"{kind} '{name}' of {where} and '{other}' of {there}: one side expected, found training in one and test in the other")
+        print(f"{kind} '{name}' of {where} and '{other}' of {there}: expected one side, found training in one and test in the other")
         dirty += 1
     return 1 if dirty else 0
 

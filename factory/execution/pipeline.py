@@ -249,7 +249,7 @@ def load_shape(entry):
     """The Mesh of an assignment's shape. Raises BadShot if the file has changed since the plan was made."""
     mesh = load_mesh(entry.source)
     if mesh.hash != entry.hash:
-        raise BadShot(f"{entry.source.place}: the mesh with hash {entry.hash[:12]} expected, found {mesh.hash[:12]}: it changed meanwhile")
+        raise BadShot(f"{entry.source.place}: expected the mesh with hash {entry.hash[:12]}, found {mesh.hash[:12]}: it changed meanwhile")
     return mesh
 
 
@@ -259,7 +259,7 @@ def load_light(entry, library):
 
     light = load(entry.source, library)
     if light.hash != entry.hash:
-        raise BadShot(f"{entry.source}: the map with hash {entry.hash[:12]} expected, found {light.hash[:12]}: it changed meanwhile")
+        raise BadShot(f"{entry.source}: expected the map with hash {entry.hash[:12]}, found {light.hash[:12]}: it changed meanwhile")
     return light
 
 

@@ -54,7 +54,7 @@ def require_named(store, dataset, materials, record):
     missing = [("materials.json", f"material '{name}'") for name in record.materials if name not in materials]
     missing += [] if record.light in dataset.lights else [("dataset.json", f"light '{record.light}'")]
     for file, what in missing:
-        raise Problem(store.folder / file, f"the {what}, which record {record.id} names,", "none", "verify lists all faults of the folder")
+        raise Problem(store.folder / file, f"the {what}, which record {record.id} names", "none", "verify lists all faults of the folder")
 
 
 def labelled(record, normals, segments, views, materials, light, elevation):

@@ -71,4 +71,4 @@ def check(scene, seen, nearest):
     wanted, found = expected(seen, nearest), look(scene)
     apart = np.abs(found - wanted).sum() / max(np.abs(wanted).sum(), 1e-12)
     if not apart <= (NEAREST_TOLERANCE if nearest else BILINEAR_TOLERANCE):
-        raise RuntimeError(f"light: the map that was set expected, found Cycles showing one {apart:.2g} away; render in a new process")
+        raise RuntimeError(f"light: expected the map that was set, found Cycles showing one {apart:.2g} away (render in a new process)")

@@ -16,16 +16,16 @@ def picture(radiance, coverage_expected=None, alpha=None):
     """
     found = []
     if not np.isfinite(radiance).all():
-        found.append(f"finite radiance expected, found {np.count_nonzero(~np.isfinite(radiance))} other values")
+        found.append(f"expected finite radiance, found {np.count_nonzero(~np.isfinite(radiance))} other values")
     elif radiance.min() < 0:
-        found.append(f"radiance ≥ 0 expected, found {radiance.min():g}")
+        found.append(f"expected radiance ≥ 0, found {radiance.min():g}")
     elif magenta(radiance):
-        found.append("the light's colours expected, found magenta: Cycles has no light map")
+        found.append("expected the light's colours, found magenta: Cycles has no light map")
     if alpha is not None and coverage_expected is not None:
         coverage = float(alpha.mean())
         # a silhouette pixel is in the mask or not, in the picture it is a share: half a pixel along a boundary of ≤ 8 frame widths
         if abs(coverage - coverage_expected) > 4.0 / min(alpha.shape):
-            found.append(f"coverage {coverage_expected:.4f} expected as in the geometry, found {coverage:.4f}")
+            found.append(f"expected coverage {coverage_expected:.4f}, as in the geometry, found {coverage:.4f}")
     return found
 
 
@@ -42,15 +42,15 @@ def geometry(shot, segments):
     """
     found = []
     if not shot.mask.any():
-        return ["the object in the frame expected, found an empty mask"]
+        return ["expected the object in the frame, found an empty mask"]
     if not np.isfinite(shot.normals).all() or not np.isfinite(shot.depth).all():
-        found.append("finite normals and depth expected, found others")
+        found.append("expected finite normals and depth, found others")
     normals = shot.normals[shot.mask]
     squares = np.einsum("pi,pi->p", normals, normals)
     if np.abs(squares - 1).max() > 2 * UNIT_TOLERANCE:
-        found.append(f"unit normals expected, found lengths {squares.min() ** 0.5:.4f}–{squares.max() ** 0.5:.4f}")
+        found.append(f"expected unit normals, found lengths {squares.min() ** 0.5:.4f}–{squares.max() ** 0.5:.4f}")
     if shot.segments.max() > segments:
-        found.append(f"segments 1 to {segments} expected, found {shot.segments.max()}")
+        found.append(f"expected segments 1 to {segments}, found {shot.segments.max()}")
     if not np.array_equal(shot.segments > 0, shot.mask):
-        found.append("segment 0 outside the mask, and there alone, expected, found others")
+        found.append("expected segment 0 outside the mask, and there alone, found others")
     return found

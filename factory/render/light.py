@@ -22,7 +22,7 @@ def as_seen(L, rotation_texels):
     """
     width = L.shape[1]
     if width % TEXELS:
-        raise ValueError(f"light: a width that is a multiple of {TEXELS} expected, found {width}; resize it with shaders.envmap.resize")
+        raise ValueError(f"light: expected a width that is a multiple of {TEXELS}, found {width} (resize it with shaders.envmap.resize)")
     return envmap.roll(L, rotation_texels * (width // TEXELS))
 
 

@@ -52,7 +52,7 @@ def _socket(sockets, identifier):
     for socket in sockets:
         if socket.identifier == identifier:
             return socket
-    raise KeyError(f"socket {identifier!r} expected, this Blender's node has {[s.identifier for s in sockets]}; see shaders/nodes.py")
+    raise KeyError(f"node: expected socket {identifier!r}, found {[s.identifier for s in sockets]} in this Blender (see shaders/nodes.py)")
 
 
 def _node(tree, node):

@@ -66,5 +66,7 @@ def expose(scene):
     with silenced(1):
         outcome = bpy.ops.render.render(scene=scene.name)
     if outcome != {"FINISHED"} or "Combined" not in _passes:
-        raise RuntimeError(f"Cycles: a finished picture expected, found {outcome} with {sorted(_passes)}; render the shot in a new process")
+        raise RuntimeError(
+            f"Cycles: expected a finished picture, found {outcome} with {sorted(_passes)} (render the shot in a new process)"
+        )
     return dict(_passes)

@@ -119,7 +119,7 @@ def assign(root, path, value):
     if name not in known:
         near = difflib.get_close_matches(name, known.keys(), n=3)
         raise AttributeError(
-            f"{type(owner).__name__}.{name}: a property of this Blender expected; did you mean {', '.join(near) or 'nothing near'}?"
+            f"{type(owner).__name__}.{name}: expected a property of this Blender, found none of this name (did you mean {', '.join(near) or 'nothing near'}?)"
         )
     try:
         setattr(owner, name, value)
@@ -128,7 +128,7 @@ def assign(root, path, value):
     held = getattr(owner, name)
     same = abs(held - value) <= 1e-6 * max(1.0, abs(value)) if isinstance(value, float) else held == value
     if not same:
-        raise ValueError(f"{path}: {value!r} expected, Blender holds {held!r}; the value lies outside the property's range")
+        raise ValueError(f"{path}: expected {value!r}, found that Blender holds {held!r} (the value lies outside the property's range)")
     return held
 
 

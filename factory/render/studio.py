@@ -137,7 +137,7 @@ class Studio:
         seen = light.as_seen(np.asarray(L, np.float32), rotation_texels)
         nearest = light_resolution == "64x128"
         if nearest and seen.shape != LIGHT_SHAPE:
-            raise ValueError(f"light: shape {LIGHT_SHAPE} expected for {light_resolution}, found {seen.shape}; resize it first")
+            raise ValueError(f"light: expected shape {LIGHT_SHAPE} for {light_resolution}, found {seen.shape} (resize it first)")
         light.build(self._scene, seen, nearest)
         self._seen = seen
         self._show("picture")
@@ -146,7 +146,7 @@ class Studio:
     def set_materials(self, mixtures):
         """mixtures: one shaders.mixture.Mixture a segment, in the order of their ids."""
         if len(mixtures) != self._segments:
-            raise ValueError(f"materials: one a segment, {self._segments}, expected, found {len(mixtures)}; name each segment's material")
+            raise ValueError(f"materials: expected one a segment, {self._segments}, found {len(mixtures)} (name each segment's material)")
         self._worn = [self._group(mixture) for mixture in mixtures]
 
     def _group(self, mixture):
@@ -171,7 +171,7 @@ class Studio:
         squares = np.einsum("pi,pi->p", world, world)
         if squares.size and np.abs(squares - 1).max() > 2 * checks.UNIT_TOLERANCE:
             raise RuntimeError(
-                f"geometry: unit normals expected, found n·n {squares.min():.3f}–{squares.max():.3f}; the filter mixes pixels"
+                f"geometry: expected unit normals, found n·n {squares.min():.3f}–{squares.max():.3f} (the filter mixes pixels)"
             )
         view = None if self._lens.fov_deg is None else camera.view_vectors(self._lens)[mask].astype(np.float32)
         shot = Geometry(np.zeros((*size, 3), np.float32), mask, np.zeros(size, np.float32), np.zeros(size, np.uint8))

@@ -58,7 +58,9 @@ def paste(values, window, size):
     """values (rows, columns, ...) of the window in a frame (height, width, ...) that is 0 elsewhere."""
     top, bottom, left, right = window
     if values.shape[:2] != (bottom - top, right - left):
-        raise RuntimeError(f"Cycles: a window of {(bottom - top, right - left)} pixels expected, found {values.shape[:2]}; render it again")
+        raise RuntimeError(
+            f"Cycles: expected a window of {(bottom - top, right - left)} pixels, found {values.shape[:2]} (render it again)"
+        )
     frame = np.zeros((*size, *values.shape[2:]), values.dtype)
     frame[top:bottom, left:right] = values
     return frame

@@ -34,7 +34,7 @@ class TooLarge(ValueError):
 
     def __init__(self, corners: int):
         self.corners = corners
-        super().__init__(f"polygons that can be cut in bounded time expected, found one of {corners} corners")
+        super().__init__(f"expected polygons that can be cut in bounded time, found one of {corners} corners")
 
 
 def triangulate(vertices: np.ndarray, corners: np.ndarray, lengths: np.ndarray, depth: float = 0.0) -> tuple[np.ndarray, np.ndarray, int]:

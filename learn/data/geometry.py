@@ -71,7 +71,7 @@ class Geometry:
         sides = {name: entry.side for name, entry in records.dataset.shapes.items()}
         missing = sorted({r.shape for r in chosen} - set(sides))
         if missing:
-            raise Problem(self.folder / "dataset.json", f"a shape '{missing[0]}', which a record names,", "none", "copy the dataset again")
+            raise Problem(self.folder / "dataset.json", f"a shape '{missing[0]}', which a record names", "none", "copy the dataset again")
         self.skipped = self._known_as_bad() if skip_bad else {}
         self._n = self._segments = None
         hashes = [r.geometry_hash for r in chosen if r.geometry_hash not in self.skipped]

@@ -140,10 +140,10 @@ class Records(torch.utils.data.Dataset):
         """The manifests.materials.Material of this dataset under that name: label, mixture, fit errors."""
         where, entry = self.folder / "materials.json", self.materials.get(name)
         if entry is None:
-            raise Problem(where, f"an entry for '{name}', which a record names,", "none", "copy the dataset again")
+            raise Problem(where, f"an entry for '{name}', which a record names", "none", "copy the dataset again")
         found, known = material(entry, where), self.dataset.materials.get(name)
         if known is not None and known.hash != found.hash:
-            raise Problem(f"{where}: '{name}'", f"hash {known.hash}, as in dataset.json,", found.hash, "copy the dataset again")
+            raise Problem(f"{where}: '{name}'", f"hash {known.hash}, as in dataset.json", found.hash, "copy the dataset again")
         return found
 
     def side(self, name: str) -> str:
@@ -160,5 +160,5 @@ class Records(torch.utils.data.Dataset):
         """The stored map (64, 128, 3) float32 of a light of this dataset, as the camera sees it at rotation 0."""
         entry = self.dataset.lights.get(name)
         if entry is None:
-            raise Problem(self.folder / "dataset.json", f"a light '{name}', which a record names,", "none", "copy the dataset again")
+            raise Problem(self.folder / "dataset.json", f"a light '{name}', which a record names", "none", "copy the dataset again")
         return arrays.read_light(inside(self.folder, entry.file), entry.file_hash)

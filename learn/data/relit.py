@@ -71,7 +71,7 @@ class Relit:
             )
         groups = -(-batch // data.sharing)
         if groups % part[1]:
-            raise ValueError(f"batch: a multiple of {data.sharing * part[1]} pictures expected for {part[1]} processes, found {batch}")
+            raise ValueError(f"batch: expected a multiple of {data.sharing * part[1]} pictures for {part[1]} processes, found {batch}")
         self.groups = range(groups)[part[0] :: part[1]]
         self.of_group = [len(range(g * data.sharing, min((g + 1) * data.sharing, batch))) for g in range(groups)]
         self.names = sorted(pool.labels)

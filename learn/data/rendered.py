@@ -62,7 +62,7 @@ class Cycles:
             found = f"{geometry.size[0]} × {geometry.size[1]}"
             raise Problem(geometry.folder, f"pictures of a whole number of times {size} pixels", found, f'render them with "size": {size}')
         if batch % part[1]:
-            raise ValueError(f"batch: a multiple of {part[1]} pictures expected for so many processes, found {batch}")
+            raise ValueError(f"batch: expected a multiple of {part[1]} pictures for so many processes, found {batch}")
         share = batch // part[1]
         self.places = range(part[0] * share, (part[0] + 1) * share)
         self.names = sorted(pool.labels)

@@ -12,15 +12,15 @@ import torch
 from torch.autograd import forward_ad
 
 FORWARD_MODE = (
-    "derivatives: reverse mode (backward, torch.autograd.grad) expected, found forward mode (torch.autograd.forward_ad, jvp); "
-    "torch.autograd.functional.jvp gives the same product by two reverse passes"
+    "derivatives: expected reverse mode (backward, torch.autograd.grad), found forward mode (torch.autograd.forward_ad, jvp) "
+    "(torch.autograd.functional.jvp gives the same product by two reverse passes)"
 )
 
 BATCHED = (
-    "derivatives: one gradient at a time expected, found a batch of them (vectorize=True or is_grads_batched=True); "
-    "torch.func.jacrev and torch.func.vmap take batches"
+    "derivatives: expected one gradient at a time, found a batch of them (vectorize=True or is_grads_batched=True) "
+    "(torch.func.jacrev and torch.func.vmap take batches)"
 )
-THIRD = "derivatives: two at most, one of another, expected of the layer, found a third"
+THIRD = "derivatives: expected at most a derivative of a derivative, found a third one"
 
 
 class Step(torch.autograd.Function):

@@ -42,7 +42,7 @@ class Inputs:
 
 
 def refuse(argument, rule, found):
-    raise ValueError(f"{argument}: {rule} expected, found {found}")
+    raise ValueError(f"{argument}: expected {rule}, found {found}")
 
 
 def require_shape(argument, tensor, rule, right):
@@ -69,7 +69,7 @@ def require_alike(tensors):
         for what in ("dtype", "device"):
             first = getattr(tensors["n"], what)
             if getattr(tensor, what) != first:
-                refuse(argument, f"the {what} of n, {first},", getattr(tensor, what))
+                refuse(argument, f"the {what} of n, {first}", getattr(tensor, what))
         if tensor.is_meta:
             refuse(argument, "a tensor with values", "device meta")
 
@@ -78,7 +78,7 @@ def require_beside(argument, tensor, n):
     """A dense tensor on the device of n."""
     require_dense(argument, tensor)
     if tensor.device != n.device:
-        refuse(argument, f"the device of n, {n.device},", tensor.device)
+        refuse(argument, f"the device of n, {n.device}", tensor.device)
 
 
 def number(argument, value, rule, right):
@@ -126,14 +126,14 @@ def checked(n, material, light, view, segments, mask, tolerance, elevation):
     if picture.numel() > MOST_PIXELS:
         refuse("n", f"at most {MOST_PIXELS} pixels in one call", f"{tuple(n.shape)}; render the batch in parts")
     layers = material.ndim - 1
-    rule = f"shape ({images}, {SIZE}), or ({images}, S, {SIZE}) with segments,"
+    rule = f"shape ({images}, {SIZE}), or ({images}, S, {SIZE}) with segments"
     require_shape("material", material, rule, layers in (1, 2) and material.shape[0] == images and material.shape[-1] == SIZE)
     right = light.ndim == 4 and light.shape[0] == images and light.shape[3] == 3 and min(light.shape[1:3]) > 0
     require_shape("light", light, f"shape ({images}, Hl, Wl, 3)", right)
     if light.shape[1] * light.shape[2] > MOST_TEXELS:
         refuse("light", f"at most {MOST_TEXELS} texels", f"{tuple(light.shape)}; resize it (shaders.envmap.resize)")
     if view is not None:
-        require_shape("view", view, f"the shape of n, {tuple(n.shape)},", view.shape == n.shape)
+        require_shape("view", view, f"the shape of n, {tuple(n.shape)}", view.shape == n.shape)
     if mask is not None:
         require_beside("mask", mask, n)
         require_shape("mask", mask, f"shape {tuple(picture)}", mask.shape == picture)

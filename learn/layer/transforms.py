@@ -14,9 +14,9 @@ from learn.engines import derivatives
 from learn.layer.inputs import require_dense
 
 FORWARD_MODE = (
-    "derivatives: reverse mode (torch.func.grad, vjp, jacrev) expected, found forward mode (jvp, jacfwd, hessian), which the layer has not"
+    "derivatives: expected reverse mode (torch.func.grad, vjp, jacrev), found forward mode (jvp, jacfwd, hessian), which the layer has not"
 )
-SECOND = 'derivatives: first ones expected under torch.func, found second ones; torch.autograd gives them with method="exact"'
+SECOND = 'derivatives: expected first ones under torch.func, found second ones (torch.autograd gives them with method="exact")'
 TRACED = (
     "the layer cannot be recorded by {}, because its kernels read the tensors' values; torch.compile leaves it as one call, "
     "and torch.func.vmap, grad, vjp and jacrev work"

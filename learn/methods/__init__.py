@@ -85,15 +85,15 @@ class Batch:
 def load(name):
     """The module of a method."""
     if not isinstance(name, str):
-        raise ValueError(f"method: one of {', '.join(NAMES)} expected, found {type(name).__name__}")
+        raise ValueError(f"method: expected one of {', '.join(NAMES)}, found {type(name).__name__}")
     if name not in NAMES:
-        raise ValueError(f"method: one of {', '.join(NAMES)} expected, found {name[:60]!r}; {closest(name[:60], NAMES)}")
+        raise ValueError(f"method: expected one of {', '.join(NAMES)}, found {name[:60]!r} ({closest(name[:60], NAMES)})")
     return importlib.import_module(f"learn.methods.{name}")
 
 
 def refusal(name, why=COMPILED):
     """What is said where a method's derivatives are differentiated again and cannot be, by reason of `why`."""
-    return f'method: "exact" expected where derivatives are differentiated again, found "{name}", {why}; render with method="exact"'
+    return f'method: expected "exact" where derivatives are differentiated again, found "{name}", {why} (render with method="exact")'
 
 
 def wants_gradient(*tensors):

@@ -129,7 +129,7 @@ def write(
     """
     for name, tensor in tensors.items():
         if tensor.dtype not in _TYPES:
-            raise ValueError(f"{name}: a type of numbers of safetensors expected, found {tensor.dtype}")
+            raise ValueError(f"{name}: expected a type of numbers of safetensors, found {tensor.dtype}")
     order = list(_TYPES)
     names = sorted(tensors, key=lambda name: (order.index(tensors[name].dtype), name))
     header, end = {"__metadata__": dict(sorted(metadata.items()))} if metadata else {}, 0

@@ -49,12 +49,14 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
     """
     began = time.perf_counter()
     if len(batch.image) != 1 or any(part is None for part in (prediction.n, prediction.label, prediction.light)):
-        raise ValueError("refine: one picture with normals, material and light expected; predict all three, and refine one by one")
+        raise ValueError(
+            "refine: expected one picture with normals, material and light, found others (predict all three, and refine one by one)"
+        )
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
     reached = at_rest(coordinates(prediction, inside, settings))
     if not reached.drawable:
         raise ValueError(
-            "refine: finite normals and light, and a label whose exp is finite and above 0, expected; check the network's weights"
+            "refine: expected finite normals and light, and a label whose exp is finite and above 0, found others (check the network's weights)"
         )
     energy = Energy(batch, reached, settings)
     before = after = energy.finest(reached)

@@ -72,7 +72,7 @@ class Verification:
                     continue
                 self.count += 1
                 if line.id in seen:
-                    yield Fault(f"{kind[:-1]} {line.id}: once expected, found again", line.id, (path, number))
+                    yield Fault(f"{kind[:-1]} {line.id}: expected once, found again", line.id, (path, number))
                     continue
                 seen.add(line.id)
                 if faults := faults_of(line, (path, number)):
@@ -90,7 +90,7 @@ class Verification:
             return
         for entry in catalogue:
             if entry.name in self._labels:
-                text = f"materials.json: '{entry.name}' once expected, found again"
+                text = f"materials.json: expected '{entry.name}' once, found again"
                 yield Fault(text, entry=("labels", entry.name))
             self._labels[entry.name] = entry
 

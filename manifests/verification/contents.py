@@ -33,17 +33,17 @@ def statistics_faults(radiance: np.ndarray, mask: np.ndarray, said: Statistics) 
     found = []
     coverage = float(mask.mean())
     if abs(coverage - said.coverage) > ROUNDED:
-        found.append(f"coverage {said.coverage:.6f} expected, found {coverage:.6f}")
+        found.append(f"expected coverage {said.coverage:.6f}, found {coverage:.6f}")
     inside = radiance[mask]
     if not len(inside):
         return found
     largest = float(inside.max())
     if not abs(min(said.max, LARGEST_HALF) - largest) <= HALF * largest + SUBNORMAL + ROUNDED:
-        found.append(f"a largest value of {said.max:g} expected, found {largest:g}")
+        found.append(f"expected a largest value of {said.max:g}, found {largest:g}")
     mean = float(inside.mean(axis=0, dtype=np.float64) @ LUMINANCE)
     cut = float((inside >= LARGEST_HALF).mean()) * max(said.max - LARGEST_HALF, 0.0)  # half precision holds no more
     if not -HALF * mean - SUBNORMAL - ROUNDED <= said.mean - mean <= HALF * mean + SUBNORMAL + ROUNDED + cut:
-        found.append(f"a mean of {said.mean:g} over the object expected, found {mean:g}")
+        found.append(f"expected a mean of {said.mean:g} over the object, found {mean:g}")
     return found
 
 
@@ -61,13 +61,13 @@ def support_faults(radiance: np.ndarray, mask: np.ndarray, pixel: str) -> list[s
             near |= padded[i : i + height, j : j + width]
     share = float((radiance.any(-1) & ~near).mean())
     allowed = max(LIT[pixel] / min(mask.shape), LEAST_LIT_SHARE[pixel])
-    return [f"a black background expected, found {share:.1%} of the frame lit beside the object"] if share > allowed else []
+    return [f"expected a black background, found {share:.1%} of the frame lit beside the object"] if share > allowed else []
 
 
 def black_faults(radiance: np.ndarray, mask: np.ndarray, lit: bool) -> list[str]:
     """Whether a picture shows something; lit: its light shines from most directions, and its materials reflect."""
     if lit and mask.any() and not radiance[mask].any():
-        return ["some light on the object expected, found a black picture"]
+        return ["expected some light on the object, found a black picture"]
     return []
 
 
@@ -81,25 +81,25 @@ def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
     """Whether normals are unit, face the viewer and fit the depth, the object lies in the unit sphere, and nothing is behind it."""
     normals, mask = geometry.normals.astype(np.float64), geometry.mask
     if not mask.any():
-        return ["an object in the frame expected, found an empty mask"]
+        return ["expected an object in the frame, found an empty mask"]
     found = []
     if geometry.normals[~mask].any() or geometry.depth[~mask].any():
-        found.append("normals and depth 0 in the background expected, found others")
+        found.append("expected normals and depth 0 in the background, found others")
     for what, values in (("normals", geometry.normals), ("depth", geometry.depth)):
         steps = values.astype(np.float64) * STEPS_PER_UNIT  # a damaged value times 2^15 may be beyond float32
         if (steps != np.rint(steps)).any():
-            found.append(f"{what} in steps of 2^-{int(np.log2(STEPS_PER_UNIT))} expected, found others")
+            found.append(f"expected {what} in steps of 2^-{int(np.log2(STEPS_PER_UNIT))}, found others")
     lengths = np.sqrt(_dots(normals, normals)[mask])
     if np.abs(lengths - 1).max() > LENGTH:
-        found.append(f"unit normals expected, found lengths {lengths.min():.4f}–{lengths.max():.4f}")
+        found.append(f"expected unit normals, found lengths {lengths.min():.4f}–{lengths.max():.4f}")
     if away := turned_away(geometry, camera):
-        found.append(f"normals that face the viewer expected, found {away} turned away")
+        found.append(f"expected normals that face the viewer, found {away} turned away")
     places = positions(geometry.depth, camera)
     radius = float(np.sqrt(_dots(places, places)[mask].max()))
     if radius > RADIUS:
-        found.append(f"an object inside the unit sphere expected, found depths that put it at {radius:.4f}")
+        found.append(f"expected an object inside the unit sphere, found depths that put it at {radius:.4f}")
     if (likeness := likeness_of_slopes(places, normals, mask)) < AGAINST:
-        found.append(f"normals that lean as the depth slopes expected, found a correlation of {likeness:.2f}")
+        found.append(f"expected normals that lean as the depth slopes, found a correlation of {likeness:.2f}")
     return found
 
 
@@ -157,12 +157,12 @@ def light_faults(L: np.ndarray, scale: float, reference: tuple[np.ndarray, float
     """
     found = []
     if scale != said_scale:
-        found.append(f"scale {said_scale:.9g}, as in dataset.json, expected, found {scale:.9g}")
+        found.append(f"expected scale {said_scale:.9g}, as in dataset.json, found {scale:.9g}")
     if reference is not None:
         true, true_scale = reference
         # the same sums on another machine end in other last digits
         if not np.allclose(L, true, rtol=1e-4, atol=1e-6) or not np.isclose(scale, true_scale, rtol=1e-4):
-            found.append("the map of this name and hash expected, found another")
+            found.append("expected the map of this name and hash, found another")
     return found
 
 

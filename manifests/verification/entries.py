@@ -24,12 +24,12 @@ SETS = {"merl": BUILT_IN[0], "rgl": BUILT_IN[1]}
 def entry_faults(dataset: Dataset, labels: dict[str, Entry] | None) -> Iterator[Fault]:
     """Faults of dataset.json and materials.json by themselves; labels: None where materials.json cannot be read."""
     if not dataset.orders:
-        yield Fault("dataset.json: an order, the job that was rendered, expected, found none")
+        yield Fault("dataset.json: expected an order, the job that was rendered, found none")
     for name in dataset.materials if labels is not None else ():
         yield from _material_faults(name, dataset, labels)
     for name in labels or ():
         if name not in dataset.materials:
-            text = f"materials.json: a material that dataset.json names expected, found '{name}'"
+            text = f"materials.json: expected a material that dataset.json names, found '{name}'"
             yield Fault(text, entry=("labels", name))
     for name, entry in dataset.lights.items():
         fault = _fault_of("lights", name)
@@ -43,14 +43,14 @@ def entry_faults(dataset: Dataset, labels: dict[str, Entry] | None) -> Iterator[
         yield from _shape_faults(name, dataset)
     for number, order in enumerate(dataset.orders, 1):
         if (most := most_shots(order.job, dataset)) is not None and order.shots > most:
-            yield Fault(f"dataset.json: order {number}: at most {most} shots of its job expected, found {order.shots}")
+            yield Fault(f"dataset.json: order {number}: expected at most {most} shots of its job, found {order.shots}")
 
 
 def _fault_of(kind, name):
     """A function (expected, found) that gives the Fault of an entry of dataset.json."""
 
     def fault(expected, found):
-        return Fault(f"dataset.json: {kind[:-1]} '{name}': {expected} expected, found {found}", entry=(kind, name))
+        return Fault(f"dataset.json: {kind[:-1]} '{name}': expected {expected}, found {found}", entry=(kind, name))
 
     return fault
 
@@ -58,14 +58,14 @@ def _fault_of(kind, name):
 def _material_faults(name, dataset, labels):
     entry, label = dataset.materials[name], labels.get(name)
     if label is None:
-        yield Fault(f"materials.json: a label of '{name}', which dataset.json names, expected, found none")
+        yield Fault(f"materials.json: expected a label of '{name}', which dataset.json names, found none")
         return
     own = material_hash(label.label, label.mixture)
     if own != label.hash:
-        text = f"materials.json: '{name}': hash {own}, of its label and mixture, expected, found {label.hash}"
+        text = f"materials.json: '{name}': expected hash {own}, of its label and mixture, found {label.hash}"
         yield Fault(text, entry=("labels", name))
     elif own != entry.hash:
-        text = f"materials.json: '{name}': hash {entry.hash}, as in dataset.json, expected, found {own}"
+        text = f"materials.json: '{name}': expected hash {entry.hash}, as in dataset.json, found {own}"
         yield Fault(text, entry=("labels", name))
     else:
         try:
@@ -77,10 +77,10 @@ def _material_faults(name, dataset, labels):
     if entry.side != side:
         yield fault(f"side {side}", entry.side)
     if label.split != side:
-        yield Fault(f"materials.json: '{name}': split {side} expected, found {label.split}", entry=("labels", name))
+        yield Fault(f"materials.json: '{name}': expected split {side}, found {label.split}", entry=("labels", name))
     for key in ("licence", "source"):
         if (there := getattr(label, key)) != getattr(entry, key):
-            yield fault(f"{key} '{there}', as in materials.json,", f"'{getattr(entry, key)}'")
+            yield fault(f"{key} '{there}', as in materials.json", f"'{getattr(entry, key)}'")
     if dataset.orders and not any(_may_name_material(term, name) for order in dataset.orders for term in order.job.materials):
         yield fault("a material that an order names", "one that none does")
 

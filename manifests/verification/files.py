@@ -85,9 +85,9 @@ class Files:
         if seen.texts:
             return
         if abs(seen.coverage - line.coverage) > contents.ROUNDED:
-            yield f"{line.geometry}: coverage {line.coverage:.6f} expected, found {seen.coverage:.6f}", None
+            yield f"{line.geometry}: expected coverage {line.coverage:.6f}, found {seen.coverage:.6f}", None
         if seen.segments > line.segments:
-            yield f"{line.geometry}: segments up to {line.segments} expected, found {seen.segments}", where
+            yield f"{line.geometry}: expected segments up to {line.segments}, found {seen.segments}", where
         if isinstance(line, Record):
             for text in self._picture_faults(line):
                 yield text, self.folder / line.image
@@ -165,8 +165,8 @@ class Files:
 def _said(relative: str, error: Problem | OSError) -> str:
     """An error about a file, without the folder's own path in front."""
     if isinstance(error, Problem):
-        return f"{relative}: {error.expected} expected, found {error.found}"
-    return f"{relative}: a file that can be read expected, found {error.strerror or error}"
+        return f"{relative}: expected {error.expected}, found {error.found}"
+    return f"{relative}: expected a file that can be read, found {error.strerror or error}"
 
 
 def _reflects(entry: Entry) -> bool:
@@ -193,18 +193,18 @@ class _Packed:
                 raise ValueError(f"{len(hashes)} views, {len(self._normals)} and {len(self._segments)} rows")
             self._rows, self._left_out = {hash_: row for row, hash_ in enumerate(hashes)}, set(left_out)
         except (OSError, ValueError, EOFError, *archives.NO_HEADER) as error:
-            self._texts.append(f"a whole cache of geometry expected, found {error or type(error).__name__}")
+            self._texts.append(f"expected a whole cache of geometry, found {error or type(error).__name__}")
 
     def compare(self, hash_: str, geometry: arrays.Geometry) -> None:
         """Looks whether a good geometry file's row, if it has one, is what the file holds."""
         if hash_ in self._left_out:
-            self._texts.append(f"good geometry, as that with hash {hash_[:12]}, expected, found it left out")
+            self._texts.append(f"expected good geometry, as that with hash {hash_[:12]}, found it left out")
         row = self._rows.pop(hash_, None)
         if row is None:
             return
         same = np.array_equal(self._normals[row], arrays.pack_normals(geometry.normals))
         if not (same and np.array_equal(self._segments[row], geometry.segments)):
-            self._texts.append(f"the geometry with hash {hash_[:12]} in row {row} expected, found other normals or segments")
+            self._texts.append(f"expected the geometry with hash {hash_[:12]} in row {row}, found other normals or segments")
 
     def faults(self) -> Iterator[Fault]:
         """What is wrong; all of the cache goes then, since training makes it again."""

@@ -39,7 +39,7 @@ def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | Vi
     for path in paths:
         where = f"{kind}/{path.name}"
         if (found := kind_of(path)) != "a file":
-            yield path, 0, Fault(f"{where}: a file of lines expected, found {found}", file=path)
+            yield path, 0, Fault(f"{where}: expected a file of lines, found {found}", file=path)
             continue
         try:
             for number, text in lines_of(path):
@@ -50,11 +50,11 @@ def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | Vi
 
 def _decoded(decoder, where, what, text, line):
     if not text.endswith(b"\n"):
-        return Fault(f"{where}: a whole line expected, found one cut short; the next run over it removes it", line=line)
+        return Fault(f"{where}: expected a whole line, found one cut short (the next run over it removes it)", line=line)
     try:
         return decoder.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        return Fault(f"{where}: a {what} expected, found {error}", line=line)
+        return Fault(f"{where}: expected a {what}, found {error}", line=line)
 
 
 def failure_faults(store: Store) -> Iterator[Fault]:
@@ -140,7 +140,7 @@ class Judge:
         geometry = geometry_path(ids.geometry_id(record.shape_hash, group.camera, record.viewpoint, render))
         faults = _misplaced("record", record, line, geometry)
         if record.image != (image := image_path(record.id)):
-            faults.append(Fault(f"record {record.id}: image at {image} expected, found {record.image}", record.id, line))
+            faults.append(Fault(f"record {record.id}: expected image at {image}, found {record.image}", record.id, line))
         return faults
 
     def view(self, view: View, line: Line) -> list[Fault]:
@@ -233,9 +233,9 @@ class Judge:
         """Remembers differences until it is known which side was altered."""
         for difference in differences:
             (of, name), what, by_entry, by_line = difference
-            text = f"{kind} {line.id}: {of[:-1]} '{name}' in dataset.json expected, found none"
+            text = f"{kind} {line.id}: expected {of[:-1]} '{name}' in dataset.json, found none"
             if what:
-                text = f"{kind} {line.id}: {of[:-1]} '{name}' with {what} {by_entry} expected, found {by_line}"
+                text = f"{kind} {line.id}: expected {of[:-1]} '{name}' with {what} {by_entry}, found {by_line}"
             self._differing.setdefault(difference.entry, []).append((Fault(text, line.id, place), difference))
 
     def _confirm(self, group, record, hashes):
@@ -247,9 +247,9 @@ class Judge:
 
     def _unfitting(self, kind, line, place, fitting, needed):
         """Remembers a line whose id is not that of what it says."""
-        text = f"{kind} {line.id}: {needed} expected, found none"
+        text = f"{kind} {line.id}: expected {needed}, found none"
         if fitting:
-            text = f"{kind} {line.id}: id {fitting[0]}, the hash of what it says, expected, found {line.id}"
+            text = f"{kind} {line.id}: expected id {fitting[0]}, the hash of what it says, found {line.id}"
         self._unfit.append((Fault(text, line.id, place), line))
 
     def verdicts(self) -> Iterator[Fault]:
@@ -257,7 +257,7 @@ class Judge:
         doubted = {}
         if self._unfit and not self._fit and self._render not in self.dataset.settings:
             found = f"none that gives the ids of its {len(self._unfit)} lines, {self._unfit[0][0].record} first"
-            yield Fault(f"dataset.json: settings of the render version that made its pictures expected, found {found}")
+            yield Fault(f"dataset.json: expected settings of the render version that made its pictures, found {found}")
         else:
             for fault, line in self._unfit:
                 yield fault
@@ -271,7 +271,7 @@ class Judge:
                 yield self._altered(entry, found)
         for (kind, name), many in doubted.items():
             if (kind, name) not in self._confirmed:
-                text = f"dataset.json: {kind[:-1]} '{name}' that an id confirms expected, found {many} lines whose ids do not fit"
+                text = f"dataset.json: expected {kind[:-1]} '{name}' that an id confirms, found {many} lines whose ids do not fit"
                 yield Fault(text, entry=(kind, name))
 
     def _entries_of(self, line):
@@ -295,8 +295,8 @@ def _misplaced(kind, line, place, geometry):
     """Faults of where a line's geometry lies and of the azimuth that it states."""
     found = []
     if line.geometry != geometry:
-        found.append(Fault(f"{kind} {line.id}: geometry at {geometry} expected, found {line.geometry}", line.id, place))
+        found.append(Fault(f"{kind} {line.id}: expected geometry at {geometry}, found {line.geometry}", line.id, place))
     if line.azimuth_deg != (azimuth := azimuths_deg()[line.viewpoint]):
-        text = f"{kind} {line.id}: azimuth {azimuth:g} of viewpoint {line.viewpoint} expected, found {line.azimuth_deg:g}"
+        text = f"{kind} {line.id}: expected azimuth {azimuth:g} of viewpoint {line.viewpoint}, found {line.azimuth_deg:g}"
         found.append(Fault(text, line.id, place))
     return found

@@ -29,7 +29,7 @@ class Orders:
         if self._asked(line):
             return
         kind = "record" if isinstance(line, Record) else "view"
-        text = f"{kind} {line.id}: an order in dataset.json that asks for it expected, found none"
+        text = f"{kind} {line.id}: expected an order in dataset.json that asks for it, found none"
         self._unasked.append(Fault(text, line.id, place))
 
     def _asked(self, line):
@@ -68,7 +68,7 @@ class Orders:
         elif self._unasked:
             many, first = len(self._unasked), self._unasked[0].record
             remedy = "the same `render` writes its order down again"
-            yield Fault(f"dataset.json: orders that ask for all lines expected, found none for {many}, {first} first; {remedy}")
+            yield Fault(f"dataset.json: expected orders that ask for all lines, found none for {many}, {first} first ({remedy})")
 
 
 class Combination:

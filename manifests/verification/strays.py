@@ -38,10 +38,10 @@ def folder_faults(folder: Path) -> Iterator[Fault]:
         kind = kind_of(path)
         if path.name in KNOWN:
             if kind != "a folder":
-                yield Fault(f"{path.name}: a folder expected, found {kind}", file=path)
+                yield Fault(f"{path.name}: expected a folder, found {kind}", file=path)
         elif kind not in ("a file", "a folder") and not (kind == "a link" and path.exists()):
             found = "a link that leads nowhere" if kind == "a link" else kind
-            yield Fault(f"{path.name}: a file or a folder expected, found {found}", file=path, stray=True)
+            yield Fault(f"{path.name}: expected a file or a folder, found {found}", file=path, stray=True)
 
 
 def stray_faults(folder: Path, named: Mapping[str, Collection[str]]) -> Iterator[Fault]:
@@ -54,9 +54,9 @@ def stray_faults(folder: Path, named: Mapping[str, Collection[str]]) -> Iterator
     for kind in LINES:
         for path in _listed(folder / kind):
             if not path.name.endswith(".jsonl") and kind_of(path) is not None:
-                yield Fault(f"{kind}/{path.name}: files *.jsonl expected, found {kind_of(path)}", file=path, stray=True)
+                yield Fault(f"{kind}/{path.name}: expected files *.jsonl, found {kind_of(path)}", file=path, stray=True)
     for path in _listed(folder / "partial"):
-        text = f"partial/{path.name}: nothing expected, found a file half-written by a run that was killed"
+        text = f"partial/{path.name}: expected nothing, found a file half-written by a run that was killed"
         yield Fault(text, file=path, stray=True)
 
 
@@ -67,7 +67,7 @@ def _strays(folder, top, known):
     try:
         entries = sorted(os.scandir(top), key=lambda entry: entry.name)
     except OSError as error:
-        yield Fault(f"{top.relative_to(folder)}: a folder that can be read expected, found {error.strerror}")
+        yield Fault(f"{top.relative_to(folder)}: expected a folder that can be read, found {error.strerror}")
         return
     for entry in entries:
         path = Path(entry.path)
@@ -77,9 +77,9 @@ def _strays(folder, top, known):
             yield from _strays(folder, path, known)
         elif relative in known:
             if kind != "a file":
-                yield Fault(f"{relative}: a file of its own expected, found {kind}", file=path)
+                yield Fault(f"{relative}: expected a file of its own, found {kind}", file=path)
         elif kind is not None:
-            text = f"{relative}: a record that names it expected, found {'none' if kind == 'a file' else kind}"
+            text = f"{relative}: expected a record that names it, found {'none' if kind == 'a file' else kind}"
             yield Fault(text, file=path, stray=True)
 
 

@@ -46,17 +46,17 @@ def a_job(tmp_path, small_job, light_file):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('{"shapes": ["cube"', "JSON expected"),
+        ('{"shapes": ["cube"', "expected JSON"),
         ('{"shapes": ["cube"], "materials": ["small"], "lights": ["lamp.exr"], "sampels": 3}', "did you mean samples"),
-        ('{"shapes": ["cube"], "materials": ["small"], "lights": ["lamp.exr"], "samples": "3"}', "samples: int expected"),
+        ('{"shapes": ["cube"], "materials": ["small"], "lights": ["lamp.exr"], "samples": "3"}', "samples: expected int"),
         ('{"shapes": ["../cube.obj"], "materials": ["small"], "lights": ["lamp.exr"]}', "a path inside"),
         ('{"shapes": ["cube"], "materials": ["small"], "lights": ["../lamp.exr"]}', "a path inside"),
         ('{"shapes": ["cube"], "materials": ["small"], "lights": ["/lamp.exr"]}', "a path inside"),
         ('{"shapes": ["cube"], "materials": ["small"], "lights": ["lmap.exr"]}', "lmap.exr"),
         ('{"shapes": ["cube.obj"], "materials": ["small"], "lights": ["lamp.exr"]}', "cube.obj"),
         ('{"shapes": ["cube"], "materials": ["brsas"], "lights": ["lamp.exr"]}', "did you mean"),
-        ("", "JSON expected"),
-        ("\x00\x01\x02", "JSON expected"),
+        ("", "expected JSON"),
+        ("\x00\x01\x02", "expected JSON"),
     ],
 )
 @pytest.mark.parametrize("verb", ["plan", "render"])
@@ -78,15 +78,15 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(comman
         (["render", "dmeo", "--out", "X"], "did you mean demo", 1),
         (["render", "demo", "--out", "X", "--workers", "0"], "--workers", 2),
         (["render", "demo", "--out", "X", "--shard", "9/8"], "1 ≤ I ≤ N", 1),
-        (["render", "demo", "--out", "X", "--shard", "²/3"], "1 ≤ I ≤ N expected, found '²/3'", 1),
+        (["render", "demo", "--out", "X", "--shard", "²/3"], "1 ≤ I ≤ N, found '²/3'", 1),
         (["render", "demo", "--out", "X", "--shard", "1/" + "9" * 5000], "1 ≤ I ≤ N", 1),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "9" * 5000, "--out", "X"], "pixels from 4 to 8192", 1),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "9" * 5000, "--out", "X"], "numbers from 0 to 23", 1),
         (["render", "demo", "--out", "X", "--device", "abacus"], "--device", 2),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "24", "--out", "X"], "numbers from 0 to 23", 1),
         (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "0", "--out", "X"], "pixels from 4 to 8192", 1),
-        (["plan"], "a job expected", 1),
-        (["plan", "nowhere.json"], "nowhere.json: a JSON file expected, found no such file; check the path", 1),
+        (["plan"], "expected a job", 1),
+        (["plan", "nowhere.json"], "nowhere.json: expected a JSON file, found no such file (check the path", 1),
         (["status", "nowhere"], "a dataset", 1),
         (["verify", "nowhere"], "a dataset", 1),
         (["preview", "nowhere"], "a dataset", 1),
@@ -104,13 +104,13 @@ def test_wrong_usage_is_told_with_the_remedy(command, tmp_path, monkeypatch, wor
 @pytest.mark.parametrize(
     ("option", "value", "says"),
     [
-        ("--fov", "150", "--fov: float <= 120.0 expected, found 150.0;"),
-        ("--fov", "-5", "--fov: float >= 1.0 expected, found -5.0;"),
-        ("--fov", "nan", "--fov: degrees from 1 to 120 expected, found nan;"),
-        ("--fov", "inf", "--fov: degrees from 1 to 120 expected, found inf;"),
-        ("--samples", "2000000", "--samples: int <= 1048576 expected, found 2000000;"),
-        ("--seed", "99999999999999999999", "--seed: int <= 9223372036854775807 expected, found 99999999999999999999;"),
-        ("--seed", "-4", "--seed: int >= 0 expected, found -4;"),
+        ("--fov", "150", "--fov: expected float <= 120.0, found 150.0"),
+        ("--fov", "-5", "--fov: expected float >= 1.0, found -5.0"),
+        ("--fov", "nan", "--fov: expected degrees from 1 to 120, found nan"),
+        ("--fov", "inf", "--fov: expected degrees from 1 to 120, found inf"),
+        ("--samples", "2000000", "--samples: expected int <= 1048576, found 2000000"),
+        ("--seed", "99999999999999999999", "--seed: expected int <= 9223372036854775807, found 99999999999999999999"),
+        ("--seed", "-4", "--seed: expected int >= 0, found -4"),
     ],
 )
 def test_a_number_that_no_job_file_may_hold_leaves_the_dataset_as_it_is(
@@ -143,8 +143,8 @@ def test_the_help_of_render_names_every_preset(capsys):
 @pytest.mark.parametrize(
     ("damage", "says"),
     [
-        (lambda value: b"{", "JSON expected"),
-        (lambda value: json.dumps({**value, "flavour": 1}).encode(), "a known key expected, found 'flavour'"),
+        (lambda value: b"{", "expected JSON"),
+        (lambda value: json.dumps({**value, "flavour": 1}).encode(), "expected a known key, found 'flavour'"),
         (lambda value: json.dumps({**value, "version": 7}).encode(), "version"),
         (lambda value: json.dumps({**value, "version": "one"}).encode(), "expected"),
     ],
@@ -172,7 +172,7 @@ def test_a_damaged_manifest_is_named_and_left_as_it_is_or_written_again(command,
     [
         (b'{"id": "0123456789abcdef01234567"}\n', "the key 'shape'|missing required field"),
         (b'{"id": "../../../escape"}\n', "matching regex"),
-        (b"not json\n", "a record expected"),
+        (b"not json\n", "expected a record"),
         (b'{"id": 7}\n', "str"),
     ],
 )
@@ -199,7 +199,7 @@ def test_a_record_that_points_outside_is_found_and_nothing_outside_is_touched(co
     value = json.loads(path.read_bytes().splitlines()[0])
     path.write_bytes(json.dumps({**value, "image": "../outside.exr"}).encode() + b"\n" + path.read_bytes().split(b"\n", 1)[1])
     status, said = command("verify", tmp_path / "data", "--repair")
-    assert "expected, found ../outside.exr" in said and status == 0
+    assert ", found ../outside.exr" in said and status == 0
     assert (tmp_path / "outside.exr").read_bytes() == b"mine"
     assert render(small_job, tmp_path / "data").made == 11
     assert command("verify", tmp_path / "data")[0] == 0
@@ -210,7 +210,7 @@ def test_missing_files_are_named_and_made_again_after_repair(command, render, sm
     records = list(Store(tmp_path / "data").records())
     (tmp_path / "data" / records[0].image).unlink()
     status, said = command("verify", tmp_path / "data")
-    assert status == 1 and f"{records[0].image}: an OpenEXR file expected, found no such file" in said
+    assert status == 1 and f"{records[0].image}: expected an OpenEXR file, found no such file" in said
     status, said = command("preview", tmp_path / "data", "--out", tmp_path / "p", "--count", "12")
     assert status == 1 and records[0].id in said
     assert command("verify", tmp_path / "data", "--repair")[0] == 0
@@ -226,7 +226,7 @@ def test_a_preview_replaces_a_page_only_when_told(command, render, small_job, tm
     words = ("preview", tmp_path / "data", "--out", page.parent, "--size", "16")
     status, said = command(*words)
     assert (
-        status == 1 and "index.html: no earlier result expected, found one; give another --out, or --overwrite" in said and one_line(said)
+        status == 1 and "index.html: expected no earlier result, found one (give another --out, or --overwrite" in said and one_line(said)
     )
     assert page.read_text() == "mine" and not sheet.exists()
     assert command(*words, "--overwrite")[0] == 0

@@ -117,14 +117,14 @@ def test_deep_sub_sampled_and_odd_pictures_are_refused(tmp_path, L):
         deep[place] = np.ones(2, np.float32)
     refused(
         exr(tmp_path / "deep.exr", dict.fromkeys("RGB", deep), type=OpenEXR.deepscanline, compression=OpenEXR.ZIPS_COMPRESSION),
-        "a flat picture expected, found a deep one",
+        "expected a flat picture, found a deep one",
     )
     path = exr(tmp_path / "sampled.exr", {"RGB": L})
     data = path.read_bytes()
     place = data.index(b"G\0\2\0\0\0") + 10  # name, type, pLinear and three bytes more
     path.write_bytes(data[:place] + struct.pack("<2i", 2, 2) + data[place + 8 :])
     refused(path)
-    refused(exr(tmp_path / "rg.exr", {"R": L[..., 0].copy(), "G": L[..., 1].copy()}), "channels R, G, B expected, found G, R")
+    refused(exr(tmp_path / "rg.exr", {"R": L[..., 0].copy(), "G": L[..., 1].copy()}), "expected channels R, G, B, found G, R")
 
 
 def test_other_parts_count_before_they_are_read(tmp_path, L, monkeypatch):
@@ -218,7 +218,7 @@ def test_encrypted_nested_and_unknown_members_are_refused(tmp_path, L):
         data[data.index(signature) + method] = 99
     (tmp_path / "c.npz").write_bytes(data)
     refused(tmp_path / "c.npz", "a whole .npz file")
-    refused(zipped(tmp_path / "d.npz", {"a.npy": npy(L), "b.npy": npy(L)}), "one map expected, found several ('a', 'b', …)")
+    refused(zipped(tmp_path / "d.npz", {"a.npy": npy(L), "b.npy": npy(L)}), "expected one map, found several ('a', 'b', …)")
     (tmp_path / "e.npz").write_bytes(b"PK\5\6" + b"\0" * 18)
     refused(tmp_path / "e.npz", "begins with")
 
@@ -349,7 +349,7 @@ def test_large_maps_take_little_more_memory_than_their_pixels(tmp_path, root, rn
 
 def test_pipes_devices_and_circles_of_links_are_refused_as_lights(tmp_path):
     os.mkfifo(tmp_path / "a.hdr")
-    refused(tmp_path / "a.hdr", "an .hdr, .exr or .npz file expected, found a pipe")
+    refused(tmp_path / "a.hdr", "expected an .hdr, .exr or .npz file, found a pipe")
     (tmp_path / "b.exr").symlink_to("b.exr")
     refused(tmp_path / "b.exr", "too many levels of symbolic links")
     (tmp_path / "c.exr").symlink_to("/dev/zero")
@@ -362,7 +362,7 @@ def test_a_file_far_larger_than_any_map_is_refused_unread(tmp_path):
     with open(path, "wb") as file:
         file.write(b"#?RADIANCE\n")
         file.truncate(3 << 30)
-    refused(path, "of at most 1.0 GiB expected, found 3.0 GiB")
+    refused(path, "of at most 1.0 GiB, found 3.0 GiB")
 
 
 @pytest.mark.parametrize(

@@ -378,7 +378,7 @@ def test_an_npz_is_judged_by_its_headers_and_never_unpickled(tmp_path, drawn, mo
 
 def test_a_damaged_list_is_told_in_one_line(tmp_path):
     (tmp_path / "lights.json").write_text("{")
-    with pytest.raises(Problem, match=r"lights\.json: JSON expected"):
+    with pytest.raises(Problem, match=r"lights\.json: expected JSON"):
         library.read_list(tmp_path)
 
 

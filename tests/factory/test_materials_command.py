@@ -132,11 +132,11 @@ def test_a_report_says_what_made_it_and_whether_limits_are_kept(own):
         (("fit", "{folder}", "--light", "{folder}/maps.npz:text", "--out", "{folder}/o.json"), "a finite light map"),
         (("fit", "{folder}", "--light", "{folder}/maps.npz:none", "--out", "{folder}/o.json"), "an array 'none'"),
         (("fit", "{folder}", "--light", "{folder}/torn.npz:black", "--out", "{folder}/o.json"), "an .npz file of light maps"),
-        (("fit", "{folder}/none.npz", "--out", "{folder}/o.json"), "none.npz: an npz of Neural-BRDF weights"),
+        (("fit", "{folder}/none.npz", "--out", "{folder}/o.json"), "none.npz: expected an npz of Neural-BRDF weights"),
         (("fit", "{folder}", "--only", "own-wod", "--out", "{folder}/o.json"), "did you mean own-wood"),
-        (("fit", "{folder}", "--closures", "0", "--out", "{folder}/o.json"), "--closures: ascending counts from 1 expected"),
-        (("fit", "{folder}", "--tolerance", "7", "--out", "{folder}/o.json"), "--tolerance: 0.0001 to 1 expected, found 7"),
-        (("fit", "{folder}", "--workers", "0", "--out", "{folder}/o.json"), "--workers: at least 1 expected"),
+        (("fit", "{folder}", "--closures", "0", "--out", "{folder}/o.json"), "--closures: expected ascending counts from 1"),
+        (("fit", "{folder}", "--tolerance", "7", "--out", "{folder}/o.json"), "--tolerance: expected 0.0001 to 1, found 7"),
+        (("fit", "{folder}", "--workers", "0", "--out", "{folder}/o.json"), "--workers: expected at least 1"),
         (("preview", "brazz", "--out", "{folder}/p.png"), "did you mean brass"),
         (("list", "--catalogue", "{folder}/broken.json"), "broken.json"),
     ],
@@ -153,7 +153,7 @@ def test_mistakes_end_in_one_line(own, capsys, arguments, message):
 def test_a_truncated_measurement_ends_the_fit_in_one_line(tmp_path, capsys):
     (tmp_path / "cut.binary").write_bytes(struct.pack("<3i", 90, 90, 180) + b"\0" * 64)
     assert run("materials", "fit", tmp_path, "--out", tmp_path / "o.json") == 1
-    assert "cut.binary: 34992012 bytes after such a header expected, found 76" in capsys.readouterr().err
+    assert "cut.binary: expected 34992012 bytes after such a header, found 76" in capsys.readouterr().err
 
 
 # --- the built-in catalogue

@@ -240,7 +240,7 @@ def test_a_binary_ply_may_have_a_header_of_windows():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda data: data[:-3], "as its header says expected, found the end of the file"),
+        (lambda data: data[:-3], "as its header says, found the end of the file"),
         (lambda data: data + b"abc", "3 bytes more"),
         (lambda data: data.replace(b"property float z", b"property float w"), "no z"),
         (lambda data: data.replace(b"uchar int", b"float int"), "a line of a PLY header"),
@@ -331,7 +331,7 @@ def test_an_off_is_the_same_however_it_is_written(change):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda text: text.replace("3 0 1 2\n", ""), "5 vertices and 2 faces expected, found the end after 5 and 1"),
+        (lambda text: text.replace("3 0 1 2\n", ""), "expected 5 vertices and 2 faces, found the end after 5 and 1"),
         (lambda text: text.replace("3 0 1 2", "9 0 1 2"), "'9 0 1 2'"),
         (lambda text: text.replace("3 0 1 2", "-3 0 1 2"), "'-3 0 1 2'"),
         (lambda text: text.replace("3 0 1 2", "3 0 1 -1"), "vertex 0"),
@@ -454,7 +454,7 @@ def changed(*steps):
 @pytest.mark.parametrize(
     ("path", "value", "says"),
     [
-        (("accessors", 0, "type"), "VEC2", "positions of type VEC3 expected, found VEC2"),
+        (("accessors", 0, "type"), "VEC2", "expected positions of type VEC3, found VEC2"),
         (("accessors", 0, "type"), "VEC9", "positions of type VEC3"),
         (("accessors", 0, "componentType"), 5125, "positions of type VEC3"),
         (("accessors", 0, "componentType"), 7, "a known type of numbers"),

@@ -165,5 +165,5 @@ def test_a_worker_whose_run_was_killed_ends_and_nobody_starts_before_it_has(smal
 def test_a_forecast_whose_trial_shot_fails_says_so_in_a_line(plan_of, small_job, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(HERE))
     monkeypatch.setenv("FAKE_STUDIO", "nan:cube")
-    with pytest.raises(Problem, match="cube, view 0: a shot that can be made expected, found finite radiance"):
+    with pytest.raises(Problem, match="cube, view 0: expected a shot that can be made, found expected finite radiance"):
         probed(plan_of(small_job), Manner(studio=FAKE))

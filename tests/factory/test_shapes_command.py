@@ -55,7 +55,7 @@ def test_preview_goes_on_past_a_broken_shape_and_fails(kettle, tmp_path, capsys)
 
 def test_preview_of_nothing_says_what_to_name(tmp_path, capsys):
     assert shapes("preview", "--out", tmp_path / "a.png") == 1
-    assert "shapes or --family expected" in capsys.readouterr().err
+    assert "expected shapes or --family" in capsys.readouterr().err
 
 
 def test_add_copies_a_cleaned_mesh_with_its_licence(kettle, tmp_path, capsys):
@@ -91,7 +91,7 @@ def test_a_damaged_note_of_the_library_says_what_to_do_and_so_it_works(kettle, t
     whole = note.read_bytes()
     note.write_bytes(damaged)
     assert shapes(*arguments) == 1
-    assert "kettle.json: a mesh's note as JSON expected" in (said := capsys.readouterr().err) and "delete it" in said
+    assert "kettle.json: expected a mesh's note as JSON" in (said := capsys.readouterr().err) and "delete it" in said
     note.unlink()
     assert shapes(*arguments) == 0
     assert note.read_bytes() == whole
@@ -102,7 +102,7 @@ def test_add_refuses_a_broken_file_in_one_line(tmp_path, capsys):
     bad.write_bytes(b"")
     assert shapes("add", bad, "--library", tmp_path / "mine") == 1
     said = capsys.readouterr().err.strip().splitlines()
-    assert any("a mesh expected, found an empty file" in line for line in said) and not (tmp_path / "mine").exists()
+    assert any("expected a mesh, found an empty file" in line for line in said) and not (tmp_path / "mine").exists()
 
 
 def test_help_explains_a_shape(capsys):

@@ -127,7 +127,7 @@ def test_the_papers_counts_are_listed():
     ("spec", "said"),
     [
         ("chiar:3", "did you mean chair"),
-        ("chair:x", "a whole number ≥ 0 of at most 100 digits after the colon expected, found 'x'; write chair:3"),
+        ("chair:x", "expected a whole number ≥ 0 of at most 100 digits after the colon, found 'x' (write chair:3"),
         ("chair:-1", "found '-1'"),
         ("sphere:9", "a whole number from 0 to 8"),
         ("cube:2", "only sphere (level) and blob (seed) take a number"),

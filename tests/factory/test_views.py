@@ -95,12 +95,12 @@ def test_a_view_that_does_not_fit_is_found_and_repair_lets_it_be_made_again(rend
     path, side = store.record_files("views")[0], next(store.views()).side
     good = path.read_bytes()
     for changes, message in (
-        ({"side": "train" if side == "test" else "test"}, f"with side {side} expected, found"),
-        ({"segments": 4}, "with segments 1 expected, found 4"),
-        ({"shape": "ball"}, "expected, found ball"),
-        ({"viewpoint": 5}, "the hash of what it says, expected"),
-        ({"geometry": "../away.exr"}, "expected, found ../away.exr"),
-        ({"coverage": 0.9}, "coverage 0.900000 expected"),
+        ({"side": "train" if side == "test" else "test"}, f"with side {side}, found"),
+        ({"segments": 4}, "with segments 1, found 4"),
+        ({"shape": "ball"}, ", found ball"),
+        ({"viewpoint": 5}, "the hash of what it says"),
+        ({"geometry": "../away.exr"}, ", found ../away.exr"),
+        ({"coverage": 0.9}, "expected coverage 0.900000"),
         ({"geometry_hash": "0" * 64}, "the file was altered"),
     ):
         path.write_bytes(good)
@@ -119,4 +119,4 @@ def test_a_light_on_the_wrong_side_is_found(render, views_job, tmp_path):
     (name, entry), *_ = dataset.lights.items()
     wrong = "train" if entry.side == "test" else "test"
     store.write_json("dataset.json", msgspec.structs.replace(dataset, lights={name: msgspec.structs.replace(entry, side=wrong)}))
-    assert f"light '{name}': side {entry.side} by its hash expected, found {wrong}" in faults(tmp_path)[0].text
+    assert f"light '{name}': expected side {entry.side} by its hash, found {wrong}" in faults(tmp_path)[0].text

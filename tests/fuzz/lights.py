@@ -177,7 +177,7 @@ def wrong(pixels: np.ndarray, result: Result) -> str | None:
         return f"refused: {result.error}"
     found = result.value[0]
     if found.shape != pixels.shape or found.dtype != np.float32:
-        return f"pixels {pixels.shape} expected, found {found.shape} of {found.dtype}"
+        return f"expected pixels {pixels.shape}, found {found.shape} of {found.dtype}"
     apart = np.abs(found - pixels) > 1e-6 * np.abs(pixels)  # of exposures, which float32 divides by
     if apart.any():
         return f"{int(apart.sum())} values differ, the first at {tuple(np.argwhere(apart)[0])}"

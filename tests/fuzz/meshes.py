@@ -237,17 +237,17 @@ def wrong(shape: Body, result: Result) -> str | None:
     centre = raw.vertices.mean(axis=0)
     volume = float(np.einsum("fi,fi->f", a - centre, np.cross(b - centre, c - centre)).sum() / 6)
     if len(raw.faces) != shape.triangles:
-        return f"{shape.triangles} triangles expected, found {len(raw.faces)}"
+        return f"expected {shape.triangles} triangles, found {len(raw.faces)}"
     if not math.isclose(area, shape.area, rel_tol=1e-4):  # float32 files; thin outlines amplify their rounding
-        return f"an area of {shape.area:.9g} expected, found {area:.9g}"
+        return f"expected an area of {shape.area:.9g}, found {area:.9g}"
     if not math.isclose(volume, shape.volume, rel_tol=1e-4):
-        return f"a volume of {shape.volume:.9g} expected, found {volume:.9g}"
+        return f"expected a volume of {shape.volume:.9g}, found {volume:.9g}"
     report = mesh.report
     flat = any("of no area" in note for note in report.cleaned)  # corners in a line: their triangles are dropped
     if report.components != 1 or not (report.watertight or flat):
-        return f"one closed piece expected, found {report.line()}"
+        return f"expected one closed piece, found {report.line()}"
     if any("cross themselves" in note or "passed over" in note for note in report.cleaned):
-        return f"nothing to tell expected, found {report.line()}"
+        return f"expected nothing to tell, found {report.line()}"
     return sound(result)
 
 

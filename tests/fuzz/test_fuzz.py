@@ -111,9 +111,9 @@ def test_the_driver_judges_a_commands_end(tmp_path, monkeypatch, words, fault):
 
 def test_a_case_whose_check_finds_a_wrong_result_is_a_fault(tmp_path):
     def case(room):
-        return Case(label="two", run=lambda: 2, check=lambda result: None if result.value == 3 else f"3 expected, found {result.value}")
+        return Case(label="two", run=lambda: 2, check=lambda result: None if result.value == 3 else f"expected 3, found {result.value}")
 
-    assert run(case, tmp_path).fault == "wrong result: 3 expected, found 2"
+    assert run(case, tmp_path).fault == "wrong result: expected 3, found 2"
 
 
 def test_a_case_depends_on_its_number_alone(tmp_path):

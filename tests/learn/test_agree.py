@@ -127,7 +127,7 @@ def test_the_page_stands_alone(folder):
 def test_a_folder_without_a_dataset_is_one_line(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     status, _ = agree(tmp_path / "empty")
-    assert status == 1 and "a dataset (dataset.json) expected, found none" in capsys.readouterr().err
+    assert status == 1 and "expected a dataset (dataset.json), found none" in capsys.readouterr().err
 
 
 def test_limit_keeps_whole_scenes():

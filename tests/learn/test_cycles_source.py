@@ -204,13 +204,13 @@ def test_a_light_or_a_label_out_of_range_stops_before_training_or_its_pictures_a
             L, scale = arrays["L"], arrays["scale"]
         L[3, 3, 1] = np.nan
         np.savez(path, L=L, scale=scale)
-        told, bad = rf"{path.name}: finite radiance ≥ 0 expected, found 1 values", {r.id for r in store.records()}
+        told, bad = rf"{path.name}: expected finite radiance ≥ 0, found 1 values", {r.id for r in store.records()}
     else:
         dark = materials.read_catalogue(store.folder / "materials.json").materials[0]
         label = (*dark.label[:5], 1e30, *dark.label[6:])
         hash_ = materials.material_hash(label, dark.mixture)
         synthetic.exchange(store, msgspec.structs.replace(dark, label=label, hash=hash_))
-        told, bad = "'dark': natural logarithms up to 14 expected", {r.id for r in store.records() if r.materials == ("dark",)}
+        told, bad = "'dark': expected natural logarithms up to 14", {r.id for r in store.records() if r.materials == ("dark",)}
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
     with pytest.raises(Problem, match=told):
         preflight.checked(records, records.records, geometry, progress=False)
@@ -268,6 +268,6 @@ def test_views_that_are_left_out_leave_the_others_as_they_are(store):
 def test_a_dataset_of_another_schema_version_is_refused_in_one_line(store):
     path = store.folder / "dataset.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 99}))
-    with pytest.raises(Problem, match=r"schema version 1 expected, found 99") as told:
+    with pytest.raises(Problem, match=r"expected schema version 1, found 99") as told:
         sources.pools(Data(), Store(store.folder).folder, progress=False)
     assert "\n" not in str(told.value)

@@ -63,11 +63,11 @@ def damage(folder, what):
 @pytest.mark.parametrize(
     ("what", "message"),
     [
-        ("truncated picture", "a whole OpenEXR file expected"),
-        ("missing geometry", "an OpenEXR file expected, found no such file"),
-        ("truncated light", "a stored light map expected"),
-        ("no materials", "an entry for 'matte', which a record names, expected, found none"),
-        ("no dataset", r"a dataset \(dataset.json\) expected, found none"),
+        ("truncated picture", "expected a whole OpenEXR file"),
+        ("missing geometry", "expected an OpenEXR file, found no such file"),
+        ("truncated light", "expected a stored light map"),
+        ("no materials", "expected an entry for 'matte', which a record names, found none"),
+        ("no dataset", r"expected a dataset \(dataset.json\), found none"),
     ],
 )
 def test_a_damaged_dataset_is_named_in_one_line(folder, what, message):

@@ -92,7 +92,7 @@ def test_a_study_writes_its_table_and_chart(tmp_path):
 
 
 def test_fewer_shapes_than_a_variant_asks_for_are_told(pools):
-    with pytest.raises(Problem, match="60 training shapes expected, found 1"):
+    with pytest.raises(Problem, match="expected 60 training shapes, found 1"):
         normals_ablation._limited(pools, 60)
 
 

@@ -62,10 +62,10 @@ def test_normals_that_are_not_unit_are_refused_with_the_file_named(store):
     channels = {f"normal.{axis}": 0.5 * n[..., k] for k, axis in enumerate("XYZ")}
     path, (lines,) = store.folder / record.geometry, store.record_files()
     hash_ = store.place(record.geometry, exr.encode(channels | {"depth.Z": depth, "segment": segments.astype(np.uint32)}), "test")
-    with pytest.raises(Problem, match=rf"{path.name}: hash {record.geometry_hash[:12]} expected, found .* the file was altered"):
+    with pytest.raises(Problem, match=rf"{path.name}: expected hash {record.geometry_hash[:12]}, found .* the file was altered"):
         Geometry(store.folder, progress=False)
     lines.write_text(lines.read_text().replace(record.geometry_hash, hash_))
-    with pytest.raises(Problem, match=rf"{path.name}: unit normals expected, found lengths 0\.5"):
+    with pytest.raises(Problem, match=rf"{path.name}: expected unit normals, found lengths 0\.5"):
         Geometry(store.folder, progress=False)
 
 

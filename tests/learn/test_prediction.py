@@ -126,5 +126,5 @@ def test_a_dataset_without_records_is_told(weights, tmp_path):
     store = written(tmp_path / "data")
     for path in store.record_files():
         path.write_bytes(b"")
-    with pytest.raises(Problem, match="records expected, found none"):
+    with pytest.raises(Problem, match="expected records, found none"):
         predict.write(store.folder, None, weights, tmp_path / "out")

@@ -39,7 +39,7 @@ def test_a_full_disk_keeps_the_earlier_weights(tmp_path, small_files, count):
 
 
 def test_numbers_that_the_format_lacks_are_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(ValueError, match=r"b: a type of numbers of safetensors expected, found torch\.complex64"):
+    with pytest.raises(ValueError, match=r"b: expected a type of numbers of safetensors, found torch\.complex64"):
         tensor_file.write(tmp_path / "w", {"a": torch.ones(2), "b": torch.ones(2, dtype=torch.complex64)}, {})
     assert os.listdir(tmp_path) == []
 

@@ -53,12 +53,12 @@ def line(capsys):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"losses": {"normals": 0, "material": 0}}, "losses: a weight above 0 of a term that trains normals"),
+        ({"losses": {"normals": 0, "material": 0}}, "losses: expected a weight above 0 of a term that trains normals"),
         ({"losses": {"normals": 0, "material": 1}}, "a term that trains normals"),
         ({"parts": ["material"], "losses": {"normals": 0, "material": 0, "target": 1}}, "a term that trains material"),
         ({"parts": ["light"]}, "a term that trains light"),
         ({"network": "encoder-decoder", "losses": {"normals": 1, "material": 0, "image": 1}}, "one of material, target"),
-        ({"stages": [{"parts": ["light"], "steps": 1}]}, r"stages\[0\]\.losses: a weight above 0"),
+        ({"stages": [{"parts": ["light"], "steps": 1}]}, r"stages\[0\]\.losses: expected a weight above 0"),
         ({"schedule": {"rate": 1e30}}, "rate"),
         ({"schedule": {"rate": 0}}, "rate"),
         ({"schedule": {"rate": -1}}, "rate"),
@@ -66,7 +66,7 @@ def line(capsys):
         ({"schedule": {"batch": 100_000_000}}, "batch"),
         ({"schedule": {"batch": 65_536}, "size": 1024}, "Mi pixels"),
         ({"losses": {"normals": 1e30}}, "normals"),
-        ({"losses": {"normals": 1, "layer_light": [7, 9]}}, "layer_light: rows and columns that divide 64 and 128"),
+        ({"losses": {"normals": 1, "layer_light": [7, 9]}}, "layer_light: expected rows and columns that divide 64 and 128"),
         ({"size": 60}, "size"),
     ],
 )
@@ -259,7 +259,7 @@ def test_a_prediction_that_is_not_finite_is_a_skipped_step_and_no_error_of_the_l
 def test_a_validation_that_is_not_finite_ends_in_one_line(pools, tmp_path):
     training = Training(run(), pools, tmp_path, sheet_every=1, workers=0)
     training.average["normals.weight"].fill_(3e38)
-    with pytest.raises(Problem, match="validation after step 0: finite predictions"):
+    with pytest.raises(Problem, match="validation after step 0: expected finite predictions"):
         training._validate()
     assert not (tmp_path / "weights.safetensors").exists()
 
@@ -300,7 +300,7 @@ class Dying:
 
 def test_a_process_that_relights_and_is_killed_is_told_in_one_line():
     loader = torch.utils.data.DataLoader(loop.ErrorsAsValues(Dying()), batch_size=None, sampler=range(2), num_workers=1)
-    with pytest.raises(Problem, match="--workers: processes that live"):
+    with pytest.raises(Problem, match="--workers: expected processes that live"):
         next(loop.received(loader))
 
 
@@ -340,8 +340,8 @@ SKY = np.ones((64, 128, 3), np.float32)
 @pytest.mark.parametrize(
     ("maps", "words"),
     [
-        ({"a": 0 * SKY}, "a: light expected, found a black map"),
-        ({"a": -SKY}, "a: light expected, found a black map"),
+        ({"a": 0 * SKY}, "a: expected light, found a black map"),
+        ({"a": -SKY}, "a: expected light, found a black map"),
         ({"a": SKY * np.float32(1e37)}, "radiance up to"),
         ({"a": SKY * np.nan}, "NaN or infinity"),
         ({"a": SKY[:, :, :1]}, "shape"),

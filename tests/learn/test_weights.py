@@ -135,17 +135,17 @@ def fewer(header, body):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (filled(np.nan), r"normals\.weight: finite numbers"),
-        (filled(np.nan, whole=False), r"normals\.weight: finite numbers"),
-        (filled(np.inf, whole=False), r"normals\.weight: finite numbers"),
+        (filled(np.nan), r"normals\.weight: expected finite numbers"),
+        (filled(np.nan, whole=False), r"normals\.weight: expected finite numbers"),
+        (filled(np.inf, whole=False), r"normals\.weight: expected finite numbers"),
         (entry(dtype="I16"), "numbers as F16"),
         (entry(dtype="F7"), "F7"),
         (entry(shape=[12 * 32 * 9]), r"a tensor of shape \(12, 32, 3, 3\)"),
         (entry(shape=[1 << 60, 1 << 10]), "safetensors"),
         (entry(data_offsets=[5, 1]), "safetensors"),
         (entry(data_offsets=[1 << 60, (1 << 60) + 8]), "safetensors"),
-        (more, "strange: only tensors of this compact network"),
-        (fewer, r"normals\.weight: a tensor of shape"),
+        (more, "strange: expected only tensors of this compact network"),
+        (fewer, r"normals\.weight: expected a tensor of shape"),
         (lambda header, body: (header, body[:-1000]), "safetensors"),
         (lambda header, body: (header, body + bytes(10)), "safetensors"),
         (lambda header, body: (b"\xff" * 100, body), "safetensors"),
@@ -183,7 +183,7 @@ def test_ranges_that_no_material_has_are_refused(tmp_path, centre, half):
     """Labels are read from codes by them: beyond them exp is infinite, or the reflectance no number."""
     network = Compact(Ranges(torch.full((108,), float(centre)), torch.full((108,), float(half))))
     weights.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), RUN, 32)
-    with pytest.raises(Problem, match="label_centre, label_half: ranges of labels"):
+    with pytest.raises(Problem, match="label_centre, label_half: expected ranges of labels"):
         weights.load_network(tmp_path / "w.safetensors")
 
 
@@ -193,7 +193,7 @@ def test_weights_whose_prediction_overflows_are_told_by_it(sound, value):
     with torch.no_grad():
         network.normals.weight.fill_(value)
     framed = Framed(np.full((32, 32, 3), 0.5, np.float32), np.ones((32, 32), bool), (0, 0, 32), 1.0)
-    with pytest.raises(Problem, match="--weights: weights that predict finite"):
+    with pytest.raises(Problem, match="--weights: expected weights that predict finite"):
         of(framed, network)
 
 
@@ -201,7 +201,7 @@ def test_weights_whose_prediction_overflows_are_told_by_it(sound, value):
 def test_what_is_no_file_is_refused_at_once_by_every_reader(tmp_path, make):
     make(tmp_path / "w.safetensors")
     for read in (weights.load_network, features.load, perceptual.of_file, priors.load):
-        with pytest.raises(Problem, match=r"w\.safetensors: .* expected, found (a |too many)"):
+        with pytest.raises(Problem, match=r"w\.safetensors: expected .*, found (a |too many)"):
             read(tmp_path / "w.safetensors")
 
 
@@ -267,5 +267,5 @@ def test_vgg16_without_numbers_is_refused(tmp_path):
     tensors = random_tensors(shapes)
     tensors["features.5.bias"][3] = torch.inf
     (tmp_path / "vgg.safetensors").write_bytes(save(tensors))
-    with pytest.raises(Problem, match=r"features\.5\.bias: finite numbers"):
+    with pytest.raises(Problem, match=r"features\.5\.bias: expected finite numbers"):
         features.load(tmp_path / "vgg.safetensors")

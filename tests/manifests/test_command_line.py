@@ -89,7 +89,7 @@ def test_what_is_wrong_stands_on_a_line_of_its_own_below_the_progress_bar(fail, 
 
 def test_a_file_name_with_a_line_break_does_not_break_the_line(fail):
     assert fail(OSError(2, "No such file or directory", "a\nb")).endswith("\nfactory: [Errno 2] No such file or directory: 'a\\nb'\n")
-    assert fail(Problem("a\nb", "x", "y", "z")).endswith("\nfactory: a\\nb: x expected, found y; z\n")
+    assert fail(Problem("a\nb", "x", "y", "z")).endswith("\nfactory: a\\nb: expected x, found y (z)\n")
 
 
 @pytest.mark.parametrize(
@@ -109,5 +109,5 @@ def test_an_empty_argument_is_wrong_usage_and_never_the_current_folder(words, na
     with pytest.raises(SystemExit) as ended:
         cli.main(program, "", commands, arguments)
     assert ended.value.code == 2
-    assert f"{name}: a value expected, found an empty one" in capsys.readouterr().err
+    assert f"{name}: expected a value, found an empty one" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

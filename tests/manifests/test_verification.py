@@ -127,21 +127,21 @@ def test_ids_are_those_of_the_first_data_sets():
 def test_whatever_determines_a_picture_is_held_against_its_id(store, changes):
     record = alter(store, **changes)
     found = list(Verification(store).in_records())
-    assert f"record {record.id}: id" in found[0].text and "the hash of what it says" in found[0].text
+    assert f"record {record.id}: expected id" in found[0].text and "the hash of what it says" in found[0].text
     assert found[0].record == record.id and found[0].line == (store.record_files()[0], 1)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"azimuth_deg": 15.0}, "azimuth 0 of viewpoint 0 expected, found 15"),
-        ({"category": "chair"}, "shape 'ball' with category primitive expected, found chair"),
+        ({"azimuth_deg": 15.0}, "expected azimuth 0 of viewpoint 0, found 15"),
+        ({"category": "chair"}, "expected shape 'ball' with category primitive, found chair"),
         ({"split": "mixed"}, "with split"),
-        ({"shape": "cube"}, "shape 'ball' with name ball expected, found cube"),
-        ({"light": "sun"}, "light 'lamp' with name lamp expected, found sun"),
-        ({"image": "../../etc/passwd"}, "expected, found ../../etc/passwd"),
+        ({"shape": "cube"}, "expected shape 'ball' with name ball, found cube"),
+        ({"light": "sun"}, "expected light 'lamp' with name lamp, found sun"),
+        ({"image": "../../etc/passwd"}, ", found ../../etc/passwd"),
         ({"image": "images/ab/other.exr"}, "image at images/"),
-        ({"geometry": "/etc/passwd"}, "expected, found /etc/passwd"),
+        ({"geometry": "/etc/passwd"}, ", found /etc/passwd"),
         ({"geometry": geometry_path("9" * 24)}, "geometry at geometry/"),
         ({"image_hash": "1" * 64}, "the file was altered"),
         ({"geometry_hash": "1" * 64}, "the file was altered"),
@@ -165,7 +165,7 @@ def test_figures_of_every_record_are_held_against_its_picture_and_its_geometry(s
     rewrite(store, change)
     found = [fault for fault in faults_of(store) if fault.record]
     assert [fault.line[1] for fault in found] == [2, 2, 3, 5]
-    assert "coverage 0.500000 expected" in found[0].text
+    assert "expected coverage 0.500000" in found[0].text
     assert "a mean of" in found[2].text and "a largest value of" in found[3].text
 
 
@@ -176,8 +176,8 @@ def test_figures_of_every_record_are_held_against_its_picture_and_its_geometry(s
         (lambda p, m: -p, "finite radiance"),
         (lambda p, m: 0 * p, "a black picture"),
         (lambda p, m: 2 * p, "a largest value"),
-        (lambda p, m: np.where(m[..., None], p, 0.5), "a black background expected"),
-        (lambda p, m: p[:8], "16 × 16 pixels expected"),
+        (lambda p, m: np.where(m[..., None], p, 0.5), "expected a black background"),
+        (lambda p, m: p[:8], "expected 16 × 16 pixels"),
     ],
 )
 def test_a_picture_that_none_can_be_is_found_though_its_hash_was_written_again(whole, tmp_path, spoil, message):
@@ -218,22 +218,22 @@ def encoded(normals, depth, segments):
     ("spoil", "message"),
     [
         (lambda n, d, s: (n * [1, 1, -1], d, s), "turned away"),
-        (lambda n, d, s: (n * 0.98, d, s), "unit normals expected"),
-        (lambda n, d, s: (n * 0.5, d, s), "unit normals expected"),
-        (lambda n, d, s: (n, np.where(s > 0, np.nan, 0), s), "finite depth expected"),
-        (lambda n, d, s: (np.full_like(n, np.inf), d, s), "finite normals expected"),
-        (lambda n, d, s: (n, 1.5 * d, s), "inside the unit sphere expected"),
-        (lambda n, d, s: (n, np.where(s > 0, d, 0.25), s), "in the background expected"),
-        (lambda n, d, s: (n, np.where(s > 0, d + 1e-6, 0), s), "depth in steps of 2^-15 expected"),
-        (lambda n, d, s: (n, np.where(s > 0, 3e38, 0), s), "inside the unit sphere expected"),
-        (lambda n, d, s: (n * [-1, 1, 1], d, s), "normals that lean as the depth slopes expected"),
-        (lambda n, d, s: (n * [1, -1, 1], d, s), "normals that lean as the depth slopes expected"),
-        (lambda n, d, s: (n, -d, s), "normals that lean as the depth slopes expected"),
-        (lambda n, d, s: (n, d, s * 2), "segments up to 1 expected, found 2"),
-        (lambda n, d, s: (n, d, s * 256), "segments 0 to 255 expected"),
-        (lambda n, d, s: (n, d, s * 257), "segments 0 to 255 expected"),
+        (lambda n, d, s: (n * 0.98, d, s), "expected unit normals"),
+        (lambda n, d, s: (n * 0.5, d, s), "expected unit normals"),
+        (lambda n, d, s: (n, np.where(s > 0, np.nan, 0), s), "expected finite depth"),
+        (lambda n, d, s: (np.full_like(n, np.inf), d, s), "expected finite normals"),
+        (lambda n, d, s: (n, 1.5 * d, s), "inside the unit sphere"),
+        (lambda n, d, s: (n, np.where(s > 0, d, 0.25), s), "in the background"),
+        (lambda n, d, s: (n, np.where(s > 0, d + 1e-6, 0), s), "expected depth in steps of 2^-15"),
+        (lambda n, d, s: (n, np.where(s > 0, 3e38, 0), s), "inside the unit sphere"),
+        (lambda n, d, s: (n * [-1, 1, 1], d, s), "expected normals that lean as the depth slopes"),
+        (lambda n, d, s: (n * [1, -1, 1], d, s), "expected normals that lean as the depth slopes"),
+        (lambda n, d, s: (n, -d, s), "expected normals that lean as the depth slopes"),
+        (lambda n, d, s: (n, d, s * 2), "expected segments up to 1, found 2"),
+        (lambda n, d, s: (n, d, s * 256), "expected segments 0 to 255"),
+        (lambda n, d, s: (n, d, s * 257), "expected segments 0 to 255"),
         (lambda n, d, s: (0 * n, 0 * d, 0 * s), "an empty mask"),
-        (lambda n, d, s: (n[:, ::2], d[:, ::2], s[:, ::2]), "32 × 32 pixels expected"),
+        (lambda n, d, s: (n[:, ::2], d[:, ::2], s[:, ::2]), "expected 32 × 32 pixels"),
     ],
 )
 def test_geometry_that_none_can_be_is_found_though_its_hash_was_written_again(whole, tmp_path, fov, spoil, message):
@@ -259,14 +259,14 @@ def test_a_bad_geometry_file_condemns_every_record_that_uses_it_and_is_read_once
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda L, s: {"L": 2 * L, "scale": s}, "unit mean luminance expected"),
-        (lambda L, s: {"L": -L, "scale": s}, "finite radiance ≥ 0 expected"),
-        (lambda L, s: {"L": L, "scale": 2 * s}, "as in dataset.json, expected"),
+        (lambda L, s: {"L": 2 * L, "scale": s}, "unit mean luminance"),
+        (lambda L, s: {"L": -L, "scale": s}, "expected finite radiance ≥ 0"),
+        (lambda L, s: {"L": L, "scale": 2 * s}, "as in dataset.json"),
         (lambda L, s: {"L": L, "scale": np.float64("nan")}, "a finite scale"),
-        (lambda L, s: {"L": L}, "arrays L, scale alone expected"),
-        (lambda L, s: {"L": L, "scale": s, "more": s}, "arrays L, scale alone expected"),
-        (lambda L, s: {"L": L.astype(np.float64), "scale": s}, "L of float32 expected"),
-        (lambda L, s: {"L": L[:32], "scale": s}, r"(64, 128, 3) expected"),
+        (lambda L, s: {"L": L}, "expected arrays L, scale alone"),
+        (lambda L, s: {"L": L, "scale": s, "more": s}, "expected arrays L, scale alone"),
+        (lambda L, s: {"L": L.astype(np.float64), "scale": s}, "L of float32"),
+        (lambda L, s: {"L": L[:32], "scale": s}, r"(64, 128, 3)"),
     ],
 )
 def test_a_light_map_that_none_can_be_is_found_though_its_hash_was_written_again(store, spoil, message):
@@ -345,10 +345,10 @@ def test_a_label_that_fits_its_hash_but_no_id_leaves_nothing_that_confirms_it(st
     [
         ("shapes", "ball", {"side": "test"}, "side train of its role"),
         ("shapes", "ball", {"side": "test", "role": "test"}, "role"),
-        ("materials", "matte", {"side": "test"}, "side train expected, found test"),
+        ("materials", "matte", {"side": "test"}, "expected side train, found test"),
         ("materials", "matte", {"licence": "mine"}, "licence 'CC0', as in materials.json,"),
-        ("lights", "lamp", {"side": "test"}, "by its hash expected"),
-        ("lights", "lamp", {"scale": 9.0}, "as in dataset.json, expected"),
+        ("lights", "lamp", {"side": "test"}, "by its hash"),
+        ("lights", "lamp", {"scale": 9.0}, "as in dataset.json"),
         ("lights", "lamp", {"file": "lights/other.npz"}, "its map at lights/lamp-"),
         ("lights", "lamp", {"file": "../../etc/passwd"}, "its map at lights/lamp-"),
         ("lights", "lamp", {"file": "lights/a\0b.npz"}, r"found lights/a\x00b.npz"),
@@ -373,8 +373,8 @@ def test_what_nothing_names_is_found(store):
     more = msgspec.structs.replace(catalogue.materials[0], name="felt")
     path.write_bytes(encode(msgspec.structs.replace(catalogue, materials=(*catalogue.materials, more))))
     found = "\n".join(texts(store))
-    assert "light 'sun': a light that an order names expected" in found
-    assert "materials.json: a material that dataset.json names expected, found 'felt'" in found
+    assert "light 'sun': expected a light that an order names" in found
+    assert "materials.json: expected a material that dataset.json names, found 'felt'" in found
 
 
 def test_records_that_no_order_asks_for_are_found(store):
@@ -388,7 +388,7 @@ def test_records_that_no_order_asks_for_are_found(store):
     (store.folder / first.image).rename(store.folder / image_path(id_))
     alter(store, id=id_, image=image_path(id_), rotation_texels=77)
     assert list(Verification(store).in_records()) == []
-    assert texts(store) == [f"record {id_}: an order in dataset.json that asks for it expected, found none"]
+    assert texts(store) == [f"record {id_}: expected an order in dataset.json that asks for it, found none"]
 
 
 def test_an_altered_order_condemns_no_picture(store):
@@ -397,14 +397,14 @@ def test_an_altered_order_condemns_no_picture(store):
     order = msgspec.structs.replace(dataset.orders[0], job=job)
     store.write_json("dataset.json", msgspec.structs.replace(dataset, orders=(order,)))
     (fault,) = faults_of(store)
-    assert "orders that ask for all lines expected, found none for 8" in fault.text and not fault.mendable
+    assert "expected orders that ask for all lines, found none for 8" in fault.text and not fault.mendable
 
 
 def test_more_shots_than_an_order_can_mean_are_found(store):
     dataset = store.dataset()
     order = msgspec.structs.replace(dataset.orders[0], shots=9)
     store.write_json("dataset.json", msgspec.structs.replace(dataset, orders=(order,)))
-    assert "at most 8 shots of its job expected, found 9" in texts(store)[0]
+    assert "expected at most 8 shots of its job, found 9" in texts(store)[0]
 
 
 def test_another_render_version_in_dataset_json_condemns_no_picture(store):
@@ -425,12 +425,12 @@ def test_missing_altered_and_stray_files_are_found(store):
     (store.folder / "partial" / "worker-00-x.exr").write_bytes(b"")
     (store.folder / "records" / "notes.txt").write_bytes(b"")
     found = "\n".join(texts(store))
-    assert f"{first.image}: an OpenEXR file expected, found no such file" in found
-    assert f"{second.image}: a whole OpenEXR file expected" in found
-    assert "stray.exr: a record that names it expected" in found
-    assert ".npz: a stored light map expected" in found
+    assert f"{first.image}: expected an OpenEXR file, found no such file" in found
+    assert f"{second.image}: expected a whole OpenEXR file" in found
+    assert "stray.exr: expected a record that names it" in found
+    assert ".npz: expected a stored light map" in found
     assert "half-written" in found
-    assert "records/notes.txt: files *.jsonl expected" in found
+    assert "records/notes.txt: expected files *.jsonl" in found
     assert summary(faults_of(store)) == (2, 3, 1)
 
 
@@ -439,9 +439,9 @@ def test_duplicates_torn_and_foreign_lines_are_found(store):
     whole = path.read_bytes()
     path.write_bytes(whole + whole.splitlines(keepends=True)[0] + b'{"id": 3}\n' + b'{"id": "abc')
     found = "\n".join(fault.text for fault in Verification(store).in_records())
-    assert "once expected, found again" in found
-    assert "worker-00.jsonl:10: a record expected" in found
-    assert "worker-00.jsonl:11: a whole line expected" in found
+    assert "expected once, found again" in found
+    assert "worker-00.jsonl:10: expected a record" in found
+    assert "worker-00.jsonl:11: expected a whole line" in found
     assert repair(store, faults_of(store)) == (3, 0)
     assert path.read_bytes() == whole
 
@@ -518,7 +518,7 @@ def test_links_pipes_and_folders_in_the_place_of_files_are_lines_and_repair_touc
     repair(store, found)
     assert {path.name: path.read_bytes() for path in outside.iterdir()} == dict.fromkeys(names, b"mine")
     left = faults_of(store)
-    assert all(".npz: a stored light map expected, found no such file" in fault.text for fault in left), left
+    assert all(".npz: expected a stored light map, found no such file" in fault.text for fault in left), left
 
 
 def test_the_list_of_places_is_the_one_that_is_tested(store):
@@ -529,7 +529,7 @@ def test_a_line_beyond_all_measure_is_a_fault_and_takes_no_memory(store):
     (path,) = store.record_files()
     with open(path, "ab") as file:
         file.truncate(path.stat().st_size + (3 << 20))
-    assert "a line of at most 1048576 bytes expected" in "\n".join(texts(store))
+    assert "expected a line of at most 1048576 bytes" in "\n".join(texts(store))
 
 
 def test_repair_takes_away_what_is_broken_and_nothing_else(store):
@@ -570,11 +570,11 @@ def test_views_are_held_against_their_ids_and_their_shape(whole, tmp_path):
         ({"shape_hash": "6" * 64}, "the hash of what it says"),
         ({"camera": Camera(size=(16, 16), elevation_deg=30.0)}, "the hash of what it says"),
         ({"azimuth_deg": 1.0}, "azimuth 0 of viewpoint 0"),
-        ({"segments": 3}, "segments 2 expected, found 3"),
-        ({"side": "train" if side == "test" else "test"}, f"side {side} expected"),
-        ({"category": "chair"}, "category primitive expected"),
+        ({"segments": 3}, "segments 2, found 3"),
+        ({"side": "train" if side == "test" else "test"}, f"with side {side}"),
+        ({"category": "chair"}, "with category primitive"),
         ({"coverage": 0.1}, "coverage 0.1"),
-        ({"geometry": "geometry/../x.exr"}, "expected, found geometry/../x.exr"),
+        ({"geometry": "geometry/../x.exr"}, ", found geometry/../x.exr"),
         ({"geometry_hash": "0" * 64}, "the file was altered"),
     ):
         alter(store, "views", **changes)
@@ -604,10 +604,10 @@ def test_the_cache_of_packed_geometry_is_compared_with_the_files(store):
     pack(normals, segments, skipped=list(files)[:1])
     assert "found it left out" in texts(store)[0]
     pack(normals[1:], segments)
-    assert "a whole cache of geometry expected" in texts(store)[0]
+    assert "expected a whole cache of geometry" in texts(store)[0]
     pack(normals, segments)
     (folder / "sums.json").mkdir()  # training could not make the cache again
-    assert "a whole cache of geometry expected" in texts(store)[0]
+    assert "expected a whole cache of geometry" in texts(store)[0]
     repair(store, faults_of(store))
     assert not folder.exists() and texts(store) == []
 
@@ -632,5 +632,5 @@ def test_an_id_that_is_none_is_refused_where_it_is_read(store, id_):
         msgspec.json.decode(msgspec.json.encode(value), type=Record)
     (path,) = store.record_files()
     path.write_bytes(msgspec.json.encode(value) + b"\n")
-    with pytest.raises(Problem, match="id: str"):
+    with pytest.raises(Problem, match="id: expected str"):
         list(store.records())

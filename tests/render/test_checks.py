@@ -47,7 +47,7 @@ def test_magenta_on_any_material_is_found_and_a_red_picture_is_not(picture):
 
 def test_a_picture_that_covers_less_than_its_geometry_is_found(picture, geometry):
     (line,) = checks.picture(picture, 0.25, np.zeros((32, 32)))
-    assert "coverage 0.2500 expected" in line
+    assert "expected coverage 0.2500" in line
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_a_picture_that_covers_less_than_its_geometry_is_found(picture, geometry
     [
         (lambda g: g.mask.fill(False), "empty mask"),
         (lambda g: g.normals.__imul__(0.99), "found lengths 0.9900"),
-        (lambda g: g.segments.__imul__(3), "segments 1 to 1 expected, found 3"),
+        (lambda g: g.segments.__imul__(3), "expected segments 1 to 1, found 3"),
         (lambda g: g.segments.fill(1), "segment 0 outside the mask"),
         (lambda g: g.depth.fill(np.nan), "finite normals and depth"),
     ],

@@ -47,7 +47,7 @@ def test_an_unknown_device_and_a_missing_gpu_are_one_line_each(studio):
     from factory.render import device
     from manifests.errors import Problem
 
-    with pytest.raises(Problem, match="--device: one of auto, cpu"):
+    with pytest.raises(Problem, match="--device: expected one of auto, cpu"):
         device.choose("gpu")
-    with pytest.raises(Problem, match="a GPU that Cycles can use through metal expected, found none"):
+    with pytest.raises(Problem, match="expected a GPU that Cycles can use through metal, found none"):
         device.choose("metal")  # no Linux build has it

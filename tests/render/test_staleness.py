@@ -107,7 +107,7 @@ def test_the_canary_finds_a_light_that_cycles_did_not_notice(shown):
     (image,) = (each for each in bpy.data.images if each.name.startswith("light"))
     image.pixels.foreach_set(light.blender_pixels(other).ravel())
     image.update()
-    with pytest.raises(RuntimeError, match="the map that was set expected"):
+    with pytest.raises(RuntimeError, match="expected the map that was set"):
         canary.check(shown._scene, other, nearest=True)
     shown.set_light(other)  # a new datablock: passes its own canary
 
@@ -118,9 +118,9 @@ def test_the_canary_finds_a_lost_light(shown):
 
     texture = next(n for n in shown._scene.world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
     texture.image = None  # to Cycles the same as a file that is not there
-    with pytest.raises(RuntimeError, match="the map that was set expected"):
+    with pytest.raises(RuntimeError, match="expected the map that was set"):
         canary.check(shown._scene, reference.soft_light(), nearest=True)
-    assert checks.picture(shown.render(1, 0)) == ["the light's colours expected, found magenta: Cycles has no light map"]
+    assert checks.picture(shown.render(1, 0)) == ["expected the light's colours, found magenta: Cycles has no light map"]
     shown.set_light(reference.soft_light(), 3)
 
 

@@ -116,7 +116,7 @@ def test_unit_mean_has_mean_luminance_one_and_its_scale_gives_the_map_back(rng):
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
 def test_a_map_without_light_cannot_be_scaled(value):
-    with pytest.raises(ValueError, match="positive finite mean luminance expected"):
+    with pytest.raises(ValueError, match="expected positive finite mean luminance"):
         envmap.unit_mean(np.full((4, 8, 3), value))
 
 

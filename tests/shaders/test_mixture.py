@@ -67,11 +67,11 @@ def test_json_keeps_a_mixture_to_the_digits_asked_for(rng):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"weights": np.zeros((2, 1, 3))}, r"mixture.weights: shape \(1, 1, 3\) expected"),
-        ({"log_alpha": [[np.nan]]}, "mixture.log_alpha: finite numbers expected, found nan"),
-        ({"kinds": ("glass",)}, "mixture.kinds: names among diffuse, .* found .*glass"),
-        ({"stops": [1.5]}, r"mixture.stops: 1 to 32 ascending facings in \[0, 1\]"),
-        ({"weights": np.full((1, 1, 3), -0.5)}, "mixture.weights: values ≥ 0 expected, found -0.5"),
+        ({"weights": np.zeros((2, 1, 3))}, r"mixture.weights: expected shape \(1, 1, 3\)"),
+        ({"log_alpha": [[np.nan]]}, "mixture.log_alpha: expected finite numbers, found nan"),
+        ({"kinds": ("glass",)}, "mixture.kinds: expected names among diffuse, .* found .*glass"),
+        ({"stops": [1.5]}, r"mixture.stops: expected 1 to 32 ascending facings in \[0, 1\]"),
+        ({"weights": np.full((1, 1, 3), -0.5)}, "mixture.weights: expected values ≥ 0, found -0.5"),
     ],
 )
 def test_what_cycles_cannot_render_is_refused(change, message):

@@ -31,7 +31,7 @@ class Interpreter:
 
     def input(self, node, socket):
         fed = [link for link in self.graph.links if (link.target, link.input) == (node.name, socket)]
-        assert len(fed) <= 1, f"{node.name}.{socket}: one link expected"
+        assert len(fed) <= 1, f"{node.name}.{socket}: expected one link"
         if fed:
             return self.output(self.graph.node(fed[0].source), fed[0].output)
         return (
