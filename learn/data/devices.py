@@ -20,7 +20,7 @@ def choose(name: str = "auto") -> torch.device:
     Raises  Problem where CUDA is asked for and torch sees none
     """
     if name not in CHOICES:
-        raise ValueError(f"device: one of {', '.join(CHOICES)} expected, found {name!r}")
+        raise ValueError(f"device: expected one of {', '.join(CHOICES)}, found {name!r}")
     if name == "cpu":
         return torch.device("cpu")
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0

@@ -70,7 +70,7 @@ def test_a_material_cannot_be_added_beside_one_whose_numbers_no_fit_gives(own, t
     catalogue["materials"][0] |= {"name": "earlier", "label": [1e19, *catalogue["materials"][0]["label"][1:]]}
     (tmp_path / "own.json").write_text(json.dumps(catalogue))
     assert run("materials", "add", own, "--closures", 1, "--out", tmp_path / "own.json") == 1
-    assert "'earlier': natural logarithms up to 14 expected, found 1e+19" in capsys.readouterr().err
+    assert "'earlier': expected natural logarithms up to 14, found 1e+19" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("l1", [[], [0.1], [0.1] * 7, [1e308] * 6, [-1.0] * 6])

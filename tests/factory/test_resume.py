@@ -39,7 +39,7 @@ def test_a_run_makes_every_shot_once_and_its_folder_verifies(render, small_job, 
 
 
 def test_a_folder_whose_name_is_no_text_is_refused_before_a_worker_starts(render, small_job, tmp_path):
-    with pytest.raises(Problem, match=r"out\\udcff': a name of a file or a folder in UTF-8 expected"):
+    with pytest.raises(Problem, match=r"out\\udcff': expected a name of a file or a folder in UTF-8"):
         render(small_job, tmp_path / "out\udcff")
 
 

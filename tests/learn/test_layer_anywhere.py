@@ -109,7 +109,7 @@ def test_a_nested_light_is_refused_by_its_name_under_transforms_too(transform):
         "grad": lambda picture: torch.func.grad(lambda m: picture(m).sum())(m),
         "jvp": lambda picture: torch.func.jvp(picture, (m,), (m,)),
     }
-    with pytest.raises(ValueError, match="light: a dense tensor expected, found a nested one"):
+    with pytest.raises(ValueError, match="light: expected a dense tensor, found a nested one"):
         calls[transform](lambda m: render(n, m, light))
 
 

@@ -137,7 +137,7 @@ def test_one_training_material_in_ten_is_for_validation_and_eight_at_most(tmp_pa
 
 def test_a_data_set_without_materials_for_training_is_refused_with_the_remedy(tmp_path, entries):
     records = with_materials(tmp_path, [e for e in entries.values() if e.split == "test"][:2])
-    with pytest.raises(Problem, match=r'materials for training expected, found 2, all of them for testing; .*"built-in"'):
+    with pytest.raises(Problem, match=r'expected materials for training, found 2, all of them for testing \(.*"built-in"'):
         sources.materials_of(Data(), records)
 
 
