@@ -1,7 +1,7 @@
 """Zip files from outside (.npz of numpy, furniture libraries) and the arrays in them, read within bounds.
 
 A zip's directory and an array's header say how large things are before memory is taken; both may lie, so what is read is
-counted, too. Whatever the zip library raises for a damaged, encrypted or unknown member ends as a Problem.
+counted, too. Whatever the zip library raises for a damaged, encrypted or unknown member ends as a InputError.
 """
 
 import lzma
@@ -18,7 +18,7 @@ from typing import IO
 
 import numpy as np
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.inputs import require_file
 
 # What zipfile and its decompressors raise, by version and by kind of damage: RuntimeError for encrypted members,
@@ -41,21 +41,21 @@ MOST_MEMBERS = 20_000
 
 @contextmanager
 def opened_zip(path: str | os.PathLike, expected: str, remedy: str, most: int = MOST_MEMBERS) -> Iterator[zipfile.ZipFile]:
-    """An open zip of at most `most` members; damage that is met inside the block is a Problem, too.
+    """An open zip of at most `most` members; damage that is met inside the block is a InputError, too.
 
     expected, remedy  what should lie at `path`, with its article, and what to do about it
-    Raises            Problem
+    Raises            InputError
     """
     require_file(path, expected, remedy)
     try:
         with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
             if len(archive.infolist()) > most:
-                raise Problem(path, f"at most {most:,} files in it", f"{len(archive.infolist()):,}", "split it into several")
+                raise InputError(path, f"at most {most:,} files in it", f"{len(archive.infolist()):,}", "split it into several")
             yield archive
-    except Problem:
+    except InputError:
         raise
     except DAMAGE as error:
-        raise Problem(path, expected, _reason(error), remedy) from None
+        raise InputError(path, expected, _reason(error), remedy) from None
 
 
 def _reason(error):

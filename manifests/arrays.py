@@ -13,7 +13,7 @@ light map  npz: L, (64, 128, 3) float32, linear Rec.709 radiance of unit mean lu
            columns around the vertical axis, as the camera sees it at rotation 0; scale, the factor taken off.
 
 height, width are those of the picture. Whatever reads a file refuses what another program may have left there: missing
-channels, other shapes, values that are no radiance. Each reader raises manifests.errors.Problem.
+channels, other shapes, values that are no radiance. Each reader raises manifests.errors.InputError.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from manifests import archives, exr
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import npz_bytes
 from manifests.inputs import require_file
 from shaders.envmap import LUMINANCE, mean_radiance
@@ -153,12 +153,12 @@ def read_picture(
     size       (height, width) that the picture must have, None: any
     file_hash  sha256 that the file must have, None: any
     exact      refuse other channels and types than `encode_picture` writes
-    Raises     Problem
+    Raises     InputError
     """
     channels = _channels(path, PICTURE_TYPES, size, file_hash, exact)
     radiance = np.stack([channels[name] for name in PICTURE_CHANNELS], axis=-1).astype(np.float32)
     if wrong := int((~(np.isfinite(radiance) & (radiance >= 0))).sum()):
-        raise Problem(path, "finite radiance ≥ 0", f"{wrong} values that are not", AGAIN)
+        raise InputError(path, "finite radiance ≥ 0", f"{wrong} values that are not", AGAIN)
     return radiance
 
 
@@ -181,22 +181,22 @@ def read_geometry(
     size       (height, width) that it must have, None: any
     file_hash  sha256 that the file must have, None: any
     exact      refuse other channels and types than `encode_geometry` writes
-    Raises     Problem
+    Raises     InputError
     """
     channels = _channels(path, GEOMETRY_TYPES, size, file_hash, exact)
     segments = channels[SEGMENT_CHANNEL]
     whole = segments.astype(np.int64) if np.isfinite(segments).all() else np.full_like(segments, -1, np.int64)
     if (whole != segments).any() or whole.min(initial=0) < 0 or whole.max(initial=0) > MOST_SEGMENTS:
-        raise Problem(path, f"segments 0 to {MOST_SEGMENTS}", f"{segments.min()} to {segments.max()}", AGAIN)
+        raise InputError(path, f"segments 0 to {MOST_SEGMENTS}", f"{segments.min()} to {segments.max()}", AGAIN)
     normals = np.stack([channels[name] for name in NORMAL_CHANNELS], axis=-1).astype(np.float32)
     depth = channels[DEPTH_CHANNEL].astype(np.float32)
     for what, values in (("normals", normals), ("depth", depth)):
         if wrong := int((~np.isfinite(values)).sum()):
-            raise Problem(path, f"finite {what}", f"{wrong} values that are not", AGAIN)
+            raise InputError(path, f"finite {what}", f"{wrong} values that are not", AGAIN)
     inside = normals[whole > 0].astype(np.float64)
     lengths = np.sqrt((inside * inside).sum(-1))
     if lengths.size and np.abs(lengths - 1).max() > UNIT_LENGTH:
-        raise Problem(path, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", AGAIN)
+        raise InputError(path, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", AGAIN)
     return Geometry(normals, depth, whole.astype(np.uint8))
 
 
@@ -209,24 +209,24 @@ def read_light(path: str | Path, file_hash: str | None = None) -> np.ndarray:
     """L (64, 128, 3) float32 of a stored light: finite, not negative, of unit mean luminance.
 
     file_hash  sha256 that the file must have, None: any
-    Raises     Problem
+    Raises     InputError
     """
     arrays, data = _light_arrays(path, ("L",))
     L = arrays["L"]
     if wrong := int((~(np.isfinite(L) & (L >= 0))).sum()):
-        raise Problem(path, "finite radiance ≥ 0", f"{wrong} values that are not", LIGHT_AGAIN)
+        raise InputError(path, "finite radiance ≥ 0", f"{wrong} values that are not", LIGHT_AGAIN)
     if not abs((mean := float(mean_radiance(L) @ LUMINANCE)) - 1) <= UNIT_MEAN:
-        raise Problem(path, "radiance of unit mean luminance", f"a mean of {mean:.6g}", LIGHT_AGAIN)
+        raise InputError(path, "radiance of unit mean luminance", f"a mean of {mean:.6g}", LIGHT_AGAIN)
     _require_hash(path, data, file_hash)
     return L.astype(np.float32)
 
 
 def read_scale(path: str | Path) -> float:
-    """The factor that was taken off a stored light. Raises Problem: no such file, other members or types than are written."""
+    """The factor that was taken off a stored light. Raises InputError: no such file, other members or types than are written."""
     arrays, _ = _light_arrays(path, tuple(LIGHT_MEMBERS), exact=True)
     scale = float(arrays["scale"])
     if not (np.isfinite(scale) and scale > 0):
-        raise Problem(path, "a finite scale above 0", f"{scale:g}", LIGHT_AGAIN)
+        raise InputError(path, "a finite scale above 0", f"{scale:g}", LIGHT_AGAIN)
     return scale
 
 
@@ -237,16 +237,16 @@ def _light_arrays(path: str | Path, names: tuple[str, ...], exact: bool = False)
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             there = sorted(archive.namelist())
             if exact and there != sorted(f"{name}.npy" for name in names):
-                raise Problem(path, f"arrays {', '.join(names)} alone", ", ".join(there)[:120] or "none", LIGHT_AGAIN)
+                raise InputError(path, f"arrays {', '.join(names)} alone", ", ".join(there)[:120] or "none", LIGHT_AGAIN)
             arrays = {name: _light_member(path, archive, name) for name in names}
-    except Problem:
+    except InputError:
         raise
     except _NO_ARCHIVE as error:
-        found = str(error).replace("\n", " ")[:120] or type(error).__name__
-        raise Problem(path, "a stored light map", found, LIGHT_AGAIN) from None
+        result = str(error).replace("\n", " ")[:120] or type(error).__name__
+        raise InputError(path, "a stored light map", result, LIGHT_AGAIN) from None
     if exact and (other := [name for name in names if arrays[name].dtype != LIGHT_MEMBERS[name][1]]):
-        expected, found = LIGHT_MEMBERS[other[0]][1], arrays[other[0]].dtype
-        raise Problem(path, f"{other[0]} of {expected}", str(found), LIGHT_AGAIN)
+        expected, result = LIGHT_MEMBERS[other[0]][1], arrays[other[0]].dtype
+        raise InputError(path, f"{other[0]} of {expected}", str(result), LIGHT_AGAIN)
     return arrays, data
 
 
@@ -257,7 +257,7 @@ def _light_member(path: str | Path, archive: zipfile.ZipFile, name: str) -> np.n
     with archive.open(f"{name}.npy") as stored:
         header = archives.ArrayHeader(stored)
         if header.shape != expected or header.dtype.kind != "f":
-            raise Problem(path, what, f"{header.shape} of {header.dtype}", LIGHT_AGAIN)
+            raise InputError(path, what, f"{header.shape} of {header.dtype}", LIGHT_AGAIN)
         values = np.frombuffer(stored.read(header.bytes), header.dtype)
         return values.reshape(header.shape, order="F" if header.fortran else "C")
 
@@ -298,22 +298,22 @@ def _channels(
     channels = exr.read(path, data)
     missing = [name for name in types if name not in channels]
     if missing:
-        found = f"only {', '.join(sorted(channels))}"
-        raise Problem(path, f"channels {', '.join(types)}", found, AGAIN)
+        result = f"only {', '.join(sorted(channels))}"
+        raise InputError(path, f"channels {', '.join(types)}", result, AGAIN)
     sizes = {channels[name].shape for name in types}
     if len(sizes) != 1 or any(len(shape) != 2 for shape in sizes) or (size is not None and sizes != {tuple(size)}):
         expected = "one size of all channels" if size is None else f"{size[0]} × {size[1]} pixels"
-        found = ", ".join(sorted(" × ".join(map(str, shape)) for shape in sizes))
-        raise Problem(path, expected, found, AGAIN)
+        result = ", ".join(sorted(" × ".join(map(str, shape)) for shape in sizes))
+        raise InputError(path, expected, result, AGAIN)
     if exact and {name: values.dtype for name, values in channels.items()} != types:
         expected = ", ".join(f"{name} {type_}" for name, type_ in types.items())
-        found = ", ".join(f"{name} {values.dtype}" for name, values in sorted(channels.items()))
-        raise Problem(path, f"channels {expected}", found, AGAIN)
+        result = ", ".join(f"{name} {values.dtype}" for name, values in sorted(channels.items()))
+        raise InputError(path, f"channels {expected}", result, AGAIN)
     _require_hash(path, data, file_hash)
     return channels
 
 
 def _require_hash(path: str | Path, data: bytes | None, expected: str | None) -> None:
-    """Raises Problem if a file's bytes are not those whose sha256 a manifest holds."""
-    if expected is not None and (found := hashlib.sha256(data).hexdigest()) != expected:
-        raise Problem(path, f"hash {expected[:12]}", f"{found[:12]}: the file was altered", AGAIN)
+    """Raises InputError if a file's bytes are not those whose sha256 a manifest holds."""
+    if expected is not None and (result := hashlib.sha256(data).hexdigest()) != expected:
+        raise InputError(path, f"hash {expected[:12]}", f"{result[:12]}: the file was altered", AGAIN)

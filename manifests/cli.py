@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from manifests.errors import Problem, printable
+from manifests.errors import InputError, printable
 
 
 def main(
@@ -56,7 +56,7 @@ def main(
             return options.run(options) or 0
         finally:  # here, where a full disk or a reader that has gone still has a line and a status
             _flush_output()
-    except Problem as problem:
+    except InputError as problem:
         return _failed(program, problem, debug)
     except OSError as error:  # full disk, missing file, no permission: the system's own words name the file
         return _failed(program, error, debug)

@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Iterable
 
 
-class Problem(ValueError):
+class InputError(ValueError):
     """An error in data or arguments from outside. The command line prints it as one line; `--debug` shows the trace.
 
     where     the file, record or argument
@@ -18,7 +18,7 @@ class Problem(ValueError):
         super().__init__(printable(f"{where}: expected {expected}, found {found} ({remedy})"))
 
     def __reduce__(self) -> tuple:  # crosses process borders whole
-        return Problem, (self.where, self.expected, self.found, self.remedy)
+        return InputError, (self.where, self.expected, self.found, self.remedy)
 
 
 def printable(text: str) -> str:

@@ -14,8 +14,8 @@ from typing import Any
 
 import msgspec
 
-from manifests.errors import Problem
-from manifests.files import replacing, together, write_bytes
+from manifests.errors import InputError
+from manifests.files import replacing, transaction, write_bytes
 from manifests.inputs import require_file
 from manifests.schema import Record
 from manifests.store import Store, geometry_path, image_path, inside, light_path
@@ -29,16 +29,16 @@ def chosen(store: Store, split: str | None = None) -> list[Record]:
 
 
 def to_parquet(store: Store, path: str | os.PathLike, split: str | None = None) -> int:
-    """Write the records as a table, nested keys as columns such as `camera.size`; returns how many. Raises Problem without pyarrow."""
+    """Write the records as a table, nested keys as columns such as `camera.size`; returns how many. Raises InputError without pyarrow."""
     try:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
         remedy = "pip install 'pyarrow<22' (later ones need numpy 2, which Blender's wheel cannot have)"
-        raise Problem("export --parquet", "the package pyarrow", str(error).split(":")[0], remedy) from None
+        raise InputError("export --parquet", "the package pyarrow", str(error).split(":")[0], remedy) from None
     records = chosen(store, split)
     if not records:
-        raise Problem(store.folder, "records to export", "none", "render some, or choose another --split")
+        raise InputError(store.folder, "records to export", "none", "render some, or choose another --split")
     with replacing(path) as file, contextlib.ExitStack() as opened:
         writer = None
         for first in range(0, len(records), ROWS):
@@ -65,16 +65,16 @@ def to_tars(
 ) -> int:
     """Write the records and their files as numbered tars of `each` records; returns how many tars. Files are checked to be inside.
 
-    Raises  Problem if the folder holds tars: those beyond the new ones' numbers would pass for records of this export
+    Raises  InputError if the folder holds tars: those beyond the new ones' numbers would pass for records of this export
     """
     folder, records = Path(folder), chosen(store, split)
     if earlier := sorted(folder.glob("*.tar")):
-        raise Problem(folder, "a folder without tars", earlier[0].name, "name another folder, or remove this one first")
+        raise InputError(folder, "a folder without tars", earlier[0].name, "name another folder, or remove this one first")
     if not records:
-        raise Problem(store.folder, "records to export", "none", "render some, or choose another --split")
+        raise InputError(store.folder, "records to export", "none", "render some, or choose another --split")
     folder.mkdir(parents=True, exist_ok=True)
     starts = range(0, len(records), each)
-    with together():  # some of the tars would pass for all of them
+    with transaction():  # some of the tars would pass for all of them
         for name in ("dataset.json", "materials.json"):
             write_bytes(folder / name, _bytes(store, name, name))
         for name, entry in store.dataset().lights.items():
@@ -91,9 +91,11 @@ def to_tars(
 
 
 def _bytes(store, path, expected):
-    """A file that a manifest names. Raises Problem if it lies elsewhere than it should, or is no ordinary file."""
+    """A file that a manifest names. Raises InputError if it lies elsewhere than it should, or is no ordinary file."""
     if path != expected:
-        raise Problem(f"{store.folder}: '{path}'", f"'{expected}'", "another name", "do not trust this manifest: verify names all faults")
+        raise InputError(
+            f"{store.folder}: '{path}'", f"'{expected}'", "another name", "do not trust this manifest: verify names all faults"
+        )
     return require_file(inside(store.folder, path), "a file of the dataset", "render or copy it again").read_bytes()
 
 

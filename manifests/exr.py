@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import write_bytes
 from manifests.inputs import require_file
 from manifests.quiet import silenced
@@ -48,7 +48,7 @@ def read(path: str | os.PathLike, data: bytes | None = None) -> dict[str, np.nda
     """Channels of a file, name → (height, width) array of the file's own type.
 
     data    the file's bytes, where they are in memory already; `path` only names them then
-    Raises  Problem for a file that is missing, truncated, no EXR, or larger than MAX_PIXELS
+    Raises  InputError for a file that is missing, truncated, no EXR, or larger than MAX_PIXELS
     """
     if data is None:
         require_file(path, "an OpenEXR file", "render or copy it again")
@@ -67,15 +67,15 @@ def _read(path, data):
             parts = parts_of(file)
         width, height = (parts[0].width, parts[0].height) if parts else (0, 0)
         if not 1 <= height * width <= MAX_PIXELS:
-            raise Problem(path, f"a picture of 1 to {MAX_PIXELS} pixels", f"{width} × {height}", "check the file's header")
+            raise InputError(path, f"a picture of 1 to {MAX_PIXELS} pixels", f"{width} × {height}", "check the file's header")
         if not all(part.flat for part in parts) or sum(part.bytes for part in parts) > MAX_BYTES:
-            raise Problem(path, f"flat pictures of at most {MAX_BYTES >> 20} MiB", "more in its header", "check the file's header")
+            raise InputError(path, f"flat pictures of at most {MAX_BYTES >> 20} MiB", "more in its header", "check the file's header")
         with OpenEXR.File(source(), separate_channels=True) as file:
             return {name: channel.pixels for name, channel in file.channels().items()}
-    except Problem:
+    except InputError:
         raise
     except Exception as error:  # OpenEXR raises bare RuntimeErrors and others, by version
-        raise Problem(path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again") from None
+        raise InputError(path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again") from None
 
 
 def encode(channels: Mapping[str, np.ndarray]) -> bytes:

@@ -21,7 +21,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.inputs import kind_of, require_file
 
 MOST_LINE_BYTES = 256 << 20  # of a file of result lines: a thousand edits take 4 MB
@@ -38,7 +38,7 @@ class _Waiting(NamedTuple):
     target: Path
 
 
-_TOGETHER: ContextVar[list[_Waiting] | None] = ContextVar("together", default=None)
+_TRANSACTION: ContextVar[list[_Waiting] | None] = ContextVar("together", default=None)
 
 
 class _Draft(io.RawIOBase):
@@ -76,7 +76,7 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
     """A binary stream whose content takes the place of the file at `path` when the block ends without an error.
 
     draft   where the unfinished file lies, on the same file system; None: beside `path`, under a hidden name
-    Raises  OSError with the system's reason; Problem if a folder, a device or a pipe lies at `path`. The earlier
+    Raises  OSError with the system's reason; InputError if a folder, a device or a pipe lies at `path`. The earlier
             file is then still there, and no draft is left behind
 
     The bytes are on the disk before the name is (fsync, then rename). An empty file is refused: no format of
@@ -103,14 +103,14 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
                 os.close(descriptor)
         whole = True
     finally:
-        if whole and (waiting := _TOGETHER.get()) is not None:
+        if whole and (waiting := _TRANSACTION.get()) is not None:
             waiting.append(_Waiting(draft, path))
         else:
             _finish(draft, path, whole)
 
 
 @contextmanager
-def together() -> Iterator[None]:
+def transaction() -> Iterator[None]:
     """A block whose files take their places when it ends without an error: all of them, or none.
 
     For results of several files, so that a full disk leaves neither half of them nor new ones beside old ones.
@@ -118,17 +118,17 @@ def together() -> Iterator[None]:
 
     Raises  OSError of a file that cannot take its place; the others have taken theirs
     """
-    if _TOGETHER.get() is not None:
+    if _TRANSACTION.get() is not None:
         yield
         return
     waiting: list[_Waiting] = []
-    token = _TOGETHER.set(waiting)
+    token = _TRANSACTION.set(waiting)
     whole = False
     try:
         yield
         whole = True
     finally:
-        _TOGETHER.reset(token)
+        _TRANSACTION.reset(token)
         with contextlib.ExitStack() as rest:  # each is finished, whatever happens to the others
             for each in reversed(waiting):
                 rest.callback(_finish, *each, whole)
@@ -184,13 +184,13 @@ def _is_alive(process: int) -> bool:
 
 
 def require_place_for_file(path: Path) -> None:
-    """Raises Problem if something lies at `path` that is no file: a rename would take a device's place."""
+    """Raises InputError if something lies at `path` that is no file: a rename would take a device's place."""
     try:
-        found = kind_of(os.stat(path).st_mode)
+        result = kind_of(os.stat(path).st_mode)
     except OSError:  # nothing there; whatever else is wrong shows when the draft is opened
         return
-    if found is not None:
-        raise Problem(path, "a file, or a name for a new one", found, "give another name")
+    if result is not None:
+        raise InputError(path, "a file, or a name for a new one", result, "give another name")
 
 
 def write_bytes(path: str | os.PathLike, data: bytes) -> None:
@@ -256,17 +256,17 @@ def write_lines(path: str | os.PathLike, lines: Iterable[bytes], draft: Path | N
         Path(path).unlink(missing_ok=True)
 
 
-def claim(folder: Path, names: Iterable[str], overwrite: bool, inputs: Iterable[str | os.PathLike | None] = ()) -> None:
-    """Raises Problem if one of the files is there and may not be replaced, or is one of the inputs, which never may."""
+def reserve_outputs(folder: Path, names: Iterable[str], overwrite: bool, inputs: Iterable[str | os.PathLike | None] = ()) -> None:
+    """Raises InputError if one of the files is there and may not be replaced, or is one of the inputs, which never may."""
     if folder.exists() and not folder.is_dir():
-        raise Problem(folder, "a folder, or a name for a new one", "a file", "give another --out")
+        raise InputError(folder, "a folder, or a name for a new one", "a file", "give another --out")
     there = [folder / name for name in names if (folder / name).exists()]
     read = [Path(path) for path in inputs if path is not None and os.path.isfile(path)]
     for path in there:
         if any(path.samefile(each) for each in read):
-            raise Problem(path, "a folder for results that does not hold what they are made of", "this input", "give another --out")
+            raise InputError(path, "a folder for results that does not hold what they are made of", "this input", "give another --out")
     if there and not overwrite:
-        raise Problem(there[0], "no earlier result", "one", "give another --out, or --overwrite")
+        raise InputError(there[0], "no earlier result", "one", "give another --out, or --overwrite")
 
 
 def write_text(path: str | os.PathLike, text: str) -> None:
@@ -294,7 +294,7 @@ def read_lines(path: str | os.PathLike, line_type: Any = dict[str, Any]) -> list
     """The whole lines of a JSONL file as dictionaries; a torn last one is passed over; none if there is no file.
 
     line_type  what msgspec checks each line against; keys that it does not know are kept
-    Raises     Problem for a damaged line, for what is no ordinary file, and for one above MOST_LINE_BYTES
+    Raises     InputError for a damaged line, for what is no ordinary file, and for one above MOST_LINE_BYTES
     """
     import msgspec
 
@@ -307,28 +307,28 @@ def read_lines(path: str | os.PathLike, line_type: Any = dict[str, Any]) -> list
     for number, line in enumerate(Path(path).read_bytes().split(b"\n")[:-1], 1):
         try:
             decode(line, line_type, f"{path}:{number}")
-        except Problem as problem:
+        except InputError as problem:
             remedy = "remove the line: what it holds is made again"
-            raise Problem(problem.where, problem.expected, problem.found, remedy) from None
+            raise InputError(problem.where, problem.expected, problem.found, remedy) from None
         lines.append(msgspec.json.decode(line))
     return lines
 
 
-def settle(path: Path, wanted: Mapping[str, Any]) -> None:
-    """Write down what the figures beside `path` depend on, or check that it is what is there. Raises Problem.
+def pin_settings(path: Path, requested: Mapping[str, Any]) -> None:
+    """Write down what the figures beside `path` depend on, or check that it is what is there. Raises InputError.
 
     wanted  {name: value} that JSON can hold; a tuple is a list there
     """
     from manifests.reading import read
 
-    wanted = json.loads(json.dumps(wanted))
+    requested = json.loads(json.dumps(requested))
     if not os.path.lexists(path):
-        write_json(path, wanted)
+        write_json(path, requested)
         return
     try:
         there = read(path, dict[str, Any])
-    except Problem as problem:
-        raise Problem(problem.where, "settings as JSON", problem.found, "give another --out") from None
-    other = [key for key in wanted if there.get(key) != wanted[key]]
+    except InputError as problem:
+        raise InputError(problem.where, "settings as JSON", problem.found, "give another --out") from None
+    other = [key for key in requested if there.get(key) != requested[key]]
     if other:
-        raise Problem(path.parent, "results of the same settings", f"other {', '.join(other)}", "give another --out")
+        raise InputError(path.parent, "results of the same settings", f"other {', '.join(other)}", "give another --out")

@@ -4,7 +4,7 @@ import os
 import stat
 from pathlib import Path
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -26,23 +26,23 @@ def require_file(
     expected       what should lie there, with its article: "a mesh file"
     remedy         what to do where nothing of this kind lies there
     maximum_bytes  size above which the file is refused unread; None: any size
-    Raises         Problem: missing, a folder, a pipe, a device, a socket, a name no file can have, links that
+    Raises         InputError: missing, a folder, a pipe, a device, a socket, a name no file can have, links that
                    lead in a circle, no permission, too large
     """
     try:
         status = os.stat(path)
     except (FileNotFoundError, NotADirectoryError):
-        raise Problem(path, expected, "no such file", remedy) from None
+        raise InputError(path, expected, "no such file", remedy) from None
     except ValueError:  # a NUL inside
-        raise Problem(repr(str(path)), expected, "a name that no file can have", remedy) from None
+        raise InputError(repr(str(path)), expected, "a name that no file can have", remedy) from None
     except OSError as error:  # a circle of links, no permission, a name too long
-        raise Problem(path, expected, str(error.strerror or error).lower(), remedy) from None
-    if (found := kind_of(status.st_mode)) is not None:
-        hint = "name a file in it" if found == "a folder" else "save it as a file first"
-        raise Problem(path, expected, found, hint)
+        raise InputError(path, expected, str(error.strerror or error).lower(), remedy) from None
+    if (result := kind_of(status.st_mode)) is not None:
+        hint = "name a file in it" if result == "a folder" else "save it as a file first"
+        raise InputError(path, expected, result, hint)
     if maximum_bytes is not None and status.st_size > maximum_bytes:
         bound, size = _size(maximum_bytes), _size(status.st_size)
-        raise Problem(path, f"{expected} of at most {bound}", size, "check that this is the right file")
+        raise InputError(path, f"{expected} of at most {bound}", size, "check that this is the right file")
     return Path(path)
 
 

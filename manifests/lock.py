@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 
 @contextmanager
@@ -20,20 +20,20 @@ def writing(folder: str | os.PathLike, shard: tuple[int, int] | None = None, pat
 
     shard     None, or (i, n): part i of n, 1 ≤ i ≤ n; parts run side by side
     patience  seconds to wait for a killed run's last worker
-    Raises    Problem if another run holds it
+    Raises    InputError if another run holds it
 
     A folder in which nothing can be written (a read-only file system, another user's) is locked as far as its lock files
     are there: enough for whoever reads it.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    wanted = [(".lock", fcntl.LOCK_EX if shard is None else fcntl.LOCK_SH)]
+    requested = [(".lock", fcntl.LOCK_EX if shard is None else fcntl.LOCK_SH)]
     if shard is not None:  # parts of different divisions overlap: i/n excludes i/m
-        wanted += [(f".lock-of-{shard[1]}", fcntl.LOCK_SH), (f".lock-{shard[0]}-of-{shard[1]}", fcntl.LOCK_EX)]
+        requested += [(f".lock-of-{shard[1]}", fcntl.LOCK_SH), (f".lock-{shard[0]}-of-{shard[1]}", fcntl.LOCK_EX)]
         _refuse_other_divisions(folder, shard[1])
     held = []
     try:
-        for name, kind in wanted:
+        for name, kind in requested:
             held += _locked(folder / name, kind, folder, patience)
         yield held
     finally:
@@ -73,7 +73,7 @@ def _locked(path, kind, folder, patience):
             if time.monotonic() >= end:
                 os.close(descriptor)
                 remedy = "wait for it to end, or use another --out"
-                raise Problem(folder, "a folder that no other run writes to", "one in use", remedy) from None
+                raise InputError(folder, "a folder that no other run writes to", "one in use", remedy) from None
             time.sleep(0.1)
         except OSError:
             if os.access(folder, os.W_OK):
@@ -90,7 +90,7 @@ def _refuse_other_divisions(folder, parts):
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            found = f"one of {path.name.removeprefix('.lock-of-')} running"
-            raise Problem(folder, f"parts of {parts}, like this one", found, "divide the job the same way everywhere") from None
+            result = f"one of {path.name.removeprefix('.lock-of-')} running"
+            raise InputError(folder, f"parts of {parts}, like this one", result, "divide the job the same way everywhere") from None
         finally:
             os.close(descriptor)

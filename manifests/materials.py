@@ -22,7 +22,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from manifests import reading
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import write_bytes
 from manifests.material_words import suggestion
 from shaders import dsbrdf
@@ -138,34 +138,34 @@ def material_hash(label: tuple[float, ...], mixture: MixtureData) -> str:
 
 
 def require_own_hash(entry: Entry, where: object) -> None:
-    """Raises Problem if an entry's hash is not that of its label and mixture: one of the three was altered; `where` names the file."""
+    """Raises InputError if an entry's hash is not that of its label and mixture: one of the three was altered; `where` names the file."""
     if entry.hash != (own := material_hash(entry.label, entry.mixture)):
         remedy = "copy the file again, or fit the material again"
-        raise Problem(f"{where}: '{entry.name}'", f"hash {own}, of its label and mixture", entry.hash, remedy)
+        raise InputError(f"{where}: '{entry.name}'", f"hash {own}, of its label and mixture", entry.hash, remedy)
 
 
 def material(entry: Entry, where: object) -> Material:
-    """The entry ready for use. Raises Problem if its numbers do not fit together, or its hash not to them; `where` names the file."""
+    """The entry ready for use. Raises InputError if its numbers do not fit together, or its hash not to them; `where` names the file."""
     label = np.asarray(entry.label)
     if label.size != dsbrdf.SIZE or not np.isfinite(label).all():
-        raise Problem(f"{where}: {entry.name}", f"a label of {dsbrdf.SIZE} finite numbers", f"{label.size}", "fit the material again")
+        raise InputError(f"{where}: {entry.name}", f"a label of {dsbrdf.SIZE} finite numbers", f"{label.size}", "fit the material again")
     if label.max() > LARGEST_LABEL:
         remedy = "fit or copy the materials again"
-        raise Problem(f"{where}: '{entry.name}'", f"natural logarithms up to {LARGEST_LABEL:g}", f"{label.max():g}", remedy)
+        raise InputError(f"{where}: '{entry.name}'", f"natural logarithms up to {LARGEST_LABEL:g}", f"{label.max():g}", remedy)
     try:
         mixture = Mixture(**{f: getattr(entry.mixture, f) for f in entry.mixture.__struct_fields__})
     except ValueError as error:
-        raise Problem(f"{where}: {entry.name}", "a mixture that Cycles can render", str(error), "fit the material again") from None
+        raise InputError(f"{where}: {entry.name}", "a mixture that Cycles can render", str(error), "fit the material again") from None
     require_own_hash(entry, where)
     fields = {f: getattr(entry, f) for f in entry.__struct_fields__ if f not in ("label", "mixture")}
     return Material(**fields, label=label.reshape(dsbrdf.SHAPE), mixture=mixture)
 
 
 def read_catalogue(path: str | os.PathLike) -> Catalogue:
-    """The catalogue file at `path`, checked against its type. Raises Problem, one line."""
+    """The catalogue file at `path`, checked against its type. Raises InputError, one line."""
     catalogue = reading.read(path, Catalogue)
     if catalogue.version != VERSION:
-        raise Problem(path, f"version {VERSION}", str(catalogue.version), "fit the materials again with this program")
+        raise InputError(path, f"version {VERSION}", str(catalogue.version), "fit the materials again with this program")
     return catalogue
 
 
@@ -197,8 +197,8 @@ def load_catalogue(*paths: str | os.PathLike) -> dict[str, Material]:
 
 
 def find(name: str, materials: Mapping[str, Material] | None = None) -> Material:
-    """The material of that name. Raises Problem that lists the closest names, or what an everyday word may mean."""
+    """The material of that name. Raises InputError that lists the closest names, or what an everyday word may mean."""
     materials = load_catalogue() if materials is None else materials
     if name not in materials:
-        raise Problem(f"material {name!r}", "a name in the catalogue", "none of that name", suggestion(name, materials))
+        raise InputError(f"material {name!r}", "a name in the catalogue", "none of that name", suggestion(name, materials))
     return materials[name]

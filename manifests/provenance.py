@@ -49,13 +49,13 @@ def commit() -> str:
 
 def versions() -> dict:
     """{library: version} of those libraries that figures depend on and that are installed."""
-    found = {}
+    result = {}
     for name in LIBRARIES:
         try:
-            found[name] = importlib.metadata.version(name)
+            result[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
-    return found
+    return result
 
 
 def processor() -> str:

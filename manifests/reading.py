@@ -11,7 +11,7 @@ from typing import TypeVar, get_args
 
 import msgspec
 
-from manifests.errors import Problem, closest
+from manifests.errors import InputError, closest
 from manifests.inputs import require_file
 
 T = TypeVar("T")
@@ -21,13 +21,13 @@ MAXIMUM_BYTES = 64 << 20  # a job is a page of text, dataset.json some MiB; what
 def read(path: str | os.PathLike, type_: type[T], maximum_bytes: int = MAXIMUM_BYTES) -> T:
     """The file as a `type_`.
 
-    Raises  Problem: missing, too large, malformed, unknown key (with the closest one), wrong type
+    Raises  InputError: missing, too large, malformed, unknown key (with the closest one), wrong type
     """
     return decode(read_bytes(path, maximum_bytes), type_, path)
 
 
 def read_bytes(path: str | os.PathLike, maximum_bytes: int = MAXIMUM_BYTES) -> bytes:
-    """The bytes of a JSON file, without a mark of their order. Raises Problem: missing, no ordinary file, too large."""
+    """The bytes of a JSON file, without a mark of their order. Raises InputError: missing, no ordinary file, too large."""
     path = Path(path)
     require_file(path, "a JSON file", _remedy(path), maximum_bytes)
     return path.read_bytes().removeprefix(codecs.BOM_UTF8)  # editors on Windows write the mark
@@ -45,36 +45,38 @@ def _remedy(path):
 
 
 def decode(data: bytes, type_: type[T], where: object) -> T:
-    """JSON bytes as a `type_`; `where` names their origin in a Problem."""
+    """JSON bytes as a `type_`; `where` names their origin in a InputError."""
     try:
         return msgspec.json.decode(data, type=type_)
     except msgspec.ValidationError as error:
         reason = str(error)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        found = str(error).removeprefix("JSON is malformed: ") or "nesting beyond measure"
-        raise Problem(where, "JSON", found, "check commas, quotes and brackets there") from None
+        result = str(error).removeprefix("JSON is malformed: ") or "nesting beyond measure"
+        raise InputError(where, "JSON", result, "check commas, quotes and brackets there") from None
     try:
         problem = _explained(reason, data, type_, where)
     except (msgspec.DecodeError, RecursionError):  # right so far as the types went, broken behind
-        problem = Problem(where, "JSON", reason.split(" - at ")[0], "check commas, quotes and brackets there")
+        problem = InputError(where, "JSON", reason.split(" - at ")[0], "check commas, quotes and brackets there")
     raise problem
 
 
 def _explained(message, data, type_, where):
-    """The Problem behind msgspec's message."""
+    """The InputError behind msgspec's message."""
     message, _, path = message.partition(" - at ")
     path = path.strip("`")
     place = f"{where}: {path.removeprefix('$').removeprefix('.')}" if path not in ("", "$") else str(where)
     if unknown := re.search(r"unknown field `(.*)`", message):
         known = sorted(_keys(type_, path))
-        return Problem(place, "a known key", f"'{unknown[1]}'", closest(unknown[1], known) if known else "leave it out")
+        return InputError(place, "a known key", f"'{unknown[1]}'", closest(unknown[1], known) if known else "leave it out")
     if missing := re.search(r"missing required field `(.*)`", message):
-        return Problem(place, f"the key '{missing[1]}'", "none", "add it")
+        return InputError(place, f"the key '{missing[1]}'", "none", "add it")
     if choice := re.search(r"Invalid enum value (.*)", message):
         names = [str(c) for c in _choices(type_, path)]
-        return Problem(place, f"one of {', '.join(names)}" if names else "a known value", choice[1], closest(choice[1].strip("'"), names))
+        return InputError(
+            place, f"one of {', '.join(names)}" if names else "a known value", choice[1], closest(choice[1].strip("'"), names)
+        )
     expected = re.sub(r"^Expected |, got .*$|`", "", message)
-    return Problem(place, expected, _shown(_at(data, path)), "see manifests/json-schema for what may stand there")
+    return InputError(place, expected, _shown(_at(data, path)), "see manifests/json-schema for what may stand there")
 
 
 def _steps(path):
@@ -99,16 +101,16 @@ def _shown(value):
 
 def _types(type_, path):
     """The types that may stand at a path: unions are followed on every branch."""
-    found = _branches(type_)
+    results = _branches(type_)
     for step in _steps(path):
         inner = []
-        for branch in found:
+        for branch in results:
             if isinstance(step, str) and isinstance(branch, type) and issubclass(branch, msgspec.Struct):
                 inner += [f.type for f in msgspec.structs.fields(branch) if f.encode_name == step]
             elif not isinstance(step, str):
                 inner += [a for a in get_args(branch) if a is not ...][-1:]
-        found = [b for t in inner for b in _branches(t)]
-    return found
+        results = [b for t in inner for b in _branches(t)]
+    return results
 
 
 def _branches(type_):

@@ -2,7 +2,7 @@
 
 role   pretrain, finetune, train or test; side: train or test (every role but test is for training)
 rule   "hash": a fifth of all shapes, by their hash (of lights always). "paper", "multi-material": counts by number (manifests/splits.json)
-twins  one mesh or fit under two names, found by hash: both take one side, and that is test if either was for testing
+duplicates  one mesh or fit under two names, found by hash: both take one side, and that is test if either was for testing
 """
 
 import hashlib
@@ -17,7 +17,7 @@ from manifests.reading import read
 
 NUMBERED = re.compile(r"^(\w+):(\d+)$")  # "chair:17"
 SIDES = {"pretrain": "train", "finetune": "train", "train": "train", "test": "test"}
-PRECEDENCE = ("test", "pretrain", "finetune", "train")  # what twins take, the first that one of them has
+PRECEDENCE = ("test", "pretrain", "finetune", "train")  # what duplicates take, the first that one of them has
 
 
 @cache
@@ -39,7 +39,7 @@ def shape_roles(shapes: Sequence[tuple[str, str, str]], rule: str) -> dict[str, 
     for name, category, hash_ in shapes:
         place = rank[category, hash_] if (number := _number(name, category)) is None else number
         roles[name] = _by_number(place, ranges.get(category, {})) or _by_hash(hash_)
-    return _twins_together(roles, {name: hash_ for name, _, hash_ in shapes})
+    return _keep_duplicates_together(roles, {name: hash_ for name, _, hash_ in shapes})
 
 
 def numbered_role(name: str, rule: str) -> str | None:
@@ -58,8 +58,8 @@ def role_of(name: str, category: str, hash_: str, rule: str) -> str | None:
 
 
 def material_sides(materials: Sequence[tuple[str, str, str]]) -> dict[str, str]:
-    """The side of each material: [(name, its catalogue's split, hash)] to {name: side}; twins together."""
-    return _twins_together({name: split for name, split, _ in materials}, {name: hash_ for name, _, hash_ in materials})
+    """The side of each material: [(name, its catalogue's split, hash)] to {name: side}; duplicates together."""
+    return _keep_duplicates_together({name: split for name, split, _ in materials}, {name: hash_ for name, _, hash_ in materials})
 
 
 def paper_training(names: Iterable[str]) -> set[str]:
@@ -79,12 +79,12 @@ def split_of(shape_side: str, material_sides_: Iterable[str]) -> str:
 
 
 def _ranks(shapes):
-    """(category, hash) → rank of the hash among the category's mesh files: twins share one."""
+    """(category, hash) → rank of the hash among the category's mesh files: duplicates share one."""
     hashes = defaultdict(set)
     for name, category, hash_ in shapes:
         if _number(name, category) is None:
             hashes[category].add(hash_)
-    return {(category, hash_): rank for category, found in hashes.items() for rank, hash_ in enumerate(sorted(found))}
+    return {(category, hash_): rank for category, result in hashes.items() for rank, hash_ in enumerate(sorted(result))}
 
 
 def _number(name, category):
@@ -102,8 +102,8 @@ def _by_hash(hash_):
     return "test" if share < rules()["test_share"] else "train"
 
 
-def _twins_together(roles, hashes):
+def _keep_duplicates_together(roles, hashes):
     groups = defaultdict(list)
     for name, hash_ in hashes.items():
         groups[hash_].append(name)
-    return {name: min((roles[twin] for twin in twins), key=PRECEDENCE.index) for twins in groups.values() for name in twins}
+    return {name: min((roles[twin] for twin in duplicates), key=PRECEDENCE.index) for duplicates in groups.values() for name in duplicates}

@@ -26,7 +26,7 @@ from typing import Any
 import msgspec
 
 from manifests import lock
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import replacing
 from manifests.inputs import require_file
 from manifests.reading import decode, read
@@ -68,7 +68,7 @@ def light_path(name: str, hash_: str) -> str:
 
 
 def file_hash(path: str | os.PathLike) -> str:
-    """sha256 (hex) of a file's bytes. Raises FileNotFoundError; Problem for a folder, a pipe or a device."""
+    """sha256 (hex) of a file's bytes. Raises FileNotFoundError; InputError for a folder, a pipe or a device."""
     if os.path.exists(path):
         require_file(path, "a file")  # opening a pipe would wait for its writer
     with open(path, "rb") as file:
@@ -78,13 +78,15 @@ def file_hash(path: str | os.PathLike) -> str:
 def inside(folder: str | os.PathLike, relative: str) -> Path:
     """The path of a file that a manifest names.
 
-    Raises  Problem if it is absolute, climbs out by "..", or leads out of the folder through a link
+    Raises  InputError if it is absolute, climbs out by "..", or leads out of the folder through a link
     """
     pure = PurePosixPath(relative)
     target = Path(folder) / pure
     escapes = pure.is_absolute() or ".." in pure.parts or "\\" in relative or "\0" in relative or not pure.parts
     if escapes or not _leads_inside(target, folder):
-        raise Problem(f"{folder}: '{relative}'", "a path inside the dataset's folder", "one that leaves it", "do not trust this manifest")
+        raise InputError(
+            f"{folder}: '{relative}'", "a path inside the dataset's folder", "one that leaves it", "do not trust this manifest"
+        )
     return target
 
 
@@ -99,12 +101,12 @@ def _leads_inside(target: Path, folder: str | os.PathLike) -> bool:
 def lines_of(path: str | os.PathLike) -> Iterator[tuple[int, bytes]]:
     """Each line of a file with its number from 1; the last one without its newline where a kill has torn it.
 
-    Raises  Problem: no ordinary file, a line longer than any that a writer leaves; OSError where it cannot be read
+    Raises  InputError: no ordinary file, a line longer than any that a writer leaves; OSError where it cannot be read
     """
     with open(require_file(path, "a file of lines", REPAIR), "rb") as file:
         for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), 1):
             if len(line) == LONGEST_LINE and not line.endswith(b"\n"):
-                raise Problem(f"{path}:{number}", f"a line of at most {LONGEST_LINE} bytes", "a longer one", REPAIR)
+                raise InputError(f"{path}:{number}", f"a line of at most {LONGEST_LINE} bytes", "a longer one", REPAIR)
             yield number, line
 
 
@@ -115,32 +117,32 @@ class Store:
         self.folder = Path(folder)
 
     def dataset(self) -> Dataset:
-        """dataset.json as a Dataset. Raises Problem if it is missing, damaged or of another schema version."""
+        """dataset.json as a Dataset. Raises InputError if it is missing, damaged or of another schema version."""
         path = self.folder / "dataset.json"
         if not os.path.lexists(path):
-            raise Problem(self.folder, "a dataset (dataset.json)", "none", "make one with: python -m factory render JOB --out DIR")
+            raise InputError(self.folder, "a dataset (dataset.json)", "none", "make one with: python -m factory render JOB --out DIR")
         try:
             version = read(path, _Version).version
             if version == VERSION:
                 return read(path, Dataset)
-        except Problem as problem:
+        except InputError as problem:
             remedy = "restore it, or delete it and render each of the folder's jobs again: no picture is rendered twice"
-            raise Problem(problem.where, problem.expected, problem.found, remedy) from None
-        raise Problem(path, f"schema version {VERSION}", str(version), "read it with the program version that wrote it")
+            raise InputError(problem.where, problem.expected, problem.found, remedy) from None
+        raise InputError(path, f"schema version {VERSION}", str(version), "read it with the program version that wrote it")
 
     def record_files(self, kind: str = "records") -> list[Path]:
-        """The files of one kind of lines, one a worker, in order of name. Raises Problem where their folder is none."""
+        """The files of one kind of lines, one a worker, in order of name. Raises InputError where their folder is none."""
         folder = self.folder / kind
         try:
             names = os.listdir(folder)
         except FileNotFoundError:
             return []
         except OSError as error:  # a file, links in a circle, no permission: never to be taken for an empty folder
-            raise Problem(folder, f"a folder of {kind}", str(error.strerror or error).lower(), REPAIR) from None
+            raise InputError(folder, f"a folder of {kind}", str(error.strerror or error).lower(), REPAIR) from None
         return [folder / name for name in sorted(names) if name.endswith(".jsonl")]
 
     def records(self, keep: Callable[[Record], Any] | None = None) -> Iterator[Record]:
-        """Each Record, file after file; keep(record) filters. Raises Problem at a line that no writer can have left."""
+        """Each Record, file after file; keep(record) filters. Raises InputError at a line that no writer can have left."""
         return filter(keep, self._decoded(Record, "records")) if keep else self._decoded(Record, "records")
 
     def views(self, keep: Callable[[View], Any] | None = None) -> Iterator[View]:
@@ -225,9 +227,9 @@ class Store:
                  has put it there, and it stays. Raises OSError as `place`
         """
         with lock.changing(self.folder):
-            found = readable_hash(self.folder / relative)
-            if found is not None and found != damaged:
-                return found
+            result = readable_hash(self.folder / relative)
+            if result is not None and result != damaged:
+                return result
             return self.place(relative, data, worker)
 
     def sweep(self, prefix: str = "") -> None:
@@ -244,16 +246,16 @@ def readable_hash(path: str | os.PathLike) -> str | None:
     """sha256 (hex) of a file's bytes; None if nothing is there that can be read."""
     try:
         return file_hash(path)
-    except (OSError, Problem):
+    except (OSError, InputError):
         return None
 
 
 def _line(line, type_, where, remedy):
-    """A line as a `type_`. Raises Problem with the remedy of its file."""
+    """A line as a `type_`. Raises InputError with the remedy of its file."""
     try:
         return decode(line, type_, where)
-    except Problem as problem:
-        raise Problem(problem.where, problem.expected, problem.found, remedy) from None
+    except InputError as problem:
+        raise InputError(problem.where, problem.expected, problem.found, remedy) from None
 
 
 def _link(temporary, target):
@@ -272,7 +274,7 @@ def _link(temporary, target):
 class Lines:
     """An append-only file of JSON lines with one writer. Opening cuts off a torn last line; a line is written whole or not at all.
 
-    Raises  Problem if another process has the file open to write into it
+    Raises  InputError if another process has the file open to write into it
     """
 
     def __init__(self, path: str | os.PathLike):
@@ -293,7 +295,7 @@ class Lines:
         except (BlockingIOError, PermissionError):
             self.close()
             remedy = "wait for it to end, or use another --out"
-            raise Problem(self.path, "a file that no other run writes to", "one in use", remedy) from None
+            raise InputError(self.path, "a file that no other run writes to", "one in use", remedy) from None
         except OSError:  # a file system without locks
             pass
 

@@ -16,7 +16,9 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 BAND = 64  # rows of a map that are looked at together: 12 MB in float64 of a map of 8192 × 4096
 WHOLE = 1024  # rows up to which a map is copied to float64 whole
 DENSE = 4096  # columns and rows up to which a table of all pairs is made: 134 MB
-TWINS = 0.99  # likeness of copies of one capture, resized, re-encoded or turned, exceeds 0.9999; of 26 different ones it stays below 0.9
+SAME_SOURCE = (
+    0.99  # likeness of copies of one capture, resized, re-encoded or turned, exceeds 0.9999; of 26 different ones it stays below 0.9
+)
 
 
 def directions(height, width):
@@ -133,9 +135,9 @@ def _sparsely(L, edges_from, edges_to):
     return total / weight[:, None]
 
 
-def same_capture(L, other):
+def is_same_source(L, other):
     """True if two maps of one size show one place, however scaled or turned: a copy must not train where the other one tests."""
-    return likeness(L, other) > TWINS
+    return likeness(L, other) > SAME_SOURCE
 
 
 def likeness(L, other):

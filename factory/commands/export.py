@@ -22,16 +22,16 @@ def run(options):
     """Write what is asked for; 0."""
     from tqdm import tqdm
 
-    from manifests.errors import Problem
+    from manifests.errors import InputError
     from manifests.export import to_parquet, to_tars
     from manifests.store import Store
 
     store = Store(options.folder)
     store.dataset()
     if not (options.parquet or options.tars):
-        raise Problem("export", "--parquet FILE or --tars DIR2", "neither", "name what to write")
+        raise InputError("export", "--parquet FILE or --tars DIR2", "neither", "name what to write")
     if options.each < 1:
-        raise Problem("--each", "1 or more", str(options.each), "1000 suits most")
+        raise InputError("--each", "1 or more", str(options.each), "1000 suits most")
     if options.tars:  # first: it may be refused, and then nothing is written
         with tqdm(desc="exporting", unit="record", delay=1.0) as bar:
             count = to_tars(store, options.tars, options.split, options.each, bar.update)

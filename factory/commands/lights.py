@@ -75,16 +75,16 @@ def run_preview(options):
 
     from factory.lights import load, names
     from factory.lights.preview import picture
-    from manifests.errors import Problem
+    from manifests.errors import InputError
     from manifests.files import write_image
 
     if not 8 <= options.size <= 1024:
-        raise Problem("--size", "8 to 1024 pixels", str(options.size), "choose a size within")
-    wanted = options.lights or names(options.library)
-    rows = [picture(load(name, options.library), options.size) for name in tqdm(wanted, unit="light", leave=False, disable=None)]
+        raise InputError("--size", "8 to 1024 pixels", str(options.size), "choose a size within")
+    requested = options.lights or names(options.library)
+    rows = [picture(load(name, options.library), options.size) for name in tqdm(requested, unit="light", leave=False, disable=None)]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_image(options.out, np.concatenate(rows), "PNG")
-    print(f"{options.out}: {len(rows)} lights, from the top: {', '.join(map(str, wanted))}")
+    print(f"{options.out}: {len(rows)} lights, from the top: {', '.join(map(str, requested))}")
 
 
 def run_add(options):

@@ -83,19 +83,19 @@ def _sources_and_recipe(options):
 
     from factory.materials import recipe, sources
     from factory.materials.node_model import dictionary
-    from manifests.errors import Problem
+    from manifests.errors import InputError
 
     chosen = recipe.Recipe()
     if options.tolerance is not None:
         if not 1e-4 <= options.tolerance <= 1:
-            raise Problem("--tolerance", "0.0001 to 1", f"{options.tolerance:g}", "0.015 is usual")
+            raise InputError("--tolerance", "0.0001 to 1", f"{options.tolerance:g}", "0.015 is usual")
         chosen = replace(chosen, l1=options.tolerance, worst=3 * options.tolerance)
     if options.closures:
         if sorted(set(options.closures)) != options.closures or not 1 <= options.closures[0] <= options.closures[-1] <= len(dictionary()):
-            raise Problem("--closures", "ascending counts from 1", " ".join(map(str, options.closures)), "for example 4 6 8")
+            raise InputError("--closures", "ascending counts from 1", " ".join(map(str, options.closures)), "for example 4 6 8")
         chosen = replace(chosen, closures=tuple(options.closures))
     if options.workers < 1:
-        raise Problem("--workers", "at least 1", str(options.workers), "give a number of processes")
+        raise InputError("--workers", "at least 1", str(options.workers), "give a number of processes")
     return sources.load(options.source, options.only), chosen
 
 
@@ -112,7 +112,7 @@ def _light_map(name):
 
     from factory.lights import load
     from manifests.archives import opened_zip, read_array
-    from manifests.errors import Problem, closest
+    from manifests.errors import InputError, closest
     from shaders import envmap
 
     if ".npz:" not in name:
@@ -121,25 +121,25 @@ def _light_map(name):
     with opened_zip(path, "an .npz file of light maps", "name another file") as archive:
         known = [each.removesuffix(".npy") for each in archive.namelist()]
         if array not in known:
-            raise Problem(path, f"an array {array!r}", "none of that name", closest(array, known))
+            raise InputError(path, f"an array {array!r}", "none of that name", closest(array, known))
         L = read_array(archive, array, LARGEST_MAP)
     right = L.dtype.kind in "fiu" and L.ndim == 3 and L.shape[1:] == (2 * L.shape[0], 3) and L.size
     if not right or not np.isfinite(L).all():
-        raise Problem(name, "a finite light map (H, 2H, 3)", f"{L.shape} of {L.dtype}", "name another array")
+        raise InputError(name, "a finite light map (H, 2H, 3)", f"{L.shape} of {L.dtype}", "name another array")
     L = np.maximum(L.astype(np.float64), 0)
     if not 1e-30 < L.mean() < 1e30:
-        raise Problem(name, "a light map of a mean from 1e-30 to 1e+30", f"{L.mean():g}", "name another array")
+        raise InputError(name, "a light map of a mean from 1e-30 to 1e+30", f"{L.mean():g}", "name another array")
     return envmap.unit_mean(L)[0]
 
 
 def run_fit(options):
     from factory.materials import fitting, sources
 
-    found, recipe = _sources_and_recipe(options)
+    result, recipe = _sources_and_recipe(options)
     maps = _light_maps(options.light)
-    entries = fitting.fit_all(found, recipe, maps, options.out, options.workers)
+    entries = fitting.fit_all(result, recipe, maps, options.out, options.workers)
     title = options.title or f"{len(entries)} materials fitted from {options.source.name}"
-    fitting.write_catalogue(entries, options.out, title, sources.credit(found), maps)
+    fitting.write_catalogue(entries, options.out, title, sources.credit(result), maps)
     _summary(options.out, entries)
 
 
@@ -148,22 +148,22 @@ def run_add(options):
 
     from factory.materials import fitting, sources
     from manifests import materials as catalogue
-    from manifests.errors import Problem
+    from manifests.errors import InputError
 
-    found, recipe = _sources_and_recipe(options)
-    maps, older, title, credit = _light_maps(options.light), [], options.title, sources.credit(found)
+    result, recipe = _sources_and_recipe(options)
+    maps, older, title, credit = _light_maps(options.light), [], options.title, sources.credit(result)
     if options.out.exists():
         before = catalogue.read_catalogue(options.out)
-        older, title = [e for e in before.materials if e.name not in found], title or before.title
+        older, title = [e for e in before.materials if e.name not in result], title or before.title
         for entry in older:  # they are compared with the new ones, and written again
             catalogue.material(entry, options.out)
         credit = before.credit if credit in before.credit else f"{before.credit}; {credit}"
         if tuple(maps) != before.light_maps:
             given = " ".join(f"--light {n}" for n in before.light_maps) or "no --light"
-            raise Problem("--light", f"the maps of {options.out}", ", ".join(maps) or "none", f"give {given}, or another --out")
-    entries = fitting.fit_all(found, recipe, maps, options.out, options.workers)
+            raise InputError("--light", f"the maps of {options.out}", ", ".join(maps) or "none", f"give {given}, or another --out")
+    entries = fitting.fit_all(result, recipe, maps, options.out, options.workers)
     fitting.write_catalogue([*older, *entries], options.out, title or "Own materials", credit, maps)
-    for names in fitting.twins([*older, *entries]):
+    for names in fitting.duplicates([*older, *entries]):
         print(f"the same fit under several names: {', '.join(names)}", file=sys.stderr)
     _summary(options.out, entries)
 
@@ -200,23 +200,23 @@ def run_preview(options):
     from tqdm import tqdm
 
     from factory.lights import load
-    from factory.materials.preview import sheet
-    from manifests.errors import Problem
+    from factory.materials.preview import contact_sheet
+    from manifests.errors import InputError
     from manifests.files import write_image
     from manifests.materials import find, load_catalogue
 
     if not 16 <= options.size <= 512 or not 1 <= options.columns <= 64:
-        raise Problem("--size, --columns", "16 to 512 pixels, 1 to 64 columns", f"{options.size}, {options.columns}", "choose within")
+        raise InputError("--size, --columns", "16 to 512 pixels, 1 to 64 columns", f"{options.size}, {options.columns}", "choose within")
     materials = load_catalogue(*(options.catalogue or ()))
     chosen = [find(name, materials) for name in options.materials] or sorted(materials.values(), key=lambda m: (m.family, m.name))
     if not chosen:
-        raise Problem(options.catalogue[0], "a material to draw", "none", "add one: python -m factory materials add")
+        raise InputError(options.catalogue[0], "a material to draw", "none", "add one: python -m factory materials add")
     light = load(options.light)
 
     def watch(items):
         return tqdm(items, unit="material", desc="shading", leave=False, disable=None)
 
-    picture = sheet(chosen, light.L64, options.size, min(options.columns, len(chosen)), options.of, watch)
+    picture = contact_sheet(chosen, light.L64, options.size, min(options.columns, len(chosen)), options.of, watch)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_image(options.out, picture, "PNG")
     print(f"{options.out}: {len(chosen)} materials under {options.light}")
@@ -234,10 +234,10 @@ def run_condition(options):
 
     from factory.materials import conditioning, recipe, sources
 
-    found = sources.load(options.source, options.only)
+    result = sources.load(options.source, options.only)
     print("how far the label moves: median and 95th percentile over its numbers and the draws; L1 of the BRDF, mean over the draws")
     print(f"{'name':<26} {'|Δ log κ|':>16} {'|Δ log γ|':>16} {'L1':>8}")
-    for name, source in found.items():
+    for name, source in result.items():
         rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=tuple(name.encode())))
         numbers, l1 = conditioning.moved(source.measured, recipe.Recipe(), options.noise, options.draws, rng)
         kappa, gamma = (np.percentile(np.abs(numbers[:, :, :, i]), (50, 95)) for i in (0, 1))

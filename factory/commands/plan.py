@@ -37,13 +37,13 @@ def run(options):
     """Print the plan; 0."""
     from factory.execution.run import planned
     from factory.planning import jobs
-    from manifests.errors import Problem
+    from manifests.errors import InputError
 
     if options.presets or options.schema:
         print(_presets(jobs) if options.presets else _schema())
         return 0
     if not options.job:
-        raise Problem("plan", "a job", "none", "name a file or a preset; plan --presets lists them")
+        raise InputError("plan", "a job", "none", "name a file or a preset; plan --presets lists them")
     from factory.commands.render import found
 
     job, folder = jobs.load(options.job)
@@ -100,9 +100,9 @@ def split_counts(plan):
 
 def _forecast(plan, options):
     from factory.execution.forecast import probed
-    from factory.execution.run import Manner
+    from factory.execution.run import RunOptions
 
-    forecast = probed(plan, Manner(workers=options.workers, device=options.device, library=options.lights))
+    forecast = probed(plan, RunOptions(workers=options.workers, device=options.device, library=options.lights))
     whole = sum(forecast.seconds.values()) or 1.0
     parts = ", ".join(f"{kind} {seconds / whole:.0%}" for kind, seconds in sorted(forecast.seconds.items(), key=lambda item: -item[1]))
     files = ", ".join(f"{kind} {_bytes(size)}" for kind, size in forecast.bytes.items())

@@ -25,9 +25,9 @@ def run(options):
     """Write sheet.png and index.html; 0."""
     from tqdm import tqdm
 
-    from factory.preview.contact_sheet import caption, page, row, sheet
+    from factory.preview.contact_sheet import caption, draw, page, row
     from manifests import files
-    from manifests.errors import Problem
+    from manifests.errors import InputError
     from manifests.materials import load_catalogue
     from manifests.store import Store
 
@@ -35,17 +35,17 @@ def run(options):
     dataset = store.dataset()
     materials = load_catalogue(options.folder / "materials.json")
     if not (1 <= options.count <= 1000 and 16 <= options.size <= 2048):
-        raise Problem("preview", "--count 1 to 1000 and --size 16 to 2048", f"{options.count} and {options.size}", "choose smaller ones")
+        raise InputError("preview", "--count 1 to 1000 and --size 16 to 2048", f"{options.count} and {options.size}", "choose smaller ones")
     out = options.out or options.folder.with_name(options.folder.name + "-preview")
-    files.claim(out, ("sheet.png", "index.html"), options.overwrite)
+    files.reserve_outputs(out, ("sheet.png", "index.html"), options.overwrite)
     chosen = spread(store, options)
     if not chosen:
-        raise Problem(options.folder, "records", "none that fit", "render some, or drop --material and --tier")
+        raise InputError(options.folder, "records", "none that fit", "render some, or drop --material and --tier")
     rows = [row(store, dataset, materials, record, options.size) for record in tqdm(chosen, desc="preview", unit="record", delay=1.0)]
     captions = [caption(record) for record in chosen]
     out.mkdir(parents=True, exist_ok=True)
-    with files.together():
-        files.write_image(out / "sheet.png", sheet(rows, captions, options.size))
+    with files.transaction():
+        files.write_image(out / "sheet.png", draw(rows, captions, options.size))
         files.write_text(out / "index.html", page(options.folder.name, rows, captions, [r.id for r in chosen]))
     print(f"{out / 'index.html'}: {len(chosen)} records")
     return 0

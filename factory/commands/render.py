@@ -3,7 +3,7 @@
 import sys
 import time
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 EPILOG = """examples
   python -m factory render demo --out out/demo                         a preset (all are named below)
@@ -79,7 +79,7 @@ def run(options):
     """Render; 0 if every picture came out."""
     from msgspec import structs
 
-    from factory.execution.run import Manner, carry_out, parsed_shard, planned
+    from factory.execution.run import RunOptions, carry_out, parsed_shard, planned
     from factory.planning import jobs
 
     job, folder = chosen(options, jobs)
@@ -89,10 +89,10 @@ def run(options):
     plan = planned(job, found(job, folder, options))
     for note in plan.assets.notes:
         print(f"factory: {note}", file=sys.stderr)
-    manner = Manner(workers=options.workers, device=options.device, shard=shard, limit=options.limit, library=options.lights)
+    run_options = RunOptions(workers=options.workers, device=options.device, shard=shard, limit=options.limit, library=options.lights)
     what = "pictures" if job.pictures else "views"
     with Progress(options.limit, what[:-1]) as progress:
-        outcome = carry_out(plan, options.out, manner, progress)
+        outcome = carry_out(plan, options.out, run_options, progress)
     print(outcome_line(outcome, options.out, what))
     return 1 if outcome.failed else 0
 
@@ -100,13 +100,13 @@ def run(options):
 def chosen(options, jobs):
     """The job that the options name, and where its paths start."""
     if options.job and (options.mesh or options.material or options.light):
-        raise Problem("render", "a job, or --mesh with --material and --light", "both", "leave one out")
+        raise InputError("render", "a job, or --mesh with --material and --light", "both", "leave one out")
     if options.job:
         job, folder = jobs.load(options.job)
         return job, options.assets or folder
     missing = [f"--{name}" for name in ("mesh", "material", "light") if not getattr(options, name)]
     if missing:
-        raise Problem(
+        raise InputError(
             "render",
             "a job, or --mesh, --material and --light",
             f"no {', '.join(missing)}",
@@ -130,8 +130,8 @@ def found(job, folder, options):
 def outcome_line(outcome, folder, what="pictures"):
     """What a run came to, in one line."""
     line = f"{outcome.made} {what} made in {folder}"
-    if outcome.found:
-        line += f", {outcome.found} were there"
+    if outcome.already_there:
+        line += f", {outcome.already_there} were there"
     if outcome.failed:
         line += f"; {outcome.failed} FAILED, see {folder}/failures.jsonl; the same command tries them again"
     return line

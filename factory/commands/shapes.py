@@ -104,14 +104,14 @@ def run_list(options):
 
     from factory.shapes.libraries import find
     from factory.shapes.mesh_import import open_mesh
-    from manifests.errors import Problem
+    from manifests.errors import InputError
 
     entries = [entry for entry in find(options.folder) if options.category in (None, entry.category)]
     failed, hashes = 0, {}
     for entry in tqdm(entries, unit="mesh", disable=None):
         try:
             mesh = open_mesh(entry.place, category=entry.category, name=entry.name, **_options(options))
-        except Problem as problem:
+        except InputError as problem:
             tqdm.write(f"{entry.name}: {problem}")
             failed += 1
             continue
@@ -129,29 +129,29 @@ def run_preview(options):
 
     from factory.shapes.catalogue import load, specs
     from factory.shapes.contact_sheet import contact_sheet
-    from manifests.errors import Problem
+    from manifests.errors import InputError
     from manifests.files import write_image
 
     if not 16 <= options.size <= 2048:
-        raise Problem("--size", "16 to 2048 pixels", str(options.size), "160 suits a contact sheet")
+        raise InputError("--size", "16 to 2048 pixels", str(options.size), "160 suits a contact sheet")
     if (options.count is not None and options.count < 1) or options.first < 0:
-        raise Problem("--count and --first", "a count ≥ 1 and a seed ≥ 0", f"{options.count} and {options.first}", "name others")
+        raise InputError("--count and --first", "a count ≥ 1 and a seed ≥ 0", f"{options.count} and {options.first}", "name others")
     try:
         azimuths = tuple(np.radians([float(a) for a in options.azimuths.split(",")]))
     except ValueError:
-        raise Problem("--azimuths", "degrees with commas between", f"'{options.azimuths}'", "write 0,90,180") from None
+        raise InputError("--azimuths", "degrees with commas between", f"'{options.azimuths}'", "write 0,90,180") from None
     chosen = [place for shape in options.shapes for place in _unfolded(shape)]
     if options.family:
         chosen += specs(options.family, options.count, options.first)
     if not chosen:
-        raise Problem("preview", "shapes or --family", "neither", "see python -m factory shapes list")
+        raise InputError("preview", "shapes or --family", "neither", "see python -m factory shapes list")
     failed = []
 
     def meshes():
         for spec in tqdm(chosen, unit="shape", disable=None):
             try:
                 yield load(spec, **(_options(options) if _is_file(spec) else {}))
-            except Problem as problem:
+            except InputError as problem:
                 failed.append(problem)
                 tqdm.write(f"factory: {problem}")
                 yield str(problem)
@@ -178,10 +178,10 @@ def run_add(options):
 
     from factory.shapes.library import add
     from factory.shapes.mesh_import import open_mesh
-    from manifests.errors import Problem
+    from manifests.errors import InputError
 
     if options.name and len(options.files) > 1:
-        raise Problem("--name", "one FILE", str(len(options.files)), "add them one by one, or without --name")
+        raise InputError("--name", "one FILE", str(len(options.files)), "add them one by one, or without --name")
     for file in tqdm(options.files, unit="mesh", disable=None):
         mesh = open_mesh(file, name=options.name, category=options.category, **_options(options))
         source = Path(file.partition("?")[0]).name

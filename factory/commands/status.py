@@ -12,7 +12,7 @@ def register(subparsers):
 
 
 def run(options):
-    """Print the counts; 0 always, a folder that is no dataset is a Problem."""
+    """Print the counts; 0 always, a folder that is no dataset is a InputError."""
     import json
 
     report = counted(options.folder)

@@ -3,7 +3,7 @@
 import sys
 from contextlib import contextmanager
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 SHOWN = 20
 
@@ -33,7 +33,7 @@ def run(options):
         try:
             dirty += not _is_clean(folder, options)
             datasets[folder] = Store(folder).dataset()
-        except (Problem, OSError) as error:
+        except (InputError, OSError) as error:
             print(f"factory: {error}", file=sys.stderr)
             dirty += 1
     for kind, name, where, other, there in shared_between(datasets):
@@ -63,7 +63,7 @@ def _is_clean(folder, options):
         print(f"{folder}: {verification.count} records; {records} faults in records, {strays} stray files, {others} others")
         if not options.repair:
             remedy = "verify --repair takes what is broken away, render makes it again"
-            print(f"factory: {Problem(folder, 'a clean dataset', f'{len(faults)} faults', remedy)}", file=sys.stderr)
+            print(f"factory: {InputError(folder, 'a clean dataset', f'{len(faults)} faults', remedy)}", file=sys.stderr)
             return False
         removed, unlinked = repair(store, faults)
         left = sum(not fault.mendable for fault in faults)
@@ -118,6 +118,6 @@ def reference_light(name, hash_):
         return None
     try:
         light = load(name)
-    except (Problem, OSError):
+    except (InputError, OSError):
         return None
     return (light.L64, light.scale) if light.hash == hash_ else None

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from factory.execution.pool import Pool, setup_for
-from factory.execution.run import Manner, assign, processors, register
-from manifests.errors import Problem
+from factory.execution.pool import Pool, config_for_worker
+from factory.execution.run import RunOptions, assign, processors, register
+from manifests.errors import InputError
 from manifests.schema import Draw
 from manifests.store import Store
 from manifests.viewpoints import COUNT
@@ -43,31 +43,34 @@ class Forecast:
 
 def probe_shots(plan):
     """Three shots: of the first, the middle and the last shape, under different lights."""
-    shapes, found = plan.assets.shapes, []
+    shapes, result = plan.assets.shapes, []
     if not plan.job.pictures:
         return [shot for place in sorted({0, len(shapes) // 2, len(shapes) - 1}) for shot in islice(plan.views_alone(shapes[place]), 1)]
     for k, place in enumerate((0, len(shapes) // 2, len(shapes) - 1)):
         group = list(islice(plan.group(shapes[place], *plan.lights[k * (len(plan.lights) - 1) // 2]), 200))
-        found.append(next((shot for shot in group[k * len(group) // 3 :] if shot.id not in {s.id for s in found}), None))
-    return [shot for shot in found if shot is not None]
+        result.append(next((shot for shot in group[k * len(group) // 3 :] if shot.id not in {s.id for s in result}), None))
+    return [shot for shot in result if shot is not None]
 
 
-def probed(plan, manner: Manner):
-    """The Forecast of a plan. Raises Problem for a shot that fails, OSError: a probe tells before anything long starts."""
+def probed(plan, run_options: RunOptions):
+    """The Forecast of a plan. Raises InputError for a shot that fails, OSError: a probe tells before anything long starts."""
     import time
 
     cost, sizes, start = defaultdict(list), defaultdict(list), time.perf_counter()
-    threads = manner.threads or (None if manner.workers == 1 else max(1, processors() // manner.workers))
+    threads = run_options.threads or (None if run_options.workers == 1 else max(1, processors() // run_options.workers))
     with tempfile.TemporaryDirectory(prefix="brdfactory-probe-") as folder:
         store = Store(folder)
         register(store, plan)
-        assignment = assign(plan, manner.library)
+        assignment = assign(plan, run_options.library)
         pool = Pool(
-            1, lambda _: setup_for(folder, "probe", manner.device, threads, assignment, manner.studio), (), Path(folder) / "partial"
+            1,
+            lambda _: config_for_worker(folder, "probe", run_options.device, threads, assignment, run_options.studio),
+            (),
+            Path(folder) / "partial",
         )
         for shot, reply in pool.run(probe_shots(plan)):
             if not reply.made:
-                raise Problem(f"{shot.shape}, view {shot.viewpoint}", "a shot that can be made", reply.reason, "mend what it names")
+                raise InputError(f"{shot.shape}, view {shot.viewpoint}", "a shot that can be made", reply.reason, "mend what it names")
             if plan.job.pictures:
                 sizes["images"].append(reply.bytes)
             for kind, seconds in reply.spent.items():
@@ -78,8 +81,8 @@ def probed(plan, manner: Manner):
     events = expected_events(plan)
     seconds = {kind: _typical(values) * events[kind] for kind, values in cost.items()}
     files = {"images": events["picture"], "geometry": events["geometry"]}
-    taken = {kind: sum(found) / max(len(found), 1) * files[kind] for kind, found in sizes.items()}
-    return Forecast(seconds, {**taken, "records": RECORD_BYTES * len(plan)}, manner.workers, max(start, 0.0))
+    taken = {kind: sum(result) / max(len(result), 1) * files[kind] for kind, result in sizes.items()}
+    return Forecast(seconds, {**taken, "records": RECORD_BYTES * len(plan)}, run_options.workers, max(start, 0.0))
 
 
 def _typical(values):

@@ -18,7 +18,7 @@ from factory.planning.plan import TEXELS, Shot
 from factory.planning.shape_names import Source, load_mesh
 from factory.render import checks
 from manifests.arrays import encode_geometry, encode_picture, read_geometry
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.schema import Job, Record, Statistics, View
 from manifests.store import geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg
@@ -231,7 +231,7 @@ class Pipeline:
             return None, "another content than its records name"
         try:
             seen = read_geometry(file, tuple(self.assignment.job.camera.size))
-        except Problem as problem:
+        except InputError as problem:
             return None, problem.found
         except OSError as error:
             return None, error.strerror or str(error)

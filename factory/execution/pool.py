@@ -15,8 +15,8 @@ from itertools import islice
 
 import msgspec
 
-from factory.execution.worker import STUDIO, Chunk, Reply, Setup
-from manifests.errors import Problem
+from factory.execution.worker import STUDIO, Chunk, Reply, WorkerConfig
+from manifests.errors import InputError
 
 CHUNK = 32  # shots handed out at once: long enough that nobody waits, short enough that all end together
 BARREN = 8  # deaths with no picture in between after which the machine is to blame, not the shots
@@ -24,20 +24,20 @@ PATIENCE = 600.0  # seconds of silence before a worker counts as hung, or 50 tim
 
 
 def _line(message):
-    """A message as a line of JSON. Raises Problem where a name of a file or folder in it is no text."""
+    """A message as a line of JSON. Raises InputError where a name of a file or folder in it is no text."""
     try:
         return msgspec.json.encode(message) + b"\n"
     except UnicodeEncodeError as error:
         remedy = "rename it, or give another --out"
-        raise Problem(ascii(error.object), "a name of a file or a folder in UTF-8", "other bytes", remedy) from None
+        raise InputError(ascii(error.object), "a name of a file or a folder in UTF-8", "other bytes", remedy) from None
 
 
 class _Worker:
     """A process and what it still owes."""
 
-    def __init__(self, setup, descriptors, log):
-        self.setup, self.log = setup, log
-        first = _line(setup)  # before there is a process that would have to be ended
+    def __init__(self, config, descriptors, log):
+        self.config, self.log = config, log
+        first = _line(config)  # before there is a process that would have to be ended
         self.made, self.failed, self.owed, self.heard = 0, 0, deque(), time.monotonic()
         with open(log, "wb") as complaints:
             self.process = subprocess.Popen(
@@ -102,8 +102,8 @@ class Pool:
     folder       where workers' complaints are kept while they live
     """
 
-    def __init__(self, count, setup, descriptors, folder):
-        self._setup, self._descriptors, self._folder = setup, tuple(descriptors), folder
+    def __init__(self, count, config, descriptors, folder):
+        self._setup, self._descriptors, self._folder = config, tuple(descriptors), folder
         self._folder.mkdir(parents=True, exist_ok=True)
         self._count, self._workers = count, {}
         self._selector = selectors.DefaultSelector()
@@ -114,7 +114,7 @@ class Pool:
     def run(self, shots):
         """Make all shots; yields (shot, Reply) for each that is made or given up.
 
-        Raises  Problem or OSError for what no shot would survive: a full disk, a missing file
+        Raises  InputError or OSError for what no shot would survive: a full disk, a missing file
         """
         shots = iter(shots)
         try:
@@ -169,7 +169,7 @@ class Pool:
                 continue
             for reply in replies:
                 if reply.fatal:
-                    raise Problem(*reply.problem) if reply.problem else OSError(reply.reason)
+                    raise InputError(*reply.problem) if reply.problem else OSError(reply.reason)
                 yield from self._settled(number, worker, reply)
         for number, worker in list(self._workers.items()):
             if worker.owed and time.monotonic() - worker.heard > max(PATIENCE, 50 * self._longest):
@@ -214,6 +214,6 @@ class Pool:
         yield shot, Reply(bad=shot.id, reason=reason)
 
 
-def setup_for(folder, worker, device, threads, assignment, studio=STUDIO):
+def config_for_worker(folder, worker, device, threads, assignment, studio=STUDIO):
     """The Setup of a worker of this process."""
-    return Setup(folder=str(folder), worker=worker, device=device, threads=threads, studio=studio, assignment=assignment)
+    return WorkerConfig(folder=str(folder), worker=worker, device=device, threads=threads, studio=studio, assignment=assignment)

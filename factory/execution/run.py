@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 
 from factory.execution.pipeline import Assignment, LightSource, ShapeSource
-from factory.execution.pool import Pool, setup_for
+from factory.execution.pool import Pool, config_for_worker
 from factory.execution.worker import STUDIO
 from factory.planning.fingerprint import render_fingerprint
 from factory.planning.plan import Plan
 from manifests import lock
 from manifests.arrays import encode_light, read_light
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import BUILT_IN, Catalogue, encode, read_catalogue
 from manifests.schema import Dataset, Failure, LightEntry, MaterialEntry, Order, ShapeEntry
 from manifests.splits import light_side
@@ -28,11 +28,11 @@ class Outcome:
 
     made: int
     failed: int
-    found: int
+    already_there: int
 
 
 @dataclass(frozen=True)
-class Manner:
+class RunOptions:
     """How to carry a job out, none of which alters a pixel beyond Cycles' repeatability.
 
     workers  processes; threads: CPU threads of each, None: the machine's, shared out
@@ -51,27 +51,27 @@ class Manner:
     studio: str = STUDIO
 
 
-def carry_out(plan: Plan, folder, manner: Manner, watch=None):
+def carry_out(plan: Plan, folder, run_options: RunOptions, watch=None):
     """Make every shot of a plan that the folder does not hold yet.
 
     watch    called with (event, value): "total" shots of this run, "found" one that was there, "made" a Reply, "failed" a Failure,
              "note" a line for the user
     Returns  Outcome
-    Raises   Problem; OSError (full disk) with everything that was written before intact
+    Raises   InputError; OSError (full disk) with everything that was written before intact
     """
     watch = watch or (lambda event, value: None)
-    store, prefix = Store(folder), "worker-" if manner.shard is None else f"worker-{manner.shard[0]}of{manner.shard[1]}-"
-    with lock.writing(folder, manner.shard) as descriptors:
-        store.sweep(prefix if manner.shard else "")
+    store, prefix = Store(folder), "worker-" if run_options.shard is None else f"worker-{run_options.shard[0]}of{run_options.shard[1]}-"
+    with lock.writing(folder, run_options.shard) as descriptors:
+        store.sweep(prefix if run_options.shard else "")
         with lock.changing(folder):
             register(store, plan)
-        return _made(plan, store, manner, prefix, descriptors, watch)
+        return _made(plan, store, run_options, prefix, descriptors, watch)
 
 
-def _made(plan, store, manner, prefix, descriptors, watch):
+def _made(plan, store, run_options, prefix, descriptors, watch):
     done, hashes = store.known("records" if plan.job.pictures else "views")
-    shots = _part(plan, manner.shard)
-    watch("total", _part_length(plan, manner.shard))
+    shots = _part(plan, run_options.shard)
+    watch("total", _part_length(plan, run_options.shard))
     counts = {"found": 0, "made": 0, "failed": 0}
 
     def owed():
@@ -83,16 +83,18 @@ def _made(plan, store, manner, prefix, descriptors, watch):
                 known = hashes.get(geometry_path(shot.geometry))
                 yield shot if known is None else msgspec.structs.replace(shot, geometry_hash=known)
 
-    assignment = assign(plan, manner.library)
-    threads = manner.threads or (None if manner.workers == 1 else max(1, processors() // manner.workers))
+    assignment = assign(plan, run_options.library)
+    threads = run_options.threads or (None if run_options.workers == 1 else max(1, processors() // run_options.workers))
     pool = Pool(
-        manner.workers,
-        lambda number: setup_for(store.folder, f"{prefix}{number:02d}", manner.device, threads, assignment, manner.studio),
+        run_options.workers,
+        lambda number: config_for_worker(
+            store.folder, f"{prefix}{number:02d}", run_options.device, threads, assignment, run_options.studio
+        ),
         descriptors,
         store.folder / "partial",
     )
     failures = None
-    for shot, reply in pool.run(islice(owed(), manner.limit)):
+    for shot, reply in pool.run(islice(owed(), run_options.limit)):
         if reply.settings:
             with lock.changing(store.folder):
                 _note_settings(store, plan, reply)
@@ -123,7 +125,7 @@ def assign(plan, library=None):
 def register(store, plan):
     """Write down, in dataset.json, materials.json and lights/, what a plan brings to the folder.
 
-    Raises  Problem if the folder knows another thing by a name of the plan's, or has it on the other side of the split
+    Raises  InputError if the folder knows another thing by a name of the plan's, or has it on the other side of the split
     """
     held = store.dataset() if (store.folder / "dataset.json").exists() else Dataset()
     assets = plan.assets
@@ -160,10 +162,12 @@ def _agree(store, kind, known, brought):
     for name, entry in brought.items():
         if name in known and known[name].hash != entry.hash:
             remedy = "rename the new one, or render into another folder"
-            raise Problem(f"{store.folder}: {kind} '{name}'", f"the one already there ({known[name].hash[:12]})", entry.hash[:12], remedy)
+            raise InputError(
+                f"{store.folder}: {kind} '{name}'", f"the one already there ({known[name].hash[:12]})", entry.hash[:12], remedy
+            )
         if kind != "light" and (held := sides.get(entry.hash)) and held[0] != entry.side:
             remedy = "use the split rule of the folder's first job, or another folder"
-            raise Problem(f"{store.folder}: {kind} '{name}'", f"side {held[0]}, as '{held[1]}' there", entry.side, remedy)
+            raise InputError(f"{store.folder}: {kind} '{name}'", f"side {held[0]}, as '{held[1]}' there", entry.side, remedy)
 
 
 def _light_entry(store, light, known):
@@ -190,7 +194,7 @@ def _holds(path, L):
     """Whether a stored light map is L, up to what another machine's rounding makes of the same light."""
     try:
         return np.allclose(read_light(path), L, rtol=1e-4, atol=1e-6)
-    except Problem:
+    except InputError:
         return False
 
 
@@ -198,16 +202,16 @@ def _write_materials(store, materials, known):
     """materials.json: the catalogue's lines of all materials that the folder's jobs name.
 
     known   {name: MaterialEntry} of dataset.json
-    Raises  Problem if it is damaged, and some of its materials are neither the plan's nor built in
+    Raises  InputError if it is damaged, and some of its materials are neither the plan's nor built in
     """
     path, ours = store.folder / "materials.json", {m.name: m.entry for m in materials}
     try:
         held = {entry.name: entry for entry in read_catalogue(path).materials} if path.exists() else {}
-    except Problem as problem:
+    except InputError as problem:
         held = _built_in(known)
         if lost := sorted(known.keys() - held.keys() - ours.keys()):
             remedy = f"restore it, or delete it and render each of the folder's jobs again: they know {', '.join(lost[:3])}"
-            raise Problem(problem.where, problem.expected, problem.found, remedy) from None
+            raise InputError(problem.where, problem.expected, problem.found, remedy) from None
         entries = held | ours
     else:
         entries = held | ours
@@ -261,8 +265,8 @@ def planned(job, assets):
 
 
 def parsed_shard(text):
-    """ "3/8" as (3, 8). Raises Problem."""
+    """ "3/8" as (3, 8). Raises InputError."""
     i, slash, n = text.partition("/")
     if not (slash and text.isascii() and len(text) < 20 and i.isdigit() and n.isdigit() and 1 <= int(i) <= int(n)):
-        raise Problem("--shard", "I/N with 1 ≤ I ≤ N", f"'{text}'", "write --shard 1/8 for the first of eight parts")
+        raise InputError("--shard", "I/N with 1 ≤ I ≤ N", f"'{text}'", "write --shard 1/8 for the first of eight parts")
     return int(i), int(n)

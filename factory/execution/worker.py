@@ -17,14 +17,14 @@ import msgspec
 
 from factory.execution.pipeline import Assignment, BadShot, Pipeline
 from factory.planning.plan import Shot
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from manifests.store import Lines, Store
 
 STUDIO = "factory.render.studio:Studio"
 
 
-class Setup(msgspec.Struct, frozen=True, kw_only=True):
+class WorkerConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Where to write, under which name, and with what; studio: module:class of the studio, called with (device, threads)."""
 
     folder: str
@@ -74,26 +74,26 @@ def main():
             os._exit(0)
 
     try:
-        setup = msgspec.json.decode(sys.stdin.buffer.readline(), type=Setup)
-        _serve(setup, answer)
-    except Problem as problem:
+        config = msgspec.json.decode(sys.stdin.buffer.readline(), type=WorkerConfig)
+        _serve(config, answer)
+    except InputError as problem:
         answer(fatal=True, problem=(problem.where, problem.expected, problem.found, problem.remedy))
     except OSError as error:
         remedy = "make room or mend the disk, then run the same command: what was written stays"
-        answer(fatal=True, problem=(error.filename or setup.folder, "a disk that takes a file", error.strerror or str(error), remedy))
+        answer(fatal=True, problem=(error.filename or config.folder, "a disk that takes a file", error.strerror or str(error), remedy))
     except Exception as error:  # whatever else it is, the parent says it in one line
         answer(fatal=True, reason=f"worker {type(error).__name__}: {error}".replace("\n", " "))
     sys.stderr.flush()
     os._exit(0)
 
 
-def _serve(setup, answer):
-    store = Store(setup.folder)
-    pictures = setup.assignment.job.pictures
-    lines = Lines(store.folder / ("records" if pictures else "views") / f"{setup.worker}.jsonl")
+def _serve(config, answer):
+    store = Store(config.folder)
+    pictures = config.assignment.job.pictures
+    lines = Lines(store.folder / ("records" if pictures else "views") / f"{config.worker}.jsonl")
     mixtures = {name: m.mixture for name, m in load_catalogue(store.folder / "materials.json").items()} if pictures else {}
-    studio = _studio(setup)
-    pipeline = Pipeline(studio, setup.assignment, store, setup.worker, lines.append, mixtures)
+    studio = _studio(config)
+    pipeline = Pipeline(studio, config.assignment, store, config.worker, lines.append, mixtures)
     first = True
     chunks = msgspec.json.Decoder(Chunk)
     for message in sys.stdin.buffer:
@@ -102,7 +102,7 @@ def _serve(setup, answer):
                 record = pipeline.make(shot)
             except OSError:
                 raise
-            except (BadShot, Problem, RuntimeError, ValueError) as error:
+            except (BadShot, InputError, RuntimeError, ValueError) as error:
                 answer(bad=shot.id, reason=str(error).replace("\n", " "))
                 break
             extra = {"settings": msgspec.to_builtins(studio.settings), "versions": studio.versions} if first else {}
@@ -111,9 +111,9 @@ def _serve(setup, answer):
             answer(made=shot.id, seconds=record.seconds, bytes=size, spent=pipeline.spent, notes=pipeline.notes, **extra)
 
 
-def _studio(setup):
-    module, name = setup.studio.split(":")
-    return getattr(importlib.import_module(module), name)(setup.device, setup.threads)
+def _studio(config):
+    module, name = config.studio.split(":")
+    return getattr(importlib.import_module(module), name)(config.device, config.threads)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from pathlib import Path
 from factory.lights import files, procedural
 from factory.lights.library import entry
 from factory.lights.light import from_pixels
-from manifests.errors import Problem, closest
+from manifests.errors import InputError, closest
 
 WHEEL_LICENCE = "CC0"
 WHEEL_SOURCE = "Greg Zaal, Poly Haven; shipped with Blender as"
@@ -16,21 +16,21 @@ WHEEL_SOURCE = "Greg Zaal, Poly Haven; shipped with Blender as"
 def load(name_or_path, library=None):
     """The Light of a name (`city`, `softboxes-7`, one in the `library` folder) or of an .hdr, .exr or .npz file.
 
-    Raises  Problem for an unknown name (with the closest ones) or a file that holds no usable light
+    Raises  InputError for an unknown name (with the closest ones) or a file that holds no usable light
     """
     text = str(name_or_path)
     if files.is_light_path(text):
         return _from_file(Path(text), Path(text).stem, "unknown", text)
-    if library is not None and (found := library_maps(library).get(text)):
+    if library is not None and (result := library_maps(library).get(text)):
         known = entry(library, text)
-        return _from_file(found, text, known.get("licence", "unknown"), known.get("source", found.name))
+        return _from_file(result, text, known.get("licence", "unknown"), known.get("source", result.name))
     if (wheel := wheel_maps()) and text in wheel:
         return _from_file(wheel[text], text, WHEEL_LICENCE, f"{WHEEL_SOURCE} {wheel[text].name}")
     if parsed := procedural.parse(text):
         digest = hashlib.sha256(f"{parsed[0]}-{parsed[1]} version {procedural.VERSION}".encode()).hexdigest()
         return from_pixels(procedural.pixels(*parsed), text, digest, "Apache-2.0", f"computed by factory.lights.procedural, {text}")
     remedy = closest(text, names(library)) + "; `python -m factory lights list` shows all"
-    raise Problem(f"light {text!r}", "a known name or an .hdr, .exr or .npz file", "neither", remedy)
+    raise InputError(f"light {text!r}", "a known name or an .hdr, .exr or .npz file", "neither", remedy)
 
 
 def names(library=None):
@@ -51,7 +51,7 @@ def library_maps(folder):
     """{name: path} of the .hdr, .exr and .npz files in a folder, not below it."""
     folder = Path(folder)
     if not folder.is_dir():
-        raise Problem(
+        raise InputError(
             folder, "a folder of .hdr, .exr or .npz files", "nothing there" if not folder.exists() else "a file", "check the path"
         )
     return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in files.SUFFIXES}
@@ -61,5 +61,5 @@ def _from_file(path, name, licence, source):
     pixels, digest = files.read(path)
     try:
         return from_pixels(pixels, name, digest, licence, source, in_place=True)
-    except Problem as problem:  # values are judged under the credit's name; the user knows the file by its path
-        raise Problem(path, problem.expected, problem.found, problem.remedy) from None
+    except InputError as problem:  # values are judged under the credit's name; the user knows the file by its path
+        raise InputError(path, problem.expected, problem.found, problem.remedy) from None

@@ -12,7 +12,7 @@ import numpy as np
 
 from factory.lights import rgbe
 from manifests.archives import ArrayHeader, opened_zip, read_exactly
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.exr import parts_of
 from manifests.inputs import require_file
 from manifests.quiet import silenced
@@ -37,7 +37,7 @@ def is_light_path(text):
 
 
 def read(path):
-    """Pixels (H, W, 3) float32 as stored, and the SHA-256 of the file. Raises Problem; OSError if it cannot be opened."""
+    """Pixels (H, W, 3) float32 as stored, and the SHA-256 of the file. Raises InputError; OSError if it cannot be opened."""
     path = Path(path)
     kind = _kind(path)
     if kind != "npz":
@@ -46,9 +46,9 @@ def read(path):
     def check_size(height, width, bytes_needed):
         if height > MAX_HEIGHT or width > 2 * MAX_HEIGHT or bytes_needed > 16 * 2 * MAX_HEIGHT**2 + LARGEST_TILE:
             limit = f"at most {2 * MAX_HEIGHT}×{MAX_HEIGHT} pixels of four channels"
-            raise Problem(path, limit, f"{width}×{height}, {bytes_needed / 1e9:.1f} GB", "save a smaller copy of the map")
+            raise InputError(path, limit, f"{width}×{height}, {bytes_needed / 1e9:.1f} GB", "save a smaller copy of the map")
         if width != 2 * height or height < MIN_HEIGHT:
-            raise Problem(path, "an equirectangular map, twice as wide as high", f"{width}×{height}", "crop or resize it to 2:1")
+            raise InputError(path, "an equirectangular map, twice as wide as high", f"{width}×{height}", "crop or resize it to 2:1")
 
     pixels = {"hdr": rgbe.read, "exr": _read_exr, "npz": _read_npz}[kind](path, check_size)
     return pixels, digest(path)
@@ -60,11 +60,11 @@ def is_collection(path):
 
 
 def maps_in(path):
-    """(name, pixels (H, 2H, 3) float32) of each map in an .npz, one after another. Raises Problem."""
+    """(name, pixels (H, 2H, 3) float32) of each map in an .npz, one after another. Raises InputError."""
     with opened_zip(path, "a whole .npz file of arrays (H, 2H, 3)", "export it again with numpy.savez") as archive:
         members = archive.infolist()
         if not 1 <= len(members) <= MOST_MAPS:
-            raise Problem(path, f"1 to {MOST_MAPS} maps", str(len(members)), "save them as several files")
+            raise InputError(path, f"1 to {MOST_MAPS} maps", str(len(members)), "save them as several files")
         for member in members:
             with archive.open(member) as file:
                 header = ArrayHeader(file)  # sizes are judged before memory is taken
@@ -77,7 +77,7 @@ def _check_map(path, name, shape, dtype):
     right = len(shape) == 3 and shape[2] == 3 and shape[1] == 2 * shape[0] and MIN_HEIGHT <= shape[0] <= MAX_HEIGHT
     if not (right and dtype.kind == "f" and dtype.itemsize <= 8):
         expected = f"arrays (H, 2H, 3) of floats, H from {MIN_HEIGHT} to {MAX_HEIGHT}"
-        raise Problem(path, expected, f"{name} with {shape} of {dtype}", "save R, G, B maps, 2:1")
+        raise InputError(path, expected, f"{name} with {shape} of {dtype}", "save R, G, B maps, 2:1")
 
 
 def _floats(file, header):
@@ -105,7 +105,9 @@ def _read_npz(path, check_size):
     with opened_zip(path, "an .npz file", "export it again with numpy.savez") as archive:
         names = [Path(member.filename).stem for member in archive.infolist()]
     if len(names) > 1:
-        raise Problem(path, "one map", f"several ('{names[0]}', '{names[1]}', …)", "put them into a library: python -m factory lights add")
+        raise InputError(
+            path, "one map", f"several ('{names[0]}', '{names[1]}', …)", "put them into a library: python -m factory lights add"
+        )
     return pixels
 
 
@@ -123,32 +125,34 @@ def _kind(path):
         if first.startswith(magic):
             return kind
     if not first:
-        raise Problem(path, A_LIGHT, "an empty file", "download or export it again")
+        raise InputError(path, A_LIGHT, "an empty file", "download or export it again")
     for magic, name in PICTURES.items():
         if first.startswith(magic):
             remedy = "use a high-dynamic-range map: a clipped picture has lost its lamps and its sun"
-            raise Problem(path, "Radiance .hdr or OpenEXR .exr", f"a {name} picture", remedy)
-    raise Problem(path, "Radiance .hdr, OpenEXR .exr or .npz", f"a file that begins with {first[:4]!r}", "export the map as one of the two")
+            raise InputError(path, "Radiance .hdr or OpenEXR .exr", f"a {name} picture", remedy)
+    raise InputError(
+        path, "Radiance .hdr, OpenEXR .exr or .npz", f"a file that begins with {first[:4]!r}", "export the map as one of the two"
+    )
 
 
 def _read_exr(path, check_size):
     """R, G, B, or one grey channel three times, of an OpenEXR file's first part."""
     import OpenEXR
 
-    broken = Problem(path, "a whole OpenEXR picture", "a damaged or truncated file", "download or export it again")
+    broken = InputError(path, "a whole OpenEXR picture", "a damaged or truncated file", "download or export it again")
     try:
         with silenced(1, 2), OpenEXR.File(str(path), header_only=True) as file:  # the library prints each error besides raising it
             parts = parts_of(file)
     except Exception as error:  # the library's own errors are RuntimeError, ValueError and others
         raise broken from error
     if not parts or not all(part.flat for part in parts):
-        raise Problem(path, "a flat picture", "a deep one", "flatten it and save it again")
+        raise InputError(path, "a flat picture", "a deep one", "flatten it and save it again")
     first = parts[0]
-    wanted = next((names for names in (("R", "G", "B"), ("Y",), ("V",)) if set(names) <= set(first.channels)), None)
-    if wanted is None:
-        raise Problem(path, "channels R, G, B", ", ".join(sorted(first.channels))[:100] or "none", "export the map as RGB")
+    requested = next((names for names in (("R", "G", "B"), ("Y",), ("V",)) if set(names) <= set(first.channels)), None)
+    if requested is None:
+        raise InputError(path, "channels R, G, B", ", ".join(sorted(first.channels))[:100] or "none", "export the map as RGB")
     if first.sampled:
-        raise Problem(path, "channels of the picture's full size", "sub-sampled ones", "export the map as plain RGB")
+        raise InputError(path, "channels of the picture's full size", "sub-sampled ones", "export the map as plain RGB")
     check_size(first.height, first.width, sum(part.bytes for part in parts))  # the library reads all parts
     arrays = None
     if sorted(first.channels) in (list("BGR"), list("ABGR")):
@@ -158,7 +162,7 @@ def _read_exr(path, check_size):
         arrays = arrays or _exr_arrays(path, separately=True)
     except Exception as error:
         raise broken from error
-    return _rgb(arrays, wanted, (first.height, first.width), broken)
+    return _rgb(arrays, requested, (first.height, first.width), broken)
 
 
 def _exr_arrays(path, separately):
@@ -169,13 +173,13 @@ def _exr_arrays(path, separately):
         return {name: channel.pixels for name, channel in file.channels().items()}
 
 
-def _rgb(arrays, wanted, size, broken):
+def _rgb(arrays, requested, size, broken):
     """Pixels (H, W, 3) float32 of what the library read, without a second copy of those that are float32 already.
 
     arrays  {name: (H, W) or (H, W, 3 or 4)}: channels by themselves, or R, G, B and perhaps A together
     """
-    together = next((array for name, array in arrays.items() if name in ("RGB", "RGBA")), None) if wanted != ("Y",) else None
-    planes = [arrays.get(name) for name in wanted] if together is None else [together[..., k] for k in range(3)]
+    together = next((array for name, array in arrays.items() if name in ("RGB", "RGBA")), None) if requested != ("Y",) else None
+    planes = [arrays.get(name) for name in requested] if together is None else [together[..., k] for k in range(3)]
     if any(plane is None or plane.shape != size or plane.dtype.kind not in "fu" for plane in planes):
         raise broken
     if together is not None and together.dtype == np.float32:

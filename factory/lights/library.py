@@ -11,8 +11,8 @@ from pathlib import Path
 
 from factory.lights import files
 from factory.lights.light import checked, from_pixels
-from manifests.errors import Problem
-from manifests.files import npz_bytes, together, write_bytes, write_text
+from manifests.errors import InputError
+from manifests.files import npz_bytes, transaction, write_bytes, write_text
 from manifests.reading import read
 from shaders import envmap
 
@@ -25,21 +25,21 @@ def entry(folder, name):
 
 
 def read_list(folder):
-    """The folder's list, {} where there is none. Raises Problem if it is damaged."""
+    """The folder's list, {} where there is none. Raises InputError if it is damaged."""
     path = Path(folder) / LIST
     if not os.path.lexists(path):
         return {}
     try:
         return read(path, dict[str, dict[str, str]])
-    except Problem as problem:
+    except InputError as problem:
         remedy = "mend it, or delete it and add the maps again"
-        raise Problem(problem.where, problem.expected, problem.found, remedy) from None
+        raise InputError(problem.where, problem.expected, problem.found, remedy) from None
 
 
 def add(path, folder, licence, source=None):
     """Checks a map, copies it into the folder and lists it; returns its name, or the older name of the same map.
 
-    The name is the file's, in lower case with dashes. Raises Problem if another map already has it
+    The name is the file's, in lower case with dashes. Raises InputError if another map already has it
     """
     path, folder = Path(path), Path(folder)
     pixels, digest = files.read(path)
@@ -64,7 +64,7 @@ def add_maps(path, folder, licence, known):
         L64 = from_pixels(pixels, inner, "", licence, f"{path}: {inner}").L64
         listed, data = read_list(folder), npz_bytes({"L": pixels})
         unlisted = _name(inner) not in listed and _holds(folder / f"{_name(inner)}.npz", data)  # a run was killed before it had listed it
-        if not unlisted and (twin := next((name for name, L in known.items() if envmap.same_capture(L64, L)), None)):
+        if not unlisted and (twin := next((name for name, L in known.items() if envmap.is_same_source(L64, L)), None)):
             yield inner, twin, False
             continue
         target = _free(f"{path}: {inner}", inner, ".npz", folder, listed, data)
@@ -79,14 +79,14 @@ def _name(stem):
 
 
 def _free(where, stem, suffix, folder, listed, data):
-    """The path of a new map's file of these bytes. Raises Problem if its name is taken."""
+    """The path of a new map's file of these bytes. Raises InputError if its name is taken."""
     name = _name(stem)
     if name in listed:
-        raise Problem(where, "a name that is still free", f"another map called {name!r} in {folder}", "rename the file")
+        raise InputError(where, "a name that is still free", f"another map called {name!r} in {folder}", "rename the file")
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / (name + suffix)
     if target.exists() and not _holds(target, data):
-        raise Problem(target, "a name that is still free", "an unlisted file of that name", "rename one of the two")
+        raise InputError(target, "a name that is still free", "an unlisted file of that name", "rename one of the two")
     return target
 
 
@@ -99,7 +99,7 @@ def _place(target, data, licence, source, listed):
     """Put a map's file and its line of the list in place, both or neither; returns the map's name."""
     folder, name = target.parent, target.stem
     digest = hashlib.sha256(data).hexdigest()
-    with together():
+    with transaction():
         write_bytes(target, data)
         listed[name] = {"file": target.name, "hash": digest, "licence": licence, "source": source}
         write_text(folder / LIST, json.dumps(listed, indent=1, sort_keys=True) + "\n")

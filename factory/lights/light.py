@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifests.arrays import LIGHT_SHAPE
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders import envmap
 
 LAYER_SIZE = LIGHT_SHAPE[:2]  # the paper's map
@@ -44,7 +44,7 @@ def from_pixels(pixels, name, digest, licence, source, in_place=False):
     """The Light of a map as a file stores it; (H, W, 3) any scale, checked here.
 
     in_place  True: `pixels`, float32 and writable, become the light's own L_full: no second map of that size is made
-    Raises    Problem
+    Raises    InputError
     """
     pixels = np.asarray(pixels, np.float32) if in_place else np.array(pixels, np.float32)
     checked(pixels, source)
@@ -63,24 +63,26 @@ def from_pixels(pixels, name, digest, licence, source, in_place=False):
 
 
 def checked(pixels, where):
-    """The map (H, W, 3) itself. Raises Problem if its values are no light: not finite, black, negative, or an 8-bit picture's."""
+    """The map (H, W, 3) itself. Raises InputError if its values are no light: not finite, black, negative, or an 8-bit picture's."""
     rows = [pixels[band] for band in envmap.bands(len(pixels))]
     broken = sum(int((~np.isfinite(each)).any(-1).sum()) for each in rows)
     if broken:
-        raise Problem(where, "finite radiance", f"NaN or infinity in {broken} texels", "paint them out or export the map again")
+        raise InputError(where, "finite radiance", f"NaN or infinity in {broken} texels", "paint them out or export the map again")
     mean = float(envmap.mean_radiance(pixels) @ envmap.LUMINANCE)
     lowest, highest = float(pixels.min()), float(pixels.max())
     if lowest == highest == 0:
-        raise Problem(where, "a map that holds some light", "black everywhere", "choose another map")
+        raise InputError(where, "a map that holds some light", "black everywhere", "choose another map")
     if lowest < -RIPPLE * mean or mean <= 0:
         count = sum(int((each < 0).any(-1).sum()) for each in rows)
-        found = f"{count} negative texels, the lowest {lowest:.3g} beside a mean of {mean:.3g}"
-        raise Problem(where, "radiance of 0 or more", found, "clamp the map at 0 and save it again")
+        result = f"{count} negative texels, the lowest {lowest:.3g} beside a mean of {mean:.3g}"
+        raise InputError(where, "radiance of 0 or more", result, "clamp the map at 0 and save it again")
     if not DARKEST < mean < BRIGHTEST:
-        raise Problem(where, f"a mean radiance from {DARKEST:g} to {BRIGHTEST:g}", f"{mean:.3g}", "scale the map and save it again")
+        raise InputError(where, f"a mean radiance from {DARKEST:g} to {BRIGHTEST:g}", f"{mean:.3g}", "scale the map and save it again")
     if looks_like_eight_bits(pixels):
-        found = "at most 256 levels a channel and none above 1, as in an 8-bit picture"
-        raise Problem(where, "high-dynamic-range radiance", found, "use the original .hdr or .exr, not a picture converted from PNG or JPG")
+        result = "at most 256 levels a channel and none above 1, as in an 8-bit picture"
+        raise InputError(
+            where, "high-dynamic-range radiance", result, "use the original .hdr or .exr, not a picture converted from PNG or JPG"
+        )
     return pixels
 
 

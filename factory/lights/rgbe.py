@@ -11,7 +11,7 @@ import re
 
 import numpy as np
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 MAX_HEADER = 64 * 1024  # bytes; real headers hold a few hundred
 ROWS = 64  # scanlines that are unpacked together
@@ -23,8 +23,8 @@ REMEDY = "export the map again as Radiance .hdr or OpenEXR"
 def read(path, check_size):
     """Pixels (H, W, 3) float32 of a Radiance file.
 
-    check_size(height, width, bytes_needed) raises Problem before memory is taken for a picture too large
-    Raises  Problem
+    check_size(height, width, bytes_needed) raises InputError before memory is taken for a picture too large
+    Raises  InputError
 
     Takes the memory of the picture, of ROWS scanlines and of PIECE bytes of the file.
     """
@@ -59,11 +59,11 @@ def _header(data, path):
     lines = data[:end].decode("latin-1").splitlines()
     wrong = [line for line in lines if line.startswith("FORMAT=") and line.strip() != "FORMAT=32-bit_rle_rgbe"]
     if wrong:
-        raise Problem(path, "FORMAT=32-bit_rle_rgbe", wrong[0].strip(), REMEDY)
+        raise InputError(path, "FORMAT=32-bit_rle_rgbe", wrong[0].strip(), REMEDY)
     size = re.fullmatch(rb"-Y (\d{1,9}) \+X (\d{1,9})\s*", data[end + 2 : line_end])
     if not size or not int(size[1]) or not int(size[2]):
-        found = data[end + 2 : line_end].decode("latin-1").strip()
-        raise Problem(path, "the size as '-Y height +X width'", repr(found), REMEDY)
+        result = data[end + 2 : line_end].decode("latin-1").strip()
+        raise InputError(path, "the size as '-Y height +X width'", repr(result), REMEDY)
     exposure = 1.0
     for line in lines:
         if line.startswith("EXPOSURE="):
@@ -72,18 +72,18 @@ def _header(data, path):
 
 
 def _positive(text, path):
-    """A number from text, or a product of such numbers, within what float32 can divide by. Raises Problem."""
+    """A number from text, or a product of such numbers, within what float32 can divide by. Raises InputError."""
     try:
         value = float(text)
     except ValueError:
         value = 0.0
     if not 1e-30 < value < 1e30:
-        raise Problem(path, "EXPOSURE= with a positive number", repr(str(text).strip())[:80], REMEDY)
+        raise InputError(path, "EXPOSURE= with a positive number", repr(str(text).strip())[:80], REMEDY)
     return value
 
 
 def _truncated(path, found):
-    return Problem(path, "a whole Radiance picture", f"the file ends early ({found})", "download or export it again")
+    return InputError(path, "a whole Radiance picture", f"the file ends early ({found})", "download or export it again")
 
 
 def _scanline(data, start, row, path, number):
@@ -92,13 +92,13 @@ def _scanline(data, start, row, path, number):
     head = data[start : start + 4]
     new = 8 <= width < 32768 and head[:2] == b"\x02\x02" and len(head) == 4 and head[2] < 128
     if new and head[2] * 256 + head[3] != width:
-        raise Problem(path, f"scanline {number} of {width} pixels", f"one of {head[2] * 256 + head[3]}", REMEDY)
+        raise InputError(path, f"scanline {number} of {width} pixels", f"one of {head[2] * 256 + head[3]}", REMEDY)
     try:
         return _new_style(data, start + 4, row) if new else _old_style(data, start, row)
     except IndexError:
         raise _truncated(path, f"within scanline {number} of {width} pixels") from None
     except OverflowError:
-        raise Problem(path, f"scanline {number} of {width} pixels", "a run that is longer", REMEDY) from None
+        raise InputError(path, f"scanline {number} of {width} pixels", "a run that is longer", REMEDY) from None
 
 
 def _new_style(data, start, row):

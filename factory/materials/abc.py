@@ -13,7 +13,7 @@ import numpy as np
 
 from factory.materials.errors import relative_l1
 from factory.materials.samples import held_out
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.inputs import require_file
 
 MAXIMUM_BYTES = 16 << 20  # the table of MERL's hundred has some KiB
@@ -36,7 +36,7 @@ class ABC:
 
 
 def load(path):
-    """{name: ABC} of the table at `path`. Raises Problem for a row that is not one."""
+    """{name: ABC} of the table at `path`. Raises InputError for a row that is not one."""
     require_file(path, "the ABC table", "give it as a CSV file", MAXIMUM_BYTES)
     materials = {}
     with open(path, newline="", encoding="utf-8-sig") as file:
@@ -48,12 +48,12 @@ def load(path):
                     raise ValueError(f"{row['name']}: {v}")
                 materials[row["name"]] = ABC(v[:3], v[3:6], *v[6:])
         except (KeyError, TypeError, ValueError, csv.Error) as error:
-            found = f"'{str(error)[:80]}'"
-            raise Problem(f"{path}: line {number}", f"numbers under {', '.join(COLUMNS)}", found, "give the ABC table") from None
+            result = f"'{str(error)[:80]}'"
+            raise InputError(f"{path}: line {number}", f"numbers under {', '.join(COLUMNS)}", result, "give the ABC table") from None
     return materials
 
 
-def apart(sources, table):
+def relative_distances(sources, table):
     """{name: (6,)}: relative L1 of f · cos between a measurement and the table's fit, at each held-out view; names in both."""
     samples = held_out()
     return {

@@ -17,7 +17,7 @@ from factory.materials import errors, recipe
 from factory.materials.samples import held_out
 from factory.materials.sphere import Sphere
 from manifests import materials as catalogue
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import write_bytes
 from manifests.inputs import require_file
 from manifests.materials import Distance, Entry, Errors, MixtureData, Neighbour
@@ -60,14 +60,14 @@ def fit_all(sources, recipe_, maps, out, workers=1):
 
 
 def _kept(file):
-    """The entry of a fit that was kept; None if there is none, or a damaged one. Raises Problem where something else lies there."""
+    """The entry of a fit that was kept; None if there is none, or a damaged one. Raises InputError where something else lies there."""
     if not os.path.lexists(file):
         return None
     require_file(file, "a kept fit", "delete it")
     try:
         entry_ = decode(file.read_bytes(), Entry, file)
         catalogue.material(entry_, file)  # numbers that were altered are no JSON error
-    except Problem:
+    except InputError:
         return None
     return entry_
 
@@ -143,7 +143,7 @@ def with_neighbours(entries):
     return [msgspec.structs.replace(e, nearest_train=nearest(e)) for e in entries]
 
 
-def twins(entries):
+def duplicates(entries):
     """Groups of names that share a hash: the same fit under several names."""
     groups = {}
     for e in entries:

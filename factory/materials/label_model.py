@@ -45,7 +45,7 @@ def slopes(label, basis, log_cos_h):
     return np.expm1(exponent).sum(1), slope.reshape(len(label), len(log_cos_h), 36)
 
 
-def starts(source):
+def initial_labels(source):
     """Three labels (3, 3, 3, 2, 6) read off the data: how much of the peak each sharp lobe is given differs.
 
     source  callable (cos_h, cos_d) → f (…, 3)

@@ -12,7 +12,7 @@ import struct
 
 import numpy as np
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.inputs import require_file
 
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500
@@ -45,27 +45,29 @@ def _between(position, count):
 
 
 def read(path):
-    """The TabulatedBRDF of one file. Raises Problem, one line, for what is no such file; nothing is read before its size is checked."""
+    """The TabulatedBRDF of one file. Raises InputError, one line, for what is no such file; nothing is read before its size is checked."""
     require_file(path, "a MERL .binary file")
     size = path.stat().st_size
     with open(path, "rb") as file:
         head = file.read(HEADER.size)
         if len(head) < HEADER.size:
-            raise Problem(path, f"a header of {HEADER.size} bytes", f"{len(head)} bytes", "copy the file again")
+            raise InputError(path, f"a header of {HEADER.size} bytes", f"{len(head)} bytes", "copy the file again")
         sides = HEADER.unpack(head)
         if not all(2 <= n <= MAX_SIDE for n in sides) or sides[0] * sides[1] * sides[2] > MAX_CELLS:
-            raise Problem(path, "a header of three sizes such as 90, 90, 180", ", ".join(map(str, sides)), "is this a MERL .binary file?")
+            raise InputError(
+                path, "a header of three sizes such as 90, 90, 180", ", ".join(map(str, sides)), "is this a MERL .binary file?"
+            )
         expected = HEADER.size + 3 * 8 * sides[0] * sides[1] * sides[2]
         if size != expected:
-            raise Problem(path, f"{expected} bytes after such a header", str(size), "the file is cut short or not MERL's: copy it again")
+            raise InputError(path, f"{expected} bytes after such a header", str(size), "the file is cut short or not MERL's: copy it again")
         values = np.fromfile(file, "<f8").reshape(3, *sides)
     if not np.isfinite(values).all():
-        raise Problem(path, "finite values", "one that is none", "copy the file again")
+        raise InputError(path, "finite values", "one that is none", "copy the file again")
     measured = values >= 0
     count = measured.sum(-1)
     table = np.where(measured, values, 0).sum(-1) / np.maximum(count, 1)
     if not count.any(axis=1).all():
-        raise Problem(path, "a measurement at every θ_d", "a θ_d without any", "the file holds too little to fit")
+        raise InputError(path, "a measurement at every θ_d", "a θ_d without any", "the file holds too little to fit")
     table = _filled(table, count > 0)
     return TabulatedBRDF(np.moveaxis(table * SCALE[:, None, None], 0, -1))
 
@@ -81,8 +83,8 @@ def _filled(table, known):
 
 
 def files(path):
-    """{name: path} of a folder's `.binary` files, or of the one file. Raises Problem where there are none."""
-    found = [path] if path.is_file() else sorted(path.glob(f"*{SUFFIX}"))
-    if not found:
-        raise Problem(path, f"files that end in {SUFFIX}", "none", "give MERL's brdfs folder")
-    return {file.stem: file for file in found}
+    """{name: path} of a folder's `.binary` files, or of the one file. Raises InputError where there are none."""
+    result = [path] if path.is_file() else sorted(path.glob(f"*{SUFFIX}"))
+    if not result:
+        raise InputError(path, f"files that end in {SUFFIX}", "none", "give MERL's brdfs folder")
+    return {file.stem: file for file in result}

@@ -10,7 +10,7 @@ Source: Sztrajman, Rainer, Ritschel, Weyrich, "Neural BRDF Representation and Im
 import numpy as np
 
 from manifests.archives import opened_zip, read_array
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.inputs import require_file
 
 LAYERS = ((6, 21), (21, 21), (21, 3))
@@ -53,21 +53,21 @@ class NeuralBRDF:
 def load(path):
     """{name: NeuralBRDF} of an npz with `names` (N,) and `weights` (N, 675).
 
-    Raises  Problem, one line, if the file is not such a one
+    Raises  InputError, one line, if the file is not such a one
     """
     expected, remedy = "an npz with `names` and `weights`", "give NBRDF weights"
     require_file(path, expected, remedy, MAX_BYTES)
     with opened_zip(path, expected, remedy) as archive:
         for name in ("names", "weights"):
             if f"{name}.npy" not in archive.namelist():
-                raise Problem(path, expected, f"no `{name}`", remedy)
+                raise InputError(path, expected, f"no `{name}`", remedy)
         names, weights = (read_array(archive, name, MAX_BYTES) for name in ("names", "weights"))
     if weights.dtype.kind not in "fiu" or names.dtype.kind not in "US" or names.ndim != 1:
-        raise Problem(path, "names as text and weights as numbers", f"{names.dtype} of {names.shape} and {weights.dtype}", remedy)
+        raise InputError(path, "names as text and weights as numbers", f"{names.dtype} of {names.shape} and {weights.dtype}", remedy)
     if weights.ndim != 2 or weights.shape[1] != PARAMETERS or len(names) != len(weights) or len(names) > MAX_MATERIALS:
-        raise Problem(
+        raise InputError(
             path, f"weights (N, {PARAMETERS}) beside N names", f"weights {weights.shape}, {len(names)} names", "give NBRDF weights"
         )
     if not np.isfinite(weights).all():
-        raise Problem(path, "finite weights", "a weight that is none", "copy the file again")
+        raise InputError(path, "finite weights", "a weight that is none", "copy the file again")
     return {str(name): NeuralBRDF(w) for name, w in zip(names, weights, strict=True)}

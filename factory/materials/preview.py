@@ -14,7 +14,7 @@ GROUND = 24  # display value around the balls
 WHITE_AT = 98.0  # percentile of a ball's luminance that reaches white, if the ball is brighter than a white one
 
 
-def sheet(materials, L, size, columns, of, watch=lambda items: items):
+def contact_sheet(materials, L, size, columns, of, watch=lambda items: items):
     """The contact sheet as a PIL image.
 
     materials  [Material], in the order of the sheet
@@ -31,13 +31,13 @@ def sheet(materials, L, size, columns, of, watch=lambda items: items):
     draw = ImageDraw.Draw(picture)
     for i, material in enumerate(watch(materials)):
         x, y = i % columns * size, i // columns * (size + CAPTION)
-        picture.paste(Image.fromarray(ball(sphere, material, size, of, exposure)), (x, y))
+        picture.paste(Image.fromarray(material_sphere(sphere, material, size, of, exposure)), (x, y))
         text = material.name if len(material.name) * 6 <= size else material.name[: size // 6 - 1] + "…"
         draw.text((x + size // 2, y + size), text, fill=(190,) * 3, anchor="ma", font_size=10)
     return picture
 
 
-def ball(sphere, material, size, of, exposure):
+def material_sphere(sphere, material, size, of, exposure):
     """(size, size, 3) uint8."""
     nodes = sphere.nodes()
     label = on_pixels(sphere.picture(label_on(material.label, nodes))[:, :, 0], size) if of != "nodes" else None

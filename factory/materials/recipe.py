@@ -59,7 +59,7 @@ class Fit:
 
 def fit(source, recipe):
     """The Fit of a source (callable (cos_h, cos_d) → f (…, 3)) with the fewest closures that keep the tolerance, else with the most."""
-    problem = Problem(source, recipe)
+    problem = FittingProblem(source, recipe)
     for count in recipe.closures:
         state, kept = problem.search(count, last=count == recipe.closures[-1])
         if kept:
@@ -67,7 +67,7 @@ def fit(source, recipe):
     return measure(*problem.parts(state), source)
 
 
-class Problem:
+class FittingProblem:
     """One material: its samples, its start label, the closures chosen for each count, and fits with different pulls."""
 
     def __init__(self, source, recipe):
@@ -77,7 +77,7 @@ class Problem:
         self.measured = source(self.samples.cos_h, self.samples.cos_d)
         self.weight = errors.metric(self.measured, self.samples)
         half = self.samples.thinned(2)
-        self.label = label_fit.fit(self.measured[::2], self.weight[::2], half, label_model.starts(source))
+        self.label = label_fit.fit(self.measured[::2], self.weight[::2], half, label_model.initial_labels(source))
         self.sizes = node_model.choose(errors.label_values(self.label, half), self.weight[::2], half, max(recipe.closures))
         self.check = Samples(np.radians(CHECK_DEG), 80, 16)
         self.check_measured = source(self.check.cos_h, self.check.cos_d)
@@ -97,7 +97,7 @@ class Problem:
         """The joint fit under these settings; weight: of squared differences, the first metric if None."""
         return joint_fit.JointFit(self.samples, self.measured, self.weight if weight is None else weight, settings, self.label)
 
-    def with_pull(self, state, mu, iterations, rounds=1):
+    def with_prior_weight(self, state, mu, iterations, rounds=1):
         """The joint fit from a state with pull μ, reweighted each round, and its check.
 
         The check is three L1: nodes against label, the same at the worst view, nodes against measurement.
@@ -125,49 +125,49 @@ class Problem:
         state = self.joint(r.joint).run(self.start(count), iterations=15)
         if not last and self.checked(state)[0] > HOPELESS * r.l1:
             return state, False
-        state, found = self.with_pull(state, middle, iterations=15, rounds=2)
+        state, figures = self.with_prior_weight(state, middle, iterations=15, rounds=2)
 
         def keeps(f):
             return f[0] <= r.l1 and f[1] <= r.worst
 
-        if keeps(found):
+        if keeps(figures):
             stronger = [mu for mu in r.pulls if mu > middle]
-            state, found = self._follow(state, found, stronger, keeps)
-            return state, found[2] <= r.drift
+            state, figures = self._follow(state, figures, stronger, keeps)
+            return state, figures[2] <= r.drift
         if not last:
             return state, False
-        if found[0] > r.hard_l1 or found[1] > r.hard_worst:
-            return self._loosened(state, found), False
-        if found[2] > r.hard_drift:
+        if figures[0] > r.hard_l1 or figures[1] > r.hard_worst:
+            return self._loosened(state, figures), False
+        if figures[2] > r.hard_drift:
             return self._bought(state), False
         return state, False
 
-    def _follow(self, state, found, pulls, allowed):
-        """Goes through the pulls as long as what is found is allowed."""
+    def _follow(self, state, figures, pulls, allowed):
+        """Goes through the pulls as long as what is figures is allowed."""
         for mu in pulls:
-            trial, result = self.with_pull(state, mu, iterations=12)
+            trial, result = self.with_prior_weight(state, mu, iterations=12)
             if not allowed(result):
                 break
-            state, found = trial, result
-        return state, found
+            state, figures = trial, result
+        return state, figures
 
-    def _loosened(self, state, found):
+    def _loosened(self, state, figures):
         """Less and less pull until label and nodes agree well enough."""
         r = self.recipe
         for mu in sorted((mu for mu in r.pulls if mu < r.joint.mu), reverse=True):
-            if found[0] <= r.hard_l1 and found[1] <= r.hard_worst:
+            if figures[0] <= r.hard_l1 and figures[1] <= r.hard_worst:
                 break
-            state, found = self.with_pull(state, mu, iterations=15)
+            state, figures = self.with_prior_weight(state, mu, iterations=15)
         return state
 
     def _bought(self, state):
         """More pull until the drift is bearable; the state as it was if that costs too much agreement."""
         r, trial = self.recipe, state
         for mu in r.hard_pulls:
-            trial, found = self.with_pull(trial, mu, iterations=12)
-            if found[0] > r.bought_l1:
+            trial, figures = self.with_prior_weight(trial, mu, iterations=12)
+            if figures[0] > r.bought_l1:
                 break
-            if found[2] <= r.hard_drift:
+            if figures[2] <= r.hard_drift:
                 return trial
         return state
 

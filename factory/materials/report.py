@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from factory.materials.samples import HELD_OUT_DEG
-from manifests.errors import Problem
-from manifests.files import together, write_figure, write_json, write_text
+from manifests.errors import InputError
+from manifests.files import transaction, write_figure, write_json, write_text
 from manifests.materials import read_catalogue
 from manifests.provenance import provenance
 
@@ -28,7 +28,7 @@ def figures(entries):
     drift = np.array([e.errors.nodes_vs_source.l1 for e in entries])
     label = np.array([e.errors.label_vs_source.l1 for e in entries])
     shown = np.array([e.errors.nodes_vs_label.display_l2 for e in entries])
-    found = {
+    result = {
         "agreement_median": np.median(agreement.mean(1)),
         "agreement_p95": np.percentile(agreement.mean(1), 95),
         "worst_p95": np.percentile(agreement.max(1), 95),
@@ -39,8 +39,8 @@ def figures(entries):
         "closures_mean": np.mean([len(e.mixture.kinds) for e in entries]),
     }
     if shown.size:
-        found |= {"display_median": np.median(shown), "display_p95": np.percentile(shown, 95), "display_max": shown.max()}
-    return {key: float(f"{value:.4g}") for key, value in found.items()}
+        result |= {"display_median": np.median(shown), "display_p95": np.percentile(shown, 95), "display_max": shown.max()}
+    return {key: float(f"{value:.4g}") for key, value in result.items()}
 
 
 def by_view(entries):
@@ -59,18 +59,18 @@ def write(path, out, source=None, abc=None):
     catalogue = read_catalogue(path)
     entries = catalogue.materials
     if not entries:
-        raise Problem(path, "a material to report on", "none", "add one: python -m factory materials add")
-    found, made = figures(entries), provenance()
+        raise InputError(path, "a material to report on", "none", "add one: python -m factory materials add")
+    result, made = figures(entries), provenance()
     witnesses = {}
     if source and abc:
-        witnesses = {name: l1.mean() for name, l1 in microfacets.apart(sources.load(source), microfacets.load(abc)).items()}
+        witnesses = {name: l1.mean() for name, l1 in microfacets.relative_distances(sources.load(source), microfacets.load(abc)).items()}
     out.mkdir(parents=True, exist_ok=True)
-    table = limits_table(found)
-    data = {**made, "catalogue": Path(path).name, "materials": len(entries), "light_maps": catalogue.light_maps, "figures": found}
+    table = limits_table(result)
+    data = {**made, "catalogue": Path(path).name, "materials": len(entries), "light_maps": catalogue.light_maps, "figures": result}
     data |= {"nodes_vs_label_by_view": dict(zip(map(str, HELD_OUT_DEG), map(float, by_view(entries)), strict=True))}
     data |= {"measurement_vs_abc": {name: float(f"{value:.4g}") for name, value in witnesses.items()}}
-    with together():
-        write_text(out / "report.md", _page(catalogue, table, found, made, witnesses))
+    with transaction():
+        write_text(out / "report.md", _page(catalogue, table, result, made, witnesses))
         write_json(out / "report.json", data)
         plot(entries, out / "errors.png")
     return f"{table}\n{out}: report.md, report.json, errors.png"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from factory.materials import families, merl_binary, nbrdf
-from manifests.errors import Problem, closest
+from manifests.errors import InputError, closest
 from manifests.inputs import require_file
 
 MERL_CREDIT = (
@@ -37,7 +37,7 @@ class Source:
 def load(path, only=()):
     """{name: Source} of an npz or a folder; only: names to keep, all if empty.
 
-    Raises  Problem for what is neither, and for a name that is not there
+    Raises  InputError for what is neither, and for a name that is not there
     """
     path = Path(path)
     if not path.is_dir():
@@ -48,10 +48,10 @@ def load(path, only=()):
         names, make = {name.removesuffix("_rgb"): (name, network) for name, network in nbrdf.load(path).items()}, _of_network
     for name in names:  # a file is named after it
         if not NAME.fullmatch(name):
-            raise Problem(path, "names of letters, digits, '.', '_', ' ' and '-'", repr(name[:60]), "rename it there")
+            raise InputError(path, "names of letters, digits, '.', '_', ' ' and '-'", repr(name[:60]), "rename it there")
     for name in only:
         if name not in names:
-            raise Problem(path, f"a material named {name!r}", "none of that name", closest(name, names))
+            raise InputError(path, f"a material named {name!r}", "none of that name", closest(name, names))
     return {name: make(name, names[name]) for name in sorted(names) if not only or name in only}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from factory.planning.material_names import chosen_entries
 from factory.planning.shape_names import Source, load_mesh, local, sources
 from manifests import splits
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import Entry
 from manifests.schema import Draw, Role, Side
 
@@ -72,31 +72,33 @@ def resolve(job, folder=None, library=None, catalogues=(), watch=None):
     library     a folder of the user's light maps, or None
     catalogues  files of materials besides the built-in ones
     watch       wraps an iterable to show its progress, tqdm-like, or None
-    Raises      Problem: an unknown name, a broken file, a path that leaves the folder, a job that leaves nothing to render
+    Raises      InputError: an unknown name, a broken file, a path that leaves the folder, a job that leaves nothing to render
     """
     check(job)
     notes = []
-    materials = _without_twins(_materials(job, catalogues), "material", notes)
+    materials = _without_duplicates(_materials(job, catalogues), "material", notes)
     lights = _lights(job, folder, library)
-    shapes = _without_twins(_shapes(job, folder, watch or _unwatched), "shape", notes)
+    shapes = _without_duplicates(_shapes(job, folder, watch or _unwatched), "shape", notes)
     if not shapes:
-        raise Problem("job: shapes", f"some with a role among {', '.join(job.roles)}", "none", "widen shapes or roles")
+        raise InputError("job: shapes", f"some with a role among {', '.join(job.roles)}", "none", "widen shapes or roles")
     return Assets(shapes, materials, lights, notes)
 
 
 def check(job):
-    """What types cannot say: raises Problem for values that repeat, and for draws of more than there are."""
+    """What types cannot say: raises InputError for values that repeat, and for draws of more than there are."""
     for key, most in (("views", 24), ("rotations", 128)):
         value = getattr(job, key)
         if isinstance(value, Draw):
             if value.random > most:
-                raise Problem(f"job: {key}.random", f"at most {most}", str(value.random), f"there are {most} different ones")
+                raise InputError(f"job: {key}.random", f"at most {most}", str(value.random), f"there are {most} different ones")
         elif len(set(value)) < len(value):
-            raise Problem(f"job: {key}", "each number once", f"{sorted({v for v in value if value.count(v) > 1})} twice", "drop the second")
+            raise InputError(
+                f"job: {key}", "each number once", f"{sorted({v for v in value if value.count(v) > 1})} twice", "drop the second"
+            )
     for key in ("tiers", "light_resolutions"):
         value = getattr(job, key)
         if len(set(value)) < len(value):
-            raise Problem(f"job: {key}", "each name once", ", ".join(value), "drop what repeats")
+            raise InputError(f"job: {key}", "each name once", ", ".join(value), "drop what repeats")
 
 
 def _unwatched(items, **_):
@@ -104,16 +106,16 @@ def _unwatched(items, **_):
 
 
 def _shapes(job, folder, watch):
-    found = {}
+    result = {}
     for source in watch(list(dict.fromkeys(sources(job, folder))), desc="reading shapes", unit="shape"):
         mesh = load_mesh(source)
-        known = found.setdefault(mesh.name, (source, mesh.category, mesh.hash, mesh.segments, mesh.report.line()))
+        known = result.setdefault(mesh.name, (source, mesh.category, mesh.hash, mesh.segments, mesh.report.line()))
         if known[2] != mesh.hash:
-            raise Problem(
+            raise InputError(
                 f"shape '{mesh.name}'", "one mesh under a name", f"{known[0].place} and {source.place}", "rename one of the files"
             )
-    roles = splits.shape_roles([(name, category, hash_) for name, (_, category, hash_, _, _) in found.items()], job.split)
-    wanted = set(job.roles) or set(splits.SIDES)
+    roles = splits.shape_roles([(name, category, hash_) for name, (_, category, hash_, _, _) in result.items()], job.split)
+    requested = set(job.roles) or set(splits.SIDES)
     return [
         Shape(
             name=name,
@@ -126,8 +128,8 @@ def _shapes(job, folder, watch):
             licence=source.licence,
             report=report,
         )
-        for name, (source, category, hash_, segments, report) in found.items()
-        if roles[name] in wanted
+        for name, (source, category, hash_, segments, report) in result.items()
+        if roles[name] in requested
     ]
 
 
@@ -151,11 +153,11 @@ def _lights(job, folder, library):
     from factory.lights import load
     from factory.lights.files import is_light_path
 
-    found = {}
+    result = {}
     for name in dict.fromkeys(job.lights):
         source = str(local(name, folder, "job: lights")) if is_light_path(name) else name
         light = load(source, library)
-        found[name] = Light(
+        result[name] = Light(
             name=light.name,
             source=source,
             hash=light.hash,
@@ -164,11 +166,11 @@ def _lights(job, folder, library):
             origin=light.source,
             L64=light.L64,
         )
-    return found
+    return result
 
 
-def _without_twins(assets, kind, notes):
-    """Each hash once, each name once. Raises Problem for two different things under one name."""
+def _without_duplicates(assets, kind, notes):
+    """Each hash once, each name once. Raises InputError for two different things under one name."""
     by_hash, by_name = {}, {}
     for asset in assets:
         if asset.hash in by_hash:
@@ -176,6 +178,6 @@ def _without_twins(assets, kind, notes):
                 notes.append(f"{kind} '{asset.name}' is '{by_hash[asset.hash].name}' again, left out")
             continue
         if asset.name in by_name:
-            raise Problem(f"{kind} '{asset.name}'", "one thing under a name", "two that differ", "rename one of the files")
+            raise InputError(f"{kind} '{asset.name}'", "one thing under a name", "two that differ", "rename one of the files")
         by_hash[asset.hash] = by_name[asset.name] = asset
     return list(by_hash.values())

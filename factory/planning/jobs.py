@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 
 from manifests import JOBS
-from manifests.errors import Problem, closest
+from manifests.errors import InputError, closest
 from manifests.reading import decode, read
 from manifests.schema import Camera, Draw, Job
 
@@ -24,13 +24,13 @@ def presets():
 def load(name_or_path):
     """The Job of a file or of a preset, and the folder in which its relative paths start.
 
-    Raises  Problem: no such file or preset, or anything wrong in it
+    Raises  InputError: no such file or preset, or anything wrong in it
     """
     path = Path(name_or_path)
     if not path.exists() and path.suffix != ".json" and len(path.parts) == 1:
         known = presets()
         if path.name not in known:
-            raise Problem(f"job '{path}'", "a file or a preset", "neither", closest(path.name, known))
+            raise InputError(f"job '{path}'", "a file or a preset", "neither", closest(path.name, known))
         path = known[path.name]
     return read(path, Job, MAXIMUM_BYTES), path.parent
 
@@ -38,11 +38,11 @@ def load(name_or_path):
 def from_options(options):
     """The Job that `render --mesh … --material … --light …` means; options as argparse leaves them.
 
-    Raises  Problem for what a job file would be refused for: dataset.json holds jobs, and is read back under the same limits
+    Raises  InputError for what a job file would be refused for: dataset.json holds jobs, and is read back under the same limits
     """
     height, width = size(options.size)
     if options.fov is not None and not math.isfinite(options.fov):  # no JSON can say so
-        raise Problem("--fov", "degrees from 1 to 120", str(options.fov), "write --fov 40, or leave it out for an orthographic camera")
+        raise InputError("--fov", "degrees from 1 to 120", str(options.fov), "write --fov 40, or leave it out for an orthographic camera")
     job = Job(
         name="command line",
         shapes=tuple(options.mesh),
@@ -58,19 +58,19 @@ def from_options(options):
     )
     try:
         return decode(json.dumps(msgspec.to_builtins(job)).encode(), Job, "render")
-    except Problem as problem:
+    except InputError as problem:
         key = problem.where.removeprefix("render: ").partition("[")[0]
-        raise Problem(OPTIONS.get(key, f"--{key}"), problem.expected, problem.found, "see python -m factory render --help") from None
+        raise InputError(OPTIONS.get(key, f"--{key}"), problem.expected, problem.found, "see python -m factory render --help") from None
 
 
 def numbers(text, option, most):
-    """ "0,6" as (0, 6); "random:5" as a Draw. Raises Problem for anything else."""
+    """ "0,6" as (0, 6); "random:5" as a Draw. Raises InputError for anything else."""
     word, colon, count = text.partition(":")
     if word == "random" and colon and _is_number(count) and 1 <= int(count) <= most + 1:
         return Draw(random=int(count))
     parts = text.split(",")
     if not all(_is_number(p) and int(p) <= most for p in parts):
-        raise Problem(option, f"numbers from 0 to {most}", f"'{text}'", f"write {option} 0,6 or {option} random:5")
+        raise InputError(option, f"numbers from 0 to {most}", f"'{text}'", f"write {option} 0,6 or {option} random:5")
     return tuple(int(p) for p in parts)
 
 
@@ -80,8 +80,8 @@ def _is_number(text):
 
 
 def size(text):
-    """ "128" as (128, 128), "128x256" as height and width. Raises Problem."""
+    """ "128" as (128, 128), "128x256" as height and width. Raises InputError."""
     parts = text.lower().split("x")
     if len(parts) > 2 or not all(_is_number(p) and 4 <= int(p) <= 8192 for p in parts):
-        raise Problem("--size", "pixels from 4 to 8192", f"'{text}'", "write --size 128, or --size 128x256 for height and width")
+        raise InputError("--size", "pixels from 4 to 8192", f"'{text}'", "write --size 128, or --size 128x256 for height and width")
     return int(parts[0]), int(parts[-1])

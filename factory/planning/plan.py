@@ -125,12 +125,12 @@ class Plan:
     @cached_property
     def lights(self):
         """(light, occurrence) of each name in the job: a light named twice, or under two names, occurs as 0 and 1."""
-        found, seen = [], {}
+        result, seen = [], {}
         for name in self.job.lights:
             light = self.assets.lights[name]
             occurrence = seen[light.hash] = seen.get(light.hash, -1) + 1
-            found.append((light, occurrence))
-        return found
+            result.append((light, occurrence))
+        return result
 
     def _under(self, shape, light, occurrence):
         """The shots of one shape under one light, unordered."""

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 
 from manifests import splits
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 RANGE = re.compile(r"^(\w+):([0-9]{1,100})-([0-9]{1,100})$")
 MARK = re.compile(r"[#?]")
@@ -34,7 +34,7 @@ def sources(job, folder):
     """The Source of every shape of a job; what a number alone rules out is not even named.
 
     folder  where relative paths start and end, None: paths may lead anywhere
-    Raises  Problem: a range that is none, a path that leaves the folder or leads nowhere
+    Raises  InputError: a range that is none, a path that leaves the folder or leads nowhere
     """
     for spec in job.shapes:
         if span := RANGE.match(spec):
@@ -51,13 +51,13 @@ def sources(job, folder):
 
 
 def local(path, folder, where):
-    """A path of a job file, within its folder. Raises Problem if it leaves it; folder None: any path."""
+    """A path of a job file, within its folder. Raises InputError if it leaves it; folder None: any path."""
     if folder is None:
         return Path(path)
     target = Path(folder) / path
     if Path(path).is_absolute() or ".." in Path(path).parts or not _lies_in(target, Path(folder)):
         remedy = "write it relative to the job file, or pass --assets FOLDER and write it relative to that"
-        raise Problem(f"{where} '{path}'", f"a path inside {folder}", "one that leaves it", remedy)
+        raise InputError(f"{where} '{path}'", f"a path inside {folder}", "one that leaves it", remedy)
     return target
 
 
@@ -71,7 +71,7 @@ def _lies_in(target, folder):
 
 def _numbers(spec, family, first, last):
     if not first <= last < first + MOST_SHAPES:
-        raise Problem(f"job: shapes '{spec}'", "a range from low to high", f"{first} to {last}", f"write {family}:0-39")
+        raise InputError(f"job: shapes '{spec}'", "a range from low to high", f"{first} to {last}", f"write {family}:0-39")
     return [f"{family}:{number}" for number in range(first, last + 1)]
 
 

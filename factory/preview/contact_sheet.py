@@ -12,9 +12,9 @@ import io
 import numpy as np
 from PIL import Image, ImageDraw
 
-from factory.preview.shading import mirror_ball, shade
+from factory.preview.shading import mirror_sphere, shade
 from manifests.arrays import read_geometry, read_light, read_picture
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.store import inside
 from shaders import frames, tone
 from shaders.envmap import roll
@@ -27,7 +27,7 @@ STYLE = "body{background:#181818;color:#ddd;font:14px sans-serif}td{padding:2px 
 
 
 def row(store, dataset, materials, record, size):
-    """The tiles of one record, in the order of COLUMNS. Raises Problem for files that are missing, damaged or altered."""
+    """The tiles of one record, in the order of COLUMNS. Raises InputError for files that are missing, damaged or altered."""
     require_named(store, dataset, materials, record)
     picture = read_picture(inside(store.folder, record.image), record.camera.size, record.image_hash)
     geometry = read_geometry(inside(store.folder, record.geometry), record.camera.size, record.geometry_hash)
@@ -43,18 +43,20 @@ def row(store, dataset, materials, record, size):
         tile(tone.display(picture, exposure), size),
         tile(np.where(mask[..., None], 127.5 + 127.5 * normals, 0), size),
         tile(np.repeat(segments[..., None] * (255.0 / max(segments.max(), 1)), 3, axis=-1), size),
-        tile(tone.display(mirror_ball(light, size, elevation), tone.auto_exposure(light, np.ones(light.shape[:2], bool), 98)), size),
+        tile(tone.display(mirror_sphere(light, size, elevation), tone.auto_exposure(light, np.ones(light.shape[:2], bool), 98)), size),
         tile(ours, size),
         tile(np.clip(np.abs(ours - theirs) * GAIN, 0, 255), size),
     ]
 
 
 def require_named(store, dataset, materials, record):
-    """Raises Problem if the dataset does not describe the light or a material that a record names."""
+    """Raises InputError if the dataset does not describe the light or a material that a record names."""
     missing = [("materials.json", f"material '{name}'") for name in record.materials if name not in materials]
     missing += [] if record.light in dataset.lights else [("dataset.json", f"light '{record.light}'")]
     for file, what in missing:
-        raise Problem(store.folder / file, f"the {what}, which record {record.id} names", "none", "verify lists all faults of the folder")
+        raise InputError(
+            store.folder / file, f"the {what}, which record {record.id} names", "none", "verify lists all faults of the folder"
+        )
 
 
 def labelled(record, normals, segments, views, materials, light, elevation):
@@ -100,7 +102,7 @@ def caption(record):
     return f"{record.shape}  {materials}  {where}  {record.tier} {record.light_resolution}  {record.samples} spp  {record.split}"
 
 
-def sheet(rows, captions, size):
+def draw(rows, captions, size):
     """One picture of all rows under their captions."""
     width = len(COLUMNS) * (size + MARGIN) + MARGIN
     height = TEXT + len(rows) * (size + MARGIN + TEXT) + MARGIN

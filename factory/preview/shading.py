@@ -55,7 +55,7 @@ def _sum(n, m, w, power, v):
     return radiance
 
 
-def mirror_ball(L, size, elevation):
+def mirror_sphere(L, size, elevation):
     """The light as a mirror ball shows it to the camera: (size, size, 3), black outside the ball."""
     y, x = np.mgrid[0:size, 0:size]
     x, y = (2 * x + 1 - size) / size, (size - 1 - 2 * y) / size

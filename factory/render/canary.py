@@ -48,7 +48,7 @@ def look(scene):
         scene.collection.objects.link(eye)
     try:
         apply(scene, LOOK)
-        panorama = render_result.expose(scene)["Combined"][..., :3]
+        panorama = render_result.render_passes(scene)["Combined"][..., :3]
     finally:
         scene.camera = lens
         for path, value in kept.items():
@@ -68,7 +68,9 @@ def _eye():
 
 def check(scene, seen, nearest):
     """Raises RuntimeError unless the scene's world shows the map `seen` (height, width, 3)."""
-    wanted, found = expected(seen, nearest), look(scene)
-    apart = np.abs(found - wanted).sum() / max(np.abs(wanted).sum(), 1e-12)
-    if not apart <= (NEAREST_TOLERANCE if nearest else BILINEAR_TOLERANCE):
-        raise RuntimeError(f"light: expected the map that was set, found Cycles showing one {apart:.2g} away (render in a new process)")
+    requested, result = expected(seen, nearest), look(scene)
+    difference = np.abs(result - requested).sum() / max(np.abs(requested).sum(), 1e-12)
+    if not difference <= (NEAREST_TOLERANCE if nearest else BILINEAR_TOLERANCE):
+        raise RuntimeError(
+            f"light: expected the map that was set, found Cycles showing one {difference:.2g} away (render in a new process)"
+        )

@@ -14,19 +14,19 @@ def picture(radiance, coverage_expected=None, alpha=None):
     radiance           (height, width, 3); alpha (height, width) or None
     coverage_expected  share of the frame that the geometry's mask covers, or None
     """
-    found = []
+    results = []
     if not np.isfinite(radiance).all():
-        found.append(f"expected finite radiance, found {np.count_nonzero(~np.isfinite(radiance))} other values")
+        results.append(f"expected finite radiance, found {np.count_nonzero(~np.isfinite(radiance))} other values")
     elif radiance.min() < 0:
-        found.append(f"expected radiance ≥ 0, found {radiance.min():g}")
+        results.append(f"expected radiance ≥ 0, found {radiance.min():g}")
     elif magenta(radiance):
-        found.append("expected the light's colours, found magenta: Cycles has no light map")
+        results.append("expected the light's colours, found magenta: Cycles has no light map")
     if alpha is not None and coverage_expected is not None:
         coverage = float(alpha.mean())
         # a silhouette pixel is in the mask or not, in the picture it is a share: half a pixel along a boundary of ≤ 8 frame widths
         if abs(coverage - coverage_expected) > 4.0 / min(alpha.shape):
-            found.append(f"expected coverage {coverage_expected:.4f}, as in the geometry, found {coverage:.4f}")
-    return found
+            results.append(f"expected coverage {coverage_expected:.4f}, as in the geometry, found {coverage:.4f}")
+    return results
 
 
 def magenta(radiance):
@@ -40,17 +40,17 @@ def geometry(shot, segments):
     shot      Geometry
     segments  how many the shape has
     """
-    found = []
+    results = []
     if not shot.mask.any():
         return ["expected the object in the frame, found an empty mask"]
     if not np.isfinite(shot.normals).all() or not np.isfinite(shot.depth).all():
-        found.append("expected finite normals and depth, found others")
+        results.append("expected finite normals and depth, found others")
     normals = shot.normals[shot.mask]
     squares = np.einsum("pi,pi->p", normals, normals)
     if np.abs(squares - 1).max() > 2 * UNIT_TOLERANCE:
-        found.append(f"expected unit normals, found lengths {squares.min() ** 0.5:.4f}–{squares.max() ** 0.5:.4f}")
+        results.append(f"expected unit normals, found lengths {squares.min() ** 0.5:.4f}–{squares.max() ** 0.5:.4f}")
     if shot.segments.max() > segments:
-        found.append(f"expected segments 1 to {segments}, found {shot.segments.max()}")
+        results.append(f"expected segments 1 to {segments}, found {shot.segments.max()}")
     if not np.array_equal(shot.segments > 0, shot.mask):
-        found.append("expected segment 0 outside the mask, and there alone, found others")
-    return found
+        results.append("expected segment 0 outside the mask, and there alone, found others")
+    return results

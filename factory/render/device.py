@@ -2,7 +2,7 @@
 
 import bpy
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")  # fastest first: the order in which `auto` tries them
 NAMES = ("auto", "cpu", *(name.lower() for name in BACKENDS))
@@ -13,20 +13,22 @@ def choose(device):
 
     device   one of NAMES; auto: the first back end that has a GPU, else the CPU
     Returns  ("CPU" or "GPU", back end or "CPU", names of the processors)
-    Raises   Problem for a back end without a GPU
+    Raises   InputError for a back end without a GPU
     """
     if device not in NAMES:
-        raise Problem("--device", f"one of {', '.join(NAMES)}", device, "name one of these")
-    wanted = BACKENDS if device == "auto" else () if device == "cpu" else (device.upper(),)
+        raise InputError("--device", f"one of {', '.join(NAMES)}", device, "name one of these")
+    requested = BACKENDS if device == "auto" else () if device == "cpu" else (device.upper(),)
     preferences = bpy.context.preferences.addons["cycles"].preferences
-    for backend in wanted:
+    for backend in requested:
         gpus = _gpus(preferences, backend)
         if gpus:
             for processor in preferences.devices:
                 processor.use = processor.type == backend
             return "GPU", backend, tuple(gpu.name for gpu in gpus)
-    if wanted and device != "auto":
-        raise Problem("--device", f"a GPU that Cycles can use through {device}", "none", "take --device cpu or auto, or check the driver")
+    if requested and device != "auto":
+        raise InputError(
+            "--device", f"a GPU that Cycles can use through {device}", "none", "take --device cpu or auto, or check the driver"
+        )
     preferences.compute_device_type = "NONE"
     return "CPU", "CPU", ()
 

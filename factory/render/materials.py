@@ -77,7 +77,7 @@ def _ramp(ramp, stops):
     ramp.elements.foreach_set("color", [value for _, colour in stops for value in colour])
 
 
-def glow(level):
+def emit_id(level):
     """A node group that emits `level` in red, green and blue: how geometry carries a segment's number.
 
     It has no closure with a normal of its own: the Normal pass, which averages closures' normals, then gives the surface's.

@@ -28,7 +28,7 @@ def _copy_passes(engine):
             _passes[each.name] = flat.reshape(result.resolution_y, result.resolution_x, each.channels)[::-1]
 
 
-def tap_cycles():
+def hook_cycles():
     """Wraps Cycles' render method, once a process, so that each render's passes are kept."""
     (cycles,) = (c for c in bpy.types.RenderEngine.__subclasses__() if getattr(c, "bl_idname", "") == "CYCLES")
     if hasattr(cycles, "render_untapped"):
@@ -54,7 +54,7 @@ def untapped():
         _tapping = True
 
 
-def expose(scene):
+def render_passes(scene):
     """Renders a scene; returns its passes, name → (height, width, channels) float32, row 0 at the top.
 
     Raises  RuntimeError if Cycles left nothing

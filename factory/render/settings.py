@@ -119,7 +119,8 @@ def assign(root, path, value):
     if name not in known:
         near = difflib.get_close_matches(name, known.keys(), n=3)
         raise AttributeError(
-            f"{type(owner).__name__}.{name}: expected a property of this Blender, found none of this name (did you mean {', '.join(near) or 'nothing near'}?)"
+            f"{type(owner).__name__}.{name}: expected a property of this Blender, found none of this name "
+            f"(did you mean {', '.join(near) or 'nothing near'}?)"
         )
     try:
         setattr(owner, name, value)

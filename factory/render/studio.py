@@ -49,7 +49,7 @@ class Studio:
     def __init__(self, device_name="auto", threads=None):
         """device_name: one of factory.render.device.NAMES; threads: CPU threads, None: all."""
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        render_result.tap_cycles()
+        render_result.hook_cycles()
         kind, backend, processors = device.choose(device_name)
         self._always = (
             *ALWAYS,
@@ -70,9 +70,9 @@ class Studio:
         """All that alters pixels, as Blender holds it now."""
         world = light.settings(self._seen.shape[1]) if self._seen is not None else ()
         held = {}
-        for way in ("picture", "geometry"):
-            self._show(way)
-            held[way] = effective(self._scene, (*self._always, *self._own(way), *(world if way == "picture" else ())))
+        for purpose in ("picture", "geometry"):
+            self._show(purpose)
+            held[purpose] = effective(self._scene, (*self._always, *self._own(purpose), *(world if purpose == "picture" else ())))
         return {
             **held,
             "tiers": TIERS,
@@ -106,21 +106,21 @@ class Studio:
         """At least `count` materials, and as many glowing groups; they are kept, never removed."""
         for number in range(len(self._surfaces) + 1, count + 1):
             self._surfaces.append(materials.new(f"surface {number}"))
-            self._glows.append(materials.glow(number))
+            self._glows.append(materials.emit_id(number))
 
-    def _show(self, way):
+    def _show(self, purpose):
         """Shows the scene as "picture" or as "geometry"."""
-        if way != self._shown:
-            apply(self._scene, self._own(way))
+        if purpose != self._shown:
+            apply(self._scene, self._own(purpose))
             for each in ("use_pass_normal", "use_pass_z"):
-                assign(self._scene.view_layers[0], each, way == "geometry")
-            self._shown = way
-        for surface, group in zip(self._surfaces, self._glows if way == "geometry" else self._worn, strict=False):
+                assign(self._scene.view_layers[0], each, purpose == "geometry")
+            self._shown = purpose
+        for surface, group in zip(self._surfaces, self._glows if purpose == "geometry" else self._worn, strict=False):
             materials.show(surface, group)
 
-    def _own(self, way):
+    def _own(self, purpose):
         """The settings that a way of showing the scene has for itself."""
-        return GEOMETRY if way == "geometry" else PIXELS[self._lens.pixel if self._lens else "square"]
+        return GEOMETRY if purpose == "geometry" else PIXELS[self._lens.pixel if self._lens else "square"]
 
     def set_view(self, azimuth):
         """azimuth: radians, counter-clockwise from above, 0 in front of the object."""
@@ -163,7 +163,7 @@ class Studio:
     def geometry(self):
         """The Geometry of shape and view, by one ray through each pixel's centre."""
         self._show("geometry")
-        opening, passes = self._expose()
+        opening, passes = self._render_passes()
         size = self._lens.size
         mask = window.paste(passes["Combined"][..., 3] > 0.5, opening, size)
         inside = mask[opening[0] : opening[1], opening[2] : opening[3]]
@@ -193,16 +193,16 @@ class Studio:
         self._set_tier(tier)
         assign(self._scene, "cycles.samples", int(samples))
         assign(self._scene, "cycles.seed", int(seed) & 0x7FFFFFFF)
-        opening, passes = self._expose()
+        opening, passes = self._render_passes()
         rgba = window.paste(passes["Combined"], opening, self._lens.size)
         return np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3])
 
-    def _expose(self):
+    def _render_passes(self):
         """The window on the object as it stands now, and the scene's passes in it."""
         self._object.rotation_euler = (0.0, 0.0, -self._azimuth)
         opening = window.around(self._vertices, self._azimuth, self._lens)
         window.open_on(self._scene, opening)
-        return opening, render_result.expose(self._scene)
+        return opening, render_result.render_passes(self._scene)
 
     def _set_tier(self, tier):
         if tier == self._tier:

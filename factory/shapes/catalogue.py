@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from manifests.errors import Problem, closest
+from manifests.errors import InputError, closest
 
 FAMILIES = ("car", "chair", "sofa", "monitor")
 PAPER_COUNTS = {"car": 130, "chair": 50, "sofa": 50, "monitor": 50}  # the paper's numbers of models
@@ -15,7 +15,7 @@ def load(spec, **options):
 
     spec     "chair:17" | "sphere" | "sphere:4" (level) | "blob:3" (seed) | "file:PATH" | PATH
     options  for files only: up=, front=, crease_deg=, category=, name=, maximum_triangles= (see factory.shapes.mesh_import.open_mesh)
-    Raises   Problem: an unknown name, a seed that is no number, or anything wrong with the file
+    Raises   InputError: an unknown name, a seed that is no number, or anything wrong with the file
     """
     spec = str(spec)
     family, colon, rest = spec.partition(":")
@@ -30,10 +30,10 @@ def load(spec, **options):
             return build()
         if family in ("sphere", "blob"):
             return build(_number(spec, rest, 8 if family == "sphere" else None))
-        raise Problem(spec, f"'{family}' alone", f"'{spec}'", "only sphere (level) and blob (seed) take a number")
+        raise InputError(spec, f"'{family}' alone", f"'{spec}'", "only sphere (level) and blob (seed) take a number")
     if _looks_like_a_path(spec):
         return _file(spec, options)
-    raise Problem(
+    raise InputError(
         spec, "a shape", "an unknown name", f"{closest(family, FAMILIES + PRIMITIVES)} (FAMILY:SEED, a primitive, or a mesh file)"
     )
 
@@ -41,7 +41,7 @@ def load(spec, **options):
 def specs(family, count=None, first=0):
     """The specs of `count` seeds of a family, the paper's count by default."""
     if family not in FAMILIES:
-        raise Problem(family, "a family", f"'{family}'", closest(family, FAMILIES))
+        raise InputError(family, "a family", f"'{family}'", closest(family, FAMILIES))
     return [f"{family}:{seed}" for seed in range(first, first + (PAPER_COUNTS[family] if count is None else count))]
 
 
@@ -58,5 +58,5 @@ def _looks_like_a_path(spec):
 def _number(spec, text, limit=None):
     if not (text.isascii() and text.isdigit() and len(text) <= LONGEST) or (limit is not None and int(text) > limit):
         span = f"a whole number ≥ 0 of at most {LONGEST} digits" if limit is None else f"a whole number from 0 to {limit}"
-        raise Problem(spec, f"{span} after the colon", f"'{text[:40]}'", f"write {spec.split(':')[0]}:3")
+        raise InputError(spec, f"{span} after the colon", f"'{text[:40]}'", f"write {spec.split(':')[0]}:3")
     return int(text)

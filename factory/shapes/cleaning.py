@@ -11,7 +11,7 @@ from factory.shapes.creases import edge_pairs, face_normals
 from factory.shapes.enclosing import smallest_sphere
 from factory.shapes.raster import back_faces
 from factory.shapes.raw import WELD
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 FLAT = 1e-13  # of the size squared: a face of less area is none
 
@@ -20,15 +20,15 @@ def clean(vertices, faces, where):
     """A mesh without what is broken.
 
     Returns  vertices, faces, kept (F',) which of the given faces they were, notes: what was done, in words
-    Raises   Problem: a coordinate that is not finite, an index outside the vertices, or no surface left
+    Raises   InputError: a coordinate that is not finite, an index outside the vertices, or no surface left
     """
     vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int64)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-        raise Problem(where, f"faces among {len(vertices)} vertices", f"vertex {faces.max()}", "download or export it again")
+        raise InputError(where, f"faces among {len(vertices)} vertices", f"vertex {faces.max()}", "download or export it again")
     used = np.unique(faces)
     broken = used[~np.isfinite(vertices[used]).all(1)]
     if len(broken):
-        raise Problem(
+        raise InputError(
             where,
             "finite coordinates",
             f"{len(broken)} vertices with NaN or infinity, the first number {broken[0] + 1}",
@@ -36,7 +36,7 @@ def clean(vertices, faces, where):
         )
     size = float(np.ptp(vertices[used], axis=0).max()) if len(used) else 0.0
     if not (0 < size < 1e150):
-        raise Problem(where, "a mesh of some extent", f"a size of {size:.3g}", "check the file in a viewer, or export it again")
+        raise InputError(where, "a mesh of some extent", f"a size of {size:.3g}", "check the file in a viewer, or export it again")
     notes = []
     if len(used) < len(vertices):
         notes.append(f"{len(vertices) - len(used)} unused vertices dropped")
@@ -57,7 +57,9 @@ def clean(vertices, faces, where):
         notes.append(f"{len(kept) - len(single)} doubled faces dropped")
     kept = kept[np.sort(single)]
     if not len(kept):
-        raise Problem(where, "a mesh with a surface", f"{len(flat)} triangles of no area", "check the file in a viewer, or export it again")
+        raise InputError(
+            where, "a mesh with a surface", f"{len(flat)} triangles of no area", "check the file in a viewer, or export it again"
+        )
     compact, faces = np.unique(faces[kept], return_inverse=True)
     return vertices[compact], faces.reshape(-1, 3), kept, notes
 

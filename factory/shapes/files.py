@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import BinaryIO
 
 from factory.shapes.raw import AGAIN, MAXIMUM_TRIANGLES, Raw
-from manifests.errors import Problem, closest
+from manifests.errors import InputError, closest
 from manifests.inputs import require_file
 
 FORMATS = (".obj", ".ply", ".glb", ".stl", ".off")
 
 
 def read(path: str | Path, maximum: int = MAXIMUM_TRIANGLES) -> Raw:
-    """The Raw triangles of a file. Raises Problem: missing, not a mesh, truncated, or more than `maximum` triangles."""
+    """The Raw triangles of a file. Raises InputError: missing, not a mesh, truncated, or more than `maximum` triangles."""
     path = Path(path)
     require_file(path, "a mesh file", _remedy(path))
     kind = path.suffix.lower()
@@ -37,16 +37,16 @@ def _remedy(path):
 
 
 def check_format(where: str | Path, kind: str) -> None:
-    """Raises Problem if a file's ending is not one that is read."""
+    """Raises InputError if a file's ending is not one that is read."""
     if kind not in FORMATS:
         remedy = "export it as binary glTF (.glb)" if kind == ".gltf" else "convert it to one of these"
-        raise Problem(where, f"one of {', '.join(FORMATS)}", f"'{kind or 'no ending'}'", remedy)
+        raise InputError(where, f"one of {', '.join(FORMATS)}", f"'{kind or 'no ending'}'", remedy)
 
 
 def parse(file: BinaryIO, kind: str, size: int, where: str | Path, maximum: int = MAXIMUM_TRIANGLES) -> Raw:
     """The Raw triangles of an open binary file of `size` bytes; where: its name in errors."""
     if size == 0:
-        raise Problem(where, "a mesh", "an empty file", AGAIN)
+        raise InputError(where, "a mesh", "an empty file", AGAIN)
     return import_module(f"factory.shapes.{kind[1:]}").read(file, size, where, maximum)
 
 

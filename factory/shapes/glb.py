@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import Meta, Struct, field
 
 from factory.shapes.raw import Raw, glimpse, require_count
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 LARGEST_SCENE = 64 << 20  # bytes of JSON
@@ -159,26 +159,26 @@ def _document(file, size, where):
     """The scene's JSON, and the bytes after it."""
     head = file.read(20)
     if len(head) < 20 or head[:4] != b"glTF":
-        raise Problem(where, "a binary glTF header", f"'{glimpse(head)}'", "check the file's ending")
+        raise InputError(where, "a binary glTF header", f"'{glimpse(head)}'", "check the file's ending")
     version, total, length, kind = struct.unpack("<III4s", head[4:])
     if kind != b"JSON" or length > min(size, LARGEST_SCENE):
-        raise Problem(where, "a JSON chunk of at most 64 MiB first", f"{kind!r} of {length:,} bytes", DOWNLOAD)
+        raise InputError(where, "a JSON chunk of at most 64 MiB first", f"{kind!r} of {length:,} bytes", DOWNLOAD)
     if version != 2:
-        raise Problem(where, "glTF of version 2", f"version {version}", "export it as glTF 2")
+        raise InputError(where, "glTF of version 2", f"version {version}", "export it as glTF 2")
     if total > size:
-        raise Problem(where, f"{total:,} bytes as its header says", f"{size:,}", DOWNLOAD)
+        raise InputError(where, f"{total:,} bytes as its header says", f"{size:,}", DOWNLOAD)
     try:
         document = msgspec.json.decode(file.read(length), type=Document)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise Problem(where, "a readable glTF scene", f"'{error}'"[:160], DOWNLOAD) from None
+        raise InputError(where, "a readable glTF scene", f"'{error}'"[:160], DOWNLOAD) from None
     for name in document.extensionsRequired:
         if "draco" in name.lower() or "meshopt" in name.lower():
-            raise Problem(where, "plain geometry", f"the compression {name}", "export it without compression")
+            raise InputError(where, "plain geometry", f"the compression {name}", "export it without compression")
         if not name.startswith(HARMLESS):
-            raise Problem(where, "geometry without further extensions", name, "export it without that extension")
+            raise InputError(where, "geometry without further extensions", name, "export it without that extension")
     for buffer in document.buffers:
         if buffer.uri is not None and not buffer.uri.startswith("data:"):
-            raise Problem(where, "all data inside the file", "a buffer elsewhere", "export it as one .glb")
+            raise InputError(where, "all data inside the file", "a buffer elsewhere", "export it as one .glb")
     return document, file
 
 
@@ -191,14 +191,14 @@ class _Scene:
         self.buffers, self.meshes = [], {}
 
     def shown(self):
-        """[(mesh, world_from_node)] of each node of the scene that shows a mesh. Raises Problem: a node reached twice."""
+        """[(mesh, world_from_node)] of each node of the scene that shows a mesh. Raises InputError: a node reached twice."""
         document, shown, seen = self.document, [], set()
         waiting = [(node, np.eye(4)) for node in reversed(self._roots())]
         while waiting:
             index, world_from_parent = waiting.pop()
             node = self._item("nodes", index)
             if index in seen:  # in a circle, or twice as many on each level: a bomb
-                raise Problem(self.where, "a tree of nodes", f"a node with two parents, number {index}", DOWNLOAD)
+                raise InputError(self.where, "a tree of nodes", f"a node with two parents, number {index}", DOWNLOAD)
             seen.add(index)
             with np.errstate(all="ignore"):
                 world_from_node = world_from_parent @ self._parent_from(node)
@@ -227,7 +227,7 @@ class _Scene:
             if value is None:
                 continue
             if len(value) != count:
-                raise Problem(self.where, f"{count} numbers in a node's {name}", str(len(value)), DOWNLOAD)
+                raise InputError(self.where, f"{count} numbers in a node's {name}", str(len(value)), DOWNLOAD)
             step = np.eye(4)
             if name == "matrix":
                 step = np.reshape(value, (4, 4)).T
@@ -255,12 +255,12 @@ class _Scene:
     def _positions(self, primitive):
         """The accessor of a primitive's vertices."""
         if "KHR_draco_mesh_compression" in primitive.extensions:
-            raise Problem(self.where, "plain geometry", "the compression KHR_draco_mesh_compression", "export it without compression")
+            raise InputError(self.where, "plain geometry", "the compression KHR_draco_mesh_compression", "export it without compression")
         if "POSITION" not in primitive.attributes:
-            raise Problem(self.where, "vertices with a POSITION", "none", DOWNLOAD)
+            raise InputError(self.where, "vertices with a POSITION", "none", DOWNLOAD)
         accessor = self._item("accessors", primitive.attributes["POSITION"])
         if accessor.type != "VEC3" or accessor.componentType == 5125:
-            raise Problem(self.where, "positions of type VEC3", f"{accessor.type} of {accessor.componentType}", DOWNLOAD)
+            raise InputError(self.where, "positions of type VEC3", f"{accessor.type} of {accessor.componentType}", DOWNLOAD)
         return accessor
 
     def load(self, file):
@@ -270,25 +270,25 @@ class _Scene:
             length, kind = struct.unpack("<I4s", head)
             data = file.read(length)
             if len(data) < length:
-                raise Problem(self.where, f"a chunk of {length:,} bytes", f"{len(data):,}", DOWNLOAD)
+                raise InputError(self.where, f"a chunk of {length:,} bytes", f"{len(data):,}", DOWNLOAD)
             if kind == b"BIN\0":
                 chunk = memoryview(data)
                 break
         for index, buffer in enumerate(self.document.buffers):
             data = chunk if buffer.uri is None and index == 0 else self._inside(buffer)
             if buffer.byteLength > len(data):
-                raise Problem(self.where, f"a buffer of {buffer.byteLength:,} bytes", f"{len(data):,}", DOWNLOAD)
+                raise InputError(self.where, f"a buffer of {buffer.byteLength:,} bytes", f"{len(data):,}", DOWNLOAD)
             self.buffers.append(data[: buffer.byteLength])
 
     def _inside(self, buffer):
         """The bytes of a data: URI."""
         head, _, text = (buffer.uri or "").partition(",")
         if not head.endswith(";base64"):
-            raise Problem(self.where, "a buffer in base64", "none", "export it as one .glb")
+            raise InputError(self.where, "a buffer in base64", "none", "export it as one .glb")
         try:
             return memoryview(base64.b64decode(text, validate=True))
         except binascii.Error:
-            raise Problem(self.where, "a buffer in base64", "other characters", DOWNLOAD) from None
+            raise InputError(self.where, "a buffer in base64", "other characters", DOWNLOAD) from None
 
     def parts(self, mesh):
         """[(points (V, 3), triangles (F, 3))] of a mesh's primitives."""
@@ -301,18 +301,18 @@ class _Scene:
     def _part(self, primitive):
         positions = self._positions(primitive)
         if positions.bufferView is None and positions.sparse is None:  # an extension that is not required holds them
-            raise Problem(self.where, "positions with data", "none", "export it without compression")
+            raise InputError(self.where, "positions with data", "none", "export it without compression")
         points = self._array(positions).astype(float)
         if primitive.indices is None:
             corners = np.arange(len(points))
         else:
             accessor = self._item("accessors", primitive.indices)
             if accessor.type != "SCALAR" or accessor.componentType not in (5121, 5123, 5125):
-                found = f"{accessor.type} of {accessor.componentType}"
-                raise Problem(self.where, "indices as unsigned whole numbers", found, DOWNLOAD)
+                result = f"{accessor.type} of {accessor.componentType}"
+                raise InputError(self.where, "indices as unsigned whole numbers", result, DOWNLOAD)
             corners = self._array(accessor).astype(np.int64).reshape(-1)
         if len(corners) and corners.max() >= len(points):
-            raise Problem(self.where, f"faces among its {len(points)} vertices", f"vertex {corners.max() + 1}", DOWNLOAD)
+            raise InputError(self.where, f"faces among its {len(points)} vertices", f"vertex {corners.max() + 1}", DOWNLOAD)
         self.passed_over["morph targets"] += bool(primitive.targets)
         return points, self._faces(corners, primitive.mode)
 
@@ -320,10 +320,10 @@ class _Scene:
         """Triangles (F, 3) of a list, a strip or a fan of corners."""
         if mode == TRIANGLES:
             if len(corners) % 3:
-                raise Problem(self.where, "three corners for each triangle", f"{len(corners)} corners", DOWNLOAD)
+                raise InputError(self.where, "three corners for each triangle", f"{len(corners)} corners", DOWNLOAD)
             return corners.reshape(-1, 3)
         if mode not in (STRIP, FAN):
-            raise Problem(self.where, "triangles, strips or fans", f"mode {mode}", DOWNLOAD)
+            raise InputError(self.where, "triangles, strips or fans", f"mode {mode}", DOWNLOAD)
         if mode == FAN:
             return np.stack([np.broadcast_to(corners[:1], len(corners[2:])), corners[1:-1], corners[2:]], axis=1)
         faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
@@ -333,7 +333,7 @@ class _Scene:
     def _array(self, accessor):
         """The values (count, width) of an accessor, those of a sparse one put in."""
         if accessor.componentType not in TYPES or accessor.type not in WIDTHS:
-            raise Problem(self.where, "a known type of numbers", f"{accessor.type} of {accessor.componentType}", DOWNLOAD)
+            raise InputError(self.where, "a known type of numbers", f"{accessor.type} of {accessor.componentType}", DOWNLOAD)
         type_, width = np.dtype(TYPES[accessor.componentType]), WIDTHS[accessor.type]
         if accessor.bufferView is None:
             values = np.zeros((accessor.count, width), type_)
@@ -343,35 +343,35 @@ class _Scene:
             values = values.copy()
             kind = TYPES.get(sparse.indices.componentType, "")
             if kind not in ("u1", "<u2", "<u4"):
-                raise Problem(self.where, "sparse indices as unsigned whole numbers", str(sparse.indices.componentType), DOWNLOAD)
+                raise InputError(self.where, "sparse indices as unsigned whole numbers", str(sparse.indices.componentType), DOWNLOAD)
             places = self._view(sparse.indices.bufferView, sparse.indices.byteOffset, sparse.count, 1, np.dtype(kind), False)[:, 0]
             if len(places) and places.max() >= accessor.count:
-                raise Problem(self.where, f"sparse indices below {accessor.count}", str(places.max()), DOWNLOAD)
+                raise InputError(self.where, f"sparse indices below {accessor.count}", str(places.max()), DOWNLOAD)
             values[places] = self._view(sparse.values.bufferView, sparse.values.byteOffset, sparse.count, width, type_, False)
         if accessor.normalized and type_.kind in "iu":
             values = np.maximum(values / np.iinfo(type_).max, -1.0)
         return values
 
     def _view(self, index, offset, count, width, type_, strided=True):
-        """(count, width) numbers at an offset of a buffer view. Raises Problem if they reach beyond it."""
+        """(count, width) numbers at an offset of a buffer view. Raises InputError if they reach beyond it."""
         view = self._item("bufferViews", index)
         if view.buffer >= len(self.buffers):
-            raise Problem(self.where, f"buffers below {len(self.buffers)}", str(view.buffer), DOWNLOAD)
+            raise InputError(self.where, f"buffers below {len(self.buffers)}", str(view.buffer), DOWNLOAD)
         data = self.buffers[view.buffer]
         row = width * type_.itemsize
         step = view.byteStride if strided and view.byteStride is not None else row
         end = offset + (count - 1) * step + row if count else offset
         if step < row or end > view.byteLength or view.byteOffset + view.byteLength > len(data):
             expected = f"{count:,} × {row} bytes within a buffer view of {view.byteLength:,}"
-            found = f"a step of {step}" if step < row else f"an end at {max(end, view.byteOffset + view.byteLength):,}"
-            raise Problem(self.where, expected, found, DOWNLOAD)
+            result = f"a step of {step}" if step < row else f"an end at {max(end, view.byteOffset + view.byteLength):,}"
+            raise InputError(self.where, expected, result, DOWNLOAD)
         return np.ndarray((count, width), type_, data, view.byteOffset + offset, (step, type_.itemsize))
 
     def _item(self, name, index):
-        """One of the document's lists' items. Raises Problem if there is none."""
+        """One of the document's lists' items. Raises InputError if there is none."""
         items = getattr(self.document, name)
         if index >= len(items):
-            raise Problem(self.where, f"{name} below {len(items)}", str(index), DOWNLOAD)
+            raise InputError(self.where, f"{name} below {len(items)}", str(index), DOWNLOAD)
         return items[index]
 
     def notes(self):

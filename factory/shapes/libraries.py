@@ -7,7 +7,7 @@ from pathlib import Path
 from factory.shapes.files import FORMATS
 from factory.shapes.raw import BYTES_A_TRIANGLE, MAXIMUM_TRIANGLES, MORE
 from manifests.archives import DAMAGE, opened_zip
-from manifests.errors import Problem, closest
+from manifests.errors import InputError, closest
 from manifests.inputs import require_file
 
 SYNSETS = {"02958343": "car", "03001627": "chair", "04256520": "sofa", "03211117": "monitor"}  # ShapeNet's names of the paper's categories
@@ -33,21 +33,21 @@ class Entry:
 
 
 def find(folder):
-    """Every mesh below a folder or in one file, as a list of Entry, sorted by place. Raises Problem if there is none."""
+    """Every mesh below a folder or in one file, as a list of Entry, sorted by place. Raises InputError if there is none."""
     folder = Path(folder)
     if folder.is_file():
         return _inside(folder) if folder.suffix.lower() == ".sh3f" else [Entry(str(folder), folder.stem, category_of(folder))]
     if not folder.is_dir():
         require_file(folder, "a folder of meshes, or a mesh file")
-    found = []
+    results = []
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() == ".sh3f" and path.is_file():
-            found += _inside(path)
+            results += _inside(path)
         elif path.suffix.lower() in FORMATS and path.is_file():
-            found.append(Entry(str(path), _name(path, folder), category_of(path)))
-    if not found:
-        raise Problem(folder, f"meshes ({', '.join(FORMATS)}, .sh3f)", "none in it or below it", "name another folder")
-    return found
+            results.append(Entry(str(path), _name(path, folder), category_of(path)))
+    if not results:
+        raise InputError(folder, f"meshes ({', '.join(FORMATS)}, .sh3f)", "none in it or below it", "name another folder")
+    return results
 
 
 def _name(path, folder):
@@ -90,7 +90,7 @@ def _inside(path):
 def _catalogue(archive, path):
     """Keys and values of the library's catalogue, a Java properties file."""
     if CATALOGUE not in archive.namelist():
-        raise Problem(
+        raise InputError(
             path, f"a library with {CATALOGUE}", "none in it", "use a furniture library of Sweet Home 3D, or unzip it and name the folder"
         )
     text = _extract(archive, CATALOGUE, path, MOST_CATALOGUE).decode("latin-1")
@@ -103,7 +103,7 @@ def _extract(archive, name, path, most):
     info = archive.getinfo(name)
     bound = min(most, MOST_INFLATION * max(info.compress_size, 1024))
     if info.file_size > bound:
-        raise Problem(
+        raise InputError(
             f"{path}#{name}",
             f"at most {bound:,} bytes unpacked",
             f"{info.file_size:,}",
@@ -113,22 +113,22 @@ def _extract(archive, name, path, most):
         with archive.open(info) as file:
             data = file.read(bound + 1)
     except DAMAGE as error:
-        raise Problem(f"{path}#{name}", "a readable member", f"'{error}'", "download the library again") from None
+        raise InputError(f"{path}#{name}", "a readable member", f"'{error}'", "download the library again") from None
     if len(data) > bound:
-        raise Problem(f"{path}#{name}", f"at most {bound:,} bytes unpacked", "more than the zip announces", "download the library again")
+        raise InputError(f"{path}#{name}", f"at most {bound:,} bytes unpacked", "more than the zip announces", "download the library again")
     return data
 
 
 def member(path, chosen, maximum=MAXIMUM_TRIANGLES):
-    """(bytes, name, ending) of one mesh of a .sh3f library. Raises Problem: no such name, or none given."""
+    """(bytes, name, ending) of one mesh of a .sh3f library. Raises InputError: no such name, or none given."""
     with opened_zip(path, A_LIBRARY, AGAIN) as archive:
         models = [value.lstrip("/") for key, value in _catalogue(archive, path).items() if key.startswith("model#")]
         by_name = {Path(model).stem: model for model in models}
         if chosen not in by_name:
-            found = f"'{chosen}'" if chosen else "no name"
+            result = f"'{chosen}'" if chosen else "no name"
             near = closest(chosen, by_name) if chosen else closest("", by_name)
-            raise Problem(path, "the name of one of its meshes after '#'", found, near)
+            raise InputError(path, "the name of one of its meshes after '#'", result, near)
         model = by_name[chosen]
         if model not in archive.namelist():
-            raise Problem(f"{path}#{chosen}", "the mesh its catalogue names", f"no {model}", "download the library again")
+            raise InputError(f"{path}#{chosen}", "the mesh its catalogue names", f"no {model}", "download the library again")
         return _extract(archive, model, path, maximum * BYTES_A_TRIANGLE), chosen, Path(model).suffix.lower()

@@ -8,7 +8,7 @@ import json
 import re
 from pathlib import Path
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import write_bytes, write_text
 from manifests.inputs import require_file
 
@@ -19,16 +19,16 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 def add(mesh, library, *, source, licence):
     """Write a Mesh and its note into a library folder; the path of the OBJ. The note comes last: without it a mesh is not yet there.
 
-    Raises  Problem: a name that is no file name, or one that a different mesh has already
+    Raises  InputError: a name that is no file name, or one that a different mesh has already
     """
     for what, text in (("name", mesh.name), ("category", mesh.category)):
         if not NAME.fullmatch(text):
-            raise Problem(f"{what} '{text}'", "letters, digits, '.', '_' and '-', 80 at most", f"'{text}'", f"pass --{what}")
+            raise InputError(f"{what} '{text}'", "letters, digits, '.', '_' and '-', 80 at most", f"'{text}'", f"pass --{what}")
     folder = Path(library) / mesh.category
     folder.mkdir(parents=True, exist_ok=True)
     path, note = folder / f"{mesh.name}.obj", folder / f"{mesh.name}.json"
-    if note.exists() and _hash_noted(note) != mesh.hash:
-        raise Problem(note, "a name that is free", "another mesh of that name", "pass a different --name")
+    if note.exists() and _hash_of_metadata(note) != mesh.hash:
+        raise InputError(note, "a name that is free", "another mesh of that name", "pass a different --name")
     text = _obj(mesh, licence).encode()
     if note.exists() and _holds(path, text):
         return path
@@ -39,14 +39,14 @@ def add(mesh, library, *, source, licence):
     return path
 
 
-def _hash_noted(note):
-    """The hash of the mesh that a note is about. Raises Problem for a damaged note."""
+def _hash_of_metadata(note):
+    """The hash of the mesh that a note is about. Raises InputError for a damaged note."""
     remedy = f"delete it, and {note.stem}.obj beside it unless that is this mesh; or pass a different --name"
     require_file(note, "a mesh's note as JSON", remedy, LARGEST_NOTE)
     try:
         return json.loads(note.read_bytes()).get("hash")
     except (ValueError, AttributeError, RecursionError) as error:
-        raise Problem(note, "a mesh's note as JSON", str(error)[:100], remedy) from None
+        raise InputError(note, "a mesh's note as JSON", str(error)[:100], remedy) from None
 
 
 def _holds(path, data):

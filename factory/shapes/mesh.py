@@ -15,7 +15,7 @@ import numpy as np
 
 from factory.shapes.creases import CREASE_DEG, corner_normals, edge_pairs, face_normals
 from factory.shapes.enclosing import smallest_sphere
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 HASH_GRID = 1 << 16  # vertices are hashed to 1/65536 of the unit sphere's radius: twice the digits of a float16, none of libm's noise
 
@@ -65,32 +65,34 @@ class Mesh:
         return int(self.segment.max())
 
 
-def finish(name, category, vertices, faces, *, segment=None, parts=("body",), part=None, normals=None, crease_deg=CREASE_DEG, **noted):
+def finish(name, category, vertices, faces, *, segment=None, parts=("body",), part=None, normals=None, crease_deg=CREASE_DEG, **known):
     """A Mesh from welded, outward triangles: centred, scaled, smooth, counted and hashed.
 
     vertices, faces  (V, 3), (F, 3); world axes, any place and size
     segment, part    (F,) each, or None: one segment, one part
     normals          (F, 3, 3) analytic corner normals, or None: derived below crease_deg
-    noted            back_faces=, cleaned=: known to the caller, kept in the report
-    Raises           Problem if there is no area to scale
+    known            back_faces=, cleaned=: known to the caller, kept in the report
+    Raises           InputError if there is no area to scale
     """
     vertices, faces = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int32)
     centre, radius = smallest_sphere(vertices[np.unique(faces)]) if len(faces) else (0.0, 0.0)
     if not radius > 0 or not face_normals(vertices, faces)[1].sum() > 1e-12 * radius**2:
-        raise Problem(name, "a mesh with a surface", f"{len(faces)} triangles of no area", "check the file in a viewer, or export it again")
+        raise InputError(
+            name, "a mesh with a surface", f"{len(faces)} triangles of no area", "check the file in a viewer, or export it again"
+        )
     vertices = (vertices - centre) / radius
     segment = np.ones(len(faces), np.uint8) if segment is None else np.array(segment, np.uint8)
     part = np.zeros(len(faces), np.int32) if part is None else np.array(part, np.int32)
     hash_ = geometry_hash(vertices, faces, segment, crease_deg if normals is None else CREASE_DEG)
     normals = corner_normals(vertices, faces, crease_deg) if normals is None else np.array(normals, np.float32)
-    return Mesh(name, category, vertices, faces, normals, segment, tuple(parts), part, hash_, describe(faces, **noted))
+    return Mesh(name, category, vertices, faces, normals, segment, tuple(parts), part, hash_, describe(faces, **known))
 
 
-def describe(faces, **noted):
+def describe(faces, **known):
     """The Report of faces (F, 3)."""
     counts = edge_pairs(faces)[3]
     open_edges, crowded = int((counts == 1).sum()), int((counts > 2).sum())
-    return Report(len(faces), open_edges == 0 and crowded == 0, int(face_components(faces).max()) + 1, open_edges, crowded, **noted)
+    return Report(len(faces), open_edges == 0 and crowded == 0, int(face_components(faces).max()) + 1, open_edges, crowded, **known)
 
 
 def face_components(faces):

@@ -15,7 +15,7 @@ from factory.shapes.files import check_format, from_bytes, read
 from factory.shapes.libraries import category_of, member
 from factory.shapes.mesh import finish
 from factory.shapes.raw import MAXIMUM_TRIANGLES
-from manifests.errors import Problem, closest
+from manifests.errors import InputError, closest
 
 AXES = {sign + axis: (1.0 if sign == "+" else -1.0) * np.eye(3)[k] for sign in "+-" for k, axis in enumerate("xyz")}
 Y_UP = (".obj", ".glb", ".sh3f")  # these come y up, front +z; the others as our world: z up, front +x
@@ -34,7 +34,7 @@ def open_mesh(
     segments           "one", or "materials": a segment for each of an OBJ's materials
     category, name     None: from the file's and the folders' names
     maximum_triangles  more are refused before memory is taken
-    Raises             Problem
+    Raises             InputError
     """
     path, chosen, options = split_place(place)
     up, front, segments, category = (
@@ -75,21 +75,21 @@ def split_place(place):
     options = dict(parse_qsl(query))
     for key in options:
         if key not in OPTIONS:
-            raise Problem(place, f"options among {', '.join(OPTIONS)}", f"'{key}'", closest(key, OPTIONS))
+            raise InputError(place, f"options among {', '.join(OPTIONS)}", f"'{key}'", closest(key, OPTIONS))
     path, mark, chosen = text.partition("#")
     return path, chosen if mark else None, options
 
 
 def world_from_file(place, up, front):
-    """Rotation (3, 3) that takes the file's axes to ours: `up` to +z, `front` to +x. Raises Problem if they are not two axes."""
+    """Rotation (3, 3) that takes the file's axes to ours: `up` to +z, `front` to +x. Raises InputError if they are not two axes."""
     named = []
     for label, axis in (("up", up), ("front", front)):
         text = axis if axis[:1] in "+-" and axis else f"+{axis}"
         if text not in AXES:
-            raise Problem(f"{place}: {label}", "an axis such as y, +z or -x", f"'{axis}'", "name one of the six")
+            raise InputError(f"{place}: {label}", "an axis such as y, +z or -x", f"'{axis}'", "name one of the six")
         named.append(AXES[text])
     if abs(named[0] @ named[1]) > 0.5:
-        raise Problem(f"{place}: up and front", "two different axes", f"'{up}' and '{front}'", "pass --up and --front")
+        raise InputError(f"{place}: up and front", "two different axes", f"'{up}' and '{front}'", "pass --up and --front")
     return np.stack([named[1], np.cross(named[0], named[1]), named[0]])
 
 
@@ -99,23 +99,23 @@ def _angle(place, value):
     except ValueError:
         angle = float("nan")
     if not 0 <= angle <= 180:
-        raise Problem(f"{place}: crease", "an angle from 0 to 180 degrees", f"'{value}'", "45 suits most meshes")
+        raise InputError(f"{place}: crease", "an angle from 0 to 180 degrees", f"'{value}'", "45 suits most meshes")
     return angle
 
 
-def _segments(raw, kept, wanted, place):
+def _segments(raw, kept, requested, place):
     """Segments, part names and parts of the kept faces: parts are the OBJ's materials, segments too if wanted."""
-    if wanted not in ("one", "materials"):
-        raise Problem(f"{place}: segments", "'one' or 'materials'", f"'{wanted}'", closest(wanted, ("one", "materials")))
+    if requested not in ("one", "materials"):
+        raise InputError(f"{place}: segments", "'one' or 'materials'", f"'{requested}'", closest(requested, ("one", "materials")))
     if raw.material is None:
         return None, ("body",), None
     used, part = np.unique(raw.material[kept], return_inverse=True)
     names = [raw.materials[k] or "body" for k in used]
     part = part.reshape(-1)
     own = all(name.startswith(OWN_SEGMENT) for name in names)
-    if wanted == "one" and not own:
+    if requested == "one" and not own:
         return None, tuple(names), part
     if len(names) > 255:
-        raise Problem(place, "at most 255 materials", str(len(names)), "use segments=one")
+        raise InputError(place, "at most 255 materials", str(len(names)), "use segments=one")
     order = np.argsort(np.argsort(names)) if own else np.arange(len(names))
     return order[part] + 1, tuple(names), part

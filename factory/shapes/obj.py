@@ -13,7 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from factory.shapes.raw import AGAIN, LONGEST_LINE, Raw, from_polygons, glimpse, number, require_count, text_lines
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 TEXT = "an OBJ file's text"
 NAMING = frozenset(b"usemtl mtllib o g usemap maplib shadow_obj trace_obj call csh".split())  # a name may end in a backslash
@@ -41,7 +41,7 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
                 unknown[key] += 1
         except (ValueError, IndexError):
             text = glimpse(b" ".join((key, *words)))
-            raise Problem(f"{where}: line {line}", "a vertex or face", f"'{text}'", AGAIN) from None
+            raise InputError(f"{where}: line {line}", "a vertex or face", f"'{text}'", AGAIN) from None
     return from_polygons(
         np.array(vertices, float).reshape(-1, 3),
         np.array(corners, np.int64),
@@ -81,7 +81,7 @@ def _count(file, where):
         elif key == b"v":
             vertices += 1
     if vertices == 0:
-        raise Problem(where, "an OBJ file with 'v' and 'f' lines", f"{line} lines, no vertex among them", AGAIN)
+        raise InputError(where, "an OBJ file with 'v' and 'f' lines", f"{line} lines, no vertex among them", AGAIN)
     return max(triangles, vertices // 4) if triangles else 0
 
 
@@ -96,7 +96,7 @@ def _statements(file, where) -> Iterator[tuple[int, bytes, list[bytes]]]:
             held.append(text.rstrip()[:-1])
             size += len(text)
             if size > LONGEST_LINE:
-                raise Problem(where, f"{TEXT} in lines of at most {LONGEST_LINE >> 20} MiB", "a longer one", AGAIN)
+                raise InputError(where, f"{TEXT} in lines of at most {LONGEST_LINE >> 20} MiB", "a longer one", AGAIN)
             continue
         if held:
             text, held, size = b" ".join([*held, text]), [], 0

@@ -10,7 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from factory.shapes.raw import AGAIN, Raw, from_polygons, glimpse, number, require_count, text_lines, whole_number
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 KINDS = (b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF", b"STCOFF", b"STNOFF", b"STCNOFF")
 
@@ -20,7 +20,7 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
     rows = _rows(file, where)
     vertex_count, face_count = _counts(rows, where)
     if vertex_count + face_count > size:  # each takes at least a byte
-        raise Problem(where, f"{face_count:,} faces as its header says", f"{size:,} bytes", "download or export it again")
+        raise InputError(where, f"{face_count:,} faces as its header says", f"{size:,} bytes", "download or export it again")
     require_count(max(face_count, vertex_count // 4) if face_count else 0, maximum, where, size)
     vertices, corners, lengths = array("d"), array("q"), array("q")
     line, words = 0, []
@@ -37,13 +37,13 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
             lengths.append(count)
             if len(corners) - 2 * len(lengths) > maximum:
                 require_count(len(corners) - 2 * len(lengths), maximum, where)
-    except Problem:
+    except InputError:
         raise
     except StopIteration:
-        found = f"the end after {len(vertices) // 3:,} and {len(lengths):,}"
-        raise Problem(where, f"{vertex_count:,} vertices and {face_count:,} faces", found, "download or export it again") from None
+        result = f"the end after {len(vertices) // 3:,} and {len(lengths):,}"
+        raise InputError(where, f"{vertex_count:,} vertices and {face_count:,} faces", result, "download or export it again") from None
     except (ValueError, IndexError, OverflowError):
-        raise Problem(f"{where}: line {line}", "a vertex or face", f"'{glimpse(b' '.join(words))}'", AGAIN) from None
+        raise InputError(f"{where}: line {line}", "a vertex or face", f"'{glimpse(b' '.join(words))}'", AGAIN) from None
     return from_polygons(np.array(vertices, float).reshape(-1, 3), np.array(corners, np.int64), np.array(lengths, np.int64), where)
 
 
@@ -61,5 +61,5 @@ def _counts(rows, where):
     if words and words[0] in KINDS and len(words) == 1:
         head += next(rows, (0, []))[1]
     if len(head) < 3 or head[0] not in KINDS or not (head[1].isdigit() and head[2].isdigit() and len(head[1] + head[2]) < 30):
-        raise Problem(where, "'OFF' and the counts of vertices and faces", f"'{glimpse(b' '.join(head))}'", AGAIN)
+        raise InputError(where, "'OFF' and the counts of vertices and faces", f"'{glimpse(b' '.join(head))}'", AGAIN)
     return int(head[1]), int(head[2])

@@ -16,7 +16,7 @@ from typing import BinaryIO
 import numpy as np
 
 from factory.shapes.raw import AGAIN, NOTHING, Raw, from_polygons, glimpse, number, require_count, text_lines, whole_number
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8"}
 TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8"}
@@ -56,15 +56,15 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
     elements, order, start = _header(file, where)
     vertex, face = (next((e for e in elements if e.name == name), None) for name in ("vertex", "face"))
     if vertex is None or face is None:
-        raise Problem(where, "a PLY header with faces", "none", NOTHING)
+        raise InputError(where, "a PLY header with faces", "none", NOTHING)
     if face.count + vertex.count > size:  # each takes at least a byte
         expected = f"{face.count:,} faces and {vertex.count:,} vertices as its header says"
-        raise Problem(where, expected, f"{size:,} bytes", DOWNLOAD)
+        raise InputError(where, expected, f"{size:,} bytes", DOWNLOAD)
     require_count(max(face.count, vertex.count // 4) if face.count else 0, maximum, where, size)
-    wanted = _wanted(vertex, face, where)
+    requested = _columns(vertex, face, where)
     rows = _Text(file, where) if order is None else _Binary(file, start, where, order)
     for element in elements:
-        rows.take(element, *wanted.get(element.name, ((), None)), maximum)
+        rows.take(element, *requested.get(element.name, ((), None)), maximum)
     rows.end()
     return from_polygons(rows.vertices, rows.corners, rows.lengths, where)
 
@@ -78,7 +78,9 @@ def _header(file, where):
     lines = head[start:].split(newline)
     end = next((k for k, line in enumerate(lines[:-1]) if line.strip() == b"end_header"), None)
     if end is None or lines[0].strip() != b"ply":
-        raise Problem(where, "a PLY header with faces", f"'{glimpse(head)}'", "check the file's ending, or that it holds more than points")
+        raise InputError(
+            where, "a PLY header with faces", f"'{glimpse(head)}'", "check the file's ending, or that it holds more than points"
+        )
     elements, order = [], "none"
     for place, line in enumerate(lines[1:end], 2):
         words = line.decode("latin-1").split()
@@ -97,25 +99,25 @@ def _header(file, where):
                 case _:
                     raise KeyError
         except (KeyError, IndexError):
-            raise Problem(f"{where}: line {place}", "a line of a PLY header", f"'{glimpse(line)}'", AGAIN) from None
+            raise InputError(f"{where}: line {place}", "a line of a PLY header", f"'{glimpse(line)}'", AGAIN) from None
     if order == "none":
-        raise Problem(where, "a PLY header with its format", "none", AGAIN)
+        raise InputError(where, "a PLY header with its format", "none", AGAIN)
     return elements, order, start + sum(len(line) + 1 for line in lines[: end + 1])
 
 
-def _wanted(vertex, face, where):
+def _columns(vertex, face, where):
     """{element: (places of single values, place of a list)}."""
     try:
         xyz = tuple(vertex.place(name) for name in "xyz")
     except KeyError as missing:
-        raise Problem(where, "vertices with x, y and z", f"no {missing.args[0]}", AGAIN) from None
+        raise InputError(where, "vertices with x, y and z", f"no {missing.args[0]}", AGAIN) from None
     lists = [p.name for p in face.properties if p.count]
     named = [name for name in lists if name in ("vertex_indices", "vertex_index")] or (lists if len(lists) == 1 else [])
     if not named or any(vertex.properties[k].count for k in xyz):
-        raise Problem(where, "faces with a list vertex_indices", ", ".join(lists) or "no list", AGAIN)
+        raise InputError(where, "faces with a list vertex_indices", ", ".join(lists) or "no list", AGAIN)
     indices = face.place(named[0])
     if face.properties[indices].type[0] not in "iu":
-        raise Problem(where, "whole numbers in vertex_indices", face.properties[indices].type, AGAIN)
+        raise InputError(where, "whole numbers in vertex_indices", face.properties[indices].type, AGAIN)
     return {"vertex": (xyz, None), "face": ((), indices)}
 
 
@@ -136,7 +138,7 @@ class _Rows:
             self.corners, self.lengths = corners, lengths
 
     def _short(self, element):
-        return Problem(self.where, f"{element.count:,} rows of '{element.name}' as its header says", "the end of the file", DOWNLOAD)
+        return InputError(self.where, f"{element.count:,} rows of '{element.name}' as its header says", "the end of the file", DOWNLOAD)
 
 
 class _Text(_Rows):
@@ -165,7 +167,7 @@ class _Text(_Rows):
                         raise IndexError
                     values.extend([number(words[k]) for k in single])
                     continue
-                starts = self._starts(element, words)
+                starts = self._offsets(element, words)
                 values.extend([number(words[starts[k]]) for k in single])
                 if listed is not None:
                     count = whole_number(words[starts[listed]])
@@ -173,17 +175,17 @@ class _Text(_Rows):
                     lengths.append(count)
                     if len(corners) - 2 * len(lengths) > maximum:
                         require_count(len(corners) - 2 * len(lengths), maximum, self.where)
-            except Problem:
+            except InputError:
                 raise
             except (ValueError, IndexError, OverflowError):
                 text = glimpse(b" ".join(words))
-                raise Problem(f"{self.where}: line {line}", f"a row of '{element.name}'", f"'{text}'", AGAIN) from None
+                raise InputError(f"{self.where}: line {line}", f"a row of '{element.name}'", f"'{text}'", AGAIN) from None
         if seen < element.count:
             raise self._short(element)
         self._keep(element, maximum, np.array(values, float).reshape(-1, 3), np.array(corners, np.int64), np.array(lengths, np.int64))
 
     @staticmethod
-    def _starts(element, words):
+    def _offsets(element, words):
         """Where each property begins in a row. Raises ValueError, IndexError."""
         starts, place = [], 0
         for each in element.properties:
@@ -197,10 +199,10 @@ class _Text(_Rows):
         return starts
 
     def end(self):
-        """Raises Problem if there is more than the header says."""
+        """Raises InputError if there is more than the header says."""
         for line, words in self.lines:
             text = glimpse(b" ".join(words))
-            raise Problem(f"{self.where}: line {line}", "the end, as its header says", f"'{text}'", DOWNLOAD)
+            raise InputError(f"{self.where}: line {line}", "the end, as its header says", f"'{text}'", DOWNLOAD)
 
 
 class _Binary(_Rows):
@@ -243,7 +245,7 @@ class _Binary(_Rows):
         return length
 
     def _table(self, element, lengths):
-        """All rows, if each list is as long in every row as in the first; else None. Raises Problem if the data are too few."""
+        """All rows, if each list is as long in every row as in the first; else None. Raises InputError if the data are too few."""
         fields = []
         for k, (each, length) in enumerate(zip(element.properties, lengths, strict=True)):
             if each.count:
@@ -297,10 +299,10 @@ class _Binary(_Rows):
         self._keep(element, maximum, values, corners, np.array(lengths, np.int64))
 
     def end(self):
-        """Raises Problem if there is more than the header says."""
+        """Raises InputError if there is more than the header says."""
         rest = self.data[self.place :]
         if rest.strip():
-            raise Problem(self.where, "the end, as its header says", f"{len(rest):,} bytes more", DOWNLOAD)
+            raise InputError(self.where, "the end, as its header says", f"{len(rest):,} bytes more", DOWNLOAD)
 
 
 CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f2": "e", "f4": "f", "f8": "d"}

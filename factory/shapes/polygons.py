@@ -315,8 +315,8 @@ class _Ears:
             self.judged[again] = self.left[again]
             corners = self._corners(again)
             self._judge(corners)
-            found = corners[self.ear[corners]]
-            ears, stuck = np.union1d(ears, found), np.setdiff1d(stuck, self.polygon[found])
+            result = corners[self.ear[corners]]
+            ears, stuck = np.union1d(ears, result), np.setdiff1d(stuck, self.polygon[result])
         corners = self._corners(stuck)
         kind = np.where(np.abs(self.turn[corners]) <= TINY, 0, np.where(self.turn[corners] > 0, 1, 2))
         corners = corners[np.lexsort((np.abs(self.turn[corners]), kind, self.polygon[corners]))]

@@ -1,7 +1,7 @@
 """Triangles as they stand in a mesh file, and what the readers of all formats share: bounds, lines of text, polygons.
 
 Each reader is a function `read(file, size, where, maximum)` of an open binary file of `size` bytes, whose name in errors is
-`where`. It gives a Raw, or raises Problem before it takes memory for more than `maximum` triangles.
+`where`. It gives a Raw, or raises InputError before it takes memory for more than `maximum` triangles.
 """
 
 import codecs
@@ -13,7 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from factory.shapes.polygons import TooLarge, fans, triangulate
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 MAXIMUM_TRIANGLES = 2_000_000
 BYTES_A_TRIANGLE = 250  # more than any format spends on one, OBJ with normals and texture coordinates included
@@ -36,13 +36,13 @@ class Raw:
 
 
 def require_count(count: int, maximum: int, where: str | Path, size: int = 0) -> None:
-    """Raises Problem for a mesh of no triangles or of more than `maximum`, or for more bytes (size) than so many can take."""
+    """Raises InputError for a mesh of no triangles or of more than `maximum`, or for more bytes (size) than so many can take."""
     if count > maximum:
-        raise Problem(where, f"at most {maximum:,} triangles", f"{count:,}", MORE)
+        raise InputError(where, f"at most {maximum:,} triangles", f"{count:,}", MORE)
     if size > maximum * BYTES_A_TRIANGLE:  # few triangles among much else: textures, points
-        raise Problem(where, f"at most {maximum:,} triangles", f"{size:,} bytes", MORE)
+        raise InputError(where, f"at most {maximum:,} triangles", f"{size:,} bytes", MORE)
     if count <= 0:
-        raise Problem(where, "a mesh with triangles", "none", NOTHING)
+        raise InputError(where, "a mesh with triangles", "none", NOTHING)
 
 
 def from_polygons(
@@ -60,7 +60,7 @@ def from_polygons(
     corners    (C,) indices into vertices, polygon after polygon
     lengths    (P,) corners of each polygon
     materials  names; material (P,): which of them each polygon has, or None
-    Raises     Problem: an index outside of the vertices, polygons too large to be cut into triangles
+    Raises     InputError: an index outside of the vertices, polygons too large to be cut into triangles
     """
     whole = lengths >= 3
     if not whole.all():  # points and lines, which some exporters write so
@@ -69,10 +69,10 @@ def from_polygons(
         lengths = lengths[whole]
     outside = corners[(corners < 0) | (corners >= len(vertices))]
     if len(outside):
-        found = f"vertex {outside[0] + 1}"
-        raise Problem(where, f"faces among its {len(vertices)} vertices", found, "download or export it again")
+        result = f"vertex {outside[0] + 1}"
+        raise InputError(where, f"faces among its {len(vertices)} vertices", result, "download or export it again")
     if not len(lengths):
-        raise Problem(where, "a mesh with triangles", "none", NOTHING)
+        raise InputError(where, "a mesh with triangles", "none", NOTHING)
     faces, owner, crossing = _cut(vertices, corners, lengths, where)
     if crossing:
         notes = (*notes, f"{crossing} polygons that cross themselves cut as they come")
@@ -88,7 +88,7 @@ def _cut(vertices, corners, lengths, where):
     try:
         return triangulate((vertices - low) / size, corners, lengths, WELD)
     except TooLarge as error:
-        raise Problem(
+        raise InputError(
             where, "polygons that are soon cut into triangles", f"one of {error.corners:,} corners", "triangulate it before the export"
         ) from None
 
@@ -97,18 +97,18 @@ def text_lines(file: BinaryIO, where: str | Path, what: str) -> Iterator[bytes]:
     """The lines of a text file from its start, each with its end: of Unix, Windows or old Mac; byte-order marks are left out.
 
     what    the text that should stand there: "an OBJ file's text"
-    Raises  Problem for binary data, and for lines that only binary data has
+    Raises  InputError for binary data, and for lines that only binary data has
     """
     file.seek(0)
     rest = b""
     while chunk := file.read(1 << 20):
         if b"\0" in chunk:
-            raise Problem(where, what, "binary data", "check the file's ending; text must be UTF-8 or ASCII")
+            raise InputError(where, what, "binary data", "check the file's ending; text must be UTF-8 or ASCII")
         block = rest + chunk
         lines = block.splitlines(keepends=True)
         rest = b"" if block.endswith(b"\n") else lines.pop()  # after a "\r" a "\n" may come
         if len(rest) > LONGEST_LINE:
-            raise Problem(where, f"{what} in lines of at most {LONGEST_LINE >> 20} MiB", "a longer one", "check the file's ending")
+            raise InputError(where, f"{what} in lines of at most {LONGEST_LINE >> 20} MiB", "a longer one", "check the file's ending")
         for line in lines:
             yield line.removeprefix(codecs.BOM_UTF8)
     if rest:

@@ -12,7 +12,7 @@ from typing import BinaryIO
 import numpy as np
 
 from factory.shapes.raw import AGAIN, Raw, glimpse, number, require_count, text_lines
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 HEAD, TRIANGLE = 84, 50  # bytes
 CORNERS = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -28,7 +28,7 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
         return _raw(triangles["corners"].astype(float))
     if not head.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(b"solid"):
         expected = f"{HEAD + TRIANGLE * announced:,} bytes for the {announced:,} triangles its header announces"
-        raise Problem(where, expected, f"{size:,}", "download or export it again")
+        raise InputError(where, expected, f"{size:,}", "download or export it again")
     require_count(1, maximum, where, size)
     return _raw(_from_text(file, where, maximum))
 
@@ -67,12 +67,12 @@ def _from_text(file, where, maximum):
                     if len(corners) > 9 * maximum:
                         require_count(len(corners) // 9, maximum, where)
                 place += 1
-    except Problem:
+    except InputError:
         raise
     except (ValueError, IndexError, TypeError):
         text = glimpse(b" ".join(words))
-        raise Problem(f"{where}: line {line}", "a triangle between 'outer loop' and 'endloop'", f"'{text}'", AGAIN) from None
+        raise InputError(f"{where}: line {line}", "a triangle between 'outer loop' and 'endloop'", f"'{text}'", AGAIN) from None
     if solids or inside is not None:
-        raise Problem(where, "'endsolid' at the end", "none", "download or export it again")
+        raise InputError(where, "'endsolid' at the end", "none", "download or export it again")
     require_count(len(corners) // 9, maximum, where)
     return np.array(corners, float).reshape(-1, 3, 3)

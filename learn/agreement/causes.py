@@ -28,7 +28,12 @@ from shaders.envmap import directions
 from shaders.frames import camera_from_light
 
 PIXELS = 96
-TAPS = (1024, 4096, 16384, 65536)  # of a narrow material: four times as many, until the nodes' radiance moves by a tenth of what is sought
+SAMPLE_COUNTS = (
+    1024,
+    4096,
+    16384,
+    65536,
+)  # of a narrow material: four times as many, until the nodes' radiance moves by a tenth of what is sought
 MOVED = 0.1
 CHUNK = 65536  # pairs of pixel and place of the light at a time, 1.5 MB an array
 
@@ -57,12 +62,12 @@ def converged(sample, m, mixture, n, view):
     """node_difference of one material m (3, 3, 2, 6) at normals n and views (p, 3): by texels, or by ever more taps until it stays."""
     if not narrow(m):
         return at_places(*texels(sample), m, mixture, n, view)
-    found = None
-    for count in TAPS:
-        coarser, found = found, at_places(*taps(sample, m, count), m, mixture, n, view)
-        if coarser is not None and np.square(found - coarser).sum() <= MOVED**2 * np.square(found).sum():
+    result = None
+    for count in SAMPLE_COUNTS:
+        coarser, result = result, at_places(*lobe_samples(sample, m, count), m, mixture, n, view)
+        if coarser is not None and np.square(result - coarser).sum() <= MOVED**2 * np.square(result).sum():
             break
-    return found
+    return result
 
 
 def at_places(places, count, m, mixture, n, view):
@@ -89,7 +94,7 @@ def texels(sample):
     return places, len(w)
 
 
-def taps(sample, m, count):
+def lobe_samples(sample, m, count):
     """places(n, view) → w (p, N, 3), solid angle (p, N) and radiance (p, N, 3): taps that follow the lobes of m; and how many.
 
     A tap's radiance is the mean over the solid angle that it stands for, as in the layer's integral.
@@ -118,7 +123,7 @@ def brdf_difference(m, mixture, w, n, view):
     return f
 
 
-def take_apart(sample, pictures, layer, mixtures, exposure):
+def separate_causes(sample, pictures, layer, mixtures, exposure):
     """The causes of one direct-tier condition as a dict of figures, or None where no pixel is inside.
 
     pictures  (seeds, H, W, 3) Cycles' radiance

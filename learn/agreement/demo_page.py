@@ -10,7 +10,7 @@ import os
 import sys
 from pathlib import Path
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import write_text
 
 COLUMNS = {
@@ -55,13 +55,13 @@ th{color:var(--soft);font-weight:600}
 
 
 def read(path, command):
-    """JSON of a file that `command` writes. Raises Problem if it is not there or damaged."""
+    """JSON of a file that `command` writes. Raises InputError if it is not there or damaged."""
     try:
         return json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise Problem(path, "a file", "none", f"run `{command}` first") from None
+        raise InputError(path, "a file", "none", f"run `{command}` first") from None
     except (ValueError, RecursionError) as error:
-        raise Problem(path, "JSON", str(error), f"run `{command}` again") from None
+        raise InputError(path, "JSON", str(error), f"run `{command}` again") from None
 
 
 def table(name, groups):
@@ -79,16 +79,16 @@ def verdict(direct):
     """The report's headline in words."""
     if direct.get("net") is None or direct.get("like_net") is None:
         return "No picture was rendered with two seeds: the noise is unknown, so the direct tier cannot be judged."
-    told = (
+    report = (
         f"In the direct tier, the light transport that the layer models, the two renderers' pictures differ inside silhouettes and creases "
         f"by a display L2 of {direct['like_net']:.2f} once noise is taken off (black and white differ by 65,025); edges included, by "
         f"{direct['net']:.2f}."
     )
     if direct.get("node_fit") is None:
-        return told + " The catalogue does not say how far its materials' two forms, label and nodes, are apart, so there is no limit."
+        return report + " The catalogue does not say how far its materials' two forms, label and nodes, are apart, so there is no limit."
     kept = "within" if direct.get("holds") else "beyond"
     fit = f" The materials' two forms, label and nodes, differ by {direct['node_fit']:.2f}"
-    return f"{told}{fit}; the limit inside is {direct['limit']:g} times that: {kept} it."
+    return f"{report}{fit}; the limit inside is {direct['limit']:g} times that: {kept} it."
 
 
 def causes(found):
@@ -150,11 +150,11 @@ def main(arguments=None):
     try:
         absent = [sheet for sheet in (*options.sheet, *options.prediction, *options.edit) if not sheet.is_file()]
         if absent:
-            raise Problem(absent[0], "a picture", "none", "run `python -m factory preview DIR` first")
+            raise InputError(absent[0], "a picture", "none", "run `python -m factory preview DIR` first")
         text = page(options.out, options.sheet, options.agreement, options.title, options.prediction, options.edit)
         options.out.parent.mkdir(parents=True, exist_ok=True)
         write_text(options.out, text)
-    except (Problem, OSError) as problem:
+    except (InputError, OSError) as problem:
         print(f"learn.agreement.demo_page: {problem}", file=sys.stderr)
         return 1
     return 0

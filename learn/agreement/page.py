@@ -104,11 +104,11 @@ def markdown(summary, about):
         verdict(summary["direct"]),
         "",
     ]
-    found = summary["causes"]
+    result = summary["causes"]
     lines += ["## Causes in the direct tier (display L2)", "", "| cause | L2 |", "|---|---|"]
-    lines += [f"| {NAMES[key]} | {number(key, found.get(key))} |" for key in NAMES]
-    if found["look_up_texels"]:
-        shift = found["look_up_texels"]
+    lines += [f"| {NAMES[key]} | {number(key, result.get(key))} |" for key in NAMES]
+    if result["look_up_texels"]:
+        shift = result["look_up_texels"]
         lines += ["", f"The light's turn that explains most: median {shift['median']:+.3f} texels, largest {shift['largest']:.3f}."]
     lines += ["", "## By grazing angle", "", "| degrees | pixels | L2 | signed % |", "|---|---|---|---|"]
     lines += [

@@ -14,7 +14,7 @@ from learn.agreement.scenes import scenes
 from learn.agreement.summary import summarise
 from learn.data.records import Records
 from manifests import files
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.provenance import provenance
 
 PANELS = 9  # pictures shown, the worst of the direct tier first
@@ -64,10 +64,10 @@ def limited(groups, limit):
 
 
 def compare(options):
-    """Rows of every condition and the panels to show. Raises Problem for a dataset without records, or a damaged file."""
+    """Rows of every condition and the panels to show. Raises InputError for a dataset without records, or a damaged file."""
     records = Records(options.folder)
     if not len(records):
-        raise Problem(options.folder, "a dataset with records", "none", "render some with: python -m factory render JOB --out DIR")
+        raise InputError(options.folder, "a dataset with records", "none", "render some with: python -m factory render JOB --out DIR")
     groups = limited(scenes(records.records), options.limit)
     rows, worst = [], Worst()
     total = sum(len(condition.records) for group in groups for condition in group)
@@ -94,7 +94,7 @@ def compare_condition(condition, records, sample, layer, entries):
     pictures = np.stack([records.image(record) for record in condition.records])
     row, shown = measure(condition, pictures, layer, entries)
     if condition.direct:
-        row.causes = causes.take_apart(sample, pictures, layer, [entry.mixture for entry in entries], row.exposure)
+        row.causes = causes.separate_causes(sample, pictures, layer, [entry.mixture for entry in entries], row.exposure)
     return row, shown
 
 
@@ -111,7 +111,7 @@ def make(options):
     options.out.mkdir(parents=True, exist_ok=True)
     drawn = plots.draw(summary, rows)
     report = {"about": origin, "summary": summary, "conditions": [row.to_json() for row in rows]}
-    with files.together():
+    with files.transaction():
         for name, (png, _) in drawn.items():
             files.write_bytes(options.out / name, png)
         files.write_json(options.out / "report.json", report)

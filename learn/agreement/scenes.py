@@ -27,13 +27,13 @@ class Condition:
 
 def scenes(records):
     """The records as scenes: a list of lists of Conditions, in order of the records."""
-    found = {}
+    result = {}
     for record in records:
         scene = (record.geometry, record.materials, record.light, record.rotation_texels, record.camera)
         condition = (record.tier, record.light_resolution, record.samples)
-        found.setdefault(scene, {}).setdefault(condition, []).append(record)
+        result.setdefault(scene, {}).setdefault(condition, []).append(record)
 
     def seeds(group):
         return tuple(sorted(group, key=lambda record: record.seed))
 
-    return [[Condition(*condition, seeds(group)) for condition, group in scene.items()] for scene in found.values()]
+    return [[Condition(*condition, seeds(group)) for condition, group in scene.items()] for scene in result.values()]

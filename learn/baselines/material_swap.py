@@ -13,7 +13,7 @@ import torch
 
 from learn.data import devices
 from learn.data.devices import array
-from learn.data.relit import BRIGHTEST, Relit
+from learn.data.relit import BRIGHTEST, RelitDataset
 from learn.layer import render
 from learn.networks import weights as checkpoint
 from learn.networks.coding import compressed
@@ -27,7 +27,7 @@ VALIDATION_BATCHES = 2
 ROWS = 6
 
 
-class Paired(Relit):
+class Paired(RelitDataset):
     """Relit batches with the true O beside the true I: the same shape and light, rendered in the target material."""
 
     def __getitem__(self, k):
@@ -49,7 +49,7 @@ class SwapTraining(Training):
 
     def _source(self):
         run = self.run
-        return Paired(self.pools["train"], run.data, run.schedule.batch, run.size, run.seed, (self.rank, self.world))
+        return Paired(self.data_splits["train"], run.data, run.schedule.batch, run.size, run.seed, (self.rank, self.world))
 
     def predict(self, model, batch, parts=None):
         with devices.mixed_precision(self.device, self.run.mixed_precision):
@@ -60,15 +60,15 @@ class SwapTraining(Training):
 
     def _validate(self):
         run, network = self.run, self.averaged()
-        source = Paired(self.pools["validation"], run.data, run.schedule.batch, run.size, 20)
+        source = Paired(self.data_splits["validation"], run.data, run.schedule.batch, run.size, 20)
         with torch.no_grad():
             batches = [source[k].to(self.device) for k in range(VALIDATION_BATCHES)]
             edits = [self._predicted(network, batch) for batch in batches]
-        sheet(self.out / f"sheet-{self.step:07d}.jpg", batches[0], edits[0])
+        write_montage(self.out / f"sheet-{self.step:07d}.jpg", batches[0], edits[0])
         run_json = msgspec.json.encode(run).decode()
         checkpoint.save_weights(self.out / "weights.safetensors", self.network, self.average, run_json, run.size, self.step)
-        found = [figures(edit, batch, network.ranges) for edit, batch in zip(edits, batches, strict=True)]
-        return {name: float(np.mean([f[name] for f in found])) for name in found[0]}
+        results = [figures(edit, batch, network.ranges) for edit, batch in zip(edits, batches, strict=True)]
+        return {name: float(np.mean([f[name] for f in results])) for name in results[0]}
 
 
 def terms(edited, batch, weights, ranges, features=None):
@@ -77,28 +77,28 @@ def terms(edited, batch, weights, ranges, features=None):
     truth = compressed(batch.target)
     read = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean()
     embedded = ((edited.embedded - ranges.code(batch.target_label[:, :1])) ** 2).mean()
-    found = {"material": read + embedded}
+    result = {"material": read + embedded}
     if weights.target:
-        found["target"] = ((edited.picture - truth) ** 2 * inside).sum() / (3 * inside.sum()).clamp(min=1)
+        result["target"] = ((edited.picture - truth) ** 2 * inside).sum() / (3 * inside.sum()).clamp(min=1)
     if weights.target_features:
-        found["target_features"] = compared_by(features, edited.picture, truth, inside)
-    return found
+        result["target_features"] = compared_by(features, edited.picture, truth, inside)
+    return result
 
 
 def figures(edited, batch, ranges):
     """Display L2 over the mask of O' and of the input returned unchanged, against the true O; code_l2 of the input's material."""
     drawn = array(radiance(edited.picture).movedim(1, -1))
-    found = {"target_l2": [], "unchanged_l2": []}
+    result = {"target_l2": [], "unchanged_l2": []}
     for i, truth in enumerate(array(batch.target.movedim(1, -1))):
         mask = array(batch.segments[i] > 0)
         exposure = tone.auto_exposure(truth, mask)
         for name, picture in (("target_l2", drawn[i]), ("unchanged_l2", array(batch.image[i].movedim(0, -1)))):
-            found[name].append(tone.display_l2(picture, truth, exposure, mask))
+            result[name].append(tone.display_l2(picture, truth, exposure, mask))
     code_l2 = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean().item()
-    return {name: float(np.mean(values)) for name, values in found.items()} | {"code_l2": code_l2}
+    return {name: float(np.mean(values)) for name, values in result.items()} | {"code_l2": code_l2}
 
 
-def sheet(path, batch, edited):
+def write_montage(path, batch, edited):
     """A JPEG with a row an example: the picture as seen, O', O."""
     rows = []
     drawn = array((radiance(edited.picture) * batch.mask).movedim(1, -1))

@@ -99,5 +99,5 @@ def lowered(posterior, point, size, evaluations):
 
 def prediction(batch, priors):
     """The Prediction of a batch of one: normals as given, the estimate's material and light."""
-    found = estimate(batch, priors)
-    return Prediction(batch.n, None, found.label, None, found.light)
+    result = estimate(batch, priors)
+    return Prediction(batch.n, None, result.label, None, result.light)

@@ -20,7 +20,7 @@ import torch
 from learn.networks import tensor_file, weights
 from learn.networks.coding import unit_mean
 from learn.refinement.coordinates import spherical_harmonics
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders import envmap
 
 FORMAT = "brdfactory priors 1"
@@ -97,10 +97,10 @@ def _light(maps):
     weight = np.repeat(envmap.row_solid_angles(height, width), width) / (4 * np.pi)
     solve = np.linalg.solve((waves * weight) @ waves.T, waves * weight)
     logs = [np.log(np.maximum(envmap.resize(L, height, width), DARKEST)).reshape(-1, 3) @ AXES.T for L in maps]
-    found = np.stack([solve @ log for log in logs])  # (N, J, 3)
+    result = np.stack([solve @ log for log in logs])  # (N, J, 3)
     degree, order = _degrees()
-    mean = np.where((order == 0)[:, None], found.mean(0), 0.0)
-    squared = ((found - mean) ** 2).mean(0)
+    mean = np.where((order == 0)[:, None], result.mean(0), 0.0)
+    squared = ((result - mean) ** 2).mean(0)
     return mean, np.sqrt(np.stack([squared[degree == degree[j]].mean(0) for j in range(len(degree))]))
 
 
@@ -110,18 +110,18 @@ def _degrees():
     return np.array(each).T
 
 
-def save(path, priors, told):
+def save(path, priors, report):
     """told: what they were fitted to, for whoever reads the file."""
-    weights.save(path, vars(priors), {"format": FORMAT, "fitted": json.dumps(told)})
+    weights.save(path, vars(priors), {"format": FORMAT, "fitted": json.dumps(report)})
 
 
 def load(path):
-    """Priors of a file. Raises Problem."""
+    """Priors of a file. Raises InputError."""
     remedy = "fit them: python -m learn train-baselines"
     with tensor_file.opened(path, "priors in a .safetensors file", remedy) as stored:
         names = Priors.__dataclass_fields__
         if stored.metadata.get("format") != FORMAT or set(stored.shapes) != set(names):
-            raise Problem(path, "priors", stored.metadata.get("format", "something else"), remedy)
+            raise InputError(path, "priors", stored.metadata.get("format", "something else"), remedy)
         K, T = (next(iter(stored.shapes[name]), 0) for name in ("directions", "medoids"))
         harmonics = ((DEGREE + 1) ** 2, 3)
         shapes = {"mean": (108,), "directions": (min(K, 108), 108), "medoids": (min(T, MOST_MEDOIDS), min(K, 108))}

@@ -19,17 +19,19 @@ def make(name, preset, options, device="cpu"):
         return f"{target} is there already"
     options.out.mkdir(parents=True, exist_ok=True)
     run = None if preset is None else resolved(settings.read_run(preset), options)
-    pools = sources.pools(held_out(options, settings.Data() if run is None else run.data), options.data, options.lights)
+    data_splits = sources.data_splits(held_out(options, settings.Data() if run is None else run.data), options.data, options.lights)
     if run is None:
-        pool = pools["train"]
+        data_split = data_splits["train"]
         priors.save(
-            target, priors.fitted(list(pool.labels.values()), pool.maps), {"materials": sorted(pool.labels), "maps": len(pool.maps)}
+            target,
+            priors.fitted(list(data_split.labels.values()), data_split.maps),
+            {"materials": sorted(data_split.labels), "maps": len(data_split.maps)},
         )
-        return f"{target}: {len(pool.labels)} materials, {len(pool.maps)} light maps"
+        return f"{target}: {len(data_split.labels)} materials, {len(data_split.maps)} light maps"
     kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
     folder = options.out / name
     with loop.only_writer(folder):
-        figures = kind(run, pools, folder, workers=options.workers, device=device).train()
+        figures = kind(run, data_splits, folder, workers=options.workers, device=device).train()
     write_bytes(target, (folder / "weights.safetensors").read_bytes())
     return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())
 

@@ -45,8 +45,8 @@ def run(options):
     from learn.editing import edit
 
     masks = [Path(mask) for mask in options.mask if mask != "alpha"]
-    how = editing_options.how(options)
-    told = edit.run(options.photo, masks, options.regions, options.material, options.out, how, options.record, options.overwrite)
-    for text, error in told["display_l2"].items():
+    edit_options = editing_options.edit_options(options)
+    report = edit.run(options.photo, masks, options.regions, options.material, options.out, edit_options, options.record, options.overwrite)
+    for text, error in report["display_l2"].items():
         print(f"{text}: display L2 {error['mask']:.1f} over the object, {error['frame']:.1f} over the frame, against the rendered truth")
     print(f"See {options.out / 'sheet.png'}")

@@ -41,10 +41,10 @@ def add(parser):
     parser.add_argument("--overwrite", action="store_true", help="replace what is there")
 
 
-def how(options):
-    """learn.editing.edit.How of parsed options. Raises Problem."""
+def edit_options(options):
+    """learn.editing.edit.EditOptions of parsed options. Raises InputError."""
     from learn.data import devices
-    from learn.editing.edit import How
+    from learn.editing.edit import EditOptions
     from learn.editing.predict import WEIGHTS
     from learn.refinement import Settings
 
@@ -54,26 +54,26 @@ def how(options):
     settings = Settings() if options.refine else None
     balance = balance_of(options.white_balance)
     device = devices.choose(options.device)
-    return How(options.weights or WEIGHTS, settings, options.tolerance, options.detail, options.exposure, balance, device)
+    return EditOptions(options.weights or WEIGHTS, settings, options.tolerance, options.detail, options.exposure, balance, device)
 
 
 def check_exposure(value):
-    """Raises Problem for a factor that is not above 0 and finite; None: none was given."""
+    """Raises InputError for a factor that is not above 0 and finite; None: none was given."""
     if value is not None:
         check("--exposure", 0 < value < float("inf"), "a number above 0", value)
 
 
 def check(name, holds, rule, value):
-    """Raises Problem where a rule does not hold of an option's value."""
-    from manifests.errors import Problem
+    """Raises InputError where a rule does not hold of an option's value."""
+    from manifests.errors import InputError
 
     if not holds:
-        raise Problem(name, rule, f"{value:g}", "see --help")
+        raise InputError(name, rule, f"{value:g}", "see --help")
 
 
 def balance_of(text):
     """ "none", "grey", or three positive factors."""
-    from manifests.errors import Problem
+    from manifests.errors import InputError
 
     if text in ("none", "grey"):
         return text
@@ -83,7 +83,7 @@ def balance_of(text):
             return factors
     except ValueError:
         pass
-    raise Problem(
+    raise InputError(
         "--white-balance",
         f"none, grey, or three factors from {1 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}, as 1.2,1,0.8",
         text,

@@ -35,8 +35,8 @@ def run(options):
     device = devices.choose(options.device)
     _, metadata = checkpoint.load_network(options.weights)
     settings = decode_run(json.dumps(metadata["run"]).encode(), options.weights)
-    pools = sources.pools(settings.data, options.data, options.lights, pictures=options.pictures)
-    figures = model_card.make(options.weights, pools, options.out, options.batches, options.note, options.seeds, device)
+    data_splits = sources.data_splits(settings.data, options.data, options.lights, pictures=options.pictures)
+    figures = model_card.make(options.weights, data_splits, options.out, options.batches, options.note, options.seeds, device)
     for kind, of_kind in figures.items():
         print(f"{kind}: " + ", ".join(f"{name} {value[0]:.4g}" for name, value in of_kind.items()))
     print(f"See {options.out / 'card.md'}")

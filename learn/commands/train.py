@@ -65,15 +65,17 @@ def run(options):
     chosen = settings.read_run(options.settings, options.steps, options.seed, options.materials)
     torch.set_num_threads(options.threads)
     with loop.only_writer(options.out):
-        pools = sources.pools(chosen.data, options.data, options.lights, pictures=options.pictures, skip_bad=options.skip_bad)
-        if left_out := sources.skipped(pools):
+        data_splits = sources.data_splits(chosen.data, options.data, options.lights, pictures=options.pictures, skip_bad=options.skip_bad)
+        if left_out := sources.skipped(data_splits):
             print(f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}", file=sys.stderr)
         kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
         saving = options.sheet_every, options.checkpoint_every
-        training = kind(chosen, pools, options.out, *saving, options.workers, options.tensorboard, device)
+        training = kind(chosen, data_splits, options.out, *saving, options.workers, options.tensorboard, device)
         figures = training.train()
         if training.rank == 0:
-            training.journal.made(provenance(), {side: pool.sizes() for side, pool in pools.items()}, len(left_out), training.step, figures)
+            training.journal.made(
+                provenance(), {side: data_split.sizes() for side, data_split in data_splits.items()}, len(left_out), training.step, figures
+            )
     if figures:
         print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
     print(f"See {options.out}: weights.safetensors, log.jsonl, sheet-*.jpg")

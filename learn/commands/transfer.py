@@ -25,5 +25,5 @@ def run(options):
     from learn.editing import transfer
 
     paths = transfer.listed(options.pictures, options.list)
-    transfer.run(paths, options.mask_dir, options.out, editing_options.how(options), options.per_grid, options.overwrite)
+    transfer.run(paths, options.mask_dir, options.out, editing_options.edit_options(options), options.per_grid, options.overwrite)
     print(f"See {options.out}")

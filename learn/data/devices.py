@@ -8,7 +8,7 @@ import os
 import numpy as np
 import torch
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 CHOICES = ("auto", "cpu", "cuda")
 
@@ -17,7 +17,7 @@ def choose(name: str = "auto") -> torch.device:
     """The device that a name of CHOICES stands for; auto: CUDA where torch sees it, else the CPU.
 
     Of several processes of one run (torchrun) each takes the CUDA device of its own number, LOCAL_RANK.
-    Raises  Problem where CUDA is asked for and torch sees none
+    Raises  InputError where CUDA is asked for and torch sees none
     """
     if name not in CHOICES:
         raise ValueError(f"device: expected one of {', '.join(CHOICES)}, found {name!r}")
@@ -30,10 +30,10 @@ def choose(name: str = "auto") -> torch.device:
     if name == "auto" and not count:
         return torch.device("cpu")
     if count:
-        raise Problem("--device", f"CUDA device {number}", f"{count} of them", f"start at most {count} processes on this machine")
-    found = "a build of torch without CUDA" if torch.version.cuda is None else "none that torch sees"
+        raise InputError("--device", f"CUDA device {number}", f"{count} of them", f"start at most {count} processes on this machine")
+    result = "a build of torch without CUDA" if torch.version.cuda is None else "none that torch sees"
     remedy = "give --device cpu, or install the build of torch for your CUDA driver"
-    raise Problem("--device", "a CUDA device", found, remedy)
+    raise InputError("--device", "a CUDA device", result, remedy)
 
 
 def of(module: torch.nn.Module) -> torch.device:

@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 from learn.data.records import Records
 from manifests.arrays import PACKED_NORMALS, PACKED_SEGMENTS, PACKED_TYPES, pack_normals, unpack_normals
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import replacing, write_text
 from manifests.inputs import require_file
 
@@ -51,7 +51,7 @@ class Geometry:
     """The views of a dataset rendered with one orthographic camera.
 
     skip_bad  leave damaged geometry out, and say so in `skipped`, {hash: what is wrong}; otherwise the first one raises
-    Raises  Problem: no dataset, nothing rendered, cameras of several sizes or with perspective; damaged geometry when it is packed
+    Raises  InputError: no dataset, nothing rendered, cameras of several sizes or with perspective; damaged geometry when it is packed
     """
 
     def __init__(self, folder, progress=True, skip_bad=False):
@@ -61,17 +61,19 @@ class Geometry:
             if record.coverage >= LEAST_COVERAGE:
                 first.setdefault(record.geometry_hash, record)
         if not first:
-            raise Problem(folder, "views or records", "none", f"render some: python -m factory render geometry --out {folder}")
+            raise InputError(folder, "views or records", "none", f"render some: python -m factory render geometry --out {folder}")
         chosen = sorted(first.values(), key=lambda r: (r.shape, r.viewpoint, r.geometry_hash))
         cameras = {(r.camera.size, r.camera.fov_deg, r.camera.elevation_deg) for r in chosen}
         if len(cameras) > 1 or chosen[0].camera.fov_deg is not None:
-            raise Problem(folder, "one orthographic camera everywhere", f"{sorted(map(str, cameras))}", "render them with one job")
+            raise InputError(folder, "one orthographic camera everywhere", f"{sorted(map(str, cameras))}", "render them with one job")
         self.folder, self.size = Path(folder), chosen[0].camera.size
         self.elevation = float(np.radians(chosen[0].camera.elevation_deg))
         sides = {name: entry.side for name, entry in records.dataset.shapes.items()}
         missing = sorted({r.shape for r in chosen} - set(sides))
         if missing:
-            raise Problem(self.folder / "dataset.json", f"a shape '{missing[0]}', which a record names", "none", "copy the dataset again")
+            raise InputError(
+                self.folder / "dataset.json", f"a shape '{missing[0]}', which a record names", "none", "copy the dataset again"
+            )
         self.skipped = self._known_as_bad() if skip_bad else {}
         self._n = self._segments = None
         hashes = [r.geometry_hash for r in chosen if r.geometry_hash not in self.skipped]
@@ -81,7 +83,7 @@ class Geometry:
             self._pack(records, chosen, progress, skip_bad)
         chosen = [r for r in chosen if r.geometry_hash not in self.skipped]
         if not chosen:
-            raise Problem(folder, "geometry that can be used", "none", next(iter(self.skipped.values())))
+            raise InputError(folder, "geometry that can be used", "none", next(iter(self.skipped.values())))
         self.views = [View(r.shape, r.category, r.viewpoint, sides[r.shape], r.geometry_hash) for r in chosen]
 
     def __len__(self):
@@ -134,7 +136,7 @@ class Geometry:
         for record in tqdm(chosen, "packing geometry", unit="view", disable=not progress, leave=False):
             try:
                 normals, covered = self._checked(records, record)
-            except Problem as problem:
+            except InputError as problem:
                 if not skip_bad:
                     raise
                 self.skipped[record.geometry_hash] = str(problem)
@@ -161,22 +163,22 @@ class Geometry:
         write_text(self._at("views.json"), json.dumps(hashes))
 
     def _checked(self, records, record):
-        """normals (H, W, 3), segments (H, W) of a record or a view. Raises Problem for what nobody can learn from."""
+        """normals (H, W, 3), segments (H, W) of a record or a view. Raises InputError for what nobody can learn from."""
         normals, _, segments = records.geometry(record)
         where, remedy = self.folder / record.geometry, "python -m factory verify DIR --repair, then render again; or --skip-bad"
         if not segments.any():
-            raise Problem(where, "a shape in the frame", "an empty mask", remedy)
+            raise InputError(where, "a shape in the frame", "an empty mask", remedy)
         lengths = np.linalg.norm(normals[segments > 0], axis=-1)
         if not np.abs(lengths - 1).max() < UNIT_TOLERANCE:  # so asked, NaN is refused too
-            raise Problem(where, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", remedy)
+            raise InputError(where, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", remedy)
         return normals, segments
 
 
 def _sum(path):
     """CRC-32 of a file's bytes: 2 GB a second."""
-    found = 0
+    result = 0
     require_file(path, "a part of the cache")
     with open(path, "rb") as file:
         while data := file.read(1 << 22):
-            found = zlib.crc32(data, found)
-    return found
+            result = zlib.crc32(data, result)
+    return result

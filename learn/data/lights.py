@@ -10,7 +10,7 @@ import numpy as np
 
 from manifests import archives
 from manifests.arrays import LIGHT_SHAPE
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.inputs import require_file
 from shaders import envmap
 
@@ -22,36 +22,36 @@ BRIGHTEST = 1e30  # far beyond any unit; sums of float32 stay finite
 
 
 def read_maps(path):
-    """{name: L} of an .npz of (64, 128, 3) arrays. Raises Problem."""
+    """{name: L} of an .npz of (64, 128, 3) arrays. Raises InputError."""
     path = Path(path)
     rule, remedy = "an .npz of (64, 128, 3) light maps", "write it by numpy.savez(path, name=map)"
     require_file(path, rule, remedy, LARGEST_FILE)
     with archives.opened_zip(path, rule, remedy) as archive:
         members = archive.infolist()
         if len(members) > MOST_MAPS:
-            raise Problem(path, f"at most {MOST_MAPS} maps", str(len(members)), "give fewer maps")
+            raise InputError(path, f"at most {MOST_MAPS} maps", str(len(members)), "give fewer maps")
         return {member.filename.removesuffix(".npy"): _map(archive, member, path) for member in members}
 
 
 def _map(archive, member, path):
-    """L of one member of an archive, unit mean. Raises Problem, and one of `archives.DAMAGE` for a damaged one."""
+    """L of one member of an archive, unit mean. Raises InputError, and one of `archives.DAMAGE` for a damaged one."""
     where, remedy = f"{path}: {member.filename.removesuffix('.npy')}", "average it to 64×128 first"
     rule = "finite radiance of shape (64, 128, 3)"
     if member.file_size > LARGEST_MAP:  # by the directory, before memory is taken
-        raise Problem(where, rule, f"{member.file_size} bytes", remedy)
+        raise InputError(where, rule, f"{member.file_size} bytes", remedy)
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise Problem(where, "an array as numpy compresses it", "another compression", remedy)
+        raise InputError(where, "an array as numpy compresses it", "another compression", remedy)
     with archive.open(member) as stored:
         header = archives.ArrayHeader(stored)
         if header.shape != LIGHT_SHAPE or header.dtype.kind not in "fui":
-            raise Problem(where, rule, f"{header.shape} of {header.dtype}", remedy)
+            raise InputError(where, rule, f"{header.shape} of {header.dtype}", remedy)
         values = np.frombuffer(archives.read_exactly(stored, header.bytes), header.dtype)
     L = values.reshape(header.shape, order="F" if header.fortran else "C").astype(np.float64)
     if not np.isfinite(L).all() or L.max() > BRIGHTEST:
-        found = f"values up to {L.max():g}" if np.isfinite(L).all() else "NaN or infinity"
-        raise Problem(where, f"finite radiance up to {BRIGHTEST:g}", found, "clip it, and write it again")
+        result = f"values up to {L.max():g}" if np.isfinite(L).all() else "NaN or infinity"
+        raise InputError(where, f"finite radiance up to {BRIGHTEST:g}", result, "clip it, and write it again")
     if not (L > 0).any():
-        raise Problem(where, "light", "a black map", "leave it out")
+        raise InputError(where, "light", "a black map", "leave it out")
     return envmap.unit_mean(np.maximum(L, 0).astype(np.float32))[0].astype(np.float32)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from learn.data.batch import joined
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.schema import Record
 
 
@@ -36,7 +36,7 @@ def scene(record):
     return (r.geometry_hash, r.light_hash, r.rotation_texels, r.tier, r.light_resolution, r.camera, len(r.materials))
 
 
-def found(records):
+def edits_between(records):
     """{source record id: [Edit]} of all ordered pairs.
 
     Of pictures that differ in seed and samples alone one of the fewest samples is taken, of these the one of least id: a picture of
@@ -77,12 +77,12 @@ def chosen(records, count, seed):
 def by_picture(records, seed):
     """[all Edits of one source picture] in an order that a seed determines: shape after shape in turn, each time another picture.
 
-    Raises Problem where no two pictures make an edit.
+    Raises InputError where no two pictures make an edit.
     """
-    edits = found(records)
+    edits = edits_between(records)
     if not edits:
         remedy = "render each shape, view and light in two materials or more: python -m factory render JOB"
-        raise Problem("--data", "pictures that differ in nothing but the material", "none", remedy)
+        raise InputError("--data", "pictures that differ in nothing but the material", "none", remedy)
     by_shape = defaultdict(list)
     for id_, of_picture in edits.items():
         by_shape[of_picture[0].source.shape].append(id_)
@@ -100,11 +100,11 @@ def _shuffled(seed, name):
 def shown(records, edit):
     """The Batch of one that methods see of an edit's source: one region, or one a segment where the scene has several materials.
 
-    records  learn.data.records.Records. Raises Problem for a perspective camera: networks and edits are of a distant viewer
+    records  learn.data.records.Records. Raises InputError for a perspective camera: networks and edits are of a distant viewer
     """
     sample = records.load(edit.source)
     if sample.view is not None:
-        raise Problem(records.folder, "an orthographic camera", f"{edit.source.camera.fov_deg:g}°", "render without fov_deg")
+        raise InputError(records.folder, "an orthographic camera", f"{edit.source.camera.fov_deg:g}°", "render without fov_deg")
     mask = sample.mask.numpy()
     segments = sample.segments if edit.several else sample.mask.long()
     label = sample.label[: None if edit.several else 1].numpy()
@@ -113,7 +113,7 @@ def shown(records, edit):
     return joined([(image, mask, sample.n, segments, label, sample.light, label, name)], sample.elevation)
 
 
-def wanted(records, edit):
+def target_label(records, edit):
     """The label (S, 108) tensor that an edit asks for, a row a region of `shown`."""
     names = edit.truth.materials if edit.several else edit.truth.materials[:1]
     return torch.from_numpy(np.stack([records.label(name) for name in names]))

@@ -22,7 +22,7 @@ from scipy.ndimage import distance_transform_edt
 
 from manifests import exr
 from manifests.arrays import PICTURE_CHANNELS
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.inputs import require_file
 from shaders import tone
 from shaders.envmap import LUMINANCE
@@ -99,7 +99,7 @@ def read_soft(path, mask_path=None, regions=None, remedy=MASK_REMEDY):
     regions  a label image's file: without a mask and transparency the object is all its regions
     remedy   of a picture without a mask
 
-    Raises  Problem: no such file, no picture, no mask, an empty one, one of another size
+    Raises  InputError: no such file, no picture, no mask, an empty one, one of another size
     """
     path = Path(path)
     radiance, alpha = _pixels(path)
@@ -110,31 +110,34 @@ def read_soft(path, mask_path=None, regions=None, remedy=MASK_REMEDY):
     elif regions is not None:
         coverage = (read_labels(regions, radiance.shape[:2]) > 0).astype(np.float32)
     else:
-        raise Problem(path, "a mask, or transparency around the object", "neither", remedy)
+        raise InputError(path, "a mask, or transparency around the object", "neither", remedy)
     if (coverage >= 0.5).sum() < LEAST_PIXELS:
-        found = f"{int((coverage >= 0.5).sum())}"
-        raise Problem(mask_path or path, f"an object of {LEAST_PIXELS} pixels or more in the mask", found, "white marks the object")
+        result = f"{int((coverage >= 0.5).sum())}"
+        raise InputError(mask_path or path, f"an object of {LEAST_PIXELS} pixels or more in the mask", result, "white marks the object")
     return radiance, coverage, alpha
 
 
 def read_mask(path, size):
-    """Coverage (H, W) of a mask file: its display value, 0 black to 1 white, times its own alpha. Raises Problem: not of that size."""
+    """Coverage (H, W) of a mask file: its display value, 0 black to 1 white, times its own alpha. Raises InputError: not of that size."""
     values, own = _pixels(Path(path))
     _require_size(path, values.shape[:2], size, "a mask")
     return tone.srgb(values.mean(-1)).astype(np.float32) * own
 
 
 def read_labels(path, size):
-    """Regions (H, W) uint8, 0 background, 1 … S by rising value: each grey, colour or palette entry but 0 is a region. Raises Problem."""
+    """Regions (H, W) uint8, 0 background, 1 … S by rising value: each grey, colour or palette entry but 0 is a region.
+
+    Raises  InputError
+    """
     path = Path(path)
     if path.suffix.lower() == ".exr":
-        raise Problem(path, "a picture of whole numbers, one a region", "an EXR", "save it as PNG")
+        raise InputError(path, "a picture of whole numbers, one a region", "an EXR", "save it as PNG")
     values = _decoded(path, _label_values)
     _require_size(path, values.shape[:2], size, "regions")
     levels = [level for level in np.unique(values) if level != 0]
     if not 1 <= len(levels) <= MOST_REGIONS:
         remedy = "0 is background, and each region has one value; save without antialiasing or JPEG"
-        raise Problem(path, f"1 to {MOST_REGIONS} values besides 0", f"{len(levels)}", remedy)
+        raise InputError(path, f"1 to {MOST_REGIONS} values besides 0", f"{len(levels)}", remedy)
     return np.searchsorted([0, *levels], values).astype(np.uint8)
 
 
@@ -149,7 +152,7 @@ def _label_values(picture):
 def _require_size(path, found, expected, what):
     if tuple(found) != tuple(expected):
         rule = f"{what} of the picture's size {expected[1]} × {expected[0]}"
-        raise Problem(path, rule, f"{found[1]} × {found[0]}", "resize it")
+        raise InputError(path, rule, f"{found[1]} × {found[0]}", "resize it")
 
 
 def _pixels(path):
@@ -160,7 +163,7 @@ def _pixels(path):
     if values.ndim == 2:
         low, high = values.min(), values.max()
         if low < 0 or high > 65535:
-            raise Problem(path, "8 or 16 bit values", f"values from {low} to {high}", "save it as a 16-bit PNG, or as EXR")
+            raise InputError(path, "8 or 16 bit values", f"values from {low} to {high}", "save it as a 16-bit PNG, or as EXR")
         return np.repeat(_linear(values.astype(np.float32) / 65535)[..., None], 3, -1), np.ones(values.shape, np.float32)
     table = _linear(np.arange(256) / 255)  # one look-up a value: of twenty megapixels the power would take seconds and gigabytes
     return table[values[..., :3]], values[..., 3].astype(np.float32) / 255
@@ -172,7 +175,7 @@ def _display_values(picture):
 
 
 def _decoded(path, values_of):
-    """What `values_of` takes from the Pillow image of a file, which is whole and upright. Raises Problem."""
+    """What `values_of` takes from the Pillow image of a file, which is whole and upright. Raises InputError."""
     require_file(path, "a picture", "check the name", MOST_BYTES)
     try:
         with warnings.catch_warnings():
@@ -181,14 +184,14 @@ def _decoded(path, values_of):
                 _require_readable(path, opened)
                 opened.seek(0)  # of an animation, the first frame
                 return values_of(_upright(opened))
-    except Problem:
+    except InputError:
         raise
     except UnidentifiedImageError:
         rule, remedy = f"a picture in one of the formats {FORMATS_TEXT}", "save it as PNG, JPEG or EXR"
-        raise Problem(path, rule, "another format, or a damaged file", remedy) from None
+        raise InputError(path, rule, "another format, or a damaged file", remedy) from None
     except (OSError, *DAMAGED) as error:
-        found = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-        raise Problem(path, f"a whole picture ({FORMATS_TEXT})", found, "save it again, as PNG, JPEG or EXR") from None
+        result = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+        raise InputError(path, f"a whole picture ({FORMATS_TEXT})", result, "save it again, as PNG, JPEG or EXR") from None
 
 
 @functools.cache
@@ -199,15 +202,15 @@ def _formats():
 
 
 def _require_readable(path, picture):
-    """Raises Problem for a Pillow image, of which only the header was read, that is too large, or of numbers that are no display values."""
+    """Raises InputError for a Pillow image, of which only the header was read, that is too large or holds no display values."""
     tags = getattr(picture, "tag_v2", {})  # of a TIFF, whose decoder takes memory for a whole tile
     for what, width, height in (("", *picture.size), ("tiles of ", tags.get(TILE_WIDTH), tags.get(TILE_LENGTH))):
         sides = [side for side in (width, height) if isinstance(side, int)]
         if math.prod(sides) > MOST_PIXELS or max(sides, default=0) > MOST_SIDE:
             rule = f"at most {MOST_PIXELS // 1_000_000} megapixels, and {MOST_SIDE} a side"
-            raise Problem(path, rule, f"{what}{width} × {height}", "make it smaller")
+            raise InputError(path, rule, f"{what}{width} × {height}", "make it smaller")
     if picture.mode == "F":
-        raise Problem(path, "8 or 16 bit values", "floating point", "save it as EXR")
+        raise InputError(path, "8 or 16 bit values", "floating point", "save it as EXR")
 
 
 def _upright(picture):
@@ -230,19 +233,19 @@ def _exr_pixels(path):
     channels = exr.read(path)
     missing = [name for name in PICTURE_CHANNELS if name not in channels]
     if missing:
-        raise Problem(path, "channels R, G, B", f"only {', '.join(sorted(channels)) or 'none'}", "export it as RGB")
+        raise InputError(path, "channels R, G, B", f"only {', '.join(sorted(channels)) or 'none'}", "export it as RGB")
     planes = {name: np.asarray(channels[name]) for name in (*PICTURE_CHANNELS, "A") if name in channels}
     kinds = {(plane.shape, plane.dtype.kind) for plane in planes.values()}
     if len({shape for shape, _ in kinds}) > 1 or any(len(shape) != 2 or kind not in "fu" for shape, kind in kinds):
-        raise Problem(path, "channels R, G, B and A of one size", "channels of several sizes, or deep data", "export it as flat RGB")
+        raise InputError(path, "channels R, G, B and A of one size", "channels of several sizes, or deep data", "export it as flat RGB")
     radiance = np.stack([planes[name].astype(np.float32) for name in PICTURE_CHANNELS], -1)
     alpha = planes["A"].astype(np.float32) if "A" in planes else np.ones(radiance.shape[:2], np.float32)
     if not np.isfinite(radiance).all():
-        raise Problem(path, "finite radiance", "NaN or infinity", "export it again")
+        raise InputError(path, "finite radiance", "NaN or infinity", "export it again")
     if not np.isfinite(alpha).all():
-        raise Problem(path, "a finite alpha channel", "NaN or infinity", "export it again")
+        raise InputError(path, "a finite alpha channel", "NaN or infinity", "export it again")
     if (brightest := radiance.max()) > LARGEST_RADIANCE:
-        raise Problem(path, f"radiance up to {LARGEST_RADIANCE:g}", f"{brightest:g}", "divide it by what white is, and export it again")
+        raise InputError(path, f"radiance up to {LARGEST_RADIANCE:g}", f"{brightest:g}", "divide it by what white is, and export it again")
     return np.maximum(radiance, 0), np.clip(alpha, 0, 1)
 
 
@@ -250,18 +253,18 @@ def exposure_of(radiance, mask, exposure=None, where="the object"):
     """The factor from a picture's radiance to the networks': the one given, or an estimate from the object's brightness.
 
     radiance (H, W, 3), mask (H, W) bool, not empty
-    Raises  Problem at `where` for an object that is black, or too dark or too bright to be read
+    Raises  InputError at `where` for an object that is black, or too dark or too bright to be read
     """
     Y = float((radiance[mask] @ LUMINANCE).mean())
     shown = f"{Y:.3g}" + ", black or negative" * (Y == 0)
     if exposure is None:
         if not ESTIMATED[0] <= Y <= ESTIMATED[1]:
             rule = "an object of mean luminance {:g} to {:g}".format(*ESTIMATED)
-            raise Problem(where, rule, shown, "expose it so that white is 1, or say by --exposure what to multiply it by")
+            raise InputError(where, rule, shown, "expose it so that white is 1, or say by --exposure what to multiply it by")
         return TYPICAL * Y**-DEPENDENCE
     if not SEEN[0] <= exposure * Y <= SEEN[1]:
         rule = "an object whose mean luminance times the exposure is {:g} to {:g}".format(*SEEN)
-        raise Problem(where, rule, f"{shown} times {exposure:g}", "give another --exposure, or leave it out")
+        raise InputError(where, rule, f"{shown} times {exposure:g}", "give another --exposure, or leave it out")
     return exposure
 
 
@@ -269,16 +272,16 @@ def framed(radiance, mask, size, exposure=None, where="the object"):
     """The object's square at the networks' size.
 
     exposure  None: guessed from the object's brightness
-    where     names the picture in a Problem
+    where     names the picture in a InputError
     Returns   Framed with radiance (size, size, 3), mask (size, size)
-    Raises    Problem: too little of it is left at that size; as `exposure_of`
+    Raises    InputError: too little of it is left at that size; as `exposure_of`
     """
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     side = max(int(np.ceil(MARGIN * max(np.ptp(rows), np.ptp(columns)))) + 1, 4)
     if side > MOST_SQUARE:
         across = max(np.ptp(rows), np.ptp(columns)) + 1
         rule = f"an object at most {int(MOST_SQUARE / MARGIN)} pixels across"
-        raise Problem(where, rule, str(across), "make the picture smaller")
+        raise InputError(where, rule, str(across), "make the picture smaller")
     top, left = (rows[0] + rows[-1] + 1 - side) // 2, (columns[0] + columns[-1] + 1 - side) // 2
     exposure = exposure_of(radiance, mask, exposure, where)
     weight = placed(mask.astype(np.float32), (top, left, side))
@@ -289,7 +292,7 @@ def framed(radiance, mask, size, exposure=None, where="the object"):
         inside = covered >= max(np.sort(covered, None)[-round(float(covered.sum()))], 1e-2)
     if inside.sum() < LEAST_PIXELS:
         rule = f"an object of {LEAST_PIXELS} pixels or more at the network's {size} × {size}"
-        raise Problem("the mask", rule, f"{int(inside.sum())}", "mask a thicker part of it, or crop to it")
+        raise InputError("the mask", rule, f"{int(inside.sum())}", "mask a thicker part of it, or crop to it")
     return Framed((colour * inside[..., None] * exposure).astype(np.float32), inside, (int(top), int(left), side), float(exposure))
 
 
@@ -331,7 +334,7 @@ def resized(array, size):
 
 
 def write_exr(path, array, names=PICTURE_CHANNELS):
-    """An EXR of float32 channels (H, W, C). Raises Problem for what is not finite."""
+    """An EXR of float32 channels (H, W, C). Raises InputError for what is not finite."""
     with np.errstate(over="ignore"):  # beyond float32 is not finite
         planes = {name: np.asarray(array[..., k], np.float32) for k, name in enumerate(names)}
     for plane in planes.values():
@@ -340,6 +343,6 @@ def write_exr(path, array, names=PICTURE_CHANNELS):
 
 
 def require_finite(path, values):
-    """Raises Problem if a picture that is about to be written to `path` holds NaN or infinity, of which no file is made."""
+    """Raises InputError if a picture that is about to be written to `path` holds NaN or infinity, of which no file is made."""
     if not np.isfinite(values).all():
-        raise Problem(path, "a finite picture", "NaN or infinity", "give another --exposure, or other --weights or --material")
+        raise InputError(path, "a finite picture", "NaN or infinity", "give another --exposure, or other --weights or --material")

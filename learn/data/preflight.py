@@ -10,7 +10,7 @@ import json
 import numpy as np
 from tqdm import tqdm
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import write_text
 from manifests.inputs import require_file
 from manifests.store import inside
@@ -23,7 +23,7 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
 
     records   learn.data.records.Records; geometry: learn.data.geometry.Geometry of the same folder
     skip_bad  leave bad ones out; otherwise the first one raises
-    Raises    Problem that names the record's file and the remedy
+    Raises    InputError that names the record's file and the remedy
     """
     path = records.folder / "packed" / "pictures.json"
     known, good, skipped, seen = _remembered(path), [], {}, {hash_: None for hash_ in geometry.skipped}
@@ -38,10 +38,10 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
                 _check(records, record)
                 known[record.id] = stamp
             if not seen.get(record.geometry_hash):
-                found = geometry.skipped.get(record.geometry_hash, "a shape that covers next to nothing of the frame")
-                raise Problem(f"{records.folder}: record {record.id}", "usable geometry", found, "render it again")
+                result = geometry.skipped.get(record.geometry_hash, "a shape that covers next to nothing of the frame")
+                raise InputError(f"{records.folder}: record {record.id}", "usable geometry", result, "render it again")
             good.append(record)
-        except Problem as problem:
+        except InputError as problem:
             if not skip_bad:
                 raise skippable(problem) from None
             skipped[record.id] = str(problem)
@@ -51,18 +51,18 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
     return good, skipped
 
 
-def skippable(problem: Problem) -> Problem:
-    """The Problem with a remedy that names --skip-bad too."""
-    return Problem(problem.where, problem.expected, problem.found, f"{problem.remedy}, or leave it out by --skip-bad")
+def skippable(problem: InputError) -> InputError:
+    """The InputError with a remedy that names --skip-bad too."""
+    return InputError(problem.where, problem.expected, problem.found, f"{problem.remedy}, or leave it out by --skip-bad")
 
 
 def _check(records, record):
-    """Read a record's picture. Raises Problem."""
+    """Read a record's picture. Raises InputError."""
     where = inside(records.folder, record.image)
     image = records.image(record)
     if not np.isfinite(image).all():
         count = int((~np.isfinite(image)).sum())
-        raise Problem(where, "finite radiance", f"{count} values that are not", "render it again")
+        raise InputError(where, "finite radiance", f"{count} values that are not", "render it again")
 
 
 def _stamp(path):

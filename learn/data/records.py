@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from manifests import arrays
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import material, read_catalogue
 from manifests.schema import Record
 from manifests.store import Store, inside
@@ -78,7 +78,7 @@ class Records(torch.utils.data.Dataset):
     def __init__(self, folder, keep=None):
         """keep: a function of a Record that says whether it is wanted; None: all.
 
-        Raises  Problem if the folder holds no dataset, or a record that is not the one its id means
+        Raises  InputError if the folder holds no dataset, or a record that is not the one its id means
         """
         self.store = Store(folder)
         self.folder = Path(folder)
@@ -86,7 +86,7 @@ class Records(torch.utils.data.Dataset):
         self.materials = {entry.name: entry for entry in read_catalogue(self.folder / "materials.json").materials}
         self.records = sorted(self._judged("records", self.store.records(keep)), key=lambda record: record.id)
         if twice := next((a.id for a, b in pairwise(self.records) if a.id == b.id), None):
-            raise Problem(self.folder, "each record once", f"{twice} twice", REPAIR)
+            raise InputError(self.folder, "each record once", f"{twice} twice", REPAIR)
 
     def __len__(self):
         return len(self.records)
@@ -95,7 +95,7 @@ class Records(torch.utils.data.Dataset):
         return self.load(self.records[index])
 
     def load(self, record):
-        """The Sample of a record. Raises Problem for a file that is missing, damaged or of another size."""
+        """The Sample of a record. Raises InputError for a file that is missing, damaged or of another size."""
         normals, depth, segments = self.geometry(record)
         fov = None if record.camera.fov_deg is None else np.radians(record.camera.fov_deg)
         view = None if fov is None else torch.from_numpy(view_vectors(*record.camera.size, fov=fov).astype(np.float32))
@@ -105,23 +105,23 @@ class Records(torch.utils.data.Dataset):
         return Sample(record, *tensors, view)
 
     def views(self):
-        """Every View of geometry alone. Raises Problem as `Records` does."""
+        """Every View of geometry alone. Raises InputError as `Records` does."""
         return self._judged("views", self.store.views())
 
     def _judged(self, kind, lines):
         """The lines, each held against its id and its entries: an altered one would be learned from as what it is not."""
-        judge, found = Judge(self.dataset, {}, set(), None), []
+        judge, result = Judge(self.dataset, {}, set(), None), []
         faults_of = judge.of_kind(kind)
         for line in lines:
             for fault in faults_of(line, None):
-                raise Problem(self.folder, f"{kind} that are what their ids mean", fault.text, REPAIR)
-            found.append(line)
+                raise InputError(self.folder, f"{kind} that are what their ids mean", fault.text, REPAIR)
+            result.append(line)
         for fault in judge.verdicts():
-            raise Problem(self.folder, f"{kind} that are what their ids mean", fault.text, REPAIR)
-        return found
+            raise InputError(self.folder, f"{kind} that are what their ids mean", fault.text, REPAIR)
+        return result
 
     def image(self, record):
-        """Radiance (H, W, 3) float32 of a record. Raises Problem for another file than the record means."""
+        """Radiance (H, W, 3) float32 of a record. Raises InputError for another file than the record means."""
         return arrays.read_picture(inside(self.folder, record.image), record.camera.size, record.image_hash)
 
     def geometry(self, record):
@@ -130,9 +130,9 @@ class Records(torch.utils.data.Dataset):
         geometry = arrays.read_geometry(path, record.camera.size, record.geometry_hash)
         normals, depth, segments = geometry
         if away := turned_away(geometry, record.camera):
-            raise Problem(path, "normals that face the viewer", f"{away} turned away", "render it again")
+            raise InputError(path, "normals that face the viewer", f"{away} turned away", "render it again")
         if segments.max(initial=0) > record.segments:
-            raise Problem(path, f"at most {record.segments} segments", f"segment {int(segments.max())}", "render it again")
+            raise InputError(path, f"at most {record.segments} segments", f"segment {int(segments.max())}", "render it again")
         return normals, depth, segments.astype(np.int64)
 
     @cache  # noqa: B019 -- one dataset lives as long as its program
@@ -140,11 +140,11 @@ class Records(torch.utils.data.Dataset):
         """The manifests.materials.Material of this dataset under that name: label, mixture, fit errors."""
         where, entry = self.folder / "materials.json", self.materials.get(name)
         if entry is None:
-            raise Problem(where, f"an entry for '{name}', which a record names", "none", "copy the dataset again")
-        found, known = material(entry, where), self.dataset.materials.get(name)
-        if known is not None and known.hash != found.hash:
-            raise Problem(f"{where}: '{name}'", f"hash {known.hash}, as in dataset.json", found.hash, "copy the dataset again")
-        return found
+            raise InputError(where, f"an entry for '{name}', which a record names", "none", "copy the dataset again")
+        result, known = material(entry, where), self.dataset.materials.get(name)
+        if known is not None and known.hash != result.hash:
+            raise InputError(f"{where}: '{name}'", f"hash {known.hash}, as in dataset.json", result.hash, "copy the dataset again")
+        return result
 
     def side(self, name: str) -> str:
         """The side of the split, "train" or "test", that this data set gives to one of its materials."""
@@ -160,5 +160,5 @@ class Records(torch.utils.data.Dataset):
         """The stored map (64, 128, 3) float32 of a light of this dataset, as the camera sees it at rotation 0."""
         entry = self.dataset.lights.get(name)
         if entry is None:
-            raise Problem(self.folder / "dataset.json", f"a light '{name}', which a record names", "none", "copy the dataset again")
+            raise InputError(self.folder / "dataset.json", f"a light '{name}', which a record names", "none", "copy the dataset again")
         return arrays.read_light(inside(self.folder, entry.file), entry.file_hash)

@@ -15,7 +15,7 @@ from learn.data.batch import joined
 from learn.data.geometry import Geometry
 from learn.data.settings import Data
 from learn.layer import render
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders.dsbrdf import SHAPE
 
 SIDES = {"train": 0, "validation": 1, "test": 2}
@@ -23,7 +23,7 @@ BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
 
 
 @dataclass(frozen=True)
-class Pool:
+class DataSplit:
     """What one side of the split may draw from.
 
     views   indices into geometry; labels: {name: (108,) float32}; maps: [(64, 128, 3)]
@@ -36,14 +36,14 @@ class Pool:
     labels: dict
     maps: list
     side: str
-    album: object = None
+    rendered_split: object = None
     skipped: dict = field(default_factory=dict)
 
     def sizes(self):
         """{what: how many} it may draw from."""
         shapes = {self.geometry.views[v].shape for v in self.views}
-        found = {"shapes": len(shapes), "views": len(self.views), "materials": len(self.labels), "lights": len(self.maps)}
-        return found | ({"pictures": len(self.album)} if self.album else {})
+        result = {"shapes": len(shapes), "views": len(self.views), "materials": len(self.labels), "lights": len(self.maps)}
+        return result | ({"pictures": len(self.rendered_split)} if self.rendered_split else {})
 
 
 def gloss(label):
@@ -52,7 +52,7 @@ def gloss(label):
     return float((gamma * np.maximum(kappa, 1)).max())
 
 
-class Relit:
+class RelitDataset:
     """Batches of relit examples.
 
     pool     Pool
@@ -62,55 +62,55 @@ class Relit:
     part     (i, n): of every batch only the i-th of n equal parts, for several processes
     """
 
-    def __init__(self, pool, data: Data, batch, size, seed, part=(0, 1)):
-        self.pool, self.data, self.size, self.seed = pool, data, size, seed
-        if any(side % size for side in pool.geometry.size):
-            found = f"{pool.geometry.size[0]} × {pool.geometry.size[1]}"
-            raise Problem(
-                pool.geometry.folder, f"geometry of a whole number of times {size} pixels", found, f"render it with --size {size}"
+    def __init__(self, data_split, data: Data, batch, size, seed, part=(0, 1)):
+        self.data_split, self.data, self.size, self.seed = data_split, data, size, seed
+        if any(side % size for side in data_split.geometry.size):
+            result = f"{data_split.geometry.size[0]} × {data_split.geometry.size[1]}"
+            raise InputError(
+                data_split.geometry.folder, f"geometry of a whole number of times {size} pixels", result, f"render it with --size {size}"
             )
         groups = -(-batch // data.sharing)
         if groups % part[1]:
             raise ValueError(f"batch: expected a multiple of {data.sharing * part[1]} pictures for {part[1]} processes, found {batch}")
         self.groups = range(groups)[part[0] :: part[1]]
         self.of_group = [len(range(g * data.sharing, min((g + 1) * data.sharing, batch))) for g in range(groups)]
-        self.names = sorted(pool.labels)
-        if data.matte_first:
-            self.names.sort(key=lambda name: gloss(pool.labels[name]))
+        self.names = sorted(data_split.labels)
+        if data.gloss_curriculum:
+            self.names.sort(key=lambda name: gloss(data_split.labels[name]))
 
     def __getitem__(self, k):
         """The k-th Batch."""
-        return joined([example for g in self.groups for example in self._group(k, g)], self.pool.geometry.elevation)
+        return joined([example for g in self.groups for example in self._group(k, g)], self.data_split.geometry.elevation)
 
     def _group(self, k, g):
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(SIDES[self.pool.side], k, g)))
-        count, training = self.of_group[g], self.pool.side == "train"
-        views = self.pool.views[rng.choice(len(self.pool.views), count, replace=count > len(self.pool.views))]
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(SIDES[self.data_split.side], k, g)))
+        count, training = self.of_group[g], self.data_split.side == "train"
+        views = self.data_split.views[rng.choice(len(self.data_split.views), count, replace=count > len(self.data_split.views))]
         chosen = [self.names[i] for i in rng.choice(self._admitted(k), 2 * self.data.regions)]
         channels = [rng.permutation(3) if training else np.arange(3) for _ in chosen]
-        labels = np.stack([self.pool.labels[name].reshape(3, 36)[c].reshape(108) for name, c in zip(chosen, channels, strict=True)])
+        labels = np.stack([self.data_split.labels[name].reshape(3, 36)[c].reshape(108) for name, c in zip(chosen, channels, strict=True)])
         if training:
-            L = lights.draw(rng, self.pool.maps, self.data.real_lights)
+            L = lights.draw(rng, self.data_split.maps, self.data.real_lights)
         else:
-            L = np.roll(self.pool.maps[rng.integers(len(self.pool.maps))], int(rng.integers(lights.WIDTH)), 1)
+            L = np.roll(self.data_split.maps[rng.integers(len(self.data_split.maps))], int(rng.integers(lights.WIDTH)), 1)
         label, target = labels[: self.data.regions], labels[self.data.regions :]
         n, segments = self._geometry(views)
         images = self._pictures(n, segments, label, L)
         names = [
-            f"{self.pool.geometry.views[v].shape} view {self.pool.geometry.views[v].viewpoint} {'+'.join(chosen[: len(label)])}"
+            f"{self.data_split.geometry.views[v].shape} view {self.data_split.geometry.views[v].viewpoint} {'+'.join(chosen[: len(label)])}"
             for v in views
         ]
         return [self._example(rng, n[i], segments[i], images[i], label, target, L, names[i], training) for i in range(count)]
 
     def _admitted(self, k):
         """How many of the materials batch k may draw from."""
-        if not self.data.matte_first or self.pool.side != "train":
+        if not self.data.gloss_curriculum or self.data_split.side != "train":
             return len(self.names)
-        return max(1, math.ceil(len(self.names) * min(1.0, (1 + 2 * k / self.data.matte_first) / 3)))
+        return max(1, math.ceil(len(self.names) * min(1.0, (1 + 2 * k / self.data.gloss_curriculum) / 3)))
 
     def _geometry(self, views):
-        n = torch.from_numpy(np.stack([self.pool.geometry.normals(v) for v in views]))
-        segments = torch.from_numpy(np.stack([self.pool.geometry.segments(v) for v in views]))
+        n = torch.from_numpy(np.stack([self.data_split.geometry.normals(v) for v in views]))
+        segments = torch.from_numpy(np.stack([self.data_split.geometry.segments(v) for v in views]))
         step = len(n[0]) // self.size
         n, segments = n[:, step // 2 :: step, step // 2 :: step], segments[:, step // 2 :: step, step // 2 :: step]
         return n.contiguous(), (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
@@ -128,7 +128,7 @@ class Relit:
                 light,
                 segments=None if self.data.regions == 1 else segments,
                 tolerance=self.data.tolerance,
-                elevation=self.pool.geometry.elevation,
+                elevation=self.data_split.geometry.elevation,
             )
         return picture.clamp(0, BRIGHTEST).numpy()
 

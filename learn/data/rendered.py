@@ -14,13 +14,13 @@ from learn.data.batch import joined
 from learn.data.relit import BRIGHTEST, SIDES
 from learn.data.settings import Data
 from learn.layer import render
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders.envmap import roll
 
 ORDER, DRAW = 10, 20  # of a SeedSequence's key, far from what relit pictures use
 
 
-class Album:
+class RenderedSplit:
     """The pictures of one side of the split.
 
     records    learn.data.records.Records; geometry: learn.data.geometry.Geometry of the same folder
@@ -52,43 +52,55 @@ def fits(record, regions):
     return all(name == record.materials[s % regions] for s, name in enumerate(record.materials))
 
 
-class Cycles:
-    """Batches of rendered examples; arguments as learn.data.relit.Relit's. Raises Problem for pictures that do not suit the size."""
+class RenderedDataset:
+    """Batches of rendered examples; arguments as learn.data.relit.RelitDataset's.
 
-    def __init__(self, pool, data: Data, batch, size, seed, part=(0, 1)):
-        self.pool, self.album, self.data, self.size, self.seed, self.batch = pool, pool.album, data, size, seed, batch
-        geometry = self.album.geometry
+    Raises  InputError for pictures that do not suit the size
+    """
+
+    def __init__(self, data_split, data: Data, batch, size, seed, part=(0, 1)):
+        self.data_split, self.rendered_split, self.data, self.size, self.seed, self.batch = (
+            data_split,
+            data_split.rendered_split,
+            data,
+            size,
+            seed,
+            batch,
+        )
+        geometry = self.rendered_split.geometry
         if any(side % size for side in geometry.size):
-            found = f"{geometry.size[0]} × {geometry.size[1]}"
-            raise Problem(geometry.folder, f"pictures of a whole number of times {size} pixels", found, f'render them with "size": {size}')
+            result = f"{geometry.size[0]} × {geometry.size[1]}"
+            raise InputError(
+                geometry.folder, f"pictures of a whole number of times {size} pixels", result, f'render them with "size": {size}'
+            )
         if batch % part[1]:
             raise ValueError(f"batch: expected a multiple of {part[1]} pictures for so many processes, found {batch}")
         share = batch // part[1]
         self.places = range(part[0] * share, (part[0] + 1) * share)
-        self.names = sorted(pool.labels)
+        self.names = sorted(data_split.labels)
 
     def __getitem__(self, k):
         """The k-th Batch."""
-        return joined([self._example(k * self.batch + j) for j in self.places], self.album.geometry.elevation)
+        return joined([self._example(k * self.batch + j) for j in self.places], self.rendered_split.geometry.elevation)
 
     def _example(self, number):
-        epoch, place = divmod(number, len(self.album))
-        side = SIDES[self.pool.side]
-        record = self.album.chosen[_order(self.seed, side, epoch, len(self.album))[place]]
+        epoch, place = divmod(number, len(self.rendered_split))
+        side = SIDES[self.data_split.side]
+        record = self.rendered_split.chosen[_order(self.seed, side, epoch, len(self.rendered_split))[place]]
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(DRAW + side, epoch, place)))
-        training = self.pool.side == "train"
+        training = self.data_split.side == "train"
         channels = rng.permutation(3) if training else np.arange(3)
-        partners = self.album.partners(record)
+        partners = self.rendered_split.partners(record)
         partner = partners[rng.integers(len(partners))] if partners else None
         n, segments = self._geometry(record)
-        L = roll(self.album.records.light(record.light), record.rotation_texels)
-        image, label = self._picture(record), self.album.labels(record, self.data.regions)
+        L = roll(self.rendered_split.records.light(record.light), record.rotation_texels)
+        image, label = self._picture(record), self.rendered_split.labels(record, self.data.regions)
         if partner is None:
             names = [self.names[i] for i in rng.choice(len(self.names), self.data.regions)]
-            target_label = np.stack([self.pool.labels[name] for name in names])
+            target_label = np.stack([self.data_split.labels[name] for name in names])
             target = self._relit(n, segments, target_label, L)
         else:
-            target, target_label = self._picture(partner), self.album.labels(partner, self.data.regions)
+            target, target_label = self._picture(partner), self.rendered_split.labels(partner, self.data.regions)
         label, target_label = (each.reshape(-1, 3, 36)[:, channels].reshape(-1, 108) for each in (label, target_label))
         image, target, L = (np.ascontiguousarray(each[..., channels]) for each in (image, target, L))
         mask = (segments > 0).numpy()
@@ -99,12 +111,12 @@ class Cycles:
         return image, seen, n, segments, label, L, target_label, name, picture, target
 
     def _geometry(self, record):
-        at, geometry = self.album.view_of[record.geometry_hash], self.album.geometry
+        at, geometry = self.rendered_split.view_of[record.geometry_hash], self.rendered_split.geometry
         n, segments = torch.from_numpy(self._small(geometry.normals(at))), torch.from_numpy(self._small(geometry.segments(at)))
         return n, (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
 
     def _picture(self, record):
-        return np.clip(self._small(self.album.records.image(record)), 0, BRIGHTEST)
+        return np.clip(self._small(self.rendered_split.records.image(record)), 0, BRIGHTEST)
 
     def _small(self, array):
         """Every so many-th pixel, as geometry is made smaller: a mean of normals would be the normal of nothing."""
@@ -114,11 +126,13 @@ class Cycles:
     def _relit(self, n, segments, label, L):
         arrays = n[None], torch.from_numpy(label).exp()[None], torch.from_numpy(L)[None]
         with torch.no_grad():
-            picture = render(*arrays, segments=segments[None], tolerance=self.data.tolerance, elevation=self.album.geometry.elevation)
+            picture = render(
+                *arrays, segments=segments[None], tolerance=self.data.tolerance, elevation=self.rendered_split.geometry.elevation
+            )
         return picture[0].clamp(0, BRIGHTEST).numpy()
 
 
-class Mix:
+class MixedDataset:
     """Batches of two sources: a share of Cycles', spread evenly, the rest relit; a function of the batch's number alone."""
 
     def __init__(self, relit, cycles, share):

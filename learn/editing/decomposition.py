@@ -1,4 +1,4 @@
-"""A photograph taken apart: what the network says of it, refined or not, and brought to the photograph's own size.
+"""A photograph taken decomposition: what the network says of it, refined or not, and brought to the photograph's own size.
 
 A Painter renders the object again in any material, and puts it back before its background:
     edited = coverage · O / (exposure · balance) + (1 − coverage) · background
@@ -32,7 +32,7 @@ LARGEST_DETAIL = 1.5  # factor
 
 
 @dataclass(frozen=True)
-class Apart:
+class Decomposition:
     """framed: what the network saw; batch: of one; start: Prediction; refined: Refined, or None where it was not asked for."""
 
     photograph: Photograph
@@ -52,36 +52,36 @@ class Apart:
         return self.framed.exposure * self.photograph.balance
 
 
-def taken(photograph, network, size, settings=None):
-    """Apart. network and size from learn.networks.weights.load_network; settings of refinement, None for no refinement."""
+def decompose(photograph, network, size, settings=None):
+    """Decomposition. network and size from learn.networks.weights.load_network; settings of refinement, None for no refinement."""
     framed = photographs.framed(photograph.balanced, photograph.mask, size, photograph.exposure)
     regions = photographs.framed_regions(photograph.regions, framed)
     batch, start = predict.of(framed, network, regions, photograph.count)
     if photograph.record is not None:  # a record's own camera; a photograph's is taken for ours
         batch = replace(batch, elevation=float(np.radians(photograph.record.camera.elevation_deg)))
-    return Apart(photograph, framed, batch, start, None if settings is None else refine(batch, start, settings))
+    return Decomposition(photograph, framed, batch, start, None if settings is None else refine(batch, start, settings))
 
 
 class Painter:
-    """Paints an Apart in other materials.
+    """Paints a Decomposition in other materials.
 
     tolerance  of the layer
     detail     how much of the shading that is finer than the network's pixels is kept: 0 none, 1 all
     """
 
-    def __init__(self, apart, tolerance=1e-2, detail=0.0):
-        self.apart, self.tolerance, self.detail = apart, tolerance, detail
-        top, left, side = apart.framed.box
+    def __init__(self, decomposition, tolerance=1e-2, detail=0.0):
+        self.decomposition, self.tolerance, self.detail = decomposition, tolerance, detail
+        top, left, side = decomposition.framed.box
         self.side, self.grid = side, int(np.clip(side, COARSEST, FINEST))
-        self.regions = photographs.placed(apart.photograph.regions, (top, left, side))
-        self.coverage = photographs.placed(apart.photograph.coverage, (top, left, side))
-        self.n = enlarged_normals(apart.parts.n[0], apart.framed.mask, self.grid)
+        self.regions = photographs.placed(decomposition.photograph.regions, (top, left, side))
+        self.coverage = photographs.placed(decomposition.photograph.coverage, (top, left, side))
+        self.n = enlarged_normals(decomposition.parts.n[0], decomposition.framed.mask, self.grid)
         self.filled = nearest(self.regions, self.regions > 0)
         rows = ((np.arange(self.grid) + 0.5) * side / self.grid).astype(int)
         wide = dilated(self.coverage > 0)[rows][:, rows]
         segments = np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
         self.segments = torch.from_numpy(segments).to(self.n.device)
-        self.own = array(apart.parts.label[0].float())
+        self.own = array(decomposition.parts.label[0].float())
         self._again = self._ratio = self._behind = None
 
     def radiance(self, label):
@@ -93,15 +93,15 @@ class Painter:
                 render(
                     self.n[None],
                     (label if several else label[0])[None].exp(),
-                    self.apart.parts.light.movedim(1, -1).contiguous(),
+                    self.decomposition.parts.light.movedim(1, -1).contiguous(),
                     segments=self.segments[None] if several else None,
                     mask=self.segments[None] > 0,
                     method=method_for(label),
                     tolerance=self.tolerance,
-                    elevation=self.apart.batch.elevation,
+                    elevation=self.decomposition.batch.elevation,
                 )[0]
             )
-        return self.enlarged(picture) / self.apart.exposure.astype(np.float32)
+        return self.enlarged(picture) / self.decomposition.exposure.astype(np.float32)
 
     def enlarged(self, picture):
         """(side, side, 3) of a picture on the rendered grid."""
@@ -113,12 +113,12 @@ class Painter:
         labels  one for each region, each (108,) or None: that region stays as it is; or (1, …): the same for all
         """
         regions = len(self.own)
-        wanted = list(labels) * regions if len(labels) == 1 else list(labels)
-        label = np.stack([self.own[s] if wanted[s] is None else np.asarray(wanted[s], np.float32) for s in range(regions)])
+        requested = list(labels) * regions if len(labels) == 1 else list(labels)
+        label = np.stack([self.own[s] if requested[s] is None else np.asarray(requested[s], np.float32) for s in range(regions)])
         object_ = self.radiance(label)
         if self.detail:
             object_ = object_ * self.ratio() ** self.detail
-        return self.put_back(object_, np.isin(self.filled, [s + 1 for s in range(regions) if wanted[s] is None]))
+        return self.put_back(object_, np.isin(self.filled, [s + 1 for s in range(regions) if requested[s] is None]))
 
     def rendered_again(self):
         """(H, W, 3) linear: the photograph with its object as normals, light and material alone make it, none of its detail."""
@@ -126,9 +126,9 @@ class Painter:
 
     def put_back(self, object_, kept=False):
         """(H, W, 3) linear: the photograph with object_ (side, side, 3) before its background; kept (side, side): what stays as it is."""
-        photograph = self.apart.photograph
+        photograph = self.decomposition.photograph
         inside = self.coverage * ~np.asarray(kept)
-        cut = photographs.placed(photograph.radiance, self.apart.framed.box)
+        cut = photographs.placed(photograph.radiance, self.decomposition.framed.box)
         if photograph.cut_out:
             mixed = np.where((inside > 0)[..., None], object_, cut)
         else:
@@ -136,7 +136,7 @@ class Painter:
                 self._behind = nearest(cut, self.coverage < CLEAR)
             soft = (inside > 0) & (inside < 1 - CLEAR)
             mixed = inside[..., None] * object_ + (1 - inside)[..., None] * np.where(soft[..., None], self._behind, cut)
-        return photographs.put_back(photograph.radiance, mixed.astype(np.float32), self.apart.framed.box)
+        return photographs.put_back(photograph.radiance, mixed.astype(np.float32), self.decomposition.framed.box)
 
     def again(self):
         """(side, side, 3) radiance of the object in its own materials, rendered once."""
@@ -148,10 +148,10 @@ class Painter:
         """(side, side, 3) the photograph over its own re-rendering, its coarse part taken out: shading that normals are too coarse for."""
         if self._ratio is None:
             again = self.again()
-            seen = photographs.placed(self.apart.photograph.radiance, self.apart.framed.box)
+            seen = photographs.placed(self.decomposition.photograph.radiance, self.decomposition.framed.box)
             floor = 0.02 * max(float(seen[self.regions > 0].mean()), 1e-6)
             log = np.log(np.maximum(seen, floor)) - np.log(np.maximum(again, floor))
-            width = DETAIL_WIDTH * self.side / len(self.apart.framed.mask)
+            width = DETAIL_WIDTH * self.side / len(self.decomposition.framed.mask)
             weight = (self.coverage > 1 - CLEAR).astype(np.float32)
             share = np.maximum(gaussian_filter(weight, width), 1e-3)
             fine = [(log[..., k] - gaussian_filter(log[..., k] * weight, width) / share) * weight for k in range(3)]

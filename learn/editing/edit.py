@@ -13,7 +13,7 @@ from learn.editing import predict as prediction
 from learn.figures import montage
 from learn.networks import weights as checkpoint
 from manifests import files
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders import tone
 
 TILE, BALL = 224, 128
@@ -21,7 +21,7 @@ PARTS = ("normals.exr", "normals.png", "light.exr", "light.png", "rendering.png"
 
 
 @dataclass(frozen=True)
-class How:
+class EditOptions:
     """weights: a file; settings: of refinement, None for none; tolerance: of the layer; detail: learn.editing.decomposition.Painter's.
 
     exposure  factor from a photograph's radiance, balanced, to the network's; None: guessed
@@ -37,36 +37,38 @@ class How:
     balance: object = "none"
     device: object = "cpu"
 
-    def told(self):
+    def as_metadata(self):
         """What a result's JSON says of it."""
         refined = None if self.settings is None else asdict(self.settings)
         return {"weights": Path(self.weights).name, "tolerance": self.tolerance, "detail": self.detail, "refinement": refined}
 
 
-def run(path, masks, regions, materials, out, how, record=None, overwrite=False):
+def run(path, masks, regions, materials, out, edit_options, record=None, overwrite=False):
     """Write the edits and all beside them into the folder `out`.
 
     materials  texts as `learn.editing.targets` reads them; "A+B" gives region 1 and 2 their own
     Returns    what edit.json holds
-    Raises     Problem
+    Raises     InputError
     """
     out = Path(out)
     names = ["edited"] if len(materials) == 1 else [f"edited-{targets.file_name(text)}" for text in materials]
     if len(set(materials)) < len(materials):
-        raise Problem("--material", "materials of different names", ", ".join(materials), "name each once")
+        raise InputError("--material", "materials of different names", ", ".join(materials), "name each once")
     names = [name if names.count(name) == 1 else f"{name}-{number}" for number, name in enumerate(names, 1)]
     inputs = [path, *masks, *([regions] if regions else []), *materials]
     endings = (".png", ".exr") if Path(path).is_dir() or Path(path).suffix.lower() == ".exr" else (".png",)
-    files.claim(out, [*PARTS, "sheet.png", "edit.json", *(name + ending for name in names for ending in endings)], overwrite, inputs)
-    network, metadata = checkpoint.load_parts(how.weights, how.device)
+    files.reserve_outputs(
+        out, [*PARTS, "sheet.png", "edit.json", *(name + ending for name in names for ending in endings)], overwrite, inputs
+    )
+    network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
     size = metadata["size"]
-    opened = photograph.opened(path, masks, regions, how.balance, how.exposure, record)
+    opened = photograph.opened(path, masks, regions, edit_options.balance, edit_options.exposure, record)
     known = {} if opened.records is None else {name: opened.records.label(name) for name in opened.records.materials}
-    pick = {text: choices(text, opened.count, lambda other: material_of(other, network, size, how), known) for text in materials}
+    pick = {text: choices(text, opened.count, lambda other: material_of(other, network, size, edit_options), known) for text in materials}
     with tqdm(total=2 + len(materials), unit="step", desc="taking apart") as progress:
-        found = decomposition.taken(opened, network, size, how.settings)
+        result = decomposition.decompose(opened, network, size, edit_options.settings)
         progress.update()
-        painter = decomposition.Painter(found, how.tolerance, how.detail)
+        painter = decomposition.Painter(result, edit_options.tolerance, edit_options.detail)
         edits = {}
         for text in materials:
             progress.set_description(text[:24])
@@ -74,10 +76,10 @@ def run(path, masks, regions, materials, out, how, record=None, overwrite=False)
             progress.update()
         progress.set_description("writing")
         out.mkdir(parents=True, exist_ok=True)
-        with files.together():
-            told = written(out, found, painter, edits, pick, names, metadata, how)
+        with files.transaction():
+            report = written(out, result, painter, edits, pick, names, metadata, edit_options)
         progress.update()
-    return told
+    return report
 
 
 def choices(text, regions, predict, known=None):
@@ -86,19 +88,21 @@ def choices(text, regions, predict, known=None):
     if len(parts) == 1 and parts[0] is not None and len(parts[0]) > 1:
         parts = [part[None] for part in parts[0]]
     if len(parts) not in (1, regions):
-        raise Problem(f"--material {text}", f"one material, or {regions}: one a region", f"{len(parts)}", "keep leaves a region as it is")
+        raise InputError(
+            f"--material {text}", f"one material, or {regions}: one a region", f"{len(parts)}", "keep leaves a region as it is"
+        )
     labels = [None if part is None else part[0] for part in parts]
     return labels if len(labels) > 1 else labels * regions
 
 
-def material_of(path, network, size, how):
+def material_of(path, network, size, edit_options):
     """(1, 108) of the object in another picture; its mask is its transparency, or NAME.mask.png beside it.
 
     Exposure and white balance by factors are the photograph's own; this one's exposure is guessed, its colours are as they are.
     """
-    beside, balance = mask_beside(path), "grey" if how.balance == "grey" else "none"
+    beside, balance = mask_beside(path), "grey" if edit_options.balance == "grey" else "none"
     opened = photograph.opened(path, [beside] if beside else [], None, balance, remedy=f"put {path.stem}.mask.png beside it")
-    return array(decomposition.taken(opened, network, size, how.settings).parts.label[0, :1].float())
+    return array(decomposition.decompose(opened, network, size, edit_options.settings).parts.label[0, :1].float())
 
 
 def mask_beside(path, folder=None):
@@ -110,7 +114,7 @@ def mask_beside(path, folder=None):
     return next((file for file in tried if file.is_file() and not (path.is_file() and file.samefile(path))), None)
 
 
-def written(out, found, painter, edits, pick, names, metadata, how):
+def written(out, found, painter, edits, pick, names, metadata, edit_options):
     """Writes every file; returns what edit.json holds."""
     opened, parts = found.photograph, found.parts
     mask = found.framed.mask
@@ -122,9 +126,9 @@ def written(out, found, painter, edits, pick, names, metadata, how):
     again = painter.rendered_again()
     shown = exposure_of(opened)
     save(out / "rendering.png", tone.display(again, shown))
-    save(out / "ball.png", material_ball(parts.label[0, 0], found))
+    save(out / "ball.png", material_sphere(parts.label[0, 0], found))
     save(out / "reflectance.png", montage.rows([reflectance(found)], TILE))
-    prediction.write_material(out / "material.json", array(parts.label[0]), found.framed, metadata, how.weights)
+    prediction.write_material(out / "material.json", array(parts.label[0]), found.framed, metadata, edit_options.weights)
     for name, edited in zip(names, edits.values(), strict=True):
         picture = tone.display(edited, shown)
         save(out / f"{name}.png", with_alpha(picture, opened))
@@ -132,7 +136,7 @@ def written(out, found, painter, edits, pick, names, metadata, how):
             photographs.write_exr(out / f"{name}.exr", edited)
     truths = {text: truth(opened, text) for text in edits} if opened.record is not None else {}
     save(out / "sheet.png", montage.rows(lines(found, again, edits, pick, truths, shown), TILE))
-    told = {
+    report = {
         "photograph": opened.name,
         "size": opened.mask.shape,
         "materials": list(edits),
@@ -141,9 +145,9 @@ def written(out, found, painter, edits, pick, names, metadata, how):
         "regions": opened.count,
         "refined": None if found.refined is None else {"before": found.refined.before, "after": found.refined.after},
         "display_l2": {text: errors(edits[text], true, opened.mask) for text, true in truths.items() if true is not None},
-    } | how.told()
-    files.write_json(out / "edit.json", told)
-    return told
+    } | edit_options.as_metadata()
+    files.write_json(out / "edit.json", report)
+    return report
 
 
 def exposure_of(opened):
@@ -163,14 +167,17 @@ def on_ground(picture, opened):
 
 
 def save(path, picture):
-    """A PNG of display values (H, W, 3 or 4). Raises Problem for what is not finite."""
+    """A PNG of display values (H, W, 3 or 4). Raises InputError for what is not finite."""
     photographs.require_finite(path, picture)
     files.write_image(path, np.clip(np.rint(picture), 0, 255).astype(np.uint8), "PNG")
 
 
-def material_ball(label, found, size=BALL):
-    """Display picture (size, size, 3) of a ball in the material `label` (108,), under a plain light, seen as the Apart `found` was."""
-    return montage.ball(label, montage.room(), size, found.batch.elevation, 0.8)
+def material_sphere(label, found, size=BALL):
+    """Display picture (size, size, 3) of a sphere in the material `label` (108,), under a plain light.
+
+    found  Decomposition whose camera it is seen by
+    """
+    return montage.material_sphere(label, montage.preview_lighting(), size, found.batch.elevation, 0.8)
 
 
 def reflectance(found):
@@ -184,7 +191,7 @@ def reflectance(found):
     stages = [("predicted", found.start)] + ([("refined", found.refined.prediction)] if found.refined else [])
     for name, p in stages:
         light = p.light[0].movedim(0, -1)
-        tiles.append((f"{what}, {name}", montage.ball(p.label[0, 0], light, BALL, elevation, bright)))
+        tiles.append((f"{what}, {name}", montage.material_sphere(p.label[0, 0], light, BALL, elevation, bright)))
     return tiles
 
 
@@ -200,12 +207,12 @@ def lines(found, again, edits, pick, truths, shown):
     first = [("photograph", display(opened.radiance, shown)), ("rendered again", display(again, shown))]
     first += [("normals", montage.normals(n, mask)), ("light", montage.light(array(parts.light[0].movedim(0, -1))))]
     several = opened.count > 1
-    first += [(f"material {s}" if several else "material", material_ball(label, found)) for s, label in enumerate(parts.label[0], 1)]
+    first += [(f"material {s}" if several else "material", material_sphere(label, found)) for s, label in enumerate(parts.label[0], 1)]
     out = [first, reflectance(found)]
     for text, edited in edits.items():
         names = targets.parts_of(text) if len(targets.parts_of(text)) == len(pick[text]) else [text] * len(pick[text])
         balls = {
-            targets.caption_of(name): material_ball(label, found)
+            targets.caption_of(name): material_sphere(label, found)
             for name, label in zip(names, pick[text], strict=True)
             if label is not None
         }

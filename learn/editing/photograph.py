@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn.data import photographs
 from learn.data.records import Records
-from manifests.errors import Problem, closest
+from manifests.errors import InputError, closest
 from shaders.envmap import LUMINANCE
 
 GREY = 1e-3  # coverage from which a mask has greys: half a step of 8 bits is 0.002, and white through the sRGB curve is 1 − 6e-8
@@ -72,13 +72,13 @@ def example(path, masks, regions):
     """(path, regions) as given; of "example:espresso-cup" the photograph that scikit-image brings, and our regions: 1 cup, 2 saucer.
 
     The photograph is Rachel Michetti's (Pikolo Espresso Bar), CC0.
-    Raises  Problem for another example
+    Raises  InputError for another example
     """
     kind, _, name = str(path).partition(":")
     if kind != "example":
         return Path(path), regions
     if name != "espresso-cup":
-        raise Problem(path, "an example", "none of that name", "there is example:espresso-cup")
+        raise InputError(path, "an example", "none of that name", "there is example:espresso-cup")
     import skimage.data
 
     cup = Path(__file__).parent / "examples" / "espresso-cup.regions.png"
@@ -93,14 +93,14 @@ def opened(path, masks=(), regions=None, balance="none", exposure=None, record=N
     balance  "none", "grey", or three factors
     record   id of a dataset's record, or its beginning; None: the first held out
     remedy   of a picture without a mask
-    Raises   Problem
+    Raises   InputError
     """
     path, regions = example(path, masks, regions)
     if path.is_dir():
         _require_none(path, "a photograph: a dataset's records have masks and regions, and light of known colour", masks, regions, balance)
         return _of_record(path, exposure, record)
     if record is not None:
-        raise Problem(f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out")
+        raise InputError(f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out")
     if len(masks) <= 1:
         radiance, coverage, alpha = photographs.read_soft(path, masks[0] if masks else None, regions, remedy)
         labels = (coverage >= 0.5).astype(np.uint8)
@@ -139,7 +139,7 @@ def without_unlabelled(coverage, labels):
 def _require_none(path, rule, masks, regions, balance):
     given = {"--mask": bool(masks), "--regions": regions is not None, "--white-balance": balance != "none"}
     for option in (name for name, there in given.items() if there):
-        raise Problem(option, rule, f"the dataset {path}", f"leave {option} out")
+        raise InputError(option, rule, f"the dataset {path}", f"leave {option} out")
 
 
 def _several(masks, size):
@@ -155,40 +155,40 @@ def _several(masks, size):
 
 def _require_pixels(labels, count, where):
     for number in range(1, int(count) + 1):
-        if (found := int((labels == number).sum())) < photographs.LEAST_PIXELS:
+        if (result := int((labels == number).sum())) < photographs.LEAST_PIXELS:
             rule = f"{photographs.LEAST_PIXELS} pixels or more in region {number}"
-            raise Problem(where, rule, str(found), "regions must lie inside the mask, and not under one another")
+            raise InputError(where, rule, str(result), "regions must lie inside the mask, and not under one another")
 
 
-def _balance(wanted, radiance, coverage, background):
+def _balance(requested, radiance, coverage, background):
     """(3,) factors that leave luminance alone. "grey" holds that the background, or the object where there is none, is grey on average."""
-    if wanted == "none":
+    if requested == "none":
         return np.ones(3, np.float32)
-    if wanted == "grey":
+    if requested == "grey":
         where = coverage < 0.02 if background and (coverage < 0.02).any() else coverage >= 0.5
         mean = radiance[where].mean(0)
         if not mean.any():
-            raise Problem("--white-balance grey", "a background that is not black", "a black one", "give three factors R,G,B, or none")
+            raise InputError("--white-balance grey", "a background that is not black", "a black one", "give three factors R,G,B, or none")
         factors = (mean @ LUMINANCE) / np.maximum(mean, 1e-6)
         return np.clip(factors, 1 / STRONGEST_BALANCE, STRONGEST_BALANCE).astype(np.float32)
-    factors = np.asarray(wanted, np.float32)
+    factors = np.asarray(requested, np.float32)
     return factors / float(factors @ LUMINANCE)
 
 
-def _of_record(folder, exposure, wanted):
+def _of_record(folder, exposure, requested):
     """A record's picture; its light has unit mean luminance, so its exposure is 1."""
     records = Records(folder)
     if not len(records):
-        raise Problem(folder, "records", "none", "render some: python -m factory render JOB --out DIR")
-    if wanted is None:
+        raise InputError(folder, "records", "none", "render some: python -m factory render JOB --out DIR")
+    if requested is None:
         record = next((r for r in records.records if r.split == "test"), records.records[0])
     else:
-        record = next((r for r in records.records if r.id.startswith(wanted)), None)
+        record = next((r for r in records.records if r.id.startswith(requested)), None)
         if record is None:
-            raise Problem(f"record '{wanted}'", f"a record of {folder}", "none", closest(wanted, [r.id for r in records.records]))
+            raise InputError(f"record '{requested}'", f"a record of {folder}", "none", closest(requested, [r.id for r in records.records]))
     sample = records.load(record)
     if sample.view is not None:
-        raise Problem(folder, "an orthographic camera", f"{record.camera.fov_deg:g}°", "render without fov_deg")
+        raise InputError(folder, "an orthographic camera", f"{record.camera.fov_deg:g}°", "render without fov_deg")
     regions = sample.segments.numpy().astype(np.uint8)
     if len(set(record.materials)) == 1:
         regions = (regions > 0).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""One picture taken apart: what `learn predict` writes.
+"""One picture taken decomposition: what `learn predict` writes.
 
 normals.exr (X, Y, Z, camera frame), light.exr (64×128, light frame), rendering.exr, each with a PNG beside it, material.json, sheet.png
 """
@@ -19,7 +19,7 @@ from learn.networks import weights as checkpoint
 from learn.training import montage as training_sheet
 from learn.training import validation
 from manifests import files
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from shaders import tone
 from shaders.frames import ELEVATION
@@ -34,7 +34,7 @@ def of(framed, network, regions=None, count=1):
     """(Batch of one, Prediction) of a learn.data.photographs.Framed, both on the network's device.
 
     regions  (size, size) 1 … S, None for one; count: S, of which a small one may have no pixel left at the network's size
-    Raises   Problem: the network predicts what is not finite
+    Raises   InputError: the network predicts what is not finite
     """
     image = torch.from_numpy(framed.radiance).movedim(-1, 0)[None].contiguous()
     mask = torch.from_numpy(framed.mask)
@@ -50,16 +50,16 @@ def of(framed, network, regions=None, count=1):
     finite = all(part.isfinite().all() for part in (predicted.n, predicted.label, predicted.light))
     if not (finite and ((lengths - 1).abs() <= LENGTH_TOLERANCE).all()):
         rule = "weights that predict finite normals, light and material"
-        raise Problem("--weights", rule, "NaN or infinity", "train them again, or leave --weights out")
+        raise InputError("--weights", rule, "NaN or infinity", "train them again, or leave --weights out")
     return batch, predicted
 
 
 def write(image, mask, weights, out, exposure=None, overwrite=False, device="cpu"):
-    """Predict and write everything. Raises Problem: bad picture, mask or weights, or files that are there already."""
+    """Predict and write everything. Raises InputError: bad picture, mask or weights, or files that are there already."""
     out = Path(out)
-    files.claim(out, WRITTEN, overwrite, (image, mask))
+    files.reserve_outputs(out, WRITTEN, overwrite, (image, mask))
     if mask is not None and Path(image).is_dir():
-        raise Problem("--mask", "a photograph: a dataset's records have masks", f"the dataset {image}", "leave --mask out")
+        raise InputError("--mask", "a photograph: a dataset's records have masks", f"the dataset {image}", "leave --mask out")
     network, metadata = checkpoint.load_parts(weights, device)
     radiance, covered, exposure = _from_record(image, exposure) if Path(image).is_dir() else (*photographs.read(image, mask), exposure)
     framed = photographs.framed(radiance, covered, metadata["size"], exposure, image)
@@ -72,7 +72,7 @@ def write(image, mask, weights, out, exposure=None, overwrite=False, device="cpu
     bright = tone.auto_exposure(framed.radiance, framed.mask)
     cells = training_sheet.parts(batch, predicted, again, bright)
     names = {"picture": "photograph", "rendering": "rendered again"}
-    with files.together():
+    with files.transaction():
         photographs.write_exr(out / "normals.exr", n, "XYZ")
         photographs.write_exr(out / "light.exr", light)
         photographs.write_exr(out / "rendering.exr", again)
@@ -87,7 +87,7 @@ def _from_record(folder, exposure):
     """radiance, mask and exposure of a dataset's first record on the test side, or its first; its light has unit mean: exposure 1."""
     records = Records(folder)
     if not len(records):
-        raise Problem(folder, "records", "none", "render some: python -m factory render JOB --out DIR")
+        raise InputError(folder, "records", "none", "render some: python -m factory render JOB --out DIR")
     record = next((r for r in records.records if r.split == "test"), records.records[0])
     _, _, segments = records.geometry(record)
     return records.image(record), segments > 0, 1.0 if exposure is None else exposure
@@ -95,11 +95,11 @@ def _from_record(folder, exposure):
 
 def write_material(path, labels, framed, metadata, weights):
     """Labels (S, 108), the catalogue's materials nearest to each by code, and how the picture was brought to the network."""
-    told = {"label": _rounded(labels[0]), "nearest": nearest(labels[0], metadata["ranges"])}
+    report = {"label": _rounded(labels[0]), "nearest": nearest(labels[0], metadata["ranges"])}
     if len(labels) > 1:
-        told = {"labels": [_rounded(label) for label in labels], "nearest": [nearest(label, metadata["ranges"]) for label in labels]}
-    told |= {"box": framed.box, "exposure": framed.exposure, "weights": Path(weights).name, "run": metadata["run"].get("name")}
-    files.write_json(path, told)
+        report = {"labels": [_rounded(label) for label in labels], "nearest": [nearest(label, metadata["ranges"]) for label in labels]}
+    report |= {"box": framed.box, "exposure": framed.exposure, "weights": Path(weights).name, "run": metadata["run"].get("name")}
+    files.write_json(path, report)
 
 
 def nearest(label, ranges):

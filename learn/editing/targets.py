@@ -13,7 +13,7 @@ import numpy as np
 
 from learn.data.photographs import MOST_REGIONS
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.inputs import require_file
 from manifests.materials import LARGEST_LABEL, find
 from shaders.dsbrdf import SHAPE, SIZE
@@ -29,7 +29,7 @@ def label_of(text, predict, known=None):
 
     predict  path → label (1, 108): takes a picture's material
     known    {name: label (108,)}: a dataset's own materials, before those of the catalogue
-    Raises   Problem: a name that is not known (with the closest ones), a file that holds no material
+    Raises   InputError: a name that is not known (with the closest ones), a file that holds no material
     """
     if text == KEEP:
         return None
@@ -56,20 +56,20 @@ def _from_json(path):
     try:
         # every number as a float: 10^400 is then infinity, which is out of range, and no error of its own
         values = json.loads(path.read_text(encoding="utf-8"), parse_int=float)
-        told = msgspec.convert(values, MaterialFile)
+        report = msgspec.convert(values, MaterialFile)
     except (msgspec.ValidationError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         rule = f'JSON with "label": {SIZE} numbers'
-        raise Problem(path, rule, f"{type(error).__name__}: {error}", REMEDY) from None
-    if told.label is None and told.labels is None:
-        raise Problem(path, f'JSON with "label": {SIZE} numbers', "none", REMEDY)
-    labels = np.asarray(told.labels or [told.label], np.float64)
+        raise InputError(path, rule, f"{type(error).__name__}: {error}", REMEDY) from None
+    if report.label is None and report.labels is None:
+        raise InputError(path, f'JSON with "label": {SIZE} numbers', "none", REMEDY)
+    labels = np.asarray(report.labels or [report.label], np.float64)
     within = (labels >= SMALLEST_LABEL) & (labels <= LARGEST_LABEL)  # NaN is not
     if not within.all():
         rule = f"natural logarithms from {SMALLEST_LABEL:g} to {LARGEST_LABEL:g}"
-        raise Problem(path, rule, f"{labels[~within][0]:g}", "is this m itself? a label holds its logarithms")
+        raise InputError(path, rule, f"{labels[~within][0]:g}", "is this m itself? a label holds its logarithms")
     if (kappa := labels.reshape(-1, *SHAPE)[..., 0, :].max()) > LARGEST_KAPPA:
         remedy = "its reflectance is no number any more; check the file"
-        raise Problem(path, f"logarithms of κ up to {LARGEST_KAPPA}", f"{kappa:g}", remedy)
+        raise InputError(path, f"logarithms of κ up to {LARGEST_KAPPA}", f"{kappa:g}", remedy)
     return labels.astype(np.float32)
 
 

@@ -49,12 +49,12 @@ def _slabs(height, width, rotation, device):
     def filled(rows):
         return np.ascontiguousarray(np.concatenate([rows, np.repeat(rows[:, -1:], -rows.shape[1] % TILE, 1)], 1))
 
-    found = []
+    results = []
     for slab in lights.slabs(height, width, rotation):
         geometry = filled(lights.unblocked(slab.distant)), filled(lights.unblocked(slab.general))
         arrays = slab.order, slab.solid_angle, *geometry, filled(slab.basis.T).T.copy()
-        found.append(DeviceSlab(*(torch.as_tensor(a, device=device) for a in arrays)))
-    return found
+        results.append(DeviceSlab(*(torch.as_tensor(a, device=device) for a in arrays)))
+    return results
 
 
 def radiance(n, view, m, light, rotation, counts, light_of):
@@ -85,13 +85,13 @@ def gradients(g_radiance, n, view, m, light, rotation, counts, light_of):
             pixels = slice(ends[group], ends[group + 1])
             energy = slab.energy(light[image])
             if view is None:
-                found = _distant_backward(n[pixels], m[group], slab, energy, g_radiance[pixels])
+                result = _distant_backward(n[pixels], m[group], slab, energy, g_radiance[pixels])
             else:
-                found = _general_backward(n[pixels], view[pixels], m[group], slab, energy, g_radiance[pixels])
-                by_view[pixels] += found[3]
-            by_n[pixels] += found[0]
-            by_m[group] += found[1]
-            slab.add_light_gradient(found[2], by_light[image])
+                result = _general_backward(n[pixels], view[pixels], m[group], slab, energy, g_radiance[pixels])
+                by_view[pixels] += result[3]
+            by_n[pixels] += result[0]
+            by_m[group] += result[1]
+            slab.add_light_gradient(result[2], by_light[image])
     return by_n, by_view, by_m, by_light
 
 

@@ -162,9 +162,9 @@ def select(first, last, pixels, size, wide_blocks, room, many, budget, n, cones,
                 height = minimum(bits / maximum(load(cones, o + 224 + 16 * s), 1e-30), 1.0)
                 cut = log2(maximum(height, 1e-30), 1.0 - height) / load(cones, o + 176 + 16 * s)
                 cut = choose(threshold * splat(1.0) > 0.0, cut, ALWAYS)
-                wanted = load(scratch, b + 16 * s) > threshold
-                store(scratch, b + 48 + 16 * s, choose(wanted, cut, NEVER))
-                reach = minimum(reach, choose(wanted, least_cosine(cut, load(cones, o + 128), load(cones, o + 144)), NEVER))
+                requested = load(scratch, b + 16 * s) > threshold
+                store(scratch, b + 48 + 16 * s, choose(requested, cut, NEVER))
+                reach = minimum(reach, choose(requested, least_cosine(cut, load(cones, o + 128), load(cones, o + 144)), NEVER))
             store(scratch, b, reach)
             for lane in range(16):
                 block, q = 16 * wide_block + lane, 96 * wide_block + 48 + lane

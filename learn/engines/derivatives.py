@@ -71,10 +71,10 @@ def last(backward):
     def without_graph(ctx, *g):
         require_one_gradient(*g)
         with torch.no_grad():
-            found = backward(ctx, *g)
+            result = backward(ctx, *g)
         if not torch.is_grad_enabled():
-            return found
-        return Refusal.apply(ctx.refusal, len(found), *found, *g, *ctx.saved_tensors)
+            return result
+        return Refusal.apply(ctx.refusal, len(result), *result, *g, *ctx.saved_tensors)
 
     return without_graph
 
@@ -84,10 +84,10 @@ def first_only(message, *tensors):
     gated = [i for i, x in enumerate(tensors) if x is not None and x.requires_grad]
     if not gated or not torch.is_grad_enabled():
         return tensors
-    found = list(tensors)
+    result = list(tensors)
     for i, x in zip(gated, Gate.apply(message, *(tensors[i] for i in gated)), strict=True):
-        found[i] = x
-    return tuple(found)
+        result[i] = x
+    return tuple(result)
 
 
 def require_one_gradient(*g):

@@ -19,7 +19,7 @@ import sys
 import threading
 from pathlib import Path
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import write_bytes
 
 DIGEST = hashlib.sha256().digest_size
@@ -94,7 +94,7 @@ def _machine_code(name):
     code = _compile(name)
     try:
         _write(path, hashlib.sha256(code).digest() + code)
-    except (OSError, Problem) as error:
+    except (OSError, InputError) as error:
         print(f"brdfactory: cannot keep it ({error}); set BRDFACTORY_CACHE to a folder that can be written", file=sys.stderr)
     return code
 
@@ -118,13 +118,13 @@ def _symbol(name):
 
 def sources(module):
     """The names of a kernel's module and of all modules of this folder that it imports, directly or not; and this one's."""
-    found, open_ = {"machine_code"}, [module]
+    result, open_ = {"machine_code"}, [module]
     while open_:
         name = open_.pop()
-        if name not in found:
-            found.add(name)
+        if name not in result:
+            result.add(name)
             open_ += re.findall(r"^from learn\.engines\.(\w+) import", (Path(__file__).parent / f"{name}.py").read_text(), re.MULTILINE)
-    return sorted(found)
+    return sorted(result)
 
 
 @functools.cache

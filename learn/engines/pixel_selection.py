@@ -37,9 +37,9 @@ def run(name, count, *arguments):
 def states(n, view, mask, tolerance, horizon):
     """State (P,) uint8 of each pixel as learn.engines.pixels has it; n, view (…, 3) float32, mask (…) bool; view and mask may be None."""
     n, view, mask = (None if x is None else in_order(x.detach()) for x in (n, view, mask))
-    found, limits = np.empty(n.size // 3, np.uint8), np.array([tolerance, horizon], np.float32)
-    run("pixels.look", len(found), int(view is not None), int(mask is not None), n, view, limits, mask, found)
-    return found
+    result, limits = np.empty(n.size // 3, np.uint8), np.array([tolerance, horizon], np.float32)
+    run("pixels.look", len(result), int(view is not None), int(mask is not None), n, view, limits, mask, result)
+    return result
 
 
 def unit(vectors, index):
@@ -61,19 +61,19 @@ class Unit(Step):
     def forward(ctx, vectors, index):
         ctx.save_for_backward(vectors, index)
         given, places = in_order(vectors), index.numpy()
-        found, length = np.empty((len(places), 3), np.float32), np.empty(len(places), np.float32)
-        run("pixels.unit", len(places), given, places, found, length)
-        ctx.kept = places, found, length, len(given)
-        return torch.from_numpy(found)
+        result, length = np.empty((len(places), 3), np.float32), np.empty(len(places), np.float32)
+        run("pixels.unit", len(places), given, places, result, length)
+        ctx.kept = places, result, length, len(given)
+        return torch.from_numpy(result)
 
     @staticmethod
     def backward(ctx, g):
         require_one_gradient(g)
         if torch.is_grad_enabled():
             return tangential(g, *ctx.saved_tensors), None
-        places, found, length, pixels = ctx.kept
+        places, result, length, pixels = ctx.kept
         by_vectors = np.zeros((pixels, 3), np.float32)
-        run("pixels.unit_backward", len(places), places, found, length, in_order(g), by_vectors)
+        run("pixels.unit_backward", len(places), places, result, length, in_order(g), by_vectors)
         return torch.from_numpy(by_vectors), None
 
 

@@ -152,16 +152,16 @@ class Lit:
 
         one_pass is given the vectors of a pass, each result's parts (CHUNKS, pass, 3) and the energy part to fill.
         """
-        found = [np.empty_like(vectors[0]) for _ in range(results)]
+        matches = [np.empty_like(vectors[0]) for _ in range(results)]
         energy_part, energy_sums = np.empty_like(self.energy), np.zeros(self.energy.shape)
         for first in range(0, len(vectors[0]), PASS):
             given = [x[first : first + PASS] for x in vectors]
-            parts = [np.empty((CHUNKS, *given[0].shape), np.float32) for _ in found]
+            parts = [np.empty((CHUNKS, *given[0].shape), np.float32) for _ in matches]
             one_pass(*given, *parts, energy_part)
-            for result, part in zip(found, parts, strict=True):
+            for result, part in zip(matches, parts, strict=True):
                 result[first : first + PASS] = part.sum(0)
             energy_sums += energy_part
-        return found, energy_sums
+        return matches, energy_sums
 
     def run(self, kernel, pixels, *arrays):
         sizes = pixels, self.slab.blocks

@@ -76,10 +76,10 @@ def curve(m, o, b0, b1, b2, b3, b4, b5):
 @triton.jit
 def slope(steps, o, x):
     """Derivative by x of the curve with steps at o: Σ tent_j step_j."""
-    found = tl.load(steps + o) * tl.maximum(1.0 - x, 0.0) + tl.load(steps + o + 4) * tl.maximum(x - 3.0, 0.0)
-    found += tl.load(steps + o + 1) * tl.maximum(1.0 - tl.abs(x - 1.0), 0.0)
-    found += tl.load(steps + o + 2) * tl.maximum(1.0 - tl.abs(x - 2.0), 0.0)
-    return found + tl.load(steps + o + 3) * tl.maximum(1.0 - tl.abs(x - 3.0), 0.0)
+    result = tl.load(steps + o) * tl.maximum(1.0 - x, 0.0) + tl.load(steps + o + 4) * tl.maximum(x - 3.0, 0.0)
+    result += tl.load(steps + o + 1) * tl.maximum(1.0 - tl.abs(x - 1.0), 0.0)
+    result += tl.load(steps + o + 2) * tl.maximum(1.0 - tl.abs(x - 2.0), 0.0)
+    return result + tl.load(steps + o + 3) * tl.maximum(1.0 - tl.abs(x - 3.0), 0.0)
 
 
 @triton.jit

@@ -18,18 +18,20 @@ from learn.networks import weights
 from learn.networks.encoder_decoder import EncoderDecoder, radiance
 from learn.networks.prediction import Prediction
 from learn.networks.separate import Separate
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 
 def load(name, path, device="cpu"):
-    """The method of that name from its file, on a device. Raises Problem."""
+    """The method of that name from its file, on a device. Raises InputError."""
     if name == "Lombardi-like":
         known = priors.load(path).to(device)
         return Layered(name, lambda batch: posterior.prediction(batch, known))
     net, metadata = weights.load_network(path, device)
     expected = Separate if name == "Baseline 2" else EncoderDecoder
     if not isinstance(net, expected):
-        raise Problem(path, f"weights of {name}: network '{expected.name}'", f"'{net.name}'", "train it: python -m learn train-baselines")
+        raise InputError(
+            path, f"weights of {name}: network '{expected.name}'", f"'{net.name}'", "train it: python -m learn train-baselines"
+        )
     size = metadata["size"]
     return Layered(name, predicting(net, size)) if name == "Baseline 2" else Swapped(name, net, size)
 
@@ -39,8 +41,8 @@ def predicting(net, size):
     predict = network(net)
 
     def at_size(batch):
-        found = predict(resized(batch, size))
-        return found._replace(n=F.normalize(interpolated(found.n, batch.image.shape[-2:]), dim=1))
+        result = predict(resized(batch, size))
+        return result._replace(n=F.normalize(interpolated(result.n, batch.image.shape[-2:]), dim=1))
 
     return at_size
 
@@ -79,8 +81,8 @@ class Swapped:
         """(H, W, 3) numpy linear radiance, zeros outside the mask."""
         seen, picture = resized(batch, self.size), torch.zeros_like(batch.image)
         with torch.no_grad():
-            for region, at_size, wanted in zip(regions(batch), regions(seen), label.to(batch.label.device), strict=True):
-                drawn = radiance(self.net(seen.image * at_size, at_size, wanted[None, None]).picture)
+            for region, at_size, requested in zip(regions(batch), regions(seen), label.to(batch.label.device), strict=True):
+                drawn = radiance(self.net(seen.image * at_size, at_size, requested[None, None]).picture)
                 picture += interpolated(drawn, picture.shape[-2:]) * region
         return array(picture[0].movedim(0, -1))
 
@@ -95,10 +97,10 @@ def present_and_missing(folder, device="cpu"):
     """The methods whose files lie in a folder, and what is missing for the others.
 
     Returns  [learn.evaluation.methods.Method] in the paper's order, {name: why it is not there}
-    Raises   Problem: a file is there and is not what its name says
+    Raises   InputError: a file is there and is not what its name says
     """
     if not Path(folder).is_dir():
-        raise Problem("--baselines", "a folder of weights", f"no folder {folder}", "train them: python -m learn train-baselines")
+        raise InputError("--baselines", "a folder of weights", f"no folder {folder}", "train them: python -m learn train-baselines")
     present, missing = [], {}
     for name, file in FILES.items():
         path = Path(folder) / file

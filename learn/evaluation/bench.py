@@ -19,7 +19,7 @@ from learn.metrics import lpips as perceptual
 from learn.metrics import pictures as metrics
 from learn.metrics.pictures import shared, squared
 from learn.networks import weights as checkpoint
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.provenance import provenance
 from shaders import tone
 
@@ -58,15 +58,15 @@ class Bench:
         """
         batch = pairs.shown(self.records, first).to(self.device)
         if batch.image.shape[-2:] != (self.size, self.size):
-            found = f"{batch.image.shape[-1]} × {batch.image.shape[-2]}"
-            raise Problem(
-                self.records.folder, f"pictures of {self.size} × {self.size} pixels, as the weights were trained", found, "render anew"
+            result = f"{batch.image.shape[-1]} × {batch.image.shape[-2]}"
+            raise InputError(
+                self.records.folder, f"pictures of {self.size} × {self.size} pixels, as the weights were trained", result, "render anew"
             )
-        return self._taken_apart(first.source, batch) if whole else None, [self._edited(edit, batch, folder) for edit in edits]
+        return self._decompose(first.source, batch) if whole else None, [self._edited(edit, batch, folder) for edit in edits]
 
-    def _taken_apart(self, record, batch):
+    def _decompose(self, record, batch):
         truth = array(batch.image[0].movedim(0, -1))
-        row = {"id": record.id, "commit": self.commit, "methods": {}} | told(record)
+        row = {"id": record.id, "commit": self.commit, "methods": {}} | summary_of(record)
         done = {}  # many methods share a part: what was measured of it once is not measured again
         for method in (*self.entrants.edits, *self.entrants.parts):
             parts = method.parts(batch)
@@ -74,7 +74,7 @@ class Bench:
                 continue
             row["methods"][method.name] = self._parts(parts, batch, truth, done)
             if isinstance(method, methods.Refined):
-                row["methods"][method.name]["refinement"] = refinement(method.told)
+                row["methods"][method.name]["refinement"] = refinement(method.refined)
         return row
 
     def _parts(self, parts, batch, truth, done):
@@ -83,18 +83,18 @@ class Bench:
         done  {what and of which tensors: figures} of earlier methods, added to
         """
         inside = batch.segments[0] > 0
-        found, predicted = {}, {}
+        result, predicted = {}, {}
         if parts.n is not None and parts.n is not batch.n:
-            found["normals"] = intrinsics.normals(parts.n[0].float(), batch.n[0], inside)
+            result["normals"] = intrinsics.normals(parts.n[0].float(), batch.n[0], inside)
             predicted["normals"] = (parts.n, batch.label, batch.light)
         if parts.label is not None and parts.label is not batch.label:
-            found["material"] = intrinsics.material(parts.label[0].float(), batch.label[0], self.ranges)
+            result["material"] = intrinsics.material(parts.label[0].float(), batch.label[0], self.ranges)
             predicted["material"] = (batch.n, parts.label, batch.light)
         if parts.light is not None and parts.light is not batch.light:
             key = ("light", id(parts.light))
             if key not in done:
                 done[key] = intrinsics.light(parts.light[0].float(), batch.light[0], batch.elevation)
-            found["light"] = done[key]
+            result["light"] = done[key]
             predicted["light"] = (batch.n, batch.label, parts.light)
         if parts.n is not None and parts.label is not None and parts.light is not None:
             predicted["all"] = (parts.n, parts.label, parts.light)
@@ -103,11 +103,11 @@ class Bench:
             key = ("rendered", *map(id, three))
             if key not in done:
                 done[key] = metrics.compare(methods.rendered(*three, batch), truth, array(inside), self.perceptual)
-            found[f"rendered_{name}"] = done[key]
-        return found
+            result[f"rendered_{name}"] = done[key]
+        return result
 
     def _edited(self, edit, batch, folder):
-        label, truth = pairs.wanted(self.records, edit), self.records.image(edit.truth)
+        label, truth = pairs.target_label(self.records, edit), self.records.image(edit.truth)
         mask = array(batch.segments[0] > 0)
         truth = truth * mask[..., None]
         row = {
@@ -118,7 +118,7 @@ class Bench:
             "several": edit.several,
             "methods": {},
         }
-        row |= told(edit.source) | {"wanted": list(edit.truth.materials)}
+        row |= summary_of(edit.source) | {"wanted": list(edit.truth.materials)}
         shown = {}
         for method in self.entrants.edits:
             picture = method.edit(batch, label)
@@ -145,7 +145,7 @@ class Bench:
         error = squared(tone.display(picture, exposure), tone.display(truth, exposure))
         entries = [self.records.material(name) for name in edit.truth.materials]
         fits = [entry.errors.nodes_vs_label.display_l2 for entry in entries]
-        found = {
+        result = {
             "l2": float(error[mask].mean()),
             "l2_inner": float(error[inner].mean()) if inner.any() else None,
             "node_fit": float(np.mean([np.mean(fit) for fit in fits])) if all(fits) else None,
@@ -155,8 +155,8 @@ class Bench:
             if edit.truth.id not in self._judged:  # two edits may share a truth
                 pictures = np.stack([self.records.image(record) for record in seeds])
                 self._judged[edit.truth.id] = against_nodes(sample, pictures, picture, inner, [e.mixture for e in entries], exposure)
-            found |= {"seeds": len(seeds), "samples": seeds[0].samples} | self._judged[edit.truth.id]
-        return found
+            result |= {"seeds": len(seeds), "samples": seeds[0].samples} | self._judged[edit.truth.id]
+        return result
 
 
 def against_nodes(sample, pictures, picture, inner, mixtures, exposure):
@@ -182,7 +182,7 @@ def against_nodes(sample, pictures, picture, inner, mixtures, exposure):
     }
 
 
-def told(record):
+def summary_of(record):
     """What a row says of its picture."""
     r = record
     return {
@@ -204,12 +204,12 @@ def with_truth(method, batch, label, truth, mask, l2):
     parts = method.parts(batch)
     if parts is None or parts.n is None or parts.light is None or isinstance(method, methods.MeanMaterial):
         return {}
-    found = {"l2_true_light": l2, "l2_true_normals": l2}
+    result = {"l2_true_light": l2, "l2_true_normals": l2}
     if parts.light is not batch.light:
-        found["l2_true_light"] = metrics.display_l2(methods.rendered(parts.n, label, batch.light, batch), truth, mask)
+        result["l2_true_light"] = metrics.display_l2(methods.rendered(parts.n, label, batch.light, batch), truth, mask)
     if parts.n is not batch.n:
-        found["l2_true_normals"] = metrics.display_l2(methods.rendered(batch.n, label, parts.light, batch), truth, mask)
-    return found
+        result["l2_true_normals"] = metrics.display_l2(methods.rendered(batch.n, label, parts.light, batch), truth, mask)
+    return result
 
 
 def refinement(refined):

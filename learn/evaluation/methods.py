@@ -72,8 +72,8 @@ class Layered:
         return self._parts
 
     def edit(self, batch, label):
-        found = self.parts(batch)
-        return rendered(found.n, label, found.light, batch)
+        result = self.parts(batch)
+        return rendered(result.n, label, result.light, batch)
 
 
 class Refined(Layered):
@@ -81,11 +81,11 @@ class Refined(Layered):
 
     def __init__(self, method, refine):
         super().__init__(f"{method.name}, refined", self._refine)
-        self.start, self._work, self.told = method, refine, None
+        self.start, self._work, self.refined = method, refine, None
 
     def _refine(self, batch):
-        self.told = self._work(batch, self.start.parts(batch))
-        return self.told.prediction
+        self.refined = self._work(batch, self.start.parts(batch))
+        return self.refined.prediction
 
 
 class Unchanged:
@@ -109,8 +109,8 @@ class MeanMaterial(Layered):
         self.label, self.method = torch.from_numpy(np.mean(labels, 0)).float(), method
 
     def _predict(self, batch):
-        found = Prediction(batch.n, None, None, None, batch.light) if self.method is None else self.method.parts(batch)
-        return found._replace(code=None, label=self.label.to(batch.label.device).expand_as(batch.label))
+        result = Prediction(batch.n, None, None, None, batch.light) if self.method is None else self.method.parts(batch)
+        return result._replace(code=None, label=self.label.to(batch.label.device).expand_as(batch.label))
 
     def edit(self, batch, label):
         return super().edit(batch, self.parts(batch).label)
@@ -185,8 +185,8 @@ def entrants(net, refine, labels, baselines=None, device="cpu"):
     else:
         from learn.evaluation import baseline_methods
 
-        found, left_out = baseline_methods.present_and_missing(baselines, device)
-        for method in found:
+        result, left_out = baseline_methods.present_and_missing(baselines, device)
+        for method in result:
             rows += [method, Refined(method, refine)] if refine and method.name in REFINED else [method]
     rows += [ours, Refined(ours, refine)] if refine else [ours]
     if not refine:

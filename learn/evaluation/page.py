@@ -53,17 +53,17 @@ def text_of(cell, column, interval=True):
     return f"{cell:.{digits}f}"
 
 
-def markdown(told):
+def markdown(report):
     """report.md."""
     lines = ["# Edits, their truth, and what they are made of", ""]
-    lines += [*(f"- {sentence}" for sentence in told["headline"]), ""]
-    for each in told["tables"].values():
+    lines += [*(f"- {sentence}" for sentence in report["headline"]), ""]
+    for each in report["tables"].values():
         lines += [f"## {each['title']}", "", each["note"], ""]
         lines += ["| | " + " | ".join(c["label"] for c in each["columns"]) + " |", "|---" * (len(each["columns"]) + 1) + "|"]
         for row in each["rows"]:
             lines.append(f"| {row['name']} | " + " | ".join(text_of(row["cells"].get(c["key"]), c) for c in each["columns"]) + " |")
         lines.append("")
-    return "\n".join([*lines, "## How it was made", "", *(f"- {item}" for item in origin(told["about"]))]) + "\n"
+    return "\n".join([*lines, "## How it was made", "", *(f"- {item}" for item in origin(report["about"]))]) + "\n"
 
 
 def origin(about):
@@ -80,19 +80,21 @@ def origin(about):
     return lines + [f"Left out: {name}: {why}." for name, why in about["missing"].items()]
 
 
-def web(told, shown, names):
+def web(report, shown, names):
     """index.html. shown: [(row of edits.jsonl, path of its gallery PNG)]; names: of the methods, the columns of the gallery."""
     parts = ["<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'>"]
     parts += [f"<title>Evaluation</title><style>{STYLE}</style><h1>Edits, their truth, and what they are made of</h1>"]
     parts += [
         "<p class=soft>A method is shown one picture and a wanted material; Cycles rendered the same shape, view and light in it.</p>"
     ]
-    parts += ["<ul>" + "".join(f"<li>{html.escape(sentence)}</li>" for sentence in told["headline"]) + "</ul>"]
-    for key, each in told["tables"].items():
+    parts += ["<ul>" + "".join(f"<li>{html.escape(sentence)}</li>" for sentence in report["headline"]) + "</ul>"]
+    for key, each in report["tables"].items():
         parts.append(f"<h2>{html.escape(each['title'])}</h2><p class=note>{html.escape(each['note'])}</p>{web_table(each)}")
         if key == "edits" and shown:
             parts.append(web_gallery(shown, names))
-    parts += ["<h2>How it was made</h2><ul>" + "".join(f"<li>{html.escape(item).replace('`', '')}</li>" for item in origin(told["about"]))]
+    parts += [
+        "<h2>How it was made</h2><ul>" + "".join(f"<li>{html.escape(item).replace('`', '')}</li>" for item in origin(report["about"]))
+    ]
     return "\n".join(parts) + "</ul></html>\n"
 
 
@@ -133,8 +135,8 @@ def web_gallery(shown, names):
         "over the mask.</p>"
     ]
     for row, path in shown:
-        wanted, was = (" + ".join(dict.fromkeys(row[key])) for key in ("wanted", "materials"))
-        caption = f"<b>{html.escape(was)} → {html.escape(wanted)}</b> · {html.escape(row['shape'])}, {html.escape(row['light'])}"
+        requested, was = (" + ".join(dict.fromkeys(row[key])) for key in ("wanted", "materials"))
+        caption = f"<b>{html.escape(was)} → {html.escape(requested)}</b> · {html.escape(row['shape'])}, {html.escape(row['light'])}"
         columns = []
         heads = [("shown", ""), ("truth", ""), *((name, f"{row['methods'][name]['l2']:.0f}") for name in names)]
         for (name, l2), (above, below) in zip(heads, gallery.cells(path, len(heads)), strict=True):

@@ -46,42 +46,42 @@ def write(out, pictures, edits, shown, about, entrants, families):
     shown            ids of the edits whose gallery pictures are shown
     families         {name: family} of the data set's materials
     """
-    found = tables.all_of(pictures, edits, families)
+    result = tables.all_of(pictures, edits, families)
     commits = sorted({row.get("commit", "none") for row in (*pictures, *edits)})
-    told = {
+    report = {
         "about": about | {"edits": len(edits), "pictures": len(pictures), "lines": commits},
-        "headline": headline(found),
-        "tables": found,
+        "headline": headline(result),
+        "tables": result,
     }
     names = [method.name for method in entrants.edits]
     by_id = {row["id"]: row for row in edits}
     gallery = [(by_id[id_], out / "gallery" / f"{id_}.png") for id_ in shown if id_ in by_id]
     texts = {
-        "report.json": json.dumps(told, indent=1, ensure_ascii=False) + "\n",
-        "report.md": page.markdown(told),
-        "index.html": page.web(told, [(row, path) for row, path in gallery if path.exists()], names),
+        "report.json": json.dumps(report, indent=1, ensure_ascii=False) + "\n",
+        "report.md": page.markdown(report),
+        "index.html": page.web(report, [(row, path) for row, path in gallery if path.exists()], names),
     }
-    with files.together():
+    with files.transaction():
         for name, text in texts.items():
             files.write_text(out / name, text)
-    return told
+    return report
 
 
 def headline(found):
     """Sentences that say what came out, each from the tables alone."""
     rows = {row["name"]: row["cells"] for row in found.get("edits", {"rows": []})["rows"]}
-    told = []
+    report = []
     if OURS in rows:
         mine = rows[OURS]["l2"]
-        told.append(f"An edit differs from its truth by a display L2 of {mine[0]:.0f} [{mine[1]:.0f}, {mine[2]:.0f}] over the mask")
+        report.append(f"An edit differs from its truth by a display L2 of {mine[0]:.0f} [{mine[1]:.0f}, {mine[2]:.0f}] over the mask")
         if OURS_REFINED in rows:
             refined = rows[OURS_REFINED]["l2"]
             more = 100 * (refined[0] / mine[0] - 1)
-            told[-1] += f"; after refinement by {refined[0]:.0f} [{refined[1]:.0f}, {refined[2]:.0f}]: {more:+.0f} %"
-        told[-1] += "."
+            report[-1] += f"; after refinement by {refined[0]:.0f} [{refined[1]:.0f}, {refined[2]:.0f}]: {more:+.0f} %"
+        report[-1] += "."
         given = [(key, rows[OURS].get(f"l2_true_{key}")) for key in ("light", "normals")]
-        told += [f"With true {key} instead of predicted it would be {cell[0]:.0f}." for key, cell in given if cell]
-    return [*told, _judged(found, OURS_REFINED if OURS_REFINED in rows else OURS)] if "differences" in found else told
+        report += [f"With true {key} instead of predicted it would be {cell[0]:.0f}." for key, cell in given if cell]
+    return [*report, _judged(found, OURS_REFINED if OURS_REFINED in rows else OURS)] if "differences" in found else report
 
 
 def _judged(found, mine):
@@ -96,6 +96,6 @@ def _judged(found, mine):
     return f"By 95 % intervals of the difference on the same edits, “{mine}” is {judged}."
 
 
-def line(told):
+def line(report):
     """One line for the terminal."""
-    return told["headline"][0] if told["headline"] else f"{told['about']['edits']} edits"
+    return report["headline"][0] if report["headline"] else f"{report['about']['edits']} edits"

@@ -5,7 +5,7 @@ A figure is None where there was nothing to measure, or where it was not finite.
 
 from typing import Annotated
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
 Figure = Annotated[float, Meta(ge=-1e30, le=1e30)]  # far beyond any; sums of squares stay finite
 Figures = dict[str, Figure | None]
@@ -97,7 +97,7 @@ class Edit(Struct):
     light: str
     rotation_texels: int
     split: str
-    wanted: Names
+    requested: Names = field(name="wanted")
     layer: Layer
     commit: str = "none"
 

@@ -25,7 +25,7 @@ from learn.evaluation.bench import Bench
 from learn.evaluation.methods import TOLERANCE
 from learn.refinement import Settings
 from manifests import files, lock
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.store import Lines, file_hash
 
 
@@ -52,20 +52,20 @@ class Options:
 
 
 def make(options):
-    """Work through what is missing and write the report. Returns its figures. Raises Problem."""
+    """Work through what is missing and write the report. Returns its figures. Raises InputError."""
     records = Records(options.data)
     kept = [record for record in records.records if record.split == "test"] or records.records
-    if len(kept) < len(records) and not pairs.found(kept):
-        found = f"none among its {len(kept)} of {len(records)} pictures"
+    if len(kept) < len(records) and not pairs.edits_between(kept):
+        result = f"none among its {len(kept)} of {len(records)} pictures"
         remedy = "render the test side's shapes, views and lights in two of its materials or more, or a dataset without a test side"
-        raise Problem(options.data, "pictures of the test side that differ in nothing but the material", found, remedy)
+        raise InputError(options.data, "pictures of the test side that differ in nothing but the material", result, remedy)
     chosen = pairs.chosen(kept, options.edits, options.seed)
     out = Path(options.out)
     with lock.writing(out, patience=0):
         bench = Bench(**arguments(options))  # here first: what is wrong with weights is said before any process starts
-        files.settle(out / "settings.json", settings(options))
+        files.pin_settings(out / "settings.json", settings(options))
         work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
-        lines = [[row for id_, row in rows_of(out / name).items() if id_ in wanted] for name, wanted in names(chosen).items()]
+        lines = [[row for id_, row in rows_of(out / name).items() if id_ in requested] for name, requested in names(chosen).items()]
         families = {entry.name: entry.family for entry in records.materials.values()}
         about = report.about(options, records, kept, bench.entrants.left_out, bench.perceptual)
         return report.write(out, *lines, [edit.id for edit in chosen[: options.gallery]], about, bench.entrants, families)
@@ -93,7 +93,7 @@ def settings(options):
     """What determines a line's figures: files by their bytes."""
     folder = options.baselines
     of_baselines = {} if folder is None else {p.name: file_hash(p) for p in sorted(Path(folder).glob("*.safetensors")) if p.is_file()}
-    found = {
+    result = {
         "data": Path(options.data).resolve().name,
         "materials": file_hash(Path(options.data) / "materials.json"),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
@@ -104,7 +104,7 @@ def settings(options):
         "lpips": None if options.lpips is None else file_hash(options.lpips),
         "mean_material_of": options.materials,
     }
-    return found if options.device == "cpu" else found | {"device": torch.device(options.device).type}
+    return result if options.device == "cpu" else result | {"device": torch.device(options.device).type}
 
 
 def units(out, chosen, gallery, repeats):
@@ -126,14 +126,14 @@ def units(out, chosen, gallery, repeats):
     grouped = {}
     for edit in chosen:
         grouped.setdefault(edit.source.id, []).append(edit)
-    found = []
+    matches = []
     for source, edits in grouped.items():
         todo = [edit for edit in edits if not finished(edit)]
         whole = source not in pictures
         if todo or whole:
             folder = str(out / "gallery") if any(edit.id in shown for edit in todo) else None
-            found.append((edits[0], todo, whole, folder))
-    return found
+            matches.append((edits[0], todo, whole, folder))
+    return matches
 
 
 def work_through(options, todo, bench):
@@ -162,15 +162,15 @@ def results(options, todo, bench):
         return
     threads = max(1, (os.cpu_count() or 1) // processes)
     context = multiprocessing.get_context("spawn")  # a fork of a process with running threads may hang
-    with ProcessPoolExecutor(processes, context, _begin, (arguments(options), threads)) as pool:
+    with ProcessPoolExecutor(processes, context, _begin, (arguments(options), threads)) as data_split:
         try:
-            for done in as_completed([pool.submit(_work, unit) for unit in todo]):
+            for done in as_completed([data_split.submit(_work, unit) for unit in todo]):
                 yield done.result()
         except BrokenProcessPool:
             remedy = "run the same command again with fewer --processes: what was done stays"
-            raise Problem("evaluation", "processes that live", "one that was killed, for want of memory perhaps", remedy) from None
+            raise InputError("evaluation", "processes that live", "one that was killed, for want of memory perhaps", remedy) from None
         finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            data_split.shutdown(wait=True, cancel_futures=True)
 
 
 def _begin(given, threads):
@@ -184,5 +184,5 @@ def _work(unit):
 
 
 def rows_of(path):
-    """{id: row} of a file of lines; of two of one id the later. Raises Problem for a damaged line."""
+    """{id: row} of a file of lines; of two of one id the later. Raises InputError for a damaged line."""
     return {row["id"]: row for row in files.read_lines(path, rows.TYPES[path.name])}

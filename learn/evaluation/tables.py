@@ -69,14 +69,14 @@ class Rows:
 
     def values(self, method, path):
         """(P,) float64 of one figure, NaN where a row has none; path: keys below the method."""
-        found = np.full(len(self.rows), np.nan)
+        result = np.full(len(self.rows), np.nan)
         for i, row in enumerate(self.rows):
             value = row["methods"].get(method, {})
             for key in path:
                 value = value.get(key) if isinstance(value, dict) else None
             if value is not None:
-                found[i] = value
-        return found
+                result[i] = value
+        return result
 
     def cell(self, method, path):
         """[mean, low, high] over the rows that have the figure; None if none has."""
@@ -106,13 +106,13 @@ def table(title, note, columns, rows):
 
 def by_method(rows, title, note, groups):
     """A table of a row a method. groups: [(path below the method, columns, suffix of their keys)]; rows without any figure are left out."""
-    found = []
+    results = []
     for name in rows.methods():
         cells = {c["key"] + suffix: rows.cell(name, (*path, c["key"])) for path, columns, suffix in groups for c in columns}
         if any(cell is not None for cell in cells.values()):
-            found.append({"name": name, "cells": cells})
+            results.append({"name": name, "cells": cells})
     columns = [c | {"key": c["key"] + suffix} for _, columns, suffix in groups for c in columns]
-    return table(title, note, columns, [row for row in found if not borrowed(row, found)])
+    return table(title, note, columns, [row for row in results if not borrowed(row, results)])
 
 
 def borrowed(row, rows):
@@ -122,7 +122,7 @@ def borrowed(row, rows):
 
 def differences(rows):
     """Ours, refined and not, against every other row on the same edits: whether the difference of L2 could be nothing."""
-    found = []
+    results = []
     for mine in (OURS, OURS_REFINED):
         a = rows.values(mine, ("l2",))
         for other in rows.methods() if np.isfinite(a).any() else ():
@@ -134,11 +134,11 @@ def differences(rows):
             verdict = "better" if cell[2] < 0 else "worse" if cell[1] > 0 else "undecided: 0 is inside"
             verdict = verdict if rows.enough else "undecided: two shapes and two materials are needed"
             cells = {"difference": cell, "ratio": of, "won": float((a < b)[both].mean()), "verdict": verdict}
-            found.append({"name": f"{mine} − {other}", "cells": cells})
+            results.append({"name": f"{mine} − {other}", "cells": cells})
     columns = [column("difference", "L2 difference", 1, True), column("ratio", "L2 ratio", 3, True)]
     columns += [column("won", "edits won", 2), column("verdict", "at 95 %")]
     note = "Mean over the same edits; the interval of a difference that leaves out 0 decides."
-    return table("Differences on the same edits", note, columns, found)
+    return table("Differences on the same edits", note, columns, results)
 
 
 def gains(rows, known):
@@ -159,27 +159,27 @@ def gains(rows, known):
     for title, of in (("light", lambda row: row["light"]), ("shape", lambda row: row["category"]), ("into", family)):
         names = np.array([of(row) for row in rows.rows])
         groups |= {f"{title}: {name}": both & (names == name) for name in np.unique(names)}
-    found = []
+    results = []
     for title, there in groups.items():
         if there.any():
             a, b = before[there], after[there]
             cells = {"edits": int(there.sum()), "ratio": bootstrap.relative(a, b, rows.drawn(there)), "won": float((b < a).mean())}
             for name, mean in (("mean", np.mean), ("median", np.median), ("geometric", lambda x: np.exp(np.log(x).mean()))):
                 cells |= {name: float(mean(a)), f"{name}_after": float(mean(b))}
-            found.append({"name": title, "cells": cells})
+            results.append({"name": title, "cells": cells})
     columns = [column("edits", "edits", 0), column("ratio", "ratio of means", 3, True)]
     for name, label in (("mean", "mean"), ("median", "median"), ("geometric", "geometric mean")):
         columns += [column(name, f"{label} before", 0), column(f"{name}_after", "after", 0)]
     columns.append(column("won", "edits better", 3))
     note = "Display L2 of ours over the mask, as predicted and refined."
-    return table("What refinement takes off edits", note, columns, found)
+    return table("What refinement takes off edits", note, columns, results)
 
 
 def refinement(rows):
     """What refinement did to its starts, a row a method, and all together."""
     refined = [name for name in rows.methods() if any("refinement" in row["methods"].get(name, {}) for row in rows.rows)]
     groups = {name: [name] for name in refined} | ({"all starts": refined} if len(refined) > 1 else {})
-    found = []
+    results = []
     for title, names in groups.items():
         get = partial(_gathered, rows, names)
         before, after, seconds, finite = (get(("refinement", key)) for key in ("before", "after", "seconds", "finite"))
@@ -199,7 +199,7 @@ def refinement(rows):
             "seconds": float(np.median(seconds[there])),
             "slowest": float(seconds[there].max()),
         }
-        found.append({"name": title, "cells": cells})
+        results.append({"name": title, "cells": cells})
     columns = [
         column("starts", "starts", 0),
         column("above", "ended above start", 0),
@@ -214,7 +214,7 @@ def refinement(rows):
         column("slowest", "slowest s", 1),
     ]
     return table(
-        "Refinement", "Energy: Eq. 6 as learn.refinement states it. I′: the picture rendered again from refined parts.", columns, found
+        "Refinement", "Energy: Eq. 6 as learn.refinement states it. I′: the picture rendered again from refined parts.", columns, results
     )
 
 
@@ -227,12 +227,12 @@ def layer(rows):
     by = {}
     for row in rows.rows:
         by.setdefault(" + ".join(dict.fromkeys(row["wanted"])), {})[row["truth"]] = row["layer"]  # edits that share a truth count once
-    found = [{"name": name, "cells": _layer_cells(list(by[name].values()))} for name in sorted(by)]
-    judged = [name["cells"] for name in found if "within" in name["cells"]]
+    results = [{"name": name, "cells": _layer_cells(list(by[name].values()))} for name in sorted(by)]
+    judged = [name["cells"] for name in results if "within" in name["cells"]]
     every = _layer_cells([each for truths in by.values() for each in truths.values()])
     if judged:
         every |= {key: f"{sum(cells[key] == 'yes' for cells in judged)} of {len(judged)}" for key in ("within", "within_here")}
-    found.append({"name": "all", "cells": every})
+    results.append({"name": "all", "cells": every})
     columns = [
         column("truths", "truths", 0),
         column("l2", "L2 over the mask", 2),
@@ -253,7 +253,7 @@ def layer(rows):
         "material; the catalogue's is of spheres under its own lights. Cycles against its nodes: what is left where a converged "
         "integral is taken of the nodes instead of the label: it is this, and the tolerance, that the loop adds to the fit."
     )
-    return table("True normals, light and label through the layer", note, columns, found)
+    return table("True normals, light and label through the layer", note, columns, results)
 
 
 def _layer_cells(truths):
@@ -284,7 +284,7 @@ def all_of(pictures, edits, families):
         "Light given, normals given: the same edits were that part not predicted but true. It shows where the error comes from. "
         "Lombardi-like is given true normals, as in the paper."
     )
-    found = {
+    result = {
         "edits": by_method(E, "Edits against their truth", given, [((), PICTURE, ""), ((), GIVEN, "")]),
         "differences": differences(E),
         "gains": gains(E, families),
@@ -297,4 +297,4 @@ def all_of(pictures, edits, families):
         "light": by_method(P, "Light", light_alone, [(("light",), LIGHT, ""), (("rendered_light",), SHORT, "_rendered")]),
         "layer": layer(E),
     }
-    return {key: value for key, value in found.items() if value is not None}
+    return {key: value for key, value in result.items() if value is not None}

@@ -91,8 +91,8 @@ def seconds():
     nodes = reflectance_map.needed_nodes(n, 64)
     values = torch.rand(len(nodes), 3).requires_grad_()
     look_up = timed(lambda a: reflectance_map.look_up(a, values, nodes, 64), n) / len(n)
-    found = {"pair": pair, "look_up": look_up, "pixel": 2e-7, "call": call, "cone": slope / 1.2, "block": max(block, 0.05)}
-    return {name: float(f"{value:.3g}") for name, value in found.items()}
+    result = {"pair": pair, "look_up": look_up, "pixel": 2e-7, "call": call, "cone": slope / 1.2, "block": max(block, 0.05)}
+    return {name: float(f"{value:.3g}") for name, value in result.items()}
 
 
 def summed(n, m, E, lights, allowed):

@@ -33,11 +33,11 @@ def best(label, light, tolerance, images, clock):
     m = torch.as_tensor(label, dtype=torch.float32).exp().reshape(1, 108)
     L = torch.as_tensor(light, dtype=torch.float32)[None]
     n = chart_cases.sphere(256).expand(images, -1, -1, -1).contiguous()
-    by_picture, found = torch.ones_like(n), []
+    by_picture, result = torch.ones_like(n), []
     for _ in range(ROUNDS):
         leaves = [x.detach().requires_grad_() for x in (n, m, L)]
         start = clock()
         picture = render(leaves[0], leaves[1].expand(images, -1), leaves[2].expand(images, -1, -1, -1), tolerance=tolerance)
         torch.autograd.grad(picture, leaves, by_picture)
-        found.append(clock() - start)
-    return min(found)
+        result.append(clock() - start)
+    return min(result)

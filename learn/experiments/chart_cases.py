@@ -13,7 +13,7 @@ from learn import methods
 from learn.layer.inputs import checked, compact
 from learn.methods import hybrid, median_cut, reflectance_map, sampling, spherical_gaussians
 from manifests import arrays, exr
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders import envmap
 from shaders.frames import ELEVATION, view_vectors
 
@@ -68,23 +68,23 @@ def computed_lights():
     sun, spot = np.full((*SIZE, 3), 0.4), np.zeros((*SIZE, 3))
     sun[20, 40] = 0.6 * 4 * np.pi / solid_angle[20, 40]
     spot[18, 25] = 1.0
-    found = {"sky": sky, "lamps": lamps * np.ones(3), "sun in a texel": sun, "one texel": spot}
-    return {name: envmap.unit_mean(L)[0] for name, L in found.items()}
+    result = {"sky": sky, "lamps": lamps * np.ones(3), "sun in a texel": sun, "one texel": spot}
+    return {name: envmap.unit_mean(L)[0] for name, L in result.items()}
 
 
 def lights(folder=None, names=None):
     """The computed ones, or the sun in a texel and the maps of a folder: *.exr, or a dataset's lights/*.npz; all, or those named."""
     if folder is None:
         return computed_lights()
-    found = {"sun in a texel": computed_lights()["sun in a texel"]}
+    result = {"sun in a texel": computed_lights()["sun in a texel"]}
     paths = sorted(Path(folder).glob("*.exr")) or sorted((Path(folder) / "lights").glob("**/*.npz"))
     chosen = [path for path in paths if names is None or any(path.stem.startswith(name) for name in names)]
     if not chosen:
         stems = ", ".join(path.stem for path in paths) or "none"
-        raise Problem(
+        raise InputError(
             folder, "environment maps (*.exr, or a dataset with lights)", stems, "check the path and the names, or leave --lights out"
         )
-    return found | {path.stem: envmap.unit_mean(envmap.resize(np.maximum(radiance_of(path), 0), *SIZE))[0] for path in chosen}
+    return result | {path.stem: envmap.unit_mean(envmap.resize(np.maximum(radiance_of(path), 0), *SIZE))[0] for path in chosen}
 
 
 def radiance_of(path):
@@ -93,7 +93,7 @@ def radiance_of(path):
         return arrays.read_light(path).astype(np.float64)
     channels = exr.read(path)
     if missing := [name for name in arrays.PICTURE_CHANNELS if name not in channels]:
-        raise Problem(path, f"channels {', '.join(arrays.PICTURE_CHANNELS)}", f"no {', '.join(missing)}", "export it as RGB")
+        raise InputError(path, f"channels {', '.join(arrays.PICTURE_CHANNELS)}", f"no {', '.join(missing)}", "export it as RGB")
     return np.stack([channels[name] for name in arrays.PICTURE_CHANNELS], -1).astype(np.float64)
 
 
@@ -107,7 +107,7 @@ def sphere(size):
     return n[None].float()
 
 
-def batch_of(label, light, size, camera, wanted=False):
+def batch_of(label, light, size, camera, with_gradients=False):
     """A learn.methods.Batch of one sphere, with tensors that want gradients or not, and these tensors."""
     n, m = sphere(size), torch.as_tensor(np.exp(np.asarray(label)).reshape(1, 108), dtype=torch.float32)
     L = torch.as_tensor(light, dtype=torch.float32)[None]
@@ -115,5 +115,5 @@ def batch_of(label, light, size, camera, wanted=False):
     if camera == "perspective":
         view = torch.as_tensor(view_vectors(size, size, FIELD_OF_VIEW).copy(), dtype=torch.float32)[None]
         n = torch.where((n * view).sum(-1, keepdim=True) > 1e-3, n, torch.zeros(()))
-    leaves = [x.requires_grad_(wanted) for x in (n, m, L)]
+    leaves = [x.requires_grad_(with_gradients) for x in (n, m, L)]
     return compact(checked(*leaves, view, None, (n != 0).any(-1).detach(), 1e-2, ELEVATION))[0], leaves

@@ -37,7 +37,7 @@ def write(rows, made, folder):
     table = csv.DictWriter(text, fieldnames=list(rows[0]))
     table.writeheader()
     table.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    with files.together():
+    with files.transaction():
         files.write_figure(folder / "chart.png", picture(rows, caption), dpi=100)
         files.write_text(folder / "chart.csv", text.getvalue())
         files.write_text(folder / "chart.html", page(rows, caption))
@@ -64,8 +64,8 @@ def picture(rows, caption):
     colours = matplotlib.colormaps["tab20"].colors
     for line, camera in zip(axes, cameras(rows), strict=True):
         for place, (error, judge, title) in zip(line, PANELS, strict=True):
-            for method, found in pareto_front.points(rows, camera, error, judge).items():
-                x, y, _ = zip(*sorted(found), strict=True)
+            for method, result in pareto_front.points(rows, camera, error, judge).items():
+                x, y, _ = zip(*sorted(result), strict=True)
                 style = {"lw": 3, "ms": 9} if method == pareto_front.OURS else {"lw": 1, "ms": 5}
                 height = [max(e, 1e-8) for e in y]  # for the logarithmic axis
                 place.loglog(x, height, "o-", color=colours[names.index(method) % 20], label=method, **style)

@@ -29,9 +29,9 @@ def measure(materials, lights, cameras, size, processes=1):
     """
     todo = [(m, label, L, light, c, size) for m, label in materials.items() for L, light in lights.items() for c in cameras]
     rows = []
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=warm_up, initargs=todo[0]) as pool:
-        for found in tqdm(pool.map(one_case, *zip(*todo, strict=True)), total=len(todo), desc="chart", unit="case", mininterval=2):
-            rows += found
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=warm_up, initargs=todo[0]) as data_split:
+        for result in tqdm(data_split.map(one_case, *zip(*todo, strict=True)), total=len(todo), desc="chart", unit="case", mininterval=2):
+            rows += result
     return rows
 
 
@@ -66,7 +66,7 @@ def one_case(m, label, L, light, camera, size):
 
 def timed(setting, label, light, size, camera, backward):
     """Seconds, and the picture (P, 3)."""
-    batch, leaves = chart_cases.batch_of(label, light, size, camera, wanted=backward)
+    batch, leaves = chart_cases.batch_of(label, light, size, camera, with_gradients=backward)
     with torch.set_grad_enabled(backward):
         start = time.thread_time()
         seen = setting.radiance(batch)

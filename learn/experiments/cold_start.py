@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 CASES = ("exact", "exact, view per pixel", "auto")
 ROOT = Path(__file__).parents[2]
@@ -18,15 +18,15 @@ ROOT = Path(__file__).parents[2]
 
 def measure(rounds, threads):
     """{case: {"empty" | "kept": {what: median seconds}}}, what as in learn.experiments.first_use."""
-    found = {case: {"empty": [], "kept": []} for case in CASES}
+    result = {case: {"empty": [], "kept": []} for case in CASES}
     with tqdm(total=rounds * len(CASES), unit="start", desc="startup") as progress:
         for _ in range(rounds):
             for case in CASES:
                 with tempfile.TemporaryDirectory() as folder:
                     for kernels in ("empty", "kept"):
-                        found[case][kernels].append(start(case, threads, folder))
+                        result[case][kernels].append(start(case, threads, folder))
                 progress.update()
-    return {case: {kernels: medians(times) for kernels, times in both.items()} for case, both in found.items()}
+    return {case: {kernels: medians(times) for kernels, times in both.items()} for case, both in result.items()}
 
 
 def start(case, threads, folder):
@@ -35,7 +35,7 @@ def start(case, threads, folder):
     command = [sys.executable, "-m", "learn.experiments.first_use", case, str(threads)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise Problem(" ".join(command[1:]), "a picture", done.stderr.strip().splitlines()[-1], "run it by hand to see the whole error")
+        raise InputError(" ".join(command[1:]), "a picture", done.stderr.strip().splitlines()[-1], "run it by hand to see the whole error")
     return json.loads(done.stdout)
 
 

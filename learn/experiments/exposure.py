@@ -12,7 +12,7 @@ import numpy as np
 from learn.data import photographs
 from learn.metrics import bootstrap
 from manifests import files
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.provenance import provenance
 from shaders import tone
 from shaders.envmap import LUMINANCE
@@ -69,11 +69,11 @@ def measured(records):
     return *np.array(pairs).T, bootstrap.groups_of(*names)
 
 
-def study(records, others, out):
+def fit_and_check(records, others, out):
     """exposure.json: the line fitted on `records`, and how far it, the rule in use and one factor for all miss on each of `others`."""
     names = [each.folder.name for each in (records, *others)]
     if len(set(names)) < len(names):
-        raise Problem(
+        raise InputError(
             "--check", "folders of other names than --data, and each once", ", ".join(names), "rename one: rows are named after them"
         )
     Y, X, groups = measured(records)
@@ -83,9 +83,9 @@ def study(records, others, out):
         "in use": (photographs.TYPICAL, photographs.DEPENDENCE),
         "one factor for all": (float(np.exp(np.log(X).mean())), 0.0),
     }
-    found = {"line": line, "pictures": len(X), "rules": rules, "missed": {}}
+    result = {"line": line, "pictures": len(X), "rules": rules, "missed": {}}
     for folder, (y, x, _) in ((records.folder, (Y, X, groups)), *((other.folder, measured(other)) for other in others)):
-        found["missed"][folder.name] = {rule: missed(y, x, *values) for rule, values in rules.items()}
+        result["missed"][folder.name] = {rule: missed(y, x, *values) for rule, values in rules.items()}
     out.mkdir(parents=True, exist_ok=True)
-    files.write_json(out / "exposure.json", {"made_by": provenance()} | found)
-    return found
+    files.write_json(out / "exposure.json", {"made_by": provenance()} | result)
+    return result

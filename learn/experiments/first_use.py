@@ -38,7 +38,7 @@ def main(case, threads):
     start = time.perf_counter()
     from learn.layer import render
 
-    found = {"import": time.perf_counter() - start}
+    result = {"import": time.perf_counter() - start}
     n, material, light, view = scene(bool(view_per_pixel))
 
     def picture():
@@ -51,8 +51,8 @@ def main(case, threads):
     for name, work in (("picture", picture), ("derivatives", derivatives), ("later picture", picture), ("later derivatives", derivatives)):
         start = time.perf_counter()
         work()
-        found[name] = time.perf_counter() - start
-    print(json.dumps(found))
+        result[name] = time.perf_counter() - start
+    print(json.dumps(result))
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ STEPS = 1_000_000  # a bound far beyond what the time allows
 
 def settings(part, variant, data, size, seconds, seed):
     """The Run of one variant."""
-    schedule = Schedule(steps=STEPS, batch=variants.BATCH, rate=RATES[part], warm_up=50, average=0.99, seconds=seconds)
+    schedule = Schedule(steps=STEPS, batch=variants.BATCH, learning_rate=RATES[part], warm_up=50, ema_decay=0.99, seconds=seconds)
     return Run(
         name=f"{part} {variant}",
         about=f"{seconds:g} s of processor time",
@@ -46,15 +46,15 @@ def settings(part, variant, data, size, seconds, seed):
     )
 
 
-def prove(data, pools, out, size, seconds, seeds, batches=12, workers=1):
+def prove(data, data_splits, out, size, seconds, seeds, batches=12, workers=1):
     """Train and measure every variant; report.json and report.md in `out`. A variant that is there already is not trained again."""
-    tests = variants.held_out(pools, data, size, batches)
+    tests = variants.held_out(data_splits, data, size, batches)
     todo = [(s, p, v) for s in seeds for p, of_part in VARIANTS.items() for v in of_part]
     results = {}
     for seed, part, variant in tqdm(todo, "variants", unit="run"):
         run = settings(part, variant, data, size, seconds, seed)
-        found = variants.trained(run, pools, tests, Path(out) / f"{part}-{variant}-{seed}", workers)
-        results.setdefault(part, {}).setdefault(variant, []).append(found)
+        result = variants.trained(run, data_splits, tests, Path(out) / f"{part}-{variant}-{seed}", workers)
+        results.setdefault(part, {}).setdefault(variant, []).append(result)
     return report(Path(out), results, {"seconds": seconds, "size": size, "seeds": len(seeds)})
 
 
@@ -65,13 +65,13 @@ def report(out, results, about):
     """
     summary = {}
     for part, of_part in results.items():
-        summary[part] = {v: variants.figures(found) | {"steps": [r["steps"] for r in found]} for v, found in of_part.items()}
+        summary[part] = {v: variants.figures(result) | {"steps": [r["steps"] for r in result]} for v, result in of_part.items()}
         pairs = [("standalone", v) for v in of_part if v != "standalone"]
         pairs += [("control", v) for v in ("combined", "both") if {"control", v} <= of_part.keys()]
         summary[part]["ratios"] = {f"{b} / {a}": variants.ratio(of_part[a], of_part[b]) for a, b in pairs}
     pictures = len(next(iter(next(iter(results.values())).values()))[0]["rows"])
     summary["about"] = provenance() | about | {"pictures": pictures}
-    with files.together():
+    with files.transaction():
         files.write_json(out / "report.json", summary)
         files.write_text(out / "report.md", page(summary))
     return summary
@@ -81,10 +81,10 @@ def page(summary):
     """The report as a table for people."""
     about = summary["about"]
     lines = ["# Training through the layer against training without it (Section 4.3)", ""]
-    told = (
+    metadata = (
         f"{about['seconds']:g} s of processor time a run, {about['seeds']} seeds, {about['pictures']} pictures of {about['size']}² pixels"
     )
-    lines += [told + " of shapes, materials and lights never seen; 95 % intervals over shapes, materials and seeds.", ""]
+    lines += [metadata + " of shapes, materials and lights never seen; 95 % intervals over shapes, materials and seeds.", ""]
     lines += ["| part | variant | render L2 | L2, frame | SSIM | others | steps |", "|---|---|---|---|---|---|---|"]
     for part in VARIANTS:
         for variant in VARIANTS[part]:

@@ -11,15 +11,15 @@ import numpy as np
 import torch
 
 from learn.data import devices
-from learn.data.relit import Relit
-from learn.data.rendered import Cycles
+from learn.data.relit import RelitDataset
+from learn.data.rendered import RenderedDataset
 from learn.data.settings import decode_run
 from learn.metrics import bootstrap
 from learn.networks import weights as checkpoint
 from learn.training import montage as training_sheet
 from learn.training import validation
 from manifests import files
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 BATCH, SEED = 16, 77
 WORDS = {
@@ -35,37 +35,37 @@ WORDS = {
 }
 
 
-def make(weights, pools, out, batches, note="", seeds=(), device="cpu"):
+def make(weights, data_splits, out, batches, note="", seeds=(), device="cpu"):
     """Measure weights on the test side, on relit pictures and, where the pool has an album, on all of its rendered ones.
 
     pools  learn.data.sources.pools
     seeds  weights of the same run with other seeds, measured on the same pictures for a table of all
     device  where networks and the layer compute
     Writes card.md, card.json, sheet.jpg, and sheet-cycles.jpg, to `out`. Returns {"figures", "cycles"}, {figure: [mean, low, high]} each
-    Raises Problem where one of the seeds is of another run, or a seed is there twice
+    Raises InputError where one of the seeds is of another run, or a seed is there twice
     """
     network, metadata = checkpoint.load_network(weights, device)
-    run, out, test = decode_run(json.dumps(metadata["run"]).encode(), weights), Path(out), pools["test"]
+    run, out, test = decode_run(json.dumps(metadata["run"]).encode(), weights), Path(out), data_splits["test"]
     others = [_same_run(path, weights, run, device) for path in seeds]
     _all_different([weights, *seeds], [run, *(other for _, _, other in others)])
     out.mkdir(parents=True, exist_ok=True)
-    constant = validation.mean_albedo(pools["train"])
-    told = {"run": metadata["run"], "step": metadata.get("step"), "sizes": _sizes(network, pools), "note": note}
+    constant = validation.mean_albedo(data_splits["train"])
+    report = {"run": metadata["run"], "step": metadata.get("step"), "sizes": _sizes(network, data_splits), "note": note}
     if others:
-        told["seeds"] = [[run.seed, told["step"]], *([other.seed, step] for _, step, other in others)]
-    relit = Relit(test, run.data, BATCH, run.size, SEED)
+        report["seeds"] = [[run.seed, report["step"]], *([other.seed, step] for _, step, other in others)]
+    relit = RelitDataset(test, run.data, BATCH, run.size, SEED)
     places = [("", relit, batches, "sheet.jpg")]
-    if test.album:
-        places.append(("cycles", Cycles(test, run.data, 1, run.size, SEED), len(test.album), "sheet-cycles.jpg"))
-        told["cycles_about"] = _of_album(test.album)
+    if test.rendered_split:
+        places.append(("cycles", RenderedDataset(test, run.data, 1, run.size, SEED), len(test.rendered_split), "sheet-cycles.jpg"))
+        report["cycles_about"] = _of_split(test.rendered_split)
     for where, source, count, sheet_name in places:
-        found = [measured(network, run, (source[k] for k in range(count)), constant, out / sheet_name)]
-        found += [measured(other, run, (source[k] for k in range(count)), constant) for other, _, _ in others]
-        told |= _under(where, found)
-    with files.together():
-        files.write_json(out / "card.json", told)
-        files.write_text(out / "card.md", _page(told))
-    return {key: told[key] for key in ("figures", "cycles") if key in told}
+        results = [measured(network, run, (source[k] for k in range(count)), constant, out / sheet_name)]
+        results += [measured(other, run, (source[k] for k in range(count)), constant) for other, _, _ in others]
+        report |= _under(where, results)
+    with files.transaction():
+        files.write_json(out / "card.json", report)
+        files.write_text(out / "card.md", _page(report))
+    return {key: report[key] for key in ("figures", "cycles") if key in report}
 
 
 def _same_run(path, first, run, device="cpu"):
@@ -73,14 +73,14 @@ def _same_run(path, first, run, device="cpu"):
     network, metadata = checkpoint.load_network(path, device)
     other = decode_run(json.dumps(metadata["run"]).encode(), path)
     if msgspec.structs.replace(other, seed=run.seed, name=run.name, about=run.about) != run:
-        raise Problem(path, f"weights of the run of {first} with another seed", "other settings", "measure them by a card of their own")
+        raise InputError(path, f"weights of the run of {first} with another seed", "other settings", "measure them by a card of their own")
     return network, metadata.get("step"), other
 
 
 def _all_different(paths, runs):
     for path, run in zip(paths, runs, strict=True):
         if sum(other.seed == run.seed for other in runs) > 1:
-            raise Problem(path, "a seed that no other of these weights has", f"seed {run.seed} twice", "leave one of them out")
+            raise InputError(path, "a seed that no other of these weights has", f"seed {run.seed} twice", "leave one of them out")
 
 
 def _under(where, found):
@@ -90,19 +90,19 @@ def _under(where, found):
     """
     (values, names), *_ = found
     resampled = bootstrap.draws(bootstrap.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1))))
-    told = {
+    report = {
         where or "figures": {key: _interval(value, resampled) for key, value in values.items()},
         f"{where}_pictures" if where else "pictures": len(names),
     }
     if len(found) > 1:
-        told[f"{where}_seeds" if where else "figures_seeds"] = {
+        report[f"{where}_seeds" if where else "figures_seeds"] = {
             key: {
                 "mean": _interval(np.mean([values[key] for values, _ in found], 0), resampled),
                 "each": [float(np.nanmean(values[key])) for values, _ in found],
             }
             for key in values
         }
-    return told
+    return report
 
 
 def measured(network, run, batches, constant_albedo, sheet_path=None):
@@ -131,33 +131,33 @@ def _interval(values, weights):
     return bootstrap.interval(values[there], kept[kept.sum(1) > 0])
 
 
-def _of_album(album):
+def _of_split(rendered_split):
     """How its pictures were made."""
 
     def of(get):
-        return sorted({get(record) for record in album.chosen})
+        return sorted({get(record) for record in rendered_split.chosen})
 
     counts = [len(of(get)) for get in (lambda r: r.shape, lambda r: r.materials, lambda r: r.light)]
     how = [", ".join(map(str, of(get))) for get in (lambda r: r.tier, lambda r: r.samples, lambda r: r.camera.pixel)]
     return "{} shapes, {} materials, {} lights; tier {}, {} samples, pixels: {}".format(*counts, *how)
 
 
-def _sizes(network, pools):
-    told = {"parameters": sum(p.numel() for p in network.parameters())}
-    told |= {side: pools[side].sizes() for side in ("train", "validation", "test")}
-    return told
+def _sizes(network, data_splits):
+    report = {"parameters": sum(p.numel() for p in network.parameters())}
+    report |= {side: data_splits[side].sizes() for side in ("train", "validation", "test")}
+    return report
 
 
-def _steps(told):
-    planned = f"{told['run']['schedule']['steps']} steps"
-    return f"{told['step']} of {planned}" if told["step"] else f"up to {planned}"
+def _steps(report):
+    planned = f"{report['run']['schedule']['steps']} steps"
+    return f"{report['step']} of {planned}" if report["step"] else f"up to {planned}"
 
 
-def _page(told):
-    run, sizes = told["run"], told["sizes"]
+def _page(report):
+    run, sizes = report["run"], report["sizes"]
     lines = [f"# {run['name']}: {run.get('about', '')}", ""]
     lines += [
-        f"{sizes['parameters'] / 1e6:.1f} M parameters, {run['size']} × {run['size']} pixels, {_steps(told)} of "
+        f"{sizes['parameters'] / 1e6:.1f} M parameters, {run['size']} × {run['size']} pixels, {_steps(report)} of "
         f"{run['schedule']['batch']} relit pictures.",
         "",
         "| side | shapes | views | materials | light maps |",
@@ -168,28 +168,29 @@ def _page(told):
         lines.append(f"| {side} | {s['shapes']} | {s['views']} | {s['materials']} | {s['lights']} |")
     lines += [
         "",
-        f"On {told['pictures']} pictures of the test side (shapes, materials and lights never seen; relit by the layer, so without "
+        f"On {report['pictures']} pictures of the test side (shapes, materials and lights never seen; relit by the layer, so without "
         "shadows, interreflection or a camera's faults), mean and 95 % interval over shapes and materials:",
         "",
         "| | mean | 95 % |",
         "|---|---|---|",
     ]
-    lines += _rows(told["figures"])
-    lines += _rows_of_seeds(told, "figures_seeds")
-    if "cycles" in told:
+    lines += _rows(report["figures"])
+    lines += _rows_of_seeds(report, "figures_seeds")
+    if "cycles" in report:
         lines += [
             "",
-            f"On {told['cycles_pictures']} pictures that Cycles rendered ({told['cycles_about']}), where I and O are Cycles' pictures, O "
+            f"On {report['cycles_pictures']} pictures that Cycles rendered ({report['cycles_about']}), "
+            "where I and O are Cycles' pictures, O "
             "the same shape, view and light in another material:",
             "",
             "| | mean | 95 % |",
             "|---|---|---|",
-            *_rows(told["cycles"]),
-            *_rows_of_seeds(told, "cycles_seeds"),
+            *_rows(report["cycles"]),
+            *_rows_of_seeds(report, "cycles_seeds"),
         ]
     lines += [
         "",
-        told["note"],
+        report["note"],
         "",
         "Rows of sheet.jpg: picture, predicted and true normals, predicted and true light, true and predicted material, I′, O′, true O.",
     ]
@@ -205,14 +206,14 @@ def _rows(figures):
     return [f"| {_words(key)} | {mean:.4g} | {low:.4g} – {high:.4g} |" for key, (mean, low, high) in figures.items()]
 
 
-def _rows_of_seeds(told, key):
+def _rows_of_seeds(report, key):
     """A table of several seeds on the same pictures."""
-    if key not in told:
+    if key not in report:
         return []
-    seeds = [f"seed {seed}" + (f", {step} steps" if step else "") for seed, step in told["seeds"]]
+    seeds = [f"seed {seed}" + (f", {step} steps" if step else "") for seed, step in report["seeds"]]
     lines = ["", f"The same of {len(seeds)} seeds: the mean over them with its 95 % interval over shapes and materials, and each.", ""]
     lines += [f"| | mean of {len(seeds)} | 95 % | {' | '.join(seeds)} |", "|" + "---|" * (3 + len(seeds))]
-    for name, of in told[key].items():
+    for name, of in report[key].items():
         mean, low, high = of["mean"]
         lines.append(f"| {_words(name)} | {mean:.4g} | {low:.4g} – {high:.4g} | " + " | ".join(f"{each:.4g}" for each in of["each"]) + " |")
     return lines

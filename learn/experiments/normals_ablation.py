@@ -21,7 +21,7 @@ from learn.data.settings import Losses, Run, Schedule
 from learn.data.sources import by_hash
 from learn.experiments import variants
 from manifests import files
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.provenance import provenance
 
 VARIANTS = {
@@ -38,43 +38,45 @@ STEPS = 1_000_000
 MATTE_FIRST = 150  # batches: about half of what L2 alone makes of 45 s at 64²; larger pictures make fewer
 
 
-def settings(name, data, size, seconds, seed, rate, start=None, losses=None, matte_first=0):
+def settings(name, data, size, seconds, seed, rate, start=None, losses=None, gloss_curriculum=0):
     """The Run of one variant, or of the pre-training."""
     return Run(
         name=f"normals {name}",
         about=f"{seconds:g} s of processor time",
         size=size,
         parts=("normals",),
-        data=msgspec.structs.replace(data, photograph=False, matte_first=matte_first),
+        data=msgspec.structs.replace(data, photograph=False, gloss_curriculum=gloss_curriculum),
         losses=Losses(normals=1.0, material=0.0, **losses or {}),
-        schedule=Schedule(steps=STEPS, batch=variants.BATCH, rate=rate, warm_up=30, average=0.99, seconds=seconds),
+        schedule=Schedule(steps=STEPS, batch=variants.BATCH, learning_rate=rate, warm_up=30, ema_decay=0.99, seconds=seconds),
         start=start,
         seed=seed,
     )
 
 
-def study(data, pools, out, size, pretraining, seconds, seeds, names=tuple(VARIANTS), batches=12, workers=1, matte=MATTE_FIRST):
+def run_ablation(
+    data, data_splits, out, size, pretraining, seconds, seeds, names=tuple(VARIANTS), batches=12, workers=1, matte=MATTE_FIRST
+):
     """Train and measure; table.json, table.md and chart.png in `out`, written anew after each seed. What is there is not trained again.
 
     pretraining, seconds  of processor time; names: of VARIANTS, "L2" among them
     matte                 batches over which "matte first" admits its materials
     """
     out = Path(out)
-    tests, results = variants.held_out(pools, data, size, batches), {name: [] for name in names}
+    tests, results = variants.held_out(data_splits, data, size, batches), {name: [] for name in names}
     bar = tqdm(total=len(seeds) * len(names), desc="variants", unit="run")
     for done, seed in enumerate(seeds, 1):
         for name in names:
-            of_shapes = _limited(pools, SHAPES.get(name))
+            of_shapes = _limited(data_splits, SHAPES.get(name))
             label = f"{name.split()[0]}-" if name in SHAPES else ""
             first = out / "runs" / f"{label}pretraining-{seed}"
             variants.trained(settings("pre-training", data, size, pretraining, seed, 2e-3), of_shapes, tests, first, workers)
             run = settings(
                 name, data, size, seconds, seed + 1000, 1e-3, str(first / "weights.safetensors"), VARIANTS[name], _matte(name, matte)
             )
-            found = variants.trained(run, of_shapes, tests, out / "runs" / f"{name.replace(' ', '-')}-{seed}", workers)
-            results[name].append(found)
+            result = variants.trained(run, of_shapes, tests, out / "runs" / f"{name.replace(' ', '-')}-{seed}", workers)
+            results[name].append(result)
             bar.update()
-        about = {"pretraining": pretraining, "seconds": seconds, "size": size, "seeds": done, "shapes": _count(pools)}
+        about = {"pretraining": pretraining, "seconds": seconds, "size": size, "seeds": done, "shapes": _count(data_splits)}
         about |= {"matte_first": matte} if "matte first" in names else {}
         summary = report(out, results, about)
     bar.close()
@@ -85,33 +87,33 @@ def _matte(name, batches):
     return batches if name == "matte first" else 0
 
 
-def _count(pools):
-    return len({pools["train"].geometry.views[v].shape for v in pools["train"].views})
+def _count(data_splits):
+    return len({data_splits["train"].geometry.views[v].shape for v in data_splits["train"].views})
 
 
-def _limited(pools, count):
-    """Pools whose training side has so many shapes, chosen by their names' hashes. Raises Problem if there are fewer."""
+def _limited(data_splits, count):
+    """Pools whose training side has so many shapes, chosen by their names' hashes. Raises InputError if there are fewer."""
     if count is None:
-        return pools
-    pool = pools["train"]
-    shapes = sorted({pool.geometry.views[v].shape for v in pool.views}, key=lambda name: by_hash(name, 1 << 30))
+        return data_splits
+    data_split = data_splits["train"]
+    shapes = sorted({data_split.geometry.views[v].shape for v in data_split.views}, key=lambda name: by_hash(name, 1 << 30))
     if len(shapes) < count:
-        raise Problem(pool.geometry.folder, f"{count} training shapes", str(len(shapes)), "render more, or leave this variant out")
+        raise InputError(data_split.geometry.folder, f"{count} training shapes", str(len(shapes)), "render more, or leave this variant out")
     kept = set(shapes[:count])
-    views = np.array([v for v in pool.views if pool.geometry.views[v].shape in kept])
-    return pools | {"train": replace(pool, views=views)}
+    views = np.array([v for v in data_split.views if data_split.geometry.views[v].shape in kept])
+    return data_splits | {"train": replace(data_split, views=views)}
 
 
 def report(out, results, about):
     """table.json, table.md, chart.png. results: {variant: [result of variants.trained, a seed each]}."""
     rows = {}
-    for name, found in results.items():
-        rows[name] = variants.figures(found) | {"steps": [result["steps"] for result in found]}
-        rows[name]["ratio"] = variants.ratio(results["L2"], found)
-        rows[name]["angle_ratio"] = variants.ratio(results["L2"], found, "angle_deg")
+    for name, outcome in results.items():
+        rows[name] = variants.figures(outcome) | {"steps": [result["steps"] for result in outcome]}
+        rows[name]["ratio"] = variants.ratio(results["L2"], outcome)
+        rows[name]["angle_ratio"] = variants.ratio(results["L2"], outcome, "angle_deg")
     pictures = len(results["L2"][0]["rows"])
     summary = {"rows": rows, "about": provenance() | about | {"pictures": pictures}}
-    with files.together():
+    with files.transaction():
         files.write_json(out / "table.json", summary)
         files.write_text(out / "table.md", page(summary))
         chart(out / "chart.png", summary)
@@ -131,14 +133,19 @@ def page(summary):
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for name, row in summary["rows"].items():
-        cells = [_told(row["l2"], 0), _told(row["ratio"], 3), _told(row["angle_deg"], 2), _told(row["angle_ratio"], 3)]
+        cells = [
+            _interval_text(row["l2"], 0),
+            _interval_text(row["ratio"], 3),
+            _interval_text(row["angle_deg"], 2),
+            _interval_text(row["angle_ratio"], 3),
+        ]
         cells += [f"{row['cosine'][0]:.4f}", f"{row['ssim'][0]:.4f}", f"{row['l2_frame'][0]:.0f}", ", ".join(map(str, row["steps"]))]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     lines += ["", " · ".join(f"{key}: {value}" for key, value in about.items())]
     return "\n".join(lines) + "\n"
 
 
-def _told(interval, digits):
+def _interval_text(interval, digits):
     mean, low, high = (f"{x:.{digits}f}" for x in interval)
     return f"{mean} [{low}, {high}]"
 

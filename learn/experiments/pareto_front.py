@@ -17,10 +17,10 @@ def points(rows, camera, error, judge, clock="seconds"):
     for row in rows:
         if row["camera"] == camera:
             grouped[row["method"], row["knob"]].append(row)
-    found = defaultdict(list)
+    result = defaultdict(list)
     for (method, knob), same in grouped.items():
-        found[method].append((statistics.median(r[clock] for r in same), judge([r[error] for r in same]), knob))
-    return dict(found)
+        result[method].append((statistics.median(r[clock] for r in same), judge([r[error] for r in same]), knob))
+    return dict(result)
 
 
 def cheapest(found, level):
@@ -31,9 +31,9 @@ def cheapest(found, level):
 
 def front(rows, camera, error, judge, clock="seconds"):
     """[(level, fastest method, its seconds, seconds of OURS or None)] of LEVELS that any setting reaches."""
-    found, lines = points(rows, camera, error, judge, clock), []
+    result, lines = points(rows, camera, error, judge, clock), []
     for level in LEVELS:
-        best = cheapest(found, level)
+        best = cheapest(result, level)
         if best:
             method = min(best, key=best.get)
             lines.append((level, method, best[method][0], best[OURS][0] if OURS in best else None))

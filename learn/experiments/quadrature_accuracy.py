@@ -60,10 +60,10 @@ def converged(n, m, light, gamma):
 def best(work, threads):
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
-    found = []
+    results = []
     for _ in range(ROUNDS):
         start = time.perf_counter()
         work()
-        found.append(time.perf_counter() - start)
+        results.append(time.perf_counter() - start)
     torch.set_num_threads(before)
-    return min(found)
+    return min(results)

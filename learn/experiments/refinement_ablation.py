@@ -23,7 +23,7 @@ from learn.layer import render
 from learn.metrics.radiometry import irradiance
 from learn.refinement import NAMED, Settings, refine
 from manifests import files
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.provenance import provenance
 from manifests.store import Lines
 from shaders import tone
@@ -40,7 +40,7 @@ TOLERANCE = 2e-2
 
 
 def settings_of(name):
-    """Settings of a name such as "a=0.1", or of NAMED. Raises Problem."""
+    """Settings of a name such as "a=0.1", or of NAMED. Raises InputError."""
     if name in NAMED:
         return NAMED[name]
     moved, _, value = name.partition("=")
@@ -51,7 +51,7 @@ def settings_of(name):
             raise ValueError(moved)
         return replace(Settings(), **{moved: int(value) if moved == "passes" else float(value)})
     except ValueError:
-        raise Problem(f"--only {name}", "a setting", "none of that name", f"one of {', '.join(names())}") from None
+        raise InputError(f"--only {name}", "a setting", "none of that name", f"one of {', '.join(names())}") from None
 
 
 def value_of(moved, settings=Settings()):  # noqa: B008 -- frozen
@@ -74,12 +74,12 @@ class Case:
 
 
 def cases(records, count, seed):
-    """The first `count` Cases of an order that the seed determines. Raises Problem where the dataset has no edits."""
-    found = []
+    """The first `count` Cases of an order that the seed determines. Raises InputError where the dataset has no edits."""
+    results = []
     for edits in pairs.by_picture(records.records, seed)[:count]:
-        truths = [(pairs.wanted(records, edit), records.image(edit.truth)) for edit in edits]
-        found.append(Case(edits[0].source.id, pairs.shown(records, edits[0]), truths))
-    return found
+        truths = [(pairs.requested(records, edit), records.image(edit.truth)) for edit in edits]
+        results.append(Case(edits[0].source.id, pairs.shown(records, edits[0]), truths))
+    return results
 
 
 def picture(parts, label, batch):
@@ -116,32 +116,35 @@ def figures(parts, batch, truths):
     }
 
 
-def weights(predict, known, out, wanted=None):
+def weights(predict, known, out, requested=None):
     """study.json in `out`, a row for each setting over Cases; returns its settings' figures.
 
     predict  Batch → Prediction
     wanted   names of settings, None for all
     """
-    out, wanted = Path(out), list(dict.fromkeys(wanted or names()))
-    meant = {name: settings_of(name) for name in wanted}
+    out, requested = Path(out), list(dict.fromkeys(requested or names()))
+    meant = {name: settings_of(name) for name in requested}
     done = {(row["setting"], row["picture"]): row for row in files.read_lines(out / "rows.jsonl")}
-    todo = [(name, case) for name in wanted for case in known if (name, case.id) not in done]
+    todo = [(name, case) for name in requested for case in known if (name, case.id) not in done]
     with contextlib.closing(Lines(out / "rows.jsonl")) as lines:
         for name, case in tqdm(todo, unit="refinement"):
             start = predict(case.batch)
-            told = refine(case.batch, start, meant[name])
-            row = {"setting": name, "picture": case.id, "seconds": told.seconds, "before": figures(start, case.batch, case.truths)}
-            row |= {"after": figures(told.prediction, case.batch, case.truths), "energy": [told.before["total"], told.after["total"]]}
+            report = refine(case.batch, start, meant[name])
+            row = {"setting": name, "picture": case.id, "seconds": report.seconds, "before": figures(start, case.batch, case.truths)}
+            row |= {"after": figures(report.prediction, case.batch, case.truths), "energy": [report.before["total"], report.after["total"]]}
             lines.append(row)
             done[name, case.id] = row
-    told = summary([done[name, case.id] for name in wanted for case in known])
-    write(out / "study.json", told)
-    return told
+    report = summary([done[name, case.id] for name in requested for case in known])
+    write(out / "study.json", report)
+    return report
 
 
-def settle(out, about):
-    """Write down what lines in `out` depend on; Problem where they depend on something else. about: {name: value} of data and weights."""
-    files.settle(Path(out) / "settings.json", about | {"defaults": asdict(Settings())})
+def pin_settings(out, about):
+    """Write down what lines in `out` depend on; InputError where they depend on something else.
+
+    about  {name: value} of data and weights
+    """
+    files.pin_settings(Path(out) / "settings.json", about | {"defaults": asdict(Settings())})
 
 
 def summary(rows):
@@ -149,25 +152,25 @@ def summary(rows):
     by_setting = defaultdict(list)
     for row in rows:
         by_setting[row["setting"]].append(row)
-    found = {}
+    result = {}
     for name, mine in by_setting.items():
         values = {f: np.array([[row["before"][f], row["after"][f]] for row in mine]) for f in FIGURES}
-        found[name] = {f: [*np.median(v, 0).tolist(), *v.mean(0).tolist()] for f, v in values.items()}
+        result[name] = {f: [*np.median(v, 0).tolist(), *v.mean(0).tolist()] for f, v in values.items()}
         edit = values["edit"]
-        found[name] |= {"edit_ratio": float(edit[:, 1].mean() / edit[:, 0].mean())}
-        found[name] |= {"pictures": len(mine), "seconds": float(np.median([row["seconds"] for row in mine]))}
-    return found
+        result[name] |= {"edit_ratio": float(edit[:, 1].mean() / edit[:, 0].mean())}
+        result[name] |= {"pictures": len(mine), "seconds": float(np.median([row["seconds"] for row in mine]))}
+    return result
 
 
 def timed(predict, batch, settings=Settings()):  # noqa: B008 -- frozen
     """Seconds of a prediction and of its refinement, the best of two: the first may compile."""
-    found = []
+    results = []
     for _ in range(2):
         began = time.perf_counter()
         start = predict(batch)
         predicted = time.perf_counter() - began
-        found.append((predicted, refine(batch, start, settings).seconds))
-    return {"predict": min(f[0] for f in found), "refine": min(f[1] for f in found)}
+        results.append((predicted, refine(batch, start, settings).seconds))
+    return {"predict": min(f[0] for f in results), "refine": min(f[1] for f in results)}
 
 
 def doubled(batch):
@@ -179,6 +182,6 @@ def doubled(batch):
     return replace(batch, **{name: larger(getattr(batch, name)) for name in ("image", "mask", "n", "segments")})
 
 
-def write(path, told):
+def write(path, report):
     """Figures by name, and what made them."""
-    files.write_json(path, {"made_by": provenance()} | told)
+    files.write_json(path, {"made_by": provenance()} | report)

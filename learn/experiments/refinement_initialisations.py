@@ -45,21 +45,21 @@ def measured(predict, known, count, out, labels, settings=Settings()):  # noqa: 
     for i in tqdm([i for i in range(count) if i not in done], unit="start"):
         batch, kind = known[i // len(STARTS) % len(known)].batch, STARTS[i % len(STARTS)]
         rng = torch.Generator().manual_seed(i)
-        start = spoiled(predict(batch), kind, rng, labels)
-        told = refine(batch, start, settings)
-        parts = (told.prediction.label, told.prediction.light, told.prediction.n)
+        start = perturbed(predict(batch), kind, rng, labels)
+        report = refine(batch, start, settings)
+        parts = (report.prediction.label, report.prediction.light, report.prediction.n)
         seen = batch.image[0].movedim(0, -1).numpy()
         mask = (batch.segments[0] > 0).numpy()
         level = tone.auto_exposure(seen, mask)
-        image = [float(tone.display_l2(picture(p, p.label[0], batch), seen, level, mask)) for p in (start, told.prediction)]
-        finite = all(bool(torch.isfinite(part).all()) for part in parts) and math.isfinite(told.after["total"])
-        done[i] = {"start": i, "kind": kind, "energy": [told.before["total"], told.after["total"]], "finite": finite, "image": image}
-        done[i]["seconds"] = told.seconds
+        image = [float(tone.display_l2(picture(p, p.label[0], batch), seen, level, mask)) for p in (start, report.prediction)]
+        finite = all(bool(torch.isfinite(part).all()) for part in parts) and math.isfinite(report.after["total"])
+        done[i] = {"start": i, "kind": kind, "energy": [report.before["total"], report.after["total"]], "finite": finite, "image": image}
+        done[i]["seconds"] = report.seconds
         lines.append(done[i])
     lines.close()
     rows = [done[i] for i in range(count)]
     images = np.array([row["image"] for row in rows], float)  # null, read again, is NaN
-    told = {
+    report = {
         "starts": len(rows),
         "above_their_start": sum(row["finite"] and row["energy"][1] > row["energy"][0] for row in rows),
         "not_finite": sum(not row["finite"] for row in rows),
@@ -69,11 +69,11 @@ def measured(predict, known, count, out, labels, settings=Settings()):  # noqa: 
         "seconds_median": float(np.median([row["seconds"] for row in rows])),
         "rows": rows,
     }
-    write(Path(out) / "starts.json", told)
-    return told
+    write(Path(out) / "starts.json", report)
+    return report
 
 
-def spoiled(start, kind, rng, labels):
+def perturbed(start, kind, rng, labels):
     """A Prediction with one property replaced by what knows nothing of the picture; "untrained": all three.
 
     labels  (M, 108): a random material is one of these

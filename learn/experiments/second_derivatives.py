@@ -77,11 +77,11 @@ def one_case(dtype, perspective, rounds):
     passes(one)  # kernels compiled and loaded, tables of the map made
     memory = [peak()]
     for twice in (False, True):
-        found = [passes(inside, twice)]
+        results = [passes(inside, twice)]
         memory.append(peak())
-    found += [passes(inside) for _ in range(rounds - 1)]
+    results += [passes(inside) for _ in range(rounds - 1)]
     growth = [round(after - before, 1) for before, after in itertools.pairwise(memory)]
-    medians = {name: statistics.median(x[name] for x in found) for name in found[0]}
+    medians = {name: statistics.median(x[name] for x in results) for name in results[0]}
     return {"pixels": int(inside.sum())} | medians | {"memory": growth}
 
 
@@ -105,10 +105,10 @@ def main(out):
                 str(int(perspective)),
                 str(rounds),
             ]
-            found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+            result = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
             name = f"{dtype}, {'view per pixel' if perspective else 'orthographic'}"
-            cases[name] = found | {"second ÷ backward": found["second"] / found["backward"]}
-            print(f"{name}: second ÷ backward {cases[name]['second ÷ backward']:.2f}", found)
+            cases[name] = result | {"second ÷ backward": result["second"] / result["backward"]}
+            print(f"{name}: second ÷ backward {cases[name]['second ÷ backward']:.2f}", result)
     made = provenance() | {"command": f"python -m learn.experiments.second_derivatives {Path(out).name}"}
     files.write_json(Path(out), {"lights": math.prod(LIGHT), "threads": 1, "cases": cases, "about": made})
 

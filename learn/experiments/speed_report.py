@@ -36,7 +36,7 @@ def write(rows, settings, folder):
     made = provenance()
     text = markdown(rows, settings, made)
     content = {"made_by": made, "settings": dataclasses.asdict(settings), "rows": [dataclasses.asdict(row) for row in rows]}
-    with files.together():
+    with files.transaction():
         files.write_text(folder / "bench.md", text)
         files.write_json(folder / "bench.json", content)
     return text

@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 import torch
 
-from learn.data.relit import Relit
+from learn.data.relit import RelitDataset
 from learn.training import losses, schedule
 from learn.training.loop import Training
 from manifests import files
@@ -26,25 +26,25 @@ from manifests.provenance import provenance
 WARM_UP = 2
 
 
-def measure(run, pools, out, scratch, steps, images):
+def measure(run, data_splits, out, scratch, steps, images):
     """{"step": {part: ms}, "relit": {…}, "about"}; step-time.json and step-time.md in `out`.
 
     run     learn.data.settings.Run, whose parts and losses are timed; steps: how many
     images  how many pictures to relight for the speed of that; scratch: a folder for the run's files
     """
     out = Path(out)
-    found = {"step": of_step(run, pools, scratch, steps), "relit": of_relighting(run, pools, images)}
-    found["about"] = provenance() | {"run": run.name, "size": run.size, "batch": run.schedule.batch, "steps": steps, "threads": 1}
-    with files.together():
-        files.write_json(out / "step-time.json", found)
-        files.write_text(out / "step-time.md", page(found))
-    return found
+    result = {"step": of_step(run, data_splits, scratch, steps), "relit": of_relighting(run, data_splits, images)}
+    result["about"] = provenance() | {"run": run.name, "size": run.size, "batch": run.schedule.batch, "steps": steps, "threads": 1}
+    with files.transaction():
+        files.write_json(out / "step-time.json", result)
+        files.write_text(out / "step-time.md", page(result))
+    return result
 
 
-def of_step(run, pools, folder, steps):
+def of_step(run, data_splits, folder, steps):
     """{part: median ms} of a step, and "total". What backward takes of each part is found by leaving the others' graph out."""
-    training = Training(run, pools, folder, sheet_every=0, workers=0)
-    source = Relit(pools["train"], run.data, run.schedule.batch, run.size, run.seed)
+    training = Training(run, data_splits, folder, sheet_every=0, workers=0)
+    source = RelitDataset(data_splits["train"], run.data, run.schedule.batch, run.size, run.seed)
     times = {}
     for k in range(WARM_UP + steps):
         clock = Clock()
@@ -54,8 +54,8 @@ def of_step(run, pools, folder, steps):
         if k >= WARM_UP:
             for name, seconds in clock.parts.items():
                 times.setdefault(name, []).append(1e3 * seconds)
-    found = {name: statistics.median(values) for name, values in times.items()}
-    return found | {"total": sum(found.values())}
+    result = {name: statistics.median(values) for name, values in times.items()}
+    return result | {"total": sum(result.values())}
 
 
 def _one_step(training, batch, run, clock, k):
@@ -72,9 +72,9 @@ def _one_step(training, batch, run, clock, k):
         seen = seen._replace(label=training.network.ranges.label(seen.code))
     clock.note("network")
     for name, group in groups(run.losses).items():
-        found = losses.terms(seen, batch, group, rng, training.network.ranges, training.features)
-        if found:
-            losses.total(found, group).backward(retain_graph=True)
+        result = losses.terms(seen, batch, group, rng, training.network.ranges, training.features)
+        if result:
+            losses.total(result, group).backward(retain_graph=True)
         clock.note(name)
     training.optimiser.zero_grad(set_to_none=True)
     pairs = [(t, c.grad) for t, c in zip(leaves, cut, strict=True) if c.grad is not None]
@@ -82,24 +82,24 @@ def _one_step(training, batch, run, clock, k):
     clock.note("network")
     torch.nn.utils.clip_grad_norm_(training.network.parameters(), run.schedule.clip)
     training.optimiser.step()
-    schedule.follow(training.average, training.network, k, run.schedule.average)
+    schedule.follow(training.average, training.network, k, run.schedule.ema_decay)
     clock.note("optimiser")
 
 
-def groups(wanted):
+def groups(requested):
     """{part: Losses with that part's terms alone}. Features cannot be told from the layer that renders for them."""
     terms = {
         "normals and material terms": ("normals", "material", "albedo"),
         "light terms": ("light_log", "light_rendered"),
-        "layer and features" if losses.by_features(wanted) else "layer": ("image", "target", "image_features", "target_features"),
+        "layer and features" if losses.by_features(requested) else "layer": ("image", "target", "image_features", "target_features"),
     }
     every = [name for names in terms.values() for name in names]
-    return {part: msgspec.structs.replace(wanted, **{name: 0.0 for name in every if name not in names}) for part, names in terms.items()}
+    return {part: msgspec.structs.replace(requested, **{name: 0.0 for name in every if name not in names}) for part, names in terms.items()}
 
 
-def of_relighting(run, pools, images):
+def of_relighting(run, data_splits, images):
     """Pictures a second of one thread's processor time, as training has them relit; and the shares of it."""
-    source = Relit(pools["train"], run.data, run.schedule.batch, run.size, run.seed + 1)
+    source = RelitDataset(data_splits["train"], run.data, run.schedule.batch, run.size, run.seed + 1)
     source[0]
     batches = max(1, images // run.schedule.batch)
     begun, began = time.process_time(), time.perf_counter()

@@ -1,4 +1,4 @@
-"""How an edit gets to the photograph's own size, tried: ways to enlarge, and detail carried over, against rendered truth.
+"""How an edit gets to the photograph's own size, tried: ways to upsample, and detail carried over, against rendered truth.
 
 The network sees an object at 128², its photograph may show it at a thousand. Painter enlarges normals and renders at the photograph's size.
 Tried beside it:
@@ -32,7 +32,7 @@ def joint_bilateral(low, guide_low, guide):
     """(H, W, C) of low (h, w, C): each pixel the mean of the nearest (2 REACH + 1)², by distance and by guides (h, w), (H, W)."""
     h, w = guide_low.shape
     y, x = ((np.arange(n) + 0.5) * m / n - 0.5 for n, m in zip(guide.shape, (h, w), strict=True))
-    total, found = np.zeros(guide.shape), np.zeros((*guide.shape, low.shape[-1]))
+    total, result = np.zeros(guide.shape), np.zeros((*guide.shape, low.shape[-1]))
     for i in range(-REACH, REACH + 1):
         for j in range(-REACH, REACH + 1):
             rows, columns = np.rint(y).astype(int) + i, np.rint(x).astype(int) + j
@@ -40,8 +40,8 @@ def joint_bilateral(low, guide_low, guide):
             at = np.clip(rows, 0, h - 1)[:, None], np.clip(columns, 0, w - 1)[None]
             weight = near * np.exp(-((guide - guide_low[at]) ** 2) / (2 * ALIKE**2)) + 1e-6 * near  # where none is alike, the nearest
             total += weight
-            found += weight[..., None] * low[at]
-    return (found / total[..., None]).astype(np.float32)
+            result += weight[..., None] * low[at]
+    return (result / total[..., None]).astype(np.float32)
 
 
 def guided(low, guide_low, guide):
@@ -80,18 +80,18 @@ class Remembering(Painter):
 
 
 class Small(Painter):
-    """A Painter that renders at the network's size. enlarge: (picture (h, w, 3), guide (h, w), guide (H, W)) → (H, W, 3)."""
+    """A Painter that renders at the network's size. upsample: (picture (h, w, 3), guide (h, w), guide (H, W)) → (H, W, 3)."""
 
-    def __init__(self, apart, enlarge=None):
+    def __init__(self, apart, upsample=None):
         super().__init__(apart)
-        self.grid, self.enlarge = len(apart.framed.mask), enlarge
+        self.grid, self.upsample = len(apart.framed.mask), upsample
         self.n = enlarged_normals(apart.parts.n[0], apart.framed.mask, self.grid)
         rows = ((np.arange(self.grid) + 0.5) * self.side / self.grid).astype(int)
         wide = dilated(dilated(self.coverage[rows][:, rows] > 0))
         self.segments = torch.from_numpy(np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64))
 
     def enlarged(self, picture):
-        return super().enlarged(picture) if self.enlarge is None else self.enlarge(picture, *guides(self.apart, self.side))
+        return super().enlarged(picture) if self.upsample is None else self.upsample(picture, *guides(self.decomposition, self.side))
 
 
 class GuidedNormals(Painter):
@@ -103,16 +103,16 @@ class GuidedNormals(Painter):
         self.n = F.normalize(torch.from_numpy(joint_bilateral(low.numpy(), *guides(apart, self.grid))), dim=-1)
 
 
-def ways(apart):
+def painters(apart):
     """{name: Painter}: the first is the one in use."""
     plain = Remembering(apart)
-    found = {"normals enlarged": plain}
+    result = {"normals enlarged": plain}
     for detail in DETAILS:
         painter = Remembering(apart, plain.tolerance, detail)
         painter._known = plain._known
-        found[f"detail {detail:g}"] = painter
-    found["picture, bilinear"] = Small(apart)
-    found["picture, joint bilateral"] = Small(apart, joint_bilateral)
-    found["picture, guided filter"] = Small(apart, guided)
-    found["normals, joint bilateral"] = GuidedNormals(apart)
-    return found
+        result[f"detail {detail:g}"] = painter
+    result["picture, bilinear"] = Small(apart)
+    result["picture, joint bilateral"] = Small(apart, joint_bilateral)
+    result["picture, guided filter"] = Small(apart, guided)
+    result["normals, joint bilateral"] = GuidedNormals(apart)
+    return result

@@ -21,22 +21,22 @@ from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings
 from manifests import files, lock
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.provenance import provenance
 from manifests.store import Lines, file_hash
 from shaders import tone
 
 
-def study(records, weights, out, count, seed=0):
+def measure_upsampling(records, weights, out, count, seed=0):
     """enlarging.json: a row for each way and kind of parts; ratios against the way in use. records: learn.data.records.Records."""
     network, metadata = checkpoint.load_parts(weights)
     size = metadata["size"]
     edits = pairs.chosen(records.records, count, seed)
     if any(edit.several for edit in edits):
-        raise Problem(records.folder, "pictures of one material each", "several", "render without segment_materials")
+        raise InputError(records.folder, "pictures of one material each", "several", "render without segment_materials")
     if min(edits[0].source.camera.size) < 2 * size:
-        found = " × ".join(map(str, edits[0].source.camera.size))
-        raise Problem(records.folder, f"pictures of {2 * size} pixels or more, twice the network's", found, 'render them with "size"')
+        result = " × ".join(map(str, edits[0].source.camera.size))
+        raise InputError(records.folder, f"pictures of {2 * size} pixels or more, twice the network's", result, 'render them with "size"')
     with lock.writing(out, patience=0):
         return _measured(records, weights, network, size, edits, Path(out))
 
@@ -44,22 +44,22 @@ def study(records, weights, out, count, seed=0):
 def _measured(records, weights, network, size, edits, out):
     """enlarging.json of learn.data.pairs.Edits, as far as they are not there."""
     settings, known = Settings(), {}
-    files.settle(out / "settings.json", {"weights": file_hash(weights), "refinement": asdict(settings)})
+    files.pin_settings(out / "settings.json", {"weights": file_hash(weights), "refinement": asdict(settings)})
     done, lines = {row["edit"] for row in files.read_lines(out / "rows.jsonl")}, Lines(out / "rows.jsonl")
     for edit in tqdm([edit for edit in edits if edit.id not in done], "edits", unit="edit"):
         if edit.source.id not in known:
             opened = photograph.opened(records.folder, record=edit.source.id)
-            ours = decomposition.taken(opened, network, size, settings)
-            known = {edit.source.id: {"ours": upsampling.ways(ours), "true": upsampling.ways(true(records, ours))}}
-        label, truth = pairs.wanted(records, edit)[0].numpy(), records.image(edit.truth)
+            ours = decomposition.decompose(opened, network, size, settings)
+            known = {edit.source.id: {"ours": upsampling.painters(ours), "true": upsampling.painters(true(records, ours))}}
+        label, truth = pairs.target_label(records, edit)[0].numpy(), records.image(edit.truth)
         row = {"edit": edit.id, "shape": edit.source.shape, "material": edit.truth.materials[0]}
         for parts, painters in known[edit.source.id].items():
-            mask = painters["normals enlarged"].apart.photograph.mask
+            mask = painters["normals enlarged"].decomposition.photograph.mask
             row[parts] = {name: compared(painter.edited([label]), truth, mask) for name, painter in painters.items()}
         lines.append(row)
     lines.close()
-    wanted = {edit.id for edit in edits}
-    rows = [row for row in files.read_lines(out / "rows.jsonl") if row["edit"] in wanted]
+    requested = {edit.id for edit in edits}
+    rows = [row for row in files.read_lines(out / "rows.jsonl") if row["edit"] in requested]
     return written(out, rows, {"edits": len(edits), "size": edits[0].source.camera.size, "network": size})
 
 
@@ -83,12 +83,12 @@ def compared(picture, truth, mask):
 
 def written(out, rows, about):
     """enlarging.json of rows as rows.jsonl has them."""
-    found = {"made_by": provenance(), "about": about, "parts": {}}
+    result = {"made_by": provenance(), "about": about, "parts": {}}
     weights = bootstrap.draws(bootstrap.groups_of([row["shape"] for row in rows], [row["material"] for row in rows]))
     for parts in ("ours", "true"):
         names = list(rows[0][parts])
         l2, ssim = ({name: np.array([row[parts][name][key] for row in rows]) for name in names} for key in ("l2", "ssim"))
-        found["parts"][parts] = {
+        result["parts"][parts] = {
             name: {
                 "l2": bootstrap.interval(l2[name], weights),
                 "l2_ratio": bootstrap.relative(l2[names[0]], l2[name], weights),
@@ -97,5 +97,5 @@ def written(out, rows, about):
             }
             for name in names
         }
-    files.write_json(out / "enlarging.json", found | {"rows": rows})
-    return found
+    files.write_json(out / "enlarging.json", result | {"rows": rows})
+    return result

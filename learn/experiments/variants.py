@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import torch
 
-from learn.data.relit import Relit
+from learn.data.relit import RelitDataset
 from learn.metrics import bootstrap
 from learn.metrics.pictures import similarity, squared
 from learn.networks import weights
@@ -25,13 +25,13 @@ TEST_SEED = 43
 BATCH = 16
 
 
-def held_out(pools, data, size, batches):
+def held_out(data_splits, data, size, batches):
     """Batches of the test side, their pictures taken for the truth: the layer made them of it."""
-    source = Relit(pools["test"], data, BATCH, size, TEST_SEED)
+    source = RelitDataset(data_splits["test"], data, BATCH, size, TEST_SEED)
     return [replace(batch, picture=batch.image) for batch in (source[k] for k in range(batches))]
 
 
-def trained(run, pools, tests, folder, workers=1):
+def trained(run, data_splits, tests, folder, workers=1):
     """Train a run by its clock, unless it is there already, and measure it: {"steps", "seconds", "run", "rows": [{figure: value}]}.
 
     folder  for the run's files; result.json is written last, and then the checkpoint, which nobody needs any more, goes
@@ -40,13 +40,13 @@ def trained(run, pools, tests, folder, workers=1):
     if (folder / "result.json").exists():
         return read(folder / "result.json", dict)
     with loop.only_writer(folder):
-        training = loop.Training(run, pools, folder, sheet_every=0, workers=workers)
+        training = loop.Training(run, data_splits, folder, sheet_every=0, workers=workers)
         training.train()
     weights.save_weights(folder / "weights.safetensors", training.network, training.average, "{}", run.size)
     network = training.averaged()
     rows = [row for batch in tests for row in _rows(training, network, batch)]
-    found = {"steps": training.step, "seconds": training.used, "run": msgspec.to_builtins(run), "rows": rows}
-    text = json.dumps(found)
+    result = {"steps": training.step, "seconds": training.used, "run": msgspec.to_builtins(run), "rows": rows}
+    text = json.dumps(result)
     write_text(folder / "result.json", text)
     (folder / "checkpoint.safetensors").unlink(missing_ok=True)
     return json.loads(text)

@@ -68,7 +68,7 @@ def sphere(size):
     return (np.stack([x, y, z], -1) * (z > 0)[..., None]).astype(np.float32)
 
 
-def ball(label, L, size, elevation, exposure):
+def material_sphere(label, L, size, elevation, exposure):
     """Display picture of a ball of a material, label (108,), under a light map (Hl, Wl, 3); rendered where the label is."""
     label = torch.as_tensor(label, dtype=torch.float32)
     n, light = torch.from_numpy(sphere(size))[None].to(label.device), torch.as_tensor(L, dtype=torch.float32)[None]
@@ -78,7 +78,7 @@ def ball(label, L, size, elevation, exposure):
     return tone.display(array(radiance[0]), exposure)
 
 
-def room():
+def preview_lighting():
     """A plain light for balls of materials: bright above, one window."""
     L = np.full((32, 64, 3), 0.4, np.float32)
     L[:16] = 0.9

@@ -151,14 +151,14 @@ def checked(n, material, light, view, segments, mask, tolerance, elevation):
     m = (material if layers == 2 else material[:, None]).to(dtype)
     check_values(material.detach(), light.detach())
     n, light, view = n.to(dtype), light.to(dtype), None if view is None else view.to(dtype)
-    mask, seen = found_by_kernel(n, view, mask) if pixel_selection.has_kernels(n) else (mask, None)
+    mask, seen = read_by_kernel(n, view, mask) if pixel_selection.has_kernels(n) else (mask, None)
     if seen is None:  # no kernel, or something is wrong and has to be named
         mask = (n.detach() != 0).any(-1) if mask is None else mask
         check_lengths(n.detach(), None if view is None else view.detach(), mask)
     return Inputs(n, m, light, view, segments, mask, tolerance, elevation, seen)
 
 
-def found_by_kernel(n, view, mask):
+def read_by_kernel(n, view, mask):
     """mask (as given, or where n is not 0) and seen (B, H, W) bool; seen is None if a length inside the mask is wrong."""
     states = pixel_selection.states(n, view, mask, LENGTH_TOLERANCE, HORIZON).reshape(n.shape[:3])
     if states.size and states.max() == pixel_selection.WRONG:

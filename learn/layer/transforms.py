@@ -94,9 +94,9 @@ class Picture(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, g):
-        wanted = tuple(ctx.needs_input_grad[:4])
-        found = iter(Gradients.apply(g, *ctx.saved_tensors, ctx.settings, wanted))
-        return *(next(found) if each else None for each in wanted), None, None, None
+        requested = tuple(ctx.needs_input_grad[:4])
+        result = iter(Gradients.apply(g, *ctx.saved_tensors, ctx.settings, requested))
+        return *(next(result) if each else None for each in requested), None, None, None
 
     @staticmethod
     def vmap(info, dimensions, *inputs):
@@ -113,11 +113,11 @@ class Gradients(torch.autograd.Function):
 
     @staticmethod
     def forward(g, *inputs):
-        *tensors, settings, wanted = inputs
+        *tensors, settings, requested = inputs
         with hooks_allowed(), torch.enable_grad():
-            leaves = [None if x is None else x.detach().requires_grad_(each) for x, each in zip(tensors[:4], wanted, strict=True)]
+            leaves = [None if x is None else x.detach().requires_grad_(each) for x, each in zip(tensors[:4], requested, strict=True)]
             picture = layer.render(*leaves, *tensors[4:], *settings)
-            return torch.autograd.grad(picture, [x for x, each in zip(leaves, wanted, strict=True) if each], g)
+            return torch.autograd.grad(picture, [x for x, each in zip(leaves, requested, strict=True) if each], g)
 
     @staticmethod
     def setup_context(ctx, inputs, output):
@@ -129,9 +129,9 @@ class Gradients(torch.autograd.Function):
 
     @staticmethod
     def vmap(info, dimensions, *inputs):
-        *tensors, settings, wanted = inputs
-        found = Gradients.apply(*folded(info.batch_size, dimensions[:7], tensors), settings, wanted)
-        return tuple(parted(info.batch_size, x) for x in found), (0,) * len(found)
+        *tensors, settings, requested = inputs
+        result = Gradients.apply(*folded(info.batch_size, dimensions[:7], tensors), settings, requested)
+        return tuple(parted(info.batch_size, x) for x in result), (0,) * len(result)
 
     @staticmethod
     def jvp(ctx, *tangents):

@@ -94,22 +94,22 @@ def planned_sums(n, m, light, gradients, rotation, tolerance):
     lobes = directional.ALL_LOBES if material_gradient else tuple(np.flatnonzero(lobe_shapes.sharpness(m) > 0).tolist())
     texels = light.shape[0] * light.shape[1]
     if len(n) < CHEAP or directional.is_small(len(n), texels, any(gradients)) or not lobes:
-        return planned.Sums(scene, [planned.Way(lobes, 0, 0, 0.0)] if lobes else [], {})
-    ways, known = [], {}
+        return planned.Sums(scene, [planned.Strategy(lobes, 0, 0, 0.0)] if lobes else [], {})
+    strategies, known = [], {}
     for pick in samples(len(n), texels):
         truth = scene.at(n[pick], lobes).radiance
         level = float(truth.mean())
-        if not ways:
+        if not strategies:
             scene.budget = tolerance * level
-            ways = best_plan(scene, lobes, tolerance)
-            sums = planned.Sums(scene, ways, known)
+            strategies = best_plan(scene, lobes, tolerance)
+            sums = planned.Sums(scene, strategies, known)
         while not good(np.abs(sums.at_sample(pick) - truth), level, tolerance):
-            open_to_change = [part for part in sums.parts() if better(part.way, len(n)) != part.way]
+            open_to_change = [part for part in sums.parts() if better(part.strategy, len(n)) != part.strategy]
             if not open_to_change:
                 break
-            worst = max(open_to_change, key=lambda part: part.error(pick, scene.at(n[pick], part.way.lobes).radiance))
-            ways[ways.index(worst.way)] = better(worst.way, len(n))
-            sums = planned.Sums(scene, ways, known)
+            worst = max(open_to_change, key=lambda part: part.error(pick, scene.at(n[pick], part.strategy.lobes).radiance))
+            strategies[strategies.index(worst.strategy)] = better(worst.strategy, len(n))
+            sums = planned.Sums(scene, strategies, known)
     return sums
 
 
@@ -119,12 +119,12 @@ def samples(pixels, texels):
     return [few] if len(many) == len(few) else [few, many]
 
 
-def better(way, pixels):
+def better(strategy, pixels):
     """A way that errs less: more lights, a larger map where there is one, less left out; the same if there is none."""
-    culled = max(way.culled / 2.5, GUARANTEED)
-    if way.size:
-        way = replace(way, size=grown(way.size, pixels))
-    return replace(way, level=max(way.level - 1, 0), culled=culled)
+    culled = max(strategy.culled / 2.5, GUARANTEED)
+    if strategy.size:
+        strategy = replace(strategy, size=grown(strategy.size, pixels))
+    return replace(strategy, level=max(strategy.level - 1, 0), culled=culled)
 
 
 def grown(size, pixels):
@@ -159,7 +159,7 @@ def best_plan(scene, lobes, tolerance):
     groups = {}
     for s in lobes:
         groups.setdefault((int(sizes[s]), int(levels[s])), []).append(s)
-    return [planned.Way(tuple(lobes), size, level, CULL_NODES if size else CULL_PIXELS) for (size, level), lobes in groups.items()]
+    return [planned.Strategy(tuple(lobes), size, level, CULL_NODES if size else CULL_PIXELS) for (size, level), lobes in groups.items()]
 
 
 def coarsest(sharp, error, light_size):
@@ -223,15 +223,15 @@ def few_lights(batch, tolerance):
         return exact(batch, tolerance)
     with torch.no_grad():
         checks = [Check(batch, pick, tolerance) for pick in samples(len(batch.n), height * width)]
-        ways = [
-            way
+        strategies = [
+            strategy
             for count in CUTS
-            for way in (
+            for strategy in (
                 functools.partial(median_cut.with_lights, lights=count),
                 functools.partial(hybrid.with_lights, count=count, left_out=0.25 * tolerance),
             )
         ]
-        chosen = next((way for way in ways if all(check.passes(way) for check in checks)), None)
+        chosen = next((strategy for strategy in strategies if all(check.passes(strategy) for check in checks)), None)
     if not chosen:
         return exact(batch, tolerance)
     return chosen(first_only(batch, CARD.name, COMPILED) if directional.has_kernels(batch.n) else batch)
@@ -248,6 +248,6 @@ class Check:
     def truth(self):
         return load("exact").radiance(self.batch, self.tolerance)
 
-    def passes(self, way):
+    def passes(self, strategy):
         """Whether way(batch) keeps the tolerance there."""
-        return good((way(self.batch) - self.truth).abs().numpy(), self.truth.mean().item(), self.tolerance)
+        return good((strategy(self.batch) - self.truth).abs().numpy(), self.truth.mean().item(), self.tolerance)

@@ -34,17 +34,17 @@ def stencil(level):
 def energy(E, level):
     """Coarse energies (planes, coarse height, coarse width) of E (planes, height, width), float32."""
     planes, height, width = E.shape
-    found, along = np.empty((planes, height >> level, width >> level), np.float32), np.empty(width, np.float32)
-    machine_code.call("coarsening.gather", 0, planes, height, width, 2**level, stencil(level), E, along, found)
-    return found
+    result, along = np.empty((planes, height >> level, width >> level), np.float32), np.empty(width, np.float32)
+    machine_code.call("coarsening.gather", 0, planes, height, width, 2**level, stencil(level), E, along, result)
+    return result
 
 
 def gradient(by_coarse, level):
     """Derivative (planes, height, width) by E, from the one (planes, coarse height, coarse width) by the coarse energies."""
     planes, height, width = len(by_coarse), by_coarse.shape[1] << level, by_coarse.shape[2] << level
-    found, along = np.empty((planes, height, width), np.float32), np.empty(width, np.float32)
-    machine_code.call("coarsening.scatter", 0, planes, height, width, 2**level, stencil(level), by_coarse, along, found)
-    return found
+    result, along = np.empty((planes, height, width), np.float32), np.empty(width, np.float32)
+    machine_code.call("coarsening.scatter", 0, planes, height, width, 2**level, stencil(level), by_coarse, along, result)
+    return result
 
 
 class Light:

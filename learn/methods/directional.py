@@ -283,9 +283,9 @@ class Tables:
         raised = np.maximum(height, least.reshape(-1, 1, LANES))
         if np.array_equal(raised, height):
             return self.cones
-        found = self.cones.copy()
-        found[:, rows] = raised
-        return found
+        result = self.cones.copy()
+        result[:, rows] = raised
+        return result
 
     def material_gradient(self, lobe_sums):
         """(3, 3, 2, 6) float64 by m, from the sums (chunks, blocks, many, 3, 2, 16) of learn.engines.culled.backward."""
@@ -304,9 +304,9 @@ def by_place(n):
 
 def put_back(values, order):
     """(P, 3) with values (P, 3) at the places order (P,)."""
-    found = np.empty_like(values)
-    pixel_selection.run("pixels.spread", len(order), order, values, found)
-    return found
+    result = np.empty_like(values)
+    pixel_selection.run("pixels.spread", len(order), order, values, result)
+    return result
 
 
 def tile_size(pixels):

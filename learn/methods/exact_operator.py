@@ -63,8 +63,8 @@ def _sum_on_cpu(n, view, m, light, rotation, counts, light_of):
 def _backward_on_cpu(g, n, view, m, light, rotation, counts, light_of, with_view):
     """Derivatives by n, view (empty unless with_view), m, light."""
     arrays = (_numpy(a) for a in (g, n, view, m, light))
-    found = cpu.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads(), with_view)
-    return tuple(n.new_empty(0) if a is None else torch.from_numpy(a) for a in found)
+    result = cpu.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads(), with_view)
+    return tuple(n.new_empty(0) if a is None else torch.from_numpy(a) for a in result)
 
 
 @torch.library.impl(NAME, "CUDA")
@@ -144,13 +144,13 @@ class Second(Step):
             from learn.engines import second
 
             arrays = [_numpy(x) for x in direction], *(_numpy(x) for x in given)
-            found = second.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads())
-            found = (None if x is None else torch.from_numpy(x) for x in found)
+            result = second.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads())
+            result = (None if x is None else torch.from_numpy(x) for x in result)
         else:
             from learn.methods.exact_second import of_groups
 
-            found = of_groups(direction, *given, rotation, counts, light_of)
-        return *found, None, None, None
+            result = of_groups(direction, *given, rotation, counts, light_of)
+        return *result, None, None, None
 
     @staticmethod
     def backward(ctx, *g):

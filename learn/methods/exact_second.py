@@ -37,7 +37,7 @@ def second(direction, g, n, view, m, E, w, radial):
     dtypes = [None if x is None else x.dtype for x in (g, n, view, m, E)]
     g, n, view, m, E, w, *direction = (None if x is None else x.detach().double() for x in (g, n, view, m, E, w, *direction))
     along_n, along_view, along_m, along_E = direction
-    by_g, by_n, by_view, by_m, by_E = found = [None if x is None else torch.zeros_like(x) for x in (g, n, view, m, E)]
+    by_g, by_n, by_view, by_m, by_E = results = [None if x is None else torch.zeros_like(x) for x in (g, n, view, m, E)]
     for t, p in chunks(len(n), len(w), PAIRS):
         lit = (n[p] @ w[t].T > 0).any(0).nonzero().squeeze(-1)
         if not len(lit):
@@ -58,14 +58,14 @@ def second(direction, g, n, view, m, E, w, radial):
         by_E[t].index_add_(0, lit, by[3])
         if view is not None:
             by_view[p] += by[4]
-    return tuple(None if x is None else x.to(dtype) for x, dtype in zip(found, dtypes, strict=True))
+    return tuple(None if x is None else x.to(dtype) for x, dtype in zip(results, dtypes, strict=True))
 
 
 def of_groups(direction, g, n, view, m, light, rotation, counts, light_of):
     """The same for the groups of a batch, as learn.engines.cpu has them, with radial=False: by g, n, view, m (G, …) and light (B, …)."""
     by_n, by_view, by_m, by_light = direction
     parts = [[None] * len(counts) if x is None else x.split(list(counts)) for x in (by_n, by_view, g, n, view)]
-    found, over_light = [], torch.zeros_like(light, dtype=torch.float64)
+    result, over_light = [], torch.zeros_like(light, dtype=torch.float64)
     camera_from_light = torch.tensor(rotation, dtype=torch.float64).reshape(3, 3)
     for k, (part_by_n, part_by_view, part_g, part_n, part_view) in enumerate(zip(*parts, strict=True)):
         w, E = texels(light[light_of[k]].double(), camera_from_light)
@@ -80,9 +80,9 @@ def of_groups(direction, g, n, view, m, light, rotation, counts, light_of):
             w,
             radial=False,
         )
-        found.append(by)
+        result.append(by)
         over_light[light_of[k]] += texels(by_E.reshape(light.shape[1:]), camera_from_light)[1].reshape(light.shape[1:])
-    by_g, by_n, by_view, by_m = zip(*found, strict=True)
+    by_g, by_n, by_view, by_m = zip(*result, strict=True)
     return (
         torch.cat(by_g),
         torch.cat(by_n),

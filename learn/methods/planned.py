@@ -1,6 +1,6 @@
 """Radiance for a distant viewer as `auto` plans it: groups of lobes, each by a map or at the pixels, under as many lights as it needs.
 
-A `Way` says how a group of lobes goes: lobes; size of its map, 0 where it is summed at the pixels; level of the light's detail
+A `Strategy` says how a group of lobes goes: lobes; size of its map, 0 where it is summed at the pixels; level of the light's detail
 (learn/methods/coarse.py); culled, what a pixel's list may leave out, in tolerances. All maps are resampled at the nodes of the largest, so
 that there is one look-up for each pixel. Everything between the tensors handed in and the radiance is numpy and kernels, one step for
 autograd: `sums` holds what the backward pass needs.
@@ -20,7 +20,7 @@ from learn.methods.directional import Listing, Tables
 
 
 @dataclass(frozen=True)
-class Way:
+class Strategy:
     lobes: tuple
     size: int
     level: int
@@ -49,22 +49,22 @@ class Scene:
 class Sum:
     """One way's radiance: at the nodes of its map, or at the pixels."""
 
-    def __init__(self, scene, way, within):
+    def __init__(self, scene, strategy, within):
         """within: (N, 3) normals that the map must serve; the pixels themselves where there is none."""
-        self.scene, self.way = scene, way
-        self.nodes = reflectance_map.nodes_for(within, way.size) if way.size else None
-        self.normals = reflectance_map.normals(self.nodes, way.size).astype(np.float32) if way.size else scene.n
-        self.listing = scene.at(self.normals, way.lobes, way.level, way.culled * scene.budget)
+        self.scene, self.strategy = scene, strategy
+        self.nodes = reflectance_map.nodes_for(within, strategy.size) if strategy.size else None
+        self.normals = reflectance_map.normals(self.nodes, strategy.size).astype(np.float32) if strategy.size else scene.n
+        self.listing = scene.at(self.normals, strategy.lobes, strategy.level, strategy.culled * scene.budget)
         self.values = self.listing.radiance
 
     def table(self):
-        return reflectance_map.table(self.values, self.nodes, self.way.size)
+        return reflectance_map.table(self.values, self.nodes, self.strategy.size)
 
     def at_sample(self, pick):
         """(S, 3) at pixels pick (S,)."""
-        if not self.way.size:
+        if not self.strategy.size:
             return self.values[pick]
-        return reflectance_map.read(self.scene.n[pick], self.table(), self.way.size)
+        return reflectance_map.read(self.scene.n[pick], self.table(), self.strategy.size)
 
     def error(self, pick, truth):
         """Mean absolute difference from truth (S, 3) at pixels pick (S,)."""
@@ -74,40 +74,40 @@ class Sum:
 class Sums:
     """All ways together: one map that the pixels look up, and the sums at the pixels."""
 
-    def __init__(self, scene, ways, known):
+    def __init__(self, scene, strategies, known):
         """known: {way: Sum} of sums that have been made before, added to."""
         self.scene = scene
-        mapped = sorted((way for way in ways if way.size), key=lambda way: -way.size)
-        for way in [way for way in ways if not way.size] + mapped[:1]:
-            if way not in known:
-                known[way] = Sum(scene, way, scene.n)
-        self.at_pixels = [known[way] for way in ways if not way.size]
+        mapped = sorted((strategy for strategy in strategies if strategy.size), key=lambda strategy: -strategy.size)
+        for strategy in [strategy for strategy in strategies if not strategy.size] + mapped[:1]:
+            if strategy not in known:
+                known[strategy] = Sum(scene, strategy, scene.n)
+        self.at_pixels = [known[strategy] for strategy in strategies if not strategy.size]
         self.largest = known[mapped[0]] if mapped else None
-        self.smaller = [Sum(scene, way, scene.n if way.size == self.size else self.largest.normals) for way in mapped[1:]]
+        self.smaller = [Sum(scene, strategy, scene.n if strategy.size == self.size else self.largest.normals) for strategy in mapped[1:]]
         if mapped:
             total = self.largest.values
             for part in self.smaller:
-                same = part.way.size == self.size
-                total = total + (part.values if same else reflectance_map.read(self.largest.normals, part.table(), part.way.size))
+                same = part.strategy.size == self.size
+                total = total + (part.values if same else reflectance_map.read(self.largest.normals, part.table(), part.strategy.size))
             self.table = reflectance_map.table(total, self.largest.nodes, self.size)
 
     @property
     def size(self):
-        return self.largest.way.size
+        return self.largest.strategy.size
 
     def parts(self):
         return [*self.at_pixels, *([self.largest] if self.largest else []), *self.smaller]
 
     def at_sample(self, pick):
         """(S, 3) at pixels pick (S,)."""
-        found = [part.values[pick] for part in self.at_pixels]
-        return sum(found + ([reflectance_map.read(self.scene.n[pick], self.table, self.size)] if self.largest else []))
+        results = [part.values[pick] for part in self.at_pixels]
+        return sum(results + ([reflectance_map.read(self.scene.n[pick], self.table, self.size)] if self.largest else []))
 
     def radiance(self):
         """(P, 3)."""
-        found = [reflectance_map.read(self.scene.n, self.table, self.size)] if self.largest else []
-        found += [part.values for part in self.at_pixels]
-        return functools.reduce(np.add, found) if found else 0 * self.scene.n
+        result = [reflectance_map.read(self.scene.n, self.table, self.size)] if self.largest else []
+        result += [part.values for part in self.at_pixels]
+        return functools.reduce(np.add, result) if result else 0 * self.scene.n
 
     def backward(self, g, with_n):
         """Derivatives of Σ g·radiance by n (None unless with_n), m and light."""
@@ -118,14 +118,14 @@ class Sums:
             given.append((self.largest, by_values, False))
             for part in self.smaller:
                 below = by_values
-                if part.way.size != self.size:
-                    _, below = reflectance_map.read_backward(self.largest.normals, part.table(), part.way.size, by_values, part.nodes)
+                if part.strategy.size != self.size:
+                    _, below = reflectance_map.read_backward(self.largest.normals, part.table(), part.strategy.size, by_values, part.nodes)
                 given.append((part, below, False))
-        for part, by_values, wanted in given:
-            by_part_n, by_part_m, by_E = part.listing.backward(by_values, wanted)
+        for part, by_values, requested in given:
+            by_part_n, by_part_m, by_E = part.listing.backward(by_values, requested)
             by_n = by_n if by_part_n is None else by_part_n if by_n is None else by_n + by_part_n
             by_m += by_part_m
-            by_light = by_light + self.scene.light.gradient(by_E, part.way.level)
+            by_light = by_light + self.scene.light.gradient(by_E, part.strategy.level)
         return by_n, by_m, np.ascontiguousarray(by_light.transpose(1, 2, 0))
 
 

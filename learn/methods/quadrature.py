@@ -1,11 +1,11 @@
 """Half-vector quadrature: the converged integral over the piecewise-constant map, right for lobes narrower than a texel.
 
 The paper's sum evaluates a lobe once a texel, and is wrong by a factor where the lobe is narrower. Here each lobe goes its own way, by its
-exponent: broad ones through the exact sum over texels, narrow ones through taps about the pixel's normal in half-vector space,
+exponent: broad ones through the exact sum over texels, narrow ones through samples about the pixel's normal in half-vector space,
 
     h_i = cos θ_i n + sin θ_i (cos φ_i t₁ + sin φ_i t₂),   w_i = 2 (v·h) h − v,   dω_i = 4 (v·h) dω_h
 
-on a spiral φ_i = i · golden angle whose radii θ_i follow the lobes' roots (equal shares of √f's energy: a lobe's tail then has taps too,
+on a spiral φ_i = i · golden angle whose radii θ_i follow the lobes' roots (equal shares of √f's energy: a lobe's tail then has samples too,
 and midpoints are right to second order), so that no lobe is too narrow. L is the mean over a tap's footprint, the square of its solid
 angle: the sum then does not jump where a tap crosses a texel's border, and the error falls as 1/N instead of N^−¾.
 
@@ -13,9 +13,9 @@ Lobes up to four texels' width may also take texels split into 2 × 2 or 4 × 4 
 Maps of few texels are no sum for any lobe, because the horizon cuts through texels: there all lobes take split texels or taps.
 
 Taps are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is differentiated with w_i and dω_i held, which
-estimates the true derivative ∫ ∂(f μ) L dω; moving the taps with n instead would lose the jumps of L between texels.
+estimates the true derivative ∫ ∂(f μ) L dω; moving the samples with n instead would lose the jumps of L between texels.
 
-N taps, p pixel, i tap, k channel, s lobe; shapes (p, i, k, s).
+N samples, p pixel, i tap, k channel, s lobe; shapes (p, i, k, s).
 """
 
 import functools
@@ -35,16 +35,16 @@ from shaders.spline import basis
 
 CARD = Card(
     name="quadrature",
-    approximates="the integral: narrow lobes by taps that follow them, broad ones by the exact sum over texels",
+    approximates="the integral: narrow lobes by samples that follow them, broad ones by the exact sum over texels",
     error=None,  # no claim against the paper's sum, which is itself wrong there; 1e-2 against the integral
-    cost="pixels × (texels if a lobe is broad + 256 to 1,024 taps if one is narrow), at tolerance 1e-2",
+    cost="pixels × (texels if a lobe is broad + 256 to 1,024 samples if one is narrow), at tolerance 1e-2",
     memory="below 64 MiB at any size: chunks of pixels, computed again in the backward pass",
 )
 BROAD = 300.0  # exponent up to which the sum over 64 rows of texels is right to about 3e-3; twice the rows serve four times as much
-SPLITS = (1, 2, 4)  # parts of a texel's side; beyond, taps
-WIDER = {2: 4, 4: 2, math.inf: 1}  # times as many taps for lobes of each split's band, which hold more texels
-LOOSE = 5e-3  # tolerance from which taps serve those bands too; below, they would need more time than split texels
-LEAST, MOST = 256, 16384  # taps
+SPLITS = (1, 2, 4)  # parts of a texel's side; beyond, samples
+WIDER = {2: 4, 4: 2, math.inf: 1}  # times as many samples for lobes of each split's band, which hold more texels
+LOOSE = 5e-3  # tolerance from which samples serve those bands too; below, they would need more time than split texels
+LEAST, MOST = 256, 16384  # samples
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 LARGEST_IN_KERNEL = 1e7  # κ and γ: beyond, the rounding of the kernel's spline is negative exponents. The sharpest material has γ 1.2e6
 RADII = np.concatenate([[0.0], np.geomspace(1e-5, np.pi / 2, 1024)])  # θ_h grid on which the lobes' energy is added up
@@ -56,8 +56,8 @@ def radiance(batch: Batch, tolerance):
     if not wants_gradient(batch.m):
         exponent = torch.where(batch.m[..., 0, :].amax(-1) > 0, exponent, -1.0)  # what reflects nothing is passed by
     out = 0 * batch.n
-    low, taps = -1.0, tap_count(tolerance)
-    # The engine's taps have no backward pass: where derivatives are wanted, split texels are faster as far as they reach.
+    low, samples = -1.0, sample_count_for(tolerance)
+    # The engine's samples have no backward pass: where derivatives are wanted, split texels are faster as far as they reach.
     by_texels = tolerance < LOOSE or wants_gradient(batch.n, batch.view, batch.m, batch.light)
     for split in (*SPLITS, math.inf):
         high = BROAD * (split * rows / 64) ** 2 if split * rows >= least_rows(tolerance) else low
@@ -70,8 +70,8 @@ def radiance(batch: Batch, tolerance):
             light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2) if split > 1 else batch.light
             out = out + load("exact").radiance(replace(band, light=light), tolerance)
         else:
-            band, count = first_only(band, CARD.name, HELD_SAMPLES), min(taps * WIDER[split], MOST)
-            out = out + by_group(band, functools.partial(over_taps, camera_from_light=batch.camera_from_light, taps=count))
+            band, count = first_only(band, CARD.name, HELD_SAMPLES), min(samples * WIDER[split], MOST)
+            out = out + by_group(band, functools.partial(over_samples, camera_from_light=batch.camera_from_light, samples=count))
     return out
 
 
@@ -84,8 +84,8 @@ def least_rows(tolerance):
     return math.sqrt(0.55 / max(tolerance, 1e-3))
 
 
-def tap_count(tolerance):
-    """The error falls about as 1 / taps (2.5 is half of what the worst of the trials needed); a power of two in [LEAST, MOST]."""
+def sample_count_for(tolerance):
+    """The error falls about as 1 / samples (2.5 is half of what the worst of the trials needed); a power of two in [LEAST, MOST]."""
     return int(np.clip(2 ** math.ceil(math.log2(2.5 / tolerance)), LEAST, MOST))
 
 
@@ -101,8 +101,8 @@ def keep(m, lobes):
     return torch.where(lobes[..., None, None], m, nothing)
 
 
-def tap_radii(m, taps):
-    """Radii of the taps about the normal, and the solid angle of half vectors that each stands for.
+def sample_radii(m, samples):
+    """Radii of the samples about the normal, and the solid angle of half vectors that each stands for.
 
     m        (3, 3, 2, 6) with κ = 0 in lobes that do not count
     Returns  θ (N,) radians; dω_h (N,) sr, sums to 2π
@@ -116,29 +116,29 @@ def tap_radii(m, taps):
     energy = np.cumsum(np.pad((profile[:, 1:] + profile[:, :-1]) * step, ((0, 0), (1, 0))), axis=1)
     share = (energy / np.maximum(energy[:, -1:], 1e-300)).mean(0)  # each lobe counts alike, however little it reflects
     share = 0.95 * share / share[-1] + 0.05 * np.sin(RADII) ** 2  # and the whole hemisphere is seen
-    edges = np.interp(np.arange(2 * taps + 1) / (2 * taps), share, RADII)
+    edges = np.interp(np.arange(2 * samples + 1) / (2 * samples), share, RADII)
     return edges[1::2], 2 * np.pi * np.diff(-np.cos(edges[::2]))
 
 
-def spiral(m, taps):
+def spiral(m, samples):
     """Half vectors (N, 3) about the z axis that follow the lobes of m (3, 3, 2, 6), and the solid angle (N,) that each stands for."""
-    theta, solid_angle = tap_radii(m, taps)
-    phi = GOLDEN_ANGLE * np.arange(taps)
+    theta, solid_angle = sample_radii(m, samples)
+    phi = GOLDEN_ANGLE * np.arange(samples)
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1), solid_angle
 
 
-def over_taps(n, view, m, light, camera_from_light, taps):
+def over_samples(n, view, m, light, camera_from_light, samples):
     """Radiance (p, 3) of one group."""
     used = (m.detach()[..., 0, :] > 0).any(-1).any(0)
     if not used.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
-    around, solid_angle = spiral(m.detach()[:, used], taps)
+    around, solid_angle = spiral(m.detach()[:, used], samples)
     plain = not wants_gradient(n, view, m, light) and n.dtype == torch.float32 and n.device.type == "cpu"
     if plain and machine_code.is_available() and m.detach().max() <= LARGEST_IN_KERNEL:
         return by_kernel(n, view, m, light, camera_from_light, around, solid_angle)
     m = m[:, used]
     around, solid_angle = (torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in (around, solid_angle))
-    step = max(1, PAIRS // taps)
+    step = max(1, PAIRS // samples)
     views = view.split(step) if view is not None else [n.new_tensor([[0.0, 0.0, 1.0]])] * math.ceil(len(n) / step)
     parts = zip(n.split(step), views, strict=True)
     constants = around, solid_angle, camera_from_light
@@ -168,9 +168,9 @@ def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
 
 
 def place(n, view, around, solid_angle, camera_from_light, size):
-    """The taps of each pixel: w (p, N, 3) directions, weight (p, N) = dω_i in sr, texel (p, N) flat index into the light.
+    """The samples of each pixel: w (p, N, 3) directions, weight (p, N) = dω_i in sr, texel (p, N) flat index into the light.
 
-    n (p, 3), view (p | 1, 3), around (N, 3) taps about the z axis, solid_angle (N,) of half vectors, size (Hl, Wl).
+    n (p, 3), view (p | 1, 3), around (N, 3) samples about the z axis, solid_angle (N,) of half vectors, size (Hl, Wl).
     Below the horizon the weight is 0 and w is n: any direction that keeps c and θ_d harmless.
     """
     h = torch.einsum("pab,ib->pia", frame_about(n), around)
@@ -182,7 +182,7 @@ def place(n, view, around, solid_angle, camera_from_light, size):
 
 
 def chunk(n, view, m, light, around, solid_angle, camera_from_light):
-    """Radiance (p, 3) by the taps that `place` puts."""
+    """Radiance (p, 3) by the samples that `place` puts."""
     with torch.no_grad():
         w, weight, _ = place(n, view, around, solid_angle, camera_from_light, light.shape[:2])
         texel, share = footprint(w @ camera_from_light.to(w), weight, *light.shape[:2])

@@ -116,11 +116,11 @@ def normals(nodes, size):
     """Unit normals (N, 3) of flat node indices, float64 numpy; outside the disk |p| < √2 they look away from the viewer."""
     line = (np.arange(size) - MARGIN) * (2.0 / (size - 1 - 2 * MARGIN)) - 1.0
     row, column = np.divmod(nodes, size)
-    x, y, found = line[column], line[row], np.empty((len(nodes), 3))
+    x, y, result = line[column], line[row], np.empty((len(nodes), 3))
     z = 1.0 - (x * x + y * y)
     stretch = np.sqrt(np.maximum(1.0 + z, 0.0))
-    found[:, 0], found[:, 1], found[:, 2] = x * stretch, y * stretch, z
-    return found
+    result[:, 0], result[:, 1], result[:, 2] = x * stretch, y * stretch, z
+    return result
 
 
 def look_up(n, values, nodes, size):
@@ -146,9 +146,9 @@ def sliced(pixels, seconds, kernel):
 
 def table(values, nodes, size):
     """(size², 4) float32 for the kernels, from values (N, 3) at nodes (N,)."""
-    found = np.zeros((size * size, 4), np.float32)
-    found[nodes, :3] = values
-    return found
+    result = np.zeros((size * size, 4), np.float32)
+    result[nodes, :3] = values
+    return result
 
 
 def read(n, table, size):

@@ -43,19 +43,19 @@ def interval(values, weights):
 def relative(a, b, weights):
     """[mean b / mean a, low, high] of values (P,) by weights (D, P) of `draws`; a > 0."""
     a, b = (np.asarray(values, np.float64) for values in (a, b))
-    found = (weights @ b) / (weights @ a)
-    return [float(b.mean() / a.mean()), *(float(x) for x in np.percentile(found, LEVELS))]
+    result = (weights @ b) / (weights @ a)
+    return [float(b.mean() / a.mean()), *(float(x) for x in np.percentile(result, LEVELS))]
 
 
 def ratio(a, b, groups, count=DRAWS, seed=0):
     """[mean b / mean a, low, high] of values (P,), or (R, P) of R runs, which are then drawn too."""
     rng = np.random.default_rng(seed)
     A, B = np.atleast_2d(a), np.atleast_2d(b)
-    found = []
+    results = []
     for _ in range(count):
         weight = drawn(rng, groups)
         run = rng.integers(len(A), size=len(A))
         below = (A[run].mean(0) * weight).sum()
         if below > 0:
-            found.append((B[run].mean(0) * weight).sum() / below)
-    return [float(B.mean() / A.mean()), *(float(x) for x in np.percentile(found, LEVELS))]
+            results.append((B[run].mean(0) * weight).sum() / below)
+    return [float(B.mean() / A.mean()), *(float(x) for x in np.percentile(results, LEVELS))]

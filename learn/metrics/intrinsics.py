@@ -30,8 +30,8 @@ def normals(n, true, inside):
     """{figure: value} of unit normals (3, H, W) tensors over inside (H, W) bool."""
     cosine = (n * true).sum(0)[inside].double().clamp(-1, 1)
     degrees = array(cosine.arccos().rad2deg())
-    found = {"mean_deg": float(degrees.mean()), "median_deg": float(np.median(degrees)), "cosine": float(cosine.mean())}
-    return found | {f"below_{limit:g}": float((degrees < limit).mean()) for limit in LIMITS_DEG}
+    result = {"mean_deg": float(degrees.mean()), "median_deg": float(np.median(degrees)), "cosine": float(cosine.mean())}
+    return result | {f"below_{limit:g}": float((degrees < limit).mean()) for limit in LIMITS_DEG}
 
 
 def material(label, true, ranges):

@@ -8,7 +8,7 @@ import torch
 from torch.nn import functional as F
 
 from learn.networks import tensor_file
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 SHAPES = ((64, 3, 11, 11), (192, 64, 5, 5), (384, 192, 3, 3), (256, 384, 3, 3), (256, 256, 3, 3))  # of AlexNet's kernels
 LAYERS = ((0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False))  # number, stride, padding, pooled before
@@ -16,21 +16,21 @@ SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
 
 def of_file(path):
-    """(display values, display values) (H, W, 3) in [0, 255] → float, 0 alike; or None for no file. Raises Problem."""
+    """(display values, display values) (H, W, 3) in [0, 255] → float, 0 alike; or None for no file. Raises InputError."""
     if path is None:
         return None
-    wanted = {}
+    requested = {}
     for (k, *_), shape in zip(LAYERS, SHAPES, strict=True):
-        wanted |= {f"features.{k}.weight": shape, f"features.{k}.bias": shape[:1]}
-    wanted |= {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(SHAPES)}
+        requested |= {f"features.{k}.weight": shape, f"features.{k}.bias": shape[:1]}
+    requested |= {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(SHAPES)}
     remedy = "convert LPIPS' AlexNet weights under these names"
     with tensor_file.opened(path, "LPIPS' weights in a .safetensors file", remedy) as stored:
-        missing = [name for name in wanted if name not in stored.shapes]
+        missing = [name for name in requested if name not in stored.shapes]
         if missing:
-            names = list(wanted)
-            raise Problem(path, f"tensors {', '.join(names[:2])} … {names[-1]}", f"no {missing[0]}", remedy)
-        stored.require(wanted, "LPIPS' AlexNet", alone=False)
-        tensors = {name: stored.tensor(name) for name in wanted}
+            names = list(requested)
+            raise InputError(path, f"tensors {', '.join(names[:2])} … {names[-1]}", f"no {missing[0]}", remedy)
+        stored.require(requested, "LPIPS' AlexNet", alone=False)
+        tensors = {name: stored.tensor(name) for name in requested}
     return lambda shown, right: distance(tensors, shown, right)
 
 
@@ -53,12 +53,12 @@ def prepared(display):
 
 def stages(tensors, x):
     """Features after each of the five convolutions."""
-    found = []
+    results = []
     for number, stride, padding, pooled in LAYERS:
         x = F.max_pool2d(x, 3, 2) if pooled else x
         x = F.relu(F.conv2d(x, tensors[f"features.{number}.weight"].float(), tensors[f"features.{number}.bias"].float(), stride, padding))
-        found.append(x)
-    return found
+        results.append(x)
+    return results
 
 
 def unit(x):

@@ -27,7 +27,7 @@ def compare(picture, truth, mask, perceptual=None):
     shown, right = tone.display(picture, exposure), tone.display(truth, exposure)
     error = squared(shown, right)
     l2, alike = float(error[mask].mean()), similarity_map(shown, right)
-    found = {
+    result = {
         "l2": l2,
         "l2_frame": float(error.mean()),
         "ssim": None if alike is None else float(alike[mask].mean()),
@@ -35,7 +35,7 @@ def compare(picture, truth, mask, perceptual=None):
         "psnr": float(10 * np.log10(255.0**2 / max(l2, LEAST_L2))),
         "flip": float(flip(shown, right)[mask].mean()),
     }
-    return found if perceptual is None else found | {"lpips": perceptual(shown, right)}
+    return result if perceptual is None else result | {"lpips": perceptual(shown, right)}
 
 
 def display_l2(picture, truth, mask):

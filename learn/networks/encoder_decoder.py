@@ -58,7 +58,7 @@ class EncoderDecoder(Coded):
         self.swap = nn.ModuleList(nn.Linear(FEATURES, 2 * width) for width in WIDTHS)
         self.last = nn.Conv2d(WIDTHS[0] + 16, 12, 3, 1, 1)
 
-    def forward(self, image, mask, wanted):
+    def forward(self, image, mask, requested):
         """An Edited.
 
         image   (B, 3, H, W) linear radiance; mask (B, 1, H, W) float, 1 on the object
@@ -66,7 +66,7 @@ class EncoderDecoder(Coded):
         """
         x = picture_code(image, mask)
         features = self.encode(x)
-        f_m, f_t = self.read(features[-1]), self.embed(self.ranges.code(wanted)[:, 0])
+        f_m, f_t = self.read(features[-1]), self.embed(self.ranges.code(requested)[:, 0])
         code, embedded = (torch.tanh(self.regress(f).float())[:, None] for f in (f_m, f_t))
         picture = F.softplus(self._decoded(f_t, features, F.pixel_unshuffle(x, 2)))
         return Edited(code, self.ranges.label(code), embedded, picture)

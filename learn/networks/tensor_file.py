@@ -19,7 +19,7 @@ from pathlib import Path
 import torch
 from safetensors import SafetensorError, safe_open
 
-from manifests.errors import Problem, closest
+from manifests.errors import InputError, closest
 from manifests.files import replacing
 from manifests.inputs import require_file
 
@@ -48,7 +48,7 @@ class Stored:
         self.kinds = {name: each.get_dtype() for name, each in slices.items()}
 
     def require(self, shapes: Mapping[str, tuple], whose: str, alone: bool = True) -> None:
-        """Raises Problem unless the file holds tensors of these names and shapes.
+        """Raises InputError unless the file holds tensors of these names and shapes.
 
         shapes  {name: shape}
         whose   what has such tensors, with its article: "this compact network"
@@ -57,21 +57,21 @@ class Stored:
         remedy = f"these tensors are not of {whose}"
         for name, shape in shapes.items():
             if self.shapes.get(name) != tuple(shape):
-                found = str(self.shapes[name]) if name in self.shapes else "none"
-                raise Problem(f"{self.path}: {name}", f"a tensor of shape {tuple(shape)}", found, remedy)
+                result = str(self.shapes[name]) if name in self.shapes else "none"
+                raise InputError(f"{self.path}: {name}", f"a tensor of shape {tuple(shape)}", result, remedy)
             if self.kinds[name] not in NUMBERS:
-                raise Problem(f"{self.path}: {name}", f"numbers as {', '.join(NUMBERS)}", self.kinds[name], remedy)
+                raise InputError(f"{self.path}: {name}", f"numbers as {', '.join(NUMBERS)}", self.kinds[name], remedy)
         for name in sorted(self.shapes.keys() - shapes.keys()) if alone else ():
-            raise Problem(f"{self.path}: {name}", f"only tensors of {whose}", "this one", closest(name, shapes))
+            raise InputError(f"{self.path}: {name}", f"only tensors of {whose}", "this one", closest(name, shapes))
 
     def tensor(self, name: str) -> torch.Tensor:
-        """The tensor of that name. Raises Problem if it holds NaN or infinity."""
+        """The tensor of that name. Raises InputError if it holds NaN or infinity."""
         try:
             values = self._file.get_tensor(name)
         except SafetensorError as error:
-            raise Problem(f"{self.path}: {name}", "a whole tensor", str(error), AGAIN) from None
+            raise InputError(f"{self.path}: {name}", "a whole tensor", str(error), AGAIN) from None
         if not values.isfinite().all():
-            raise Problem(f"{self.path}: {name}", "finite numbers", "NaN or infinity", AGAIN)
+            raise InputError(f"{self.path}: {name}", "finite numbers", "NaN or infinity", AGAIN)
         return values
 
 
@@ -86,7 +86,7 @@ def opened(
 
     expected  what the file should be, with its article, for messages
     remedy    what to do where nothing of this kind lies there
-    Raises    Problem: no ordinary file, too large, damaged, of another format
+    Raises    InputError: no ordinary file, too large, damaged, of another format
     """
     require_file(path, expected, remedy, maximum_bytes)
     other = "tensors in other formats are never read; make the file again, or convert it"
@@ -94,12 +94,12 @@ def opened(
         with open(path, "rb") as file:
             length = file.read(8)
         if len(length) == 8 and struct.unpack("<Q", length)[0] > LARGEST_HEADER:
-            raise Problem(path, expected, f"no header of at most {LARGEST_HEADER >> 20} MiB", other)
+            raise InputError(path, expected, f"no header of at most {LARGEST_HEADER >> 20} MiB", other)
         stored = safe_open(path, "pt")
     except SafetensorError as error:
-        raise Problem(path, expected, str(error), other) from None
+        raise InputError(path, expected, str(error), other) from None
     except OSError as error:
-        raise Problem(path, expected, str(error.strerror or error), remedy) from None
+        raise InputError(path, expected, str(error.strerror or error), remedy) from None
     with stored as file:
         yield Stored(Path(path), file)
 

@@ -19,7 +19,7 @@ from learn.networks.encoder_decoder import EncoderDecoder
 from learn.networks.paper import Paper
 from learn.networks.prediction import ThreeNetworks
 from learn.networks.separate import Separate
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.reading import decode
 from shaders.dsbrdf import SHAPE
 
@@ -64,8 +64,8 @@ def save(path, tensors, metadata):
 def save_weights(path, network, state, run_json, size, step=None):
     """The weights a user needs. state: the moving average's tensors by name; step: how many the run had made."""
     half = {name: t.half() if t.is_floating_point() and t.ndim > 1 else t for name, t in state.items()}
-    told = {} if step is None else {"step": str(step)}
-    save(path, half, {"format": FORMAT, "network": network.name, "size": str(size), "run": run_json} | told)
+    report = {} if step is None else {"step": str(step)}
+    save(path, half, {"format": FORMAT, "network": network.name, "size": str(size), "run": run_json} | report)
 
 
 def load_network(path, device="cpu"):
@@ -73,14 +73,14 @@ def load_network(path, device="cpu"):
 
     device    where the network is to compute
     metadata  size: of pictures, a whole number; run: a dict, at least {}; ranges: of the network, on the CPU; and the file's own texts
-    Raises    Problem: no weights, other metadata or tensors than `learn train` writes, numbers that are not finite
+    Raises    InputError: no weights, other metadata or tensors than `learn train` writes, numbers that are not finite
     """
     with tensor_file.opened(path) as stored:
         metadata = stored.metadata
         for key, known in (("format", (FORMAT,)), ("network", tuple(NETWORKS))):
             if metadata.get(key) not in known:
                 rule = f"weights of {key} {' or '.join(known)}"
-                raise Problem(path, rule, str(metadata.get(key, "none"))[:60], "use weights that `learn train` wrote")
+                raise InputError(path, rule, str(metadata.get(key, "none"))[:60], "use weights that `learn train` wrote")
         about = converted(metadata, About, f"{path}: metadata", strict=False)
         run = run_of(metadata, path)
         network = NETWORKS[about.network](Ranges(torch.zeros(108), torch.ones(108)))
@@ -92,17 +92,17 @@ def load_network(path, device="cpu"):
 
 
 def load_parts(path, device="cpu"):
-    """As `load_network`, of one that tells normals, material and light apart. Raises Problem for another."""
+    """As `load_network`, of one that tells normals, material and light apart. Raises InputError for another."""
     network, metadata = load_network(path, device)
     missing = set(PARTS) - set(metadata["run"].get("parts", PARTS))
     if not isinstance(network, (Compact, ThreeNetworks)) or missing:
-        found = f"'{network.name}' without {' and '.join(sorted(missing))}" if missing else f"'{network.name}'"
-        raise Problem(path, "a network that predicts normals, material and light", found, "leave --weights out, or give others")
+        result = f"'{network.name}' without {' and '.join(sorted(missing))}" if missing else f"'{network.name}'"
+        raise InputError(path, "a network that predicts normals, material and light", result, "leave --weights out, or give others")
     return network, metadata
 
 
 def run_of(metadata, path):
-    """The run's settings as a dict, whose name and parts are checked; {} where the metadata have none. Raises Problem."""
+    """The run's settings as a dict, whose name and parts are checked; {} where the metadata have none. Raises InputError."""
     text = metadata.get("run", "{}").encode()
     where = f"{path}: run in the metadata"
     decode(text, RunInWeights, where)
@@ -117,7 +117,7 @@ def shapes(network, prefix=""):
 def fill(network, stored, prefix=""):
     """Give a network the tensors of a learn.networks.tensor_file.Stored that are named as its own after a prefix.
 
-    They must have been required before. Raises Problem for numbers that are not finite
+    They must have been required before. Raises InputError for numbers that are not finite
     """
     state = network.state_dict()
     network.load_state_dict({name: stored.tensor(prefix + name).to(mine.dtype) for name, mine in state.items()})
@@ -125,34 +125,34 @@ def fill(network, stored, prefix=""):
 
 @contextlib.contextmanager
 def remedy(text):
-    """Every Problem of the block ends with this remedy: a file's reader does not know what the file is for."""
+    """Every InputError of the block ends with this remedy: a file's reader does not know what the file is for."""
     try:
         yield
-    except Problem as problem:
-        raise Problem(problem.where, problem.expected, problem.found, text) from None
+    except InputError as problem:
+        raise InputError(problem.where, problem.expected, problem.found, text) from None
 
 
 def progress_of(stored):
-    """The Progress in the metadata of a checkpoint. Raises Problem."""
+    """The Progress in the metadata of a checkpoint. Raises InputError."""
     return converted(stored.metadata, Progress, f"{stored.path}: metadata", strict=False)
 
 
 def digest_of(named):
     """sha256 (hex) of {name: tensor}: names, types, shapes and bytes."""
-    found = hashlib.sha256()
+    result = hashlib.sha256()
     for name, tensor in sorted(named.items()):
         flat = tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8)
-        found.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
-        found.update(memoryview(flat.numpy()))
-    return found.hexdigest()
+        result.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
+        result.update(memoryview(flat.numpy()))
+    return result.hexdigest()
 
 
 def _require_ranges(ranges, path):
-    """Raises Problem for ranges of labels that a material cannot have."""
+    """Raises InputError for ranges of labels that a material cannot have."""
     ends = torch.stack([ranges.label(torch.full((108,), code)) for code in (-1.0, 1.0)])
     largest = torch.full(SHAPE, LARGEST_IN_RANGE)
     largest[..., 0, :] = LARGEST_KAPPA
     if not (ranges.half > 0).all() or (ends < SMALLEST_LABEL).any() or (ends > largest.reshape(-1)).any():
         rule = f"ranges of labels within {SMALLEST_LABEL:g} … {LARGEST_IN_RANGE:g}, of κ up to {LARGEST_KAPPA:g}"
-        found = f"{ends.min():g} … {ends.max():g}"
-        raise Problem(f"{path}: label_centre, label_half", rule, found, "use weights that `learn train` wrote")
+        result = f"{ends.min():g} … {ends.max():g}"
+        raise InputError(f"{path}: label_centre, label_half", rule, result, "use weights that `learn train` wrote")

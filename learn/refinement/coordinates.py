@@ -74,7 +74,7 @@ def spherical_harmonics(H, W, degree):
     w, _ = envmap.directions(H, W)
     phi, cosine = np.arctan2(w[..., 2], w[..., 0]), w[..., 1]
     sine = np.sqrt(np.clip(1 - cosine**2, 0, 1))
-    found = []
+    results = []
     legendre = {}
     for m in range(degree + 1):
         legendre[m, m] = np.ones_like(sine) if m == 0 else legendre[m - 1, m - 1] * sine * math.sqrt((2 * m + 1) / (2 * m))
@@ -85,8 +85,8 @@ def spherical_harmonics(H, W, degree):
             legendre[l, m] = scale * (cosine * legendre[l - 1, m] - back * before)
         for l in range(m, degree + 1):  # noqa: E741
             waves = [legendre[l, m]] if m == 0 else [math.sqrt(2) * legendre[l, m] * f(m * phi) for f in (np.cos, np.sin)]
-            found += [wave / (1 + l) for wave in waves]
-    return np.stack(found).astype(np.float32)
+            results += [wave / (1 + l) for wave in waves]
+    return np.stack(results).astype(np.float32)
 
 
 class Normals:

@@ -56,19 +56,20 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
     reached = at_rest(coordinates(prediction, inside, settings))
     if not reached.drawable:
         raise ValueError(
-            "refine: expected finite normals and light, and a label whose exp is finite and above 0, found others (check the network's weights)"
+            "refine: expected finite normals and light, and a label whose exp is finite and above 0, found others "
+            "(check the network's weights)"
         )
     energy = Energy(batch, reached, settings)
     before = after = energy.finest(reached)
     history = []
     for number in range(settings.passes):
-        state, told = passed(batch, reached if number else prediction, inside, settings)
+        state, report = passed(batch, reached if number else prediction, inside, settings)
         state = replace(state, z={"material": reached.z["material"] + state.z["material"]})
         terms = energy.finest(state)
         if not terms["total"] < before["total"]:
             break
         reached, after = state, terms
-        history += [{"pass": number} | line for line in told]
+        history += [{"pass": number} | line for line in report]
     n = torch.where(inside[:, None], reached.n, prediction.n)
     refined = Prediction(n, None, reached.label.to(prediction.label.dtype), torch.log1p(reached.light), reached.light)
     return Refined(refined, before, after, history, time.perf_counter() - began)
@@ -84,12 +85,12 @@ def passed(batch, start, inside, settings):
         where = energy.pixels(level.pixels)
         for turn, names, iterations in steps(level, settings.order):
             tried = z | descended(energy, maps, z, names, level, where, iterations)
-            found = energy.finest(state_of(maps, tried))
-            accepted = math.isfinite(found["total"]) and found["total"] < best["total"]
+            result = energy.finest(state_of(maps, tried))
+            accepted = math.isfinite(result["total"]) and result["total"] < best["total"]
             if accepted:
-                z, best = tried, found
-            told = {"level": number, "round": turn, "property": "+".join(names), "accepted": accepted}
-            history.append(told | {"total": found["total"]})
+                z, best = tried, result
+            report = {"level": number, "round": turn, "property": "+".join(names), "accepted": accepted}
+            history.append(report | {"total": result["total"]})
     return state_of(maps, z), history
 
 
@@ -104,8 +105,8 @@ def coordinates(prediction, inside, settings):
 
 def steps(level, order):
     """(round, properties, iterations) of a level, in turn."""
-    found = [(turn, (name,), level.iterations) for turn in range(level.rounds) for name in order]
-    return found + ([(level.rounds, tuple(order), level.together)] if level.together and order else [])
+    results = [(turn, (name,), level.iterations) for turn in range(level.rounds) for name in order]
+    return results + ([(level.rounds, tuple(order), level.together)] if level.together and order else [])
 
 
 def at_rest(maps):

@@ -6,14 +6,14 @@ A run that was killed may have logged steps beyond its last checkpoint; it makes
 import json
 from pathlib import Path
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import write_json, write_lines
 from manifests.inputs import require_file
 from manifests.store import Lines
 
 
 class Journal:
-    """Figures of one run. step: where it goes on; tensorboard: write events as well. Raises Problem if TensorBoard is not installed."""
+    """Figures of one run. step: where it goes on; tensorboard: write events as well. Raises InputError if TensorBoard is not installed."""
 
     def __init__(self, out, step, tensorboard=False):
         self.path, self.events = Path(out) / "log.jsonl", None
@@ -40,8 +40,8 @@ class Journal:
 
     def made(self, by, sizes, left_out, step, figures):
         """made.json: the command that ran last, its commit and machine, what it learned from, and the last validation's figures."""
-        told = {"made_by": by, "sides": sizes, "left_out": left_out, "step": step, "validation": figures}
-        write_json(self.path.with_name("made.json"), told)
+        report = {"made_by": by, "sides": sizes, "left_out": left_out, "step": step, "validation": figures}
+        write_json(self.path.with_name("made.json"), report)
 
     def close(self):
         """All events on disk."""
@@ -56,7 +56,7 @@ def _writer():
         import tensorboard  # noqa: F401 -- torch's own message takes a page
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
-        raise Problem("--tensorboard", "the package tensorboard", "none", "pip install tensorboard, or leave the option out") from None
+        raise InputError("--tensorboard", "the package tensorboard", "none", "pip install tensorboard, or leave the option out") from None
     return SummaryWriter
 
 

@@ -26,7 +26,7 @@ from learn.training import losses, schedule, validation
 from learn.training import montage as training_sheet
 from learn.training.journal import Journal
 from manifests import lock
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import require_place_for_file, write_bytes
 
 WRITTEN = ("run.json", "log.jsonl", "weights.safetensors", "checkpoint.safetensors", "made.json")
@@ -37,7 +37,7 @@ _LOCKS = []  # descriptors of the folders that this process holds
 
 @contextlib.contextmanager
 def only_writer(out):
-    """Hold the folder of a run: a second run into it would write each line of the log twice. Raises Problem if another one is at it.
+    """Hold the folder of a run: a second run into it would write each line of the log twice. Raises InputError if another one is at it.
 
     Of several processes of one run (torchrun) the first holds it.
     """
@@ -62,9 +62,9 @@ class Training:
     device       torch.device of network, optimiser, batches and losses; what is random comes from the CPU, but dropout
     """
 
-    def __init__(self, run, pools, out, sheet_every=500, checkpoint_every=None, workers=1, tensorboard=False, device="cpu"):
+    def __init__(self, run, data_splits, out, sheet_every=500, checkpoint_every=None, workers=1, tensorboard=False, device="cpu"):
         require_trainable(run, f"run '{run.name}'")
-        self.run, self.pools, self.out = run, pools, Path(out)
+        self.run, self.data_splits, self.out = run, data_splits, Path(out)
         self.sheet_every, self.checkpoint_every, self.workers = sheet_every, checkpoint_every, workers
         self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
         self.device = torch.device(device)
@@ -72,13 +72,13 @@ class Training:
         for name in WRITTEN:  # before hours of training, not after them
             require_place_for_file(self.out / name)
         torch.manual_seed(run.seed)
-        labels = torch.from_numpy(np.stack(list(pools["train"].labels.values())))
+        labels = torch.from_numpy(np.stack(list(data_splits["train"].labels.values())))
         self.network = checkpoint.NETWORKS[run.network](Ranges.of(labels)).to(self.device, memory_format=torch.channels_last)
         self.average = {name: t.detach().clone() for name, t in self.network.state_dict().items()}
         self.optimiser = schedule.optimiser(self.network, run.schedule)
         self.step, self.skipped, self.used = 0, 0, 0.0
-        wanted = next((phase.losses for phase in schedule.phases(run) if losses.by_features(phase.losses)), None)
-        self.features = features.load(wanted.features, wanted.features_sha256).to(self.device) if wanted else None
+        requested = next((phase.losses for phase in schedule.phases(run) if losses.by_features(phase.losses)), None)
+        self.features = features.load(requested.features, requested.features_sha256).to(self.device) if requested else None
         if (self.out / "checkpoint.safetensors").exists():
             self._resume()
         elif run.start:
@@ -134,7 +134,7 @@ class Training:
 
     def _source(self):
         """What the run learns from, by the number of its batch."""
-        return source_of(self.pools["train"], self.run, self.run.schedule.batch, self.run.seed, (self.rank, self.world))
+        return source_of(self.data_splits["train"], self.run, self.run.schedule.batch, self.run.seed, (self.rank, self.world))
 
     def _batches(self):
         source, order = self._source(), range(self.step, schedule.steps(self.run))
@@ -164,19 +164,19 @@ class Training:
         prediction = self.predict(self.model, batch, phase.parts)
         after_network = time.process_time()
         if _is_finite(prediction):
-            found = self._terms(prediction, batch, phase.losses, rng)
-            loss = losses.total(found, phase.losses)
+            result = self._terms(prediction, batch, phase.losses, rng)
+            loss = losses.total(result, phase.losses)
         else:  # the layer would refuse it; gradients that are not finite let all processes of a run skip this step
-            found = {}
+            result = {}
             loss = math.nan * sum(part.float().sum() for part in prediction if part is not None)
         after_losses = time.process_time()
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), run.schedule.clip)
-        record = {"step": self.step, "loss": loss.item(), "gradient": norm.item()} | {name: value.item() for name, value in found.items()}
+        record = {"step": self.step, "loss": loss.item(), "gradient": norm.item()} | {name: value.item() for name, value in result.items()}
         if math.isfinite(record["loss"]) and math.isfinite(record["gradient"]):
             self.optimiser.step()
-            schedule.follow(self.average, self.network, self.step, self.run.schedule.average)
+            schedule.follow(self.average, self.network, self.step, self.run.schedule.ema_decay)
         else:
             for buffer, before in zip(self.network.buffers(), buffers, strict=True):
                 buffer.copy_(before)
@@ -207,7 +207,7 @@ class Training:
         done = (self.step - phase.first) / phase.steps
         if self.run.schedule.seconds is not None:
             done = max(done, self.used / self.run.schedule.seconds)
-        rate, beta = schedule.rate(self.run, phase, self.step, done)
+        rate, beta = schedule.learning_rate(self.run, phase, self.step, done)
         for group in self.optimiser.param_groups:
             group["lr"], group["betas"] = rate, (beta, group["betas"][1])
 
@@ -221,7 +221,7 @@ class Training:
         if self.skipped > self.run.skipped_steps:
             values = ", ".join(f"{k} {v:g}" for k, v in record.items() if not math.isfinite(v))
             where = f"step {self.step}, {batch.names[0]} and {len(batch.names) - 1} more"
-            raise Problem(
+            raise InputError(
                 where,
                 f"finite loss and gradients, but for {self.run.skipped_steps} steps",
                 f"{values} in {wrong}",
@@ -229,20 +229,20 @@ class Training:
             )
 
     def _predicted(self, network, batch):
-        """A Prediction for people and figures. Raises Problem if it is not finite."""
+        """A Prediction for people and figures. Raises InputError if it is not finite."""
         prediction = self.predict(network, batch)
         if not _is_finite(prediction):
             where, remedy = f"{self.out}: validation after step {self.step}", "lower schedule.rate in the run, and give another --out"
-            raise Problem(where, "finite predictions", "NaN or infinity", remedy)
+            raise InputError(where, "finite predictions", "NaN or infinity", remedy)
         return prediction
 
     def _validate(self):
         """Figures of the moving average on the validation side; its sheet; weights for users."""
-        network, pool, batch = self.averaged(), self.pools["validation"], self.run.schedule.batch
+        network, data_split, batch = self.averaged(), self.data_splits["validation"], self.run.schedule.batch
         with torch.no_grad(), validation.DeadUnits(network) as dead:
-            figures = validation.over(lambda b: self._predicted(network, b), pool, self.run, batches=2, device=self.device)
+            figures = validation.over(lambda b: self._predicted(network, b), data_split, self.run, batches=2, device=self.device)
             figures |= dead.figures()
-            shown = source_of(pool, self.run, batch, 1)[0].to(self.device)
+            shown = source_of(data_split, self.run, batch, 1)[0].to(self.device)
             self.journal.show(
                 self.step - 1, training_sheet.write(self.out / f"sheet-{self.step:07d}.jpg", shown, self._predicted(network, shown))
             )
@@ -267,7 +267,7 @@ class Training:
         checkpoint.save(self.out / "checkpoint.safetensors", kept, metadata)
 
     def _resume(self):
-        """Go on from the checkpoint. Raises Problem for one of other settings, and for a damaged one, which stays as it is."""
+        """Go on from the checkpoint. Raises InputError for one of other settings, and for a damaged one, which stays as it is."""
         path = self.out / "checkpoint.safetensors"
         with checkpoint.remedy(checkpoint.DAMAGED), tensor_file.opened(path, "a checkpoint") as stored:
             progress = checkpoint.progress_of(stored)
@@ -278,12 +278,12 @@ class Training:
                 kept = {name: stored.tensor(name) for name in expected}
         if not is_ours:
             hint = "give another --out, or the settings in run.json there"
-            raise Problem(path, "a checkpoint of this run", "one of other settings", hint)
+            raise InputError(path, "a checkpoint of this run", "one of other settings", hint)
         total = schedule.steps(self.run)
         if progress.step > total:
-            raise Problem(path, f"a checkpoint of at most {total} steps", f"one of {progress.step}", checkpoint.DAMAGED)
+            raise InputError(path, f"a checkpoint of at most {total} steps", f"one of {progress.step}", checkpoint.DAMAGED)
         if progress.digest not in (None, checkpoint.digest_of(kept)):
-            raise Problem(path, "the numbers that were saved", "others", checkpoint.DAMAGED)
+            raise InputError(path, "the numbers that were saved", "others", checkpoint.DAMAGED)
         for state, prefix in ((self.network.state_dict(), "network."), (self.average, "average.")):
             for name, tensor in state.items():
                 tensor.copy_(kept[prefix + name])
@@ -303,14 +303,14 @@ class Training:
         for i, parameter in enumerate(self.network.parameters()):
             if any(name.startswith(f"optimiser.{i}.") for name in stored.shapes):
                 optimiser[i] = {"step": (), "exp_avg": tuple(parameter.shape), "exp_avg_sq": tuple(parameter.shape)}
-        found = checkpoint.shapes(self.network, "network.") | checkpoint.shapes(self.network, "average.")
+        result = checkpoint.shapes(self.network, "network.") | checkpoint.shapes(self.network, "average.")
         for i, of_one in optimiser.items():
-            found |= {f"optimiser.{i}.{name}": shape for name, shape in of_one.items()}
-        return found, optimiser
+            result |= {f"optimiser.{i}.{name}": shape for name, shape in of_one.items()}
+        return result, optimiser
 
 
 class ErrorsAsValues(torch.utils.data.Dataset):
-    """Batches of a source; in place of one that cannot be made its Problem or OSError.
+    """Batches of a source; in place of one that cannot be made its InputError or OSError.
 
     A DataLoader raises errors of its processes anew from their text alone, with a trace in it.
     """
@@ -322,12 +322,12 @@ class ErrorsAsValues(torch.utils.data.Dataset):
         """The k-th Batch, or why there is none."""
         try:
             return self.source[k]
-        except (Problem, OSError) as error:
+        except (InputError, OSError) as error:
             return error
 
 
 def received(loader):
-    """The batches of a DataLoader over ErrorsAsValues. Raises the errors among them; Problem where one of its processes was killed."""
+    """The batches of a DataLoader over ErrorsAsValues. Raises the errors among them; InputError where one of its processes was killed."""
     try:
         for batch in loader:
             if isinstance(batch, Exception):
@@ -337,7 +337,7 @@ def received(loader):
         if "DataLoader worker" not in str(error):
             raise
         remedy = "run the same command again, which continues, with --workers 0"
-        raise Problem("--workers", "processes that live", "one that was killed, for want of memory perhaps", remedy) from None
+        raise InputError("--workers", "processes that live", "one that was killed, for want of memory perhaps", remedy) from None
 
 
 def begin_worker(_):
@@ -354,9 +354,9 @@ def _is_finite(prediction):
 
 def _health(prediction):
     """Shares of outputs that learn no more: materials at the ends of tanh, lights without light."""
-    found = {}
+    result = {}
     if prediction.code is not None:
-        found["saturated"] = (prediction.code.detach().abs() > 0.99).float().mean().item()
+        result["saturated"] = (prediction.code.detach().abs() > 0.99).float().mean().item()
     if prediction.light_code is not None:
-        found["dark_texels"] = (prediction.light_code.detach() < 1e-4).float().mean().item()
-    return found
+        result["dark_texels"] = (prediction.light_code.detach() < 1e-4).float().mean().item()
+    return result

@@ -38,17 +38,17 @@ def terms(prediction, batch, losses, rng, ranges, features=None):
     ranges    of the label codes
     features  learn.networks.features.Features, if a term compares by them
     """
-    found = {}
+    result = {}
     if losses.normals and prediction.n is not None:
         inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
-        found["normals"] = ((prediction.n - batch.n) ** 2).sum(1)[inside].mean()
+        result["normals"] = ((prediction.n - batch.n) ** 2).sum(1)[inside].mean()
     if prediction.code is not None:
-        found |= material_terms(prediction, batch, losses, ranges)
+        result |= material_terms(prediction, batch, losses, ranges)
     if prediction.light is not None:
-        found |= light_terms(prediction, batch, losses)
+        result |= light_terms(prediction, batch, losses)
     if through_layer(losses):
-        found |= layer_terms(prediction, batch, losses, rng, features)
-    return found
+        result |= layer_terms(prediction, batch, losses, rng, features)
+    return result
 
 
 def through_layer(losses):
@@ -67,24 +67,24 @@ def total(found, losses):
 
 
 def material_terms(prediction, batch, losses, ranges):
-    found = {}
+    result = {}
     label = batch.label[:, : prediction.label.shape[1]]
     if losses.material:
-        found["material"] = ((prediction.code - ranges.code(label)) ** 2).mean()
+        result["material"] = ((prediction.code - ranges.code(label)) ** 2).mean()
     if losses.albedo:
-        found["albedo"] = ((log_albedo(prediction.label) - log_albedo(label)) ** 2).mean()
-    return found
+        result["albedo"] = ((log_albedo(prediction.label) - log_albedo(label)) ** 2).mean()
+    return result
 
 
 def light_terms(prediction, batch, losses):
-    found = {}
+    result = {}
     if losses.light_log:
         mine, its = (torch.log1p(evenly(light)) for light in (prediction.light, batch.light))
-        found["light_log"] = ((mine - its) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()
+        result["light_log"] = ((mine - its) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()
     if losses.light_rendered:
         mine, its = (log_rendered(reduced(evenly(light), RENDERED_LIGHT)) for light in (prediction.light, batch.light))
-        found["light_rendered"] = ((mine - its) ** 2).mean()
-    return found
+        result["light_rendered"] = ((mine - its) ** 2).mean()
+    return result
 
 
 def evenly(light):
@@ -102,19 +102,19 @@ def layer_terms(prediction, batch, losses, rng, features=None):
     light = true_light if prediction.light is None else reduced(prediction.light, losses.layer_light)
     label = batch.label if prediction.label is None else prediction.label
     n = batch.n if prediction.n is None else prediction.n
-    found = {}
+    result = {}
     parts = (("image", label, batch.label, batch.picture), ("target", batch.target_label, batch.target_label, batch.target))
     for name, mine, its, rendered in parts:
         of_pixels, of_features = getattr(losses, name), getattr(losses, f"{name}_features")
         if of_features or (of_pixels and losses.rendered == "all"):
             with torch.no_grad():
                 truth = whole(batch.n, its, true_light, batch) if rendered is None else rendered * _inside(batch)
-            seen = whole(n, mine, light, batch, losses.pull)
+            seen = whole(n, mine, light, batch, losses.gradient_bound)
             mine_c, its_c = compressed(seen), compressed(truth)
             if of_pixels:
-                found[name] = ((mine_c - its_c) ** 2).sum() / (3 * _inside(batch).sum())
+                result[name] = ((mine_c - its_c) ** 2).sum() / (3 * _inside(batch).sum())
             if of_features:
-                found[f"{name}_features"] = compared_by(features, mine_c, its_c, _inside(batch) > 0)
+                result[f"{name}_features"] = compared_by(features, mine_c, its_c, _inside(batch) > 0)
         elif of_pixels:
             where, count = sampled(batch, losses.pixels, rng)
             if rendered is None:
@@ -122,10 +122,10 @@ def layer_terms(prediction, batch, losses, rng, features=None):
                     truth = at_pixels(batch.n, batch.segments, its, true_light, where, batch.elevation)
             else:
                 truth = picked(rendered, where)
-            seen = at_pixels(n, batch.segments, mine, light, where, batch.elevation, losses.pull)
+            seen = at_pixels(n, batch.segments, mine, light, where, batch.elevation, losses.gradient_bound)
             lit = (where >= 0)[..., None]
-            found[name] = ((compressed(seen) - compressed(truth)) ** 2 * lit).sum() / (3 * count)
-    return found
+            result[name] = ((compressed(seen) - compressed(truth)) ** 2 * lit).sum() / (3 * count)
+    return result
 
 
 def compared_by(features, mine, its, inside):
@@ -142,11 +142,11 @@ def boxed(pictures, inside, margin=4):
     rows, columns = inside.any(3)[:, 0], inside.any(2)[:, 0]
     spans = [[(int(line.nonzero()[0]), int(line.nonzero()[-1]) + 1) if line.any() else (0, 1) for line in axis] for axis in (rows, columns)]
     h, w = (min(-(-(max(b - a for a, b in span) + 2 * margin) // 8) * 8, side) for span, side in zip(spans, (H, W), strict=True))
-    found = []
+    results = []
     for picture, (a, b), (c, d) in zip(pictures, *spans, strict=True):
         top, left = (min(max((x + y - size) // 2, 0), side - size) for x, y, size, side in ((a, b, h, H), (c, d, w, W)))
-        found.append(picture[:, top : top + h, left : left + w])
-    return found
+        results.append(picture[:, top : top + h, left : left + w])
+    return results
 
 
 def _inside(batch):
@@ -154,15 +154,15 @@ def _inside(batch):
     return ((batch.segments > 0) & (batch.mask[:, 0] > 0))[:, None].float()
 
 
-def whole(n, label, light, batch, pull=0.0):
+def whole(n, label, light, batch, gradient_bound=0.0):
     """(B, 3, H, W) radiance of all of the mask, 0 outside; by whichever method keeps WHOLE_TOLERANCE at the least cost.
 
-    n (B, 3, H, W), label (B, S, 108), light (B, 3, h, w); pull: see `bounded`, over all the pixels
+    n (B, 3, H, W), label (B, S, 108), light (B, 3, h, w); gradient_bound: see `bounded`, over all the pixels
     """
     inside = _inside(batch) > 0
     normals = torch.where(inside, n, n.new_tensor([0.0, 0.0, 1.0])[:, None, None]).movedim(1, -1).contiguous()
     if normals.requires_grad:
-        normals.register_hook(bounded(pull / inside.sum().clamp(min=1)))
+        normals.register_hook(bounded(gradient_bound / inside.sum().clamp(min=1)))
     several = label.shape[1] > 1
     picture = render(
         normals,
@@ -185,13 +185,16 @@ def sampled(batch, pixels, rng):
     return index.masked_fill(value < 0, -1), int((value >= 0).sum())
 
 
-def at_pixels(n, segments, label, light, where, elevation, pull=0.0):
-    """(B, P, 3) radiance at flat indices (B, P); 0 where they are −1. n (B, 3, H, W); pull: see `bounded`, over all the pixels."""
+def at_pixels(n, segments, label, light, where, elevation, gradient_bound=0.0):
+    """(B, P, 3) radiance at flat indices (B, P); 0 where they are −1. n (B, 3, H, W).
+
+    gradient_bound  see `bounded`, over all the pixels
+    """
     region = segments.flatten(1).gather(1, where.clamp(min=0))
     mask = where >= 0
     normals = torch.where(mask[..., None], picked(n, where), n.new_tensor([0.0, 0.0, 1.0]))
     if normals.requires_grad:
-        normals.register_hook(bounded(pull / mask.sum().clamp(min=1)))
+        normals.register_hook(bounded(gradient_bound / mask.sum().clamp(min=1)))
     shown = {"segments": region.clamp(min=1)[:, None]} if label.shape[1] > 1 else {}
     material = label.exp() if label.shape[1] > 1 else label[:, 0].exp()
     picture = render(normals[:, None], material, light.movedim(1, -1), mask=mask[:, None], method="exact", elevation=elevation, **shown)

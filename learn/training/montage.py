@@ -18,9 +18,9 @@ ROWS = 6
 
 def write(path, batch, prediction):
     """The first rows of a batch as a JPEG; returns them as `cells` does."""
-    found = cells(batch, prediction)
-    write_image(path, found, "JPEG", quality=90)
-    return found
+    result = cells(batch, prediction)
+    write_image(path, result, "JPEG", quality=90)
+    return result
 
 
 def cells(batch, prediction):

@@ -23,11 +23,11 @@ class Phase:
 
 def phases(run):
     """All of a run's, in order; the last is its own."""
-    found, first = [], 0
+    result, first = [], 0
     for stage in run.stages:
-        found.append(Phase(first, stage.steps, stage.parts, stage.losses))
+        result.append(Phase(first, stage.steps, stage.parts, stage.losses))
         first += stage.steps
-    return [*found, Phase(first, run.schedule.steps, run.parts, run.losses)]
+    return [*result, Phase(first, run.schedule.steps, run.parts, run.losses)]
 
 
 def steps(run):
@@ -40,21 +40,21 @@ def phase_at(run, step):
     return next(phase for phase in reversed(phases(run)) if step >= phase.first)
 
 
-def rate(run, phase, step, done):
+def learning_rate(run, phase, step, done):
     """(step size, β₁) at a step of a phase of which a share `done` is over."""
     if run.schedule.style == "paper":
         share, beta = THIRDS[min(int(3 * done), 2)]
     else:
         warm = min(1.0, (step - phase.first + 1) / max(run.schedule.warm_up, 1))
         share, beta = warm * (0.5 + 0.5 * math.cos(math.pi * min(done, 1.0))) + 1e-3, 0.9
-    return share * run.schedule.rate, beta
+    return share * run.schedule.learning_rate, beta
 
 
 def optimiser(network, schedule):
     """Adam or AdamW, at a rate that is set anew before each step."""
     if schedule.style == "paper":
-        return torch.optim.Adam(network.parameters(), schedule.rate)
-    return torch.optim.AdamW(network.parameters(), schedule.rate, weight_decay=schedule.decay)
+        return torch.optim.Adam(network.parameters(), schedule.learning_rate)
+    return torch.optim.AdamW(network.parameters(), schedule.learning_rate, weight_decay=schedule.weight_decay)
 
 
 def follow(average, network, step, memory):

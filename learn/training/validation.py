@@ -24,11 +24,11 @@ TOLERANCE = 2e-2
 LEAST_PIXELS = 16  # of a region, to count as shown
 
 
-def over(predict, pool, run, batches, seed=20, device="cpu"):
+def over(predict, data_split, run, batches, seed=20, device="cpu"):
     """Means over the first batches of a pool. predict: Batch → Prediction, both on the device."""
-    source, constant = source_of(pool, run, run.schedule.batch, seed), mean_albedo(pool)
-    found = [of(predict(batch), batch, constant) for batch in (source[k].to(device) for k in range(batches))]
-    return {name: _mean(np.concatenate([f[name] for f in found])) for name in found[0]}
+    source, constant = source_of(data_split, run, run.schedule.batch, seed), mean_albedo(data_split)
+    results = [of(predict(batch), batch, constant) for batch in (source[k].to(device) for k in range(batches))]
+    return {name: _mean(np.concatenate([f[name] for f in results])) for name in results[0]}
 
 
 def _mean(values):
@@ -37,47 +37,47 @@ def _mean(values):
     return float(values[there].mean()) if there.any() else math.nan
 
 
-def mean_albedo(pool):
+def mean_albedo(data_split):
     """(3,) mean log albedo of a pool's materials: the best guess without looking."""
-    return log_albedo(torch.from_numpy(np.stack(list(pool.labels.values())))).mean(0)
+    return log_albedo(torch.from_numpy(np.stack(list(data_split.labels.values())))).mean(0)
 
 
 def of(prediction, batch, constant_albedo=None):
     """{name: (B,) float64} of one batch; NaN where a picture does not show what is measured. constant_albedo (3,): the control's."""
-    found = {}
+    result = {}
     n = batch.n if prediction.n is None else prediction.n
     light = batch.light if prediction.light is None else prediction.light
     if prediction.n is not None:
         cosine = (n * batch.n).sum(1).clamp(-1, 1)
         inside = batch.segments > 0
-        found["cosine"] = means(cosine, inside)
-        found["angle_deg"] = means(cosine.arccos().rad2deg(), inside)
+        result["cosine"] = means(cosine, inside)
+        result["angle_deg"] = means(cosine.arccos().rad2deg(), inside)
     constant = torch.ones_like(batch.light)
     if prediction.light is not None:
         truth = irradiance(batch.light)
         for name, value in (("irradiance", light), ("constant_irradiance", constant)):
             error = ((irradiance(value) - truth) ** 2).mean((1, 2)).sqrt() / (truth**2).mean((1, 2)).sqrt()
-            found[name] = array(error.double())
+            result[name] = array(error.double())
     if prediction.label is not None:
-        found |= albedos(prediction.label, batch, constant_albedo)
-        found["image_l2"] = compared(n, prediction.label, light, batch.label, batch, batch.picture)
-    found["target_l2"] = compared(n, batch.target_label, light, batch.target_label, batch, batch.target)
+        result |= albedos(prediction.label, batch, constant_albedo)
+        result["image_l2"] = compared(n, prediction.label, light, batch.label, batch, batch.picture)
+    result["target_l2"] = compared(n, batch.target_label, light, batch.target_label, batch, batch.target)
     if prediction.light is not None:
-        found["control_l2"] = compared(n, batch.target_label, constant, batch.target_label, batch, batch.target)
-    return found
+        result["control_l2"] = compared(n, batch.target_label, constant, batch.target_label, batch, batch.target)
+    return result
 
 
 def albedos(label, batch, constant=None):
     """{name: (B,)} of albedo's errors, and of the control's where there is one; label (B, S, 108)."""
-    found, regions = {}, label.shape[1]
+    result, regions = {}, label.shape[1]
     true = log_albedo(batch.label[:, :regions])
     guesses = {"albedo": log_albedo(label)} | ({} if constant is None else {"constant_albedo": constant.to(true.device).expand_as(true)})
     for s in range(regions):
         shown = (batch.segments == s + 1).sum((1, 2)) >= LEAST_PIXELS
         for name, guess in guesses.items():
             error = ((guess - true)[:, s] ** 2).mean(-1).sqrt()
-            found[f"{name}_{s + 1}" if regions > 1 else name] = array(error.where(shown, math.nan).double())
-    return found
+            result[f"{name}_{s + 1}" if regions > 1 else name] = array(error.where(shown, math.nan).double())
+    return result
 
 
 class DeadUnits:

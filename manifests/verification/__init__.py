@@ -17,7 +17,7 @@ data set; docs/rendering.md says what that leaves.
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import Entry, read_catalogue
 from manifests.schema import Dataset
 from manifests.splits import light_side
@@ -40,7 +40,7 @@ class Verification:
     render     fingerprint of the render settings that the program has in force now, None: unknown
     reference  (name, hash) → (L, scale) of a light as the program makes it itself, None where it cannot
     count      records and views seen; 0 before `in_records`
-    Raises     Problem if there is no dataset.json, or none that can be read
+    Raises     InputError if there is no dataset.json, or none that can be read
     """
 
     def __init__(self, store: Store, render: str | None = None, reference: Reference | None = None):
@@ -48,7 +48,7 @@ class Verification:
         self._render, self._reference = render, reference
         self._labels: dict[str, Entry] | None = {}
         self._condemned: set[Line] = set()
-        self._spoiled: set[tuple[str, str]] = set()
+        self._damaged: set[tuple[str, str]] = set()
 
     def in_records(self) -> Iterator[Fault]:
         """Faults that dataset.json, materials.json and the lines of records and views show by themselves."""
@@ -56,14 +56,14 @@ class Verification:
             if fault.line:
                 self._condemned.add(fault.line)
             if fault.entry:
-                self._spoiled.add(fault.entry)
+                self._damaged.add(fault.entry)
             yield fault
 
     def _in_records(self):
         yield from folder_faults(self.store.folder)
         yield from self._read_labels()
         yield from entry_faults(self.dataset, self._labels)
-        judge = Judge(self.dataset, self._labels or {}, self._spoiled, self._render)
+        judge = Judge(self.dataset, self._labels or {}, self._damaged, self._render)
         for kind in LINES:
             faults_of, seen = judge.of_kind(kind), set()
             for path, number, line in read_lines(self.store, kind):
@@ -84,7 +84,7 @@ class Verification:
         path = self.store.folder / "materials.json"
         try:
             catalogue = read_catalogue(path).materials
-        except (Problem, OSError) as problem:
+        except (InputError, OSError) as problem:
             self._labels = None
             yield Fault(str(problem))
             return
@@ -107,7 +107,7 @@ class Verification:
                     continue
                 files.name(line)
                 if (path, number) not in self._condemned:
-                    if self._spoiled.isdisjoint(("materials", name) for name in getattr(line, "materials", ())):
+                    if self._damaged.isdisjoint(("materials", name) for name in getattr(line, "materials", ())):
                         orders.look(line, (path, number))
                     for text, broken in files.of(line):
                         yield Fault(f"{kind[:-1]} {line.id}: {text}", line.id, (path, number), broken)
@@ -130,12 +130,12 @@ def shared_between(datasets: dict[str, Dataset]) -> list[tuple[str, str, str, st
     datasets  {folder: Dataset}
     Returns   [(kind, name, folder, name, folder)]
     """
-    found, sides = [], {}
+    result, sides = [], {}
     for folder, dataset in datasets.items():
         for kind, entries in (("shape", dataset.shapes), ("material", dataset.materials), ("light", dataset.lights)):
             for name, entry in entries.items():
                 ours = entry.side or light_side(entry.hash)
                 side, other, where = sides.setdefault((kind, entry.hash), (ours, name, folder))
                 if side != ours:
-                    found.append((kind, other, where, name, folder))
-    return found
+                    result.append((kind, other, where, name, folder))
+    return result

@@ -30,21 +30,21 @@ LEAST_LIT_SHARE = {"centre": 0.0, "square": 0.25}
 
 def statistics_faults(radiance: np.ndarray, mask: np.ndarray, said: Statistics) -> list[str]:
     """Whether a picture has the coverage, mean and maximum that its record says, within the rounding of both."""
-    found = []
+    results = []
     coverage = float(mask.mean())
     if abs(coverage - said.coverage) > ROUNDED:
-        found.append(f"expected coverage {said.coverage:.6f}, found {coverage:.6f}")
+        results.append(f"expected coverage {said.coverage:.6f}, found {coverage:.6f}")
     inside = radiance[mask]
     if not len(inside):
-        return found
+        return results
     largest = float(inside.max())
     if not abs(min(said.max, LARGEST_HALF) - largest) <= HALF * largest + SUBNORMAL + ROUNDED:
-        found.append(f"expected a largest value of {said.max:g}, found {largest:g}")
+        results.append(f"expected a largest value of {said.max:g}, found {largest:g}")
     mean = float(inside.mean(axis=0, dtype=np.float64) @ LUMINANCE)
     cut = float((inside >= LARGEST_HALF).mean()) * max(said.max - LARGEST_HALF, 0.0)  # half precision holds no more
     if not -HALF * mean - SUBNORMAL - ROUNDED <= said.mean - mean <= HALF * mean + SUBNORMAL + ROUNDED + cut:
-        found.append(f"expected a mean of {said.mean:g} over the object, found {mean:g}")
-    return found
+        results.append(f"expected a mean of {said.mean:g} over the object, found {mean:g}")
+    return results
 
 
 def support_faults(radiance: np.ndarray, mask: np.ndarray, pixel: str) -> list[str]:
@@ -82,25 +82,25 @@ def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
     normals, mask = geometry.normals.astype(np.float64), geometry.mask
     if not mask.any():
         return ["expected an object in the frame, found an empty mask"]
-    found = []
+    results = []
     if geometry.normals[~mask].any() or geometry.depth[~mask].any():
-        found.append("expected normals and depth 0 in the background, found others")
+        results.append("expected normals and depth 0 in the background, found others")
     for what, values in (("normals", geometry.normals), ("depth", geometry.depth)):
         steps = values.astype(np.float64) * STEPS_PER_UNIT  # a damaged value times 2^15 may be beyond float32
         if (steps != np.rint(steps)).any():
-            found.append(f"expected {what} in steps of 2^-{int(np.log2(STEPS_PER_UNIT))}, found others")
+            results.append(f"expected {what} in steps of 2^-{int(np.log2(STEPS_PER_UNIT))}, found others")
     lengths = np.sqrt(_dots(normals, normals)[mask])
     if np.abs(lengths - 1).max() > LENGTH:
-        found.append(f"expected unit normals, found lengths {lengths.min():.4f}–{lengths.max():.4f}")
+        results.append(f"expected unit normals, found lengths {lengths.min():.4f}–{lengths.max():.4f}")
     if away := turned_away(geometry, camera):
-        found.append(f"expected normals that face the viewer, found {away} turned away")
+        results.append(f"expected normals that face the viewer, found {away} turned away")
     places = positions(geometry.depth, camera)
     radius = float(np.sqrt(_dots(places, places)[mask].max()))
     if radius > RADIUS:
-        found.append(f"expected an object inside the unit sphere, found depths that put it at {radius:.4f}")
+        results.append(f"expected an object inside the unit sphere, found depths that put it at {radius:.4f}")
     if (likeness := likeness_of_slopes(places, normals, mask)) < AGAINST:
-        found.append(f"expected normals that lean as the depth slopes, found a correlation of {likeness:.2f}")
-    return found
+        results.append(f"expected normals that lean as the depth slopes, found a correlation of {likeness:.2f}")
+    return results
 
 
 def turned_away(geometry: Geometry, camera: Camera) -> int:
@@ -142,12 +142,12 @@ def likeness_of_slopes(places: np.ndarray, normals: np.ndarray, mask: np.ndarray
         return 1.0
     slope, shown = slope[known] / length[known, None], shown[known]
     energy = (slope**2).mean(0), (shown**2).mean(0)
-    found = [
+    results = [
         float((slope[:, axis] * shown[:, axis]).mean() / np.sqrt(energy[0][axis] * energy[1][axis]))
         for axis in (0, 1)
         if min(energy[0][axis], energy[1][axis]) > LEAN**2
     ]
-    return min(found, default=1.0)
+    return min(results, default=1.0)
 
 
 def light_faults(L: np.ndarray, scale: float, reference: tuple[np.ndarray, float] | None, said_scale: float) -> list[str]:
@@ -155,15 +155,15 @@ def light_faults(L: np.ndarray, scale: float, reference: tuple[np.ndarray, float
 
     reference  (L, scale) as the program makes them itself, None: it does not know the light
     """
-    found = []
+    results = []
     if scale != said_scale:
-        found.append(f"expected scale {said_scale:.9g}, as in dataset.json, found {scale:.9g}")
+        results.append(f"expected scale {said_scale:.9g}, as in dataset.json, found {scale:.9g}")
     if reference is not None:
         true, true_scale = reference
         # the same sums on another machine end in other last digits
         if not np.allclose(L, true, rtol=1e-4, atol=1e-6) or not np.isclose(scale, true_scale, rtol=1e-4):
-            found.append("expected the map of this name and hash, found another")
-    return found
+            results.append("expected the map of this name and hash, found another")
+    return results
 
 
 def joined(where: str, faults: Iterable[str]) -> list[str]:

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import PurePath
 
 from manifests import splits
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import BUILT_IN, Entry, material, material_hash, read_catalogue
 from manifests.schema import Dataset, Draw, Job
 from manifests.store import light_path
@@ -70,7 +70,7 @@ def _material_faults(name, dataset, labels):
     else:
         try:
             material(label, "materials.json")
-        except Problem as problem:
+        except InputError as problem:
             yield Fault(str(problem), entry=("labels", name))
     fault = _fault_of("materials", name)
     side = built_in_splits().get((name, own), label.split)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from manifests import archives, arrays
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.inputs import require_file
 from manifests.materials import Entry
 from manifests.schema import Dataset, Record, View
@@ -62,7 +62,7 @@ class Files:
                 self._require_own(entry.file)
                 L = arrays.read_light(path, entry.file_hash)
                 scale = arrays.read_scale(path)
-            except (Problem, OSError) as problem:
+            except (InputError, OSError) as problem:
                 yield Fault(_said(entry.file, problem), file=path)
                 continue
             known = self._reference(name, entry.hash) if self._reference else None
@@ -97,7 +97,7 @@ class Files:
         try:
             self._require_own(record.image)
             radiance = arrays.read_picture(self.folder / record.image, record.camera.size, record.image_hash, exact=True)
-        except (Problem, OSError) as problem:
+        except (InputError, OSError) as problem:
             return [_said(record.image, problem)]
         mask = self._mask(record)
         lit = self._shines.get(record.light, False) and all(self._reflects.get(name) for name in record.materials)
@@ -120,7 +120,7 @@ class Files:
         try:
             self._require_own(line.geometry)
             geometry = arrays.read_geometry(path, line.camera.size, line.geometry_hash, exact=True)
-        except (Problem, OSError) as problem:
+        except (InputError, OSError) as problem:
             return _Seen([_said(line.geometry, problem)])
         texts = [f"{line.geometry}: {text}" for text in contents.geometry_faults(geometry, line.camera)]
         mask = geometry.mask
@@ -146,25 +146,25 @@ class Files:
         return np.unpackbits(bits, count=height * width).reshape(height, width).astype(bool)
 
     def _require_own(self, relative: str) -> None:
-        """Raises Problem unless an ordinary file lies there, by way of folders that are no links."""
+        """Raises InputError unless an ordinary file lies there, by way of folders that are no links."""
         *parents, _ = relative.split("/")
         for depth in range(1, len(parents) + 1):
             part = "/".join(parents[:depth])
             if part not in self._folders:
                 self._folders[part] = kind_of(self.folder / part) == "a folder"
-            if not self._folders[part] and (found := kind_of(self.folder / part)):
-                raise Problem(self.folder / part, "a folder", found, "verify --repair takes it away")
-        if (found := kind_of(self.folder / relative)) not in ("a file", None):
-            raise Problem(self.folder / relative, "a file of its own", found, "verify --repair takes it away")
+            if not self._folders[part] and (result := kind_of(self.folder / part)):
+                raise InputError(self.folder / part, "a folder", result, "verify --repair takes it away")
+        if (result := kind_of(self.folder / relative)) not in ("a file", None):
+            raise InputError(self.folder / relative, "a file of its own", result, "verify --repair takes it away")
 
     def packed_faults(self) -> Iterator[Fault]:
         """Faults of the cache that training keeps beside the data set."""
         return self._packed.faults()
 
 
-def _said(relative: str, error: Problem | OSError) -> str:
+def _said(relative: str, error: InputError | OSError) -> str:
     """An error about a file, without the folder's own path in front."""
-    if isinstance(error, Problem):
+    if isinstance(error, InputError):
         return f"{relative}: expected {error.expected}, found {error.found}"
     return f"{relative}: expected a file that can be read, found {error.strerror or error}"
 

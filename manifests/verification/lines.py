@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from manifests import ids
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import Entry, material_hash
 from manifests.schema import Dataset, Failure, Record, View
 from manifests.splits import split_of
@@ -32,19 +32,19 @@ def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | Vi
         return
     try:
         paths = store.record_files(kind)
-    except Problem as problem:
+    except InputError as problem:
         yield folder, 0, Fault(str(problem))
         return
     decoder = msgspec.json.Decoder(LINES[kind])
     for path in paths:
         where = f"{kind}/{path.name}"
-        if (found := kind_of(path)) != "a file":
-            yield path, 0, Fault(f"{where}: expected a file of lines, found {found}", file=path)
+        if (result := kind_of(path)) != "a file":
+            yield path, 0, Fault(f"{where}: expected a file of lines, found {result}", file=path)
             continue
         try:
             for number, text in lines_of(path):
                 yield path, number, _decoded(decoder, f"{where}:{number}", kind[:-1], text, (path, number))
-        except (Problem, OSError) as problem:
+        except (InputError, OSError) as problem:
             yield path, 0, Fault(f"{where}: {problem}")
 
 
@@ -68,7 +68,7 @@ def failure_faults(store: Store) -> Iterator[Fault]:
                 line = _decoded(decoder, f"{path.name}:{number}", "failure", text, (path, number))
                 if isinstance(line, Fault):
                     yield line
-        except (Problem, OSError) as problem:
+        except (InputError, OSError) as problem:
             yield Fault(f"{path.name}: {problem}")
 
 
@@ -100,12 +100,12 @@ class Judge:
     """Faults of records and views, one by one, and the verdicts that need all of them.
 
     dataset  Dataset; labels: {name: Entry} of materials.json
-    spoiled  (kind, name) of entries that are known to be wrong
+    damaged  (kind, name) of entries that are known to be wrong
     render   fingerprint of the program's render settings, which ids may be hashed with besides those in dataset.json
     """
 
-    def __init__(self, dataset: Dataset, labels: dict[str, Entry], spoiled: set, render: str | None):
-        self.dataset, self._labels, self._spoiled, self._render = dataset, labels, spoiled, render
+    def __init__(self, dataset: Dataset, labels: dict[str, Entry], damaged: set, render: str | None):
+        self.dataset, self._labels, self._damaged, self._render = dataset, labels, damaged, render
         known = list(dataset.settings)
         self._renders = known if render is None or render in known else [*known, render]
         self._groups: dict[tuple, _Group] = {}
@@ -194,8 +194,8 @@ class Judge:
             pairs.append(("side", shape.side, line.side))
         else:
             materials = [self.dataset.materials.get(name) for name in line.materials]
-            spoiled = self._spoiled & {here, *(("materials", name) for name in line.materials)}
-            if all(materials) and not spoiled:
+            damaged = self._damaged & {here, *(("materials", name) for name in line.materials)}
+            if all(materials) and not damaged:
                 pairs.append(("split", split_of(shape.side, [entry.side for entry in materials]), line.split))
         return [_Difference(here, what, str(ours), str(theirs)) for what, ours, theirs in pairs if ours != theirs]
 
@@ -256,19 +256,19 @@ class Judge:
         """Faults for which it has to be known whether a line or an entry was altered."""
         doubted = {}
         if self._unfit and not self._fit and self._render not in self.dataset.settings:
-            found = f"none that gives the ids of its {len(self._unfit)} lines, {self._unfit[0][0].record} first"
-            yield Fault(f"dataset.json: expected settings of the render version that made its pictures, found {found}")
+            result = f"none that gives the ids of its {len(self._unfit)} lines, {self._unfit[0][0].record} first"
+            yield Fault(f"dataset.json: expected settings of the render version that made its pictures, found {result}")
         else:
             for fault, line in self._unfit:
                 yield fault
                 for entry in self._entries_of(line):
                     doubted[entry] = doubted.get(entry, 0) + 1
-        for entry, found in self._differing.items():
+        for entry, result in self._differing.items():
             if entry in self._confirmed:
-                yield from (fault for fault, _ in found)
+                yield from (fault for fault, _ in result)
             else:
                 doubted.pop(entry, None)
-                yield self._altered(entry, found)
+                yield self._altered(entry, result)
         for (kind, name), many in doubted.items():
             if (kind, name) not in self._confirmed:
                 text = f"dataset.json: expected {kind[:-1]} '{name}' that an id confirms, found {many} lines whose ids do not fit"
@@ -293,10 +293,10 @@ class Judge:
 
 def _misplaced(kind, line, place, geometry):
     """Faults of where a line's geometry lies and of the azimuth that it states."""
-    found = []
+    results = []
     if line.geometry != geometry:
-        found.append(Fault(f"{kind} {line.id}: expected geometry at {geometry}, found {line.geometry}", line.id, place))
+        results.append(Fault(f"{kind} {line.id}: expected geometry at {geometry}, found {line.geometry}", line.id, place))
     if line.azimuth_deg != (azimuth := azimuths_deg()[line.viewpoint]):
         text = f"{kind} {line.id}: expected azimuth {azimuth:g} of viewpoint {line.viewpoint}, found {line.azimuth_deg:g}"
-        found.append(Fault(text, line.id, place))
-    return found
+        results.append(Fault(text, line.id, place))
+    return results

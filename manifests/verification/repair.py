@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 
 from manifests import materials
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import write_lines
 from manifests.store import LINES, Store, geometry_path, image_path, light_path, lines_of
 from manifests.verification.faults import Fault
@@ -49,7 +49,7 @@ def _drop_lines(partial, path, numbers):
             count += 1
             if type_:
                 named |= _files_of(line, type_)
-    except Problem:  # a line beyond all measure: nothing behind it is known to be one
+    except InputError:  # a line beyond all measure: nothing behind it is known to be one
         count += 1
     partial.mkdir(exist_ok=True)
     write_lines(path, kept, draft=partial / f"repair-{path.parent.name}-{path.name}")  # where a killed run's drafts are swept
@@ -62,9 +62,9 @@ def _files_of(line, type_):
         record = msgspec.json.decode(line, type=type_)
     except (msgspec.DecodeError, UnicodeDecodeError):
         return set()
-    found = {image_path(record.id)} if hasattr(record, "image") else set()
+    result = {image_path(record.id)} if hasattr(record, "image") else set()
     name = record.geometry.rpartition("/")[2].removesuffix(".exr")
-    return found | ({record.geometry} if record.geometry == geometry_path(name) else set())
+    return result | ({record.geometry} if record.geometry == geometry_path(name) else set())
 
 
 def _named(store):
@@ -93,7 +93,7 @@ def _drop_entries(store, entries):
         path = store.folder / "materials.json"
         try:
             catalogue = materials.read_catalogue(path)
-        except Problem:  # not there, or it goes itself
+        except InputError:  # not there, or it goes itself
             return maps
         kept = tuple(entry for entry in catalogue.materials if entry.name not in gone)
         store.place("materials.json", materials.encode(msgspec.structs.replace(catalogue, materials=kept)), "main")

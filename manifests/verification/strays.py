@@ -40,8 +40,8 @@ def folder_faults(folder: Path) -> Iterator[Fault]:
             if kind != "a folder":
                 yield Fault(f"{path.name}: expected a folder, found {kind}", file=path)
         elif kind not in ("a file", "a folder") and not (kind == "a link" and path.exists()):
-            found = "a link that leads nowhere" if kind == "a link" else kind
-            yield Fault(f"{path.name}: expected a file or a folder, found {found}", file=path, stray=True)
+            result = "a link that leads nowhere" if kind == "a link" else kind
+            yield Fault(f"{path.name}: expected a file or a folder, found {result}", file=path, stray=True)
 
 
 def stray_faults(folder: Path, named: Mapping[str, Collection[str]]) -> Iterator[Fault]:

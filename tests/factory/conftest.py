@@ -7,7 +7,7 @@ import pytest
 from small_catalogue import write_catalogue
 from tetrahedron import FAKE, HERE
 
-from factory.execution.run import Manner, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning.assets import resolve
 from manifests.schema import Camera, Job
 
@@ -49,8 +49,8 @@ def render(plan_of, monkeypatch):
     """A function (job, folder, **manner): render with the fake studio; returns the Outcome."""
     monkeypatch.setenv("PYTHONPATH", str(HERE))
 
-    def run(job, folder, watch=None, **manner):
-        return carry_out(plan_of(job), folder, Manner(studio=FAKE, **manner), watch)
+    def run(job, folder, watch=None, **run_options):
+        return carry_out(plan_of(job), folder, RunOptions(studio=FAKE, **run_options), watch)
 
     return run
 

@@ -2,11 +2,11 @@
 
 import sys
 
-from factory.execution.run import Manner, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning import jobs
 from factory.planning.assets import resolve
 
 if __name__ == "__main__":
     job, folder = jobs.load(sys.argv[1])
     assets = resolve(job, folder, catalogues=[sys.argv[3]])
-    carry_out(planned(job, assets), sys.argv[2], Manner(workers=2, studio="fake_studio:Studio"))
+    carry_out(planned(job, assets), sys.argv[2], RunOptions(workers=2, studio="fake_studio:Studio"))

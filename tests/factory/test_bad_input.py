@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from manifests.cli import main
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.schema import Dataset
 from manifests.store import Store
 from manifests.verification import faults_of
@@ -162,7 +162,7 @@ def test_a_damaged_manifest_is_named_and_left_as_it_is_or_written_again(command,
         render(small_job, tmp_path / "data")
         assert command("verify", tmp_path / "data")[0] == 0
         return
-    with pytest.raises(Problem, match=name):
+    with pytest.raises(InputError, match=name):
         render(small_job, tmp_path / "data")
     assert path.read_bytes() == before
 
@@ -250,14 +250,14 @@ def test_a_light_file_that_is_gone_is_named(command, a_job, catalogue, tmp_path,
 def test_a_mesh_that_changed_since_the_plan_is_a_failure_with_its_reason(plan_of, small_job, tmp_path, monkeypatch):
     from tetrahedron import FAKE, HERE, TETRAHEDRON
 
-    from factory.execution.run import Manner, carry_out
+    from factory.execution.run import RunOptions, carry_out
 
     monkeypatch.setenv("PYTHONPATH", str(HERE))
     mesh = tmp_path / "mesh.ply"
     mesh.write_bytes(TETRAHEDRON)
     plan = plan_of(msgspec.structs.replace(small_job, shapes=(str(mesh),), views=(0,), materials=("small/matte",)))
     mesh.write_bytes(TETRAHEDRON.replace(b"0 0 2", b"0 0 3"))
-    assert carry_out(plan, tmp_path / "data", Manner(studio=FAKE)).failed == 1
+    assert carry_out(plan, tmp_path / "data", RunOptions(studio=FAKE)).failed == 1
     assert "it changed meanwhile" in next(iter(Store(tmp_path / "data").failures())).reason
 
 
@@ -276,7 +276,7 @@ def tiny_disk(tmp_path):
 def test_a_full_disk_stops_the_run_in_one_line_and_the_same_command_goes_on_when_there_is_room(render, small_job, tiny_disk):
     job = msgspec.structs.replace(small_job, views=tuple(range(12)))
     data = tiny_disk / "data"
-    with pytest.raises((Problem, OSError), match="No space left on device") as caught:
+    with pytest.raises((InputError, OSError), match="No space left on device") as caught:
         render(job, data)
     assert "\n" not in str(caught.value)
     store = Store(data)
@@ -285,14 +285,14 @@ def test_a_full_disk_stops_the_run_in_one_line_and_the_same_command_goes_on_when
     assert list(store.failures()) == []  # the disk was full, the shots were good
     subprocess.run(["mount", "-o", "remount,size=8m", str(tiny_disk)], check=True)
     outcome = render(job, data)
-    assert (outcome.made, outcome.found) == (72 - len(made), len(made))
+    assert (outcome.made, outcome.already_there) == (72 - len(made), len(made))
     assert [f.text for f in faults_of(store)] == []
     assert all(made[record.id] == record for record in store.records() if record.id in made)
 
 
 def test_a_disk_that_is_full_from_the_start_is_told_in_one_line(render, small_job, tiny_disk):
     (tiny_disk / "filler").write_bytes(b"x" * 150_000)
-    with pytest.raises((Problem, OSError), match="No space left on device"):
+    with pytest.raises((InputError, OSError), match="No space left on device"):
         render(small_job, tiny_disk / "data")
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from tetrahedron import FAKE, HERE
 
-from factory.execution.run import Manner, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning.assets import resolve
 from manifests import exr
 from manifests.arrays import encode_geometry, read_geometry, read_light, read_scale
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import read_catalogue
 from manifests.schema import Camera, Job
 from manifests.store import Store, file_hash
@@ -39,7 +39,7 @@ def template(catalogue, light_file, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(HERE))
         first = msgspec.structs.replace(job, materials=("small/matte", "small/metal"))
-        carry_out(planned(first, resolve(first, catalogues=[catalogue])), folder, Manner(studio=FAKE))
+        carry_out(planned(first, resolve(first, catalogues=[catalogue])), folder, RunOptions(studio=FAKE))
     return folder, job
 
 
@@ -105,7 +105,7 @@ def test_damaged_geometry_files_are_rendered_again_by_the_run_that_needs_them(re
         damage(folder / path)
     notes = []
     outcome = render(job, folder, lambda event, value: notes.append(value) if event == "note" else None)
-    assert (outcome.made, outcome.failed, outcome.found) == (len(paths), 0, 2 * len(paths))
+    assert (outcome.made, outcome.failed, outcome.already_there) == (len(paths), 0, 2 * len(paths))
     left = bytes_of(folder, "geometry")
     assert [damage.__name__ for damage, path in zip(DAMAGES, paths, strict=False) if left.get(path) != whole[path]] == []
     assert faults(folder) == []
@@ -232,7 +232,7 @@ def test_damaged_materials_of_another_job_say_what_to_do_and_so_it_works(render,
     path, first = folder / "materials.json", msgspec.structs.replace(job, materials=("small/matte",))
     damaged = path.read_bytes()[:-10]
     path.write_bytes(damaged)
-    with pytest.raises(Problem, match=r"delete it and render each of the folder's jobs again: they know .*metal"):
+    with pytest.raises(InputError, match=r"delete it and render each of the folder's jobs again: they know .*metal"):
         render(first, folder)
     assert path.read_bytes() == damaged
     path.unlink()
@@ -244,7 +244,7 @@ def test_damaged_materials_of_another_job_say_what_to_do_and_so_it_works(render,
 def test_a_lost_dataset_comes_back_with_its_jobs_and_no_picture_is_made_twice(render, begun):
     folder, job = begun
     (folder / "dataset.json").unlink()
-    assert render(job, folder).found == 2 * len(job.views)
+    assert render(job, folder).already_there == 2 * len(job.views)
     assert faults(folder) == []
 
 
@@ -253,7 +253,7 @@ def test_a_damaged_record_in_the_middle_is_healed_as_its_message_says(render, be
     (path,) = Store(folder).record_files()
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join([*lines[:2], b"damaged\n", *lines[3:]]))
-    with pytest.raises(Problem, match=r"worker-00\.jsonl:3.*verify .*--repair"):
+    with pytest.raises(InputError, match=r"worker-00\.jsonl:3.*verify .*--repair"):
         render(job, folder)
     repair(Store(folder), list(Verification(Store(folder)).in_records()))
     repair(Store(folder), faults(folder))

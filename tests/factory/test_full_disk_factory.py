@@ -14,9 +14,9 @@ from full_disk_case import bad_records, check, check_read_only, contents, done, 
 from PIL import Image
 from tetrahedron import FAKE, HERE
 
-from factory.execution.run import Manner, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning.assets import resolve
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.schema import Camera, Job
 from manifests.store import Store
 
@@ -43,14 +43,14 @@ def room(tmp_path_factory, catalogue, light_file):
     job = Job(shapes=("cube",), materials=("small",), lights=(str(light_file),), views=(0, 6), samples=1, camera=Camera(size=(16, 16)))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(HERE))
-        carry_out(planned(job, resolve(job, catalogues=[catalogue])), room / "data", Manner(studio=FAKE))
+        carry_out(planned(job, resolve(job, catalogues=[catalogue])), room / "data", RunOptions(studio=FAKE))
     return room
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """Nothing here looks at the balls of a contact sheet: it is what is written."""
-    monkeypatch.setattr("factory.materials.preview.sheet", lambda *_: Image.new("RGB", (32, 32)))
+    monkeypatch.setattr("factory.materials.preview.contact_sheet", lambda *_: Image.new("RGB", (32, 32)))
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -77,7 +77,7 @@ def test_a_render_on_a_full_disk_names_no_file_that_is_not_whole_and_goes_on_lat
     job = msgspec.structs.replace(small_job, shapes=("cube",))
     several = sizes(room / "data")
     count = several[int(share * len(several))] - 1
-    with small_files(count), pytest.raises((OSError, Problem), match="File too large"):
+    with small_files(count), pytest.raises((OSError, InputError), match="File too large"):
         render(job, tmp_path)
     assert bad_records(tmp_path) == 0 and drafts(tmp_path) == []
     assert render(job, tmp_path).failed == 0
@@ -112,7 +112,7 @@ def test_nothing_is_rendered_or_repaired_into_a_data_set_that_may_only_be_read(r
     render(small_job, tmp_path, limit=2)
     next(iter((tmp_path / "images").rglob("*.exr"))).unlink()
     read_only(tmp_path)
-    with pytest.raises((OSError, Problem), match="Read-only file system"):
+    with pytest.raises((OSError, InputError), match="Read-only file system"):
         render(small_job, tmp_path)
     status, said, _ = done(["factory", "verify", str(tmp_path), "--repair"])
     assert status == 1 and len(said) == 1 and "Read-only file system" in said[0]

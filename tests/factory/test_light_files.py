@@ -14,7 +14,7 @@ import pytest
 import manifests.exr
 from factory.lights import files, library, load
 from factory.lights.light import from_pixels, looks_like_eight_bits
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def L(rng):
 
 
 def refused(path, *said):
-    with pytest.raises(Problem) as problem:
+    with pytest.raises(InputError) as problem:
         load(path)
     line = str(problem.value)
     assert "\n" not in line and line.startswith(str(path)) and all(words in line for words in said), line
@@ -107,7 +107,7 @@ def test_tiles_that_are_larger_than_any_picture_are_refused_before_memory_is_tak
     place = data.index(b"tiles\0tiledesc\0") + len(b"tiles\0tiledesc\0") + 4
     path.write_bytes(data[:place] + struct.pack("<2I", *side) + data[place + 8 :])
     refused(path)
-    with pytest.raises(Problem):
+    with pytest.raises(InputError):
         manifests.exr.read(path)
 
 
@@ -239,7 +239,7 @@ def test_damage_inside_compressed_members_is_told_in_one_line(tmp_path, L, compr
         (tmp_path / "a.npz").write_bytes(data)
         try:
             light = load(tmp_path / "a.npz")
-        except Problem as problem:
+        except InputError as problem:
             assert "\n" not in str(problem)
         else:
             assert np.isfinite(light.L64).all()
@@ -371,12 +371,12 @@ def test_a_file_far_larger_than_any_map_is_refused_unread(tmp_path):
 def test_a_damaged_list_of_lights_is_refused(tmp_path, L, content):
     exr(tmp_path / "lamp.exr", {"RGB": L})
     (tmp_path / library.LIST).write_bytes(content)
-    with pytest.raises(Problem, match=r"lights\.json"):
+    with pytest.raises(InputError, match=r"lights\.json"):
         load("lamp", tmp_path)
 
 
 def test_a_list_of_lights_that_is_a_pipe_is_refused(tmp_path, L):
     exr(tmp_path / "lamp.exr", {"RGB": L})
     os.mkfifo(tmp_path / library.LIST)
-    with pytest.raises(Problem, match="a pipe"):
+    with pytest.raises(InputError, match="a pipe"):
         load("lamp", tmp_path)

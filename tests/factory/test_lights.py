@@ -13,9 +13,9 @@ from PIL import Image
 from factory.commands import lights as command
 from factory.lights import files, library, load, names, procedural
 from factory.lights.light import from_pixels, to_file_columns
-from factory.lights.preview import ball_normals, diffuse_ball, mirror_ball
+from factory.lights.preview import diffuse_sphere, mirror_sphere, sphere_normals
 from manifests.cli import main
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders import envmap, frames
 
 
@@ -206,14 +206,14 @@ def test_one_texel_lights_exactly_one_texel_of_the_layers_map():
 
 def test_the_preview_ball_under_constant_light_is_white_and_the_mirror_shows_the_map():
     light = load("constant")
-    _, mask = ball_normals(33)
+    _, mask = sphere_normals(33)
     # 32×64 texels summed at their centres: the cosine's edge leaves 0.5 %
-    np.testing.assert_allclose(diffuse_ball(light.L64, 33)[mask], 1.0, atol=0.005)
-    np.testing.assert_allclose(mirror_ball(light.L_full, 33)[mask], 1.0, rtol=1e-6)
+    np.testing.assert_allclose(diffuse_sphere(light.L64, 33)[mask], 1.0, atol=0.005)
+    np.testing.assert_allclose(mirror_sphere(light.L_full, 33)[mask], 1.0, rtol=1e-6)
 
 
 def test_the_mirror_ball_shows_the_sky_above_and_the_ground_below():
-    ball = mirror_ball(load("gradient").L_full, 65)
+    ball = mirror_sphere(load("gradient").L_full, 65)
     assert ball[5, 32, 0] > ball[32, 32, 0] > ball[60, 32, 0]
 
 
@@ -261,7 +261,7 @@ def bad_cases(folder, good):
 
 def test_each_bad_file_is_told_in_one_line_with_where_found_and_remedy(tmp_path, drawn):
     for case, (path, words) in bad_cases(tmp_path, drawn).items():
-        with pytest.raises(Problem) as caught:
+        with pytest.raises(InputError) as caught:
             load(path)
         message = str(caught.value)
         assert words in message, (case, message)
@@ -275,7 +275,7 @@ def test_a_huge_openexr_header_is_refused_before_its_pixels_are_read(tmp_path, d
     monkeypatch.setattr(OpenEXR, "File", lambda *a, **k: opened.append(k) or real(*a, **k))
     write_exr(tmp_path / "a.exr", drawn)
     opened.clear()
-    with pytest.raises(Problem, match="at most 16×8 pixels"):
+    with pytest.raises(InputError, match="at most 16×8 pixels"):
         load(tmp_path / "a.exr")
     assert opened == [{"header_only": True}]
 
@@ -287,9 +287,9 @@ def test_small_negative_ripple_of_lossy_files_becomes_zero(tmp_path, drawn):
 
 
 def test_an_unknown_name_is_answered_with_the_closest_ones():
-    with pytest.raises(Problem, match=r"did you mean .*courtyard"):
+    with pytest.raises(InputError, match=r"did you mean .*courtyard"):
         load("courtyrd")
-    with pytest.raises(Problem):
+    with pytest.raises(InputError):
         load("softboxes-")
 
 
@@ -305,7 +305,7 @@ def test_noise_of_every_kind_never_ends_in_anything_but_a_problem(tmp_path, draw
             path.write_bytes(damaged[: rng.integers(1, len(whole) + 1)])
             try:
                 light = load(path)
-            except Problem:
+            except InputError:
                 continue
             assert np.isfinite(light.L64).all()
 
@@ -367,18 +367,18 @@ def test_an_npz_is_judged_by_its_headers_and_never_unpickled(tmp_path, drawn, mo
     np.savez(tmp_path / "two.npz", a=drawn, b=drawn)
     np.savez(tmp_path / "square.npz", a=drawn[:, :16])
     for name, words in (("objects", "of object"), ("two", r"several \('a', 'b'"), ("square", r"\(16, 16, 3\)")):
-        with pytest.raises(Problem, match=words):
+        with pytest.raises(InputError, match=words):
             load(tmp_path / f"{name}.npz")
     np.savez(tmp_path / "large.npz", a=drawn)
     monkeypatch.setattr(files, "MAX_HEIGHT", 8)
     monkeypatch.setattr(np.lib.format, "read_array", None)  # must not be reached
-    with pytest.raises(Problem, match="H from 4 to 8"):
+    with pytest.raises(InputError, match="H from 4 to 8"):
         load(tmp_path / "large.npz")
 
 
 def test_a_damaged_list_is_told_in_one_line(tmp_path):
     (tmp_path / "lights.json").write_text("{")
-    with pytest.raises(Problem, match=r"lights\.json: expected JSON"):
+    with pytest.raises(InputError, match=r"lights\.json: expected JSON"):
         library.read_list(tmp_path)
 
 

@@ -13,7 +13,7 @@ from factory.__main__ import COMMANDS
 from factory.planning.material_names import chosen_entries
 from manifests import materials
 from manifests.cli import main
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 
 def run(*arguments):
@@ -208,17 +208,17 @@ def test_every_test_material_knows_its_nearest_training_one(merl):
 
 
 def test_a_name_that_is_not_there_lists_the_closest(merl):
-    with pytest.raises(Problem, match=r"did you mean .*red-fabric"):
+    with pytest.raises(InputError, match=r"did you mean .*red-fabric"):
         materials.find("red-fabrik", merl)
 
 
 def test_a_job_that_asks_for_an_everyday_word_is_told_what_looks_like_it():
-    with pytest.raises(Problem, match="look like leather: natural-209"):
+    with pytest.raises(InputError, match="look like leather: natural-209"):
         chosen_entries(["leather"])
 
 
 def test_an_unknown_key_in_a_catalogue_is_refused(tmp_path, own):
     text = (own / "own.json").read_text().replace('"family"', '"famliy"', 1)
     (tmp_path / "typo.json").write_text(text)
-    with pytest.raises(Problem, match="famliy"):
+    with pytest.raises(InputError, match="famliy"):
         materials.read_catalogue(tmp_path / "typo.json")

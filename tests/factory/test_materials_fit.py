@@ -67,7 +67,7 @@ def test_the_labels_slopes_are_its_differences(rng):
 def small_problem(rng, view_count=4):
     s = samples.Samples(np.radians(np.linspace(5, 75, view_count)), 16, 6)
     M = plastic(s.cos_h, s.cos_d)
-    prior = label_model.starts(plastic)[0]
+    prior = label_model.initial_labels(plastic)[0]
     problem = joint_fit.JointFit(s, M, errors.metric(M, s), joint_fit.Settings(mu=0.2, mu_label=0.3), prior)
     shape = view_count, 2
     log_alpha = np.where(np.arange(2) == 0, 0.0, np.log(0.3) + 0.05 * rng.normal(size=shape))

@@ -9,7 +9,7 @@ import pytest
 from merl_file import smooth, write_binary
 
 from factory.materials import abc, families, merl_binary, nbrdf, samples, sources
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 
 def test_a_merl_file_is_read_at_its_cell_centres(tmp_path):
@@ -44,13 +44,13 @@ def test_a_cell_without_any_measurement_takes_the_nearest_one(tmp_path):
 )
 def test_a_broken_merl_file_is_refused_in_one_line(tmp_path, content, message):
     (tmp_path / "bad.binary").write_bytes(content)
-    with pytest.raises(Problem, match=message) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         merl_binary.read(tmp_path / "bad.binary")
     assert "\n" not in str(caught.value) and "bad.binary" in str(caught.value)
 
 
 def test_a_folder_without_merl_files_is_refused(tmp_path):
-    with pytest.raises(Problem, match=r"expected files that end in .binary, found none"):
+    with pytest.raises(InputError, match=r"expected files that end in .binary, found none"):
         sources.load(tmp_path)
 
 
@@ -77,7 +77,7 @@ def test_neural_weights_are_found_by_name_and_unknown_names_listed(tmp_path, rng
     found = sources.load(tmp_path / "own.npz")
     assert list(found) == ["felt", "satin_blue", "steel"]
     assert (found["satin_blue"].family, found["steel"].family) == ("fabric", "metal")
-    with pytest.raises(Problem, match=r"expected a material named 'stel', found none of that name \(did you mean steel"):
+    with pytest.raises(InputError, match=r"expected a material named 'stel', found none of that name \(did you mean steel"):
         sources.load(tmp_path / "own.npz", ["stel"])
 
 
@@ -92,7 +92,7 @@ def test_neural_weights_are_found_by_name_and_unknown_names_listed(tmp_path, rng
 )
 def test_an_archive_of_other_things_is_refused(tmp_path, arrays, message):
     np.savez(tmp_path / "bad.npz", **arrays)
-    with pytest.raises(Problem, match=message):
+    with pytest.raises(InputError, match=message):
         nbrdf.load(tmp_path / "bad.npz")
 
 
@@ -100,14 +100,14 @@ def test_an_archive_of_other_things_is_refused(tmp_path, arrays, message):
 def test_a_material_whose_name_would_lead_out_of_a_folder_is_refused(tmp_path, rng, name):
     """Fits are kept in files that are named after the materials."""
     np.savez(tmp_path / "own.npz", names=np.array([name, "felt"]), weights=np.stack([network(rng)] * 2))
-    with pytest.raises(Problem, match=r"own\.npz: expected names of letters"):
+    with pytest.raises(InputError, match=r"own\.npz: expected names of letters"):
         sources.load(tmp_path / "own.npz")
 
 
 def test_an_archive_that_swells_is_refused_before_it_is_unpacked(tmp_path):
     np.savez_compressed(tmp_path / "own.npz", names=np.array(["felt"]), weights=np.zeros((30_000, 675)))  # 162 MB from 0.2 MB
     tracemalloc.start()
-    with pytest.raises(Problem, match=r"expected at most 67,108,864 bytes, found 162,000,000"):
+    with pytest.raises(InputError, match=r"expected at most 67,108,864 bytes, found 162,000,000"):
         nbrdf.load(tmp_path / "own.npz")
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -118,7 +118,7 @@ def test_an_archive_that_swells_is_refused_before_it_is_unpacked(tmp_path):
 def test_a_pipe_as_a_source_is_refused_and_not_waited_for(tmp_path, name):
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / name)
-    with pytest.raises(Problem, match="found a pipe"):
+    with pytest.raises(InputError, match="found a pipe"):
         sources.load((tmp_path / name) if "/" not in name else tmp_path / "folder")
 
 
@@ -127,7 +127,7 @@ def test_a_pipe_as_a_source_is_refused_and_not_waited_for(tmp_path, name):
 )
 def test_a_row_of_the_abc_table_that_is_none_is_refused(tmp_path, row):
     (tmp_path / "abc.csv").write_text("name,kd_r,kd_g,kd_b,A_r,A_g,A_b,B,C,ior\n" + row + "\n")
-    with pytest.raises(Problem, match=r"abc\.csv: line [12]: expected numbers under kd_r"):
+    with pytest.raises(InputError, match=r"abc\.csv: line [12]: expected numbers under kd_r"):
         abc.load(tmp_path / "abc.csv")
 
 
@@ -139,7 +139,7 @@ def test_the_abc_table_may_begin_with_a_byte_order_mark(tmp_path):
 def test_a_torn_archive_is_refused(tmp_path, rng):
     np.savez(tmp_path / "own.npz", names=np.array(["felt"]), weights=network(rng)[None])
     (tmp_path / "torn.npz").write_bytes((tmp_path / "own.npz").read_bytes()[:1500])
-    with pytest.raises(Problem, match=r"torn\.npz"):
+    with pytest.raises(InputError, match=r"torn\.npz"):
         nbrdf.load(tmp_path / "torn.npz")
 
 
@@ -180,8 +180,8 @@ def test_the_neural_fits_and_the_abc_table_tell_of_the_same_materials(merl, shar
     table = abc.load(shared_data / "brdf" / "abc_merl100.csv")
     assert set(table) == set(merl)
     some = {name: merl[name] for name in sorted(merl)[::8]}
-    mean = {name: l1.mean() for name, l1 in abc.apart(some, table).items()}
+    mean = {name: l1.mean() for name, l1 in abc.relative_distances(some, table).items()}
     assert np.median(list(mean.values())) < 0.2
     shuffled = dict(zip(table, [*list(table.values())[37:], *list(table.values())[:37]], strict=True))
-    strangers = {name: l1.mean() for name, l1 in abc.apart(some, shuffled).items()}
+    strangers = {name: l1.mean() for name, l1 in abc.relative_distances(some, shuffled).items()}
     assert all(mean[name] < strangers[name] for name in mean)

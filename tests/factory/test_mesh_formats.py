@@ -13,7 +13,7 @@ from mesh_files import Glb, glb, obj_text, off_text, ply, stl_text
 from factory.shapes.files import from_bytes
 from factory.shapes.mesh_import import open_mesh
 from factory.shapes.surfaces import ellipsoid, rounded_box
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 L_SHAPE = np.array([(0, 2, 0), (0, 0, 0), (4, 0, 0), (4, 4, 0), (2, 4, 0), (2, 2, 0)], float)  # area 12; its fan covers 16
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0)], float)
@@ -49,7 +49,7 @@ def random_mesh(rng):
 
 
 def refused(data, kind, *said):
-    with pytest.raises(Problem) as problem:
+    with pytest.raises(InputError) as problem:
         read(data, kind)
     line = str(problem.value)
     assert "\n" not in line and line.startswith(f"test.{kind}") and all(words in line for words in said), line

@@ -11,7 +11,7 @@ from factory.shapes.libraries import category_of, find
 from factory.shapes.library import add
 from factory.shapes.mesh_import import open_mesh
 from factory.shapes.surfaces import Surface, ellipsoid, rounded_box, signed_volume
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 SWEET_HOME = Path("/usr/share/sweethome3d/furniture")
 
@@ -181,9 +181,9 @@ def test_a_mesh_put_into_a_library_comes_back_the_same(tmp_path):
     assert sorted(p.name for p in path.parent.iterdir()) == ["chair-5.json", "chair-5.obj"]
     assert add(back, tmp_path, source="again", licence="CC0") == path
     other = load("chair:6")
-    with pytest.raises(Problem, match="another mesh of that name"):
+    with pytest.raises(InputError, match="another mesh of that name"):
         add(type(other)(**{**vars(other), "name": "chair-5"}), tmp_path, source="x", licence="CC0")
-    with pytest.raises(Problem, match="pass --name"):
+    with pytest.raises(InputError, match="pass --name"):
         add(chair, tmp_path, source="x", licence="CC0")  # "chair:5" is no file name
 
 

@@ -11,14 +11,14 @@ import pytest
 from factory.shapes.libraries import CATALOGUE, find
 from factory.shapes.mesh_import import open_mesh
 from factory.shapes.raw import MAXIMUM_TRIANGLES
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 
 def refused(path, *said, **options):
     """The one line with which a file is refused."""
-    with pytest.raises(Problem) as problem:
+    with pytest.raises(InputError) as problem:
         open_mesh(path, **options)
     line = str(problem.value)
     assert "\n" not in line and str(path).split("#")[0] in line

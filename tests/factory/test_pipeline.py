@@ -10,9 +10,9 @@ import pytest
 from tetrahedron import TETRAHEDRON
 
 from factory.execution.forecast import expected_events, probe_shots, probed
-from factory.execution.run import Manner, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, planned
 from factory.preview.contact_sheet import labelled, stored_light
-from factory.preview.shading import lights, mirror_ball, shade
+from factory.preview.shading import lights, mirror_sphere, shade
 from manifests.arrays import read_geometry, read_picture
 from manifests.materials import load_catalogue
 from manifests.schema import Camera, Job
@@ -44,7 +44,7 @@ def made(catalogue, light_file, tmp_path_factory):
         segment_materials=1,
         seed=11,
     )
-    outcome = carry_out(planned(job, resolve(job, catalogues=[catalogue])), folder / "data", Manner(device="cpu", threads=1))
+    outcome = carry_out(planned(job, resolve(job, catalogues=[catalogue])), folder / "data", RunOptions(device="cpu", threads=1))
     assert (outcome.made, outcome.failed) == (36, 0)
     return Store(folder / "data")
 
@@ -150,7 +150,7 @@ sys.exit(main("factory", "", ("render", "preview"), sys.argv[1:]))
 def test_the_forecast_is_made_of_three_real_shots_and_leaves_nothing_behind(plan_of, small_job):
     plan = plan_of(msgspec.structs.replace(small_job, shapes=("sphere:3", "cube", "disc")))
     assert len({shot.shape for shot in probe_shots(plan)}) == 3
-    forecast = probed(plan, Manner(device="cpu"))
+    forecast = probed(plan, RunOptions(device="cpu"))
     assert 0 < forecast.hours < 1 and 0 < forecast.gigabytes < 0.01
     assert {"shape", "light", "geometry", "picture", "writing"} <= set(forecast.seconds)
 
@@ -199,7 +199,7 @@ def test_the_light_ball_shows_in_its_middle_what_is_behind_the_viewer():
     L = np.zeros((64, 128, 3))
     row, column = envmap.texel(camera_from_light(np.radians(20)).T @ np.array([0.0, 0.0, 1.0]), 64, 128)
     L[row - 1 : row + 2, column - 1 : column + 2] = 1.0
-    ball = mirror_ball(L, 33, np.radians(20))
+    ball = mirror_sphere(L, 33, np.radians(20))
     assert ball[16, 16].max() == 1.0 and ball[0, 0].max() == 0.0
     assert np.argwhere(ball.max(-1) > 0).mean(0) == pytest.approx([16, 16], abs=1)
 

@@ -15,7 +15,7 @@ from factory.planning.assets import Assets, Light, Material, Shape, resolve
 from factory.planning.plan import Plan, Shot, camera_words, shot_seed
 from factory.planning.shape_names import Source, local, sources
 from manifests import splits
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.schema import Camera, Draw, Failure, Job, Record, View
 from manifests.viewpoints import azimuths_deg
 
@@ -203,7 +203,7 @@ def test_the_viewpoints_are_24_steps_of_15_degrees():
 def test_a_job_that_names_what_is_not_there_is_refused_in_one_line(small_job, catalogue, tmp_path, light_file, change, message):
     (tmp_path / "lamp.exr").write_bytes(light_file.read_bytes())
     job = msgspec.structs.replace(small_job, lights=("lamp.exr",))
-    with pytest.raises(Problem, match=re.escape(message)) as caught:
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
         resolve(msgspec.structs.replace(job, **change), tmp_path, catalogues=[catalogue])
     assert "\n" not in str(caught.value)
 
@@ -213,7 +213,7 @@ def test_a_path_may_lie_below_the_jobs_folder_but_a_link_may_not_lead_out(tmp_pa
     (tmp_path / "in" / "out").symlink_to(tmp_path)
     assert local("meshes/x.obj", tmp_path / "in", "job") == tmp_path / "in" / "meshes" / "x.obj"
     for path in ("out/x.obj", "meshes/../x.obj"):
-        with pytest.raises(Problem, match="--assets"):
+        with pytest.raises(InputError, match="--assets"):
             local(path, tmp_path / "in", "job")
 
 
@@ -239,7 +239,7 @@ def test_a_folder_of_meshes_is_named_by_where_they_lie_and_two_meshes_never_shar
     assets = resolve(msgspec.structs.replace(job, shapes=("./chairs",)), tmp_path, catalogues=[catalogue])
     assert [(s.name, s.category) for s in assets.shapes] == [("one-model", "chair"), ("two-model", "chair")]
     both = msgspec.structs.replace(job, shapes=("chairs/one/model.ply", "chairs/two/model.ply"))
-    with pytest.raises(Problem, match="expected one mesh under a name"):
+    with pytest.raises(InputError, match="expected one mesh under a name"):
         resolve(both, tmp_path, catalogues=[catalogue])
 
 

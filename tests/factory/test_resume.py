@@ -12,9 +12,9 @@ import pytest
 from tetrahedron import FAKE
 
 from factory.execution.forecast import probed
-from factory.execution.run import Manner
+from factory.execution.run import RunOptions
 from manifests import lock
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.store import Store
 from manifests.verification import faults_of
 
@@ -33,13 +33,13 @@ def ids(folder):
 
 def test_a_run_makes_every_shot_once_and_its_folder_verifies(render, small_job, tmp_path):
     outcome = render(small_job, tmp_path)
-    assert (outcome.made, outcome.failed, outcome.found) == (12, 0, 0)
+    assert (outcome.made, outcome.failed, outcome.already_there) == (12, 0, 0)
     assert len(ids(tmp_path)) == len(set(ids(tmp_path))) == 12
     assert faults(tmp_path) == []
 
 
 def test_a_folder_whose_name_is_no_text_is_refused_before_a_worker_starts(render, small_job, tmp_path):
-    with pytest.raises(Problem, match=r"out\\udcff': expected a name of a file or a folder in UTF-8"):
+    with pytest.raises(InputError, match=r"out\\udcff': expected a name of a file or a folder in UTF-8"):
         render(small_job, tmp_path / "out\udcff")
 
 
@@ -47,7 +47,7 @@ def test_a_second_run_makes_nothing_and_a_larger_job_adds_only_what_is_new(rende
     render(small_job, tmp_path)
     assert render(small_job, tmp_path).made == 0
     outcome = render(msgspec.structs.replace(small_job, views=(0, 6, 12)), tmp_path)
-    assert (outcome.made, outcome.found) == (6, 12)
+    assert (outcome.made, outcome.already_there) == (6, 12)
     assert len(Store(tmp_path).dataset().orders) == 2
     assert faults(tmp_path) == []
 
@@ -63,9 +63,9 @@ def test_shards_divide_the_shots_without_gap_or_overlap(render, small_job, tmp_p
     outcomes = [render(small_job, tmp_path, shard=(i, 5)) for i in range(1, 6)]
     made = [outcome.made for outcome in outcomes]
     assert sum(made) == 12 and max(made) - min(made) <= 1
-    assert not any(outcome.found for outcome in outcomes)
+    assert not any(outcome.already_there for outcome in outcomes)
     assert len(set(ids(tmp_path))) == 12
-    assert render(small_job, tmp_path).found == 12
+    assert render(small_job, tmp_path).already_there == 12
     assert faults(tmp_path) == []
 
 
@@ -107,14 +107,14 @@ def test_a_shot_that_always_crashes_is_given_up_with_the_signal_named(render, sm
 
 
 def test_two_runs_into_one_folder_do_not_meet(render, small_job, tmp_path):
-    with lock.writing(tmp_path), pytest.raises(Problem, match="no other run writes to"), lock.writing(tmp_path, patience=0):
+    with lock.writing(tmp_path), pytest.raises(InputError, match="no other run writes to"), lock.writing(tmp_path, patience=0):
         pass
     with lock.writing(tmp_path, (1, 4)), lock.writing(tmp_path, (2, 4)):
-        with pytest.raises(Problem, match="no other run"), lock.writing(tmp_path, (2, 4), patience=0):
+        with pytest.raises(InputError, match="no other run"), lock.writing(tmp_path, (2, 4), patience=0):
             pass
-        with pytest.raises(Problem, match="parts of 3"), lock.writing(tmp_path, (1, 3), patience=0):
+        with pytest.raises(InputError, match="parts of 3"), lock.writing(tmp_path, (1, 3), patience=0):
             pass
-        with pytest.raises(Problem, match="no other run"), lock.writing(tmp_path, patience=0):
+        with pytest.raises(InputError, match="no other run"), lock.writing(tmp_path, patience=0):
             pass
 
 
@@ -123,7 +123,7 @@ def test_a_name_keeps_meaning_one_thing_in_a_folder(render, plan_of, small_job, 
     dataset = Store(tmp_path).dataset()
     altered = {"cube": msgspec.structs.replace(dataset.shapes["cube"], hash="0" * 64)}
     Store(tmp_path).write_json("dataset.json", msgspec.structs.replace(dataset, shapes=altered))
-    with pytest.raises(Problem, match=r"shape 'cube'.*rename the new one"):
+    with pytest.raises(InputError, match=r"shape 'cube'.*rename the new one"):
         render(small_job, tmp_path)
 
 
@@ -165,5 +165,5 @@ def test_a_worker_whose_run_was_killed_ends_and_nobody_starts_before_it_has(smal
 def test_a_forecast_whose_trial_shot_fails_says_so_in_a_line(plan_of, small_job, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(HERE))
     monkeypatch.setenv("FAKE_STUDIO", "nan:cube")
-    with pytest.raises(Problem, match="cube, view 0: expected a shot that can be made, found expected finite radiance"):
-        probed(plan_of(small_job), Manner(studio=FAKE))
+    with pytest.raises(InputError, match="cube, view 0: expected a shot that can be made, found expected finite radiance"):
+        probed(plan_of(small_job), RunOptions(studio=FAKE))

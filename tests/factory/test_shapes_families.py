@@ -10,7 +10,7 @@ from factory.shapes.catalogue import FAMILIES, PAPER_COUNTS, load, specs
 from factory.shapes.creases import edge_pairs
 from factory.shapes.mesh import face_components
 from factory.shapes.raster import back_faces, look, silhouette
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders.frames import camera_from_world
 
 FIRST = 10
@@ -134,7 +134,7 @@ def test_the_papers_counts_are_listed():
     ],
 )
 def test_a_wrong_spec_is_named_in_one_line(spec, said):
-    with pytest.raises(Problem) as problem:
+    with pytest.raises(InputError) as problem:
         load(spec)
     assert said in str(problem.value) and "\n" not in str(problem.value)
 

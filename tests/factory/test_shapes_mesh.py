@@ -10,7 +10,7 @@ from factory.shapes.mesh import finish, geometry_hash
 from factory.shapes.primitives import icosphere
 from factory.shapes.raster import look
 from factory.shapes.surfaces import rounded_box
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders.frames import camera_from_world
 
 
@@ -142,7 +142,7 @@ def test_edges_of_more_than_two_faces_are_counted():
 
 
 def test_points_of_no_area_are_refused():
-    with pytest.raises(Problem, match="expected a mesh with a surface, found 1 triangles of no area"):
+    with pytest.raises(InputError, match="expected a mesh with a surface, found 1 triangles of no area"):
         finish("line", "x", np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.array([[0, 1, 2]]))
 
 

@@ -57,7 +57,7 @@ def test_a_light_in_the_least_fifth_of_all_hashes_is_for_testing(hash_, side):
 def test_views_continue_after_a_limit_and_divide_into_shards(render, views_job, tmp_path):
     assert render(views_job, tmp_path / "a", limit=3).made == 3
     outcome = render(views_job, tmp_path / "a")
-    assert (outcome.made, outcome.found) == (1, 3)
+    assert (outcome.made, outcome.already_there) == (1, 3)
     assert [render(views_job, tmp_path / "b", shard=(i, 3)).made for i in (1, 2, 3)] == [1, 1, 2]
     assert Store(tmp_path / "a").ids("views") == Store(tmp_path / "b").ids("views")
 
@@ -67,7 +67,7 @@ def test_a_torn_line_is_passed_over_and_its_view_made_again(render, views_job, t
     path = Store(tmp_path).record_files("views")[0]
     path.write_bytes(path.read_bytes()[:-20])
     outcome = render(views_job, tmp_path)
-    assert (outcome.made, outcome.found) == (1, 3)
+    assert (outcome.made, outcome.already_there) == (1, 3)
     assert faults(tmp_path) == []
 
 

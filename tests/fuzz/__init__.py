@@ -40,7 +40,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 STATUSES = (0, 1, 2, 3, 130)
 
@@ -102,7 +102,7 @@ class Case:
     check: Callable[[Result], str | None] | None = None
     writes: tuple[str, ...] = ("out",)
     statuses: tuple[int, ...] = STATUSES
-    refusals: tuple[type[BaseException], ...] = (Problem,)
+    refusals: tuple[type[BaseException], ...] = (InputError,)
     memory_mb: int | None = None
     before: Callable[[], None] | None = None
     fresh: bool = False

@@ -107,7 +107,7 @@ def draw_small() -> None:
     """Let `learn edit` in this process render 32 pixels across instead of 256: what it reads and writes stays the same."""
     from learn.editing import decomposition, edit
 
-    decomposition.COARSEST, edit.BALL, edit.material_ball.__defaults__ = min(decomposition.COARSEST, 32), min(edit.BALL, 16), (16,)
+    decomposition.COARSEST, edit.BALL, edit.material_sphere.__defaults__ = min(decomposition.COARSEST, 32), min(edit.BALL, 16), (16,)
 
 
 def line(template: str, room: Room, file: Path | None = None, data: Path | None = None) -> list[str]:

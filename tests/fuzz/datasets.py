@@ -219,7 +219,7 @@ def not_mended(data: Path, room: Room) -> str | None:
 def unloadable(data: Path) -> str | None:
     """What of a folder that is called clean cannot be learned from."""
     from learn.data.records import Records
-    from manifests.errors import Problem
+    from manifests.errors import InputError
 
     try:
         records = Records(data)
@@ -228,7 +228,7 @@ def unloadable(data: Path) -> str | None:
                 return f"clean, yet record {sample.record.id} is not finite"
         for view in records.store.views():
             records.geometry(view)
-    except Problem as problem:
+    except InputError as problem:
         return f"clean, yet: {problem}"
     return None
 

@@ -232,7 +232,7 @@ def _signature(error: BaseException) -> str:
 def _broken_rule(case: Case, result: Result, before: dict, place: Path, bound: int, limits: Limits) -> str | None:
     """The first of the general rules that is broken, or None."""
     if "Traceback (most recent call last)" in result.stderr:
-        last = [line for line in result.stderr.splitlines() if re.match(r"\w[\w.]*(Error|Exception|Problem)\b", line)]
+        last = [line for line in result.stderr.splitlines() if re.match(r"\w[\w.]*(Error|Exception|InputError)\b", line)]
         return f"traceback: {last[-1][:200] if last else 'on stderr'}"
     if case.command is not None and result.status not in case.statuses:
         return f"exit status {result.status}"

@@ -104,7 +104,7 @@ def shown(asked):
     from learn.figures import montage
 
     labels = edit.choices(asked, 2, lambda path: np.zeros((1, 108), np.float32), {"own": np.zeros(108, np.float32)})
-    return [montage.ball(label, montage.room(), 16, 0.35, 1.0) for label in labels if label is not None]
+    return [montage.material_sphere(label, montage.preview_lighting(), 16, 0.35, 1.0) for label in labels if label is not None]
 
 
 def not_finite(result: Result) -> str | None:

@@ -92,7 +92,7 @@ def fake_studio() -> None:
     import factory.execution.run
 
     with_tests_on_path()
-    factory.execution.run.Manner = functools.partial(factory.execution.run.Manner, studio=FAKE)
+    factory.execution.run.RunOptions = functools.partial(factory.execution.run.RunOptions, studio=FAKE)
 
 
 def with_tests_on_path() -> None:
@@ -103,7 +103,7 @@ def with_tests_on_path() -> None:
 
 def datasets(folder: Path) -> None:
     """data/ and views/ of the fake studio."""
-    from factory.execution.run import Manner, carry_out, planned
+    from factory.execution.run import RunOptions, carry_out, planned
     from factory.planning.assets import resolve
     from manifests.reading import decode
     from manifests.schema import Job
@@ -113,7 +113,7 @@ def datasets(folder: Path) -> None:
     for name, changes in (("data", {}), ("views", {"shapes": shapes, "views": [3], "pictures": False, "materials": ["brass"]})):
         (folder / f"job-of-{name}.json").write_text(json.dumps(job(folder) | changes))
         chosen = decode((folder / f"job-of-{name}.json").read_bytes(), Job, name)
-        carry_out(planned(chosen, resolve(chosen, folder)), folder / name, Manner(studio=FAKE))
+        carry_out(planned(chosen, resolve(chosen, folder)), folder / name, RunOptions(studio=FAKE))
 
 
 # ------------------------------------------------------------------------------------------------- one function a format

@@ -1020,21 +1020,21 @@ def faults_in(data: Path) -> list[str]:
     """Lines that verify prints of a folder."""
     from factory.commands.verify import reference_light
     from factory.planning.fingerprint import render_fingerprint
-    from manifests.errors import Problem
+    from manifests.errors import InputError
     from manifests.verification import faults_of
 
     try:
         found = [fault.text for fault in faults_of(Store(data), render_fingerprint(), reference_light)]
-    except Problem as problem:  # no dataset.json that can be read
+    except InputError as problem:  # no dataset.json that can be read
         found = [str(problem)]
     assert all(line.isprintable() for line in found), found
     return found
 
 
 def refuses(data: Path) -> bool:
-    """Whether a reader of the data ends with a Problem, at the latest when it loads the files."""
+    """Whether a reader of the data ends with a InputError, at the latest when it loads the files."""
     from learn.data.records import Records
-    from manifests.errors import Problem
+    from manifests.errors import InputError
 
     try:
         records = Records(data)
@@ -1046,7 +1046,7 @@ def refuses(data: Path) -> bool:
             records.light(name)
         for name in records.dataset.materials:
             records.label(name)
-    except (Problem, OSError):
+    except (InputError, OSError):
         return True
     return False
 
@@ -1093,7 +1093,7 @@ def synthetic(folder: Path) -> list[Path]:
 
 def rendered(folder: Path) -> list[Path]:
     """Data sets by Cycles, of the smallest size: the same three kinds, one of them under a light file of the user's own."""
-    from factory.execution.run import Manner, carry_out, planned
+    from factory.execution.run import RunOptions, carry_out, planned
     from factory.planning.assets import resolve
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -1116,7 +1116,7 @@ def rendered(folder: Path) -> list[Path]:
     }  # fmt: skip
     for name, job in jobs.items():
         if not (folder / name / "dataset.json").exists():
-            carry_out(planned(job, resolve(job)), folder / name, Manner())
+            carry_out(planned(job, resolve(job)), folder / name, RunOptions())
     _packed(folder / "views")
     return [folder / name for name in jobs]
 

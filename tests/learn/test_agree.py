@@ -66,7 +66,7 @@ def test_taps_are_added_until_small_lamps_are_seen_alike(rng, monkeypatch):
     n = torch.nn.functional.normalize(lamp + view[0] + 0.1 * torch.from_numpy(rng.standard_normal((4, 3))), dim=-1)
 
     def by(count):
-        return causes.at_places(*causes.taps(sample, m, count), m, brass.mixture, n, view)
+        return causes.at_places(*causes.lobe_samples(sample, m, count), m, brass.mixture, n, view)
 
     true = by(65536)
 

@@ -11,7 +11,7 @@ from learn import baselines
 from learn.baselines import material_swap, posterior, priors
 from learn.data import lights
 from learn.data.geometry import Geometry
-from learn.data.relit import Pool, Relit
+from learn.data.relit import DataSplit, RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.evaluation import baseline_methods as methods
 from learn.evaluation.methods import rendered
@@ -21,7 +21,7 @@ from learn.networks.coding import Ranges, compressed
 from learn.networks.encoder_decoder import EncoderDecoder, radiance
 from learn.networks.separate import Separate
 from learn.training.loop import Training
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders import envmap
 from tests.learn import synthetic
 
@@ -36,13 +36,13 @@ def quick(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def pools(tmp_path_factory):
+def data_splits(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
     synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere")
     geometry, rng = Geometry(folder, progress=False), np.random.default_rng(2)
     labels = {f"m{i}": painted(albedo) for i, albedo in enumerate(np.linspace(0.05, 0.9, 12))}
     maps = [lights.computed(rng).astype(np.float32) for _ in range(6)]
-    return {side: Pool(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
+    return {side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
 
 
 def painted(albedo):
@@ -59,28 +59,28 @@ def run(network, **losses):
 
 
 @pytest.fixture(scope="module")
-def known(pools):
-    return priors.fitted(list(pools["train"].labels.values()), pools["train"].maps)
+def known(data_splits):
+    return priors.fitted(list(data_splits["train"].labels.values()), data_splits["train"].maps)
 
 
 @pytest.fixture(scope="module")
-def folder(pools, known, tmp_path_factory):
+def folder(data_splits, known, tmp_path_factory):
     """Weights of two steps, and priors: all that `found` looks for."""
     out = tmp_path_factory.mktemp("baselines")
     for name, kind, settings in (
         ("baseline-1", material_swap.SwapTraining, run("encoder-decoder", normals=0, material=1, target=20)),
         ("baseline-2", Training, run("separate", normals=1, material=1, light_log=1)),
     ):
-        kind(settings, pools, out / name, sheet_every=2, workers=0).train()
+        kind(settings, data_splits, out / name, sheet_every=2, workers=0).train()
         (out / name / "weights.safetensors").rename(out / f"{name}.safetensors")
     priors.save(out / "lombardi.safetensors", known, {})
     return out
 
 
 @pytest.fixture
-def batch(pools):
+def batch(data_splits):
     """One picture of the test side."""
-    return Relit(pools["test"], Data(sharing=1), 1, SIZE, 5)[0]
+    return RelitDataset(data_splits["test"], Data(sharing=1), 1, SIZE, 5)[0]
 
 
 def test_all_three_are_found_in_a_folder_and_keep_the_protocol(folder, batch):
@@ -108,7 +108,7 @@ def test_what_is_missing_is_named_with_its_remedy(tmp_path):
 
 def test_weights_of_another_network_are_refused(folder, tmp_path):
     (tmp_path / "baseline-2.safetensors").write_bytes((folder / "baseline-1.safetensors").read_bytes())
-    with pytest.raises(Problem, match="'separate'"):
+    with pytest.raises(InputError, match="'separate'"):
         methods.present_and_missing(tmp_path)
 
 
@@ -124,8 +124,8 @@ def test_the_three_networks_share_nothing():
     assert set().union(*moved.values()) == {name for name, _ in network.named_parameters()}
 
 
-def test_the_true_target_is_the_layers_picture_in_the_target_material(pools):
-    pair = material_swap.Paired(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]
+def test_the_true_target_is_the_layers_picture_in_the_target_material(data_splits):
+    pair = material_swap.Paired(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     for i in range(4):
         expected = rendered(
             pair.n[i : i + 1], pair.target_label[i], pair.light[i : i + 1], replace(pair, segments=pair.segments[i : i + 1])
@@ -134,8 +134,8 @@ def test_the_true_target_is_the_layers_picture_in_the_target_material(pools):
         assert np.abs(mine - expected).mean() / expected.mean() < 0.03  # two methods, each at 1e-2
 
 
-def test_a_true_edit_has_no_loss(pools):
-    pair = material_swap.Paired(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]
+def test_a_true_edit_has_no_loss(data_splits):
+    pair = material_swap.Paired(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     network = EncoderDecoder(Ranges(torch.zeros(108), torch.ones(108)))
     edited = network(pair.image, pair.mask, pair.target_label)
     code, embedded = network.ranges.code(pair.label), network.ranges.code(pair.target_label)
@@ -151,8 +151,8 @@ def test_radiance_inverts_the_compressed_picture():
     torch.testing.assert_close(radiance(compressed(image)), image, rtol=1e-5, atol=1e-6)  # float32
 
 
-def test_the_wanted_material_changes_the_edit(pools, batch):
-    network = EncoderDecoder(Ranges.of(torch.from_numpy(np.stack(list(pools["train"].labels.values()))))).eval()
+def test_the_wanted_material_changes_the_edit(data_splits, batch):
+    network = EncoderDecoder(Ranges.of(torch.from_numpy(np.stack(list(data_splits["train"].labels.values()))))).eval()
     with torch.no_grad():
         one, other = (network(batch.image, batch.mask, torch.from_numpy(painted(a))[None, None]).picture for a in (0.1, 0.8))
     assert (one - other).abs().max() > 1e-3
@@ -181,8 +181,8 @@ def test_an_estimate_that_went_astray_is_not_taken(batch, known, monkeypatch):
     assert found.after == found.before
 
 
-def test_priors_hold_the_training_materials_and_maps(pools, known, tmp_path):
-    labels = np.stack(list(pools["train"].labels.values()))
+def test_priors_hold_the_training_materials_and_maps(data_splits, known, tmp_path):
+    labels = np.stack(list(data_splits["train"].labels.values()))
     z = (labels - known.mean.numpy()) @ np.linalg.pinv(known.directions.numpy())
     assert np.abs(known.label(torch.from_numpy(z)).numpy() - labels).max() < 0.5  # 1 % of the variance is left out
     assert 0.5 < np.sqrt((z**2).mean()) < 2  # standard normal, but for channel orders
@@ -194,14 +194,14 @@ def test_priors_hold_the_training_materials_and_maps(pools, known, tmp_path):
 
 
 def test_files_that_are_no_priors_are_refused(folder):
-    with pytest.raises(Problem, match="priors"):
+    with pytest.raises(InputError, match="priors"):
         priors.load(folder / "baseline-1.safetensors")
 
 
-def test_a_picture_of_another_size_is_seen_at_the_networks_own(folder, pools):
+def test_a_picture_of_another_size_is_seen_at_the_networks_own(folder, data_splits):
     (method,) = (m for m in methods.present_and_missing(folder)[0] if m.name == "Baseline 2")
     net, _ = checkpoint.load_network(folder / "baseline-2.safetensors")
-    batch = Relit(pools["test"], Data(sharing=1), 1, SIZE, 5)[0]
+    batch = RelitDataset(data_splits["test"], Data(sharing=1), 1, SIZE, 5)[0]
     double = {name: getattr(batch, name).repeat_interleave(2, -1).repeat_interleave(2, -2) for name in ("image", "mask", "n", "segments")}
     found = methods.predicting(net, SIZE)(replace(batch, **double))
     torch.testing.assert_close(found.light, method.parts(batch).light)

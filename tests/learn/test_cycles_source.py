@@ -11,12 +11,12 @@ import torch
 from learn.data import preflight, sources
 from learn.data.geometry import Geometry
 from learn.data.records import Records
-from learn.data.relit import Pool, Relit
-from learn.data.rendered import Album, Cycles, Mix, fits
+from learn.data.relit import DataSplit, RelitDataset
+from learn.data.rendered import MixedDataset, RenderedDataset, RenderedSplit, fits
 from learn.data.settings import Data, Losses, Run
 from learn.training import losses, validation
 from manifests import materials
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.store import Store
 from shaders import envmap
 from tests.learn import synthetic
@@ -31,7 +31,7 @@ def store(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def album(tmp_path_factory):
+def rendered_split(tmp_path_factory):
     return album_of(written(tmp_path_factory.mktemp("pictures")).folder)
 
 
@@ -42,45 +42,49 @@ def written(folder):
 
 def album_of(folder):
     records = Records(folder)
-    return Album(records, Geometry(folder, progress=False), records.records)
+    return RenderedSplit(records, Geometry(folder, progress=False), records.records)
 
 
-def pool(album, side="train"):
-    labels = {name: album.records.label(name) for name in ("dark", "light")}
-    return Pool(album.geometry, np.arange(1), labels, [album.records.light("sky")], side, album)
+def data_split(rendered_split, side="train"):
+    labels = {name: rendered_split.records.label(name) for name in ("dark", "light")}
+    return DataSplit(rendered_split.geometry, np.arange(1), labels, [rendered_split.records.light("sky")], side, rendered_split)
 
 
-def test_a_pictures_target_is_the_record_of_the_other_material_under_the_same_light(album):
-    batch = Cycles(pool(album, "test"), Data(), 4, SIZE, 5)[0]
+def test_a_pictures_target_is_the_record_of_the_other_material_under_the_same_light(rendered_split):
+    batch = RenderedDataset(data_split(rendered_split, "test"), Data(), 4, SIZE, 5)[0]
     for i, name in enumerate(batch.names):
-        record = next(r for r in album.records.records if r.id in name)
-        other = next(r for r in album.records.records if r.rotation_texels == record.rotation_texels and r.materials != record.materials)
+        record = next(r for r in rendered_split.records.records if r.id in name)
+        other = next(
+            r for r in rendered_split.records.records if r.rotation_texels == record.rotation_texels and r.materials != record.materials
+        )
         mask = batch.mask[i, 0].numpy()[..., None]
-        assert np.array_equal(batch.image[i].movedim(0, -1).numpy(), album.records.image(record) * mask)
-        assert np.array_equal(batch.target[i].movedim(0, -1).numpy(), album.records.image(other) * mask)
-        assert np.array_equal(batch.target_label[i, 0].numpy(), album.records.label(other.materials[0]))
-        rolled = envmap.roll(album.records.light("sky"), record.rotation_texels)
+        assert np.array_equal(batch.image[i].movedim(0, -1).numpy(), rendered_split.records.image(record) * mask)
+        assert np.array_equal(batch.target[i].movedim(0, -1).numpy(), rendered_split.records.image(other) * mask)
+        assert np.array_equal(batch.target_label[i, 0].numpy(), rendered_split.records.label(other.materials[0]))
+        rolled = envmap.roll(rendered_split.records.light("sky"), record.rotation_texels)
         assert np.array_equal(batch.light[i].movedim(0, -1).numpy(), rolled)
 
 
-def test_without_a_partner_the_layer_renders_the_target(album):
-    lonely = Album(album.records, album.geometry, album.records.records[:1])
-    batch = Cycles(pool(lonely, "test"), Data(), 1, SIZE, 5)[0]
+def test_without_a_partner_the_layer_renders_the_target(rendered_split):
+    lonely = RenderedSplit(rendered_split.records, rendered_split.geometry, rendered_split.records.records[:1])
+    batch = RenderedDataset(data_split(lonely, "test"), Data(), 1, SIZE, 5)[0]
     mine = validation.picture(batch.n, batch.target_label, batch.light, batch)
     truth = batch.target.movedim(1, -1).numpy()
     assert np.abs(mine - truth).mean() / truth.mean() < 0.03  # two methods at 1e-2 and 2e-2
 
 
-def test_an_epoch_shows_each_picture_once_and_parts_make_the_whole(album):
-    source = Cycles(pool(album), Data(), 2, SIZE, 5)
+def test_an_epoch_shows_each_picture_once_and_parts_make_the_whole(rendered_split):
+    source = RenderedDataset(data_split(rendered_split), Data(), 2, SIZE, 5)
     for epoch in (0, 1):
-        assert sorted(name.split(" ")[3] for k in (0, 1) for name in source[2 * epoch + k].names) == sorted(r.id for r in album.chosen)
-    parts = [Cycles(pool(album), Data(), 2, SIZE, 5, (i, 2))[3] for i in (0, 1)]
+        assert sorted(name.split(" ")[3] for k in (0, 1) for name in source[2 * epoch + k].names) == sorted(
+            r.id for r in rendered_split.chosen
+        )
+    parts = [RenderedDataset(data_split(rendered_split), Data(), 2, SIZE, 5, (i, 2))[3] for i in (0, 1)]
     assert torch.equal(torch.cat([part.image for part in parts]), source[3].image)
 
 
-def test_augmentation_moves_picture_truth_and_target_together(album):
-    batch = Cycles(pool(album), Data(), 4, SIZE, 7)[0]
+def test_augmentation_moves_picture_truth_and_target_together(rendered_split):
+    batch = RenderedDataset(data_split(rendered_split), Data(), 4, SIZE, 7)[0]
     inside = (batch.segments > 0)[:, None]
     assert ((batch.n.norm(dim=1, keepdim=True) > 0.5) == inside).all()
     assert (batch.picture * ~inside).abs().max() == 0
@@ -89,8 +93,8 @@ def test_augmentation_moves_picture_truth_and_target_together(album):
     assert np.abs(mine - truth).mean() / truth.mean() < 0.03
 
 
-def test_the_loss_compares_with_the_rendered_picture(album):
-    batch = Cycles(pool(album, "test"), Data(), 2, SIZE, 5)[0]
+def test_the_loss_compares_with_the_rendered_picture(rendered_split):
+    batch = RenderedDataset(data_split(rendered_split, "test"), Data(), 2, SIZE, 5)[0]
     from learn.networks.prediction import Prediction
 
     wanted = Losses(normals=0, material=0, image=1, target=1, pixels=64, layer_light=(64, 128))
@@ -109,26 +113,26 @@ def test_a_mix_takes_its_share_evenly_and_leaves_out_no_batch_of_either():
         def __getitem__(self, k):
             return self.name, k
 
-    mix = Mix(Numbered("relit"), Numbered("cycles"), 0.25)
+    mix = MixedDataset(Numbered("relit"), Numbered("cycles"), 0.25)
     seen = [mix[k] for k in range(40)]
     assert [k for name, k in seen if name == "cycles"] == list(range(10))
     assert [k for name, k in seen if name == "relit"] == list(range(30))
     assert all(sum(name == "cycles" for name, _ in seen[k : k + 4]) == 1 for k in range(0, 40, 4))
 
 
-def test_records_of_more_materials_than_regions_do_not_fit(album):
-    record = album.records.records[0]
+def test_records_of_more_materials_than_regions_do_not_fit(rendered_split):
+    record = rendered_split.records.records[0]
     of = lambda *names: msgspec.structs.replace(record, materials=names)  # noqa: E731 -- three uses
     assert fits(of("a", "a"), 1)
     assert not fits(of("a", "b"), 1)
     assert fits(of("a", "b", "a"), 2)
 
 
-def test_the_source_is_what_the_run_says(album):
-    of = lambda **data: sources.source_of(pool(album), Run(name="t", size=SIZE, data=Data(sharing=2, **data)), 4, 1)  # noqa: E731
-    assert isinstance(of(), Relit)
-    assert isinstance(of(source="pictures"), Cycles)
-    assert isinstance(of(source="mix"), Mix)
+def test_the_source_is_what_the_run_says(rendered_split):
+    of = lambda **data: sources.source_of(data_split(rendered_split), Run(name="t", size=SIZE, data=Data(sharing=2, **data)), 4, 1)  # noqa: E731
+    assert isinstance(of(), RelitDataset)
+    assert isinstance(of(source="pictures"), RenderedDataset)
+    assert isinstance(of(source="mix"), MixedDataset)
 
 
 def test_no_picture_of_a_held_out_material_trains(store):
@@ -137,7 +141,7 @@ def test_no_picture_of_a_held_out_material_trains(store):
     synthetic.exchange(store, msgspec.structs.replace(dark, name=test.name), "dark")
     assert of_training(store, Data(source="pictures", materials="built-in")) == {("light",)}
     sky = Records(store.folder).light("sky")
-    with pytest.raises(Problem, match="pictures for training"):
+    with pytest.raises(InputError, match="pictures for training"):
         of_training(store, Data(source="pictures"), {"other name": ("test", envmap.roll(sky, 17))})
 
 
@@ -153,8 +157,8 @@ def of_training(store, data, maps=None):
     records = Records(store.folder)
     maps = maps or {"sky": ("train", records.light("sky"))}
     drawn, _ = sources.materials_of(data, records)
-    albums = sources._albums(data, store.folder, Geometry(store.folder, progress=False), maps, drawn, False, False)
-    return {record.materials for record in albums["train"].chosen}
+    rendered_splits = sources._albums(data, store.folder, Geometry(store.folder, progress=False), maps, drawn, False, False)
+    return {record.materials for record in rendered_splits["train"].chosen}
 
 
 # Bad data
@@ -188,7 +192,7 @@ def damage(store, kind):
 def test_a_bad_picture_stops_before_training_or_is_left_out_and_counted(store, kind):
     path = damage(store, kind)
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
-    with pytest.raises(Problem, match=path.name) as told:
+    with pytest.raises(InputError, match=path.name) as told:
         preflight.checked(records, records.records, geometry, progress=False)
     assert "\n" not in str(told.value)
     good, skipped = preflight.checked(records, records.records, geometry, skip_bad=True, progress=False)
@@ -212,7 +216,7 @@ def test_a_light_or_a_label_out_of_range_stops_before_training_or_its_pictures_a
         synthetic.exchange(store, msgspec.structs.replace(dark, label=label, hash=hash_))
         told, bad = "'dark': expected natural logarithms up to 14", {r.id for r in store.records() if r.materials == ("dark",)}
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
-    with pytest.raises(Problem, match=told):
+    with pytest.raises(InputError, match=told):
         preflight.checked(records, records.records, geometry, progress=False)
     good, skipped = preflight.checked(records, records.records, geometry, skip_bad=True, progress=False)
     assert set(skipped) == bad
@@ -223,7 +227,7 @@ def test_a_picture_that_was_good_is_checked_again_once_it_changed(store):
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
     preflight.checked(records, records.records, geometry, progress=False)
     damage(store, "truncated")
-    with pytest.raises(Problem, match="whole OpenEXR"):
+    with pytest.raises(InputError, match="whole OpenEXR"):
         preflight.checked(records, records.records, geometry, progress=False)
 
 
@@ -240,10 +244,10 @@ def test_bad_geometry_is_told_or_left_out_and_counted(store, kind):
         segments = segments * (kind != "empty")
         channels = {f"normal.{axis}": normals[..., k] for k, axis in enumerate("XYZ")}
         synthetic.write_exr(path, channels | {"depth.Z": normals[..., 2], "segment": segments.astype(np.uint32)})
-    with pytest.raises(Problem, match=path.name) as told:
+    with pytest.raises(InputError, match=path.name) as told:
         Geometry(store.folder, progress=False)
     assert "\n" not in str(told.value)
-    with pytest.raises(Problem, match="geometry that can be used"):  # nothing else is there
+    with pytest.raises(InputError, match="geometry that can be used"):  # nothing else is there
         Geometry(store.folder, progress=False, skip_bad=True)
 
 
@@ -258,7 +262,7 @@ def test_views_that_are_left_out_leave_the_others_as_they_are(store):
     again = Geometry(store.folder, progress=False, skip_bad=True)  # from what is packed
     assert np.array_equal(again.normals(0), found.normals(0))
     assert again.skipped == found.skipped
-    with pytest.raises(Problem, match=gone.name):
+    with pytest.raises(InputError, match=gone.name):
         Geometry(store.folder, progress=False)
     good, skipped = preflight.checked(Records(store.folder), [other], found, skip_bad=True, progress=False)
     assert not good
@@ -268,6 +272,6 @@ def test_views_that_are_left_out_leave_the_others_as_they_are(store):
 def test_a_dataset_of_another_schema_version_is_refused_in_one_line(store):
     path = store.folder / "dataset.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 99}))
-    with pytest.raises(Problem, match=r"expected schema version 1, found 99") as told:
-        sources.pools(Data(), Store(store.folder).folder, progress=False)
+    with pytest.raises(InputError, match=r"expected schema version 1, found 99") as told:
+        sources.data_splits(Data(), Store(store.folder).folder, progress=False)
     assert "\n" not in str(told.value)

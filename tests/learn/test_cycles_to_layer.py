@@ -25,7 +25,7 @@ def dataset(request, tmp_path_factory):
     pytest.importorskip("bpy", reason="needs Blender as a module (pip install .[factory])")
     import synthetic
 
-    from factory.execution.run import Manner, carry_out, planned
+    from factory.execution.run import RunOptions, carry_out, planned
     from factory.planning.assets import resolve
 
     folder = tmp_path_factory.mktemp("cycles")
@@ -43,7 +43,7 @@ def dataset(request, tmp_path_factory):
         camera=Camera(size=(SIZE, SIZE), pixel="centre", fov_deg=request.param),
     )
     plan = planned(job, resolve(job, catalogues=[*materials.BUILT_IN, own]))
-    outcome = carry_out(plan, folder / "data", Manner(device="cpu", threads=2))
+    outcome = carry_out(plan, folder / "data", RunOptions(device="cpu", threads=2))
     assert (outcome.made, outcome.failed) == (2 * SEEDS, 0)
     return Records(folder / "data")
 

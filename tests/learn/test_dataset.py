@@ -7,7 +7,7 @@ import torch
 
 from learn.data.records import Records
 from learn.layer import render
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 
 @pytest.fixture
@@ -72,6 +72,6 @@ def damage(folder, what):
 )
 def test_a_damaged_dataset_is_named_in_one_line(folder, what, message):
     damage(folder, what)
-    with pytest.raises(Problem, match=message) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         [Records(folder)[i] for i in range(4)]
     assert "\n" not in str(caught.value)

@@ -16,7 +16,7 @@ from learn.data import devices, lights
 from learn.data.batch import Batch
 from learn.data.geometry import Geometry
 from learn.data.photographs import Framed
-from learn.data.relit import Pool
+from learn.data.relit import DataSplit
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.editing import decomposition, photograph, predict
 from learn.figures import montage
@@ -30,7 +30,7 @@ from learn.refinement import Settings, refine
 from learn.refinement.settings import Level
 from learn.training.loop import Training
 from manifests.cli import main
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from tests.learn import fake_device, synthetic
 
@@ -70,7 +70,7 @@ def device():
 
 def test_without_cuda_auto_is_the_cpu_and_asking_for_cuda_is_refused_in_one_line(no_cuda):
     assert devices.choose("auto") == devices.choose("cpu") == torch.device("cpu")
-    with pytest.raises(Problem, match=r"--device: .*a CUDA device.*, found .*--device cpu") as refused:
+    with pytest.raises(InputError, match=r"--device: .*a CUDA device.*, found .*--device cpu") as refused:
         devices.choose("cuda")
     assert "\n" not in str(refused.value)
 
@@ -81,7 +81,7 @@ def test_with_cuda_auto_takes_it_and_each_process_of_torchrun_its_own(two_cuda_d
     monkeypatch.setenv("LOCAL_RANK", "1")
     assert devices.choose("auto") == torch.device("cuda", 1)
     monkeypatch.setenv("LOCAL_RANK", "2")
-    with pytest.raises(Problem, match=r"CUDA device 2.*found 2 of them.*at most 2 processes"):
+    with pytest.raises(InputError, match=r"CUDA device 2.*found 2 of them.*at most 2 processes"):
         devices.choose("auto")
 
 
@@ -150,14 +150,14 @@ def test_the_layer_stays_on_its_device_with_its_gradients(method, device):
 
 
 @pytest.fixture(scope="module")
-def pools(tmp_path_factory):
+def data_splits(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
     synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere")
     geometry, rng = Geometry(folder, progress=False), np.random.default_rng(2)
     matte = np.array(synthetic.matte().label, np.float32)  # whose lobes are broad: a sharp one's reference sum is slow
     labels = {f"m{i}": (matte + rng.normal(0, 0.1, 108)).astype(np.float32) for i in range(4)}
     maps = [lights.computed(rng).astype(np.float32) for _ in range(2)]
-    return {side: Pool(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
+    return {side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
 
 
 def run(steps=2, **changes):
@@ -185,9 +185,9 @@ def watched(training):
     return {tensor.device for tensor in tensors}
 
 
-def test_training_and_validation_stay_on_their_device_and_lose_what_the_cpu_loses(pools, tmp_path, device):
+def test_training_and_validation_stay_on_their_device_and_lose_what_the_cpu_loses(data_splits, tmp_path, device):
     """To 1e-3: the same numbers in another order of sums, the layer's in its reference instead of its kernels, after two steps of Adam."""
-    there = Training(run(), pools, tmp_path / "there", sheet_every=2, checkpoint_every=1, workers=0, device=device)
+    there = Training(run(), data_splits, tmp_path / "there", sheet_every=2, checkpoint_every=1, workers=0, device=device)
     seen = []
     there._terms = lambda *given, own=there._terms: seen.append(own(*given)) or seen[-1]
     figures = there.train()
@@ -195,7 +195,7 @@ def test_training_and_validation_stay_on_their_device_and_lose_what_the_cpu_lose
     assert {value.device for terms in seen for value in terms.values()} == {device}
     assert {"image_l2", "target_l2", "control_l2", "albedo", "irradiance"} <= set(figures)
     assert (tmp_path / "there" / "sheet-0000002.jpg").exists()
-    here = Training(run(), pools, tmp_path / "here", sheet_every=2, checkpoint_every=1, workers=0)
+    here = Training(run(), data_splits, tmp_path / "here", sheet_every=2, checkpoint_every=1, workers=0)
     expected = here.train()
     assert {name: pytest.approx(value, rel=1e-2, abs=1e-3) for name, value in expected.items()} == figures
     for name, tensor in here.average.items():
@@ -203,14 +203,14 @@ def test_training_and_validation_stay_on_their_device_and_lose_what_the_cpu_lose
 
 
 @pytest.mark.parametrize("onto_the_cpu", [True, False])
-def test_a_checkpoint_of_one_device_goes_on_on_another(pools, tmp_path, device, onto_the_cpu):
+def test_a_checkpoint_of_one_device_goes_on_on_another(data_splits, tmp_path, device, onto_the_cpu):
     first, second = (device, torch.device("cpu")) if onto_the_cpu else (torch.device("cpu"), device)
-    half = Training(run(), pools, tmp_path, sheet_every=0, checkpoint_every=1, workers=0, device=first)
+    half = Training(run(), data_splits, tmp_path, sheet_every=0, checkpoint_every=1, workers=0, device=first)
     next_batch = half._batches()
     half._one_step(next(next_batch).to(first))
     half.step = 1
     half._save()
-    resumed = Training(run(), pools, tmp_path, sheet_every=0, checkpoint_every=1, workers=0, device=second)
+    resumed = Training(run(), data_splits, tmp_path, sheet_every=0, checkpoint_every=1, workers=0, device=second)
     assert resumed.step == 1
     for name, tensor in half.average.items():
         torch.testing.assert_close(resumed.average[name].cpu(), tensor.cpu(), rtol=0, atol=0)
@@ -258,13 +258,13 @@ def test_an_edit_is_refined_and_rendered_on_the_networks_device(weights, device,
     monkeypatch.setattr(decomposition, "render", lambda n, *given, **named: rendered_on.append(n.device) or render(n, *given, **named))
     level = Level(pixels=40, light=(8, 16), method="exact", rounds=1, iterations=1)
     settings = Settings(levels=(level,), passes=1)
-    found = decomposition.taken(opened(SIZE), checkpoint.load_parts(weights, device)[0], SIZE, settings)
+    found = decomposition.decompose(opened(SIZE), checkpoint.load_parts(weights, device)[0], SIZE, settings)
     assert {tensor.device for tensor in (found.parts.n, found.parts.label, found.parts.light)} == {device}
     monkeypatch.setattr(decomposition, "COARSEST", SIZE)  # the grid that is rendered, for the reference sum is slow
     edited = decomposition.Painter(found, detail=0.25).edited([label_of("gold-paint")[0].numpy()])
     assert rendered_on and set(rendered_on) == {device}
     assert edited.shape == (SIZE, SIZE, 3) and np.isfinite(edited).all()
-    shown = montage.ball(found.parts.label[0, 0], found.parts.light[0].movedim(0, -1), 16, found.batch.elevation, 1.0)
+    shown = montage.material_sphere(found.parts.label[0, 0], found.parts.light[0].movedim(0, -1), 16, found.batch.elevation, 1.0)
     assert shown.shape == (16, 16, 3)
 
 
@@ -323,9 +323,10 @@ def test_the_layer_on_cuda_is_the_layer_on_the_cpu(method):
 
 
 @pytest.mark.parametrize("workers", [pytest.param(count, marks=gpu) for count in (0, 1)])
-def test_a_training_step_on_cuda_loses_what_the_cpu_loses(pools, tmp_path, workers):
+def test_a_training_step_on_cuda_loses_what_the_cpu_loses(data_splits, tmp_path, workers):
     there, here = (
-        Training(run(steps=1), pools, tmp_path / name, sheet_every=1, workers=workers, device=name).train() for name in ("cuda", "cpu")
+        Training(run(steps=1), data_splits, tmp_path / name, sheet_every=1, workers=workers, device=name).train()
+        for name in ("cuda", "cpu")
     )
     # convolutions on CUDA may use TF32, of three digits
     assert {name: pytest.approx(value, rel=5e-2, abs=5e-2) for name, value in here.items()} == there

@@ -19,7 +19,7 @@ from learn.networks.compact import Compact
 from learn.networks.encoder_decoder import EncoderDecoder
 from learn.networks.weights import save_weights
 from manifests.cli import main
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
 from shaders import tone
@@ -246,7 +246,7 @@ def test_wrong_usage_ends_with_two(files, capsys):
 def test_an_object_of_a_few_pixels_is_refused(files):
     Image.new("RGB", (4, 4), (90, 80, 70)).save(files / "four.png")
     Image.fromarray(np.pad(np.full((2, 2), 255, np.uint8), 1)).save(files / "four-mask.png")
-    with pytest.raises(Problem, match="16 pixels or more in the mask, found 4"):
+    with pytest.raises(InputError, match="16 pixels or more in the mask, found 4"):
         photograph.opened(files / "four.png", [files / "four-mask.png"])
 
 
@@ -281,19 +281,19 @@ def test_a_photograph_turned_by_its_camera_is_set_upright(files):
 
 def test_too_many_pixels_are_refused_before_they_are_read(files, monkeypatch):
     monkeypatch.setattr(photographs, "MOST_PIXELS", 1000)
-    with pytest.raises(Problem, match="megapixels"):
+    with pytest.raises(InputError, match="megapixels"):
         photograph.opened(files / "photo.png", [files / "mask.png"])
 
 
 def test_regions_that_are_none_are_refused(files):
     smooth = np.add.outer(np.arange(SIZE[0]), np.arange(SIZE[1])).astype(np.uint8)
     Image.fromarray(smooth).save(files / "smooth.png")
-    with pytest.raises(Problem, match="1 to 8 values besides 0"):
+    with pytest.raises(InputError, match="1 to 8 values besides 0"):
         photograph.opened(files / "photo.png", [files / "mask.png"], files / "smooth.png")
     corner = np.zeros(SIZE, np.uint8)
     corner[:3, :3] = 5
     Image.fromarray(corner).save(files / "corner.png")
-    with pytest.raises(Problem, match="region 1"):
+    with pytest.raises(InputError, match="region 1"):
         photograph.opened(files / "photo.png", [files / "mask.png"], files / "corner.png")
 
 
@@ -311,7 +311,7 @@ def test_regions_that_are_none_are_refused(files):
 def test_a_material_file_without_a_material_is_refused(tmp_path, text, words):
     file = tmp_path / "material.json"
     file.write_text(text)
-    with pytest.raises(Problem, match=words):
+    with pytest.raises(InputError, match=words):
         targets.label_of(str(file), None)
 
 

@@ -85,7 +85,7 @@ def test_with_true_parts_an_edit_into_its_own_material_is_the_photograph(balance
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     seen = radiance / np.array(balance, np.float32)  # as a camera out of balance would have it
-    found = decomposition.taken(opened(seen, inside.astype(np.int64), 2.0, balance), Knowing(label), NETWORK)
+    found = decomposition.decompose(opened(seen, inside.astype(np.int64), 2.0, balance), Knowing(label), NETWORK)
     again = Painter(found).edited([label[0]])
     core = ball(SIZE, 30)[0][..., 2] > 0.4  # at the rim 64² normals, enlarged, are a pixel off
     level = tone.auto_exposure(seen, inside)
@@ -98,7 +98,7 @@ def test_an_edit_keeps_size_and_background():
     radiance, inside = lit(label, 0.5)
     tall = np.pad(radiance, ((7, 20), (0, 31), (0, 0)), constant_values=0.3)
     regions = np.pad(inside.astype(np.int64), ((7, 20), (0, 31)))
-    edited = Painter(decomposition.taken(opened(tall, regions), Knowing(label), NETWORK)).edited([label_of("gold-paint")[0]])
+    edited = Painter(decomposition.decompose(opened(tall, regions), Knowing(label), NETWORK)).edited([label_of("gold-paint")[0]])
     assert edited.shape == tall.shape
     np.testing.assert_array_equal(edited[regions == 0], tall[regions == 0])
     assert abs(edited - tall)[regions > 0].mean() > 0.02
@@ -108,7 +108,7 @@ def test_an_object_that_touches_the_border_is_edited_up_to_it():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     cut, regions = radiance[30:, 40:], inside[30:, 40:].astype(np.int64)
-    edited = Painter(decomposition.taken(opened(cut, regions), Knowing(label), NETWORK)).edited([label_of("gold-paint")[0]])
+    edited = Painter(decomposition.decompose(opened(cut, regions), Knowing(label), NETWORK)).edited([label_of("gold-paint")[0]])
     assert edited.shape == cut.shape and np.isfinite(edited).all()
     assert (abs(edited - cut).max(-1) > 0)[regions > 0].mean() > 0.9
 
@@ -120,7 +120,7 @@ def test_a_soft_edge_mixes_edit_and_background_and_not_the_old_colour():
     coverage[20:70, 20:70], coverage[20:70, 70] = 1, 0.5
     red = np.where(coverage[..., None] > 0, np.array([5.0, 0, 0], np.float32), ground)  # red through and through, edge included
     found = photograph.Photograph("square", red, coverage, (coverage >= 0.5).astype(np.int64), np.ones(3, np.float32), 1.0)
-    edited = Painter(decomposition.taken(found, Knowing(label), NETWORK)).edited([label[0]])
+    edited = Painter(decomposition.decompose(found, Knowing(label), NETWORK)).edited([label[0]])
     edge, within = edited[45, 70], edited[45, 69]
     np.testing.assert_allclose(edge, 0.5 * within + 0.5 * 0.25, atol=0.05)  # the layer's picture changes a little from pixel to pixel
 
@@ -130,7 +130,7 @@ def test_a_region_that_is_kept_stays_and_the_other_changes():
     radiance, inside = lit(label, 0.5)
     regions = inside.astype(np.int64)
     regions[:, SIZE // 2 :] *= 2
-    edited = Painter(decomposition.taken(opened(radiance, regions), Knowing(label), NETWORK)).edited([None, label_of("gold-paint")[0]])
+    edited = Painter(decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK)).edited([None, label_of("gold-paint")[0]])
     np.testing.assert_array_equal(edited[regions == 1], radiance[regions == 1])
     assert abs(edited - radiance)[regions == 2].mean() > 0.02
 
@@ -139,7 +139,7 @@ def test_fine_shading_is_carried_over_when_asked():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
-    found = decomposition.taken(opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK)
+    found = decomposition.decompose(opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK)
     middle = (slice(40, 56), slice(40, 56))
     for detail, low, high in ((0.0, 0.0, 0.02), (1.0, 0.2, 0.35)):
         edited = Painter(found, detail=detail).edited([label_of("delrin")[0]])[middle]
@@ -152,7 +152,7 @@ def test_objects_are_rendered_at_their_own_size_between_two_limits(times, grid):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     radiance, regions = (x.repeat(times, 0).repeat(times, 1) for x in (radiance, inside.astype(np.uint8)))
-    painter = Painter(decomposition.taken(opened(radiance, regions), Knowing(label), NETWORK))
+    painter = Painter(decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK))
     assert painter.grid == grid  # 567: 1.18 times the object's 480 pixels
     assert painter.n.shape == (grid, grid, 3)
 
@@ -161,7 +161,9 @@ def test_no_detail_is_stronger_than_its_limit():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 4.0, 0.25).astype(np.float32)
-    painter = Painter(decomposition.taken(opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK), detail=1.0)
+    painter = Painter(
+        decomposition.decompose(opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK), detail=1.0
+    )
     ratio = painter.ratio()
     assert ratio.max() == pytest.approx(decomposition.LARGEST_DETAIL) and ratio.min() == pytest.approx(1 / decomposition.LARGEST_DETAIL)
 
@@ -221,7 +223,7 @@ def test_a_record_is_seen_by_its_own_camera_at_its_own_exposure(tmp_path, rng):
     camera = msgspec.structs.replace(found.record.camera, elevation_deg=50.0)
     label = label_of("blue-rubber")
     for record, degrees in ((None, 20.0), (msgspec.structs.replace(found.record, camera=camera), 50.0)):
-        taken = decomposition.taken(replace(found, record=record), Knowing(label), NETWORK)
+        taken = decomposition.decompose(replace(found, record=record), Knowing(label), NETWORK)
         assert np.degrees(taken.batch.elevation) == pytest.approx(degrees)
 
 
@@ -262,13 +264,13 @@ def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
     radiance, inside = lit(label, 0.5)
     radiance, regions = (np.repeat(np.repeat(x, 4, 0), 4, 1) for x in (radiance, inside.astype(np.uint8)))
     regions[200:204, 201:205] = 2  # half a pixel of the network's, beside a pixel's middle
-    found = decomposition.taken(opened(radiance, regions), Knowing(label), 32)
+    found = decomposition.decompose(opened(radiance, regions), Knowing(label), 32)
     assert found.batch.segments.max() == 1 and found.parts.label.shape[1] == 2
     edited = Painter(found).edited([label_of("gold-paint")[0], None])
     np.testing.assert_array_equal(edited[regions == 2], radiance[regions == 2])
     assert abs(edited - radiance)[regions == 1].mean() > 0.02
     swapped = opened(radiance, np.where(regions > 0, 3 - regions, 0).astype(np.uint8))
-    assert [caption for caption, _ in edit.reflectance(decomposition.taken(swapped, Knowing(label), 32))] == [
+    assert [caption for caption, _ in edit.reflectance(decomposition.decompose(swapped, Knowing(label), 32))] == [
         "reflectance map 1, observed",
         "reflectance map 1, predicted",
     ]
@@ -292,7 +294,7 @@ def test_what_lies_in_no_region_stays_as_it_is_but_for_a_rim(tmp_path):
     regions.save(tmp_path / "r.png")
     found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], tmp_path / "r.png")
     assert (found.coverage[:, :30] > 0.99).all() and (found.coverage[:, 36:] == 0).all()
-    painter = Painter(decomposition.taken(found, Knowing(label_of("blue-rubber")), NETWORK))
+    painter = Painter(decomposition.decompose(found, Knowing(label_of("blue-rubber")), NETWORK))
     edited = painter.edited([label_of("gold-paint")[0]])
     np.testing.assert_array_equal(edited[:, 36:], found.radiance[:, 36:])
     assert abs(edited - found.radiance)[:, :30].mean() > 0.02
@@ -302,7 +304,9 @@ def test_the_picture_rendered_again_has_none_of_the_photographs_own_detail():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
-    painter = Painter(decomposition.taken(opened(radiance * stripes, inside.astype(np.uint8), 2.0), Knowing(label), NETWORK), detail=1.0)
+    painter = Painter(
+        decomposition.decompose(opened(radiance * stripes, inside.astype(np.uint8), 2.0), Knowing(label), NETWORK), detail=1.0
+    )
     middle = (slice(40, 56), slice(40, 56))
     assert abs(np.diff(np.log(painter.rendered_again()[middle][..., 1]), axis=0)).mean() < 0.02
 
@@ -312,7 +316,7 @@ def test_the_objects_own_material_is_rendered_once(monkeypatch):
     radiance, inside = lit(label, 0.5)
     drawn, render_ = [], decomposition.render
     monkeypatch.setattr(decomposition, "render", lambda *a, **k: drawn.append(1) or render_(*a, **k))
-    painter = Painter(decomposition.taken(opened(radiance, inside.astype(np.uint8)), Knowing(label), NETWORK), detail=0.25)
+    painter = Painter(decomposition.decompose(opened(radiance, inside.astype(np.uint8)), Knowing(label), NETWORK), detail=0.25)
     painter.edited([label_of("gold-paint")[0]])
     painter.rendered_again()
     assert len(drawn) == 2
@@ -321,7 +325,9 @@ def test_the_objects_own_material_is_rendered_once(monkeypatch):
 def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        edit.decomposition, "taken", lambda opened, *_: asked.append(opened) or decomposition.Apart(opened, None, None, start(), None)
+        edit.decomposition,
+        "decompose",
+        lambda opened, *_: asked.append(opened) or decomposition.Decomposition(opened, None, None, start(), None),
     )
 
     def start():
@@ -330,7 +336,7 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
     Image.new("RGB", (40, 30), (90, 60, 90)).save(tmp_path / "p.png")
     Image.new("L", (40, 30), 255).save(tmp_path / "p.mask.png")
     for balance, factors in (((2.0, 1.0, 1.0), 1), ("none", 1)):
-        edit.material_of(tmp_path / "p.png", None, 64, edit.How(tmp_path, None, 0.01, 0.0, 3.0, balance))
+        edit.material_of(tmp_path / "p.png", None, 64, edit.EditOptions(tmp_path, None, 0.01, 0.0, 3.0, balance))
         assert asked[-1].exposure is None
         np.testing.assert_array_equal(asked[-1].balance, factors)
 

@@ -44,7 +44,7 @@ def test_a_guided_enlargement_of_what_is_linear_in_the_guide_is_linear_in_the_ph
 def test_every_way_paints_a_smooth_object_alike_and_one_render_serves_all_details(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    found = decomposition.taken(opened(radiance, inside.astype(np.int64), 2.0), Knowing(label), NETWORK)
+    found = decomposition.decompose(opened(radiance, inside.astype(np.int64), 2.0), Knowing(label), NETWORK)
     ways = upsampling.ways(found)
     rendered, render = [], decomposition.render
     monkeypatch.setattr(decomposition, "render", lambda *a, **k: rendered.append(a) or render(*a, **k))

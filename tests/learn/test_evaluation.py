@@ -21,7 +21,7 @@ from learn.networks.prediction import Prediction
 from learn.networks.weights import save_weights
 from learn.refinement import Settings
 from manifests import exr, files
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.store import Lines
 from shaders import tone
 from shaders.mixture import Mixture
@@ -63,7 +63,7 @@ def options(data, weights, tmp_path):
 
 def test_pairs_differ_in_nothing_but_the_material(data):
     records = Records(data).records
-    edits = [edit for group in pairs.found(records).values() for edit in group]
+    edits = [edit for group in pairs.edits_between(records).values() for edit in group]
     assert len(edits) == 2 * 3 * 2  # two turns of the light, three materials, two others for each; no pair of two seeds
     for edit in edits:
         a, b = edit.source, edit.truth
@@ -110,7 +110,7 @@ def test_pictures_of_more_samples_alter_no_edit_and_show_the_noise(data):
 
 def test_pictures_without_a_partner_are_refused(tmp_path):
     write_dataset(tmp_path, [matte()], np.random.default_rng(1), size=SIZE, rotations=(0,), seeds=2)
-    with pytest.raises(Problem, match="differ in nothing but the material"):
+    with pytest.raises(InputError, match="differ in nothing but the material"):
         pairs.chosen(Records(tmp_path).records, 5, 0)
 
 
@@ -152,7 +152,7 @@ def test_a_false_light_is_told_from_false_normals(data, weights):
     """With the truth but for its light, giving the light takes all error off and giving the normals none."""
     work = bench.Bench(data, weights, refine=False)
     edit = pairs.chosen(work.records.records, 1, 0)[0]
-    batch, label = pairs.shown(work.records, edit), pairs.wanted(work.records, edit)
+    batch, label = pairs.shown(work.records, edit), pairs.target_label(work.records, edit)
     wrong = methods.Layered("wrong light", lambda b: Prediction(b.n.clone(), None, None, None, b.light * 0.5))
     truth, mask = work.records.image(edit.truth), (batch.segments[0] > 0).numpy()
     l2 = bench.metrics.display_l2(wrong.edit(batch, label), truth, mask)
@@ -164,7 +164,7 @@ def test_false_normals_are_told_from_a_false_light(data, weights):
     work = bench.Bench(data, weights, refine=False)
     edits = pairs.chosen(work.records.records, 12, 0)
     edit = max(edits, key=lambda each: float(work.records.image(each.truth).mean()))  # the brightest shows the error best
-    batch, label = pairs.shown(work.records, edit), pairs.wanted(work.records, edit)
+    batch, label = pairs.shown(work.records, edit), pairs.target_label(work.records, edit)
     wrong = methods.Layered(
         "wrong normals", lambda b: Prediction(b.n * torch.tensor([-1.0, 1, 1])[:, None, None], None, None, None, b.light + 0)
     )
@@ -223,7 +223,7 @@ def test_a_truth_of_two_edits_is_taken_apart_once(data, weights, monkeypatch):
     asked = []
     monkeypatch.setattr(bench, "against_nodes", lambda sample, *_: asked.append(sample.record.id) or {"net_inner": 1.0})
     work = bench.Bench(data, weights, refine=False)
-    edits = [edit for group in pairs.found(work.records.records).values() for edit in group]
+    edits = [edit for group in pairs.edits_between(work.records.records).values() for edit in group]
     rows = [row for edit in edits for row in work.work(edit, [edit], False)[1]]
     assert len(edits) == 12 and len(asked) == len(set(asked)) == 6
     assert all(row["layer"]["net_inner"] == 1 and row["layer"]["seeds"] == 2 for row in rows)
@@ -316,18 +316,18 @@ def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path
 
 
 def test_weights_that_are_not_there_leave_no_settings_behind(options, tmp_path):
-    with pytest.raises(Problem, match=r"weights in a \.safetensors file"):
+    with pytest.raises(InputError, match=r"weights in a \.safetensors file"):
         run.make(replace(options, weights=tmp_path / "typo.safetensors"))
     run.make(options)
 
 
 def test_a_test_side_without_edits_is_told_as_such(both_sides, options):
-    with pytest.raises(Problem, match=r"pictures of the test side .* none among its 1 of 7"):
+    with pytest.raises(InputError, match=r"pictures of the test side .* none among its 1 of 7"):
         run.make(replace(options, data=both_sides(1)))
 
 
 def test_a_folder_of_baselines_that_is_not_there_is_refused(options, tmp_path):
-    with pytest.raises(Problem, match="--baselines"):
+    with pytest.raises(InputError, match="--baselines"):
         run.make(replace(options, baselines=tmp_path / "typo"))
 
 
@@ -347,20 +347,20 @@ def test_the_best_of_a_column_was_given_no_truth():
 
 def test_an_evaluation_of_other_settings_is_not_gone_on_with(options, monkeypatch):
     run.make(replace(options, edits=1))
-    with pytest.raises(Problem, match="other seed"):
+    with pytest.raises(InputError, match="other seed"):
         run.make(replace(options, edits=1, seed=1))
     monkeypatch.setattr(run, "TOLERANCE", 0.5)
-    with pytest.raises(Problem, match="other tolerance"):
+    with pytest.raises(InputError, match="other tolerance"):
         run.make(options)
 
 
 def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, tmp_path):
     refined = run.settings(replace(options, refine=True))
-    files.settle(tmp_path / "settings.json", refined)
-    files.settle(tmp_path / "settings.json", run.settings(replace(options, refine=True)))  # what a file gives back is the same
+    files.pin_settings(tmp_path / "settings.json", refined)
+    files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))  # what a file gives back is the same
     monkeypatch.setattr(run, "Settings", lambda: replace(Settings(), a=0.5))
-    with pytest.raises(Problem, match="other refine"):
-        files.settle(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
+    with pytest.raises(InputError, match="other refine"):
+        files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
     assert run.settings(options)["refine"] is False
 
 
@@ -385,7 +385,7 @@ def test_the_page_stands_alone(options):
 def test_weights_of_another_size_are_refused(data, options, weights, tmp_path):
     network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
     save_weights(tmp_path / "other.safetensors", network, network.state_dict(), "{}", 64)
-    with pytest.raises(Problem, match="64 × 64 pixels, as the weights were trained"):
+    with pytest.raises(InputError, match="64 × 64 pixels, as the weights were trained"):
         run.make(replace(options, weights=tmp_path / "other.safetensors"))
 
 
@@ -419,7 +419,7 @@ def test_each_region_gets_its_own_material(two_regions, weights):
     edits = pairs.chosen(work.records.records, 6, 0)
     assert len(edits) == 6 and all(edit.several for edit in edits)
     for edit in edits:
-        assert pairs.shown(work.records, edit).label.shape == (1, 2, 108) == (1, *pairs.wanted(work.records, edit).shape)
+        assert pairs.shown(work.records, edit).label.shape == (1, 2, 108) == (1, *pairs.target_label(work.records, edit).shape)
         _, (row,) = work.work(edit, [edit], False)
         assert (
             row["methods"]["the layer alone"]["l2"] < HALF_FLOATS < 1 < row["methods"]["input unchanged"]["l2"]

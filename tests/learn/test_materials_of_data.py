@@ -16,7 +16,7 @@ from learn.training import loop
 from manifests import JOBS, reading
 from manifests import materials as catalogue
 from manifests.cli import main
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.schema import Dataset, MaterialEntry
 from manifests.store import Store
 from tests.learn import synthetic
@@ -79,16 +79,16 @@ def test_a_data_set_of_three_metals_trains_on_exactly_these_three_metals(metals,
     assert main("learn", "", ("train",), words) == 0
     assert shown == set(METALS)  # 24 draws of three: the same ones on every machine
     assert json.loads((tmp_path / "out" / "run.json").read_text())["data"]["materials"] == "dataset"
-    pools = sources.pools(Data(), metals.folder, progress=False)
-    for pool in pools.values():  # none is held out, so few are there
-        assert set(pool.labels) == set(METALS)
-        for name, label in pool.labels.items():
+    data_splits = sources.data_splits(Data(), metals.folder, progress=False)
+    for data_split in data_splits.values():  # none is held out, so few are there
+        assert set(data_split.labels) == set(METALS)
+        for name, label in data_split.labels.items():
             assert np.array_equal(label, np.asarray(entries[name].label, np.float32))
 
 
 def test_the_built_in_materials_are_taken_where_the_run_says_so(metals):
-    pools = sources.pools(Data(materials="built-in"), metals.folder, progress=False)
-    assert {side: len(pool.labels) for side, pool in pools.items()} == BUILT_IN
+    data_splits = sources.data_splits(Data(materials="built-in"), metals.folder, progress=False)
+    assert {side: len(data_split.labels) for side, data_split in data_splits.items()} == BUILT_IN
 
 
 def test_an_option_chooses_the_materials_over_the_run(tmp_path):
@@ -137,14 +137,14 @@ def test_one_training_material_in_ten_is_for_validation_and_eight_at_most(tmp_pa
 
 def test_a_data_set_without_materials_for_training_is_refused_with_the_remedy(tmp_path, entries):
     records = with_materials(tmp_path, [e for e in entries.values() if e.split == "test"][:2])
-    with pytest.raises(Problem, match=r'expected materials for training, found 2, all of them for testing \(.*"built-in"'):
+    with pytest.raises(InputError, match=r'expected materials for training, found 2, all of them for testing \(.*"built-in"'):
         sources.materials_of(Data(), records)
 
 
 def test_a_damaged_material_stops_a_run_or_is_left_out_and_told(tmp_path, entries):
     steel, chrome = entries["steel"], entries["chrome"]
     records = with_materials(tmp_path, [msgspec.structs.replace(steel, hash="0" * 16), chrome])
-    with pytest.raises(Problem, match=r"steel.*--skip-bad"):
+    with pytest.raises(InputError, match=r"steel.*--skip-bad"):
         sources.materials_of(Data(), records)
     found, bad = sources.materials_of(Data(), records, skip_bad=True)
     assert [m.name for m in found["train"]] == ["chrome"]

@@ -9,7 +9,7 @@ from learn.metrics import intrinsics
 from learn.metrics import lpips as perceptual
 from learn.metrics import pictures as metrics
 from learn.networks.coding import Ranges
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders import envmap, tone
 from shaders.dsbrdf import SHAPE, evaluate
 from shaders.frames import ELEVATION
@@ -226,5 +226,5 @@ def test_weights_without_a_layer_are_refused(tmp_path, rng):
     tensors = alex(rng)
     del tensors["lin3.weight"]
     save(tmp_path / "lpips.safetensors", tensors, {})
-    with pytest.raises(Problem, match=r"no lin3\.weight"):
+    with pytest.raises(InputError, match=r"no lin3\.weight"):
         perceptual.of_file(tmp_path / "lpips.safetensors")

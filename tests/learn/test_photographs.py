@@ -13,7 +13,7 @@ from learn.__main__ import COMMANDS
 from learn.data import photographs
 from learn.editing import edit, photograph
 from manifests import cli, exr
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 SIZE = (48, 64)
 
@@ -65,7 +65,7 @@ def bytes_of(ball):
 
 @pytest.mark.parametrize("factor", [1e37, 1e12])
 def test_radiance_that_no_light_has_is_refused(exr_file, mask_file, factor):
-    with pytest.raises(Problem, match=r"photo\.exr: expected radiance up to 1e\+10"):
+    with pytest.raises(InputError, match=r"photo\.exr: expected radiance up to 1e\+10"):
         photograph.opened(exr_file(factor), [mask_file])
 
 
@@ -73,13 +73,13 @@ def test_one_huge_value_beside_the_object_is_refused_too(exr_file, mask_file, tm
     channels = exr.read(exr_file())
     channels["R"][0, 0] = 1e37  # a white balance would carry it beyond float32, and the mask's 0 times it be NaN
     exr.write(tmp_path / "photo.exr", channels)
-    with pytest.raises(Problem, match="radiance up to"):
+    with pytest.raises(InputError, match="radiance up to"):
         photograph.opened(tmp_path / "photo.exr", [mask_file])
 
 
 @pytest.mark.parametrize(("factor", "found"), [(0, "0, black or negative"), (-1, "0, black or negative"), (1e-5, "e-06")])
 def test_an_object_without_light_is_refused_with_the_option_to_give(exr_file, mask_file, factor, found):
-    with pytest.raises(Problem, match=rf"photo\.exr: expected an object of mean luminance .*{found}.*--exposure"):
+    with pytest.raises(InputError, match=rf"photo\.exr: expected an object of mean luminance .*{found}.*--exposure"):
         photograph.opened(exr_file(factor), [mask_file])
 
 
@@ -88,7 +88,7 @@ def test_a_constant_picture_is_accepted_unless_it_is_nearly_black(tmp_path, mask
     """Of 8 bits a mean luminance of 0.001 has three steps; a clipped object is evenly bright, and its edit is finite."""
     (tmp_path / "photo.png").write_bytes(encoded(np.full((*SIZE, 3), level, np.uint8)))
     if not accepted:
-        with pytest.raises(Problem, match="an object of mean luminance"):
+        with pytest.raises(InputError, match="an object of mean luminance"):
             photograph.opened(tmp_path / "photo.png", [mask_file])
         return
     found = photograph.opened(tmp_path / "photo.png", [mask_file])
@@ -103,7 +103,7 @@ def test_an_exposure_has_to_bring_the_object_to_what_networks_know(exr_file, mas
         found = photograph.opened(path, [mask_file], exposure=exposure)
         assert photographs.framed(found.balanced, found.mask, 32, exposure).radiance.max() == pytest.approx(0.8, rel=0.1)
     else:
-        with pytest.raises(Problem, match="mean luminance times the exposure"):
+        with pytest.raises(InputError, match="mean luminance times the exposure"):
             photograph.opened(path, [mask_file], exposure=exposure)
 
 
@@ -122,7 +122,7 @@ def test_no_exposure_makes_a_picture_that_is_not_finite(tmp_path, ball, mask_fil
 def test_transparency_that_is_not_finite_is_refused(exr_file, mask_file, value):
     alpha = np.ones(SIZE, np.float32)
     alpha[0, 0] = value
-    with pytest.raises(Problem, match="a finite alpha channel"):
+    with pytest.raises(InputError, match="a finite alpha channel"):
         photograph.opened(exr_file(A=alpha), [mask_file])
 
 
@@ -135,7 +135,7 @@ def test_transparency_beyond_its_range_is_held_in_it(exr_file):
 def test_a_grey_balance_asks_for_a_background_that_is_not_black(tmp_path, ball, mask_file):
     black = bytes_of(ball) * (bytes_of(ball)[..., :1] > 51)
     (tmp_path / "photo.png").write_bytes(encoded(black))
-    with pytest.raises(Problem, match="--white-balance grey: expected a background that is not black"):
+    with pytest.raises(InputError, match="--white-balance grey: expected a background that is not black"):
         photograph.opened(tmp_path / "photo.png", [mask_file], balance="grey")
 
 
@@ -143,10 +143,10 @@ def test_no_picture_is_written_that_is_not_finite(tmp_path):
     bad = np.ones((4, 4, 3), np.float32)
     bad[1, 2, 0] = np.nan
     for write, name in ((photographs.write_exr, "a.exr"), (edit.save, "a.png")):
-        with pytest.raises(Problem, match="a finite picture"):
+        with pytest.raises(InputError, match="a finite picture"):
             write(tmp_path / name, bad)
         assert not (tmp_path / name).exists()
-    with pytest.raises(Problem, match="a finite picture"):  # finite as float64, not as the file's float32
+    with pytest.raises(InputError, match="a finite picture"):  # finite as float64, not as the file's float32
         photographs.write_exr(tmp_path / "a.exr", np.full((4, 4, 3), 1e39))
 
 
@@ -173,7 +173,7 @@ def test_an_eps_starts_no_other_program(tmp_path, ball, mask_file, ghostscript, 
     (tmp_path / "eps.png").write_bytes(encoded(bytes_of(ball), "EPS"))
     given = {"photograph": ("eps.png", [mask_file]), "mask": ("photo.png", [tmp_path / "eps.png"]), "regions": ("photo.png", [mask_file])}
     name, masks = given[role]
-    with pytest.raises(Problem, match=r"eps\.png: expected a picture in one of the formats PNG, JPEG"):
+    with pytest.raises(InputError, match=r"eps\.png: expected a picture in one of the formats PNG, JPEG"):
         photograph.opened(tmp_path / name, masks, tmp_path / "eps.png" if role == "regions" else None)
     assert not ghostscript.exists()
 
@@ -181,7 +181,7 @@ def test_an_eps_starts_no_other_program(tmp_path, ball, mask_file, ghostscript, 
 @pytest.mark.parametrize("format_", ["ICO", "ICNS", "PCX", "PPM", "TGA", "DDS", "JPEG2000", "PDF"])
 def test_formats_that_are_not_on_the_list_are_refused_with_the_list(tmp_path, ball, mask_file, format_):
     (tmp_path / "photo.png").write_bytes(encoded(bytes_of(ball), format_))
-    with pytest.raises(Problem, match="PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR, found another format"):
+    with pytest.raises(InputError, match="PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR, found another format"):
         photograph.opened(tmp_path / "photo.png", [mask_file])
 
 
@@ -198,7 +198,7 @@ def test_formats_on_the_list_are_read(tmp_path, ball, mask_file, format_):
 def test_a_tiff_of_numbers_that_are_no_display_values_is_refused(tmp_path, ball, mask_file, dtype):
     values = (ball[..., 0] * 1e6 - 1).astype(dtype)  # negative ones were NaN after the sRGB curve
     (tmp_path / "photo.tiff").write_bytes(encoded(values, "TIFF"))
-    with pytest.raises(Problem, match="8 or 16 bit values"):
+    with pytest.raises(InputError, match="8 or 16 bit values"):
         photograph.opened(tmp_path / "photo.tiff", [mask_file])
 
 
@@ -222,7 +222,7 @@ def promising(width, height):
 def test_a_picture_one_pixel_wide_and_endlessly_high_is_refused_by_its_header(tmp_path):
     """Pillow keeps a pointer to each row: of 60 million rows with one pixel more than a GB."""
     (tmp_path / "photo.png").write_bytes(promising(1, 60_000_000))
-    with pytest.raises(Problem, match="65535 a side, found 1 × 60000000"):
+    with pytest.raises(InputError, match="65535 a side, found 1 × 60000000"):
         photograph.opened(tmp_path / "photo.png")
 
 
@@ -232,14 +232,14 @@ def test_a_tiffs_tile_is_no_larger_than_a_picture_may_be(tmp_path):
     directory = struct.pack("<H", len(entries)) + b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in entries)
     whole = b"II*\0" + struct.pack("<I", 8) + directory + bytes(4)
     (tmp_path / "photo.tiff").write_bytes(whole + bytes(200 - len(whole)) + zlib.compress(bytes(64 * 48)))
-    with pytest.raises(Problem, match="found tiles of 46000 × 46000"):
+    with pytest.raises(InputError, match="found tiles of 46000 × 46000"):
         photograph.opened(tmp_path / "photo.tiff")
 
 
 def test_an_object_as_long_as_a_picture_may_be_is_refused_before_its_square_is_made():
     """The square over an object of 20,000 × 16 pixels would take 2 GB a channel."""
     radiance = np.broadcast_to(np.float32(0.5), (16, 20_000, 3))
-    with pytest.raises(Problem, match="strip: expected an object at most 8135 pixels across, found 20000"):
+    with pytest.raises(InputError, match="strip: expected an object at most 8135 pixels across, found 20000"):
         photographs.framed(radiance, np.ones((16, 20_000), bool), 32, where="strip")
 
 
@@ -251,7 +251,7 @@ def test_pictures_of_a_few_rows_are_framed_or_refused(tmp_path, size):
     try:
         found = photograph.opened(tmp_path / "photo.png")
         framed = photographs.framed(found.balanced, found.mask, 32)
-    except Problem as problem:
+    except InputError as problem:
         assert "16 pixels or more" in str(problem)
     else:
         assert framed.mask.any() and np.isfinite(framed.radiance).all()

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from learn.data import photographs
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_an_object_that_is_nearly_all_air_is_refused():
     specks = np.zeros((2000, 2000), bool)
     specks[::1990, ::1990] = True
     specks[:4, :4] = True
-    with pytest.raises(Problem, match="16 pixels or more at the network's 128 × 128"):
+    with pytest.raises(InputError, match="16 pixels or more at the network's 128 × 128"):
         photographs.framed(np.full((2000, 2000, 3), 0.5, np.float32), specks, 128)
 
 
@@ -82,7 +82,7 @@ def test_what_cannot_be_used_is_refused_with_the_remedy(tmp_path, mask_file):
         ((corrupt, mask_file), "PNG, JPEG or EXR"),
         ((tmp_path / "none.png", mask_file), "no such file"),
     ):
-        with pytest.raises(Problem, match=words):
+        with pytest.raises(InputError, match=words):
             photographs.read(*arguments)
 
 

@@ -14,7 +14,7 @@ from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from manifests import exr
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from shaders import envmap
 from tests.learn.test_cycles_source import written
@@ -81,7 +81,7 @@ def test_every_part_has_its_picture_and_the_sheet_all_of_them(predicted):
 
 def test_an_earlier_prediction_stays_unless_it_may_go(predicted, weights):
     out, store = predicted
-    with pytest.raises(Problem, match="--overwrite"):
+    with pytest.raises(InputError, match="--overwrite"):
         predict.write(store.folder, None, weights, out)
     before = json.loads((out / "material.json").read_text())
     predict.write(store.folder, None, weights, out, overwrite=True)
@@ -93,7 +93,7 @@ def test_an_earlier_prediction_stays_unless_it_may_go(predicted, weights):
 @pytest.mark.parametrize("name", predict.WRITTEN)
 def test_no_file_that_is_there_is_replaced_unless_asked(predicted, weights, tmp_path, name):
     (tmp_path / name).write_text("mine")
-    with pytest.raises(Problem, match="--overwrite"):
+    with pytest.raises(InputError, match="--overwrite"):
         predict.write(predicted[1].folder, None, weights, tmp_path)
     assert (tmp_path / name).read_text() == "mine"
 
@@ -126,5 +126,5 @@ def test_a_dataset_without_records_is_told(weights, tmp_path):
     store = written(tmp_path / "data")
     for path in store.record_files():
         path.write_bytes(b"")
-    with pytest.raises(Problem, match="expected records, found none"):
+    with pytest.raises(InputError, match="expected records, found none"):
         predict.write(store.folder, None, weights, tmp_path / "out")

@@ -97,7 +97,7 @@ def test_the_engine_takes_the_same_taps_as_torch(draw, perspective):
 
 def test_taps_cover_the_hemisphere_and_follow_the_lobes():
     m = scene(1e4, matte=0.01)["material"].reshape(3, 3, 2, 6)
-    theta, solid_angle = quadrature.tap_radii(m, 512)
+    theta, solid_angle = quadrature.sample_radii(m, 512)
     assert (np.diff(theta) > 0).all() and theta[-1] > 1.2
     np.testing.assert_allclose(solid_angle.sum(), 2 * np.pi, rtol=1e-12)
     assert 0.3 < (theta < 0.06).mean() < 0.35  # one of three lobes, taps as its root: e^(−1e4 θ²/4) is nothing beyond .06

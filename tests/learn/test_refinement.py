@@ -22,7 +22,7 @@ from learn.refinement.coordinates import Light, Material, Normals, principal_dir
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Level
 from manifests.cli import main
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from shaders import envmap, tone
 
@@ -61,7 +61,7 @@ def scene():
     return batch, Prediction(n, None, label, None, light)
 
 
-def spoiled(prediction, seed):
+def perturbed(prediction, seed):
     """A start that may be anything: random material, a wild light, normals that point everywhere."""
     rng = torch.Generator().manual_seed(seed)
     names = sorted(load_catalogue())
@@ -75,7 +75,7 @@ def spoiled(prediction, seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_no_start_however_bad_ends_above_itself_or_leaves_the_domain(scene, seed):
     batch, truth = scene
-    found = refine(batch, spoiled(truth, seed), QUICK)
+    found = refine(batch, perturbed(truth, seed), QUICK)
     assert found.after["total"] <= found.before["total"]
     n, inside = found.prediction.n[0], batch.segments[0] > 0
     assert all(torch.isfinite(part).all() for part in (found.prediction.label, found.prediction.light, n[:, inside]))
@@ -96,7 +96,7 @@ def test_a_stride_to_where_the_layer_cannot_follow_is_turned_back(scene, monkeyp
         return minimize(value_and_slope, x, **options)
 
     monkeypatch.setattr(descent, "minimize", far_first)
-    found = refine(batch, spoiled(truth, 1), replace(QUICK, order=("material",), passes=1))
+    found = refine(batch, perturbed(truth, 1), replace(QUICK, order=("material",), passes=1))
     assert strides and found.after["total"] < found.before["total"]
 
 
@@ -116,7 +116,7 @@ def test_a_prediction_that_is_not_finite_is_refused(scene):
 
 def test_what_is_accepted_lowers_the_energy_each_time(scene):
     batch, truth = scene
-    found = refine(batch, spoiled(truth, 1), replace(QUICK, a=0.05, b=0.05, passes=1))
+    found = refine(batch, perturbed(truth, 1), replace(QUICK, a=0.05, b=0.05, passes=1))
     totals = [found.before["total"]] + [step["total"] for step in found.history if step["accepted"]]
     assert len(totals) > 2
     assert all(b < a for a, b in pairwise(totals))
@@ -125,7 +125,7 @@ def test_what_is_accepted_lowers_the_energy_each_time(scene):
 
 def test_a_second_pass_comes_nearer_to_the_picture_and_stays_below_the_start(scene):
     batch, truth = scene
-    start = spoiled(truth, 1)
+    start = perturbed(truth, 1)
     once, twice = (refine(batch, start, replace(QUICK, passes=passes)) for passes in (1, 2))
     assert {line["pass"] for line in twice.history} == {0, 1}
     assert twice.after["image"] < 0.9 * once.after["image"]
@@ -134,7 +134,7 @@ def test_a_second_pass_comes_nearer_to_the_picture_and_stays_below_the_start(sce
 
 def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monkeypatch):
     batch, truth = scene
-    start = spoiled(truth, 1)
+    start = perturbed(truth, 1)
     once = refine(batch, start, replace(QUICK, passes=1))
     plain, calls = descent.passed, []
 
@@ -247,7 +247,7 @@ def test_a_studys_settings_are_read_from_their_names():
         assert [refinement_ablation.value_of(moved, refinement_ablation.settings_of(f"{moved}={value:g}")) for value in values] == list(
             values
         )
-    with pytest.raises(Problem, match="a setting"):
+    with pytest.raises(InputError, match="a setting"):
         refinement_ablation.settings_of("d=1")
 
 
@@ -263,7 +263,7 @@ def test_a_study_has_a_row_a_picture_goes_on_where_it_was_and_refuses_other_weig
     monkeypatch.setattr(
         refinement_ablation, "refine", lambda batch, start, settings: made.append(settings.a) or refine_(batch, start, QUICK)
     )
-    start = spoiled(scene[1], 3)
+    start = perturbed(scene[1], 3)
     told = refinement_ablation.weights(lambda _: start, known_cases(scene, 3), tmp_path, ["default", "a=1"])
     assert told["default"]["pictures"] == told["a=1"]["pictures"] == 3
     assert made == [0.05] * 3 + [1.0] * 3
@@ -271,10 +271,10 @@ def test_a_study_has_a_row_a_picture_goes_on_where_it_was_and_refuses_other_weig
     fewer = refinement_ablation.weights(lambda _: start, known_cases(scene, 2), tmp_path, ["default"])
     assert not made and set(fewer) == {"default"} and fewer["default"]["pictures"] == 2
     assert json.loads((tmp_path / "study.json").read_text()).keys() == {"made_by", "default"}
-    refinement_ablation.settle(tmp_path, {"weights": "one"})
-    refinement_ablation.settle(tmp_path, {"weights": "one"})
-    with pytest.raises(Problem, match="other weights"):
-        refinement_ablation.settle(tmp_path, {"weights": "two"})
+    refinement_ablation.pin_settings(tmp_path, {"weights": "one"})
+    refinement_ablation.pin_settings(tmp_path, {"weights": "one"})
+    with pytest.raises(InputError, match="other weights"):
+        refinement_ablation.pin_settings(tmp_path, {"weights": "two"})
 
 
 def test_a_weight_moved_beside_the_default_alone_is_charted(tmp_path):
@@ -284,7 +284,7 @@ def test_a_weight_moved_beside_the_default_alone_is_charted(tmp_path):
 
 
 def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
-    start = spoiled(scene[1], 3)
+    start = perturbed(scene[1], 3)
     told = refinement_initialisations.measured(lambda _: start, known_cases(scene, 4), 6, tmp_path, LABELS, QUICK)
     assert [row["kind"] for row in told["rows"]] == [*refinement_initialisations.STARTS, refinement_initialisations.STARTS[0]]
     assert list(told["by_kind"]) == list(refinement_initialisations.STARTS)
@@ -292,7 +292,7 @@ def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
 
 
 def test_a_studys_figures_are_of_the_parts_it_is_given(scene):
-    (case,), start = known_cases(scene, 1), spoiled(scene[1], 3)
+    (case,), start = known_cases(scene, 1), perturbed(scene[1], 3)
     found, own = refinement_ablation.figures(start, case.batch, case.truths), refinement_ablation.figures(scene[1], case.batch, case.truths)
     label, truth = case.truths[0]
     mask = (case.batch.segments[0] > 0).numpy()
@@ -306,7 +306,7 @@ def test_a_studys_figures_are_of_the_parts_it_is_given(scene):
 
 
 def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, monkeypatch):
-    start = spoiled(scene[1], 3)
+    start = perturbed(scene[1], 3)
     bad = start._replace(light=torch.full_like(start.light, torch.nan))
     ends = iter([(start, 0.5), (start, 1.5), (start, 2.0), (bad, 0.5)])
 

@@ -12,12 +12,12 @@ import torch
 
 from learn.data import lights, settings
 from learn.data.geometry import Geometry
-from learn.data.relit import Pool
+from learn.data.relit import DataSplit
 from learn.data.settings import Data, Losses, Run, Schedule, Stage
 from learn.training import loop
 from learn.training.loop import Training
 from manifests.cli import main
-from manifests.errors import Problem
+from manifests.errors import InputError
 from tests.learn import synthetic
 from tests.learn.test_train_command import RUN, store, train  # noqa: F401 -- a fixture
 
@@ -25,14 +25,14 @@ SIZE = 32
 
 
 @pytest.fixture(scope="module")
-def pools(tmp_path_factory):
+def data_splits(tmp_path_factory):
     """Geometry of one ball, two materials, one map: the same for all sides."""
     folder = tmp_path_factory.mktemp("dataset")
     synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere")
     geometry, rng = Geometry(folder, progress=False), np.random.default_rng(2)
     labels = {name: np.log(np.full(108, value, np.float32)) for name, value in (("a", 0.3), ("b", 0.5))}
     maps = [lights.computed(rng).astype(np.float32)]
-    return {side: Pool(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
+    return {side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
 
 
 def run(**changes):
@@ -74,7 +74,7 @@ def test_a_run_that_cannot_be_trained_is_refused_before_anything_is_read(tmp_pat
     (tmp_path / "run.json").write_text(json.dumps(RUN | changes))
     words_of_command = ["train", str(tmp_path / "run.json"), "--data", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]
     assert main("learn", "", ("train",), words_of_command) == 1
-    with pytest.raises(Problem, match=words):
+    with pytest.raises(InputError, match=words):
         settings.read_run(tmp_path / "run.json")
     assert "run.json" in line(capsys) and not (tmp_path / "out").exists()
 
@@ -93,12 +93,12 @@ def test_presets_can_be_trained(root):
     assert presets and [settings.read_run(path.stem).name for path in presets]
 
 
-def test_a_run_made_in_python_is_judged_as_one_from_a_file(pools, tmp_path):
-    for wrong in (run(losses=Losses(normals=0, material=0)), run(size=60), run(schedule=Schedule(rate=math.nan))):
-        with pytest.raises(Problem, match="run 'tiny'"):
-            Training(wrong, pools, tmp_path, workers=0)
+def test_a_run_made_in_python_is_judged_as_one_from_a_file(data_splits, tmp_path):
+    for wrong in (run(losses=Losses(normals=0, material=0)), run(size=60), run(schedule=Schedule(learning_rate=math.nan))):
+        with pytest.raises(InputError, match="run 'tiny'"):
+            Training(wrong, data_splits, tmp_path, workers=0)
     staged = run(stages=(Stage(("light",), 1, Losses(light_log=1)),))
-    Training(staged, pools, tmp_path, workers=0)
+    Training(staged, data_splits, tmp_path, workers=0)
 
 
 # ----------------------------------------------------------------------------------------------------------------- lock
@@ -126,7 +126,7 @@ def test_the_processes_that_relight_let_the_folder_go(tmp_path):
                 os._exit(7)
             os._exit(1)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
-        with pytest.raises(Problem, match="no other run"), loop.lock.writing(tmp_path, patience=0):
+        with pytest.raises(InputError, match="no other run"), loop.lock.writing(tmp_path, patience=0):
             pass  # the run itself still holds it
 
 
@@ -134,9 +134,9 @@ def test_the_processes_that_relight_let_the_folder_go(tmp_path):
 
 
 @pytest.fixture
-def half_way(pools, tmp_path):
+def half_way(data_splits, tmp_path):
     """A folder whose checkpoint is of step 1 of 2."""
-    training = Training(run(), pools, tmp_path / "out", sheet_every=0, checkpoint_every=1, workers=0)
+    training = Training(run(), data_splits, tmp_path / "out", sheet_every=0, checkpoint_every=1, workers=0)
     save = training._save
 
     def stop():
@@ -202,30 +202,30 @@ def without_momentum(header, body):
         lambda path: (path.unlink(), os.mkfifo(path)),
     ],
 )
-def test_a_damaged_checkpoint_is_told_and_left_as_it_is(half_way, pools, damage):
+def test_a_damaged_checkpoint_is_told_and_left_as_it_is(half_way, data_splits, damage):
     path = half_way / "checkpoint.safetensors"
     damage(path)
     before = path.read_bytes() if path.is_file() else None
     log = (half_way / "log.jsonl").read_bytes()
-    with pytest.raises(Problem, match=r"checkpoint\.safetensors"):
-        Training(run(), pools, half_way, workers=0)
+    with pytest.raises(InputError, match=r"checkpoint\.safetensors"):
+        Training(run(), data_splits, half_way, workers=0)
     assert before == (path.read_bytes() if path.is_file() else None)
     assert (half_way / "log.jsonl").read_bytes() == log
 
 
-def test_a_damaged_checkpoint_is_told_with_the_way_on(half_way, pools):
+def test_a_damaged_checkpoint_is_told_with_the_way_on(half_way, data_splits):
     (half_way / "checkpoint.safetensors").write_bytes(b"nothing")
-    with pytest.raises(Problem, match="move it away to begin again"):
-        Training(run(), pools, half_way, workers=0)
+    with pytest.raises(InputError, match="move it away to begin again"):
+        Training(run(), data_splits, half_way, workers=0)
 
 
-def test_a_checkpoint_from_before_digests_is_gone_on_from(half_way, pools):
+def test_a_checkpoint_from_before_digests_is_gone_on_from(half_way, data_splits):
     def without_digest(header, body):
         del header["__metadata__"]["digest"]
         return header, body
 
     rewritten(half_way / "checkpoint.safetensors", without_digest)
-    assert Training(run(), pools, half_way, workers=0).step == 1
+    assert Training(run(), data_splits, half_way, workers=0).step == 1
 
 
 def test_a_run_holds_one_checkpoint_and_no_draft_of_it(half_way):
@@ -235,9 +235,9 @@ def test_a_run_holds_one_checkpoint_and_no_draft_of_it(half_way):
 # --------------------------------------------------------------------------------------------------------- not finite
 
 
-def test_a_step_that_is_not_finite_leaves_the_running_statistics_too(pools, tmp_path):
+def test_a_step_that_is_not_finite_leaves_the_running_statistics_too(data_splits, tmp_path):
     """Batch normalisation follows its input in the forward pass, and NaN in a running mean stays for ever."""
-    training = Training(run(), pools, tmp_path, sheet_every=0, workers=0)
+    training = Training(run(), data_splits, tmp_path, sheet_every=0, workers=0)
     batch = training._source()[0]
     before = {name: tensor.clone() for name, tensor in training.network.state_dict().items()}
     batch.image[0, 0, SIZE // 2, SIZE // 2] = torch.nan
@@ -247,19 +247,19 @@ def test_a_step_that_is_not_finite_leaves_the_running_statistics_too(pools, tmp_
         assert torch.equal(tensor, before[name]), name
 
 
-def test_a_prediction_that_is_not_finite_is_a_skipped_step_and_no_error_of_the_layer(pools, tmp_path):
+def test_a_prediction_that_is_not_finite_is_a_skipped_step_and_no_error_of_the_layer(data_splits, tmp_path):
     terms = Losses(normals=1, material=0, image=1, pixels=8, layer_light=(8, 16))
-    training = Training(run(losses=terms, skipped_steps=0), pools, tmp_path, sheet_every=0, workers=0)
+    training = Training(run(losses=terms, skipped_steps=0), data_splits, tmp_path, sheet_every=0, workers=0)
     with torch.no_grad():
         training.network.normals.weight.fill_(3e38)
-    with pytest.raises(Problem, match="finite loss and gradients"):
+    with pytest.raises(InputError, match="finite loss and gradients"):
         training.train()
 
 
-def test_a_validation_that_is_not_finite_ends_in_one_line(pools, tmp_path):
-    training = Training(run(), pools, tmp_path, sheet_every=1, workers=0)
+def test_a_validation_that_is_not_finite_ends_in_one_line(data_splits, tmp_path):
+    training = Training(run(), data_splits, tmp_path, sheet_every=1, workers=0)
     training.average["normals.weight"].fill_(3e38)
-    with pytest.raises(Problem, match="validation after step 0: expected finite predictions"):
+    with pytest.raises(InputError, match="validation after step 0: expected finite predictions"):
         training._validate()
     assert not (tmp_path / "weights.safetensors").exists()
 
@@ -280,7 +280,7 @@ class Failing:
 
 
 @pytest.mark.parametrize(
-    "error", [Problem("picture.exr", "a file", "none", "render it again"), FileNotFoundError(2, "No such file", "picture.exr")]
+    "error", [InputError("picture.exr", "a file", "none", "render it again"), FileNotFoundError(2, "No such file", "picture.exr")]
 )
 def test_an_error_of_a_process_that_relights_is_raised_as_it_was(error):
     loader = torch.utils.data.DataLoader(loop.ErrorsAsValues(Failing(error)), batch_size=None, sampler=range(2), num_workers=1)
@@ -300,7 +300,7 @@ class Dying:
 
 def test_a_process_that_relights_and_is_killed_is_told_in_one_line():
     loader = torch.utils.data.DataLoader(loop.ErrorsAsValues(Dying()), batch_size=None, sampler=range(2), num_workers=1)
-    with pytest.raises(Problem, match="--workers: expected processes that live"):
+    with pytest.raises(InputError, match="--workers: expected processes that live"):
         next(loop.received(loader))
 
 
@@ -316,7 +316,7 @@ def test_a_damaged_cache_of_geometry_is_made_again(tmp_path, name, text):
         os.mkfifo(tmp_path / "packed" / name)
         try:
             assert np.array_equal(Geometry(tmp_path, progress=False, skip_bad=True).normals(0), sound)
-        except Problem as problem:
+        except InputError as problem:
             assert f"{name}: " in str(problem) and "a pipe" in str(problem)
         return
     (tmp_path / "packed" / name).write_bytes(text)
@@ -354,7 +354,7 @@ SKY = np.ones((64, 128, 3), np.float32)
 )
 def test_light_maps_without_light_or_beyond_measure_are_refused(tmp_path, maps, words):
     npz(tmp_path / "maps.npz", maps)
-    with pytest.raises(Problem, match=words):
+    with pytest.raises(InputError, match=words):
         lights.read_maps(tmp_path / "maps.npz")
 
 
@@ -370,21 +370,21 @@ def test_light_maps_in_other_files_are_refused(tmp_path):
     np.save(tmp_path / "one.npy", SKY)
     os.mkfifo(tmp_path / "pipe.npz")
     for name in ("lzma.npz", "one.npy", "pipe.npz"):
-        with pytest.raises(Problem, match=name.replace(".", r"\.")):
+        with pytest.raises(InputError, match=name.replace(".", r"\.")):
             lights.read_maps(tmp_path / name)
 
 
 @pytest.mark.parametrize(
     "text", [b"[1]\n", b"5\n", b"null\n", b"[" * 100_000 + b"\n", b'{"step": "one"}\n', b'{"step": null}\n', b'\xef\xbb\xbf{"step": -1}\n']
 )
-def test_lines_of_a_log_that_are_none_are_dropped(pools, tmp_path, text):
+def test_lines_of_a_log_that_are_none_are_dropped(data_splits, tmp_path, text):
     (tmp_path / "log.jsonl").write_bytes(text)
-    Training(run(), pools, tmp_path, sheet_every=0, workers=0).train()
+    Training(run(), data_splits, tmp_path, sheet_every=0, workers=0).train()
     assert [json.loads(each)["step"] for each in (tmp_path / "log.jsonl").read_text().splitlines()] == [0, 1]
 
 
 @pytest.mark.parametrize("name", loop.WRITTEN)
-def test_a_pipe_in_the_place_of_a_result_is_refused_before_training(pools, tmp_path, name):
+def test_a_pipe_in_the_place_of_a_result_is_refused_before_training(data_splits, tmp_path, name):
     os.mkfifo(tmp_path / name)
-    with pytest.raises(Problem, match=rf"{name}: .* found a pipe"):
-        Training(run(), pools, tmp_path, workers=0)
+    with pytest.raises(InputError, match=rf"{name}: .* found a pipe"):
+        Training(run(), data_splits, tmp_path, workers=0)

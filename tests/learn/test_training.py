@@ -11,7 +11,7 @@ import torch
 
 from learn.data import augmentation, lights, sources
 from learn.data.geometry import Geometry
-from learn.data.relit import Pool, Relit
+from learn.data.relit import DataSplit, RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.metrics import radiometry
 from learn.networks import weights as checkpoint
@@ -21,7 +21,7 @@ from learn.networks.paper import Paper
 from learn.networks.prediction import Prediction
 from learn.training import losses, validation
 from learn.training.loop import Training
-from manifests.errors import Problem
+from manifests.errors import InputError
 from shaders import envmap
 from tests.learn import synthetic
 
@@ -36,12 +36,12 @@ def geometry(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def pools(geometry):
+def data_splits(geometry):
     rng = np.random.default_rng(2)
     label = np.log(np.array(lambertian(0.5), np.float32))
     labels = {f"m{i}": (label + rng.normal(0, 0.3, 108)).astype(np.float32) for i in range(4)}
     maps = [lights.computed(rng).astype(np.float32) for _ in range(2)]
-    return {side: Pool(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
+    return {side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
 
 
 def lambertian(albedo):
@@ -58,8 +58,8 @@ def run(**changes):
     return Run(**settings | changes)
 
 
-def trained(settings, pools, folder, workers=0, every=2):
-    training = Training(settings, pools, folder, sheet_every=1000, checkpoint_every=every, workers=workers)
+def trained(settings, data_splits, folder, workers=0, every=2):
+    training = Training(settings, data_splits, folder, sheet_every=1000, checkpoint_every=every, workers=workers)
     training.train()
     return training
 
@@ -119,26 +119,26 @@ def test_the_reflectance_map_holds_a_pictures_radiance_where_its_normals_point()
     assert found[3, 0, 0] == 0  # outside the disk no normal points
 
 
-def test_a_batch_depends_on_seed_and_number_alone_and_parts_make_the_whole(pools):
+def test_a_batch_depends_on_seed_and_number_alone_and_parts_make_the_whole(data_splits):
     data = Data(sharing=2)
-    whole = Relit(pools["train"], data, 4, SIZE, 5)[7]
-    again = Relit(pools["train"], data, 4, SIZE, 5)[7]
+    whole = RelitDataset(data_splits["train"], data, 4, SIZE, 5)[7]
+    again = RelitDataset(data_splits["train"], data, 4, SIZE, 5)[7]
     assert torch.equal(whole.image, again.image)
-    parts = [Relit(pools["train"], data, 4, SIZE, 5, (i, 2))[7] for i in (0, 1)]
+    parts = [RelitDataset(data_splits["train"], data, 4, SIZE, 5, (i, 2))[7] for i in (0, 1)]
     assert torch.equal(torch.cat([p.image for p in parts]), whole.image)
-    assert not torch.equal(Relit(pools["train"], data, 4, SIZE, 6)[7].image, whole.image)
+    assert not torch.equal(RelitDataset(data_splits["train"], data, 4, SIZE, 6)[7].image, whole.image)
 
 
-def test_a_relit_picture_is_the_layers_of_its_own_truth(pools):
-    batch = Relit(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]  # held-out sides are not augmented
+def test_a_relit_picture_is_the_layers_of_its_own_truth(data_splits):
+    batch = RelitDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]  # held-out sides are not augmented
     seen = validation.picture(batch.n, batch.label, batch.light, batch)
     mine = batch.image.movedim(1, -1).numpy()
     assert np.abs(seen - mine).mean() / mine.mean() < 0.03  # two methods at 1e-2 and 2e-2
 
 
-def test_the_true_prediction_has_no_loss(pools):
-    batch = Relit(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]
-    ranges = Ranges.of(torch.from_numpy(np.stack(list(pools["train"].labels.values()))))
+def test_the_true_prediction_has_no_loss(data_splits):
+    batch = RelitDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
+    ranges = Ranges.of(torch.from_numpy(np.stack(list(data_splits["train"].labels.values()))))
     truth = Prediction(batch.n, ranges.code(batch.label), batch.label, torch.log1p(batch.light), batch.light)
     found = losses.terms(truth, batch, run().losses, torch.Generator().manual_seed(0), ranges)
     assert set(found) == {"normals", "material", "albedo", "light_log", "light_rendered", "image", "target"}
@@ -148,8 +148,8 @@ def test_the_true_prediction_has_no_loss(pools):
 
 
 @pytest.mark.parametrize("term", ["light_log", "light_rendered"])
-def test_no_light_loss_wants_a_colour_where_the_truth_has_none(pools, term):
-    batch = Relit(pools["test"], Data(sharing=2), 4, SIZE, 5)[0]
+def test_no_light_loss_wants_a_colour_where_the_truth_has_none(data_splits, term):
+    batch = RelitDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     solid_angle = torch.as_tensor(np.asarray(envmap.row_solid_angles(64, 128)).reshape(-1), dtype=torch.float32)
     grey = unit_mean(batch.light.mean(1, keepdim=True).expand(-1, 3, -1, -1) ** 2, solid_angle)
     shift = torch.zeros(3, requires_grad=True)
@@ -167,8 +167,8 @@ def test_the_log_albedo_of_a_lambertian_is_its_own(albedo):
     assert radiometry.log_albedo(label)[0].item() == pytest.approx(math.log(albedo + 1e-3), abs=2e-3)  # 48 nodes
 
 
-def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_shown(pools):
-    batch = Relit(pools["test"], Data(sharing=2, regions=2), 4, SIZE, 5)[0]
+def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_shown(data_splits):
+    batch = RelitDataset(data_splits["test"], Data(sharing=2, regions=2), 4, SIZE, 5)[0]
     label = np.log(np.stack([lambertian(0.2), lambertian(0.4)])).astype(np.float32)
     segments = batch.segments.clone()
     segments[0][segments[0] == 1] = 2  # the first picture does not show region 1
@@ -200,9 +200,9 @@ def test_no_pixel_pulls_harder_than_its_bound():
     assert x.grad.norm(dim=-1).max().item() == pytest.approx(1e-3, rel=1e-5)
 
 
-def test_a_killed_run_ends_with_bitwise_the_same_weights(pools, tmp_path):
-    undisturbed = trained(run(), pools, tmp_path / "whole")
-    killed = Training(run(), pools, tmp_path / "killed", sheet_every=1000, checkpoint_every=2, workers=0)
+def test_a_killed_run_ends_with_bitwise_the_same_weights(data_splits, tmp_path):
+    undisturbed = trained(run(), data_splits, tmp_path / "whole")
+    killed = Training(run(), data_splits, tmp_path / "killed", sheet_every=1000, checkpoint_every=2, workers=0)
     save = killed._save
 
     def die_after_saving():
@@ -212,44 +212,44 @@ def test_a_killed_run_ends_with_bitwise_the_same_weights(pools, tmp_path):
     killed._save = die_after_saving
     with pytest.raises(KeyboardInterrupt):
         killed.train()
-    resumed = trained(run(), pools, tmp_path / "killed")
+    resumed = trained(run(), data_splits, tmp_path / "killed")
     for name, tensor in undisturbed.network.state_dict().items():
         assert torch.equal(tensor, resumed.network.state_dict()[name]), name
     for name, tensor in undisturbed.average.items():
         assert torch.equal(tensor, resumed.average[name]), name
 
 
-def test_training_lowers_its_loss(pools, tmp_path):
-    schedule = Schedule(steps=30, batch=4, rate=2e-3, warm_up=1)
-    trained(run(schedule=schedule, losses=Losses(normals=1, material=0), parts=("normals",)), pools, tmp_path, every=100)
+def test_training_lowers_its_loss(data_splits, tmp_path):
+    schedule = Schedule(steps=30, batch=4, learning_rate=2e-3, warm_up=1)
+    trained(run(schedule=schedule, losses=Losses(normals=1, material=0), parts=("normals",)), data_splits, tmp_path, every=100)
     lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert np.mean([r["normals"] for r in lines[-5:]]) < 0.5 * np.mean([r["normals"] for r in lines[:3]])
 
 
-def test_a_step_that_is_not_finite_changes_nothing_and_too_many_end_the_run(pools, tmp_path, monkeypatch):
+def test_a_step_that_is_not_finite_changes_nothing_and_too_many_end_the_run(data_splits, tmp_path, monkeypatch):
     monkeypatch.setattr(losses, "total", lambda found, weights: found["normals"] * math.nan)
-    training = Training(run(skipped_steps=1), pools, tmp_path, workers=0)
+    training = Training(run(skipped_steps=1), data_splits, tmp_path, workers=0)
     before = {name: t.clone() for name, t in training.network.named_parameters()}
-    with pytest.raises(Problem, match="finite loss"):
+    with pytest.raises(InputError, match="finite loss"):
         training.train()
     assert all(torch.equal(before[name], t) for name, t in training.network.named_parameters())
     assert len(list(tmp_path.glob("skipped-*.safetensors"))) == 2
 
 
-def test_a_checkpoint_of_other_settings_is_refused(pools, tmp_path):
-    trained(run(), pools, tmp_path)
-    with pytest.raises(Problem, match="other settings"):
-        Training(run(seed=4), pools, tmp_path)
+def test_a_checkpoint_of_other_settings_is_refused(data_splits, tmp_path):
+    trained(run(), data_splits, tmp_path)
+    with pytest.raises(InputError, match="other settings"):
+        Training(run(seed=4), data_splits, tmp_path)
 
 
 def test_weights_that_are_pickled_or_of_another_size_are_refused(tmp_path):
     pickled = tmp_path / "weights.safetensors"
     pickled.write_bytes(b"\x80\x04\x95" + bytes(64))
-    with pytest.raises(Problem, match="never read"):
+    with pytest.raises(InputError, match="never read"):
         checkpoint.load_network(pickled)
     other = tmp_path / "other.safetensors"
     checkpoint.save(other, {"label_centre": torch.zeros(7)}, {"format": "brdfactory weights 1", "network": "compact", "size": "128"})
-    with pytest.raises(Problem, match=r"label_centre.*shape"):
+    with pytest.raises(InputError, match=r"label_centre.*shape"):
         checkpoint.load_network(other)
 
 
@@ -268,8 +268,8 @@ def test_sides_share_no_material_and_twin_maps_are_known(rng):
     assert not (names[0] & names[1] or names[0] & names[2] or names[1] & names[2])
     assert all(names)
     L = rng.random((64, 128, 3))
-    assert sources.twins(envmap.roll(L, 9)[:, ::-1] * 1.001, L)
-    assert not sources.twins(rng.random((64, 128, 3)), L)
+    assert sources.are_duplicates(envmap.roll(L, 9)[:, ::-1] * 1.001, L)
+    assert not sources.are_duplicates(rng.random((64, 128, 3)), L)
 
 
 def test_a_photographed_picture_keeps_its_radiance_but_for_exposure_and_noise(rng):

@@ -16,7 +16,7 @@ from learn.metrics import lpips as perceptual
 from learn.networks import features, tensor_file, weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 RUN = json.dumps({"name": "tiny", "parts": ["normals", "material", "light"]})
 
@@ -97,7 +97,7 @@ def test_metadata_of_any_kind_are_refused_in_one_line(changed, key, value, words
             header["__metadata__"][key] = value
         return header, body
 
-    with pytest.raises(Problem, match=words):
+    with pytest.raises(InputError, match=words):
         weights.load_parts(changed(change))
 
 
@@ -153,14 +153,14 @@ def fewer(header, body):
     ],
 )
 def test_tensors_that_are_not_the_networks_are_refused(changed, change, words):
-    with pytest.raises(Problem, match=words):
+    with pytest.raises(InputError, match=words):
         weights.load_network(changed(change))
 
 
 def test_a_header_that_is_said_to_be_huge_is_not_read(sound, tmp_path):
     for length in (1 << 63, 1 << 40, 99_000_000):
         (tmp_path / "w.safetensors").write_bytes(struct.pack("<Q", length) + sound.read_bytes()[8:])
-        with pytest.raises(Problem, match="no header of at most 8 MiB"):
+        with pytest.raises(InputError, match="no header of at most 8 MiB"):
             weights.load_network(tmp_path / "w.safetensors")
 
 
@@ -173,7 +173,7 @@ def test_other_tensors_are_refused_before_memory_is_taken_for_them(tmp_path, mon
     whole = joined(header, b"")
     (tmp_path / "w.safetensors").write_bytes(whole)
     os.truncate(tmp_path / "w.safetensors", len(whole) + (1 << 30))
-    with pytest.raises(Problem, match="a tensor of shape"):
+    with pytest.raises(InputError, match="a tensor of shape"):
         weights.load_network(tmp_path / "w.safetensors")
     assert not read
 
@@ -183,7 +183,7 @@ def test_ranges_that_no_material_has_are_refused(tmp_path, centre, half):
     """Labels are read from codes by them: beyond them exp is infinite, or the reflectance no number."""
     network = Compact(Ranges(torch.full((108,), float(centre)), torch.full((108,), float(half))))
     weights.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), RUN, 32)
-    with pytest.raises(Problem, match="label_centre, label_half: expected ranges of labels"):
+    with pytest.raises(InputError, match="label_centre, label_half: expected ranges of labels"):
         weights.load_network(tmp_path / "w.safetensors")
 
 
@@ -193,7 +193,7 @@ def test_weights_whose_prediction_overflows_are_told_by_it(sound, value):
     with torch.no_grad():
         network.normals.weight.fill_(value)
     framed = Framed(np.full((32, 32, 3), 0.5, np.float32), np.ones((32, 32), bool), (0, 0, 32), 1.0)
-    with pytest.raises(Problem, match="--weights: expected weights that predict finite"):
+    with pytest.raises(InputError, match="--weights: expected weights that predict finite"):
         of(framed, network)
 
 
@@ -201,7 +201,7 @@ def test_weights_whose_prediction_overflows_are_told_by_it(sound, value):
 def test_what_is_no_file_is_refused_at_once_by_every_reader(tmp_path, make):
     make(tmp_path / "w.safetensors")
     for read in (weights.load_network, features.load, perceptual.of_file, priors.load):
-        with pytest.raises(Problem, match=r"w\.safetensors: expected .*, found (a |too many)"):
+        with pytest.raises(InputError, match=r"w\.safetensors: expected .*, found (a |too many)"):
             read(tmp_path / "w.safetensors")
 
 
@@ -231,7 +231,7 @@ def lpips():
 )
 def test_lpips_of_other_shapes_or_without_numbers_is_refused(tmp_path, lpips, name, value):
     (tmp_path / "lpips.safetensors").write_bytes(save(lpips | {name: value}))
-    with pytest.raises(Problem, match=name.replace(".", r"\.")):
+    with pytest.raises(InputError, match=name.replace(".", r"\.")):
         perceptual.of_file(tmp_path / "lpips.safetensors")
 
 
@@ -255,7 +255,7 @@ def known(rng):
 )
 def test_priors_of_other_shapes_or_without_numbers_are_refused(tmp_path, known, name, value):
     weights.save(tmp_path / "p.safetensors", vars(known) | {name: value}, {"format": priors.FORMAT})
-    with pytest.raises(Problem, match=r"p\.safetensors: "):
+    with pytest.raises(InputError, match=r"p\.safetensors: "):
         priors.load(tmp_path / "p.safetensors")
 
 
@@ -267,5 +267,5 @@ def test_vgg16_without_numbers_is_refused(tmp_path):
     tensors = random_tensors(shapes)
     tensors["features.5.bias"][3] = torch.inf
     (tmp_path / "vgg.safetensors").write_bytes(save(tensors))
-    with pytest.raises(Problem, match=r"features\.5\.bias: expected finite numbers"):
+    with pytest.raises(InputError, match=r"features\.5\.bias: expected finite numbers"):
         features.load(tmp_path / "vgg.safetensors")

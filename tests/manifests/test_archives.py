@@ -11,7 +11,7 @@ import pytest
 from manifests import archives
 from manifests.archives import ArrayHeader
 from manifests.arrays import encode_light, read_light, read_scale
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 HEADER = "{'descr': '<f4', 'fortran_order': False, 'shape': (64, 128, 3), }\n"
 VERSIONS = ((1, 0), (2, 0), (3, 0))
@@ -75,7 +75,7 @@ def light_with(tmp_path, member, content):
 @pytest.mark.parametrize("text", [HEADER[:40], "{[]: 1}", "[" * 9000])
 def test_a_stored_light_with_a_damaged_array_header_is_told_in_one_line(tmp_path, member, read, text):
     path = light_with(tmp_path, member, stream(text).getvalue())
-    with pytest.raises(Problem, match="a damaged array header"):
+    with pytest.raises(InputError, match="a damaged array header"):
         read(path)
 
 
@@ -84,5 +84,5 @@ def test_light_maps_for_training_with_a_damaged_array_header_are_told_in_one_lin
     from learn.data.lights import read_maps
 
     path = light_with(tmp_path, "L.npy", stream(text).getvalue())
-    with pytest.raises(Problem, match="a damaged array header"):
+    with pytest.raises(InputError, match="a damaged array header"):
         read_maps(path)

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from manifests import cli
-from manifests.errors import Problem
+from manifests.errors import InputError
 
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name not in ("PYTHONUNBUFFERED", "PYTHONIOENCODING")}
 
@@ -80,7 +80,7 @@ def fail(monkeypatch, capsys):
     return run_with
 
 
-@pytest.mark.parametrize("error", [Problem("x", "y", "z", "w"), OSError(28, "No space left on device", "out")])
+@pytest.mark.parametrize("error", [InputError("x", "y", "z", "w"), OSError(28, "No space left on device", "out")])
 def test_what_is_wrong_stands_on_a_line_of_its_own_below_the_progress_bar(fail, error):
     lines = re.split(r"[\r\n]+", fail(error).strip())
     assert lines[-1] == f"factory: {error}"
@@ -89,7 +89,7 @@ def test_what_is_wrong_stands_on_a_line_of_its_own_below_the_progress_bar(fail, 
 
 def test_a_file_name_with_a_line_break_does_not_break_the_line(fail):
     assert fail(OSError(2, "No such file or directory", "a\nb")).endswith("\nfactory: [Errno 2] No such file or directory: 'a\\nb'\n")
-    assert fail(Problem("a\nb", "x", "y", "z")).endswith("\nfactory: a\\nb: expected x, found y (z)\n")
+    assert fail(InputError("a\nb", "x", "y", "z")).endswith("\nfactory: a\\nb: expected x, found y (z)\n")
 
 
 @pytest.mark.parametrize(

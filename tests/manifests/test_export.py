@@ -6,7 +6,7 @@ import tarfile
 import msgspec
 import pytest
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.export import to_parquet, to_tars
 from manifests.schema import Record
 from manifests.store import image_path
@@ -53,7 +53,7 @@ def test_a_record_that_points_outside_is_not_exported(a_dataset, a_record, tmp_p
     path = a_dataset.record_files()[0]
     value = msgspec.to_builtins(a_record("f" * 24)) | changes
     path.write_bytes(path.read_bytes() + msgspec.json.encode(value) + b"\n")
-    with pytest.raises(Problem, match=message) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         to_tars(a_dataset, tmp_path / "out")
     assert str(caught.value).isprintable()
     assert not [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
@@ -64,7 +64,7 @@ def test_a_light_that_lies_elsewhere_is_not_exported(a_dataset, tmp_path, file):
     dataset = a_dataset.dataset()
     lights = {"lamp": msgspec.structs.replace(dataset.lights["lamp"], file=file)}
     a_dataset.write_json("dataset.json", msgspec.structs.replace(dataset, lights=lights))
-    with pytest.raises(Problem, match="another name"):
+    with pytest.raises(InputError, match="another name"):
         to_tars(a_dataset, tmp_path / "out")
 
 
@@ -76,20 +76,20 @@ def test_what_is_no_file_is_not_waited_for(a_dataset, tmp_path, put, kind):
     path = a_dataset.folder / name.get(kind, "materials.json")
     path.unlink()
     put(path)
-    with pytest.raises(Problem, match=", found"):
+    with pytest.raises(InputError, match=", found"):
         to_tars(a_dataset, tmp_path / "out")
 
 
 def test_an_earlier_export_s_tars_do_not_stay_among_the_new_ones(a_dataset, tmp_path):
     to_tars(a_dataset, tmp_path / "out", each=1)
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.tar")}
-    with pytest.raises(Problem, match=r"out: expected a folder without tars, found 000000\.tar \(name another folder"):
+    with pytest.raises(InputError, match=r"out: expected a folder without tars, found 000000\.tar \(name another folder"):
         to_tars(a_dataset, tmp_path / "out")
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.tar")} == before and len(before) == 3
 
 
 def test_an_empty_choice_is_refused(a_dataset, tmp_path):
-    with pytest.raises(Problem, match="expected records to export, found none"):
+    with pytest.raises(InputError, match="expected records to export, found none"):
         to_tars(a_dataset, tmp_path / "out", split="test")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from manifests import files
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.inputs import require_file
 
 
@@ -93,13 +93,13 @@ def make_socket(path):
 def test_what_is_no_ordinary_file_is_refused_before_it_is_opened(tmp_path, make, found):
     path = tmp_path / "input"
     make(path)
-    with pytest.raises(Problem, match=found):
+    with pytest.raises(InputError, match=found):
         require_file(path, "a mesh file", maximum_bytes=2048)
 
 
 @pytest.mark.parametrize("name", ["a\0b", "a" * 300, "x/y/" * 2000])
 def test_names_that_no_file_can_have_are_refused(name):
-    with pytest.raises(Problem, match="expected a mesh file"):
+    with pytest.raises(InputError, match="expected a mesh file"):
         require_file(name, "a mesh file")
 
 
@@ -114,15 +114,15 @@ def names(folder):
 
 def test_results_that_belong_together_take_their_places_together_or_not_at_all(tmp_path):
     files.write_text(tmp_path / "a.txt", "old")
-    with pytest.raises(RuntimeError), files.together():
+    with pytest.raises(RuntimeError), files.transaction():
         files.write_text(tmp_path / "a.txt", "new")
         files.write_text(tmp_path / "b.txt", "new")
         assert (tmp_path / "a.txt").read_text() == "old"
         raise RuntimeError
     assert names(tmp_path) == ["a.txt"] and (tmp_path / "a.txt").read_text() == "old"
-    with files.together():
+    with files.transaction():
         files.write_text(tmp_path / "a.txt", "new")
-        with files.together():  # belongs to the outer block
+        with files.transaction():  # belongs to the outer block
             files.write_text(tmp_path / "b.txt", "new")
         assert (tmp_path / "a.txt").read_text() == "old" and not (tmp_path / "b.txt").exists()
     assert names(tmp_path) == ["a.txt", "b.txt"] and (tmp_path / "a.txt").read_text() == "new"
@@ -130,14 +130,14 @@ def test_results_that_belong_together_take_their_places_together_or_not_at_all(t
 
 def test_a_disk_that_is_full_at_the_second_of_two_results_takes_neither(tmp_path, small_files):
     files.write_text(tmp_path / "small", "old")
-    with small_files(10), pytest.raises(OSError, match="large"), files.together():
+    with small_files(10), pytest.raises(OSError, match="large"), files.transaction():
         files.write_text(tmp_path / "small", "new")
         files.write_text(tmp_path / "large", "a longer text")
     assert names(tmp_path) == ["small"] and (tmp_path / "small").read_text() == "old"
 
 
 def test_of_two_results_one_that_cannot_be_placed_does_not_hold_up_the_other(tmp_path):
-    with pytest.raises(OSError, match="folder"), files.together():
+    with pytest.raises(OSError, match="folder"), files.transaction():
         files.write_text(tmp_path / "folder", "text")
         files.write_text(tmp_path / "other", "text")
         (tmp_path / "folder").mkdir()
@@ -178,7 +178,7 @@ def test_the_longest_names_a_file_can_have_can_be_written(tmp_path, name):
 @pytest.mark.parametrize("make", [os.mkdir, os.mkfifo, lambda path: path.symlink_to("/dev/null")], ids=["folder", "pipe", "device"])
 def test_what_is_no_file_is_neither_written_into_nor_replaced(tmp_path, make):
     make(tmp_path / "out")
-    with pytest.raises(Problem, match="expected a file, or a name for a new one, found a"):
+    with pytest.raises(InputError, match="expected a file, or a name for a new one, found a"):
         files.write_bytes(tmp_path / "out", b"x")
     assert names(tmp_path) == ["out"] and not (tmp_path / "out").is_file()
 

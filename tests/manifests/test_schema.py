@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manifests import publish
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.reading import decode, read
 from manifests.schema import Dataset, Draw, Failure, Job, Record
 
@@ -19,7 +19,7 @@ GOOD = {"shapes": ["sphere"], "materials": ["brass"], "lights": ["city"]}
 
 def refused(value, type_=Job):
     data = value if isinstance(value, bytes) else json.dumps(value).encode()
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(InputError) as caught:
         decode(data, type_, "job.json")
     assert "\n" not in str(caught.value)
     return str(caught.value)
@@ -76,7 +76,7 @@ def test_whatever_json_is_given_a_job_comes_out_or_one_line(value):
     for type_ in (Job, Dataset, Failure):
         try:
             decode(json.dumps(value).encode(), type_, "file")
-        except Problem as problem:
+        except InputError as problem:
             assert "\n" not in str(problem)
 
 
@@ -87,13 +87,13 @@ def test_a_draw_and_a_list_both_read_as_views():
 
 def test_a_missing_or_huge_file_is_refused_before_it_is_read(tmp_path):
     (tmp_path / "demo.json").write_text("{}")
-    with pytest.raises(Problem, match=r"demo\.json"):
+    with pytest.raises(InputError, match=r"demo\.json"):
         read(tmp_path / "dmeo.json", Job)
-    with pytest.raises(Problem, match="a folder"):
+    with pytest.raises(InputError, match="a folder"):
         read(tmp_path, Job)
     with open(tmp_path / "huge.json", "wb") as file:
         file.truncate(10 << 20)
-    with pytest.raises(Problem, match=r"at most 1\.0 MiB"):
+    with pytest.raises(InputError, match=r"at most 1\.0 MiB"):
         read(tmp_path / "huge.json", Job, 1 << 20)
 
 

@@ -8,7 +8,7 @@ import sys
 import msgspec
 import pytest
 
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.schema import Record
 from manifests.store import Lines, Store, file_hash, geometry_path, image_path, inside, light_path
 from manifests.verification import Fault, repair
@@ -25,7 +25,7 @@ def test_a_path_that_leaves_the_folder_is_refused(tmp_path, path):
     folder = tmp_path / "data"
     folder.mkdir()
     (folder / "link").symlink_to(tmp_path)
-    with pytest.raises(Problem, match="inside the dataset's folder"):
+    with pytest.raises(InputError, match="inside the dataset's folder"):
         inside(folder, path)
 
 
@@ -76,16 +76,16 @@ def test_a_damaged_line_in_the_middle_is_named_by_file_and_line(a_dataset):
     path = a_dataset.record_files()[0]
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(lines[0] + b'{"id": 5}\n' + lines[1])
-    with pytest.raises(Problem, match=r"worker-00\.jsonl:2: id: expected str, found 5 \(python -m factory verify .*--repair"):
+    with pytest.raises(InputError, match=r"worker-00\.jsonl:2: id: expected str, found 5 \(python -m factory verify .*--repair"):
         list(a_dataset.records())
 
 
 def test_another_schema_version_and_a_missing_dataset_are_refused(a_dataset, tmp_path):
     path = a_dataset.folder / "dataset.json"
     path.write_text(path.read_text().replace('"version": 1', '"version": 2'))
-    with pytest.raises(Problem, match=r"expected schema version 1, found 2"):
+    with pytest.raises(InputError, match=r"expected schema version 1, found 2"):
         a_dataset.dataset()
-    with pytest.raises(Problem, match=r"expected a dataset .*, found none"):
+    with pytest.raises(InputError, match=r"expected a dataset .*, found none"):
         Store(tmp_path / "nowhere").dataset()
 
 
@@ -99,13 +99,13 @@ def test_geometry_that_the_disk_has_no_room_for_is_named_by_its_place(tmp_path, 
 def test_a_damaged_dataset_says_that_it_can_be_made_again(a_dataset, damage):
     path = a_dataset.folder / "dataset.json"
     path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(Problem, match=r"delete it and render each of the folder's jobs again"):
+    with pytest.raises(InputError, match=r"delete it and render each of the folder's jobs again"):
         a_dataset.dataset()
 
 
 def test_a_damaged_line_of_failures_says_that_nothing_hangs_on_it(a_dataset):
     (a_dataset.folder / "failures.jsonl").write_bytes(b"{}\n")
-    with pytest.raises(Problem, match=r"failures\.jsonl:1: .*delete this file"):
+    with pytest.raises(InputError, match=r"failures\.jsonl:1: .*delete this file"):
         list(a_dataset.failures())
 
 
@@ -118,7 +118,7 @@ def test_what_lines_name_is_known_by_one_reading(a_dataset):
 
 def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(Problem, match="found a pipe"):
+    with pytest.raises(InputError, match="found a pipe"):
         file_hash(tmp_path / "pipe")
     with pytest.raises(FileNotFoundError):
         file_hash(tmp_path / "none")
@@ -137,11 +137,11 @@ def test_of_two_workers_who_mend_one_file_the_first_ones_stays(tmp_path):
 
 OTHER = """
 import sys
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.store import Lines
 try:
     Lines(sys.argv[1])
-except Problem as problem:
+except InputError as problem:
     print(problem)
 """
 

@@ -19,7 +19,7 @@ from manifests.arrays import (
     read_light,
     read_picture,
 )
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.files import write_bytes, write_npz
 from shaders.envmap import unit_mean
 
@@ -97,7 +97,7 @@ def test_a_small_file_that_the_disk_has_no_room_for_is_an_error_and_no_empty_fil
 )
 def test_a_stored_light_that_is_no_light_is_refused(tmp_path, arrays, found):
     write_npz(tmp_path / "light.npz", arrays)
-    with pytest.raises(Problem, match=found):
+    with pytest.raises(InputError, match=found):
         read_light(tmp_path / "light.npz")
 
 
@@ -111,20 +111,20 @@ def test_a_stored_light_comes_back(tmp_path, rng):
 def test_segments_that_would_wrap_are_refused(tmp_path, geometry, segment):
     channels = dict.fromkeys((*NORMAL_CHANNELS, DEPTH_CHANNEL), np.zeros((2, 2), np.float32))
     exr.write(tmp_path / "g.exr", channels | {SEGMENT_CHANNEL: np.full((2, 2), segment, np.float32)})
-    with pytest.raises(Problem, match="expected segments 0 to 255"):
+    with pytest.raises(InputError, match="expected segments 0 to 255"):
         read_geometry(tmp_path / "g.exr")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -0.5])
 def test_a_picture_with_values_that_are_no_radiance_is_refused(tmp_path, value):
     exr.write(tmp_path / "p.exr", dict.fromkeys("RGB", np.full((2, 2), value, np.float16)))
-    with pytest.raises(Problem, match="12 values that are not"):
+    with pytest.raises(InputError, match="12 values that are not"):
         read_picture(tmp_path / "p.exr")
 
 
 def test_a_picture_of_another_size_than_its_record_says_is_refused(tmp_path):
     write_picture(tmp_path / "p.exr", np.ones((2, 4, 3), np.float32))
-    with pytest.raises(Problem, match="expected 4 × 2 pixels, found 2 × 4"):
+    with pytest.raises(InputError, match="expected 4 × 2 pixels, found 2 × 4"):
         read_picture(tmp_path / "p.exr", (4, 2))
 
 
@@ -138,7 +138,7 @@ def test_a_bad_file_is_one_line_that_names_it(tmp_path, geometry, spoil, capfd):
         path.mkdir()
     elif spoil != "missing":
         path.write_bytes({"truncated": whole[: len(whole) * 2 // 3], "empty": b"", "text": b"no picture\n" * 40}[spoil])
-    with pytest.raises(Problem, match=r"g\.exr: expected .*, found .* \((render or copy it again|name a file in it)"):
+    with pytest.raises(InputError, match=r"g\.exr: expected .*, found .* \((render or copy it again|name a file in it)"):
         read_geometry(path)
     out, err = capfd.readouterr()
     assert out == err == ""
@@ -146,5 +146,5 @@ def test_a_bad_file_is_one_line_that_names_it(tmp_path, geometry, spoil, capfd):
 
 def test_a_picture_is_not_geometry(tmp_path):
     write_picture(tmp_path / "p.exr", np.zeros((2, 2, 3), np.float32))
-    with pytest.raises(Problem, match=r"expected channels normal\.X, .*, found only B, G, R"):
+    with pytest.raises(InputError, match=r"expected channels normal\.X, .*, found only B, G, R"):
         read_geometry(tmp_path / "p.exr")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from manifests import arrays, ids
-from manifests.errors import Problem
+from manifests.errors import InputError
 from manifests.materials import encode, read_catalogue
 from manifests.schema import Camera, Draw, Record
 from manifests.store import Store, file_hash, geometry_path, image_path
@@ -632,5 +632,5 @@ def test_an_id_that_is_none_is_refused_where_it_is_read(store, id_):
         msgspec.json.decode(msgspec.json.encode(value), type=Record)
     (path,) = store.record_files()
     path.write_bytes(msgspec.json.encode(value) + b"\n")
-    with pytest.raises(Problem, match="id: expected str"):
+    with pytest.raises(InputError, match="id: expected str"):
         list(store.records())

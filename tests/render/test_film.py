@@ -55,7 +55,7 @@ def test_a_window_shows_the_pixels_of_the_whole_frame_noise_and_all(chair, fov_d
         chair._scene.cycles.samples = 2 if way == "picture" else 1
         chair._scene.cycles.seed = 3
         chair._scene.render.use_border = False
-        whole = render_result.expose(chair._scene)["Combined"]
+        whole = render_result.render_passes(chair._scene)["Combined"]
         np.testing.assert_array_equal(whole if way == "picture" else whole[..., 3] > 0.5, wanted)
 
 

@@ -45,9 +45,9 @@ def test_the_effective_settings_are_json_and_each_has_its_reason(studio):
 
 def test_an_unknown_device_and_a_missing_gpu_are_one_line_each(studio):
     from factory.render import device
-    from manifests.errors import Problem
+    from manifests.errors import InputError
 
-    with pytest.raises(Problem, match="--device: expected one of auto, cpu"):
+    with pytest.raises(InputError, match="--device: expected one of auto, cpu"):
         device.choose("gpu")
-    with pytest.raises(Problem, match="expected a GPU that Cycles can use through metal, found none"):
+    with pytest.raises(InputError, match="expected a GPU that Cycles can use through metal, found none"):
         device.choose("metal")  # no Linux build has it

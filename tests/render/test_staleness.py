@@ -65,9 +65,9 @@ def test_a_seed_is_noticed_though_nothing_else_has_changed(shown):
     from factory.render import render_result
 
     shown.render(4, 1)
-    before = render_result.expose(shown._scene)["Combined"]
+    before = render_result.render_passes(shown._scene)["Combined"]
     shown._scene.cycles.seed = 2
-    assert _apart(before, render_result.expose(shown._scene)["Combined"]) > 0.02
+    assert _apart(before, render_result.render_passes(shown._scene)["Combined"]) > 0.02
 
 
 def test_another_shape_and_back_is_the_same_picture(shown):

@@ -124,5 +124,5 @@ def test_a_copy_turned_scaled_and_rounded_is_the_same_capture_and_another_map_is
     L, other = (np.exp(rng.standard_normal((16, 32, 3))) for _ in range(2))
     copy = envmap.roll(3 * L.astype(np.float16).astype(float), 5)
     assert envmap.likeness(L, copy) > 0.9999  # half floats keep three digits
-    assert envmap.same_capture(L, copy) and not envmap.same_capture(L, other)
-    assert not envmap.same_capture(L, L[::-1])  # upside down is another light
+    assert envmap.is_same_source(L, copy) and not envmap.is_same_source(L, other)
+    assert not envmap.is_same_source(L, L[::-1])  # upside down is another light

@@ -70,10 +70,10 @@ def lit_texel(studio, rng, directions=64, samples=16):
         studio.set_view(rng.uniform(0, 2 * np.pi))
         studio.set_light(L, turn)
         n = studio.geometry().normals.astype(np.float64)
-        found, wanted = studio.render(samples, len(degrees))[..., 0].astype(np.float64), np.maximum(n @ towards, 0)
+        result, requested = studio.render(samples, len(degrees))[..., 0].astype(np.float64), np.maximum(n @ towards, 0)
         front = n[..., 2] > 0.4
-        lit = front & (wanted > 0.05)
-        peaks = [np.linalg.lstsq(n[lit], picture[lit], rcond=None)[0] for picture in (found, wanted)]
+        lit = front & (requested > 0.05)
+        peaks = [np.linalg.lstsq(n[lit], picture[lit], rcond=None)[0] for picture in (result, requested)]
         degrees.append(float(angle_deg(*peaks)))
     return {"max_deg": max(degrees), "median_deg": float(np.median(degrees)), "degrees": degrees}
 
@@ -91,15 +91,15 @@ def lambert(studio, L, samples=32, seeds=16, size=64, rotation=37):
     n = studio.geometry().normals
     inside = n[..., 2] > 0.3
     mean, variance, _ = _takes(studio, samples, seeds)
-    wanted = np.zeros_like(mean)
-    wanted[inside] = reference.dense(mixture, n[inside], light.as_seen(L, rotation))
+    requested = np.zeros_like(mean)
+    requested[inside] = reference.dense(mixture, n[inside], light.as_seen(L, rotation))
     sigma = np.sqrt(_pooled(variance, inside)[inside] / seeds)
-    z = (mean - wanted)[inside] / sigma
+    z = (mean - requested)[inside] / sigma
     return {
-        "relative_mean": float((mean - wanted)[inside].sum() / wanted[inside].sum()),
+        "relative_mean": float((mean - requested)[inside].sum() / requested[inside].sum()),
         "largest_sigma": float(np.abs(z).max()),
         "rms_sigma": float(np.sqrt((z**2).mean())),
-        "noise": float(np.sqrt(variance[inside].mean()) / wanted[inside].mean()),
+        "noise": float(np.sqrt(variance[inside].mean()) / requested[inside].mean()),
     }
 
 
@@ -118,17 +118,17 @@ def closed_form(studio, mixture, samples=128, seeds=16, size=32, points=4096, ro
     mean, variance, pictures = _takes(studio, samples, seeds)
     seen = light.as_seen(L, rotation)
     a, b = (reference.integrate(mixture, spots[inside], width, seen, points, seed) for seed in (0, 1))
-    wanted, reference_variance = (a + b) / 2, ((a - b) ** 2).mean(0) / 4
+    requested, reference_variance = (a + b) / 2, ((a - b) ** 2).mean(0) / 4
     total = variance[inside].mean(0) / seeds + reference_variance  # (3,): pooled over the sphere, a channel each
-    apart = mean[inside] - wanted
+    difference = mean[inside] - requested
     # A picture's mean varies more than its pixels' variance tells: Cycles' pixels share one table of samples.
-    mean_variance = pictures[:, inside].mean((1, 2)).var(ddof=1) / seeds + reference_variance.mean() / len(wanted)
+    mean_variance = pictures[:, inside].mean((1, 2)).var(ddof=1) / seeds + reference_variance.mean() / len(requested)
     weight = variance[inside] / seeds / total  # how much of the noise each value carries
     values = weight.sum() ** 2 / (weight**2).sum()
     return {
-        "bias": float(apart.sum() / wanted.sum()),
-        "bias_sigma": float(np.sqrt(mean_variance) / wanted.mean()),
-        "rms_sigma": float(np.sqrt((apart**2 / total).mean())),
+        "bias": float(difference.sum() / requested.sum()),
+        "bias_sigma": float(np.sqrt(mean_variance) / requested.mean()),
+        "rms_sigma": float(np.sqrt((difference**2 / total).mean())),
         "rms_sigma_noise": float(np.sqrt(0.5 / values)),
         "samples": samples * seeds,
     }
@@ -144,15 +144,15 @@ def geometry(studio, size=128, level=6, azimuth=0.3):
     shot = studio.geometry()
     spots = reference.pixel_spots(size, 1.02)
     radius = np.hypot(*spots.transpose(2, 0, 1))
-    wanted = reference.sphere_normals(spots.reshape(-1, 2)).reshape(size, size, 3)
+    requested = reference.sphere_normals(spots.reshape(-1, 2)).reshape(size, size, 3)
     inside = shot.mask & (radius < 0.99)
-    apart = angle_deg(shot.normals[inside].astype(np.float64), wanted[inside])
+    difference = angle_deg(shot.normals[inside].astype(np.float64), requested[inside])
     return {
-        "max_deg": float(apart.max()),
-        "rms_deg": float(np.sqrt((apart**2).mean())),
+        "max_deg": float(difference.max()),
+        "rms_deg": float(np.sqrt((difference**2).mean())),
         "length_error": float(np.abs(np.linalg.norm(shot.normals[shot.mask].astype(np.float64), axis=-1) - 1).max()),
         "mask_pixels": int((shot.mask != (radius < 1)).sum()),
-        "depth_error": float(np.abs(shot.depth[inside] + wanted[inside][:, 2]).max()),
+        "depth_error": float(np.abs(shot.depth[inside] + requested[inside][:, 2]).max()),
     }
 
 
@@ -170,10 +170,10 @@ def perspective(studio, fov_deg=40.0, samples=64, seeds=8, size=48):
     inside = (n * view).sum(-1) > 0.5
     mean, variance, _ = _takes(studio, samples, seeds)
     seen = light.as_seen(L, 5)
-    wanted, distant = (reference.dense(mixture, n[inside], seen, v) for v in (view[inside], None))
+    requested, distant = (reference.dense(mixture, n[inside], seen, v) for v in (view[inside], None))
     sigma = np.sqrt(_pooled(variance, inside)[inside] / seeds)
     return {
-        "relative_mean": float((mean[inside] - wanted).sum() / wanted.sum()),
-        "rms_sigma": float(np.sqrt((((mean[inside] - wanted) / sigma) ** 2).mean())),
+        "relative_mean": float((mean[inside] - requested).sum() / requested.sum()),
+        "rms_sigma": float(np.sqrt((((mean[inside] - requested) / sigma) ** 2).mean())),
         "distant_rms_sigma": float(np.sqrt((((mean[inside] - distant) / sigma) ** 2).mean())),
     }

@@ -23,10 +23,10 @@ def run(options):
     from manifests.provenance import provenance
 
     made = provenance()
-    found = cold_start.measure(options.rounds, options.threads)
-    for case, both in found.items():
+    result = cold_start.measure(options.rounds, options.threads)
+    for case, both in result.items():
         for kernels, times in both.items():
             print(f"{case}, kernels' folder {kernels}: " + ", ".join(f"{what} {seconds:.2f} s" for what, seconds in times.items()))
     options.out.mkdir(parents=True, exist_ok=True)
-    content = made | {"threads": options.threads, "rounds": options.rounds, "seconds": found}
+    content = made | {"threads": options.threads, "rounds": options.rounds, "seconds": result}
     write_json(options.out / "first-use.json", content)

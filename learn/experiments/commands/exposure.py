@@ -19,15 +19,15 @@ def register(subparsers):
 def run(options):
     from learn.data.records import Records
     from learn.experiments import exposure
-    from manifests.errors import Problem
+    from manifests.errors import InputError
 
     records = [Records(folder) for folder in (options.data, *options.check)]
     for each in records:
         if not len(each):
-            raise Problem(each.folder, "pictures", "none", "render some: python -m factory render JOB --out DIR")
-    found = exposure.study(records[0], records[1:], options.out)
-    for name, values in found["line"].items():
+            raise InputError(each.folder, "pictures", "none", "render some: python -m factory render JOB --out DIR")
+    result = exposure.fit_and_check(records[0], records[1:], options.out)
+    for name, values in result["line"].items():
         print("{} {:.3f} [{:.3f}, {:.3f}]".format(name, *values))
-    for folder, rules in found["missed"].items():
-        for rule, told in rules.items():
-            print(f"{folder}, {rule}: " + ", ".join(f"{key} {value:.2f}" for key, value in told.items()))
+    for folder, rules in result["missed"].items():
+        for rule, report in rules.items():
+            print(f"{folder}, {rule}: " + ", ".join(f"{key} {value:.2f}" for key, value in report.items()))

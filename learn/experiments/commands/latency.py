@@ -23,16 +23,16 @@ def run(options):
 
     from learn.experiments import auto_latency, chart_cases
     from manifests import materials as catalogue
-    from manifests.errors import Problem, closest
+    from manifests.errors import InputError, closest
     from manifests.files import write_json
     from manifests.provenance import provenance
 
     lights = chart_cases.computed_lights()
     if options.light not in lights:
-        raise Problem("--light", "a computed light", f"'{options.light}'", closest(options.light, lights))
+        raise InputError("--light", "a computed light", f"'{options.light}'", closest(options.light, lights))
     labels = {name: material.label for name, material in catalogue.load_catalogue(catalogue.BUILT_IN[0]).items()}
     labels = dict(list(labels.items())[:: options.every])
-    found = provenance() | {"threads": options.threads, "light": options.light, "tolerances": {}}
+    result = provenance() | {"threads": options.threads, "light": options.light, "tolerances": {}}
     for tolerance in options.tolerance:
         rows = auto_latency.measure(labels, lights[options.light], tolerance, options.threads)
         within = {
@@ -41,7 +41,7 @@ def run(options):
             for ms in (10, 30, 60, 150)
         }
         medians = {kind: float(np.median([r[kind] for r in rows])) for kind in ("wall", "cpu", "shared")}
-        found["tolerances"][f"{tolerance:g}"] = {"materials": len(rows), **within, "median seconds": medians, "rows": rows}
+        result["tolerances"][f"{tolerance:g}"] = {"materials": len(rows), **within, "median seconds": medians, "rows": rows}
         print(f"{tolerance:g}: {within}; medians {medians}")
     options.out.mkdir(parents=True, exist_ok=True)
-    write_json(options.out / "pace.json", found)
+    write_json(options.out / "pace.json", result)

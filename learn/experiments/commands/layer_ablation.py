@@ -32,10 +32,10 @@ def run(options):
 
     torch.set_num_threads(1)
     data = Data(test_lights=tuple(options.held_out))
-    pools = sources.pools(data, options.data, options.lights)
+    data_splits = sources.data_splits(data, options.data, options.lights)
     with lock.writing(options.out, patience=0):
-        found = layer_ablation.prove(data, pools, options.out, options.size, options.seconds, range(options.seeds))
+        result = layer_ablation.prove(data, data_splits, options.out, options.size, options.seconds, range(options.seeds))
     for part in layer_ablation.VARIANTS:
-        for pair, (value, low, high) in found[part]["ratios"].items():
+        for pair, (value, low, high) in result[part]["ratios"].items():
             print(f"{part}: render L2, {pair} = {value:.3f} [{low:.3f}, {high:.3f}]")
     print(f"See {options.out / 'report.json'}")

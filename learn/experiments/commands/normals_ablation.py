@@ -37,21 +37,21 @@ def run(options):
     from learn.data.settings import Data
     from learn.experiments import normals_ablation
     from manifests import lock
-    from manifests.errors import Problem, closest
+    from manifests.errors import InputError, closest
 
     torch.set_num_threads(1)
     names = tuple(options.variants or normals_ablation.VARIANTS)
     for name in names:
         if name not in normals_ablation.VARIANTS:
-            raise Problem(f"--variants: '{name}'", "a variant", "none of that name", closest(name, normals_ablation.VARIANTS))
+            raise InputError(f"--variants: '{name}'", "a variant", "none of that name", closest(name, normals_ablation.VARIANTS))
     if "L2" not in names:
-        raise Problem("--variants", '"L2", which all others are compared with', ", ".join(names), "add it")
+        raise InputError("--variants", '"L2", which all others are compared with', ", ".join(names), "add it")
     data = Data(sharing=8, test_lights=tuple(options.held_out))
-    pools = sources.pools(data, options.data, options.lights)
+    data_splits = sources.data_splits(data, options.data, options.lights)
     with lock.writing(options.out, patience=0):
-        found = normals_ablation.study(
+        result = normals_ablation.run_ablation(
             data,
-            pools,
+            data_splits,
             options.out,
             options.size,
             options.pretraining,
@@ -61,6 +61,6 @@ def run(options):
             options.batches,
             matte=options.matte_first,
         )
-    for name, row in found["rows"].items():
+    for name, row in result["rows"].items():
         print("{}: render L2 {:.0f}, {:.3f} [{:.3f}, {:.3f}] of L2 alone".format(name, row["l2"][0], *row["ratio"]))
     print(f"See {options.out / 'table.md'}")

@@ -24,7 +24,7 @@ def run(options):
     made = provenance()
     rows = quadrature_accuracy.measure(options.tolerance, options.threads)
     for row in rows:
-        found = ", ".join(f"{method}: " + ", ".join(f"{k} {v:.2g}" for k, v in row[method].items()) for method in ("quadrature", "exact"))
-        print(f"γ {row['gamma']:g}: {found}; converged to {row['converged to']:.1g}")
+        result = ", ".join(f"{method}: " + ", ".join(f"{k} {v:.2g}" for k, v in row[method].items()) for method in ("quadrature", "exact"))
+        print(f"γ {row['gamma']:g}: {result}; converged to {row['converged to']:.1g}")
     options.out.mkdir(parents=True, exist_ok=True)
     write_json(options.out / "quadrature.json", made | {"tolerance": options.tolerance, "rows": rows})

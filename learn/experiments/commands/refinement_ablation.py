@@ -74,20 +74,21 @@ def _measure(options, predict, records, labels, about):
     """
     from learn.experiments import refinement_ablation, refinement_chart, refinement_initialisations
 
-    refinement_ablation.settle(options.out, about)
+    refinement_ablation.pin_settings(options.out, about)
     needed = -(-options.starts // len(refinement_initialisations.STARTS))  # one start of each kind a picture
     known = refinement_ablation.cases(records, max(options.pictures, needed), options.seed)
     if options.only is None or options.only:
-        told = refinement_ablation.weights(predict, known[: options.pictures], options.out, options.only)
-        refinement_chart.chart(told, options.out / "study.png")
+        report = refinement_ablation.weights(predict, known[: options.pictures], options.out, options.only)
+        refinement_chart.chart(report, options.out / "study.png")
     batch = known[0].batch
     times = {f"{len(b.image[0, 0])}": refinement_ablation.timed(predict, b) for b in (batch, refinement_ablation.doubled(batch))}
     refinement_ablation.write(options.out / "times.json", times)
     for size, seconds in times.items():
         print(f"{size}²: prediction {seconds['predict']:.2f} s, refinement {seconds['refine']:.1f} s")
     if options.starts:
-        told = refinement_initialisations.measured(predict, known[:needed], options.starts, options.out, labels)
+        report = refinement_initialisations.measured(predict, known[:needed], options.starts, options.out, labels)
         print(
-            f"{told['starts']} starts: {told['above_their_start']} ended above, {told['not_finite']} not finite, re-rendering's median "
-            f"display L2 {told['image_median'][0]:.0f} → {told['image_median'][1]:.0f} ({100 * told['median_change']:+.0f} %)"
+            f"{report['starts']} starts: {report['above_their_start']} ended above, {report['not_finite']} not finite, "
+            "re-rendering's median "
+            f"display L2 {report['image_median'][0]:.0f} → {report['image_median'][1]:.0f} ({100 * report['median_change']:+.0f} %)"
         )

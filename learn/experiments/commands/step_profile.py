@@ -31,13 +31,13 @@ def run(options):
 
     torch.set_num_threads(1)
     chosen = settings.read_run(options.settings)
-    pools = sources.pools(chosen.data, options.data, options.lights)
+    data_splits = sources.data_splits(chosen.data, options.data, options.lights)
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
-        found = step_profile.measure(
-            msgspec.structs.replace(chosen, start=None), pools, options.out, Path(scratch), options.steps, options.images
+        result = step_profile.measure(
+            msgspec.structs.replace(chosen, start=None), data_splits, options.out, Path(scratch), options.steps, options.images
         )
-    step, relit = found["step"], found["relit"]
+    step, relit = result["step"], result["relit"]
     print(", ".join(f"{name} {ms:.0f} ms" for name, ms in step.items()))
     if "layer" in step:
         print(f"layer: {100 * step['layer'] / (step['total'] - step['data']):.0f} % of a step")

@@ -26,7 +26,7 @@ def run(options):
     labels = [material.label for material in catalogue.load_catalogue(catalogue.BUILT_IN[0]).values()]
     rows = tolerance_check.measure(labels, options.cases, options.size, options.seed)
     kept = {f"{t:g}": sum(r["kept"] for r in rows if r["tolerance"] == t) / options.cases for t in tolerance_check.TOLERANCES}
-    found = provenance() | {"cases": options.cases, "kept": kept, "misses": [r for r in rows if not r["kept"]]}
+    result = provenance() | {"cases": options.cases, "kept": kept, "misses": [r for r in rows if not r["kept"]]}
     options.out.mkdir(parents=True, exist_ok=True)
-    write_json(options.out / "promise.json", found)
+    write_json(options.out / "promise.json", result)
     print(f"kept: {', '.join(f'{share:.1%} at {t}' for t, share in kept.items())}")

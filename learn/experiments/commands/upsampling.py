@@ -29,8 +29,8 @@ def run(options):
     from learn.experiments import upsampling_study
 
     torch.set_num_threads(1)
-    found = upsampling_study.study(Records(options.data), options.weights or WEIGHTS, options.out, options.edits)
-    for parts, rows in found["parts"].items():
+    result = upsampling_study.measure_upsampling(Records(options.data), options.weights or WEIGHTS, options.out, options.edits)
+    for parts, rows in result["parts"].items():
         for name, row in rows.items():
             ratio, gain = ("{:.3f} [{:.3f}, {:.3f}]".format(*row[key]) for key in ("l2_ratio", "ssim_gain"))
             print(f"{parts}, {name}: L2 {row['l2'][0]:.0f}, {ratio} of the way in use; SSIM {row['ssim'][0]:.3f}, {gain}")

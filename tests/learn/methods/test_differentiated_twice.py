@@ -215,8 +215,8 @@ def test_the_kernels_steps_refuse_by_themselves(perspective):
             light.numpy(),
             tuple(torch.eye(3).flatten().tolist()),
         )
-        ways = [planned.Way((0, 1, 2), 0, 0, 0.0)]
-        seen.append(planned.radiance(n, m, light, lambda *_: planned.Sums(scene, ways, {})))
+        strategies = [planned.Strategy((0, 1, 2), 0, 0, 0.0)]
+        seen.append(planned.radiance(n, m, light, lambda *_: planned.Sums(scene, strategies, {})))
     for radiance in seen:
         (slope,) = torch.autograd.grad(radiance.sum(), n, create_graph=True)
         assert slope.isfinite().all()

@@ -126,8 +126,8 @@ def test_planned_ways_add_up_whatever_their_maps_and_lights():
     scene = planned.Scene(n, m, light("sky")[0].numpy(), ROTATION)
     truth = scene.at(n, directional.ALL_LOBES).radiance
     for sizes, levels in (((0, 0, 0), (0, 0, 0)), ((40, 40, 40), (1, 0, 0)), ((30, 40, 0), (1, 0, 0)), ((30, 50, 60), (1, 0, 0))):
-        ways = [planned.Way((s,), size, level, 0.0) for s, (size, level) in enumerate(zip(sizes, levels, strict=True))]
-        seen = planned.Sums(scene, ways, {}).radiance()
+        strategies = [planned.Strategy((s,), size, level, 0.0) for s, (size, level) in enumerate(zip(sizes, levels, strict=True))]
+        seen = planned.Sums(scene, strategies, {}).radiance()
         assert np.abs(seen - truth).mean() <= 5e-3 * truth.mean()
 
 
