@@ -54,7 +54,7 @@ class RunOptions:
 def carry_out(plan: Plan, folder, run_options: RunOptions, watch=None):
     """Make every shot of a plan that the folder does not hold yet.
 
-    watch    called with (event, value): "total" shots of this run, "found" one that was there, "made" a Reply, "failed" a Failure,
+    watch    called with (event, value): "total" shots of this run, "already_there" one that was there, "made" a Reply, "failed" a Failure,
              "note" a line for the user
     Returns  Outcome
     Raises   InputError; OSError (full disk) with everything that was written before intact
@@ -72,13 +72,13 @@ def _made(plan, store, run_options, prefix, descriptors, watch):
     done, hashes = store.known("records" if plan.job.pictures else "views")
     shots = _part(plan, run_options.shard)
     watch("total", _part_length(plan, run_options.shard))
-    counts = {"found": 0, "made": 0, "failed": 0}
+    counts = {"already_there": 0, "made": 0, "failed": 0}
 
     def owed():
         for shot in shots:
             if shot.id in done:
-                counts["found"] += 1
-                watch("found", 1)
+                counts["already_there"] += 1
+                watch("already_there", 1)
             else:
                 known = hashes.get(geometry_path(shot.geometry))
                 yield shot if known is None else msgspec.structs.replace(shot, geometry_hash=known)

@@ -87,7 +87,7 @@ def test_a_catalogue_without_materials_is_refused_where_some_are_needed(own, tmp
     catalogue = json.loads((own / "own.json").read_text()) | {"materials": []}
     (tmp_path / "own.json").write_text(json.dumps(catalogue))
     assert run("materials", *command, tmp_path / "own.json", "--out", tmp_path / "out") == 1
-    assert "own.json: a material to " in capsys.readouterr().err
+    assert "own.json: expected a material to " in capsys.readouterr().err
 
 
 def test_another_recipe_is_another_fit(own):
