@@ -160,7 +160,7 @@ class Progress:
             return
         if event == "total":
             self.total = value
-        elif event == "found":
+        elif event == "already_there":
             self.total -= 1
         elif event == "failed":
             self.failed += 1
