@@ -77,7 +77,7 @@ def cases(records, count, seed):
     """The first `count` Cases of an order that the seed determines. Raises InputError where the dataset has no edits."""
     results = []
     for edits in pairs.by_picture(records.records, seed)[:count]:
-        truths = [(pairs.requested(records, edit), records.image(edit.truth)) for edit in edits]
+        truths = [(pairs.target_label(records, edit), records.image(edit.truth)) for edit in edits]
         results.append(Case(edits[0].source.id, pairs.shown(records, edits[0]), truths))
     return results
 

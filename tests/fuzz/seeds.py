@@ -28,7 +28,7 @@ RUN = {
     "name": "tiny",
     "size": 32,
     "parts": ["normals"],
-    "data": {"sharing": 1},
+    "data": {"sharing": 1, "materials": "built-in"},
     "losses": {"normals": 1, "material": 0},
     "schedule": {"steps": 2, "batch": 2, "warm_up": 1},
 }
@@ -246,7 +246,7 @@ def _training(folder):
     from learn.training import loop
 
     (folder / "run.json").write_text(json.dumps(RUN, indent=1))
-    (folder / "pictures.json").write_text(json.dumps(RUN | {"data": {"sharing": 1, "source": "pictures"}}, indent=1))
+    (folder / "pictures.json").write_text(json.dumps(RUN | {"data": RUN["data"] | {"source": "pictures"}}, indent=1))
     save = loop.Training._save
 
     def watched(self):

@@ -56,7 +56,7 @@ def test_a_turned_light_is_found_and_told_from_other_causes(tmp_path, rng):
 
 def test_taps_are_added_until_small_lamps_are_seen_alike(rng, monkeypatch):
     """Brass under one lamp of two texels: a few taps miss it, as many as are taken by themselves do not."""
-    monkeypatch.setattr(causes, "TAPS", (16, 64, 256, 1024, 4096))
+    monkeypatch.setattr(causes, "SAMPLE_COUNTS", (16, 64, 256, 1024, 4096))
     brass = catalogue.load_catalogue()["brass"]
     light = torch.full((64, 128, 3), 0.02)
     light[20, 30:32] = 900.0

@@ -157,7 +157,7 @@ def of_training(store, data, maps=None):
     records = Records(store.folder)
     maps = maps or {"sky": ("train", records.light("sky"))}
     drawn, _ = sources.materials_of(data, records)
-    rendered_splits = sources._albums(data, store.folder, Geometry(store.folder, progress=False), maps, drawn, False, False)
+    rendered_splits = sources._rendered_splits(data, store.folder, Geometry(store.folder, progress=False), maps, drawn, False, False)
     return {record.materials for record in rendered_splits["train"].chosen}
 
 

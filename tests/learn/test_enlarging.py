@@ -45,7 +45,7 @@ def test_every_way_paints_a_smooth_object_alike_and_one_render_serves_all_detail
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     found = decomposition.decompose(opened(radiance, inside.astype(np.int64), 2.0), Knowing(label), NETWORK)
-    ways = upsampling.ways(found)
+    ways = upsampling.painters(found)
     rendered, render = [], decomposition.render
     monkeypatch.setattr(decomposition, "render", lambda *a, **k: rendered.append(a) or render(*a, **k))
     edits = {name: painter.edited([label[0]]) for name, painter in ways.items()}

@@ -17,19 +17,19 @@ torch.set_num_threads(1)
 from learn.data.geometry import Geometry
 from learn.networks import weights as checkpoint
 from learn.training import loop
-from learn.data.relit import Pool
+from learn.data.relit import DataSplit
 from learn.data.settings import Data, Losses, Run, Schedule
 
 folder = Path(sys.argv[1])
 geometry = Geometry(folder / "data", progress=False)
 labels = {name: np.log(np.full(108, value, np.float32)) for name, value in (("a", 0.3), ("b", 0.5))}
-pools = {side: Pool(geometry, np.arange(1), labels, [], side) for side in ("train", "validation", "test")}
+data_splits = {side: DataSplit(geometry, np.arange(1), labels, [], side) for side in ("train", "validation", "test")}
 terms = Losses(normals=1, material=1, image=1, pixels=8, layer_light=(8, 16))
 run = Run(name="kill", size=32, data=Data(sharing=1), losses=terms, schedule=Schedule(steps=4, batch=2, warm_up=1), seed=3)
 
 
 def trained(out, kill=None):
-    training = loop.Training(run, pools, out, sheet_every=0, checkpoint_every=2, workers=0)
+    training = loop.Training(run, data_splits, out, sheet_every=0, checkpoint_every=2, workers=0)
     if kill:
         place, step = kill
         def die(*_, **__):

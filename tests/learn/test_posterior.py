@@ -100,7 +100,7 @@ def test_priors_are_fitted_without_the_lights_that_other_weights_held_out(option
     train = SimpleNamespace(
         labels={name: rng.standard_normal(108) for name in "ab"}, maps=[lights.computed(rng).astype(np.float32) for _ in range(2)]
     )
-    monkeypatch.setattr(making.sources, "pools", lambda data, *_: asked.append(data) or {"train": train})
+    monkeypatch.setattr(making.sources, "data_splits", lambda data, *_: asked.append(data) or {"train": train})
     making.make("lombardi", None, options)
     assert asked == [Data(validation_lights=("sky",), test_lights=("room",))]
     assert priors.load(options.out / making.FILE_OF["lombardi"]).directions.shape[1] == 108
