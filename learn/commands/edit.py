@@ -9,9 +9,11 @@ def register(subparsers):
     parser = subparsers.add_parser(
         "edit",
         help="change what the object of a photograph is made of",
-        description="Takes a photograph apart into normals, light and material, refines them until they explain it, and renders the object "
-        "again in other materials, before its own background and at its own size. Beside the edited picture it writes what it found: "
-        "normals, light, the material on a ball, and one sheet of all.",
+        description="Decomposes a photograph of one object into normals, light and material, refines them "
+        "until their rendering looks like the "
+        "photograph, and renders the object again in other materials, in front of its own background and at the photograph's size. "
+        "Writes the edited pictures, the decomposition, and one contact sheet (sheet.png). "
+        "Example: python -m learn edit chair.png --mask chair-mask.png --material brass red-fabric --out edited",
     )
     parser.add_argument(
         "photo", type=Path, metavar="PHOTO", help="PNG, JPEG, TIFF, EXR …, of any size; a dataset's folder; or example:espresso-cup"
@@ -21,7 +23,8 @@ def register(subparsers):
         action="append",
         default=[],
         metavar="FILE",
-        help="white where the object is; 'alpha' or nothing: the photograph's transparency. Several: each is a region",
+        help="a picture that is white where the object is; without it, or with 'alpha', the photograph's transparency is used. "
+        "Given several times, each mask is a region with a material of its own",
     )
     parser.add_argument(
         "--regions", type=Path, metavar="FILE", help="a picture with one grey or colour for each region of the object, black outside"
@@ -31,12 +34,14 @@ def register(subparsers):
         nargs="+",
         action="extend",
         required=True,
-        metavar="WANTED",
+        metavar="MATERIAL",
         help="a material's name (`python -m factory materials list`), a material.json, or a picture to take the material from (with "
         "transparency, or NAME.mask.png beside it). With regions, A+B gives each its own; 'keep' leaves one",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the pictures go")
-    parser.add_argument("--record", metavar="ID", help="of a dataset's folder: which record (default: the first held out)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
+    parser.add_argument(
+        "--record", metavar="ID", help="if PHOTO is a data set's folder, the record to edit (default: the first one that is held out)"
+    )
     editing_options.add(parser)
     parser.set_defaults(run=run, continues=False)
 

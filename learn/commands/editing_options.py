@@ -14,31 +14,37 @@ def add(parser):
         "--refine",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="fit what was predicted to the photograph before editing (default), or not: quicker by seconds a photograph",
+        help="adjust the predicted normals, light and material until their rendering looks like the photograph (default: yes); "
+        "--no-refine saves some seconds per photograph",
     )
-    parser.add_argument("--tolerance", type=float, default=1e-2, metavar="T", help="relative error that rendering may have (default 0.01)")
+    parser.add_argument("--tolerance", type=float, default=1e-2, metavar="T", help="relative error allowed in rendering (default 0.01)")
     parser.add_argument(
         "--detail",
         type=float,
         default=0.25,
         metavar="D",
-        help="how much of the photograph's fine shading is carried over: 0 none, 1 all (default 0.25); fine highlights come along",
+        help="share of the photograph's fine shading that is kept, from 0 to 1 (default 0.25); it includes fine highlights",
     )
     parser.add_argument(
         "--exposure",
         type=float,
         metavar="X",
-        help="radiance is the photograph times X (default: by the object's brightness)",
+        help="multiply the photograph by X to get radiance (default: estimated from the object's brightness)",
     )
     parser.add_argument(
         "--white-balance",
         default="none",
         metavar="W",
-        help="none: as the camera balanced it (default); grey: as if the background were grey on average; or three factors R,G,B",
+        help="none: leave the colours as they are (default); grey: make the background grey on average; or three factors R,G,B",
     )
-    parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        metavar="FILE",
+        help="weights.safetensors of a training run (default: the weights that come with the program)",
+    )
     device_option.add(parser)
-    parser.add_argument("--overwrite", action="store_true", help="replace what is there")
+    parser.add_argument("--overwrite", action="store_true", help="replace earlier results in the folder")
 
 
 def edit_options(options):

@@ -9,20 +9,31 @@ from manifests.option_types import MATERIALS, positive, whole
 def register(subparsers):
     parser = subparsers.add_parser(
         "evaluate",
-        help="compare edits with Cycles' truth of the same edits: all tables, one command",
-        description="Takes pictures of a dataset apart, edits them into the materials that the same shape, view and light were rendered in "
-        "as well, and compares each edit with that picture. Writes index.html (open it first), report.md, report.json. Each finished edit "
-        "is a line in edits.jsonl: run the same command again to continue, or with more --edits to add to them.",
+        help="measure edits against Cycles' renderings of the same edits",
+        description="Edits pictures of a data set into materials in which the data set holds the same shape, "
+        "view and light, and compares each "
+        "edit with that rendering, for our method and for others. Writes index.html (open it first), report.md "
+        "and report.json. Each finished "
+        "edit is a line in edits.jsonl, so that the same command continues a stopped run, and a larger --edits adds to it.",
     )
     parser.add_argument(
         "--data", type=Path, required=True, metavar="DIR", help="a dataset with pictures in two materials or more of each view"
     )
-    parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where lines, pictures and the report go")
-    parser.add_argument("--edits", type=positive, default=100, metavar="N", help="how many edits (default 100; the paper: 500)")
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        metavar="FILE",
+        help="weights.safetensors of a training run (default: the weights that come with the program)",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
+    parser.add_argument("--edits", type=positive, default=100, metavar="N", help="number of edits (default 100; the paper has 500)")
     refine = parser.add_mutually_exclusive_group()
-    refine.add_argument("--refine", action="store_true", default=True, help="refine predictions too, Section 3.5 (the default)")
-    refine.add_argument("--no-refine", dest="refine", action="store_false", help="leave the refined rows out: many times faster")
+    refine.add_argument(
+        "--refine", action="store_true", default=True, help="also measure refined predictions, Section 3.5 of the paper (default)"
+    )
+    refine.add_argument(
+        "--no-refine", dest="refine", action="store_false", help="leave refined predictions out, which is many times faster"
+    )
     parser.add_argument(
         "--baselines", type=Path, metavar="DIR", help="weights of the baselines of Section 4.5; those that are not there are left out"
     )
@@ -35,9 +46,9 @@ def register(subparsers):
         default="dataset",
         help="whose training materials the row 'mean material' is the mean of: the data set's own, or the built-in ones (default: dataset)",
     )
-    parser.add_argument("--seed", type=whole, default=0, metavar="N", help="which edits are drawn (default 0)")
-    parser.add_argument("--processes", type=positive, metavar="N", help="at work at once (default: one a core)")
-    parser.add_argument("--gallery", type=whole, default=12, metavar="N", help="edits that are shown as pictures (default 12)")
+    parser.add_argument("--seed", type=whole, default=0, metavar="N", help="seed by which edits are drawn (default 0)")
+    parser.add_argument("--processes", type=positive, metavar="N", help="number of processes (default: one per core)")
+    parser.add_argument("--gallery", type=whole, default=12, metavar="N", help="number of edits shown as pictures (default 12)")
     device_option.add(parser)
     parser.set_defaults(run=run)
 

@@ -1,4 +1,4 @@
-"""`learn evaluate-network`: the page that goes with weights, measured on what they never saw."""
+"""`learn evaluate-network`: a page of figures for weights, measured on data that they never saw."""
 
 from pathlib import Path
 
@@ -9,17 +9,21 @@ from manifests.option_types import positive
 def register(subparsers):
     parser = subparsers.add_parser(
         "evaluate-network",
-        help="measure weights on shapes, materials and lights they never saw",
-        description="Measures weights on the test side of a dataset and writes card.md, card.json and sheet.jpg: data, splits, figures.",
+        help="measure weights on shapes, materials and lights that they never saw",
+        description="Measures weights on the test split of a data set. Writes card.md and card.json, which say "
+        "what the weights were trained on and "
+        "how large their errors are, and a contact sheet (sheet.jpg).",
     )
     parser.add_argument("weights", type=Path, metavar="FILE", help="weights.safetensors of a run")
-    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="the dataset that the run was given")
-    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="the light maps that the run was given")
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="a dataset that Cycles rendered, to measure on its test side as well")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the page goes")
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="the data set that the run was trained on")
+    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="the light maps that the run was trained with")
+    parser.add_argument(
+        "--pictures", type=Path, metavar="DIR", help="a data set with pictures by Cycles, to measure on its test split as well"
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
     parser.add_argument("--seeds", type=Path, nargs="+", default=[], metavar="FILE", help="weights of the same run with other seeds")
-    parser.add_argument("--batches", type=positive, default=16, metavar="N", help="of 16 pictures (default 16)")
-    parser.add_argument("--note", default="", metavar="TEXT", help="what else a reader must know")
+    parser.add_argument("--batches", type=positive, default=16, metavar="N", help="number of batches of 16 pictures (default 16)")
+    parser.add_argument("--note", default="", metavar="TEXT", help="a note that is printed on the page")
     device_option.add(parser)
     parser.set_defaults(run=run)
 

@@ -1,4 +1,4 @@
-"""`learn predict`: one picture taken apart into normals, light and material."""
+"""`learn predict`: the decomposition of one picture into normals, light and material."""
 
 from pathlib import Path
 
@@ -8,24 +8,35 @@ from learn.commands import device_option, editing_options
 def register(subparsers):
     parser = subparsers.add_parser(
         "predict",
-        help="normals, light and material of one masked picture",
-        description="Takes a picture of one object apart, and renders it again. Writes normals, light and re-rendering as EXR "
-        "and PNG, the material as JSON, and one sheet of all.",
+        help="decompose one picture into normals, light and material",
+        description="Predicts normals, light and material of the object in one picture, and renders it again from them. Writes normals, "
+        "light and the rendering as EXR and PNG, the material as JSON, and one contact sheet (sheet.png). "
+        "Example: python -m learn predict photo.jpg --mask mask.png --out parts",
     )
     parser.add_argument(
         "image",
         type=Path,
         metavar="IMAGE",
-        help="a photograph or an EXR; PNG, JPEG, TIFF, 8 or 16 bit, of any size; or a dataset: a record held out",
+        help="a picture of any size (PNG, JPEG, TIFF, EXR …), or a data set's folder, of which a held-out record is taken",
     )
-    parser.add_argument("--mask", type=Path, metavar="FILE", help="white where the object is; without it the picture's transparency")
-    parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
     parser.add_argument(
-        "--exposure", type=float, metavar="X", help="radiance is the picture times X (default: from the object's brightness)"
+        "--mask", type=Path, metavar="FILE", help="a picture that is white where the object is (default: the picture's transparency)"
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the parts go")
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        metavar="FILE",
+        help="weights.safetensors of a training run (default: the weights that come with the program)",
+    )
+    parser.add_argument(
+        "--exposure",
+        type=float,
+        metavar="X",
+        help="multiply the picture by X to get radiance (default: estimated from the object's brightness)",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
     device_option.add(parser)
-    parser.add_argument("--overwrite", action="store_true", help="replace what is there")
+    parser.add_argument("--overwrite", action="store_true", help="replace earlier results in the folder")
     parser.set_defaults(run=run, continues=False)
 
 

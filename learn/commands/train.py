@@ -1,4 +1,4 @@
-"""`learn train`: from geometry, materials and lights to weights."""
+"""`learn train`: train a network on a data set."""
 
 from pathlib import Path
 
@@ -11,17 +11,18 @@ def register(subparsers):
     presets = ", ".join(sorted(p.stem for p in RUNS.glob("*.json")))
     parser = subparsers.add_parser(
         "train",
-        help="train networks that read normals, material and light from a picture",
-        description="Trains from a dataset's geometry: pictures are relit on the fly by the layer, in materials and lights drawn "
-        "anew each time, the dataset's own unless the run or --materials asks for the built-in materials. "
-        "Writes weights.safetensors, checkpoint.safetensors, log.jsonl, run.json, made.json and a sheet of pictures every "
-        "so often. "
-        "Run the same command again to continue; a killed run ends with the same weights as one that was not.",
+        help="train networks that predict normals, material and light from a picture",
+        description="Trains on a data set's geometry. The rendering layer relights it while training, each "
+        "time in other materials and under "
+        "other lights of the data set (or in the built-in materials, where the run or --materials says so). "
+        "Writes weights.safetensors, checkpoint.safetensors, log.jsonl, run.json, made.json and, now and then, a contact sheet. "
+        "The same command continues a stopped run, and a run that was stopped and continued ends with the same weights. "
+        "Example: python -m learn train joint-compact --data geometry-data --out run",
     )
     parser.add_argument("settings", metavar="RUN", help=f"a run file (JSON), or a preset: {presets}")
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where weights, log and sheets go")
-    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps, each a (64, 128, 3) array")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
+    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps, as arrays of shape (64, 128, 3)")
     parser.add_argument(
         "--materials",
         choices=MATERIALS,
@@ -37,15 +38,25 @@ def register(subparsers):
         "--skip-bad", action="store_true", help="leave damaged records out and count them, instead of stopping before training"
     )
     parser.add_argument("--tensorboard", action="store_true", help="write TensorBoard's events too (needs the package tensorboard)")
-    parser.add_argument("--steps", type=positive, metavar="N", help="other than the run says")
-    parser.add_argument("--seed", type=whole, metavar="N", help="other than the run says")
-    parser.add_argument("--sheet-every", type=whole, default=500, metavar="N", help="steps between sheets and validations (default 500)")
-    parser.add_argument("--checkpoint-every", type=positive, metavar="N", help="steps between checkpoints (default: two minutes)")
+    parser.add_argument("--steps", type=positive, metavar="N", help="number of steps (default: as the run says)")
+    parser.add_argument("--seed", type=whole, metavar="N", help="random seed (default: as the run says)")
     parser.add_argument(
-        "--threads", type=positive, default=1, metavar="N", help="of the network; relighting has a process beside it (default 1)"
+        "--sheet-every", type=whole, default=500, metavar="N", help="steps between contact sheets and validations (default 500)"
+    )
+    parser.add_argument("--checkpoint-every", type=positive, metavar="N", help="steps between checkpoints (default: one every two minutes)")
+    parser.add_argument(
+        "--threads",
+        type=positive,
+        default=1,
+        metavar="N",
+        help="threads of the network; relighting runs in a process of its own (default 1)",
     )
     parser.add_argument(
-        "--workers", type=whole, default=1, metavar="N", help="processes that relight (default 1; 0: none beside the network)"
+        "--workers",
+        type=whole,
+        default=1,
+        metavar="N",
+        help="number of processes that relight (default 1; 0: relight in the training process)",
     )
     device_option.add(parser)
     parser.set_defaults(run=run)

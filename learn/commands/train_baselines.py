@@ -19,8 +19,8 @@ def register(subparsers):
         "command again to continue; what is finished is kept.",
     )
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the three files go, and a folder for each training")
-    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps, each a (64, 128, 3) array")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the three files and for a folder per training")
+    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps, as arrays of shape (64, 128, 3)")
     parser.add_argument(
         "--like", type=Path, metavar="WEIGHTS", help="hold out the lights that these weights' run held out (default: the presets')"
     )
@@ -30,11 +30,22 @@ def register(subparsers):
         help="the data set's own materials, or the built-in ones of MERL and RGL (default: as --like or the preset says)",
     )
     parser.add_argument(
-        "--only", nargs="+", choices=("lombardi", *PRESETS), default=("lombardi", *PRESETS), metavar="NAME", help="some of the three"
+        "--only",
+        nargs="+",
+        choices=("lombardi", *PRESETS),
+        default=("lombardi", *PRESETS),
+        metavar="NAME",
+        help="make only these (default: all three)",
     )
-    parser.add_argument("--steps", type=positive, metavar="N", help="of each training, other than its preset says")
-    parser.add_argument("--threads", type=positive, default=1, metavar="N", help="of the network (default 1)")
-    parser.add_argument("--workers", type=whole, default=1, metavar="N", help="processes that relight (default 1; 0: none)")
+    parser.add_argument("--steps", type=positive, metavar="N", help="steps of each training (default: as its preset says)")
+    parser.add_argument("--threads", type=positive, default=1, metavar="N", help="threads of the network (default 1)")
+    parser.add_argument(
+        "--workers",
+        type=whole,
+        default=1,
+        metavar="N",
+        help="number of processes that relight (default 1; 0: relight in the training process)",
+    )
     device_option.add(parser)
     parser.set_defaults(run=run)
 

@@ -8,15 +8,23 @@ from learn.commands import editing_options
 def register(subparsers):
     parser = subparsers.add_parser(
         "transfer",
-        help="a grid of pictures that exchange their materials",
-        description="Takes pictures apart and renders every one's shape under its own light in every other one's material. Writes one "
-        "picture a pair, and a grid: a row for each shape and light, a column for each material.",
+        help="render each picture's object in the materials of the others",
+        description="Decomposes several pictures and renders the object of each, under its own light, in the material of every other one. "
+        "Writes one picture per pair and a grid with a row per object and a column per material. "
+        "Example: python -m learn transfer a.png b.png c.png --out swapped",
     )
-    parser.add_argument("pictures", nargs="*", type=Path, metavar="PICTURE", help="two or more, with transparency or with masks")
-    parser.add_argument("--list", type=Path, metavar="FILE", help="a text file with a picture's path a line, relative to the file")
-    parser.add_argument("--mask-dir", type=Path, metavar="DIR", help="masks named as the pictures (default: NAME.mask.png beside each)")
-    parser.add_argument("--per-grid", type=int, default=6, metavar="N", help="pictures a grid; more become several grids (default 6)")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the pictures go")
+    parser.add_argument("pictures", nargs="*", type=Path, metavar="PICTURE", help="two pictures or more, with transparency or with masks")
+    parser.add_argument("--list", type=Path, metavar="FILE", help="a text file with one picture's path per line, relative to that file")
+    parser.add_argument(
+        "--mask-dir",
+        type=Path,
+        metavar="DIR",
+        help="folder of masks with the names of the pictures (default: NAME.mask.png beside each picture)",
+    )
+    parser.add_argument(
+        "--per-grid", type=int, default=6, metavar="N", help="pictures per grid; further pictures go into further grids (default 6)"
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
     editing_options.add(parser)
     parser.set_defaults(run=run, continues=False)
 

@@ -14,7 +14,12 @@ def register(subparsers):
         "starts.json (bad starts) and times.json. The same command again continues the study.",
     )
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset with pictures")
-    parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        metavar="FILE",
+        help="weights.safetensors of a training run (default: the weights that come with the program)",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the figures go")
     parser.add_argument("--pictures", type=positive, default=12, metavar="N", help="of the study (default 12)")
     parser.add_argument(

@@ -15,7 +15,12 @@ def register(subparsers):
     parser.add_argument(
         "--data", type=Path, required=True, metavar="DIR", help="a dataset of large pictures, each scene in two materials or more"
     )
-    parser.add_argument("--weights", type=Path, metavar="FILE", help="weights.safetensors of a run (default: the ones that come with it)")
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        metavar="FILE",
+        help="weights.safetensors of a training run (default: the weights that come with the program)",
+    )
     parser.add_argument("--edits", type=positive, default=24, metavar="N", help="how many (default 24)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where enlarging.json goes")
     parser.set_defaults(run=run)
