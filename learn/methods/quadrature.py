@@ -9,7 +9,9 @@ on a spiral φ_i = i · golden angle whose radii θ_i follow the lobes' roots (e
 and midpoints are right to second order), so that no lobe is too narrow. L is the mean over a tap's footprint, the square of its solid
 angle: the sum then does not jump where a tap crosses a texel's border, and the error falls as 1/N instead of N^−¾.
 
-Lobes up to four texels' width may also take texels split into 2 × 2 or 4 × 4 of the same radiance, which have a fast backward pass.
+Lobes down to half a texel's width take texels split into 2 × 2 of the same radiance: a measured lobe of that width is often broad at
+another θ_d, where samples are too far apart to see a lamp of one texel. Narrower ones may take texels split into 4 × 4, which have a
+fast backward pass.
 Maps of few texels are no sum for any lobe, because the horizon cuts through texels: there all lobes take split texels or taps.
 
 Taps are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is differentiated with w_i and dω_i held, which
@@ -42,8 +44,9 @@ CARD = Card(
 )
 BROAD = 300.0  # exponent up to which the sum over 64 rows of texels is right to about 3e-3; twice the rows serve four times as much
 SPLITS = (1, 2, 4)  # parts of a texel's side; beyond, samples
-WIDER = {2: 4, 4: 2, math.inf: 1}  # times as many samples for lobes of each split's band, which hold more texels
-LOOSE = 5e-3  # tolerance from which samples serve those bands too; below, they would need more time than split texels
+ALWAYS_SPLIT = 2  # parts of a texel's side up to which texels are split at any tolerance: samples that err as little take longer there
+WIDER = {4: 2, math.inf: 1}  # times as many samples for lobes of each split's band, which hold more texels
+LOOSE = 5e-3  # tolerance from which samples serve the band of the finest split too; below, they would need more time than split texels
 LEAST, MOST = 256, 16384  # samples
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 LARGEST_IN_KERNEL = 1e7  # κ and γ: beyond, the rounding of the kernel's spline is negative exponents. The sharpest material has γ 1.2e6
@@ -66,7 +69,7 @@ def radiance(batch: Batch, tolerance):
         if not lobes.any():
             continue
         band = replace(batch, m=keep(batch.m, lobes))
-        if split == 1 or (by_texels and split < math.inf):
+        if split <= ALWAYS_SPLIT or (by_texels and split < math.inf):
             light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2) if split > 1 else batch.light
             out = out + load("exact").radiance(replace(band, light=light), tolerance)
         else:

@@ -9,6 +9,7 @@ import torch
 from learn.engines import machine_code
 from learn.layer import render
 from learn.methods import quadrature
+from manifests.materials import load_catalogue
 from shaders.envmap import texel
 
 SPLIT = 24  # rows and columns of a texel's parts in the reference: .12° at 64 rows; a lobe of γ = 1e5 is .36° wide in w
@@ -37,6 +38,21 @@ def test_integral_of_lobes_up_to_the_taps_is_that_of_split_texels(gamma):
     one = scene(gamma / 4, rows=32, matte=0.01)  # half the rows: each limit comes at a quarter of its exponent
     fine = render(**(one | {"light": split(one["light"], 12)}), method="exact")
     assert relative(render(**one, method="quadrature"), fine) < 3e-3  # what BROAD claims
+
+
+@pytest.mark.parametrize("name", ["white-diffuse-bball", "green-metallic-paint", "black-oxidized-steel", "neoprene-rubber", "chrome"])
+def test_measured_materials_keep_the_tolerance_under_a_lamp_of_one_texel(name):
+    """Their lobes are narrow at some θ_d and broad at others."""
+    x, y = (np.indices((12, 12)) + 0.5) / 6 - 1
+    inside = x**2 + y**2 < 0.98
+    n = np.where(inside[..., None], np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], -1), 0)
+    light = torch.rand(1, 64, 128, 3, generator=torch.Generator().manual_seed(0))
+    light[0, 20, 30] = 3000.0  # half of all the light
+    one = {"n": torch.tensor(n[None], dtype=torch.float32), "light": light}
+    one["material"] = torch.tensor(load_catalogue()[name].m, dtype=torch.float32).reshape(1, 108)
+    fine = render(**one, method="quadrature", tolerance=2e-4)
+    for tolerance in (5e-3, 1e-2):
+        assert relative(render(**one, method="quadrature", tolerance=tolerance), fine) < tolerance
 
 
 @pytest.mark.parametrize("gamma", [5e3, 3e4, 1e5])
