@@ -1,7 +1,7 @@
 """Zip files from outside (.npz of numpy, furniture libraries) and the arrays in them, read within bounds.
 
 A zip's directory and an array's header say how large things are before memory is taken; both may lie, so what is read is
-counted, too. Whatever the zip library raises for a damaged, encrypted or unknown member ends as a InputError.
+counted, too. Whatever the zip library raises for a damaged, encrypted or unknown member ends as an InputError.
 """
 
 import lzma
@@ -41,7 +41,7 @@ MOST_MEMBERS = 20_000
 
 @contextmanager
 def opened_zip(path: str | os.PathLike, expected: str, remedy: str, most: int = MOST_MEMBERS) -> Iterator[zipfile.ZipFile]:
-    """An open zip of at most `most` members; damage that is met inside the block is a InputError, too.
+    """An open zip of at most `most` members; damage that is met inside the block is an InputError, too.
 
     expected, remedy  what should lie at `path`, with its article, and what to do about it
     Raises            InputError

@@ -45,7 +45,7 @@ def _remedy(path):
 
 
 def decode(data: bytes, type_: type[T], where: object) -> T:
-    """JSON bytes as a `type_`; `where` names their origin in a InputError."""
+    """JSON bytes as a `type_`; `where` names their origin in an InputError."""
     try:
         return msgspec.json.decode(data, type=type_)
     except msgspec.ValidationError as error:

@@ -17,8 +17,9 @@ def register(subparsers):
 
     parser = subparsers.add_parser(
         "plan",
-        help="counts, splits, time and disk of a job, before it starts",
-        description="Counts, splits, and a forecast of time and disk from three shots rendered for real. Writes nothing.",
+        help="show how many pictures a job has, and how long and how large it will be",
+        description="Counts the pictures of a job and of its splits, and forecasts time and disk space "
+        "from three pictures that it renders. Writes nothing.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -44,10 +45,10 @@ def run(options):
         return 0
     if not options.job:
         raise InputError("plan", "a job", "none", "name a file or a preset; plan --presets lists them")
-    from factory.commands.render import found
+    from factory.commands.render import resolve_assets
 
     job, folder = jobs.load(options.job)
-    plan = planned(job, found(job, options.assets or folder, options))
+    plan = planned(job, resolve_assets(job, options.assets or folder, options))
     for note in plan.assets.notes:
         print(f"factory: {note}", file=sys.stderr)
     for line in described(plan):

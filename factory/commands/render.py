@@ -32,7 +32,7 @@ def register(subparsers):
     parser.add_argument("--out", required=True, metavar="DIR", help="the dataset's folder; made if it is not there, added to if it is")
     add_making(parser)
     add_naming(parser)
-    parser.add_argument("--limit", type=_whole, metavar="N", help="at most so many pictures in this run")
+    parser.add_argument("--limit", type=_whole, metavar="N", help="make at most N pictures in this run")
     parser.add_argument("--shard", metavar="I/N", help="make only part I of N (job arrays)")
     parser.add_argument(
         "--geometry-only", action="store_true", help="normals, depth and segments of every view, no pictures: for relighting"
@@ -44,25 +44,34 @@ def register(subparsers):
     single.add_argument("--views", default="0", metavar="LIST", help="viewpoints 0 to 23, 15° apart: 0,6 or random:5 (default 0)")
     single.add_argument("--rotations", default="0", metavar="LIST", help="texels 0 to 127 that the light is turned by (default 0)")
     single.add_argument("--size", default="256", metavar="PIXELS", help="128, or 128x256 for height and width (default 256)")
-    single.add_argument("--samples", type=_whole, default=64, metavar="N", help="paths a pixel (default 64)")
+    single.add_argument("--samples", type=_whole, default=64, metavar="N", help="samples per pixel (default 64)")
     single.add_argument("--tier", action="append", choices=("direct", "shadow", "full"), help="light transport (default full)")
-    single.add_argument("--light-resolution", action="append", choices=("64x128", "full"), help="of the light's map (default 64x128)")
-    single.add_argument("--fov", type=float, metavar="DEGREES", help="a perspective camera; without it orthographic")
-    single.add_argument("--seed", type=int, default=0, metavar="N", help="of all draws and of the noise (default 0)")
+    single.add_argument(
+        "--light-resolution", action="append", choices=("64x128", "full"), help="resolution of the light's map (default 64x128)"
+    )
+    single.add_argument(
+        "--fov", type=float, metavar="DEGREES", help="field of view of a perspective camera (default: an orthographic camera)"
+    )
+    single.add_argument("--seed", type=int, default=0, metavar="N", help="random seed of all draws and of the noise (default 0)")
     parser.set_defaults(run=run)
 
 
 def add_making(parser):
     """Options that say how to carry a job out."""
-    parser.add_argument("--workers", type=_whole, default=1, metavar="N", help="processes side by side (default 1, with all threads)")
     parser.add_argument(
-        "--device", default="auto", choices=("auto", "cpu", "cuda", "optix", "hip", "metal", "oneapi"), help="what renders (default auto)"
+        "--workers", type=_whole, default=1, metavar="N", help="number of worker processes (default 1, which uses all threads)"
+    )
+    parser.add_argument(
+        "--device",
+        default="auto",
+        choices=("auto", "cpu", "cuda", "optix", "hip", "metal", "oneapi"),
+        help="device that renders (default auto)",
     )
 
 
 def add_naming(parser):
     """Options that say where names and relative paths lead."""
-    parser.add_argument("--assets", metavar="DIR", help="where a job's relative paths start (default: the job file's folder)")
+    parser.add_argument("--assets", metavar="DIR", help="folder that a job's relative paths start from (default: the job file's folder)")
     parser.add_argument("--lights", metavar="DIR", help="a folder of light maps whose names may be used")
     parser.add_argument("--catalogue", action="append", default=[], metavar="FILE", help="a file of materials besides the built-in ones")
 
@@ -86,7 +95,7 @@ def run(options):
     if options.geometry_only:
         job = structs.replace(job, pictures=False)
     shard = None if options.shard is None else parsed_shard(options.shard)
-    plan = planned(job, found(job, folder, options))
+    plan = planned(job, resolve_assets(job, folder, options))
     for note in plan.assets.notes:
         print(f"factory: {note}", file=sys.stderr)
     run_options = RunOptions(workers=options.workers, device=options.device, shard=shard, limit=options.limit, library=options.lights)
@@ -115,7 +124,7 @@ def chosen(options, jobs):
     return jobs.from_options(options), None
 
 
-def found(job, folder, options):
+def resolve_assets(job, folder, options):
     """The job's assets, read with a progress bar when there are many."""
     from functools import partial
 

@@ -4,15 +4,17 @@
 def register(subparsers):
     """Add the parser of `status`."""
     parser = subparsers.add_parser(
-        "status", help="how far a dataset is, and what it holds", description="Counts of a dataset, and what failed. Opens no picture."
+        "status",
+        help="show how much of a data set is made, and what failed",
+        description="Counts the pictures and views of a data set, and lists what failed. Opens no picture.",
     )
     parser.add_argument("folder", metavar="DIR", help="the dataset's folder")
-    parser.add_argument("--json", action="store_true", help="as JSON")
+    parser.add_argument("--json", action="store_true", help="print JSON")
     parser.set_defaults(run=run)
 
 
 def run(options):
-    """Print the counts; 0 always, a folder that is no dataset is a InputError."""
+    """Print the counts; 0 always, a folder that is no dataset is an InputError."""
     import json
 
     report = counted(options.folder)

@@ -272,7 +272,7 @@ def framed(radiance, mask, size, exposure=None, where="the object"):
     """The object's square at the networks' size.
 
     exposure  None: guessed from the object's brightness
-    where     names the picture in a InputError
+    where     names the picture in an InputError
     Returns   Framed with radiance (size, size, 3), mask (size, size)
     Raises    InputError: too little of it is left at that size; as `exposure_of`
     """

@@ -176,7 +176,7 @@ def decode_run(data: bytes, where: str | Path) -> Run:
     """The Run that JSON bytes hold, in the current version; one of version 1 takes the built-in materials, as it did.
 
     data    of a run file, or of the metadata of weights and checkpoints
-    where   what names their origin in a InputError
+    where   what names their origin in an InputError
     Raises  InputError: malformed, unknown keys, wrong types
     """
     run = decode(data, Run, where)

@@ -61,6 +61,11 @@ def refuse_batch(g):
     derivatives.require_one_gradient(g)
 
 
+def leaf(x):
+    """The tensor without its graph; a copy of one that was made in inference mode, which cannot be in any graph."""
+    return x.detach().clone() if x.is_inference() else x.detach()
+
+
 def folded(count, dimensions, tensors):
     """Tensors whose dimension of `count`, given or to be added, has become part of the first one, the batch of pictures."""
 
@@ -115,7 +120,7 @@ class Gradients(torch.autograd.Function):
     def forward(g, *inputs):
         *tensors, settings, requested = inputs
         with hooks_allowed(), torch.enable_grad():
-            leaves = [None if x is None else x.detach().requires_grad_(each) for x, each in zip(tensors[:4], requested, strict=True)]
+            leaves = [None if x is None else leaf(x).requires_grad_(each) for x, each in zip(tensors[:4], requested, strict=True)]
             picture = layer.render(*leaves, *tensors[4:], *settings)
             return torch.autograd.grad(picture, [x for x, each in zip(leaves, requested, strict=True) if each], g)
 

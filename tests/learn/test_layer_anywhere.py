@@ -113,6 +113,18 @@ def test_a_nested_light_is_refused_by_its_name_under_transforms_too(transform):
         calls[transform](lambda m: render(n, m, light))
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of torch.func's own parts
+@pytest.mark.parametrize("method", ["exact", "quadrature"])
+def test_tensors_of_inference_mode_are_taken_under_transforms(method):
+    n, light = torch.tensor([0.0, 0.0, 1.0]).expand(1, 2, 2, 3), torch.ones(1, 4, 8, 3)
+    with torch.inference_mode():
+        m = torch.ones(3, 1, 108)
+    by_m = torch.func.vmap(torch.func.grad(lambda m: render(n, m, light, method=method).sum()))(m)
+    plain = m.clone().requires_grad_()
+    sum(render(n, each, light, method=method).sum() for each in plain).backward()
+    assert torch.allclose(by_m, plain.grad, rtol=1e-5)
+
+
 @pytest.mark.parametrize("method", ["auto", "culled", "hybrid", "quadrature"])
 def test_a_tolerance_beyond_float32_is_taken_without_a_warning(method):
     n = torch.tensor([0.0, 0.0, 1.0]).expand(1, 4, 4, 3)
