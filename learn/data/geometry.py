@@ -163,7 +163,7 @@ class Geometry:
         write_text(self._at("views.json"), json.dumps(hashes))
 
     def _checked(self, records, record):
-        """normals (H, W, 3), segments (H, W) of a record or a view. Raises InputError for what nobody can learn from."""
+        """normals (H, W, 3), segments (H, W) of a record or a view. Raises InputError for what cannot be learned from."""
         normals, _, segments = records.geometry(record)
         where, remedy = self.folder / record.geometry, "python -m factory verify DIR --repair, then render again; or --skip-bad"
         if not segments.any():

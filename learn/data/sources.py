@@ -144,7 +144,7 @@ def _side_of_material(records, name, side_of):
 
 
 def _light_side(L, maps):
-    """The side of the map that this one is, under whatever name; maps that nobody knows are for training."""
+    """The side of the map that this one is, under whatever name; unknown maps are for training."""
     return next((side for side, other in maps.values() if is_same_source(L, other) or are_duplicates(L, other)), "train")
 
 

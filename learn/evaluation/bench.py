@@ -60,7 +60,7 @@ class Bench:
         if batch.image.shape[-2:] != (self.size, self.size):
             result = f"{batch.image.shape[-1]} × {batch.image.shape[-2]}"
             raise InputError(
-                self.records.folder, f"pictures of {self.size} × {self.size} pixels, as the weights were trained", result, "render anew"
+                self.records.folder, f"pictures of {self.size} × {self.size} pixels, as the weights were trained", result, "render again"
             )
         return self._decompose(first.source, batch) if whole else None, [self._edited(edit, batch, folder) for edit in edits]
 

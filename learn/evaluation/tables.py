@@ -142,7 +142,9 @@ def differences(rows):
 
 
 def gains(rows, known):
-    """What refinement takes off the edits' mean, median and geometric mean: of all, by light, by shape, by the family of what is wanted.
+    """What refinement takes off the edits' mean, median and geometric mean.
+
+    Of all edits, and by light, by shape and by the family of the target material.
 
     known  {name: family} of the data set's materials
     """

@@ -1,6 +1,6 @@
 """The page that goes with weights: what they learned from, what they do on pictures never seen, and what they do not.
 
-Made from the run's own files, and measured anew: `python -m learn evaluate-network`.
+Made from the run's own files, and measured again: `python -m learn evaluate-network`.
 """
 
 import json

@@ -114,7 +114,7 @@ class Picture(torch.autograd.Function):
 
 
 class Gradients(torch.autograd.Function):
-    """g, the six tensors, settings, which of the first four are wanted → derivatives of Σ g·picture by those."""
+    """g, the six tensors, settings, which derivatives are asked for, by the first four → derivatives of Σ g·picture by those."""
 
     @staticmethod
     def forward(g, *inputs):

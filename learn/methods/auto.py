@@ -141,7 +141,7 @@ def good(error, level, tolerance):
 
 
 def best_plan(scene, lobes, tolerance):
-    """The `planned.Way`s of a scene's lobes: of those that reflect anything, or of all where the derivative by the material is wanted."""
+    """The `planned.Strategy` of each group of a scene's lobes; lobes that reflect nothing count only for derivatives by the material."""
     sharp, strength = lobe_shapes.sharpness(scene.m), lobe_shapes.strength(scene.m)
     sharp = np.where(sharp > 0, sharp, lobe_shapes.sharpness(scene.m, dark=True))
     share = np.clip(3 * strength / max(strength.sum(), 1e-300), 0.1, 1.0)

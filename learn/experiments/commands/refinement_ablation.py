@@ -56,7 +56,7 @@ def run(options):
     from manifests import lock
     from manifests.store import file_hash
 
-    torch.set_num_threads(1)  # times are told of one
+    torch.set_num_threads(1)  # times are reported for one thread
     weights = options.weights or WEIGHTS
     net, _ = checkpoint.load_parts(weights)
     predict = network(net)
