@@ -1,1 +1,3 @@
-"""Records in, networks and pictures out: the differentiable layer and what is learnt through it. No bpy here."""
+"""Records in, networks and pictures out: the differentiable layer and what is learnt through it. No
+bpy here.
+"""

@@ -1,11 +1,22 @@
-"""`python -m learn`: train networks, edit photographs with them, and check the two renderers against each other."""
+"""`python -m learn`: train networks, edit photographs with them, and check the two renderers
+against each other.
+"""
 
 import sys
 
 from learn.training.allocator import keep_freed
 from manifests.cli import main
 
-COMMANDS = ("train", "predict", "edit", "transfer", "agree", "evaluate", "evaluate-network", "train-baselines")
+COMMANDS = (
+    "train",
+    "predict",
+    "edit",
+    "transfer",
+    "agree",
+    "evaluate",
+    "evaluate-network",
+    "train-baselines",
+)
 MOVED = {  # earlier names of commands, and what to type now
     "baselines": "python -m learn train-baselines",
     "bench": "python -m learn.experiments engine-speed",

@@ -1,4 +1,6 @@
-"""What is written down: the contract on disk between the factory that renders and the networks that learn."""
+"""What is written down: the contract on disk between the factory that renders and the networks that
+learn.
+"""
 
 from pathlib import Path
 

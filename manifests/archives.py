@@ -1,7 +1,9 @@
-"""Zip files from outside (.npz of numpy, furniture libraries) and the arrays in them, read within bounds.
+"""Zip files from outside (.npz of numpy, furniture libraries) and the arrays in them, read within
+bounds.
 
-A zip's directory and an array's header say how large things are before memory is taken; both may lie, so what is read is
-counted, too. Whatever the zip library raises for a damaged, encrypted or unknown member ends as an InputError.
+A zip's directory and an array's header say how large things are before memory is taken; both may
+lie, so what is read is counted, too. Whatever the zip library raises for a damaged, encrypted or
+unknown member ends as an InputError.
 """
 
 import lzma
@@ -21,8 +23,9 @@ import numpy as np
 from manifests.errors import InputError
 from manifests.inputs import require_file
 
-# What zipfile and its decompressors raise, by version and by kind of damage: RuntimeError for encrypted members,
-# NotImplementedError for unknown methods, ValueError for names that are no text and headers that are none
+# What zipfile and its decompressors raise, by version and by kind of damage: RuntimeError for
+# encrypted members, NotImplementedError for unknown methods, ValueError for names that are no text
+# and headers that are none
 DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -35,13 +38,17 @@ DAMAGE = (
     NotImplementedError,
     OverflowError,
 )
-NO_HEADER = (SyntaxError, TypeError, MemoryError, RecursionError, tokenize.TokenError)  # besides ValueError, by numpy's parser
+# besides ValueError, by numpy's parser
+NO_HEADER = (SyntaxError, TypeError, MemoryError, RecursionError, tokenize.TokenError)
 MOST_MEMBERS = 20_000
 
 
 @contextmanager
-def opened_zip(path: str | os.PathLike, expected: str, remedy: str, most: int = MOST_MEMBERS) -> Iterator[zipfile.ZipFile]:
-    """An open zip of at most `most` members; damage that is met inside the block is an InputError, too.
+def opened_zip(
+    path: str | os.PathLike, expected: str, remedy: str, most: int = MOST_MEMBERS
+) -> Iterator[zipfile.ZipFile]:
+    """An open zip of at most `most` members; damage that is met inside the block is an InputError,
+    too.
 
     expected, remedy  what should lie at `path`, with its article, and what to do about it
     Raises            InputError
@@ -50,7 +57,12 @@ def opened_zip(path: str | os.PathLike, expected: str, remedy: str, most: int = 
     try:
         with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
             if len(archive.infolist()) > most:
-                raise InputError(path, f"at most {most:,} files in it", f"{len(archive.infolist()):,}", "split it into several")
+                raise InputError(
+                    path,
+                    f"at most {most:,} files in it",
+                    f"{len(archive.infolist()):,}",
+                    "split it into several",
+                )
             yield archive
     except InputError:
         raise
@@ -79,7 +91,11 @@ class ArrayHeader:
             version = np.lib.format.read_magic(stream)
             if version not in ((1, 0), (2, 0), (3, 0)):
                 raise ValueError(f"an array of version {version}")
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            read = (
+                np.lib.format.read_array_header_1_0
+                if version == (1, 0)
+                else np.lib.format.read_array_header_2_0
+            )
             try:
                 self.shape, self.fortran, self.dtype = read(stream)
             except NO_HEADER:
@@ -96,13 +112,19 @@ class ArrayHeader:
 
 
 def read_array(archive: zipfile.ZipFile, name: str, most_bytes: int) -> np.ndarray:
-    """An array of an .npz, without unpickling. Raises KeyError if it is not there, ValueError if it is too large or damaged."""
+    """An array of an .npz, without unpickling. Raises KeyError if it is not there, ValueError if it
+    is too large or damaged.
+    """
     with archive.open(name if name in archive.namelist() else f"{name}.npy") as stream:
         header = ArrayHeader(stream)
         if header.bytes > most_bytes:
-            raise ValueError(f"{name}: expected at most {most_bytes:,} bytes, found {header.bytes:,}")
+            raise ValueError(
+                f"{name}: expected at most {most_bytes:,} bytes, found {header.bytes:,}"
+            )
         data = read_exactly(stream, header.bytes)
-    return np.frombuffer(data, header.dtype).reshape(header.shape, order="F" if header.fortran else "C")
+    return np.frombuffer(data, header.dtype).reshape(
+        header.shape, order="F" if header.fortran else "C"
+    )
 
 
 def read_exactly(stream: IO[bytes], count: int) -> bytes:

@@ -1,19 +1,26 @@
-"""The arrays of a dataset on disk: channel names, types, units, frames and rounding. The one home of all of them.
+"""The arrays of a dataset on disk: channel names, types, units, frames and rounding. The one home
+of all of them.
 
-The constants FILES and PACKED say each array in a line; docs/dataset.md repeats the table for people, and a test
-compares the two.
+The constants FILES and PACKED say each array in a line; docs/dataset.md repeats the table for
+people, and a test compares the two.
 
-picture    OpenEXR, half: R, G, B. Linear Rec.709 radiance under the light scaled to unit mean luminance; row 0 at the top.
-geometry   OpenEXR, float32: normal.X, normal.Y, normal.Z, unit vectors in the camera frame (x right, y up, z towards
-           the viewer), 0 in the background; depth.Z, distance along the optical axis behind the plane through the
-           object's centre, in radii of the sphere that the object fills, negative in front of it, 0 in the background.
-           Both are rounded to 2^-15: a normal turns by .001° at most (in half precision by .03°, a tenth of chrome's
-           lobe), and files shrink by 20 to 60 %. uint32: segment, 1 … S, 0 in the background; mask = segment > 0.
-light map  npz: L, (64, 128, 3) float32, linear Rec.709 radiance of unit mean luminance, rows from the zenith down,
-           columns around the vertical axis, as the camera sees it at rotation 0; scale, the factor taken off.
+picture    OpenEXR, half: R, G, B. Linear Rec.709 radiance under the light scaled to unit mean
+luminance; row 0 at the top.
+geometry   OpenEXR, float32: normal.X, normal.Y, normal.Z, unit vectors in the camera frame (x
+right, y up, z towards
+           the viewer), 0 in the background; depth.Z, distance along the optical axis behind the
+           plane through the object's centre, in radii of the sphere that the object fills, negative
+           in front of it, 0 in the background. Both are rounded to 2^-15: a normal turns by .001°
+           at most (in half precision by .03°, a tenth of chrome's lobe), and files shrink by 20 to
+           60 %. uint32: segment, 1 … S, 0 in the background; mask = segment > 0.
+light map  npz: L, (64, 128, 3) float32, linear Rec.709 radiance of unit mean luminance, rows from
+the zenith down,
+           columns around the vertical axis, as the camera sees it at rotation 0; scale, the factor
+           taken off.
 
-height, width are those of the picture. Whatever reads a file refuses what another program may have left there: missing
-channels, other shapes, values that are no radiance. Each reader raises manifests.errors.InputError.
+height, width are those of the picture. Whatever reads a file refuses what another program may have
+left there: missing channels, other shapes, values that are no radiance. Each reader raises
+manifests.errors.InputError.
 """
 
 import hashlib
@@ -41,11 +48,14 @@ PACKED_UNIT = 32767  # of packed normals
 LIGHT_SHAPE = (64, 128, 3)
 LIGHT_BYTES = 4 << 20  # a stored map takes a tenth of it
 LIGHT_MEMBERS = {"L": (LIGHT_SHAPE, np.dtype(np.float32)), "scale": ((), np.dtype(np.float64))}
-PACKED_NORMALS, PACKED_SEGMENTS = "normals.npy", "segments.npy"  # names in the cache of geometry that training keeps
+# names in the cache of geometry that training keeps
+PACKED_NORMALS, PACKED_SEGMENTS = "normals.npy", "segments.npy"
 
 
 class Array(NamedTuple):
-    """How one array is written: a channel of an OpenEXR file, a member of an .npz file, or an .npy file."""
+    """How one array is written: a channel of an OpenEXR file, a member of an .npz file, or an .npy
+    file.
+    """
 
     name: str
     type: np.dtype
@@ -70,8 +80,17 @@ PICTURE = tuple(
 )
 GEOMETRY = (
     *(
-        Array(name, np.dtype(np.float32), _FRAME, "part of a unit vector; 0 in the background", f"camera, {axis}", _STEP)
-        for name, axis in zip(NORMAL_CHANNELS, ("x right", "y up", "z towards the viewer"), strict=True)
+        Array(
+            name,
+            np.dtype(np.float32),
+            _FRAME,
+            "part of a unit vector; 0 in the background",
+            f"camera, {axis}",
+            _STEP,
+        )
+        for name, axis in zip(
+            NORMAL_CHANNELS, ("x right", "y up", "z towards the viewer"), strict=True
+        )
     ),
     Array(
         DEPTH_CHANNEL,
@@ -81,7 +100,14 @@ GEOMETRY = (
         "camera, along the optical axis, behind the plane through the object's centre",
         _STEP,
     ),
-    Array(SEGMENT_CHANNEL, np.dtype(np.uint32), _FRAME, f"segment id, 1 to {MOST_SEGMENTS}; 0 in the background", "picture", "none"),
+    Array(
+        SEGMENT_CHANNEL,
+        np.dtype(np.uint32),
+        _FRAME,
+        f"segment id, 1 to {MOST_SEGMENTS}; 0 in the background",
+        "picture",
+        "none",
+    ),
 )
 LIGHT = (
     Array(
@@ -92,7 +118,14 @@ LIGHT = (
         "light, rows from the zenith down, as the camera sees it at rotation 0",
         "none",
     ),
-    Array("scale", LIGHT_MEMBERS["scale"][1], "one number", "mean luminance of the map before it was divided by it", "none", "none"),
+    Array(
+        "scale",
+        LIGHT_MEMBERS["scale"][1],
+        "one number",
+        "mean luminance of the map before it was divided by it",
+        "none",
+        "none",
+    ),
 )
 PACKED = (
     Array(
@@ -103,14 +136,22 @@ PACKED = (
         "camera",
         f"steps of 1/{PACKED_UNIT}",
     ),
-    Array(PACKED_SEGMENTS, np.dtype(np.uint8), f"views × {_FRAME}", "segment id, 0 in the background", "picture", "none"),
+    Array(
+        PACKED_SEGMENTS,
+        np.dtype(np.uint8),
+        f"views × {_FRAME}",
+        "segment id, 0 in the background",
+        "picture",
+        "none",
+    ),
 )
 FILES = {"images/ab/ID.exr": PICTURE, "geometry/ab/ID.exr": GEOMETRY, "lights/NAME-HASH.npz": LIGHT}
 PICTURE_TYPES = {array.name: array.type for array in PICTURE}
 GEOMETRY_TYPES = {array.name: array.type for array in GEOMETRY}
 PACKED_TYPES = {array.name: array.type for array in PACKED}
 PIXEL_BYTES = 4 * len(GEOMETRY_TYPES)  # the most that a pixel of ours takes, uncompressed
-HEADER_BYTES = 1 << 20  # the most that an EXR's header and its table of lines take beside the pixels
+# the most that an EXR's header and its table of lines take beside the pixels
+HEADER_BYTES = 1 << 20
 UNIT_LENGTH = 1e-2  # of |n|; what is written keeps it to 1e-4
 UNIT_MEAN = 1e-4  # of a light's mean luminance; float32 sums keep it to 1e-6
 AGAIN = "render or copy it again"
@@ -166,7 +207,10 @@ def encode_geometry(geometry: Any) -> bytes:
     """A geometry file. geometry: a Geometry, or anything with its three arrays."""
     layers = dict(zip(NORMAL_CHANNELS, np.moveaxis(geometry.normals, -1, 0), strict=True))
     layers[DEPTH_CHANNEL] = geometry.depth
-    rounded = {name: np.rint(values.astype(np.float32) * STEPS_PER_UNIT) / STEPS_PER_UNIT for name, values in layers.items()}
+    rounded = {
+        name: np.rint(values.astype(np.float32) * STEPS_PER_UNIT) / STEPS_PER_UNIT
+        for name, values in layers.items()
+    }
     return exr.encode(rounded | {SEGMENT_CHANNEL: geometry.segments.astype(np.uint32)})
 
 
@@ -176,7 +220,8 @@ def read_geometry(
     file_hash: str | None = None,
     exact: bool = False,
 ) -> Geometry:
-    """The Geometry of a file: normals and depth finite, normals of unit length wherever there is a segment.
+    """The Geometry of a file: normals and depth finite, normals of unit length wherever there is a
+    segment.
 
     size       (height, width) that it must have, None: any
     file_hash  sha256 that the file must have, None: any
@@ -185,9 +230,19 @@ def read_geometry(
     """
     channels = _channels(path, GEOMETRY_TYPES, size, file_hash, exact)
     segments = channels[SEGMENT_CHANNEL]
-    whole = segments.astype(np.int64) if np.isfinite(segments).all() else np.full_like(segments, -1, np.int64)
-    if (whole != segments).any() or whole.min(initial=0) < 0 or whole.max(initial=0) > MOST_SEGMENTS:
-        raise InputError(path, f"segments 0 to {MOST_SEGMENTS}", f"{segments.min()} to {segments.max()}", AGAIN)
+    whole = (
+        segments.astype(np.int64)
+        if np.isfinite(segments).all()
+        else np.full_like(segments, -1, np.int64)
+    )
+    if (
+        (whole != segments).any()
+        or whole.min(initial=0) < 0
+        or whole.max(initial=0) > MOST_SEGMENTS
+    ):
+        raise InputError(
+            path, f"segments 0 to {MOST_SEGMENTS}", f"{segments.min()} to {segments.max()}", AGAIN
+        )
     normals = np.stack([channels[name] for name in NORMAL_CHANNELS], axis=-1).astype(np.float32)
     depth = channels[DEPTH_CHANNEL].astype(np.float32)
     for what, values in (("normals", normals), ("depth", depth)):
@@ -196,7 +251,9 @@ def read_geometry(
     inside = normals[whole > 0].astype(np.float64)
     lengths = np.sqrt((inside * inside).sum(-1))
     if lengths.size and np.abs(lengths - 1).max() > UNIT_LENGTH:
-        raise InputError(path, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", AGAIN)
+        raise InputError(
+            path, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", AGAIN
+        )
     return Geometry(normals, depth, whole.astype(np.uint8))
 
 
@@ -216,13 +273,17 @@ def read_light(path: str | Path, file_hash: str | None = None) -> np.ndarray:
     if wrong := int((~(np.isfinite(L) & (L >= 0))).sum()):
         raise InputError(path, "finite radiance ≥ 0", f"{wrong} values that are not", LIGHT_AGAIN)
     if not abs((mean := float(mean_radiance(L) @ LUMINANCE)) - 1) <= UNIT_MEAN:
-        raise InputError(path, "radiance of unit mean luminance", f"a mean of {mean:.6g}", LIGHT_AGAIN)
+        raise InputError(
+            path, "radiance of unit mean luminance", f"a mean of {mean:.6g}", LIGHT_AGAIN
+        )
     _require_hash(path, data, file_hash)
     return L.astype(np.float32)
 
 
 def read_scale(path: str | Path) -> float:
-    """The factor that was taken off a stored light. Raises InputError: no such file, other members or types than are written."""
+    """The factor that was taken off a stored light. Raises InputError: no such file, other members
+    or types than are written.
+    """
     arrays, _ = _light_arrays(path, tuple(LIGHT_MEMBERS), exact=True)
     scale = float(arrays["scale"])
     if not (np.isfinite(scale) and scale > 0):
@@ -230,21 +291,32 @@ def read_scale(path: str | Path) -> float:
     return scale
 
 
-def _light_arrays(path: str | Path, names: tuple[str, ...], exact: bool = False) -> tuple[dict[str, np.ndarray], bytes]:
-    """Members of a stored light, and the file's bytes; exact: no other members, and the types that are written."""
+def _light_arrays(
+    path: str | Path, names: tuple[str, ...], exact: bool = False
+) -> tuple[dict[str, np.ndarray], bytes]:
+    """Members of a stored light, and the file's bytes; exact: no other members, and the types that
+    are written.
+    """
     data = require_file(path, "a stored light map", LIGHT_AGAIN, LIGHT_BYTES).read_bytes()
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             there = sorted(archive.namelist())
             if exact and there != sorted(f"{name}.npy" for name in names):
-                raise InputError(path, f"arrays {', '.join(names)} alone", ", ".join(there)[:120] or "none", LIGHT_AGAIN)
+                raise InputError(
+                    path,
+                    f"arrays {', '.join(names)} alone",
+                    ", ".join(there)[:120] or "none",
+                    LIGHT_AGAIN,
+                )
             arrays = {name: _light_member(path, archive, name) for name in names}
     except InputError:
         raise
     except _NO_ARCHIVE as error:
         result = str(error).replace("\n", " ")[:120] or type(error).__name__
         raise InputError(path, "a stored light map", result, LIGHT_AGAIN) from None
-    if exact and (other := [name for name in names if arrays[name].dtype != LIGHT_MEMBERS[name][1]]):
+    if exact and (
+        other := [name for name in names if arrays[name].dtype != LIGHT_MEMBERS[name][1]]
+    ):
         expected, result = LIGHT_MEMBERS[other[0]][1], arrays[other[0]].dtype
         raise InputError(path, f"{other[0]} of {expected}", str(result), LIGHT_AGAIN)
     return arrays, data
@@ -263,7 +335,9 @@ def _light_member(path: str | Path, archive: zipfile.ZipFile, name: str) -> np.n
 
 
 def pack_normals(normals: np.ndarray) -> np.ndarray:
-    """x and y of normals (…, 3) that face the viewer as (…, 2) int16 in units of 1/32767: what caches of geometry hold."""
+    """x and y of normals (…, 3) that face the viewer as (…, 2) int16 in units of 1/32767: what
+    caches of geometry hold.
+    """
     return np.rint(normals[..., :2] * PACKED_UNIT).astype(np.int16)
 
 
@@ -275,10 +349,19 @@ def unpack_normals(packed: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def table() -> str:
-    """The arrays of a dataset's files as a Markdown table, a line for each array, as docs/dataset.md holds it."""
-    lines = ["| file | array | type | shape | unit | frame | rounding |", "|---|---|---|---|---|---|---|"]
+    """The arrays of a dataset's files as a Markdown table, a line for each array, as
+    docs/dataset.md holds it.
+    """
+    lines = [
+        "| file | array | type | shape | unit | frame | rounding |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for file, arrays in FILES.items():
-        lines += [f"| `{file}` | `{a.name}` | {a.type} | {a.shape} | {a.unit} | {a.frame} | {a.rounding} |" for a in arrays]
+        lines += [
+            f"| `{file}` | `{a.name}` | {a.type} | {a.shape} | {a.unit} | {a.frame} |"
+            f" {a.rounding} |"
+            for a in arrays
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -301,7 +384,11 @@ def _channels(
         result = f"only {', '.join(sorted(channels))}"
         raise InputError(path, f"channels {', '.join(types)}", result, AGAIN)
     sizes = {channels[name].shape for name in types}
-    if len(sizes) != 1 or any(len(shape) != 2 for shape in sizes) or (size is not None and sizes != {tuple(size)}):
+    if (
+        len(sizes) != 1
+        or any(len(shape) != 2 for shape in sizes)
+        or (size is not None and sizes != {tuple(size)})
+    ):
         expected = "one size of all channels" if size is None else f"{size[0]} × {size[1]} pixels"
         result = ", ".join(sorted(" × ".join(map(str, shape)) for shape in sizes))
         raise InputError(path, expected, result, AGAIN)
@@ -316,4 +403,6 @@ def _channels(
 def _require_hash(path: str | Path, data: bytes | None, expected: str | None) -> None:
     """Raises InputError if a file's bytes are not those whose sha256 a manifest holds."""
     if expected is not None and (result := hashlib.sha256(data).hexdigest()) != expected:
-        raise InputError(path, f"hash {expected[:12]}", f"{result[:12]}: the file was altered", AGAIN)
+        raise InputError(
+            path, f"hash {expected[:12]}", f"{result[:12]}: the file was altered", AGAIN
+        )

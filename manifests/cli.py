@@ -1,9 +1,10 @@
 """How `python -m factory` and `python -m learn` find their commands and end.
 
-A command is a module with `register(subparsers)`, which adds its parser and sets `run=` to a function of the parsed arguments that
-returns an exit status: 0 done, 1 failed, 2 wrong usage, another one where the command's help says what it means; and `continues=False`
-where a second run does not go on from what is there. Only argparse and the standard library may be imported at its top:
-heavy libraries load inside `run`, so that `--help` is quick.
+A command is a module with `register(subparsers)`, which adds its parser and sets `run=` to a
+function of the parsed arguments that returns an exit status: 0 done, 1 failed, 2 wrong usage,
+another one where the command's help says what it means; and `continues=False` where a second run
+does not go on from what is there. Only argparse and the standard library may be imported at its
+top: heavy libraries load inside `run`, so that `--help` is quick.
 """
 
 import argparse
@@ -25,7 +26,8 @@ def main(
     moved: Mapping[str, str] | None = None,
     prepare: Callable[[], Any] | None = None,
 ) -> int:
-    """Parse, run, and return the exit status; one line for a user's mistake, a trace only with --debug.
+    """Parse, run, and return the exit status; one line for a user's mistake, a trace only with
+    --debug.
 
     program    package whose `commands` folder holds the modules, and what follows `python -m`
     commands   names in the order of the help; "evaluate-network" lives in evaluate_network.py
@@ -33,13 +35,15 @@ def main(
     moved      {earlier name: what to type now}
     prepare    called before a command runs, and not for --help
     """
-    if hasattr(sys.stdout, "reconfigure"):  # as stderr: what a terminal has no character for is escaped, no error
+    # as stderr: what a terminal has no character for is escaped, no error
+    if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
     parser = argparse.ArgumentParser(prog=f"python -m {program}", description=description)
     parser.add_argument("--debug", action="store_true", help="show the whole trace of an error")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     words = sys.argv[1:] if arguments is None else arguments
-    named = [word for word in words if word in commands][:1]  # one command needs only its own module; --help and mistakes need all
+    # one command needs only its own module; --help and mistakes need all
+    named = [word for word in words if word in commands][:1]
     first = next((word for word in words if not word.startswith("-")), None)
     if moved and not named and first in moved:
         print(f"{program}: '{first}' has a new name; type `{moved[first]}`", file=sys.stderr)
@@ -58,11 +62,16 @@ def main(
             _flush_output()
     except InputError as problem:
         return _failed(program, problem, debug)
-    except OSError as error:  # full disk, missing file, no permission: the system's own words name the file
+    # full disk, missing file, no permission: the system's own words name the file
+    except OSError as error:
         return _failed(program, error, debug)
     except KeyboardInterrupt as interrupt:
         traceback.clear_frames(interrupt.__traceback__)
-        how = "the same command continues" if getattr(options, "continues", True) else "the same command with --overwrite replaces it"
+        how = (
+            "the same command continues"
+            if getattr(options, "continues", True)
+            else "the same command with --overwrite replaces it"
+        )
         print(f"\n{program}: stopped; what was written stays, {how}", file=sys.stderr)
         return 130
 
@@ -76,11 +85,15 @@ def _refuse_empty(parser: argparse.ArgumentParser, words: list[str]) -> None:
     for before, word in zip(["", *words], words, strict=False):
         if not word or (word.startswith("--") and word.endswith("=")):
             name = word.removesuffix("=") or (before if before.startswith("-") else "an argument")
-            parser.error(f"{name}: expected a value, found an empty one (is a shell variable not set?)")
+            parser.error(
+                f"{name}: expected a value, found an empty one (is a shell variable not set?)"
+            )
 
 
 def _flush_output() -> None:
-    """Write what was printed. Raises OSError; what cannot be written is then dropped, or Python would end with 120."""
+    """Write what was printed. Raises OSError; what cannot be written is then dropped, or Python
+    would end with 120.
+    """
     if sys.stdout is None:  # closed by the caller
         return
     try:

@@ -1,11 +1,14 @@
-"""What is wrong with something a user gave, said in one line: where, what was expected, what was found, the remedy."""
+"""What is wrong with something a user gave, said in one line: where, what was expected, what was
+found, the remedy.
+"""
 
 import difflib
 from collections.abc import Iterable
 
 
 class InputError(ValueError):
-    """An error in data or arguments from outside. The command line prints it as one line; `--debug` shows the trace.
+    """An error in data or arguments from outside. The command line prints it as one line; `--debug`
+    shows the trace.
 
     where     the file, record or argument
     expected  what should stand there
@@ -22,14 +25,18 @@ class InputError(ValueError):
 
 
 def printable(text: str) -> str:
-    """The text on one line that any terminal can show: control characters and halves of characters as escapes."""
+    """The text on one line that any terminal can show: control characters and halves of characters
+    as escapes.
+    """
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def closest(name: object, names: Iterable[object], count: int = 3) -> str:
-    """The known names nearest to one that is not known, as text: 'did you mean chair, hair?', or the first few there are."""
+    """The known names nearest to one that is not known, as text: 'did you mean chair, hair?', or
+    the first few there are.
+    """
     near = difflib.get_close_matches(str(name), [str(n) for n in names], n=count, cutoff=0.5)
     if near:
         return f"did you mean {', '.join(near)}?"

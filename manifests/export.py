@@ -1,7 +1,8 @@
 """A dataset for other programs: records as one Parquet table, pictures as WebDataset tar files.
 
-Ids are hashes, so records in the order of their ids are shuffled, and shuffled alike everywhere. In a tar, each record is three files
-that share its id: ID.json (the record), ID.image.exr, ID.geometry.exr; dataset.json, materials.json and lights/ are copied beside.
+Ids are hashes, so records in the order of their ids are shuffled, and shuffled alike everywhere. In
+a tar, each record is three files that share its id: ID.json (the record), ID.image.exr,
+ID.geometry.exr; dataset.json, materials.json and lights/ are copied beside.
 """
 
 import contextlib
@@ -25,25 +26,39 @@ ROWS = 50_000  # of a Parquet row group
 
 def chosen(store: Store, split: str | None = None) -> list[Record]:
     """The records of a split (None: all), in the order of their ids."""
-    return sorted(store.records(lambda record: split in (None, record.split)), key=lambda record: record.id)
+    return sorted(
+        store.records(lambda record: split in (None, record.split)), key=lambda record: record.id
+    )
 
 
 def to_parquet(store: Store, path: str | os.PathLike, split: str | None = None) -> int:
-    """Write the records as a table, nested keys as columns such as `camera.size`; returns how many. Raises InputError without pyarrow."""
+    """Write the records as a table, nested keys as columns such as `camera.size`; returns how many.
+    Raises InputError without pyarrow.
+    """
     try:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        remedy = "pip install 'pyarrow<22' (later ones need numpy 2, which Blender's wheel cannot have)"
-        raise InputError("export --parquet", "the package pyarrow", str(error).split(":")[0], remedy) from None
+        remedy = (
+            "pip install 'pyarrow<22' (later ones need numpy 2, which Blender's wheel cannot have)"
+        )
+        raise InputError(
+            "export --parquet", "the package pyarrow", str(error).split(":")[0], remedy
+        ) from None
     records = chosen(store, split)
     if not records:
-        raise InputError(store.folder, "records to export", "none", "render some, or choose another --split")
+        raise InputError(
+            store.folder, "records to export", "none", "render some, or choose another --split"
+        )
     with replacing(path) as file, contextlib.ExitStack() as opened:
         writer = None
         for first in range(0, len(records), ROWS):
-            table = pyarrow.Table.from_pylist([_flat(msgspec.to_builtins(record)) for record in records[first : first + ROWS]])
-            writer = writer or opened.enter_context(pyarrow.parquet.ParquetWriter(file, table.schema))
+            table = pyarrow.Table.from_pylist(
+                [_flat(msgspec.to_builtins(record)) for record in records[first : first + ROWS]]
+            )
+            writer = writer or opened.enter_context(
+                pyarrow.parquet.ParquetWriter(file, table.schema)
+            )
             writer.write_table(table.cast(writer.schema))
     return len(records)
 
@@ -52,7 +67,11 @@ def _flat(value, prefix=""):
     """A nested dictionary with dotted keys."""
     flat = {}
     for key, inner in value.items():
-        flat |= _flat(inner, f"{prefix}{key}.") if isinstance(inner, dict) else {f"{prefix}{key}": inner}
+        flat |= (
+            _flat(inner, f"{prefix}{key}.")
+            if isinstance(inner, dict)
+            else {f"{prefix}{key}": inner}
+        )
     return flat
 
 
@@ -63,15 +82,24 @@ def to_tars(
     each: int = 1000,
     watch: Callable[[], Any] | None = None,
 ) -> int:
-    """Write the records and their files as numbered tars of `each` records; returns how many tars. Files are checked to be inside.
+    """Write the records and their files as numbered tars of `each` records; returns how many tars.
+    Files are checked to be inside.
 
-    Raises  InputError if the folder holds tars: those beyond the new ones' numbers would pass for records of this export
+    Raises  InputError if the folder holds tars: those beyond the new ones' numbers would pass for
+    records of this export
     """
     folder, records = Path(folder), chosen(store, split)
     if earlier := sorted(folder.glob("*.tar")):
-        raise InputError(folder, "a folder without tars", earlier[0].name, "name another folder, or remove this one first")
+        raise InputError(
+            folder,
+            "a folder without tars",
+            earlier[0].name,
+            "name another folder, or remove this one first",
+        )
     if not records:
-        raise InputError(store.folder, "records to export", "none", "render some, or choose another --split")
+        raise InputError(
+            store.folder, "records to export", "none", "render some, or choose another --split"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     starts = range(0, len(records), each)
     with transaction():  # some of the tars would pass for all of them
@@ -82,7 +110,10 @@ def to_tars(
             path = light_path(name, entry.hash)
             write_bytes(folder / path, _bytes(store, entry.file, path))
         for number, first in enumerate(starts):
-            with replacing(folder / f"{number:06d}.tar") as file, tarfile.open(fileobj=file, mode="w") as tar:
+            with (
+                replacing(folder / f"{number:06d}.tar") as file,
+                tarfile.open(fileobj=file, mode="w") as tar,
+            ):
                 for record in records[first : first + each]:
                     _add(tar, store, record)
                     if watch:
@@ -91,20 +122,36 @@ def to_tars(
 
 
 def _bytes(store, path, expected):
-    """A file that a manifest names. Raises InputError if it lies elsewhere than it should, or is no ordinary file."""
+    """A file that a manifest names. Raises InputError if it lies elsewhere than it should, or is no
+    ordinary file.
+    """
     if path != expected:
         raise InputError(
-            f"{store.folder}: '{path}'", f"'{expected}'", "another name", "do not trust this manifest: verify names all faults"
+            f"{store.folder}: '{path}'",
+            f"'{expected}'",
+            "another name",
+            "do not trust this manifest: verify names all faults",
         )
-    return require_file(inside(store.folder, path), "a file of the dataset", "render or copy it again").read_bytes()
+    return require_file(
+        inside(store.folder, path), "a file of the dataset", "render or copy it again"
+    ).read_bytes()
 
 
 def _add(tar, store, record):
-    """A record's three files; nothing of the machine in their headers, so that the same records give the same tar."""
+    """A record's three files; nothing of the machine in their headers, so that the same records
+    give the same tar.
+    """
     parts = (
         ("json", msgspec.json.encode(record)),
         ("image.exr", _bytes(store, record.image, image_path(record.id))),
-        ("geometry.exr", _bytes(store, record.geometry, geometry_path(record.geometry.rpartition("/")[2].removesuffix(".exr")))),
+        (
+            "geometry.exr",
+            _bytes(
+                store,
+                record.geometry,
+                geometry_path(record.geometry.rpartition("/")[2].removesuffix(".exr")),
+            ),
+        ),
     )
     for ending, data in parts:
         info = tarfile.TarInfo(f"{record.id}.{ending}")

@@ -1,4 +1,6 @@
-"""OpenEXR files read and written the same way on both sides of the contract: whole or not there at all."""
+"""OpenEXR files read and written the same way on both sides of the contract: whole or not there at
+all.
+"""
 
 import contextlib
 import io
@@ -24,23 +26,31 @@ class Part:
     channels       names
     flat           not deep
     sampled        some channel is smaller than the picture
-    bytes          that the library takes to read it, at most: for the pixels, and for a tile where there are tiles
+    bytes          that the library takes to read it, at most: for the pixels, and for a tile where
+    there are tiles
     """
 
     def __init__(self, header: dict[str, Any]):
         import OpenEXR
 
-        self.flat = header.get("type", OpenEXR.scanlineimage) in (OpenEXR.scanlineimage, OpenEXR.tiledimage)
+        self.flat = header.get("type", OpenEXR.scanlineimage) in (
+            OpenEXR.scanlineimage,
+            OpenEXR.tiledimage,
+        )
         low, high = header["dataWindow"]
         self.width, self.height = (max(int(high[k]) - int(low[k]) + 1, 0) for k in (0, 1))
         self.channels = [channel.name for channel in header["channels"]]
-        self.sampled = any(channel.xSampling != 1 or channel.ySampling != 1 for channel in header["channels"])
+        self.sampled = any(
+            channel.xSampling != 1 or channel.ySampling != 1 for channel in header["channels"]
+        )
         tile = header["tiles"].xSize * header["tiles"].ySize if "tiles" in header else 0
         self.bytes = 4 * len(self.channels) * (self.height * self.width + tile)
 
 
 def parts_of(file: Any) -> list[Part]:
-    """The Part of each part of an OpenEXR.File that is open; the library reads them all, whichever is asked for."""
+    """The Part of each part of an OpenEXR.File that is open; the library reads them all, whichever
+    is asked for.
+    """
     return [Part(file.header(k)) for k in range(len(file.parts))]
 
 
@@ -52,7 +62,8 @@ def read(path: str | os.PathLike, data: bytes | None = None) -> dict[str, np.nda
     """
     if data is None:
         require_file(path, "an OpenEXR file", "render or copy it again")
-    with silenced(2), contextlib.redirect_stdout(io.StringIO()):  # the library prints each error besides raising it, by C and by Python
+    # the library prints each error besides raising it, by C and by Python
+    with silenced(2), contextlib.redirect_stdout(io.StringIO()):
         return _read(path, data)
 
 
@@ -67,23 +78,38 @@ def _read(path, data):
             parts = parts_of(file)
         width, height = (parts[0].width, parts[0].height) if parts else (0, 0)
         if not 1 <= height * width <= MAX_PIXELS:
-            raise InputError(path, f"a picture of 1 to {MAX_PIXELS} pixels", f"{width} × {height}", "check the file's header")
+            raise InputError(
+                path,
+                f"a picture of 1 to {MAX_PIXELS} pixels",
+                f"{width} × {height}",
+                "check the file's header",
+            )
         if not all(part.flat for part in parts) or sum(part.bytes for part in parts) > MAX_BYTES:
-            raise InputError(path, f"flat pictures of at most {MAX_BYTES >> 20} MiB", "more in its header", "check the file's header")
+            raise InputError(
+                path,
+                f"flat pictures of at most {MAX_BYTES >> 20} MiB",
+                "more in its header",
+                "check the file's header",
+            )
         with OpenEXR.File(source(), separate_channels=True) as file:
             return {name: channel.pixels for name, channel in file.channels().items()}
     except InputError:
         raise
     except Exception as error:  # OpenEXR raises bare RuntimeErrors and others, by version
-        raise InputError(path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again") from None
+        raise InputError(
+            path, "a whole OpenEXR file", str(error)[:160] or "none", "render or copy it again"
+        ) from None
 
 
 def encode(channels: Mapping[str, np.ndarray]) -> bytes:
-    """The bytes of an OpenEXR file of channels, name → (height, width) array of float16, float32 or uint32."""
+    """The bytes of an OpenEXR file of channels, name → (height, width) array of float16, float32 or
+    uint32.
+    """
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    buffer = io.BytesIO()  # not a path: the library passes over the error of its last flush to a file
+    # not a path: the library passes over the error of its last flush to a file
+    buffer = io.BytesIO()
     contiguous = {name: np.ascontiguousarray(values) for name, values in channels.items()}
     with OpenEXR.File(header, contiguous) as file:
         file.write(buffer)
@@ -91,5 +117,7 @@ def encode(channels: Mapping[str, np.ndarray]) -> bytes:
 
 
 def write(path: str | os.PathLike, channels: Mapping[str, np.ndarray]) -> None:
-    """Writes channels as `encode` takes them, whole or not at all. Raises OSError with the system's reason."""
+    """Writes channels as `encode` takes them, whole or not at all. Raises OSError with the system's
+    reason.
+    """
     write_bytes(path, encode(channels))

@@ -1,11 +1,13 @@
-"""Files that results are kept in: written whole or not at all, and continued only by the settings that made them.
+"""Files that results are kept in: written whole or not at all, and continued only by the settings
+that made them.
 
-Every writer of the project goes through `replacing` or `write_bytes`. Libraries write into memory, or into the plain
-stream that `replacing` yields, never to a path: OpenEXR, numpy and others pass over the error of their last flush, so
-that a full disk would leave a short or empty file which looks finished.
+Every writer of the project goes through `replacing` or `write_bytes`. Libraries write into memory,
+or into the plain stream that `replacing` yields, never to a path: OpenEXR, numpy and others pass
+over the error of their last flush, so that a full disk would leave a short or empty file which
+looks finished.
 
-Unfinished files (drafts) are hidden beside their target, and their names say which process writes them. What a killed
-program left, the next one that writes into the same folder removes.
+Unfinished files (drafts) are hidden beside their target, and their names say which process writes
+them. What a killed program left, the next one that writes into the same folder removes.
 """
 
 import contextlib
@@ -44,7 +46,8 @@ _TRANSACTION: ContextVar[list[_Waiting] | None] = ContextVar("together", default
 class _Draft(io.RawIOBase):
     """A stream that writes every byte it is given or raises OSError with the final file's name.
 
-    It is no `io.FileIO`, so numpy writes through it and not past it by C, whose late errors are lost.
+    It is no `io.FileIO`, so numpy writes through it and not past it by C, whose late errors are
+    lost.
     """
 
     def __init__(self, descriptor: int, target: Path):
@@ -73,23 +76,29 @@ class _Draft(io.RawIOBase):
 
 @contextmanager
 def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[BinaryIO]:
-    """A binary stream whose content takes the place of the file at `path` when the block ends without an error.
+    """A binary stream whose content takes the place of the file at `path` when the block ends
+    without an error.
 
-    draft   where the unfinished file lies, on the same file system; None: beside `path`, under a hidden name
-    Raises  OSError with the system's reason; InputError if a folder, a device or a pipe lies at `path`. The earlier
+    draft   where the unfinished file lies, on the same file system; None: beside `path`, under a
+    hidden name
+    Raises  OSError with the system's reason; InputError if a folder, a device or a pipe lies at
+    `path`. The earlier
             file is then still there, and no draft is left behind
 
-    The bytes are on the disk before the name is (fsync, then rename). An empty file is refused: no format of
-    this project has one, and writers that swallow errors leave them.
+    The bytes are on the disk before the name is (fsync, then rename). An empty file is refused: no
+    format of this project has one, and writers that swallow errors leave them.
     """
     path = Path(path)
     require_place_for_file(path)
     if draft is None:
         _remove_abandoned_drafts(path.parent)
-        name = os.fsdecode(os.fsencode(path.name)[:180])  # a name has 255 bytes at most, of any kind
+        # a name has 255 bytes at most, of any kind
+        name = os.fsdecode(os.fsencode(path.name)[:180])
         draft = path.with_name(f".{name}.{_machine()}-{os.getpid()}-{next(_DRAFT)}.part")
     with _named(path):
-        descriptor = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
+        descriptor = os.open(
+            draft, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666
+        )
     whole = False
     try:
         try:
@@ -113,8 +122,9 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
 def transaction() -> Iterator[None]:
     """A block whose files take their places when it ends without an error: all of them, or none.
 
-    For results of several files, so that a full disk leaves neither half of them nor new ones beside old ones.
-    Within the block the new files cannot be read yet. An inner block belongs to the outer one.
+    For results of several files, so that a full disk leaves neither half of them nor new ones
+    beside old ones. Within the block the new files cannot be read yet. An inner block belongs to
+    the outer one.
 
     Raises  OSError of a file that cannot take its place; the others have taken theirs
     """
@@ -163,13 +173,19 @@ def _remove_abandoned_drafts(folder: Path) -> None:
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for name in [entry.name for entry in entries if entry.name.endswith(".part")]:
             made_by = _DRAFT_NAME.fullmatch(name)
-            if made_by and made_by["machine"] == _machine() and not _is_alive(int(made_by["process"])):
+            if (
+                made_by
+                and made_by["machine"] == _machine()
+                and not _is_alive(int(made_by["process"]))
+            ):
                 with contextlib.suppress(OSError):  # gone meanwhile
                     os.unlink(folder / name)
 
 
 def _machine() -> str:
-    """This machine's name as drafts carry it: what a process's number means elsewhere, nobody knows here."""
+    """This machine's name as drafts carry it: what a process's number means elsewhere, nobody knows
+    here.
+    """
     return re.sub(r"[^A-Za-z0-9]+", "", os.uname().nodename)[:32] or "machine"
 
 
@@ -184,7 +200,9 @@ def _is_alive(process: int) -> bool:
 
 
 def require_place_for_file(path: Path) -> None:
-    """Raises InputError if something lies at `path` that is no file: a rename would take a device's place."""
+    """Raises InputError if something lies at `path` that is no file: a rename would take a device's
+    place.
+    """
     try:
         result = kind_of(os.stat(path).st_mode)
     except OSError:  # nothing there; whatever else is wrong shows when the draft is opened
@@ -200,7 +218,8 @@ def write_bytes(path: str | os.PathLike, data: bytes) -> None:
 
 
 def write_with(path: str | os.PathLike, save: Callable[[BinaryIO], Any]) -> None:
-    """Put at `path` what `save(file)` writes, by way of memory: for libraries that lose the errors of a disk.
+    """Put at `path` what `save(file)` writes, by way of memory: for libraries that lose the errors
+    of a disk.
 
     Use `replacing` for what is too large to be held in memory. Raises as `replacing`.
     """
@@ -209,7 +228,9 @@ def write_with(path: str | os.PathLike, save: Callable[[BinaryIO], Any]) -> None
     write_bytes(path, buffer.getvalue())
 
 
-def write_image(path: str | os.PathLike, pixels: Any, format: str | None = None, **options: Any) -> None:
+def write_image(
+    path: str | os.PathLike, pixels: Any, format: str | None = None, **options: Any
+) -> None:
     """Write display values as PNG or JPEG.
 
     pixels   (height, width[, 3 or 4]) uint8 array, or a Pillow image
@@ -244,7 +265,8 @@ def write_npz(path: str | os.PathLike, arrays: Mapping[str, Any], compressed: bo
 
 
 def write_lines(path: str | os.PathLike, lines: Iterable[bytes], draft: Path | None = None) -> None:
-    """Write lines, each with its newline, to `path`; none at all give no file, and an earlier one goes.
+    """Write lines, each with its newline, to `path`; none at all give no file, and an earlier one
+    goes.
 
     draft   as `replacing` takes it. Raises as `replacing`
     """
@@ -256,30 +278,48 @@ def write_lines(path: str | os.PathLike, lines: Iterable[bytes], draft: Path | N
         Path(path).unlink(missing_ok=True)
 
 
-def reserve_outputs(folder: Path, names: Iterable[str], overwrite: bool, inputs: Iterable[str | os.PathLike | None] = ()) -> None:
-    """Raises InputError if one of the files is there and may not be replaced, or is one of the inputs, which never may."""
+def reserve_outputs(
+    folder: Path,
+    names: Iterable[str],
+    overwrite: bool,
+    inputs: Iterable[str | os.PathLike | None] = (),
+) -> None:
+    """Raises InputError if one of the files is there and may not be replaced, or is one of the
+    inputs, which never may.
+    """
     if folder.exists() and not folder.is_dir():
-        raise InputError(folder, "a folder, or a name for a new one", "a file", "give another --out")
+        raise InputError(
+            folder, "a folder, or a name for a new one", "a file", "give another --out"
+        )
     there = [folder / name for name in names if (folder / name).exists()]
     read = [Path(path) for path in inputs if path is not None and os.path.isfile(path)]
     for path in there:
         if any(path.samefile(each) for each in read):
-            raise InputError(path, "a folder for results that does not hold what they are made of", "this input", "give another --out")
+            raise InputError(
+                path,
+                "a folder for results that does not hold what they are made of",
+                "this input",
+                "give another --out",
+            )
     if there and not overwrite:
         raise InputError(there[0], "no earlier result", "one", "give another --out, or --overwrite")
 
 
 def write_text(path: str | os.PathLike, text: str) -> None:
-    """UTF-8 text, whole or not at all: a kill or a full disk leaves the earlier file. Raises as `replacing`.
+    """UTF-8 text, whole or not at all: a kill or a full disk leaves the earlier file. Raises as
+    `replacing`.
 
-    Bytes of file names that are no UTF-8 (surrogates in Python) are written as \\udcXX, which JSON reads back as they were.
+    Bytes of file names that are no UTF-8 (surrogates in Python) are written as \\udcXX, which JSON
+    reads back as they were.
     """
     write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_json(path: str | os.PathLike, value: Any) -> None:
     """As `write_text`; null stands for what JSON has no number for: NaN, infinity."""
-    write_text(path, json.dumps(_finite(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    write_text(
+        path, json.dumps(_finite(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    )
 
 
 def _finite(value):
@@ -291,10 +331,12 @@ def _finite(value):
 
 
 def read_lines(path: str | os.PathLike, line_type: Any = dict[str, Any]) -> list[dict[str, Any]]:
-    """The whole lines of a JSONL file as dictionaries; a torn last one is passed over; none if there is no file.
+    """The whole lines of a JSONL file as dictionaries; a torn last one is passed over; none if
+    there is no file.
 
     line_type  what msgspec checks each line against; keys that it does not know are kept
-    Raises     InputError for a damaged line, for what is no ordinary file, and for one above MOST_LINE_BYTES
+    Raises     InputError for a damaged line, for what is no ordinary file, and for one above
+    MOST_LINE_BYTES
     """
     import msgspec
 
@@ -315,7 +357,8 @@ def read_lines(path: str | os.PathLike, line_type: Any = dict[str, Any]) -> list
 
 
 def pin_settings(path: Path, requested: Mapping[str, Any]) -> None:
-    """Write down what the figures beside `path` depend on, or check that it is what is there. Raises InputError.
+    """Write down what the figures beside `path` depend on, or check that it is what is there.
+    Raises InputError.
 
     wanted  {name: value} that JSON can hold; a tuple is a list there
     """
@@ -328,7 +371,14 @@ def pin_settings(path: Path, requested: Mapping[str, Any]) -> None:
     try:
         there = read(path, dict[str, Any])
     except InputError as problem:
-        raise InputError(problem.where, "settings as JSON", problem.found, "give another --out") from None
+        raise InputError(
+            problem.where, "settings as JSON", problem.found, "give another --out"
+        ) from None
     other = [key for key in requested if there.get(key) != requested[key]]
     if other:
-        raise InputError(path.parent, "results of the same settings", f"other {', '.join(other)}", "give another --out")
+        raise InputError(
+            path.parent,
+            "results of the same settings",
+            f"other {', '.join(other)}",
+            "give another --out",
+        )

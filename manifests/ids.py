@@ -1,13 +1,18 @@
-"""What a picture, its geometry and its noise are named and drawn by: hashes of everything that determines them.
+"""What a picture, its geometry and its noise are named and drawn by: hashes of everything that
+determines them.
 
-The one home of these functions, for the factory that gives ids and for whoever checks them. An id is a hash of inputs,
-never of pixels: two renders of one shot differ by 2e-6. Whatever changes a value here orphans every data set.
+The one home of these functions, for the factory that gives ids and for whoever checks them. An id
+is a hash of inputs, never of pixels: two renders of one shot differ by 2e-6. Whatever changes a
+value here orphans every data set.
 
-render      fingerprint of the render settings in force (factory.planning.fingerprint): a key of `settings` in dataset.json
+render      fingerprint of the render settings in force (factory.planning.fingerprint): a key of
+`settings` in dataset.json
 materials   one hash for each segment, in the order of segment ids
 rotations   texels by which a light map is rolled, 0 … 127
-key         spawn key of a combination of shape, materials and light: what a job leaves to chance comes from
-            SeedSequence(job.seed, spawn_key=key), so that adding a shape, a light or a view alters nobody else's draws
+key         spawn key of a combination of shape, materials and light: what a job leaves to chance
+comes from
+            SeedSequence(job.seed, spawn_key=key), so that adding a shape, a light or a view alters
+            nobody else's draws
 """
 
 import hashlib
@@ -25,46 +30,79 @@ ID_DIGITS = 24  # 96 bits: two of a million shots meet by chance once in 1e17 da
 
 
 def camera_words(camera: Camera) -> str:
-    """The camera as text that hashes alike wherever it comes from (20 and 20.0 are one elevation)."""
+    """The camera as text that hashes alike wherever it comes from (20 and 20.0 are one
+    elevation).
+    """
     height, width = camera.size
     fov = "orthographic" if camera.fov_deg is None else f"{float(camera.fov_deg)!r}"
-    pixel = "" if camera.pixel == "square" else f" {camera.pixel}"  # older data sets had no choice; their ids stay
-    return f"{height} {width} {fov} {float(camera.elevation_deg)!r} {float(camera.half_extent)!r}{pixel}"
+    # older data sets had no choice; their ids stay
+    pixel = "" if camera.pixel == "square" else f" {camera.pixel}"
+    return (
+        f"{height} {width} {fov} {float(camera.elevation_deg)!r}"
+        f" {float(camera.half_extent)!r}{pixel}"
+    )
 
 
 @lru_cache(maxsize=4096)
 def geometry_id(shape_hash: str, camera: str, viewpoint: int, render: str) -> str:
     """Id of the geometry of a shape from a viewpoint; camera as words."""
-    digest = _digest(b"brdfactory geometry 1", render, shape_hash, camera, azimuths_deg()[viewpoint])
+    digest = _digest(
+        b"brdfactory geometry 1", render, shape_hash, camera, azimuths_deg()[viewpoint]
+    )
     return digest.hexdigest()[:ID_DIGITS]
 
 
-def shots_digest(render: str, shape_hash: str, materials: tuple[str, ...], light_hash: str, camera: str, samples: int) -> Any:
+def shots_digest(
+    render: str,
+    shape_hash: str,
+    materials: tuple[str, ...],
+    light_hash: str,
+    camera: str,
+    samples: int,
+) -> Any:
     """The hash of what a group of shots shares, for `shot_id` to go on from; camera as words."""
-    return _digest(b"brdfactory shot 1", render, shape_hash, *materials, light_hash, camera, samples)
+    return _digest(
+        b"brdfactory shot 1", render, shape_hash, *materials, light_hash, camera, samples
+    )
 
 
-def shot_id(shared: Any, viewpoint: int, rotation: int, tier: str, light_resolution: str, seed: int) -> str:
+def shot_id(
+    shared: Any, viewpoint: int, rotation: int, tier: str, light_resolution: str, seed: int
+) -> str:
     """Id of one shot; shared: of `shots_digest`, left as it is."""
     digest = shared.copy()
-    digest.update(f"{azimuths_deg()[viewpoint]} {rotation} {tier} {light_resolution} {seed}".encode())
+    digest.update(
+        f"{azimuths_deg()[viewpoint]} {rotation} {tier} {light_resolution} {seed}".encode()
+    )
     return digest.hexdigest()[:ID_DIGITS]
 
 
 def combination_key(
-    shape_hash: str, materials: tuple[str, ...], light_hash: str, occurrence: int, choice: int | None = None
+    shape_hash: str,
+    materials: tuple[str, ...],
+    light_hash: str,
+    occurrence: int,
+    choice: int | None = None,
 ) -> tuple[int, ...]:
     """The spawn key of a combination.
 
     occurrence  0 where the job names the light first, 1 where it names it again
-    choice      number of the draw of materials, None where the job names one material for the whole shape
+    choice      number of the draw of materials, None where the job names one material for the whole
+    shape
     """
-    key = (hash_word(shape_hash), *(hash_word(m) for m in materials), hash_word(light_hash), occurrence)
+    key = (
+        hash_word(shape_hash),
+        *(hash_word(m) for m in materials),
+        hash_word(light_hash),
+        occurrence,
+    )
     return key if choice is None else (*key, choice)
 
 
 def draws(job: Job, key: tuple[int, ...]) -> tuple[int, Sequence[int], Sequence[Sequence[int]]]:
-    """What a job leaves to chance for one combination: the word of its seeds, its views, the rotations of each view."""
+    """What a job leaves to chance for one combination: the word of its seeds, its views, the
+    rotations of each view.
+    """
     sequence = np.random.SeedSequence(job.seed, spawn_key=key)
     rng, word = np.random.default_rng(sequence), sequence.generate_state(1)[0].item()
     views = job.views
@@ -80,7 +118,9 @@ def views_alone(job: Job, shape_hash: str) -> Sequence[int]:
     """The views of one shape in a job without pictures."""
     if not isinstance(job.views, Draw):
         return job.views
-    rng = np.random.default_rng(np.random.SeedSequence(job.seed, spawn_key=(0x9E0, hash_word(shape_hash))))
+    rng = np.random.default_rng(
+        np.random.SeedSequence(job.seed, spawn_key=(0x9E0, hash_word(shape_hash)))
+    )
     return np.sort(rng.permutation(COUNT)[: job.views.random]).tolist()
 
 
@@ -90,8 +130,13 @@ def shot_place(viewpoint: int, rotation: int, tier: str, light_resolution: str, 
 
 
 def shot_seed(word: int, place: str) -> int:
-    """31 bits for Cycles: a hash of a combination's word and of the shot's place within the combination."""
-    return int.from_bytes(hashlib.blake2b(f"{word} {place}".encode(), digest_size=4).digest(), "big") >> 1
+    """31 bits for Cycles: a hash of a combination's word and of the shot's place within the
+    combination.
+    """
+    return (
+        int.from_bytes(hashlib.blake2b(f"{word} {place}".encode(), digest_size=4).digest(), "big")
+        >> 1
+    )
 
 
 def hash_word(hash_: str) -> int:

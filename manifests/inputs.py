@@ -1,4 +1,6 @@
-"""Files that a user names as input: looked at before they are opened, so that no command waits, fills memory or crashes."""
+"""Files that a user names as input: looked at before they are opened, so that no command waits,
+fills memory or crashes.
+"""
 
 import os
 import stat
@@ -26,7 +28,8 @@ def require_file(
     expected       what should lie there, with its article: "a mesh file"
     remedy         what to do where nothing of this kind lies there
     maximum_bytes  size above which the file is refused unread; None: any size
-    Raises         InputError: missing, a folder, a pipe, a device, a socket, a name no file can have, links that
+    Raises         InputError: missing, a folder, a pipe, a device, a socket, a name no file can
+    have, links that
                    lead in a circle, no permission, too large
     """
     try:
@@ -34,7 +37,9 @@ def require_file(
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(path, expected, "no such file", remedy) from None
     except ValueError:  # a NUL inside
-        raise InputError(repr(str(path)), expected, "a name that no file can have", remedy) from None
+        raise InputError(
+            repr(str(path)), expected, "a name that no file can have", remedy
+        ) from None
     except OSError as error:  # a circle of links, no permission, a name too long
         raise InputError(path, expected, str(error.strerror or error).lower(), remedy) from None
     if (result := kind_of(status.st_mode)) is not None:
@@ -42,7 +47,9 @@ def require_file(
         raise InputError(path, expected, result, hint)
     if maximum_bytes is not None and status.st_size > maximum_bytes:
         bound, size = _size(maximum_bytes), _size(status.st_size)
-        raise InputError(path, f"{expected} of at most {bound}", size, "check that this is the right file")
+        raise InputError(
+            path, f"{expected} of at most {bound}", size, "check that this is the right file"
+        )
     return Path(path)
 
 

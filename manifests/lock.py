@@ -1,7 +1,9 @@
-"""Who may write into a dataset's folder: one plain run, or any number of the parts of one job array, each part once.
+"""Who may write into a dataset's folder: one plain run, or any number of the parts of one job
+array, each part once.
 
-A lock is the kernel's (flock): it ends with the processes that hold it, however they end, so nothing is ever left locked. A run hands
-its lock on to its workers: while one still finishes its shot after the run was killed, nobody else starts.
+A lock is the kernel's (flock): it ends with the processes that hold it, however they end, so
+nothing is ever left locked. A run hands its lock on to its workers: while one still finishes its
+shot after the run was killed, nobody else starts.
 """
 
 import fcntl
@@ -15,21 +17,26 @@ from manifests.errors import InputError
 
 
 @contextmanager
-def writing(folder: str | os.PathLike, shard: tuple[int, int] | None = None, patience: float = 20.0) -> Iterator[list[int]]:
+def writing(
+    folder: str | os.PathLike, shard: tuple[int, int] | None = None, patience: float = 20.0
+) -> Iterator[list[int]]:
     """Hold the right to write; yields the descriptors to hand on to workers.
 
     shard     None, or (i, n): part i of n, 1 ≤ i ≤ n; parts run side by side
     patience  seconds to wait for a killed run's last worker
     Raises    InputError if another run holds it
 
-    A folder in which nothing can be written (a read-only file system, another user's) is locked as far as its lock files
-    are there: enough for whoever reads it.
+    A folder in which nothing can be written (a read-only file system, another user's) is locked as
+    far as its lock files are there: enough for whoever reads it.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     requested = [(".lock", fcntl.LOCK_EX if shard is None else fcntl.LOCK_SH)]
     if shard is not None:  # parts of different divisions overlap: i/n excludes i/m
-        requested += [(f".lock-of-{shard[1]}", fcntl.LOCK_SH), (f".lock-{shard[0]}-of-{shard[1]}", fcntl.LOCK_EX)]
+        requested += [
+            (f".lock-of-{shard[1]}", fcntl.LOCK_SH),
+            (f".lock-{shard[0]}-of-{shard[1]}", fcntl.LOCK_EX),
+        ]
         _refuse_other_divisions(folder, shard[1])
     held = []
     try:
@@ -73,7 +80,9 @@ def _locked(path, kind, folder, patience):
             if time.monotonic() >= end:
                 os.close(descriptor)
                 remedy = "wait for it to end, or use another --out"
-                raise InputError(folder, "a folder that no other run writes to", "one in use", remedy) from None
+                raise InputError(
+                    folder, "a folder that no other run writes to", "one in use", remedy
+                ) from None
             time.sleep(0.1)
         except OSError:
             if os.access(folder, os.W_OK):
@@ -91,6 +100,11 @@ def _refuse_other_divisions(folder, parts):
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             result = f"one of {path.name.removeprefix('.lock-of-')} running"
-            raise InputError(folder, f"parts of {parts}, like this one", result, "divide the job the same way everywhere") from None
+            raise InputError(
+                folder,
+                f"parts of {parts}, like this one",
+                result,
+                "divide the job the same way everywhere",
+            ) from None
         finally:
             os.close(descriptor)

@@ -1,4 +1,6 @@
-"""What a material's name that is not known may mean: an everyday word, a part of a name, a slip of the pen."""
+"""What a material's name that is not known may mean: an everyday word, a part of a name, a slip of
+the pen.
+"""
 
 import difflib
 from collections.abc import Collection
@@ -6,7 +8,8 @@ from collections.abc import Collection
 from manifests.errors import closest
 
 NEAR = 0.75  # of difflib: one wrong letter in a word of five has 0.8
-ALIKE = {  # no material is called just so; these look like it on a sphere (judged by eye), the likest first
+# no material is called just so; these look like it on a sphere (judged by eye), the likest first
+ALIKE = {
     "leather": ("natural-209", "special-walnut-224", "black-soft-plastic"),
     "copper": ("alum-bronze", "brass"),
     "bronze": ("alum-bronze", "brass"),
@@ -30,7 +33,8 @@ ALIKE = {  # no material is called just so; these look like it on a sphere (judg
 
 
 def suggestion(name: object, known: Collection[str]) -> str:
-    """What to try instead, as text: materials that look like an everyday word, names that have the word, or the closest names.
+    """What to try instead, as text: materials that look like an everyday word, names that have the
+    word, or the closest names.
 
     known  every name that would be understood
     """
@@ -40,5 +44,8 @@ def suggestion(name: object, known: Collection[str]) -> str:
     looks = [k for k in (ALIKE[near[0]] if near else ()) if k in known]
     if looks:
         more = [k for k in named if k not in looks][:2]
-        return f"these look like {near[0]}: {', '.join(looks + more)}; `python -m learn edit` also takes a picture of it"
+        return (
+            f"these look like {near[0]}: {', '.join(looks + more)}; `python -m learn edit` also"
+            " takes a picture of it"
+        )
     return f"did you mean {', '.join(sorted(named)[:5])}?" if named else closest(name, known)

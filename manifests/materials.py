@@ -1,11 +1,16 @@
-"""The materials: labels, the mixtures that render them, how well they agree, where they come from and who may learn from them.
+"""The materials: labels, the mixtures that render them, how well they agree, where they come from
+and who may learn from them.
 
-label    (3, 3, 2, 6) natural logarithms: channel, lobe (ascending mean log γ), (κ, γ), spline control values; 108 numbers
+label    (3, 3, 2, 6) natural logarithms: channel, lobe (ascending mean log γ), (κ, γ), spline
+control values; 108 numbers
 mixture  shaders.mixture.Mixture: what Cycles renders
-errors   on view angles that no fit saw (0.5, 15, 30, 45, 60, 75°): relative L1 of f · cos, and the display L2 of a sphere under
-         three light maps (mean squared difference of values in [0, 255], exposure from the 99th percentile)
+errors   on view angles that no fit saw (0.5, 15, 30, 45, 60, 75°): relative L1 of f · cos, and the
+display L2 of a sphere under
+         three light maps (mean squared difference of values in [0, 255], exposure from the 99th
+         percentile)
 
-A catalogue is one JSON file, a material a line. `materials.json` holds MERL's hundred, `materials-rgl.json` EPFL's isotropic ones.
+A catalogue is one JSON file, a material a line. `materials.json` holds MERL's hundred,
+`materials-rgl.json` EPFL's isotropic ones.
 """
 
 import functools
@@ -35,12 +40,15 @@ FOLDER = Path(__file__).parent
 BUILT_IN = (FOLDER / "materials.json", FOLDER / "materials-rgl.json")
 
 
-RelativeError = Annotated[float, Meta(ge=0, le=1e12)]  # of f · cos; beyond, sums over materials are no numbers
+# of f · cos; beyond, sums over materials are no numbers
+RelativeError = Annotated[float, Meta(ge=0, le=1e12)]
 DisplayError = Annotated[float, Meta(ge=0, le=255.0**2)]  # mean square of differences in [0, 255]
 
 
 class Distance(Struct, frozen=True, forbid_unknown_fields=True):
-    """l1: at 0.5, 15, 30, 45, 60, 75° (fractions of the reference); display_l2: a value a light map."""
+    """l1: at 0.5, 15, 30, 45, 60, 75° (fractions of the reference); display_l2: a value a light
+    map.
+    """
 
     l1: Annotated[tuple[RelativeError, ...], Meta(min_length=6, max_length=6)]
     display_l2: tuple[DisplayError, ...] = ()
@@ -65,7 +73,9 @@ class Errors(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Neighbour(Struct, frozen=True, forbid_unknown_fields=True):
-    """The training material nearest to a test one; distance: relative L1 of their labels' f · cos, mean of the six views."""
+    """The training material nearest to a test one; distance: relative L1 of their labels' f · cos,
+    mean of the six views.
+    """
 
     name: str
     distance: float
@@ -85,7 +95,8 @@ class Entry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One material as it is written.
 
     family       metal, metallic paint, paint, plastic, phenolic, rubber, fabric, wood, …
-    split        train or test; which 60 of the training ones the `paper` preset keeps is said by manifests.splits
+    split        train or test; which 60 of the training ones the `paper` preset keeps is said by
+    manifests.splits
     hash         of label and mixture: twins share it
     """
 
@@ -113,7 +124,9 @@ class Catalogue(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Material:
-    """An entry ready for use: label (3, 3, 2, 6) float64 logarithms, mixture a Mixture; the rest as in Entry."""
+    """An entry ready for use: label (3, 3, 2, 6) float64 logarithms, mixture a Mixture; the rest as
+    in Entry.
+    """
 
     name: str
     family: str
@@ -133,31 +146,56 @@ class Material:
 
 
 def material_hash(label: tuple[float, ...], mixture: MixtureData) -> str:
-    """Hash of a material: of its label (108 numbers) and the mixture (MixtureData) that renders it, as an Entry holds them."""
+    """Hash of a material: of its label (108 numbers) and the mixture (MixtureData) that renders it,
+    as an Entry holds them.
+    """
     return hashlib.sha256(msgspec.json.encode([label, mixture])).hexdigest()[:HASH_DIGITS]
 
 
 def require_own_hash(entry: Entry, where: object) -> None:
-    """Raises InputError if an entry's hash is not that of its label and mixture: one of the three was altered; `where` names the file."""
+    """Raises InputError if an entry's hash is not that of its label and mixture: one of the three
+    was altered; `where` names the file.
+    """
     if entry.hash != (own := material_hash(entry.label, entry.mixture)):
         remedy = "copy the file again, or fit the material again"
-        raise InputError(f"{where}: '{entry.name}'", f"hash {own}, of its label and mixture", entry.hash, remedy)
+        raise InputError(
+            f"{where}: '{entry.name}'", f"hash {own}, of its label and mixture", entry.hash, remedy
+        )
 
 
 def material(entry: Entry, where: object) -> Material:
-    """The entry ready for use. Raises InputError if its numbers do not fit together, or its hash not to them; `where` names the file."""
+    """The entry ready for use. Raises InputError if its numbers do not fit together, or its hash
+    not to them; `where` names the file.
+    """
     label = np.asarray(entry.label)
     if label.size != dsbrdf.SIZE or not np.isfinite(label).all():
-        raise InputError(f"{where}: {entry.name}", f"a label of {dsbrdf.SIZE} finite numbers", f"{label.size}", "fit the material again")
+        raise InputError(
+            f"{where}: {entry.name}",
+            f"a label of {dsbrdf.SIZE} finite numbers",
+            f"{label.size}",
+            "fit the material again",
+        )
     if label.max() > LARGEST_LABEL:
         remedy = "fit or copy the materials again"
-        raise InputError(f"{where}: '{entry.name}'", f"natural logarithms up to {LARGEST_LABEL:g}", f"{label.max():g}", remedy)
+        raise InputError(
+            f"{where}: '{entry.name}'",
+            f"natural logarithms up to {LARGEST_LABEL:g}",
+            f"{label.max():g}",
+            remedy,
+        )
     try:
         mixture = Mixture(**{f: getattr(entry.mixture, f) for f in entry.mixture.__struct_fields__})
     except ValueError as error:
-        raise InputError(f"{where}: {entry.name}", "a mixture that Cycles can render", str(error), "fit the material again") from None
+        raise InputError(
+            f"{where}: {entry.name}",
+            "a mixture that Cycles can render",
+            str(error),
+            "fit the material again",
+        ) from None
     require_own_hash(entry, where)
-    fields = {f: getattr(entry, f) for f in entry.__struct_fields__ if f not in ("label", "mixture")}
+    fields = {
+        f: getattr(entry, f) for f in entry.__struct_fields__ if f not in ("label", "mixture")
+    }
     return Material(**fields, label=label.reshape(dsbrdf.SHAPE), mixture=mixture)
 
 
@@ -165,12 +203,19 @@ def read_catalogue(path: str | os.PathLike) -> Catalogue:
     """The catalogue file at `path`, checked against its type. Raises InputError, one line."""
     catalogue = reading.read(path, Catalogue)
     if catalogue.version != VERSION:
-        raise InputError(path, f"version {VERSION}", str(catalogue.version), "fit the materials again with this program")
+        raise InputError(
+            path,
+            f"version {VERSION}",
+            str(catalogue.version),
+            "fit the materials again with this program",
+        )
     return catalogue
 
 
 def encode(catalogue: Catalogue) -> bytes:
-    """The bytes of a catalogue's file: one line for each material, keys in the order of the type."""
+    """The bytes of a catalogue's file: one line for each material, keys in the order of the
+    type.
+    """
     head = msgspec.to_builtins(catalogue)
     entries = head.pop("materials")
     lines = ",\n".join(json.dumps(entry, separators=(",", ":")) for entry in entries)
@@ -189,7 +234,9 @@ def _loaded(path: Path, _stamp: int) -> dict[str, Material]:
 
 
 def load_catalogue(*paths: str | os.PathLike) -> dict[str, Material]:
-    """{name: Material} of the files given, or of the built-in ones; a later file's material takes the place of an earlier one's name."""
+    """{name: Material} of the files given, or of the built-in ones; a later file's material takes
+    the place of an earlier one's name.
+    """
     materials = {}
     for path in map(Path, paths or [p for p in BUILT_IN if p.exists()]):
         materials.update(_loaded(path, path.stat().st_mtime_ns))
@@ -197,8 +244,15 @@ def load_catalogue(*paths: str | os.PathLike) -> dict[str, Material]:
 
 
 def find(name: str, materials: Mapping[str, Material] | None = None) -> Material:
-    """The material of that name. Raises InputError that lists the closest names, or what an everyday word may mean."""
+    """The material of that name. Raises InputError that lists the closest names, or what an
+    everyday word may mean.
+    """
     materials = load_catalogue() if materials is None else materials
     if name not in materials:
-        raise InputError(f"material {name!r}", "a name in the catalogue", "none of that name", suggestion(name, materials))
+        raise InputError(
+            f"material {name!r}",
+            "a name in the catalogue",
+            "none of that name",
+            suggestion(name, materials),
+        )
     return materials[name]

@@ -1,6 +1,9 @@
-"""Numbers that options take: functions for argparse's `type`, which turns their ValueError into a line of usage."""
+"""Numbers that options take: functions for argparse's `type`, which turns their ValueError into a
+line of usage.
+"""
 
-MATERIALS = ("dataset", "built-in")  # whose materials: the data set's own, or those that come with the program
+# whose materials: the data set's own, or those that come with the program
+MATERIALS = ("dataset", "built-in")
 
 
 def positive(text: str) -> int:

@@ -1,4 +1,6 @@
-"""What has to stand beside any published figure: the command, commit, date, machine and versions that made it."""
+"""What has to stand beside any published figure: the command, commit, date, machine and versions
+that made it.
+"""
 
 import importlib.metadata
 import os
@@ -14,7 +16,8 @@ LIBRARIES = ("numpy", "torch", "numba", "llvmlite", "bpy")
 def provenance(command: str | None = None) -> dict:
     """{"command", "commit", "date", "machine", "versions"} of this process.
 
-    command  as a reader would type it; None: this process's own, with paths of this machine shortened
+    command  as a reader would type it; None: this process's own, with paths of this machine
+    shortened
     """
     return {
         "command": command or own_command(),
@@ -38,10 +41,14 @@ def shortened(argument: str) -> str:
 
 
 def commit() -> str:
-    """The short hash of this checkout's commit, "none" outside a checkout; asked in this file's folder, not the caller's."""
+    """The short hash of this checkout's commit, "none" outside a checkout; asked in this file's
+    folder, not the caller's.
+    """
     command = ["git", "rev-parse", "--short", "HEAD"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parent, check=False)
+        done = subprocess.run(
+            command, capture_output=True, text=True, cwd=Path(__file__).parent, check=False
+        )
     except OSError:  # no git
         return "none"
     return done.stdout.strip() or "none"
@@ -66,5 +73,7 @@ def processor() -> str:
         return platform.processor() or platform.machine()
     fields = dict(line.replace("\t", "").split(":", 1) for line in lines if ":" in line)
     flags = fields.get("flags", "").split()
-    widest = next((name for name in ("avx512f", "avx2", "sse2") if name in flags), platform.machine())
+    widest = next(
+        (name for name in ("avx512f", "avx2", "sse2") if name in flags), platform.machine()
+    )
     return f"{fields.get('model name', platform.machine()).strip()} ({widest})"

@@ -1,4 +1,6 @@
-"""The JSON Schemas of the contract, made from its types: `python -m manifests.publish` writes manifests/json-schema/ anew."""
+"""The JSON Schemas of the contract, made from its types: `python -m manifests.publish` writes
+manifests/json-schema/ anew.
+"""
 
 import inspect
 import sys
@@ -11,7 +13,14 @@ from manifests.materials import Catalogue
 from manifests.schema import Dataset, Failure, Job, Record, View
 
 FOLDER = Path(__file__).parent / "json-schema"
-TYPES = {"job": Job, "record": Record, "view": View, "dataset": Dataset, "failure": Failure, "materials": Catalogue}
+TYPES = {
+    "job": Job,
+    "record": Record,
+    "view": View,
+    "dataset": Dataset,
+    "failure": Failure,
+    "materials": Catalogue,
+}
 
 
 def documents() -> dict[str, str]:
@@ -20,19 +29,32 @@ def documents() -> dict[str, str]:
 
 
 def _document(name, type_):
-    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": name, **msgspec.json.schema(type_)}
+    schema = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": name,
+        **msgspec.json.schema(type_),
+    }
     schema = _with_dedented_descriptions(schema)
-    return msgspec.json.format(msgspec.json.encode(schema, order="deterministic"), indent=1).decode() + "\n"
+    return (
+        msgspec.json.format(msgspec.json.encode(schema, order="deterministic"), indent=1).decode()
+        + "\n"
+    )
 
 
 def _with_dedented_descriptions(part: object) -> object:
-    """A part of a schema whose descriptions, which are docstrings, have lost their indentation: from Python 3.13 on they have none."""
+    """A part of a schema whose descriptions, which are docstrings, have lost their indentation:
+    from Python 3.13 on they have none.
+    """
     if isinstance(part, list):
         return [_with_dedented_descriptions(each) for each in part]
     if not isinstance(part, dict):
         return part
     return {
-        key: inspect.cleandoc(value) if key == "description" and isinstance(value, str) else _with_dedented_descriptions(value)
+        key: (
+            inspect.cleandoc(value)
+            if key == "description" and isinstance(value, str)
+            else _with_dedented_descriptions(value)
+        )
         for key, value in part.items()
     }
 

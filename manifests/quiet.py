@@ -1,4 +1,6 @@
-"""Prints of C libraries kept off the terminal: they pass sys.stdout by, so the file descriptors themselves are turned away."""
+"""Prints of C libraries kept off the terminal: they pass sys.stdout by, so the file descriptors
+themselves are turned away.
+"""
 
 import contextlib
 import ctypes
@@ -8,7 +10,8 @@ import sys
 import threading
 from collections.abc import Iterator
 
-_TURNING = {1: threading.Lock(), 2: threading.Lock()}  # two threads that turn the same descriptor would restore each other's nowhere
+# two threads that turn the same descriptor would restore each other's nowhere
+_TURNING = {1: threading.Lock(), 2: threading.Lock()}
 
 
 @functools.cache
@@ -24,7 +27,9 @@ def _flush():
 
 @contextlib.contextmanager
 def silenced(*descriptors: int) -> Iterator[None]:
-    """Everything written to these file descriptors (1: stdout, 2: stderr) inside the block, from C or Python, is dropped."""
+    """Everything written to these file descriptors (1: stdout, 2: stderr) inside the block, from C
+    or Python, is dropped.
+    """
     for descriptor in descriptors:
         _TURNING[descriptor].acquire()
     _flush()

@@ -1,4 +1,5 @@
-"""JSON from outside into the types of manifests.schema, or one line that says what is wrong and where.
+"""JSON from outside into the types of manifests.schema, or one line that says what is wrong and
+where.
 
 path  the key's place as msgspec gives it, "$.camera.size[0]"; a user sees "camera.size[0]"
 """
@@ -15,19 +16,23 @@ from manifests.errors import InputError, closest
 from manifests.inputs import require_file
 
 T = TypeVar("T")
-MAXIMUM_BYTES = 64 << 20  # a job is a page of text, dataset.json some MiB; what is far larger is another file under this name
+# a job is a page of text, dataset.json some MiB; what is far larger is another file under this name
+MAXIMUM_BYTES = 64 << 20
 
 
 def read(path: str | os.PathLike, type_: type[T], maximum_bytes: int = MAXIMUM_BYTES) -> T:
     """The file as a `type_`.
 
-    Raises  InputError: missing, too large, malformed, unknown key (with the closest one), wrong type
+    Raises  InputError: missing, too large, malformed, unknown key (with the closest one), wrong
+    type
     """
     return decode(read_bytes(path, maximum_bytes), type_, path)
 
 
 def read_bytes(path: str | os.PathLike, maximum_bytes: int = MAXIMUM_BYTES) -> bytes:
-    """The bytes of a JSON file, without a mark of their order. Raises InputError: missing, no ordinary file, too large."""
+    """The bytes of a JSON file, without a mark of their order. Raises InputError: missing, no
+    ordinary file, too large.
+    """
     path = Path(path)
     require_file(path, "a JSON file", _remedy(path), maximum_bytes)
     return path.read_bytes().removeprefix(codecs.BOM_UTF8)  # editors on Windows write the mark
@@ -56,7 +61,9 @@ def decode(data: bytes, type_: type[T], where: object) -> T:
     try:
         problem = _explained(reason, data, type_, where)
     except (msgspec.DecodeError, RecursionError):  # right so far as the types went, broken behind
-        problem = InputError(where, "JSON", reason.split(" - at ")[0], "check commas, quotes and brackets there")
+        problem = InputError(
+            where, "JSON", reason.split(" - at ")[0], "check commas, quotes and brackets there"
+        )
     raise problem
 
 
@@ -64,24 +71,44 @@ def _explained(message, data, type_, where):
     """The InputError behind msgspec's message."""
     message, _, path = message.partition(" - at ")
     path = path.strip("`")
-    place = f"{where}: {path.removeprefix('$').removeprefix('.')}" if path not in ("", "$") else str(where)
+    place = (
+        f"{where}: {path.removeprefix('$').removeprefix('.')}"
+        if path not in ("", "$")
+        else str(where)
+    )
     if unknown := re.search(r"unknown field `(.*)`", message):
         known = sorted(_keys(type_, path))
-        return InputError(place, "a known key", f"'{unknown[1]}'", closest(unknown[1], known) if known else "leave it out")
+        return InputError(
+            place,
+            "a known key",
+            f"'{unknown[1]}'",
+            closest(unknown[1], known) if known else "leave it out",
+        )
     if missing := re.search(r"missing required field `(.*)`", message):
         return InputError(place, f"the key '{missing[1]}'", "none", "add it")
     if choice := re.search(r"Invalid enum value (.*)", message):
         names = [str(c) for c in _choices(type_, path)]
         return InputError(
-            place, f"one of {', '.join(names)}" if names else "a known value", choice[1], closest(choice[1].strip("'"), names)
+            place,
+            f"one of {', '.join(names)}" if names else "a known value",
+            choice[1],
+            closest(choice[1].strip("'"), names),
         )
     expected = re.sub(r"^Expected |, got .*$|`", "", message)
-    return InputError(place, expected, _shown(_at(data, path)), "see manifests/json-schema for what may stand there")
+    return InputError(
+        place,
+        expected,
+        _shown(_at(data, path)),
+        "see manifests/json-schema for what may stand there",
+    )
 
 
 def _steps(path):
     """Keys and indices of a path."""
-    return [key if key else int(index) if index.isdigit() else ... for key, index in re.findall(r"\.(\w+)|\[([^\]]*)\]", path)]
+    return [
+        key if key else int(index) if index.isdigit() else ...
+        for key, index in re.findall(r"\.(\w+)|\[([^\]]*)\]", path)
+    ]
 
 
 def _at(data, path):
@@ -105,7 +132,11 @@ def _types(type_, path):
     for step in _steps(path):
         inner = []
         for branch in results:
-            if isinstance(step, str) and isinstance(branch, type) and issubclass(branch, msgspec.Struct):
+            if (
+                isinstance(step, str)
+                and isinstance(branch, type)
+                and issubclass(branch, msgspec.Struct)
+            ):
                 inner += [f.type for f in msgspec.structs.fields(branch) if f.encode_name == step]
             elif not isinstance(step, str):
                 inner += [a for a in get_args(branch) if a is not ...][-1:]
@@ -132,4 +163,9 @@ def _keys(type_, path):
 
 
 def _choices(type_, path):
-    return [c for t in _types(type_, path) if type(t).__name__ == "_LiteralGenericAlias" for c in get_args(t)]
+    return [
+        c
+        for t in _types(type_, path)
+        if type(t).__name__ == "_LiteralGenericAlias"
+        for c in get_args(t)
+    ]

@@ -1,8 +1,11 @@
-"""Which shapes, materials and lights are for training and which for testing: decided by what they are, never by the order they come in.
+"""Which shapes, materials and lights are for training and which for testing: decided by what they
+are, never by the order they come in.
 
 role   pretrain, finetune, train or test; side: train or test (every role but test is for training)
-rule   "hash": a fifth of all shapes, by their hash (of lights always). "paper", "multi-material": counts by number (manifests/splits.json)
-duplicates  one mesh or fit under two names, found by hash: both take one side, and that is test if either was for testing
+rule   "hash": a fifth of all shapes, by their hash (of lights always). "paper", "multi-material":
+counts by number (manifests/splits.json)
+duplicates  one mesh or fit under two names, found by hash: both take one side, and that is test if
+either was for testing
 """
 
 import hashlib
@@ -17,7 +20,8 @@ from manifests.reading import read
 
 NUMBERED = re.compile(r"^(\w+):(\d+)$")  # "chair:17"
 SIDES = {"pretrain": "train", "finetune": "train", "train": "train", "test": "test"}
-PRECEDENCE = ("test", "pretrain", "finetune", "train")  # what duplicates take, the first that one of them has
+# what duplicates take, the first that one of them has
+PRECEDENCE = ("test", "pretrain", "finetune", "train")
 
 
 @cache
@@ -43,13 +47,19 @@ def shape_roles(shapes: Sequence[tuple[str, str, str]], rule: str) -> dict[str, 
 
 
 def numbered_role(name: str, rule: str) -> str | None:
-    """The role of "chair:17" by its number alone, or None where the rule has no range that holds it (then its hash decides)."""
+    """The role of "chair:17" by its number alone, or None where the rule has no range that holds it
+    (then its hash decides).
+    """
     number = NUMBERED.match(name)
-    return _by_number(int(number[2]), rules()[rule]["shapes"].get(number[1], {})) if number else None
+    return (
+        _by_number(int(number[2]), rules()[rule]["shapes"].get(number[1], {})) if number else None
+    )
 
 
 def role_of(name: str, category: str, hash_: str, rule: str) -> str | None:
-    """The role of a shape by itself, or None where it depends on the other meshes of its category, by the rank among their hashes."""
+    """The role of a shape by itself, or None where it depends on the other meshes of its category,
+    by the rank among their hashes.
+    """
     ranges = rules()[rule]["shapes"].get(category)
     if not ranges:
         return _by_hash(hash_)
@@ -58,18 +68,26 @@ def role_of(name: str, category: str, hash_: str, rule: str) -> str | None:
 
 
 def material_sides(materials: Sequence[tuple[str, str, str]]) -> dict[str, str]:
-    """The side of each material: [(name, its catalogue's split, hash)] to {name: side}; duplicates together."""
-    return _keep_duplicates_together({name: split for name, split, _ in materials}, {name: hash_ for name, _, hash_ in materials})
+    """The side of each material: [(name, its catalogue's split, hash)] to {name: side}; duplicates
+    together.
+    """
+    return _keep_duplicates_together(
+        {name: split for name, split, _ in materials}, {name: hash_ for name, _, hash_ in materials}
+    )
 
 
 def paper_training(names: Iterable[str]) -> set[str]:
-    """The paper's 60 of the materials for training: those whose names' hashes are least, so that nobody's taste chooses."""
+    """The paper's 60 of the materials for training: those whose names' hashes are least, so that
+    nobody's taste chooses.
+    """
     order = sorted(names, key=lambda name: hashlib.sha256(f"paper {name}".encode()).digest())
     return set(order[: rules()["paper"]["train_materials"]])
 
 
 def light_side(hash_: str) -> str:
-    """The side of a light, by the hash of its map: of pictures it says nothing, to who samples lights for training everything."""
+    """The side of a light, by the hash of its map: of pictures it says nothing, to who samples
+    lights for training everything.
+    """
     return _by_hash(hash_)
 
 
@@ -84,7 +102,11 @@ def _ranks(shapes):
     for name, category, hash_ in shapes:
         if _number(name, category) is None:
             hashes[category].add(hash_)
-    return {(category, hash_): rank for category, result in hashes.items() for rank, hash_ in enumerate(sorted(result))}
+    return {
+        (category, hash_): rank
+        for category, result in hashes.items()
+        for rank, hash_ in enumerate(sorted(result))
+    }
 
 
 def _number(name, category):
@@ -106,4 +128,8 @@ def _keep_duplicates_together(roles, hashes):
     groups = defaultdict(list)
     for name, hash_ in hashes.items():
         groups[hash_].append(name)
-    return {name: min((roles[twin] for twin in duplicates), key=PRECEDENCE.index) for duplicates in groups.values() for name in duplicates}
+    return {
+        name: min((roles[twin] for twin in duplicates), key=PRECEDENCE.index)
+        for duplicates in groups.values()
+        for name in duplicates
+    }

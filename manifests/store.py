@@ -1,15 +1,20 @@
-"""A dataset's folder: the only place that knows where things lie in it, and how they get there without half a file ever being seen.
+"""A dataset's folder: the only place that knows where things lie in it, and how they get there
+without half a file ever being seen.
 
-    dataset.json  materials.json   what was asked for, with which assets; the labels of the materials used
+    dataset.json  materials.json   what was asked for, with which assets; the labels of the
+    materials used
     images/ab/ID.exr  geometry/ab/ID.exr  lights/NAME-HASH.npz
-    records/worker-NN.jsonl        one line a picture, appended after its files are in place; one writer a file
-    views/worker-NN.jsonl          the same of geometry alone, one line a view of a shape: jobs without pictures
-    failures.jsonl                 what did not come out, and why (failures-SHARD.jsonl in job arrays)
+    records/worker-NN.jsonl        one line a picture, appended after its files are in place; one
+    writer a file
+    views/worker-NN.jsonl          the same of geometry alone, one line a view of a shape: jobs
+    without pictures
+    failures.jsonl                 what did not come out, and why (failures-SHARD.jsonl in job
+    arrays)
     partial/                       files being written; whatever lies there after a run is rubbish
     .lock*                         held by a run while it writes
 
-A kill at any moment loses at most the shot in flight: a file is written under partial/ and renamed, a torn last line is passed over by
-readers and cut off by the next writer.
+A kill at any moment loses at most the shot in flight: a file is written under partial/ and renamed,
+a torn last line is passed over by readers and cut off by the next writer.
 """
 
 import contextlib
@@ -35,7 +40,8 @@ from manifests.schema import VERSION, Dataset, Failure, Record, View
 LINES = {"records": Record, "views": View}  # folder: what its lines are
 NAME = re.compile(r"[^A-Za-z0-9._-]+")
 REPAIR = "python -m factory verify DIR --repair takes it away"
-LONGEST_LINE = 1 << 20  # bytes; a record takes 1 KB, and 255 segments with names of 1,000 letters stay below
+# bytes; a record takes 1 KB, and 255 segments with names of 1,000 letters stay below
+LONGEST_LINE = 1 << 20
 
 
 class _Id(msgspec.Struct, gc=False):
@@ -53,7 +59,9 @@ class _Version(msgspec.Struct):
 
 
 def image_path(id_: str) -> str:
-    """Where a record's picture lies, relative to the folder: sharded by the id's first two digits."""
+    """Where a record's picture lies, relative to the folder: sharded by the id's first two
+    digits.
+    """
     return f"images/{id_[:2]}/{id_}.exr"
 
 
@@ -68,7 +76,9 @@ def light_path(name: str, hash_: str) -> str:
 
 
 def file_hash(path: str | os.PathLike) -> str:
-    """sha256 (hex) of a file's bytes. Raises FileNotFoundError; InputError for a folder, a pipe or a device."""
+    """sha256 (hex) of a file's bytes. Raises FileNotFoundError; InputError for a folder, a pipe or
+    a device.
+    """
     if os.path.exists(path):
         require_file(path, "a file")  # opening a pipe would wait for its writer
     with open(path, "rb") as file:
@@ -78,20 +88,32 @@ def file_hash(path: str | os.PathLike) -> str:
 def inside(folder: str | os.PathLike, relative: str) -> Path:
     """The path of a file that a manifest names.
 
-    Raises  InputError if it is absolute, climbs out by "..", or leads out of the folder through a link
+    Raises  InputError if it is absolute, climbs out by "..", or leads out of the folder through a
+    link
     """
     pure = PurePosixPath(relative)
     target = Path(folder) / pure
-    escapes = pure.is_absolute() or ".." in pure.parts or "\\" in relative or "\0" in relative or not pure.parts
+    escapes = (
+        pure.is_absolute()
+        or ".." in pure.parts
+        or "\\" in relative
+        or "\0" in relative
+        or not pure.parts
+    )
     if escapes or not _leads_inside(target, folder):
         raise InputError(
-            f"{folder}: '{relative}'", "a path inside the dataset's folder", "one that leaves it", "do not trust this manifest"
+            f"{folder}: '{relative}'",
+            "a path inside the dataset's folder",
+            "one that leaves it",
+            "do not trust this manifest",
         )
     return target
 
 
 def _leads_inside(target: Path, folder: str | os.PathLike) -> bool:
-    """Whether a path, its links followed, ends inside a folder; links in a circle and names that no file can have do not."""
+    """Whether a path, its links followed, ends inside a folder; links in a circle and names that no
+    file can have do not.
+    """
     try:
         return target.resolve().is_relative_to(Path(folder).resolve())
     except (OSError, RuntimeError, ValueError):
@@ -99,62 +121,100 @@ def _leads_inside(target: Path, folder: str | os.PathLike) -> bool:
 
 
 def lines_of(path: str | os.PathLike) -> Iterator[tuple[int, bytes]]:
-    """Each line of a file with its number from 1; the last one without its newline where a kill has torn it.
+    """Each line of a file with its number from 1; the last one without its newline where a kill has
+    torn it.
 
-    Raises  InputError: no ordinary file, a line longer than any that a writer leaves; OSError where it cannot be read
+    Raises  InputError: no ordinary file, a line longer than any that a writer leaves; OSError where
+    it cannot be read
     """
     with open(require_file(path, "a file of lines", REPAIR), "rb") as file:
         for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), 1):
             if len(line) == LONGEST_LINE and not line.endswith(b"\n"):
-                raise InputError(f"{path}:{number}", f"a line of at most {LONGEST_LINE} bytes", "a longer one", REPAIR)
+                raise InputError(
+                    f"{path}:{number}",
+                    f"a line of at most {LONGEST_LINE} bytes",
+                    "a longer one",
+                    REPAIR,
+                )
             yield number, line
 
 
 class Store:
-    """A dataset on disk. Reading needs nothing but the folder; a worker places files by `place` and appends lines by its own `Lines`."""
+    """A dataset on disk. Reading needs nothing but the folder; a worker places files by `place` and
+    appends lines by its own `Lines`.
+    """
 
     def __init__(self, folder: str | os.PathLike):
         self.folder = Path(folder)
 
     def dataset(self) -> Dataset:
-        """dataset.json as a Dataset. Raises InputError if it is missing, damaged or of another schema version."""
+        """dataset.json as a Dataset. Raises InputError if it is missing, damaged or of another
+        schema version.
+        """
         path = self.folder / "dataset.json"
         if not os.path.lexists(path):
-            raise InputError(self.folder, "a dataset (dataset.json)", "none", "make one with: python -m factory render JOB --out DIR")
+            raise InputError(
+                self.folder,
+                "a dataset (dataset.json)",
+                "none",
+                "make one with: python -m factory render JOB --out DIR",
+            )
         try:
             version = read(path, _Version).version
             if version == VERSION:
                 return read(path, Dataset)
         except InputError as problem:
-            remedy = "restore it, or delete it and render each of the folder's jobs again: no picture is rendered twice"
+            remedy = (
+                "restore it, or delete it and render each of the folder's jobs again: no picture is"
+                " rendered twice"
+            )
             raise InputError(problem.where, problem.expected, problem.found, remedy) from None
-        raise InputError(path, f"schema version {VERSION}", str(version), "read it with the program version that wrote it")
+        raise InputError(
+            path,
+            f"schema version {VERSION}",
+            str(version),
+            "read it with the program version that wrote it",
+        )
 
     def record_files(self, kind: str = "records") -> list[Path]:
-        """The files of one kind of lines, one a worker, in order of name. Raises InputError where their folder is none."""
+        """The files of one kind of lines, one a worker, in order of name. Raises InputError where
+        their folder is none.
+        """
         folder = self.folder / kind
         try:
             names = os.listdir(folder)
         except FileNotFoundError:
             return []
-        except OSError as error:  # a file, links in a circle, no permission: never to be taken for an empty folder
-            raise InputError(folder, f"a folder of {kind}", str(error.strerror or error).lower(), REPAIR) from None
+        # a file, links in a circle, no permission: never to be taken for an empty folder
+        except OSError as error:
+            raise InputError(
+                folder, f"a folder of {kind}", str(error.strerror or error).lower(), REPAIR
+            ) from None
         return [folder / name for name in sorted(names) if name.endswith(".jsonl")]
 
     def records(self, keep: Callable[[Record], Any] | None = None) -> Iterator[Record]:
-        """Each Record, file after file; keep(record) filters. Raises InputError at a line that no writer can have left."""
-        return filter(keep, self._decoded(Record, "records")) if keep else self._decoded(Record, "records")
+        """Each Record, file after file; keep(record) filters. Raises InputError at a line that no
+        writer can have left.
+        """
+        return (
+            filter(keep, self._decoded(Record, "records"))
+            if keep
+            else self._decoded(Record, "records")
+        )
 
     def views(self, keep: Callable[[View], Any] | None = None) -> Iterator[View]:
         """Each View, as `records` gives each Record."""
         return filter(keep, self._decoded(View, "views")) if keep else self._decoded(View, "views")
 
     def ids(self, kind: str = "records") -> set[str]:
-        """The set of ids of all lines of a kind: what a run that continues leaves out. Reads nothing else of a line."""
+        """The set of ids of all lines of a kind: what a run that continues leaves out. Reads
+        nothing else of a line.
+        """
         return {line.id for line in self._decoded(_Id, kind)}
 
     def known(self, kind: str = "records") -> tuple[set[str], dict[str, str]]:
-        """(ids, hashes): the ids of all lines of a kind; the hash of each geometry file that a record or a view names.
+        """(ids, hashes): the ids of all lines of a kind; the hash of each geometry file that a
+        record or a view names.
 
         hashes  {path: hash}, the first that is named where lines disagree
         """
@@ -171,7 +231,12 @@ class Store:
         for path in sorted(self.folder.glob("failures*.jsonl")):
             for number, line in lines_of(path):
                 if line.endswith(b"\n"):
-                    yield _line(line, Failure, f"{path}:{number}", "delete this file: it only says what went wrong")
+                    yield _line(
+                        line,
+                        Failure,
+                        f"{path}:{number}",
+                        "delete this file: it only says what went wrong",
+                    )
 
     def _decoded(self, type_, kind):
         decoder = msgspec.json.Decoder(type_)
@@ -182,7 +247,10 @@ class Store:
                 try:
                     record = decoder.decode(line)
                 except (msgspec.DecodeError, UnicodeDecodeError):
-                    remedy = f"python -m factory verify {self.folder} --repair, then render the same jobs again"
+                    remedy = (
+                        f"python -m factory verify {self.folder} --repair, then render the same"
+                        " jobs again"
+                    )
                     record = _line(line, type_, f"{path}:{number}", remedy)
                 yield record
 
@@ -197,7 +265,8 @@ class Store:
         relative    its path in the folder
         data        bytes of the whole file
         worker      who writes: temporary names of two workers never meet
-        keep_first  a file that is already there stays (two workers made the same geometry): its hash is returned
+        keep_first  a file that is already there stays (two workers made the same geometry): its
+        hash is returned
         Raises      OSError (full disk) with the earlier file still there and nothing left behind
         """
         target = self.folder / relative
@@ -223,7 +292,8 @@ class Store:
     def place_instead(self, relative: str, data: bytes, worker: str, damaged: str | None) -> str:
         """Put a file in the place of a damaged one, and return the sha256 of what lies there then.
 
-        damaged  sha256 of the damaged file, None if it cannot be read. If another file lies there by now, another worker
+        damaged  sha256 of the damaged file, None if it cannot be read. If another file lies there
+        by now, another worker
                  has put it there, and it stays. Raises OSError as `place`
         """
         with lock.changing(self.folder):
@@ -233,7 +303,9 @@ class Store:
             return self.place(relative, data, worker)
 
     def sweep(self, prefix: str = "") -> None:
-        """Remove what killed runs left half-written, files and lines; `prefix` of the workers' names confines it to one shard's."""
+        """Remove what killed runs left half-written, files and lines; `prefix` of the workers'
+        names confines it to one shard's.
+        """
         partial = self.folder / "partial"
         for path in partial.glob(f"{prefix}*") if partial.is_dir() else ():
             path.unlink(missing_ok=True)
@@ -272,7 +344,8 @@ def _link(temporary, target):
 
 
 class Lines:
-    """An append-only file of JSON lines with one writer. Opening cuts off a torn last line; a line is written whole or not at all.
+    """An append-only file of JSON lines with one writer. Opening cuts off a torn last line; a line
+    is written whole or not at all.
 
     Raises  InputError if another process has the file open to write into it
     """
@@ -291,16 +364,21 @@ class Lines:
 
     def _own(self):
         try:
-            fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # not flock: a forked helper does not go on holding it
+            # not flock: a forked helper does not go on holding it
+            fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError):
             self.close()
             remedy = "wait for it to end, or use another --out"
-            raise InputError(self.path, "a file that no other run writes to", "one in use", remedy) from None
+            raise InputError(
+                self.path, "a file that no other run writes to", "one in use", remedy
+            ) from None
         except OSError:  # a file system without locks
             pass
 
     def append(self, value: Any) -> None:
-        """Write one value as a line. Raises OSError (full disk) with nothing of the line left behind."""
+        """Write one value as a line. Raises OSError (full disk) with nothing of the line left
+        behind.
+        """
         self.append_line(msgspec.json.encode(value) + b"\n")
 
     def append_line(self, line: bytes) -> None:
@@ -314,7 +392,8 @@ class Lines:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
         except OSError as error:
             self._torn = True
-            with contextlib.suppress(OSError):  # a disk that fails altogether: the next line or the next opening cuts the rest off
+            # a disk that fails altogether: the next line or the next opening cuts the rest off
+            with contextlib.suppress(OSError):
                 os.ftruncate(self._descriptor, self._length)
                 self._torn = False
             raise OSError(error.errno, error.strerror, str(self.path)) from None

@@ -1,1 +1,3 @@
-"""What a surface does with light: the one definition, in numpy, through which torch tensors pass as well."""
+"""What a surface does with light: the one definition, in numpy, through which torch tensors pass as
+well.
+"""

@@ -1,11 +1,15 @@
-"""The directional-statistics BRDF: the material label, three lobes of hemispherical exponential power distributions.
+"""The directional-statistics BRDF: the material label, three lobes of hemispherical exponential
+power distributions.
 
-m      (..., 3, 3, 2, 6): channel k, lobe s, (κ, γ), spline control values over θ_d; the paper's 108 numbers
-label  the same shape, natural logarithms of m: what is stored, fitted and predicted; κ, γ > 0 by construction
+m      (..., 3, 3, 2, 6): channel k, lobe s, (κ, γ), spline control values over θ_d; the paper's 108
+numbers
+label  the same shape, natural logarithms of m: what is stored, fitted and predicted; κ, γ > 0 by
+construction
 c      h·n, cosine between half vector and normal
 f      (..., 3) BRDF in 1/sr, no cosine:  f_k = Σ_s exp(κ_ks(θ_d) c^γ_ks(θ_d)) − 1
 
-Source: supplement, "Material"; Nishino 2009 writes 1 − exp(κ c^γ) with κ < 0; here, as in the paper, κ ≥ 0.
+Source: supplement, "Material"; Nishino 2009 writes 1 − exp(κ c^γ) with κ < 0; here, as in the
+paper, κ ≥ 0.
 """
 
 import numpy as np
@@ -15,7 +19,8 @@ from shaders.spline import CONTROL_VALUES, basis
 
 SHAPE = (3, 3, 2, CONTROL_VALUES)
 SIZE = int(np.prod(SHAPE))  # 108
-MAX_EXPONENT = 50.0  # expm1(88.7) is the last finite float32; a BRDF of e^50 is far beyond any measured one
+# expm1(88.7) is the last finite float32; a BRDF of e^50 is far beyond any measured one
+MAX_EXPONENT = 50.0
 
 
 def coefficients(m, theta_d):
@@ -51,7 +56,8 @@ def half_angles(w_i, w_o):
     """Half vector and difference angle.
 
     w_i, w_o  (..., 3) unit vectors of one frame, towards the light and towards the viewer
-    Returns   h (..., 3) unit, 0 where w_i = −w_o; theta_d (...) in [0, π/2], by arctan2 so that its slope is finite at 0
+    Returns   h (..., 3) unit, 0 where w_i = −w_o; theta_d (...) in [0, π/2], by arctan2 so that its
+    slope is finite at 0
     """
     xp = namespace(w_i, w_o)
     s, d = w_i + w_o, w_i - w_o

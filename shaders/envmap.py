@@ -1,11 +1,13 @@
-"""Environment maps: where a texel points, how much of the sphere it covers, turning and shrinking without losing energy.
+"""Environment maps: where a texel points, how much of the sphere it covers, turning and shrinking
+without losing energy.
 
 L      (height, width, 3) linear Rec.709 radiance; row 0 at the zenith, columns around the vertical
 w      unit directions, light frame (x right, y up, z towards the viewer; shaders.frames)
 θ      polar angle from the zenith, π (row + ½) / height
 φ      2π (column + ½) / width, from +x (right) through +z (towards the viewer)
 
-Source: supplement, "Illumination". Deviates: φ spans 2π, texel centres, exact solid angles (tests/test_misprints.py).
+Source: supplement, "Illumination". Deviates: φ spans 2π, texel centres, exact solid angles
+(tests/test_misprints.py).
 """
 
 import numpy as np
@@ -17,7 +19,9 @@ BAND = 64  # rows of a map that are looked at together: 12 MB in float64 of a ma
 WHOLE = 1024  # rows up to which a map is copied to float64 whole
 DENSE = 4096  # columns and rows up to which a table of all pairs is made: 134 MB
 SAME_SOURCE = (
-    0.99  # likeness of copies of one capture, resized, re-encoded or turned, exceeds 0.9999; of 26 different ones it stays below 0.9
+    # likeness of copies of one capture, resized, re-encoded or turned, exceeds 0.9999; of 26
+    # different ones it stays below 0.9
+    0.99
 )
 
 
@@ -49,7 +53,9 @@ def texel(w, height, width):
 
 
 def roll(L, texels):
-    """The map turned by whole texels: column j of the result is column j − texels of L; L (..., height, width, 3)."""
+    """The map turned by whole texels: column j of the result is column j − texels of L; L (...,
+    height, width, 3).
+    """
     xp = namespace(L)
     return xp.roll(L, texels, -2) if xp is not np else np.roll(L, texels, axis=-2)
 
@@ -60,13 +66,16 @@ def mean_radiance(L):
     total = np.zeros(L.shape[2:])
     for rows in bands(L.shape[0]):
         part = (np.asarray(L[rows], dtype=np.float64) * weight[rows]).reshape(-1, *L.shape[2:])
-        part[:1] += total  # numpy adds row after row: the same sum, bit by bit, as that of the whole map at once
+        # numpy adds row after row: the same sum, bit by bit, as that of the whole map at once
+        part[:1] += total
         total = part.sum(0)
     return total
 
 
 def bands(height):
-    """Slices of BAND rows that cover a map: what is done band by band needs no copy of a large map."""
+    """Slices of BAND rows that cover a map: what is done band by band needs no copy of a large
+    map.
+    """
     return [slice(first, min(first + BAND, height)) for first in range(0, height, BAND)]
 
 
@@ -77,7 +86,10 @@ def unit_mean(L):
     """
     scale = float(mean_radiance(L) @ LUMINANCE)
     if not (np.isfinite(scale) and scale > 0):
-        raise ValueError(f"light: expected positive finite mean luminance, found {scale:g} (check the file's pixels)")
+        raise ValueError(
+            f"light: expected positive finite mean luminance, found {scale:g} (check the file's"
+            " pixels)"
+        )
     return np.asarray(L / scale, dtype=np.float32), scale
 
 
@@ -89,29 +101,40 @@ def _overlaps(edges_from, edges_to):
 
 
 def resize(L, height, width, dtype=np.float64):
-    """The map averaged by solid angle into another size: energy in each region of the sphere is kept, up or down.
+    """The map averaged by solid angle into another size: energy in each region of the sphere is
+    kept, up or down.
 
     L        (any height, any width, 3)
     dtype    of the result; sums are float64
     Returns  (height, width, 3)
 
-    Besides the result it takes memory for a float64 copy of at most WHOLE rows and, where the height changes, for a float64
-    map of L's height and the result's width.
+    Besides the result it takes memory for a float64 copy of at most WHOLE rows and, where the
+    height changes, for a float64 map of L's height and the result's width.
     """
     polar = [-np.cos(np.pi * np.linspace(0, 1, count + 1)) for count in (L.shape[0], height)]
     around = [np.linspace(0, 1, count + 1) for count in (L.shape[1], width)]
     if L.shape[0] <= WHOLE and max(L.shape[1], width) <= DENSE:
         rows, columns = _shares(*polar), _shares(*around)
-        return np.einsum("ri,ijc,kj->rkc", rows, np.asarray(L, dtype=np.float64), columns, optimize=True).astype(dtype, copy=False)
-    narrow = np.empty((L.shape[0], width, *L.shape[2:]), dtype if height == L.shape[0] else np.float64)
+        return np.einsum(
+            "ri,ijc,kj->rkc", rows, np.asarray(L, dtype=np.float64), columns, optimize=True
+        ).astype(dtype, copy=False)
+    narrow = np.empty(
+        (L.shape[0], width, *L.shape[2:]), dtype if height == L.shape[0] else np.float64
+    )
     columns = _shares(*around) if L.shape[1] * width <= DENSE**2 else None
     for band in bands(L.shape[0]):
         part = np.asarray(L[band], dtype=np.float64)
-        narrow[band] = _sparsely(part, *around) if columns is None else np.einsum("ijc,kj->ikc", part, columns, optimize=True)
+        narrow[band] = (
+            _sparsely(part, *around)
+            if columns is None
+            else np.einsum("ijc,kj->ikc", part, columns, optimize=True)
+        )
     if height == L.shape[0]:
         return narrow
     if L.shape[0] * height <= DENSE**2:
-        return np.einsum("ri,ikc->rkc", _shares(*polar), narrow, optimize=True).astype(dtype, copy=False)
+        return np.einsum("ri,ikc->rkc", _shares(*polar), narrow, optimize=True).astype(
+            dtype, copy=False
+        )
     return _sparsely(narrow.swapaxes(0, 1), *polar).swapaxes(0, 1).astype(dtype, copy=False)
 
 
@@ -122,13 +145,18 @@ def _shares(edges_from, edges_to):
 
 
 def _sparsely(L, edges_from, edges_to):
-    """Means of L (any, from, 3) over target intervals: (any, to, 3). For so many intervals that `_shares` would fill the memory."""
+    """Means of L (any, from, 3) over target intervals: (any, to, 3). For so many intervals that
+    `_shares` would fill the memory.
+    """
     first = np.searchsorted(edges_from, edges_to[:-1], side="right") - 1
     last = np.searchsorted(edges_from, edges_to[1:], side="left") - 1
     total, weight = np.zeros((L.shape[0], len(first), *L.shape[2:])), np.zeros(len(first))
     for step in range(int((last - first).max()) + 1):
         source = np.minimum(first + step, len(edges_from) - 2)
-        low, high = np.maximum(edges_to[:-1], edges_from[source]), np.minimum(edges_to[1:], edges_from[source + 1])
+        low, high = (
+            np.maximum(edges_to[:-1], edges_from[source]),
+            np.minimum(edges_to[1:], edges_from[source + 1]),
+        )
         share = np.where(first + step <= last, np.maximum(high - low, 0.0), 0.0)
         total += L[:, source] * share[:, None]
         weight += share
@@ -136,16 +164,23 @@ def _sparsely(L, edges_from, edges_to):
 
 
 def is_same_source(L, other):
-    """True if two maps of one size show one place, however scaled or turned: a copy must not train where the other one tests."""
+    """True if two maps of one size show one place, however scaled or turned: a copy must not train
+    where the other one tests.
+    """
     return likeness(L, other) > SAME_SOURCE
 
 
 def likeness(L, other):
-    """The highest correlation, over all turns by whole texels, of two maps' log radiance; (height, width, 3) of one size, any scale."""
+    """The highest correlation, over all turns by whole texels, of two maps' log radiance; (height,
+    width, 3) of one size, any scale.
+    """
 
     def spectrum(L):
         log = np.log1p(np.asarray(unit_mean(L)[0], np.float64).mean(axis=-1))
         log = log - log.mean()
-        return np.fft.rfft(log / max(np.linalg.norm(log), 1e-12), axis=1)  # a constant map is like no other
+        # a constant map is like no other
+        return np.fft.rfft(log / max(np.linalg.norm(log), 1e-12), axis=1)
 
-    return float(np.fft.irfft(spectrum(L) * np.conj(spectrum(other)), n=L.shape[1], axis=1).sum(axis=0).max())
+    return float(
+        np.fft.irfft(spectrum(L) * np.conj(spectrum(other)), n=L.shape[1], axis=1).sum(axis=0).max()
+    )

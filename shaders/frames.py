@@ -1,13 +1,16 @@
 """The three frames, and how one leads to another.
 
 world   Blender's: x forward (the object's front), y left, z up; metres
-light   gravity-aligned, turned with the camera's azimuth: x right, y up, z horizontally towards the viewer.
+light   gravity-aligned, turned with the camera's azimuth: x right, y up, z horizontally towards the
+viewer.
         The paper's frame for environment maps: w = (cos φ sin θ, cos θ, sin φ sin θ)
 camera  x right in the picture, y up in the picture, z towards the viewer. Normals live here
 
 A matrix is named by where it leads and where it starts: `n_camera = camera_from_world @ n_world`.
-azimuth    radians about world z, 0 in front of the object (the camera on +x), counter-clockwise seen from above
-elevation  radians above the horizon; fixed over a dataset, so that camera_from_light is one constant
+azimuth    radians about world z, 0 in front of the object (the camera on +x), counter-clockwise
+seen from above
+elevation  radians above the horizon; fixed over a dataset, so that camera_from_light is one
+constant
 """
 
 import numpy as np
@@ -23,7 +26,8 @@ def world_from_light(azimuth):
 
 
 def camera_from_light(elevation=ELEVATION):
-    """Rotation (3, 3) about x that takes light-frame vectors to the camera frame, for a camera at `elevation`.
+    """Rotation (3, 3) about x that takes light-frame vectors to the camera frame, for a camera at
+    `elevation`.
 
     The camera looks down by `elevation`: the light frame's (0, sin e, cos e) is the camera's +z.
     """
@@ -37,7 +41,9 @@ def camera_from_world(azimuth, elevation=ELEVATION):
 
 
 def pixel_grid(height, width):
-    """Picture-plane coordinates of pixel centres: x (height, width) rightwards, y upwards, both in [-1, 1] over the longer side."""
+    """Picture-plane coordinates of pixel centres: x (height, width) rightwards, y upwards, both in
+    [-1, 1] over the longer side.
+    """
     longer = max(height, width)
     x = (2.0 * np.arange(width) + 1.0 - width) / longer
     y = (height - 1.0 - 2.0 * np.arange(height)) / longer

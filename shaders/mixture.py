@@ -1,11 +1,15 @@
-"""A mixture of Cycles closures whose widths, tilts and RGB weights follow the viewing angle: what the factory renders.
+"""A mixture of Cycles closures whose widths, tilts and RGB weights follow the viewing angle: what
+the factory renders.
 
 Facing   1 − cos_o, 0 seen head-on and 1 at the horizon: what Cycles' Layer Weight node calls it
-stops    (V,) ascending facings, at most 32 (a colour ramp holds no more); V = 1: nothing depends on the view
-K        closures, summed:  f(c) = Σ_k weight_k(facing, c) · closure_k(alpha_k(facing), tilt_k(facing))
+stops    (V,) ascending facings, at most 32 (a colour ramp holds no more); V = 1: nothing depends on
+the view
+K        closures, summed:  f(c) = Σ_k weight_k(facing, c) · closure_k(alpha_k(facing),
+tilt_k(facing))
 
-Between the stops log α, tilt and weights are interpolated as Cycles does it: a colour ramp becomes a table of 256 values,
-linear between them (kernel/svm/ramp.h, RAMP_TABLE_SIZE); facings that are multiples of 1/255 are therefore kept exactly.
+Between the stops log α, tilt and weights are interpolated as Cycles does it: a colour ramp becomes
+a table of 256 values, linear between them (kernel/svm/ramp.h, RAMP_TABLE_SIZE); facings that are
+multiples of 1/255 are therefore kept exactly.
 """
 
 from dataclasses import dataclass
@@ -21,7 +25,9 @@ KINDS = tuple(closures.CLOSURES)
 
 @dataclass(frozen=True)
 class Mixture:
-    """kinds (K,) names of closures; stops (V,); log_alpha, tilt (V, K); weights (V, K, 3) ≥ 0, linear Rec.709."""
+    """kinds (K,) names of closures; stops (V,); log_alpha, tilt (V, K); weights (V, K, 3) ≥ 0,
+    linear Rec.709.
+    """
 
     kinds: tuple[str, ...]
     stops: np.ndarray
@@ -38,7 +44,13 @@ class Mixture:
     @classmethod
     def constant(cls, kind, alpha, rgb, tilt=0.0):
         """One closure, the same from everywhere."""
-        return cls((kind,), [0.0], [[np.log(alpha)]], [[tilt]], np.asarray(rgb, dtype=float).reshape(1, 1, 3))
+        return cls(
+            (kind,),
+            [0.0],
+            [[np.log(alpha)]],
+            [[tilt]],
+            np.asarray(rgb, dtype=float).reshape(1, 1, 3),
+        )
 
     @classmethod
     def lambert(cls, albedo):
@@ -48,21 +60,32 @@ class Mixture:
     @classmethod
     def from_json(cls, data):
         """From the plain lists of `to_json`."""
-        return cls(tuple(data["kinds"]), data["stops"], data["log_alpha"], data["tilt"], data["weights"])
+        return cls(
+            tuple(data["kinds"]), data["stops"], data["log_alpha"], data["tilt"], data["weights"]
+        )
 
     def to_json(self, digits=6):
         """Plain lists, rounded to so many significant digits."""
 
         def rounded(values):
-            return [rounded(v) for v in values] if isinstance(values, list) else float(f"{values:.{digits}g}")
+            return (
+                [rounded(v) for v in values]
+                if isinstance(values, list)
+                else float(f"{values:.{digits}g}")
+            )
 
-        arrays = {name: rounded(getattr(self, name).tolist()) for name in ("stops", "log_alpha", "tilt", "weights")}
+        arrays = {
+            name: rounded(getattr(self, name).tolist())
+            for name in ("stops", "log_alpha", "tilt", "weights")
+        }
         return {"kinds": list(self.kinds), **arrays}
 
     def at(self, cos_o):
         """log α (…, K), tilt (…, K) and weights (…, K, 3) at the view cosines (…)."""
         facing = 1 - np.asarray(cos_o, dtype=np.float64)
-        return tuple(ramp(self.stops, values, facing) for values in (self.log_alpha, self.tilt, self.weights))
+        return tuple(
+            ramp(self.stops, values, facing) for values in (self.log_alpha, self.tilt, self.weights)
+        )
 
     def evaluate(self, cos_i, cos_o, cos_h, cos_d):
         """BRDF (…, 3) in 1/sr, no cosine; the cosines broadcast against each other, cos_i > 0."""
@@ -70,7 +93,9 @@ class Mixture:
         log_alpha, tilt, weights = self.at(cos_o)
         f = np.zeros((*cos_i.shape, 3))
         for k, kind in enumerate(self.kinds):
-            value = closures.evaluate(kind, np.exp(log_alpha[..., k]), tilt[..., k], cos_i, cos_o, cos_h, cos_d)
+            value = closures.evaluate(
+                kind, np.exp(log_alpha[..., k]), tilt[..., k], cos_i, cos_o, cos_h, cos_d
+            )
             f += weights[..., k, :] * value[..., None]
         return f
 
@@ -78,7 +103,8 @@ class Mixture:
 def ramp(stops, values, facing):
     """Values at the facings, by a colour ramp's table.
 
-    stops (V,), values (V, …), facing (…) held to [0, 1]. Returns (facing's shape, values' further axes)
+    stops (V,), values (V, …), facing (…) held to [0, 1]. Returns (facing's shape, values' further
+    axes)
     """
     if len(stops) == 1:
         return np.broadcast_to(values[0], (*np.shape(facing), *np.shape(values)[1:]))
@@ -96,25 +122,49 @@ def ramp_table(stops, values):
 def table_look_up(table, facing):
     """Linear look-up in a table of equal steps over [0, 1]."""
     position = np.clip(facing, 0.0, 1.0) * (len(table) - 1)
-    low = np.clip(position.astype(int) if np.ndim(position) else np.asarray(int(position)), 0, len(table) - 2)
+    low = np.clip(
+        position.astype(int) if np.ndim(position) else np.asarray(int(position)), 0, len(table) - 2
+    )
     t = np.asarray(position - low).reshape(*np.shape(position), *[1] * (table.ndim - 1))
     return table[low] * (1 - t) + table[low + 1] * t
 
 
 def check(mixture):
-    """Raises ValueError where shapes, kinds or ranges are not those of a mixture that Cycles can render."""
+    """Raises ValueError where shapes, kinds or ranges are not those of a mixture that Cycles can
+    render.
+    """
     v, k = len(mixture.stops), len(mixture.kinds)
     shapes = {"stops": (v,), "log_alpha": (v, k), "tilt": (v, k), "weights": (v, k, 3)}
     for name, shape in shapes.items():
         array = getattr(mixture, name)
         if array.shape != shape:
-            raise ValueError(f"mixture.{name}: expected shape {shape}, found {array.shape} (one row a stop, one column a closure)")
+            raise ValueError(
+                f"mixture.{name}: expected shape {shape}, found {array.shape} (one row a stop, one"
+                " column a closure)"
+            )
         if not np.isfinite(array).all():
-            raise ValueError(f"mixture.{name}: expected finite numbers, found {array[~np.isfinite(array)][0]} (fit the material again)")
+            raise ValueError(
+                f"mixture.{name}: expected finite numbers, found {array[~np.isfinite(array)][0]}"
+                " (fit the material again)"
+            )
     unknown = [kind for kind in mixture.kinds if kind not in KINDS]
     if unknown or not k:
-        raise ValueError(f"mixture.kinds: expected names among {', '.join(KINDS)}, found {unknown or 'none'} (name stock closures)")
-    if not 1 <= v <= MAX_STOPS or (np.diff(mixture.stops) <= 0).any() or mixture.stops[0] < 0 or mixture.stops[-1] > 1:
-        raise ValueError(f"mixture.stops: expected 1 to {MAX_STOPS} ascending facings in [0, 1], found {v} (a colour ramp holds no more)")
+        raise ValueError(
+            f"mixture.kinds: expected names among {', '.join(KINDS)}, found {unknown or 'none'}"
+            " (name stock closures)"
+        )
+    if (
+        not 1 <= v <= MAX_STOPS
+        or (np.diff(mixture.stops) <= 0).any()
+        or mixture.stops[0] < 0
+        or mixture.stops[-1] > 1
+    ):
+        raise ValueError(
+            f"mixture.stops: expected 1 to {MAX_STOPS} ascending facings in [0, 1], found {v} (a"
+            " colour ramp holds no more)"
+        )
     if (mixture.weights < 0).any():
-        raise ValueError(f"mixture.weights: expected values ≥ 0, found {mixture.weights.min():g} (Cycles has no negative closures)")
+        raise ValueError(
+            f"mixture.weights: expected values ≥ 0, found {mixture.weights.min():g} (Cycles has no"
+            " negative closures)"
+        )

@@ -1,12 +1,17 @@
-"""The node graph of a mixture as data: nodes, their properties, the numbers in their sockets, and the links between them.
+"""The node graph of a mixture as data: nodes, their properties, the numbers in their sockets, and
+the links between them.
 
-Sockets go by Blender's identifiers (`socket.identifier`), which are unique within a node: a Math node's inputs are `Value`,
-`Value_001`, `Value_002`, an Add Shader's `Shader`, `Shader_001`. A builder in the factory turns a Graph into real nodes; nothing
-here imports bpy. The material itself must have `material.cycles.use_bump_map_correction = False`: Cycles would "correct" tilted normals.
+Sockets go by Blender's identifiers (`socket.identifier`), which are unique within a node: a Math
+node's inputs are `Value`, `Value_001`, `Value_002`, an Add Shader's `Shader`, `Shader_001`. A
+builder in the factory turns a Graph into real nodes; nothing here imports bpy. The material itself
+must have `material.cycles.use_bump_map_correction = False`: Cycles would "correct" tilted normals.
 
-For each closure:  Facing ─ colour ramp ─ × scale ─► Color;   Facing ─ ramp ─ multiply-add ─ exponent ─► Roughness;
-                   Facing ─ ramp ─ multiply-add ─ t;  normalize(N + t (I − (I·N) N)) ─► Normal;   all summed by Add Shader.
-A ramp that would be flat is a number in the socket instead, and a closure that never weighs anything is left out.
+For each closure:  Facing ─ colour ramp ─ × scale ─► Color;   Facing ─ ramp ─ multiply-add ─
+exponent ─► Roughness;
+                   Facing ─ ramp ─ multiply-add ─ t;  normalize(N + t (I − (I·N) N)) ─► Normal;
+                   all summed by Add Shader.
+A ramp that would be flat is a number in the socket instead, and a closure that never weighs
+anything is left out.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +28,8 @@ class Node:
 
     name        unique in its graph
     type        Blender's bl_idname
-    properties  attributes of the node (`distribution`, `operation`); for a colour ramp `color_ramp.interpolation`
+    properties  attributes of the node (`distribution`, `operation`); for a colour ramp
+    `color_ramp.interpolation`
     inputs      socket identifier → default_value: a float or a tuple (RGBA for a colour)
     ramp        colour ramps only: ((position, (r, g, b, 1)), …), at most 32
     """
@@ -47,7 +53,9 @@ class Link:
 
 @dataclass(frozen=True)
 class Graph:
-    """nodes: tuple of Node; links: tuple of Link. The surface leaves at the node named `output`, input `Surface`."""
+    """nodes: tuple of Node; links: tuple of Link. The surface leaves at the node named `output`,
+    input `Surface`.
+    """
 
     nodes: tuple
     links: tuple
@@ -61,13 +69,17 @@ OUTPUT = Node("output", "ShaderNodeOutputMaterial")
 
 
 class _Drawing:
-    """Nodes and links while they are being put down; the facing and geometry nodes appear once, when first needed."""
+    """Nodes and links while they are being put down; the facing and geometry nodes appear once,
+    when first needed.
+    """
 
     def __init__(self):
         self.nodes, self.links = [], []
 
     def add(self, name, kind, properties=None, inputs=None, ramp=(), **feeds):
-        """Puts a node down. feeds: input identifier = (node name, output identifier). Returns its name."""
+        """Puts a node down. feeds: input identifier = (node name, output identifier). Returns its
+        name.
+        """
         self.nodes.append(Node(name, kind, properties or {}, inputs or {}, ramp))
         self.links += [Link(*source, name, socket) for socket, source in feeds.items()]
         return name
@@ -83,7 +95,13 @@ class _Drawing:
     def ramp(self, name, stops, rgb):
         """Colour ramp over the facing; rgb (V, 3) in [0, 1]. Returns its colour output."""
         colours = tuple((float(x), (*map(float, c), 1.0)) for x, c in zip(stops, rgb, strict=True))
-        self.add(name, "ShaderNodeValToRGB", {"color_ramp.interpolation": "LINEAR"}, ramp=colours, Fac=self.facing())
+        self.add(
+            name,
+            "ShaderNodeValToRGB",
+            {"color_ramp.interpolation": "LINEAR"},
+            ramp=colours,
+            Fac=self.facing(),
+        )
         return name, "Color"
 
 
@@ -102,7 +120,10 @@ def graph(mixture):
         if surface is None:
             surface = shader
         else:
-            surface = drawing.add(f"sum {k}", "ShaderNodeAddShader", Shader=surface, Shader_001=shader), "Shader"
+            surface = (
+                drawing.add(f"sum {k}", "ShaderNodeAddShader", Shader=surface, Shader_001=shader),
+                "Shader",
+            )
     drawing.links.append(Link(*surface, OUTPUT.name, "Surface"))
     return Graph(tuple(drawing.nodes), tuple(drawing.links))
 
@@ -116,7 +137,12 @@ def _closure(drawing, mixture, k):
         bl_idname, inputs["Roughness"] = "ShaderNodeBsdfDiffuse", 0.0
     else:
         half = 1.0 if kind == "sheen" else 0.5  # Roughness = √α for Glossy, α itself for Sheen
-        _feed(inputs, feeds, "Roughness", _roughness(drawing, f"roughness {k}", mixture.stops, half * mixture.log_alpha[:, k]))
+        _feed(
+            inputs,
+            feeds,
+            "Roughness",
+            _roughness(drawing, f"roughness {k}", mixture.stops, half * mixture.log_alpha[:, k]),
+        )
         bl_idname = "ShaderNodeBsdfSheen" if kind == "sheen" else "ShaderNodeBsdfGlossy"
         properties["distribution"] = "ASHIKHMIN" if kind == "sheen" else GLOSSY[kind]
     if kind != "diffuse" and kind != "sheen":
@@ -135,23 +161,37 @@ def _feed(inputs, feeds, socket, value):
 
 
 def _colour(drawing, name, stops, rgb):
-    """RGB weights (V, 3) over the facing: a ramp of values up to 1, times their largest; or one RGBA if they never change."""
+    """RGB weights (V, 3) over the facing: a ramp of values up to 1, times their largest; or one
+    RGBA if they never change.
+    """
     if np.ptp(rgb, axis=0).max() == 0:
         return (*map(float, rgb[0]), 1.0)
     scale = float(rgb.max())
     source = drawing.ramp(f"{name} ramp", stops, rgb / scale)
-    return drawing.add(name, "ShaderNodeVectorMath", {"operation": "SCALE"}, {"Scale": scale}, Vector=source), "Vector"
+    return (
+        drawing.add(
+            name, "ShaderNodeVectorMath", {"operation": "SCALE"}, {"Scale": scale}, Vector=source
+        ),
+        "Vector",
+    )
 
 
 def _scalar(drawing, name, stops, values):
-    """Values (V,) over the facing: a grey ramp in [0, 1], then × range + lowest; or a float if they never change."""
+    """Values (V,) over the facing: a grey ramp in [0, 1], then × range + lowest; or a float if they
+    never change.
+    """
     low, span = float(values.min()), float(np.ptp(values))
     if span < 1e-9:
         return low
     grey = np.repeat(((values - low) / span)[:, None], 3, axis=1)
     source = drawing.ramp(f"{name} ramp", stops, grey)
     scale = {"Value_001": span, "Value_002": low}
-    return drawing.add(f"{name} range", "ShaderNodeMath", {"operation": "MULTIPLY_ADD"}, scale, Value=source), "Value"
+    return (
+        drawing.add(
+            f"{name} range", "ShaderNodeMath", {"operation": "MULTIPLY_ADD"}, scale, Value=source
+        ),
+        "Value",
+    )
 
 
 def _roughness(drawing, name, stops, log_roughness):

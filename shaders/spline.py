@@ -1,8 +1,8 @@
 """Quadratic B-spline over θ_d with nine clamped knots: six control values a curve.
 
 u: θ_d / (π/2) in [0, 1].  Knots 0 0 0 ¼ ½ ¾ 1 1 1, hence the four intervals of x = 4u in [0, 4].
-Source: supplement, "Material" ("a second degree B-spline with nine knots, which results in 6 variables");
-the knots' places are our choice: the paper does not give them.
+Source: supplement, "Material" ("a second degree B-spline with nine knots, which results in 6
+variables"); the knots' places are our choice: the paper does not give them.
 """
 
 import numpy as np
@@ -23,7 +23,9 @@ def basis(theta_d):
     x = xp.clip(theta_d * (2 * INTERVALS / np.pi), 0.0, float(INTERVALS))
 
     def edge(x):
-        """First two functions seen from a clamped end at x = 0: each lives on one or two intervals."""
+        """First two functions seen from a clamped end at x = 0: each lives on one or two
+        intervals.
+        """
         first = xp.where(x < 1, (1 - x) ** 2, 0 * x)
         second = xp.where(x < 1, 2 * x - 1.5 * x * x, xp.where(x < 2, 0.5 * (2 - x) ** 2, 0 * x))
         return first, second
@@ -64,6 +66,12 @@ def basis_slope(theta_d):
 
 
 def greville():
-    """Angles (6,) at which each control value has its say: the averages of neighbouring inner knots."""
-    knots = np.concatenate([[0, 0, 0], np.arange(1, INTERVALS), [INTERVALS] * 3]) / INTERVALS * (np.pi / 2)
+    """Angles (6,) at which each control value has its say: the averages of neighbouring inner
+    knots.
+    """
+    knots = (
+        np.concatenate([[0, 0, 0], np.arange(1, INTERVALS), [INTERVALS] * 3])
+        / INTERVALS
+        * (np.pi / 2)
+    )
     return 0.5 * (knots[1:7] + knots[2:8])

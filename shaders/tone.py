@@ -14,7 +14,8 @@ def srgb(linear):
     """The sRGB curve of values in [0, 1]; values outside are clipped."""
     xp = namespace(linear)
     x = xp.clip(linear, 0.0, 1.0)
-    safe = xp.clip(x, 0.0031308, 1.0)  # the power's slope is infinite at 0, where the straight part is used
+    # the power's slope is infinite at 0, where the straight part is used
+    safe = xp.clip(x, 0.0031308, 1.0)
     return xp.where(x <= 0.0031308, 12.92 * x, 1.055 * safe ** (1 / 2.4) - 0.055)
 
 
@@ -26,7 +27,8 @@ def display(radiance, exposure):
 def auto_exposure(radiance, mask, percentile=99.0):
     """The factor that brings the mask's `percentile` of luminance to 1.
 
-    radiance (height, width, 3), mask (height, width) bool. Returns 1.0 for an empty mask or a black picture.
+    radiance (height, width, 3), mask (height, width) bool. Returns 1.0 for an empty mask or a black
+    picture.
     """
     luminance = np.asarray(radiance, dtype=np.float64)[np.asarray(mask, dtype=bool)] @ LUMINANCE
     level = np.percentile(luminance, percentile) if luminance.size else 0.0
@@ -34,7 +36,8 @@ def auto_exposure(radiance, mask, percentile=99.0):
 
 
 def display_l2(a, b, exposure, mask=None):
-    """The paper's L2: mean over pixels of the mean over channels of the squared difference of display values.
+    """The paper's L2: mean over pixels of the mean over channels of the squared difference of
+    display values.
 
     a, b  (height, width, 3) linear radiance; mask (height, width) bool, None: the full frame
     """

@@ -39,7 +39,8 @@ def pytest_terminal_summary(terminalreporter):
 
 @pytest.fixture(autouse=True)
 def strict_floating_point(request):
-    """In the maths tests every overflow, underflow to NaN and division by zero of numpy is an error.
+    """In the maths tests every overflow, underflow to NaN and division by zero of numpy is an
+    error.
 
     Underflow itself stays allowed: exp(−800) = 0 is the right answer for a lobe's far tail.
     """
@@ -64,10 +65,15 @@ def root():
 
 @pytest.fixture(scope="session")
 def shared_data():
-    """The folder of lent development data beside the repository; tests that need it skip without it."""
+    """The folder of lent development data beside the repository; tests that need it skip without
+    it.
+    """
     folder = Path(os.environ.get("BRDFACTORY_SHARED_DATA", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
-        pytest.skip(f"needs the development data in {folder.name}/ beside the repository (BRDFACTORY_SHARED_DATA)")
+        pytest.skip(
+            f"needs the development data in {folder.name}/ beside the repository"
+            " (BRDFACTORY_SHARED_DATA)"
+        )
     return folder
 
 
@@ -94,7 +100,9 @@ def small_files():
 
 @pytest.fixture
 def read_only():
-    """A function of a folder that makes it a read-only file system until the test ends; skips where mounting is not allowed."""
+    """A function of a folder that makes it a read-only file system until the test ends; skips where
+    mounting is not allowed.
+    """
     mounted = []
 
     def mount(folder):

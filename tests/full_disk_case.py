@@ -1,4 +1,6 @@
-"""A command on a disk that is full, in this process: what every command that writes must keep to."""
+"""A command on a disk that is full, in this process: what every command that writes must keep
+to.
+"""
 
 import contextlib
 import errno
@@ -15,7 +17,19 @@ from full_disk_commands import COMMANDS, RUN, SIZE, mesh, pictures
 
 from manifests.cli import main
 
-__all__ = ["BY_NAME", "RUN", "SIZE", "bad_records", "check", "check_read_only", "contents", "done", "drafts", "mesh", "pictures"]
+__all__ = [
+    "BY_NAME",
+    "RUN",
+    "SIZE",
+    "bad_records",
+    "check",
+    "check_read_only",
+    "contents",
+    "done",
+    "drafts",
+    "mesh",
+    "pictures",
+]
 BY_NAME = {command.name: command for command in COMMANDS}
 
 
@@ -36,7 +50,8 @@ def done(words):
 
 @contextlib.contextmanager
 def counted(most=None):
-    """A block in which what is written is counted, in a list of one number; beyond `most` bytes the disk is full.
+    """A block in which what is written is counted, in a list of one number; beyond `most` bytes the
+    disk is full.
 
     It sees what goes through os.write: all that manifests.files and manifests.store write.
     """
@@ -63,8 +78,8 @@ def check(name, room, disk, small_files, seed):
     small_files  the fixture of that name: a count of bytes beyond which no file can be written
     seed         which of its files does not fit, and at which byte the disk is full
 
-    It fails first where nothing is yet, then, if it puts new results in the place of earlier ones, over these; each time
-    it must succeed afterwards, where there is room.
+    It fails first where nothing is yet, then, if it puts new results in the place of earlier ones,
+    over these; each time it must succeed afterwards, where there is room.
     """
     command = BY_NAME[name]
     fine = (0, *command.statuses)
@@ -84,16 +99,27 @@ def check(name, room, disk, small_files, seed):
         assert len(said) == 1 and "Traceback" not in error, (where, error[-500:])
         assert not drafts(folder), (where, drafts(folder))
         left = contents(folder)
-        lost = [path for path in earlier if left.get(path) != earlier[path] and not command.may_change(path)]
+        lost = [
+            path
+            for path in earlier
+            if left.get(path) != earlier[path] and not command.may_change(path)
+        ]
         assert not lost, (where, lost)
-        assert not [path for path in left if not (folder / path).stat().st_size and not command.may_be_empty(path)], where
+        assert not [
+            path
+            for path in left
+            if not (folder / path).stat().st_size and not command.may_be_empty(path)
+        ], where
 
     with counted() as total:
         succeeds(whole)
     moments = random.Random(seed)
     sizes = sorted({path.stat().st_size for path in whole.rglob("*") if path.is_file()} - {0})
     size, most = moments.choice(sizes) - 1, moments.randrange(total[0] // 2, total[0])
-    ways = ((lambda: small_files(size), f"files of at most {size} bytes"), (lambda: counted(most), f"{most} bytes of {total[0]}"))
+    ways = (
+        (lambda: small_files(size), f"files of at most {size} bytes"),
+        (lambda: counted(most), f"{most} bytes of {total[0]}"),
+    )
     for number, (full, what) in enumerate(ways):
         fresh = disk / f"fresh-{number}"
         fresh.mkdir()
@@ -106,7 +132,8 @@ def check(name, room, disk, small_files, seed):
 
 
 def check_read_only(name, room, disk, read_only):
-    """Run a command of the table where it may only read, then where it may not write; raises AssertionError for what it must not do.
+    """Run a command of the table where it may only read, then where it may not write; raises
+    AssertionError for what it must not do.
 
     read_only  the fixture of that name
     """
@@ -119,4 +146,7 @@ def check_read_only(name, room, disk, read_only):
     read_only(disk / "read only")
     status, said, error = done(command.words(room, disk / "read only"))
     assert status == 1, (name, "a folder in which nothing can be written", error[-500:])
-    assert len(said) == 1 and "Traceback" not in error and "Read-only file system" in said[0], (name, error[-500:])
+    assert len(said) == 1 and "Traceback" not in error and "Read-only file system" in said[0], (
+        name,
+        error[-500:],
+    )

@@ -1,14 +1,19 @@
 """The skips that are expected, and why: any other skipped test fails the run.
 
-A pattern is matched against the reason that pytest shows. What is optional for a user may be missing here; what the tests themselves
-need (Blender, torch, numba, the development extra) may not, or a run would be green without having looked.
+A pattern is matched against the reason that pytest shows. What is optional for a user may be
+missing here; what the tests themselves need (Blender, torch, numba, the development extra) may not,
+or a run would be green without having looked.
 """
 
 import re
 
 EXPECTED = {  # pattern of the reason: why a run without it is still whole
-    r"needs the development data in \w+/ beside the repository": "data that is lent and not part of the repository",
-    r"needs the right to mount a (small )?file system": "only root may mount; the same is tested by RLIMIT_FSIZE without it",
+    r"needs the development data in \w+/ beside the repository": (
+        "data that is lent and not part of the repository"
+    ),
+    r"needs the right to mount a (small )?file system": (
+        "only root may mount; the same is tested by RLIMIT_FSIZE without it"
+    ),
     r"needs Debian's package sweethome3d-furniture": "a mesh library of one distribution",
     r"mitsuba is not installed": "extra `witness`: a second renderer, for whoever doubts the first",
     r"mitsuba finds no LLVM": "extra `witness` without a compiler for this processor",
@@ -28,4 +33,8 @@ EXPECTED = {  # pattern of the reason: why a run without it is still whole
 
 def unexpected(reasons: list[tuple[str, str]]) -> list[str]:
     """A line for each (test, reason) whose reason no pattern of EXPECTED matches."""
-    return [f"{test}: {reason}" for test, reason in reasons if not any(re.search(pattern, reason) for pattern in EXPECTED)]
+    return [
+        f"{test}: {reason}"
+        for test, reason in reasons
+        if not any(re.search(pattern, reason) for pattern in EXPECTED)
+    ]

@@ -1,4 +1,6 @@
-"""Which package may import what: factory → {manifests, shaders} ← learn, enforced by imports in fresh interpreters and by ruff."""
+"""Which package may import what: factory → {manifests, shaders} ← learn, enforced by imports in
+fresh interpreters and by ruff.
+"""
 
 import ast
 import importlib.util
@@ -40,8 +42,15 @@ for module in pkgutil.walk_packages(root.__path__, package + "."):
 
 
 def import_all(package, absent):
-    """The error text of importing everything in a package without the absent ones; '' if all went well."""
-    done = subprocess.run([sys.executable, "-c", IMPORT_ALL, package, ",".join(absent)], capture_output=True, text=True, cwd=ROOT)
+    """The error text of importing everything in a package without the absent ones; '' if all went
+    well.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORT_ALL, package, ",".join(absent)],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+    )
     return "" if done.returncode == 0 else done.stderr.strip().splitlines()[-1]
 
 
@@ -57,7 +66,10 @@ def test_the_probe_sees_a_forbidden_import():
 
 
 def test_importing_a_package_starts_neither_blender_nor_torch():
-    code = "import sys, factory, manifests, shaders, learn; sys.exit(bool({'bpy', 'torch'} & set(sys.modules)))"
+    code = (
+        "import sys, factory, manifests, shaders, learn; sys.exit(bool({'bpy', 'torch'} &"
+        " set(sys.modules)))"
+    )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 
@@ -68,12 +80,14 @@ def test_the_factory_imported_is_ours_and_not_factory_boys(root):
     assert importlib.util.find_spec("factory.declarations") is None
 
 
-@pytest.mark.parametrize(("program", "light"), [("factory", ("numpy", "bpy", "trimesh")), ("learn", ("numpy", "torch"))])
+@pytest.mark.parametrize(
+    ("program", "light"), [("factory", ("numpy", "bpy", "trimesh")), ("learn", ("numpy", "torch"))]
+)
 def test_help_loads_no_heavy_library(program, light):
     code = (
         f"import sys, runpy; sys.argv = ['{program}', '--help']\n"
         f"try: runpy.run_module('{program}', run_name='__main__')\n"
-        f"except SystemExit as end: assert not end.code\n"
+        "except SystemExit as end: assert not end.code\n"
         f"assert not set({light}) & set(sys.modules), set({light}) & set(sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
@@ -92,12 +106,30 @@ def test_ruff_refuses_each_forbidden_import_in_its_folder(root, package):
     names = banned(root, package)
     assert names >= set(ABSENT[package]) - {"manifests"}
     for name in sorted(names):
-        command = [sys.executable, "-m", "ruff", "check", "--no-cache", "--output-format", "concise", "--select", "TID251"]
+        command = [
+            sys.executable,
+            "-m",
+            "ruff",
+            "check",
+            "--no-cache",
+            "--output-format",
+            "concise",
+            "--select",
+            "TID251",
+        ]
         offending = f"import {name}\n\nprint({name})\n"
         done = subprocess.run(
-            [*command, "--stdin-filename", f"{package}/new_module.py", "-"], input=offending, capture_output=True, text=True, cwd=root
+            [*command, "--stdin-filename", f"{package}/new_module.py", "-"],
+            input=offending,
+            capture_output=True,
+            text=True,
+            cwd=root,
         )
-        assert done.returncode == 1 and f"`{name}` is banned" in done.stdout, (name, done.stdout, done.stderr)
+        assert done.returncode == 1 and f"`{name}` is banned" in done.stdout, (
+            name,
+            done.stdout,
+            done.stderr,
+        )
 
 
 def imports(path):
@@ -114,17 +146,26 @@ def test_no_module_names_a_forbidden_import_even_inside_a_function(root, package
     """A lazy import would pass the fresh interpreter above and fail a user later."""
     forbidden = set(ABSENT[package])
     found = [
-        f"{path}:{line}: {name}" for path in sorted((root / package).rglob("*.py")) for line, name in imports(path) if name in forbidden
+        f"{path}:{line}: {name}"
+        for path in sorted((root / package).rglob("*.py"))
+        for line, name in imports(path)
+        if name in forbidden
     ]
     assert not found
 
 
 def test_only_the_rendering_modules_import_blender(root):
-    found = {path.relative_to(root).parts[:2] for path in (root / "factory").rglob("*.py") for _, name in imports(path) if name == "bpy"}
+    found = {
+        path.relative_to(root).parts[:2]
+        for path in (root / "factory").rglob("*.py")
+        for _, name in imports(path)
+        if name == "bpy"
+    }
     assert found <= {("factory", "render")}
 
 
-# Calls that write files past manifests.files, and why they may: (module, the call without its arguments).
+# Calls that write files past manifests.files, and why they may: (module, the call without its
+# arguments).
 WRITERS = {
     ("manifests/files.py", "os.open"): "the one home of writing whole files",
     ("manifests/files.py", "os.replace"): "the same",
@@ -132,18 +173,30 @@ WRITERS = {
     ("manifests/store.py", "os.link"): "a whole file takes its place unless another has it",
     ("manifests/store.py", "os.replace"): "the same where there are no links",
     ("manifests/lock.py", "os.open"): "a lock is an empty file",
-    ("factory/execution/pool.py", "open"): "a worker's complaints, read while it lives and then thrown away",
+    (
+        "factory/execution/pool.py",
+        "open",
+    ): "a worker's complaints, read while it lives and then thrown away",
     ("factory/execution/forecast.py", "tempfile.TemporaryDirectory"): "three shots made on trial",
-    ("factory/render/validation/benchmark.py", "tempfile.TemporaryDirectory"): "pictures made to be timed",
-    ("learn/experiments/commands/step_profile.py", "tempfile.TemporaryDirectory"): "a run made to be timed",
+    (
+        "factory/render/validation/benchmark.py",
+        "tempfile.TemporaryDirectory",
+    ): "pictures made to be timed",
+    (
+        "learn/experiments/commands/step_profile.py",
+        "tempfile.TemporaryDirectory",
+    ): "a run made to be timed",
     ("learn/experiments/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",
 }
 INTO_MEMORY = {"buffer", "data", "file", "png"}  # first arguments that are streams
-OURS = {"checkpoint", "weights", "priors", "edit"}  # modules of ours whose save() goes through manifests.files
+# modules of ours whose save() goes through manifests.files
+OURS = {"checkpoint", "weights", "priors", "edit"}
 
 
 def writing(call):
-    """What a call is, if it may write a file itself: "os.replace", "open", "….write_text"; None otherwise."""
+    """What a call is, if it may write a file itself: "os.replace", "open", "….write_text"; None
+    otherwise.
+    """
     function = call.func
     name = function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
     owner = ast.unparse(function.value) if isinstance(function, ast.Attribute) else ""
@@ -159,7 +212,8 @@ def writing(call):
             return None if keywords.get("fileobj") == "file" else text
         return text if mode[:1] in "'\"" and set(mode) & set("wax+") else None
     if name == "replace":
-        return text if owner == "os" or (len(call.args) == 1 and not keywords) else None  # of a path; of a text it has two
+        # of a path; of a text it has two
+        return text if owner == "os" or (len(call.args) == 1 and not keywords) else None
     if name in ("write_text", "write_bytes"):
         return text if owner not in ("", "files") else None
     if name in ("save", "savefig", "savez", "savez_compressed", "ParquetWriter"):
@@ -172,13 +226,17 @@ def writing(call):
 
 
 def test_every_file_is_written_by_the_one_home_of_writing(root):
-    """A library, or a plain open(), may pass over the error of a full disk, and leaves half a file where it does not."""
+    """A library, or a plain open(), may pass over the error of a full disk, and leaves half a file
+    where it does not.
+    """
     found = {}
     for package in ABSENT:
         for path in sorted((root / package).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Call) and (text := writing(node)):
-                    found.setdefault((path.relative_to(root).as_posix(), text), []).append(node.lineno)
+                    found.setdefault((path.relative_to(root).as_posix(), text), []).append(
+                        node.lineno
+                    )
     assert {key: lines for key, lines in found.items() if key not in WRITERS} == {}
     assert WRITERS.keys() - found.keys() == set()  # an exception that nobody needs is taken back
 

@@ -1,7 +1,8 @@
 """What the documents say is true: their code runs, their commands run, the names they give exist.
 
-Commands run in an empty folder, in the order of the page, at a smaller size: SMALLER lists every substitution, and nothing else is changed.
-`make` lines are checked without being carried out; `.ci/run` carries them out.
+Commands run in an empty folder, in the order of the page, at a smaller size: SMALLER lists every
+substitution, and nothing else is changed. `make` lines are checked without being carried out;
+`.ci/run` carries them out.
 """
 
 import argparse
@@ -18,14 +19,17 @@ import pytest
 from PIL import Image
 
 DOCUMENTS = ("README.md", "docs/conventions.md")
-WITH_CODE = ("docs/conventions.md", "docs/layer-in-a-model.md")  # pages whose blocks of Python are run here
+# pages whose blocks of Python are run here
+WITH_CODE = ("docs/conventions.md", "docs/layer-in-a-model.md")
 SMALLER = [
-    (r"^(python -m factory render .*)$", r"\1 --limit 2"),  # two pictures show that the command works
+    # two pictures show that the command works
+    (r"^(python -m factory render .*)$", r"\1 --limit 2"),
     (r"--size \d+", "--size 24"),
     (r"--samples \d+", "--samples 4"),
     (r"--workers \d+", "--workers 1"),
     (r"^(python -m learn agree .*)$", r"\1 --limit 2"),
-    (r"^(python -m learn (edit|transfer) .*)$", r"\1 --no-refine"),  # tests/learn/test_editing_wired.py refines
+    # tests/learn/test_editing_wired.py refines
+    (r"^(python -m learn (edit|transfer) .*)$", r"\1 --no-refine"),
 ]
 USERS_FILES = {"my-chair.obj": "manifests/jobs/meshes/vase.obj"}  # what a reader has and we do not
 
@@ -39,7 +43,9 @@ def photographs(folder):
     Image.fromarray(picture).save(folder / "photo.jpg")
     Image.fromarray((255 * inside).astype(np.uint8)).save(folder / "mask.png")
     for name in "abc":
-        Image.fromarray(np.dstack([picture, (255 * inside).astype(np.uint8)])).save(folder / f"{name}.png")
+        Image.fromarray(np.dstack([picture, (255 * inside).astype(np.uint8)])).save(
+            folder / f"{name}.png"
+        )
 
 
 def blocks(root, document, language):
@@ -58,12 +64,21 @@ def commands(root):
 
 
 def test_the_pages_with_python_blocks_are_those_whose_blocks_are_run(root):
-    written = [page for page in (*pages(root), "CHANGELOG.md", "docs/log.md") if blocks(root, page, "python")]
+    written = [
+        page
+        for page in (*pages(root), "CHANGELOG.md", "docs/log.md")
+        if blocks(root, page, "python")
+    ]
     assert sorted(written) == sorted(
         (*WITH_CODE, "docs/dataset.md")
     )  # that one's are run on a data set: tests/manifests/test_dataset_page.py
-    fences = re.findall(r"^```(\S+)", "".join((root / page).read_text(encoding="utf-8") for page in pages(root)), flags=re.M)
-    assert set(fences) <= {"python", "sh", "json", "text"}  # another spelling of a language would not be found
+    fences = re.findall(
+        r"^```(\S+)",
+        "".join((root / page).read_text(encoding="utf-8") for page in pages(root)),
+        flags=re.M,
+    )
+    # another spelling of a language would not be found
+    assert set(fences) <= {"python", "sh", "json", "text"}
 
 
 @pytest.mark.parametrize("document", WITH_CODE)
@@ -83,30 +98,57 @@ def test_every_command_of_the_documents_runs(root, tmp_path):
         shutil.copy(root / source, tmp_path / name)
     photographs(tmp_path)
     Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(tmp_path / "not-a-map.png")
-    environment = {**os.environ, "PYTHONPATH": str(root), "PATH": f"{os.path.dirname(sys.executable)}{os.pathsep}{os.environ['PATH']}"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(root),
+        "PATH": f"{os.path.dirname(sys.executable)}{os.pathsep}{os.environ['PATH']}",
+    }
     ran = 0
     for document, command in commands(root):
         if command.startswith("make "):
-            done = subprocess.run([*shlex.split(command), "--dry-run"], cwd=root, capture_output=True, text=True, timeout=60)
+            done = subprocess.run(
+                [*shlex.split(command), "--dry-run"],
+                cwd=root,
+                capture_output=True,
+                text=True,
+                timeout=60,
+            )
         else:
-            assert re.match(r"python -m (factory|learn) ", command), f"{document}: how is '{command}' to be run?"
+            assert re.match(r"python -m (factory|learn) ", command), (
+                f"{document}: how is '{command}' to be run?"
+            )
             for pattern, smaller in SMALLER:
                 command = re.sub(pattern, smaller, command)
             arguments = [sys.executable, *shlex.split(command)[1:]]
-            done = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+            done = subprocess.run(
+                arguments,
+                cwd=tmp_path,
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=300,
+            )
             ran += 1
-        assert done.returncode == 0, f"{document}: {command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        assert done.returncode == 0, (
+            f"{document}: {command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        )
     assert ran >= 5
 
 
 def test_every_file_that_a_document_names_exists(root):
     missing = []
     for document in (*pages(root), "CHANGELOG.md", "docs/log.md"):
-        text = re.sub(r"^```.*?^```", "", (root / document).read_text(encoding="utf-8"), flags=re.M | re.S)
+        text = re.sub(
+            r"^```.*?^```", "", (root / document).read_text(encoding="utf-8"), flags=re.M | re.S
+        )
         named = re.findall(r"`((?:docs|factory|learn|manifests|shaders|tests)/[\w./-]*)`", text)
         named += re.findall(r"\]\(((?!https?:)[^)#]+)\)", text)
         base = (root / document).parent
-        missing += [f"{document}: {name}" for name in named if not ((root / name).exists() or (base / name).exists())]
+        missing += [
+            f"{document}: {name}"
+            for name in named
+            if not ((root / name).exists() or (base / name).exists())
+        ]
     assert not missing
 
 
@@ -114,16 +156,24 @@ def pages(root):
     """Names of all documents that tell of the present: not the log."""
     return [
         *DOCUMENTS,
-        *sorted(f"docs/{path.name}" for path in (root / "docs").glob("*.md") if path.name not in ("log.md", "conventions.md")),
+        *sorted(
+            f"docs/{path.name}"
+            for path in (root / "docs").glob("*.md")
+            if path.name not in ("log.md", "conventions.md")
+        ),
     ]
 
 
 def told_commands(root):
-    """(document, program, words) of every whole command in a block or between backquotes; `…` and NAME alone tell of a command's name."""
+    """(document, program, words) of every whole command in a block or between backquotes; `…` and
+    NAME alone tell of a command's name.
+    """
     for document in pages(root):
         text = (root / document).read_text(encoding="utf-8")
         inline = re.findall(r"`python -m (factory|learn) ([^`]*)`", text)
-        lines = re.findall(r"^(?: {4}|)(?:for .*; do )?python -m (factory|learn) (.*)$", text, flags=re.M)
+        lines = re.findall(
+            r"^(?: {4}|)(?:for .*; do )?python -m (factory|learn) (.*)$", text, flags=re.M
+        )
         for program, line in inline + lines:
             words = shlex.split(re.split(r"\s{2,}#|; done", line)[0])
             if words[-1] not in ("--help", "...", "…") and len(words) > 1:
@@ -142,7 +192,10 @@ def test_every_command_that_a_document_names_can_be_given_so(root, capsys):
             parser.parse_args(words)
             ran.append(words)
         except SystemExit:
-            refused.append(f"{document}: {program} {' '.join(words)}: {capsys.readouterr().err.splitlines()[-1]}")
+            refused.append(
+                f"{document}: {program} {' '.join(words)}:"
+                f" {capsys.readouterr().err.splitlines()[-1]}"
+            )
     assert not refused
     assert len(ran) > 40
 
@@ -150,12 +203,18 @@ def test_every_command_that_a_document_names_can_be_given_so(root, capsys):
 def test_the_makefile_helps_with_every_target_it_offers(root):
     text = (root / "Makefile").read_text()
     targets = re.search(r"^\.PHONY: (.*)$", text, flags=re.M)[1].split()
-    shown = subprocess.run(["make", "help"], cwd=root, capture_output=True, text=True, check=True).stdout
+    shown = subprocess.run(
+        ["make", "help"], cwd=root, capture_output=True, text=True, check=True
+    ).stdout
     assert {t for t in targets if t != "help" and f"make {t} " not in shown} == set()
 
 
 def test_constraints_pin_versions_and_name_no_address(root):
-    lines = [line for line in (root / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")]
+    lines = [
+        line
+        for line in (root / "constraints.txt").read_text().splitlines()
+        if line and not line.startswith("#")
+    ]
     assert lines and all(
         re.fullmatch(r'[\w.-]+==[\w.!]+(; python_version [<>=]+ "[\d.]+")?', line) for line in lines
     )  # no '+cpu', no address, no range

@@ -1,4 +1,6 @@
-"""What pip is told: every Python that the project admits has its pins, and every package says that it is typed."""
+"""What pip is told: every Python that the project admits has its pins, and every package says that
+it is typed.
+"""
 
 import tomllib
 
@@ -20,14 +22,21 @@ def test_the_project_admits_the_pythons_it_was_tried_on_and_no_other(project):
 
 
 @pytest.mark.parametrize("python", PYTHONS)
-def test_each_python_has_one_pin_for_each_package_and_for_all_that_is_asked_for(root, project, python):
+def test_each_python_has_one_pin_for_each_package_and_for_all_that_is_asked_for(
+    root, project, python
+):
     lines = (root / "constraints.txt").read_text(encoding="utf-8").splitlines()
     pins = [Requirement(line) for line in lines if line and not line.startswith("#")]
-    here = [pin for pin in pins if pin.marker is None or pin.marker.evaluate({"python_version": python})]
+    here = [
+        pin for pin in pins if pin.marker is None or pin.marker.evaluate({"python_version": python})
+    ]
     names = [pin.name.lower() for pin in here]
     assert sorted(set(names)) == sorted(names)
     extras = project["project"]["optional-dependencies"]
-    asked = [Requirement(text) for text in [*project["project"]["dependencies"], *extras["learn"], *extras["dev"]]]
+    asked = [
+        Requirement(text)
+        for text in [*project["project"]["dependencies"], *extras["learn"], *extras["dev"]]
+    ]
     for requirement in asked:
         (pin,) = [pin for pin in here if pin.name.lower() == requirement.name.lower()]
         (version,) = [specifier.version for specifier in pin.specifier]

@@ -1,4 +1,5 @@
-"""Where the paper's text must not be followed to the letter: each test shows the printed form failing and ours holding.
+"""Where the paper's text must not be followed to the letter: each test shows the printed form
+failing and ours holding.
 
 The README's table "Deviations from the paper" has a row for each test here, with its figures.
 Printed forms are written out below as the supplement has them; ours come from shaders/ and learn/.
@@ -55,12 +56,15 @@ def picture(n, m, L, w, weight):
     for n_p in n:
         mu = np.maximum(w @ n_p, 0)
         lit = mu > 0
-        rows.append((dsbrdf.evaluate(m, h[lit] @ n_p, theta_d[lit]) * E[lit] * mu[lit, None]).sum(0))
+        rows.append(
+            (dsbrdf.evaluate(m, h[lit] @ n_p, theta_d[lit]) * E[lit] * mu[lit, None]).sum(0)
+        )
     return np.stack(rows)
 
 
 def image_errors(w, weight, m, L):
-    """Relative rms difference (3,) of a sphere's picture from ours under each of three lights, the channels of L.
+    """Relative rms difference (3,) of a sphere's picture from ours under each of three lights, the
+    channels of L.
 
     The exposure is matched, so that only the look-up counts.
     """
@@ -77,8 +81,16 @@ def percent_range(values, digits=0):
 
 @pytest.fixture(scope="module")
 def L():
-    """The luminance of three computed lights as three channels: the materials here are grey, so that one picture shows all three."""
-    return np.stack([load(f"{family}-1").L64 @ envmap.LUMINANCE for family in ("sun-and-sky", "one-texel", "softboxes")], -1).astype(float)
+    """The luminance of three computed lights as three channels: the materials here are grey, so
+    that one picture shows all three.
+    """
+    return np.stack(
+        [
+            load(f"{family}-1").L64 @ envmap.LUMINANCE
+            for family in ("sun-and-sky", "one-texel", "softboxes")
+        ],
+        -1,
+    ).astype(float)
 
 
 @pytest.fixture(scope="module")
@@ -119,15 +131,21 @@ def test_rows_at_texel_corners_lose_the_zenith_and_centres_keep_it(L, cost):
     assert picture(sphere(), DIFFUSE, zenith_lamp, w, weight).max() == 0.0
     assert picture(sphere(), DIFFUSE, zenith_lamp, W_OURS, WEIGHT_OURS).max() > 0.0
 
-    # a row's texels, weighed by solid angle, balance at the mean of its edges' heights: centres lie there to (π/64)²/8 = 3e-4
+    # a row's texels, weighed by solid angle, balance at the mean of its edges' heights: centres lie
+    # there to (π/64)²/8 = 3e-4
     edges = np.cos(np.pi * np.arange(65) / 64)
     balance = (edges[:-1] + edges[1:]) / 2
     assert np.abs(np.cos(theta[:, 0]) - balance).max() > 0.02
     np.testing.assert_allclose(W_LIGHT[:, 0, 1], balance, atol=4e-4)
 
     # all is half a texel, 1.4°, off: little for a matte sphere, much for a mirror
-    matte, chrome = percent_range(image_errors(w, weight, DIFFUSE, L), 1), percent_range(image_errors(w, weight, CHROME, L))
-    assert f"{matte} (matte), {chrome} (chrome)" in cost("test_rows_at_texel_corners_lose_the_zenith_and_centres_keep_it")
+    matte, chrome = (
+        percent_range(image_errors(w, weight, DIFFUSE, L), 1),
+        percent_range(image_errors(w, weight, CHROME, L)),
+    )
+    assert f"{matte} (matte), {chrome} (chrome)" in cost(
+        "test_rows_at_texel_corners_lose_the_zenith_and_centres_keep_it"
+    )
 
 
 def test_the_printed_weight_makes_radiance_415_times_too_large_and_solid_angles_sum_to_the_sphere():
@@ -140,7 +158,8 @@ def test_the_printed_weight_makes_radiance_415_times_too_large_and_solid_angles_
 
 
 def printed_gradient_in_n(n, m, E, w, chain_factor, upstream=(1, 1, 1)):
-    """∂I/∂n (3,) as printed, n not held to unit length; `chain_factor` puts the missing h^c into the second term.
+    """∂I/∂n (3,) as printed, n not held to unit length; `chain_factor` puts the missing h^c into
+    the second term.
 
     Returns also the same by central differences of the printed sum.
     """
@@ -150,11 +169,17 @@ def printed_gradient_in_n(n, m, E, w, chain_factor, upstream=(1, 1, 1)):
 
     def total(n):
         c, mu = np.maximum(h @ n, 0), np.maximum(w @ n, 0)
-        f = np.where((c > 0)[:, None, None], np.expm1(kappa * np.maximum(c, 1e-300)[:, None, None] ** gamma), 0).sum(-1)
+        f = np.where(
+            (c > 0)[:, None, None],
+            np.expm1(kappa * np.maximum(c, 1e-300)[:, None, None] ** gamma),
+            0,
+        ).sum(-1)
         return (f * E * mu[:, None]).sum()
 
     step = 1e-6
-    differences = np.array([(total(n + step * e) - total(n - step * e)) / (2 * step) for e in np.eye(3)])
+    differences = np.array(
+        [(total(n + step * e) - total(n - step * e)) / (2 * step) for e in np.eye(3)]
+    )
 
     c, mu = h @ n, w @ n
     lit = (c > 0) & (mu > 0)
@@ -162,7 +187,9 @@ def printed_gradient_in_n(n, m, E, w, chain_factor, upstream=(1, 1, 1)):
     power = c[:, None, None] ** gamma
     first = (np.expm1(kappa * power).sum(-1) * E[lit]).sum(-1) @ w[lit]
     slope = (np.exp(kappa * power) * kappa * gamma * c[:, None, None] ** (gamma - 1)).sum(-1)
-    second = ((slope * E[lit]).sum(-1) * mu)[:, None] * (h[lit] if chain_factor else np.ones((1, 3)))
+    second = ((slope * E[lit]).sum(-1) * mu)[:, None] * (
+        h[lit] if chain_factor else np.ones((1, 3))
+    )
     return first + second.sum(0), differences
 
 
@@ -176,13 +203,17 @@ def test_the_normals_gradient_needs_the_chain_factor_h(cost):
     m = material([0.2, 0.5, 1.0], [0.5, 10.0, 60.0])
     printed, differences = printed_gradient_in_n(n, m, E, W_OURS, chain_factor=False)
     ours, _ = printed_gradient_in_n(n, m, E, W_OURS, chain_factor=True)
-    assert f"gradient off by {100 * relative(printed, differences):.0f} %" in cost("test_the_normals_gradient_needs_the_chain_factor_h")
+    assert f"gradient off by {100 * relative(printed, differences):.0f} %" in cost(
+        "test_the_normals_gradient_needs_the_chain_factor_h"
+    )
     # central differences with step 1e-6: their rounding, 1e-16 / 1e-6, is ten times what is left
     assert relative(ours, differences) < 1e-9
 
 
 def torch_scene(pixels=2):
-    """A small scene for the layer: n (1, 1, P, 3), material (1, 108), light (1, 8, 16, 3), float64."""
+    """A small scene for the layer: n (1, 1, P, 3), material (1, 108), light (1, 8, 16, 3),
+    float64.
+    """
     torch = pytest.importorskip("torch")
     rng = np.random.default_rng(7)
     n = rng.normal(size=(pixels, 3))
@@ -200,12 +231,19 @@ def test_the_layers_gradient_in_n_is_its_finite_difference():
 
     n, m, light = torch_scene()
     render(n, m, light, method="exact").sum().backward()
-    tangent = torch.linalg.cross(n.detach(), torch.tensor([0.3, 0.8, 0.5], dtype=torch.float64).expand_as(n))
+    tangent = torch.linalg.cross(
+        n.detach(), torch.tensor([0.3, 0.8, 0.5], dtype=torch.float64).expand_as(n)
+    )
     step = 1e-6
     with torch.no_grad():
         unit = torch.nn.functional.normalize
-        ahead, behind = (render(unit(n + s * tangent, dim=-1), m, light, method="exact").sum() for s in (step, -step))
-    assert float((n.grad * tangent).sum()) == pytest.approx(float(ahead - behind) / (2 * step), rel=1e-6)
+        ahead, behind = (
+            render(unit(n + s * tangent, dim=-1), m, light, method="exact").sum()
+            for s in (step, -step)
+        )
+    assert float((n.grad * tangent).sum()) == pytest.approx(
+        float(ahead - behind) / (2 * step), rel=1e-6
+    )
 
 
 def test_a_gradient_summed_over_colours_is_right_only_for_a_loss_that_weighs_them_equally(cost):
@@ -213,9 +251,16 @@ def test_a_gradient_summed_over_colours_is_right_only_for_a_loss_that_weighs_the
     E = load("softboxes-1").L64.reshape(-1, 3) * WEIGHT_OURS[:, None] * [1.0, 0.4, 0.1]
     m = material([0.2, 0.5, 1.0], [0.5, 10.0, 60.0])
     summed, _ = printed_gradient_in_n(n, m, E, W_OURS, chain_factor=True)
-    blue, differences = printed_gradient_in_n(n, m, E, W_OURS, chain_factor=True, upstream=(0, 0, 1))
-    told = cost("test_a_gradient_summed_over_colours_is_right_only_for_a_loss_that_weighs_them_equally")
-    assert f"off by a factor of {np.linalg.norm(summed) / np.linalg.norm(differences):.0f} for a blue loss" in told
+    blue, differences = printed_gradient_in_n(
+        n, m, E, W_OURS, chain_factor=True, upstream=(0, 0, 1)
+    )
+    told = cost(
+        "test_a_gradient_summed_over_colours_is_right_only_for_a_loss_that_weighs_them_equally"
+    )
+    assert (
+        f"off by a factor of {np.linalg.norm(summed) / np.linalg.norm(differences):.0f} for a blue"
+        " loss" in told
+    )
     assert relative(blue, differences) < 1e-4
 
     from learn.layer import render  # and the layer takes the upstream gradient
@@ -253,7 +298,8 @@ def test_background_pixels_poison_the_printed_layer_and_not_ours():
     n = torch.zeros(3, dtype=torch.float64, requires_grad=True)  # a background pixel
     h, gamma = torch.tensor([0.0, 0.6, 0.8], dtype=torch.float64), 0.5
     value = torch.expm1(0.3 * (h @ n).clamp(min=0) ** gamma)
-    torch.where(torch.tensor(False), value, torch.zeros_like(value)).backward()  # masking afterwards does not help
+    # masking afterwards does not help
+    torch.where(torch.tensor(False), value, torch.zeros_like(value)).backward()
     assert torch.isnan(n.grad).all()
 
     n, m, light = torch_scene(pixels=4)
@@ -267,10 +313,14 @@ def test_background_pixels_poison_the_printed_layer_and_not_ours():
 
 
 def test_a_normals_length_carries_no_light():
-    """As printed a longer n is brighter, so an optimiser cheats by scaling it; ours has no slope along n."""
+    """As printed a longer n is brighter, so an optimiser cheats by scaling it; ours has no slope
+    along n.
+    """
     n = np.array([0.3, -0.2, np.sqrt(1 - 0.13)])
     E = load("softboxes-1").L64.reshape(-1, 3) * WEIGHT_OURS[:, None]
-    printed, _ = printed_gradient_in_n(n, material([0.2, 0, 0], [1, 1, 1]), E, W_OURS, chain_factor=True)
+    printed, _ = printed_gradient_in_n(
+        n, material([0.2, 0, 0], [1, 1, 1]), E, W_OURS, chain_factor=True
+    )
     assert printed @ n > 0.5 * np.linalg.norm(printed)
 
     from learn.layer import render
@@ -294,18 +344,24 @@ def test_nishinos_sign_with_this_papers_kappa_reflects_negative_light():
 
 
 def sum_against_integral(gamma):
-    """Largest relative error over normals of the 64×128 sum of one lobe under constant light, against its integral.
+    """Largest relative error over normals of the 64×128 sum of one lobe under constant light,
+    against its integral.
 
-    The integral is taken around the mirror direction, in rings 0.1 of the lobe's width apart, out to where c^γ < e^−24.
+    The integral is taken around the mirror direction, in rings 0.1 of the lobe's width apart, out
+    to where c^γ < e^−24.
     """
     rng = np.random.default_rng(3)
     m = material([1e-3, 0, 0], [gamma, 1, 1])
     n = rng.normal(size=(48, 3)) * [0.25, 0.25, 0] + V
     n /= np.linalg.norm(n, axis=-1, keepdims=True)
     edges = np.linspace(0, min(np.pi / 2, 14 / np.sqrt(gamma)), 141)
-    ring, turn = np.meshgrid((edges[:-1] + edges[1:]) / 2, 2 * np.pi * np.arange(96) / 96, indexing="ij")
+    ring, turn = np.meshgrid(
+        (edges[:-1] + edges[1:]) / 2, 2 * np.pi * np.arange(96) / 96, indexing="ij"
+    )
     weight = np.repeat((np.cos(edges[:-1]) - np.cos(edges[1:])) * 2 * np.pi / 96, 96)
-    about_mirror = np.stack([np.sin(ring) * np.cos(turn), np.sin(ring) * np.sin(turn), np.cos(ring)], axis=-1).reshape(-1, 3)
+    about_mirror = np.stack(
+        [np.sin(ring) * np.cos(turn), np.sin(ring) * np.sin(turn), np.cos(ring)], axis=-1
+    ).reshape(-1, 3)
     errors = []
     for n_p in n:
         mirror = 2 * (n_p @ V) * n_p - V
@@ -313,14 +369,20 @@ def sum_against_integral(gamma):
         side /= np.linalg.norm(side)
         w = about_mirror @ np.stack([side, np.cross(mirror, side), mirror])
         truth = picture(n_p[None], m, np.ones(w.shape), w, weight)[0, 0]
-        errors.append(picture(n_p[None], m, np.ones((64, 128, 3)), W_OURS, WEIGHT_OURS)[0, 0] / truth - 1)
+        errors.append(
+            picture(n_p[None], m, np.ones((64, 128, 3)), W_OURS, WEIGHT_OURS)[0, 0] / truth - 1
+        )
     return np.abs(errors).max()
 
 
 def test_the_papers_sum_is_right_for_lobes_wider_than_a_texel_and_wrong_for_narrower_ones(cost):
     wide, narrow, narrower = (100 * sum_against_integral(gamma) for gamma in (264, 5000, 30000))
-    told = cost("test_the_papers_sum_is_right_for_lobes_wider_than_a_texel_and_wrong_for_narrower_ones")
-    assert told.endswith(f"{wide:.1f} % at γ = 264, {narrow:.1f} % at 5,000, {narrower:.0f} % at 30,000")
+    told = cost(
+        "test_the_papers_sum_is_right_for_lobes_wider_than_a_texel_and_wrong_for_narrower_ones"
+    )
+    assert told.endswith(
+        f"{wide:.1f} % at γ = 264, {narrow:.1f} % at 5,000, {narrower:.0f} % at 30,000"
+    )
 
 
 # The README's table
@@ -330,11 +392,17 @@ def table(root):
     """Rows of the README's table of deviations, as lists of cells."""
     text = (root / "README.md").read_text(encoding="utf-8")
     section = text.split("## Deviations from the paper", 1)[1].split("\n## ", 1)[0]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line.startswith("|")][2:]
+    return [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in section.splitlines()
+        if line.startswith("|")
+    ][2:]
 
 
 def test_each_row_of_the_readmes_table_names_its_test_and_each_test_has_its_row(root):
     named = set(re.findall(r"`(test_\w+)`", "\n".join(row[-1] for row in table(root))))
-    here = {name for name, value in globals().items() if name.startswith("test_") and callable(value)}
+    here = {
+        name for name, value in globals().items() if name.startswith("test_") and callable(value)
+    }
     here -= {"test_each_row_of_the_readmes_table_names_its_test_and_each_test_has_its_row"}
     assert named == here

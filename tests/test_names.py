@@ -1,4 +1,6 @@
-"""Names in the code are the field's terms (docs/glossary.md): those that were replaced do not come back."""
+"""Names in the code are the field's terms (docs/glossary.md): those that were replaced do not come
+back.
+"""
 
 import ast
 
@@ -22,11 +24,14 @@ RETIRED = {  # the name that was, and the term that stands for it
     "told": "report, summary or metadata",
     "twins": "duplicates",
 }
-LOCAL = {"found": "what it is: result, records, missing", "wanted": "requested, or target"}  # may be a field or an argument, no variable
+# may be a field or an argument, no variable
+LOCAL = {"found": "what it is: result, records, missing", "wanted": "requested, or target"}
 
 
 def names_in(tree):
-    """(name, line, whether it is a local variable) of each name that a syntax tree gives to something."""
+    """(name, line, whether it is a local variable) of each name that a syntax tree gives to
+    something.
+    """
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             yield node.name, node.lineno, False
@@ -45,11 +50,17 @@ def replaced(text):
 
 def test_a_retired_name_is_seen():
     assert list(replaced("class Apart:\n    pass\n")) == ["1: Apart: Decomposition"]
-    assert list(replaced("def f(found):\n    found = [found]\n")) == ["2: found: what it is: result, records, missing"]
+    assert list(replaced("def f(found):\n    found = [found]\n")) == [
+        "2: found: what it is: result, records, missing"
+    ]
 
 
 def test_no_retired_name_is_in_the_code(root):
     packages = ("factory", "learn", "manifests", "shaders")
     paths = [path for package in packages for path in sorted((root / package).rglob("*.py"))]
     assert len(paths) > 200  # else the walk has seen nothing
-    assert [f"{path.relative_to(root)}:{text}" for path in paths for text in replaced(path.read_text(encoding="utf-8"))] == []
+    assert [
+        f"{path.relative_to(root)}:{text}"
+        for path in paths
+        for text in replaced(path.read_text(encoding="utf-8"))
+    ] == []

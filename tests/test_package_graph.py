@@ -1,4 +1,6 @@
-"""The packages of learn and factory are layered: each imports only from those below it, so that there is no cycle."""
+"""The packages of learn and factory are layered: each imports only from those below it, so that
+there is no cycle.
+"""
 
 import ast
 from collections import defaultdict
@@ -23,12 +25,23 @@ LAYERS = {  # from the bottom up
         "experiments",
         "commands",
     ),
-    "factory": ("shapes", "materials", "lights", "render", "planning", "execution", "preview", "commands"),
+    "factory": (
+        "shapes",
+        "materials",
+        "lights",
+        "render",
+        "planning",
+        "execution",
+        "preview",
+        "commands",
+    ),
 }
 
 
 def imports_between(root, program):
-    """{(package, imported package): [file: module]} of a program's modules, imports inside functions included."""
+    """{(package, imported package): [file: module]} of a program's modules, imports inside
+    functions included.
+    """
     edges = defaultdict(list)
     for path in sorted((root / program).rglob("*.py")):
         parts = path.relative_to(root / program).parts
@@ -60,5 +73,7 @@ def test_no_package_imports_from_its_own_height_or_above(root, program):
     height = {name: number for number, name in enumerate(LAYERS[program])}
     edges = imports_between(root, program)
     assert len(edges) > len(height) / 2  # else the walk has found nothing
-    upward = [place for (a, b), places in edges.items() if height[b] >= height[a] for place in places]
+    upward = [
+        place for (a, b), places in edges.items() if height[b] >= height[a] for place in places
+    ]
     assert not upward

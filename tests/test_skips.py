@@ -11,17 +11,34 @@ SKIPS = {
     "in a test": "import pytest\ndef test_a():\n    pytest.skip({reason!r})\n",
     "by a mark": "import pytest\n@pytest.mark.skip(reason={reason!r})\ndef test_a():\n    pass\n",
     "at the top of a module": "import pytest\npytest.skip({reason!r}, allow_module_level=True)\n",
-    "in a fixture": "import pytest\n@pytest.fixture\ndef f():\n    pytest.skip({reason!r})\ndef test_a(f):\n    pass\n",
+    "in a fixture": (
+        "import pytest\n@pytest.fixture\ndef f():\n    pytest.skip({reason!r})\ndef test_a(f):\n   "
+        " pass\n"
+    ),
 }
 
 
 def ended(root, folder, text):
-    """The finished pytest process of one module beside a passing test, with this repository's conftest.py."""
+    """The finished pytest process of one module beside a passing test, with this repository's
+    conftest.py.
+    """
     for name in ("conftest.py", "skips.py"):
         shutil.copy(root / "tests" / name, folder)
     (folder / "test_one.py").write_text(text)
     (folder / "test_two.py").write_text("def test_b():\n    pass\n")
-    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:hypothesispytest", "."]
+    words = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        "-p",
+        "no:hypothesispytest",
+        ".",
+    ]
     return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=60)
 
 
@@ -29,11 +46,19 @@ def ended(root, folder, text):
 def test_an_unexpected_skip_fails_the_run_and_is_named(root, tmp_path, where):
     done = ended(root, tmp_path, SKIPS[where].format(reason="bpy is not installed"))
     assert done.returncode == 1, done.stdout
-    assert "test_one.py" in done.stdout and "skips.py does not expect it" in done.stdout and "bpy is not installed" in done.stdout
+    assert (
+        "test_one.py" in done.stdout
+        and "skips.py does not expect it" in done.stdout
+        and "bpy is not installed" in done.stdout
+    )
 
 
 def test_an_expected_skip_leaves_the_run_green(root, tmp_path):
-    done = ended(root, tmp_path, SKIPS["in a test"].format(reason="mitsuba is not installed: pip install .[witness]"))
+    done = ended(
+        root,
+        tmp_path,
+        SKIPS["in a test"].format(reason="mitsuba is not installed: pip install .[witness]"),
+    )
     assert done.returncode == 0, done.stdout
 
 

@@ -1,4 +1,6 @@
-"""`export DIR`: a dataset for other programs, as a Parquet table of its records or as WebDataset tar files."""
+"""`export DIR`: a dataset for other programs, as a Parquet table of its records or as WebDataset
+tar files.
+"""
 
 
 def register(subparsers):
@@ -8,14 +10,27 @@ def register(subparsers):
     parser = subparsers.add_parser(
         "export",
         help="write records as a Parquet table, or pictures as WebDataset tars",
-        description="Writes a data set in formats for other programs and for object stores. "
-        "Records come in the order of their ids, which is a random one.",
+        description=(
+            "Writes a data set in formats for other programs and for object stores. "
+            "Records come in the order of their ids, which is a random one."
+        ),
     )
     parser.add_argument("folder", metavar="DIR", help="the dataset's folder")
-    parser.add_argument("--parquet", type=Path, metavar="FILE", help="write the records as a table (needs pyarrow)")
-    parser.add_argument("--tars", type=Path, metavar="DIR2", help="write records, pictures and geometry as tars, labels and lights beside")
-    parser.add_argument("--split", choices=("train", "test", "mixed"), help="export only the records of this split")
-    parser.add_argument("--each", type=int, default=1000, metavar="N", help="records per tar (default 1000)")
+    parser.add_argument(
+        "--parquet", type=Path, metavar="FILE", help="write the records as a table (needs pyarrow)"
+    )
+    parser.add_argument(
+        "--tars",
+        type=Path,
+        metavar="DIR2",
+        help="write records, pictures and geometry as tars, labels and lights beside",
+    )
+    parser.add_argument(
+        "--split", choices=("train", "test", "mixed"), help="export only the records of this split"
+    )
+    parser.add_argument(
+        "--each", type=int, default=1000, metavar="N", help="records per tar (default 1000)"
+    )
     parser.set_defaults(run=run)
 
 

@@ -15,31 +15,69 @@ def register(subparsers):
     parser = subparsers.add_parser(
         "lights",
         help="environment maps that light the scenes: list, preview, add",
-        description="The environment maps that light the scenes. Every map is scaled to a mean luminance of 1 over the sphere.",
+        description=(
+            "The environment maps that light the scenes. Every map is scaled to a mean luminance of"
+            " 1 over the sphere."
+        ),
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     actions = parser.add_subparsers(required=True, metavar="ACTION")
 
-    one = actions.add_parser("list", help="names, sizes, how strong their brightest spot is, licences")
+    one = actions.add_parser(
+        "list", help="names, sizes, how strong their brightest spot is, licences"
+    )
     one.add_argument(
-        "folder", nargs="?", type=Path, metavar="FOLDER", help="a folder of your own .hdr and .exr files, besides the built-in ones"
+        "folder",
+        nargs="?",
+        type=Path,
+        metavar="FOLDER",
+        help="a folder of your own .hdr and .exr files, besides the built-in ones",
     )
     one.set_defaults(run=run_list)
 
-    one = actions.add_parser("preview", help="a picture of each light: the map, a diffuse and a mirror ball under it")
-    one.add_argument("lights", nargs="*", metavar="LIGHT", help="names or files; all built-in ones if none is given")
-    one.add_argument("--library", type=Path, metavar="DIR", help="a folder of your own maps to look names up in")
-    one.add_argument("--size", type=int, default=128, metavar="N", help="height of a row in pixels (default: %(default)s)")
+    one = actions.add_parser(
+        "preview", help="a picture of each light: the map, a diffuse and a mirror ball under it"
+    )
+    one.add_argument(
+        "lights",
+        nargs="*",
+        metavar="LIGHT",
+        help="names or files; all built-in ones if none is given",
+    )
+    one.add_argument(
+        "--library", type=Path, metavar="DIR", help="a folder of your own maps to look names up in"
+    )
+    one.add_argument(
+        "--size",
+        type=int,
+        default=128,
+        metavar="N",
+        help="height of a row in pixels (default: %(default)s)",
+    )
     one.add_argument("--out", required=True, type=Path, metavar="PNG", help="the picture to write")
     one.set_defaults(run=run_preview)
 
     one = actions.add_parser("add", help="check maps and copy them into a folder of your own")
     one.add_argument(
-        "files", nargs="+", type=Path, metavar="FILE", help=".hdr or .exr, twice as wide as high; or .npz of such maps by name"
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help=".hdr or .exr, twice as wide as high; or .npz of such maps by name",
     )
-    one.add_argument("--library", required=True, type=Path, metavar="DIR", help="the folder; made if it is not there")
-    one.add_argument("--licence", default="unknown", help="the maps' licence, kept with every data set they light")
+    one.add_argument(
+        "--library",
+        required=True,
+        type=Path,
+        metavar="DIR",
+        help="the folder; made if it is not there",
+    )
+    one.add_argument(
+        "--licence",
+        default="unknown",
+        help="the maps' licence, kept with every data set they light",
+    )
     one.set_defaults(run=run_add)
 
 
@@ -56,7 +94,10 @@ def run_list(options):
             failed += 1
             continue
         print(_line(light))
-    print("brightest: radiance of the brightest texel over the mean; its share: of all the light, at 64×128")
+    print(
+        "brightest: radiance of the brightest texel over the mean; its share: of all the light, at"
+        " 64×128"
+    )
     return 1 if failed else 0
 
 
@@ -66,7 +107,10 @@ def _line(light):
     energy = (light.L64 @ envmap.LUMINANCE) * envmap.row_solid_angles(*light.L64.shape[:2])[:, None]
     size = f"{light.L_full.shape[1]}×{light.L_full.shape[0]}"
     peak, share = float((light.L_full @ envmap.LUMINANCE).max()), float(energy.max() / energy.sum())
-    return f"{light.name:<16} {size:>10} {peak:>10.1f} {share:>10.1%}  {light.licence:<12} {light.source}"
+    return (
+        f"{light.name:<16} {size:>10} {peak:>10.1f} {share:>10.1%}  {light.licence:<12}"
+        f" {light.source}"
+    )
 
 
 def run_preview(options):
@@ -81,7 +125,10 @@ def run_preview(options):
     if not 8 <= options.size <= 1024:
         raise InputError("--size", "8 to 1024 pixels", str(options.size), "choose a size within")
     requested = options.lights or names(options.library)
-    rows = [picture(load(name, options.library), options.size) for name in tqdm(requested, unit="light", leave=False, disable=None)]
+    rows = [
+        picture(load(name, options.library), options.size)
+        for name in tqdm(requested, unit="light", leave=False, disable=None)
+    ]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_image(options.out, np.concatenate(rows), "PNG")
     print(f"{options.out}: {len(rows)} lights, from the top: {', '.join(map(str, requested))}")
@@ -98,8 +145,14 @@ def run_add(options):
         if is_collection(path):
             if known is None:
                 own = library_maps(options.library) if options.library.is_dir() else {}
-                known = {name: load(name, options.library if name in own else None).L64 for name in {**wheel_maps(), **own}}
+                known = {
+                    name: load(name, options.library if name in own else None).L64
+                    for name in {**wheel_maps(), **own}
+                }
             for inner, name, added in add_maps(path, options.library, options.licence, known):
-                print(f"{path}: {inner}: {f'{name} in {options.library}' if added else f'{name} again, left out'}")
+                print(
+                    f"{path}: {inner}:"
+                    f" {f'{name} in {options.library}' if added else f'{name} again, left out'}"
+                )
             continue
         print(f"{path}: {add(path, options.library, options.licence)} in {options.library}")

@@ -1,4 +1,6 @@
-"""`plan JOB`: what a job means, before it starts: how many pictures, for training and for testing, how long, how large."""
+"""`plan JOB`: what a job means, before it starts: how many pictures, for training and for testing,
+how long, how large.
+"""
 
 import sys
 
@@ -18,15 +20,22 @@ def register(subparsers):
     parser = subparsers.add_parser(
         "plan",
         help="show how many pictures a job has, and how long and how large it will be",
-        description="Counts the pictures of a job and of its splits, and forecasts time and disk space "
-        "from three pictures that it renders. Writes nothing.",
+        description=(
+            "Counts the pictures of a job and of its splits, and forecasts time and disk space "
+            "from three pictures that it renders. Writes nothing."
+        ),
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("job", nargs="?", help="a job file (JSON), or a preset's name")
-    parser.add_argument("--presets", action="store_true", help="list the jobs that come with the program")
     parser.add_argument(
-        "--probe", action=argparse.BooleanOptionalAction, default=True, help="render three shots for the forecast (default)"
+        "--presets", action="store_true", help="list the jobs that come with the program"
+    )
+    parser.add_argument(
+        "--probe",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="render three shots for the forecast (default)",
     )
     parser.add_argument("--schema", action="store_true", help="print the JSON Schema of a job")
     add_making(parser)
@@ -44,7 +53,9 @@ def run(options):
         print(_presets(jobs) if options.presets else _schema())
         return 0
     if not options.job:
-        raise InputError("plan", "a job", "none", "name a file or a preset; plan --presets lists them")
+        raise InputError(
+            "plan", "a job", "none", "name a file or a preset; plan --presets lists them"
+        )
     from factory.commands.render import resolve_assets
 
     job, folder = jobs.load(options.job)
@@ -65,27 +76,46 @@ def described(plan):
     job, assets = plan.job, plan.assets
     categories = Counter((s.category, s.role) for s in assets.shapes)
     views = f"{job.views.random} random" if hasattr(job.views, "random") else f"{len(job.views)}"
-    turns = f"{job.rotations.random} random" if hasattr(job.rotations, "random") else f"{len(job.rotations)}"
+    turns = (
+        f"{job.rotations.random} random"
+        if hasattr(job.rotations, "random")
+        else f"{len(job.rotations)}"
+    )
     height, width = job.camera.size
     lens = "orthographic" if job.camera.fov_deg is None else f"{job.camera.fov_deg:g}° wide"
-    each = f"pictures of {height}×{width}, {job.samples} samples" if job.pictures else f"views of {height}×{width}, geometry alone"
+    each = (
+        f"pictures of {height}×{width}, {job.samples} samples"
+        if job.pictures
+        else f"views of {height}×{width}, geometry alone"
+    )
     yield f"job {job.name}: {len(plan)} {each}, {lens}"
-    yield "  shapes     " + ", ".join(f"{count} {category} ({role})" for (category, role), count in sorted(categories.items()))
+    yield "  shapes     " + ", ".join(
+        f"{count} {category} ({role})" for (category, role), count in sorted(categories.items())
+    )
     sides = Counter(m.side for m in assets.materials)
-    yield f"  materials  {len(assets.materials)}: " + ", ".join(f"{count} {side}" for side, count in sorted(sides.items()))
+    yield f"  materials  {len(assets.materials)}: " + ", ".join(
+        f"{count} {side}" for side, count in sorted(sides.items())
+    )
     yield f"  lights     {len(job.lights)}: " + ", ".join(dict.fromkeys(job.lights))
     if not job.pictures:
         sides = Counter(shape.side for shape in assets.shapes)
         yield f"  each       {views} views"
-        yield "  split      " + ", ".join(f"{count * len(plan) // len(assets.shapes)} {side}" for side, count in sorted(sides.items()))
+        yield "  split      " + ", ".join(
+            f"{count * len(plan) // len(assets.shapes)} {side}"
+            for side, count in sorted(sides.items())
+        )
         return
     kinds = f"{'/'.join(job.tiers)} × {'/'.join(job.light_resolutions)}"
     yield f"  each       {views} views × {turns} rotations × {kinds} × {job.repeats} seeds"
-    yield "  split      " + ", ".join(f"{count} {split}" for split, count in split_counts(plan).items())
+    yield "  split      " + ", ".join(
+        f"{count} {split}" for split, count in split_counts(plan).items()
+    )
 
 
 def split_counts(plan):
-    """How many pictures are for training, for testing and mixed: from the sides alone, without making the shots."""
+    """How many pictures are for training, for testing and mixed: from the sides alone, without
+    making the shots.
+    """
     from collections import Counter
 
     from manifests.splits import split_of
@@ -94,7 +124,11 @@ def split_counts(plan):
     each = plan.each * len(plan.lights)
     for shape in plan.assets.shapes:
         for choice in plan.choices(shape):
-            split = shape.side if isinstance(choice, int) else split_of(shape.side, [m.side for m in choice])
+            split = (
+                shape.side
+                if isinstance(choice, int)
+                else split_of(shape.side, [m.side for m in choice])
+            )
             counts[split] += each
     return dict(sorted(counts.items(), reverse=True))
 
@@ -103,13 +137,19 @@ def _forecast(plan, options):
     from factory.execution.forecast import probed
     from factory.execution.run import RunOptions
 
-    forecast = probed(plan, RunOptions(workers=options.workers, device=options.device, library=options.lights))
+    forecast = probed(
+        plan, RunOptions(workers=options.workers, device=options.device, library=options.lights)
+    )
     whole = sum(forecast.seconds.values()) or 1.0
-    parts = ", ".join(f"{kind} {seconds / whole:.0%}" for kind, seconds in sorted(forecast.seconds.items(), key=lambda item: -item[1]))
+    parts = ", ".join(
+        f"{kind} {seconds / whole:.0%}"
+        for kind, seconds in sorted(forecast.seconds.items(), key=lambda item: -item[1])
+    )
     files = ", ".join(f"{kind} {_bytes(size)}" for kind, size in forecast.bytes.items())
     return (
-        f"  time       about {_time(forecast.hours)} with {forecast.workers} worker{'s' * (forecast.workers > 1)} ({parts})\n"
-        f"  disk       about {_bytes(sum(forecast.bytes.values()))} ({files})"
+        f"  time       about {_time(forecast.hours)} with {forecast.workers}"
+        f" worker{'s' * (forecast.workers > 1)} ({parts})\n  disk       about"
+        f" {_bytes(sum(forecast.bytes.values()))} ({files})"
     )
 
 
@@ -117,7 +157,13 @@ def _time(hours):
     minutes = hours * 60
     if minutes < 2:
         return f"{minutes * 60:.0f} s"
-    return f"{minutes:.0f} min" if minutes < 120 else f"{hours:.1f} h" if hours < 72 else f"{hours / 24:.1f} days"
+    return (
+        f"{minutes:.0f} min"
+        if minutes < 120
+        else f"{hours:.1f} h"
+        if hours < 72
+        else f"{hours / 24:.1f} days"
+    )
 
 
 def _bytes(size):

@@ -6,7 +6,9 @@ def register(subparsers):
     parser = subparsers.add_parser(
         "status",
         help="show how much of a data set is made, and what failed",
-        description="Counts the pictures and views of a data set, and lists what failed. Opens no picture.",
+        description=(
+            "Counts the pictures and views of a data set, and lists what failed. Opens no picture."
+        ),
     )
     parser.add_argument("folder", metavar="DIR", help="the dataset's folder")
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -21,7 +23,10 @@ def run(options):
     if options.json:
         print(json.dumps(report, indent=1))
         return 0
-    made, what = report["records"] + report["views"], "pictures and views" if report["views"] else "pictures"
+    made, what = (
+        report["records"] + report["views"],
+        ("pictures and views" if report["views"] else "pictures"),
+    )
     print(f"{options.folder}: {made} of {report['planned']} {what}, {report['failed']} failed")
     for job in report["jobs"]:
         print(f"  job {job['name']}: {job['shots']} {job['of']}, begun {job['begun']}")
@@ -32,10 +37,19 @@ def run(options):
         )
     for key in ("split", "category", "tier", "light_resolution", "light"):
         if report[key]:
-            print(f"  {key.replace('_', ' '):<16} " + ", ".join(f"{name} {count}" for name, count in report[key].items()))
-    print(f"  {'materials':<16} {report['materials']};  shapes {report['shapes']};  rendering time {report['hours']:.2f} worker-hours")
+            print(
+                f"  {key.replace('_', ' '):<16} "
+                + ", ".join(f"{name} {count}" for name, count in report[key].items())
+            )
+    print(
+        f"  {'materials':<16} {report['materials']};  shapes {report['shapes']};  rendering time"
+        f" {report['hours']:.2f} worker-hours"
+    )
     for failure in report["failures"][:10]:
-        print(f"  failed {failure['id']}: {failure['shape']}, {', '.join(failure['materials'])}, {failure['light']}: {failure['reason']}")
+        print(
+            f"  failed {failure['id']}: {failure['shape']}, {', '.join(failure['materials'])},"
+            f" {failure['light']}: {failure['reason']}"
+        )
     return 0
 
 
@@ -74,7 +88,12 @@ def counted(folder):
         "planned": sum(order.shots for order in dataset.orders),
         "failed": len(failures),
         "jobs": [
-            {"name": o.job.name, "shots": o.shots, "of": "pictures" if o.job.pictures else "views", "begun": o.begun}
+            {
+                "name": o.job.name,
+                "shots": o.shots,
+                "of": "pictures" if o.job.pictures else "views",
+                "begun": o.begun,
+            }
             for o in dataset.orders
         ],
         **{kind: dict(sorted(count.items())) for kind, count in counts.items()},

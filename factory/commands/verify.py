@@ -1,4 +1,6 @@
-"""`verify DIR`: is every record there once, the one that its id means, every file whole and possible, nothing shared between sides?"""
+"""`verify DIR`: is every record there once, the one that its id means, every file whole and
+possible, nothing shared between sides?
+"""
 
 import sys
 from contextlib import contextmanager
@@ -13,13 +15,25 @@ def register(subparsers):
     parser = subparsers.add_parser(
         "verify",
         help="check a dataset: records, ids, files, hashes, contents, splits",
-        description="Check datasets: every line against its id, which is a hash of all that determines a picture; every file against "
-        "its hash; every picture, normal and light map against what it can be. With several folders, also that nothing one trains on "
-        "is what another tests on. Exit status: 0 clean, or repaired; 1 faults, or faults that only a person can mend.",
+        description=(
+            "Check datasets: every line against its id, which is a hash of all that determines a"
+            " picture; every file against its hash; every picture, normal and light map against"
+            " what it can be. With several folders, also that nothing one trains on is what another"
+            " tests on. Exit status: 0 clean, or repaired; 1 faults, or faults that only a person"
+            " can mend."
+        ),
     )
     parser.add_argument("folders", nargs="+", metavar="DIR", help="a dataset's folder")
-    parser.add_argument("--quick", action="store_true", help="records only: seconds, even for 720,000; no picture is opened")
-    parser.add_argument("--repair", action="store_true", help="take broken records and stray files away; `render` then makes them again")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="records only: seconds, even for 720,000; no picture is opened",
+    )
+    parser.add_argument(
+        "--repair",
+        action="store_true",
+        help="take broken records and stray files away; `render` then makes them again",
+    )
     parser.set_defaults(run=run)
 
 
@@ -37,7 +51,10 @@ def run(options):
             print(f"factory: {error}", file=sys.stderr)
             dirty += 1
     for kind, name, where, other, there in shared_between(datasets):
-        print(f"{kind} '{name}' of {where} and '{other}' of {there}: expected one side, found training in one and test in the other")
+        print(
+            f"{kind} '{name}' of {where} and '{other}' of {there}: expected one side, found"
+            " training in one and test in the other"
+        )
         dirty += 1
     return 1 if dirty else 0
 
@@ -57,19 +74,36 @@ def _is_clean(folder, options):
         if len(faults) > SHOWN:
             print(f"{folder}: … and {len(faults) - SHOWN} more", file=sys.stderr)
         if not faults:
-            print(f"{folder}: {_counted(verification)}, clean{' (files not opened)' if options.quick else ''}")
+            print(
+                f"{folder}: {_counted(verification)},"
+                f" clean{' (files not opened)' if options.quick else ''}"
+            )
             return True
         records, strays, others = summary(faults)
-        print(f"{folder}: {verification.count} records; {records} faults in records, {strays} stray files, {others} others")
+        print(
+            f"{folder}: {verification.count} records; {records} faults in records, {strays} stray"
+            f" files, {others} others"
+        )
         if not options.repair:
             remedy = "verify --repair takes what is broken away, render makes it again"
-            print(f"factory: {InputError(folder, 'a clean dataset', f'{len(faults)} faults', remedy)}", file=sys.stderr)
+            print(
+                "factory:"
+                f" {InputError(folder, 'a clean dataset', f'{len(faults)} faults', remedy)}",
+                file=sys.stderr,
+            )
             return False
         removed, unlinked = repair(store, faults)
         left = sum(not fault.mendable for fault in faults)
-        print(f"{folder}: {removed} lines and {unlinked} files taken away; run the same `render` again")
+        print(
+            f"{folder}: {removed} lines and {unlinked} files taken away; run the same `render`"
+            " again"
+        )
         if left:
-            print(f"{folder}: {left} faults are not for --repair: the same `render` or a copy of the folder may mend them", file=sys.stderr)
+            print(
+                f"{folder}: {left} faults are not for --repair: the same `render` or a copy of the"
+                " folder may mend them",
+                file=sys.stderr,
+            )
         return not left
 
 
@@ -87,14 +121,18 @@ def _faults(verification, quick):
     faults = list(verification.in_records())
     if not quick:
         what = f"verifying {verification.store.folder}"
-        with tqdm(total=verification.count, desc=what, unit="record", leave=False, delay=1.0) as bar:
+        with tqdm(
+            total=verification.count, desc=what, unit="record", leave=False, delay=1.0
+        ) as bar:
             faults += verification.in_files(bar.update)
     return faults
 
 
 @contextmanager
 def _held(store, repair):
-    """Hold the folder's lock, so that no run writes meanwhile; a folder that nobody can write to is read without it."""
+    """Hold the folder's lock, so that no run writes meanwhile; a folder that nobody can write to is
+    read without it.
+    """
     from manifests import lock
     from manifests.verification.strays import kind_of
 
@@ -102,7 +140,8 @@ def _held(store, repair):
         for path in store.folder.glob(".lock*"):
             if kind_of(path) != "a file":  # a link, a pipe: it would be opened
                 path.rmdir() if kind_of(path) == "a folder" else path.unlink()
-    elif kind_of(store.folder / ".lock") not in ("a file", None):  # its fault is listed with the others
+    # its fault is listed with the others
+    elif kind_of(store.folder / ".lock") not in ("a file", None):
         yield
         return
     with lock.writing(store.folder, patience=0):
@@ -110,7 +149,9 @@ def _held(store, repair):
 
 
 def reference_light(name, hash_):
-    """(L, scale) of a light as the program makes it itself; None for a name or a hash that it does not know."""
+    """(L, scale) of a light as the program makes it itself; None for a name or a hash that it does
+    not know.
+    """
     from factory.lights.catalogue import load
     from factory.lights.files import is_light_path
 

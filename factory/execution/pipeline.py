@@ -1,9 +1,12 @@
-"""One worker's work: shots in, records out. It holds a studio, and what the studio shows, so that nothing is set up twice.
+"""One worker's work: shots in, records out. It holds a studio, and what the studio shows, so that
+nothing is set up twice.
 
 studio    factory.render.studio.Studio, or anything with its methods
-geometry  of a shape from a view is rendered once a dataset: it is read back if another worker, or an earlier run, made it, and
+geometry  of a shape from a view is rendered once a dataset: it is read back if another worker, or
+an earlier run, made it, and
           rendered again in the place of a file that is damaged
-light     stored map and rotation; a whole map is averaged to a width that is a multiple of 128, for rotations are whole texels
+light     stored map and rotation; a whole map is averaged to a width that is a multiple of 128, for
+rotations are whole texels
 """
 
 import os
@@ -44,7 +47,9 @@ class LightSource(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Assignment(msgspec.Struct, frozen=True, kw_only=True):
-    """What a worker needs to know besides its shots: the job's common part, and where shapes and lights come from."""
+    """What a worker needs to know besides its shots: the job's common part, and where shapes and
+    lights come from.
+    """
 
     job: Job
     shapes: dict[str, ShapeSource]
@@ -82,7 +87,8 @@ class Pipeline:
         studio.set_camera(assignment.job.camera)
 
     def make(self, shot: Shot):
-        """Render one shot, check it, write it, append its record, return the record (of a shot without a picture: its View).
+        """Render one shot, check it, write it, append its record, return the record (of a shot
+        without a picture: its View).
 
         `spent` then holds the seconds by kind of work, `notes` what the user should know.
 
@@ -223,7 +229,8 @@ class Pipeline:
         return seen
 
     def _whole_geometry(self, file, digest, expected):
-        """(Geometry, "") of a file that is there; (None, what is wrong with it) if it is not what was rendered.
+        """(Geometry, "") of a file that is there; (None, what is wrong with it) if it is not what
+        was rendered.
 
         digest, expected  its sha256, and the one that records name or None
         """
@@ -242,24 +249,37 @@ def _replaced(path, fault, digest, expected):
     """What the user should know of a geometry file that was rendered again."""
     yield f"{path} was damaged ({fault}) and has been rendered again"
     if expected not in (None, digest):
-        yield f"{path} has other bits than its earlier records name: verify --repair takes those away, the same render makes them again"
+        yield (
+            f"{path} has other bits than its earlier records name: verify --repair takes those"
+            " away, the same render makes them again"
+        )
 
 
 def load_shape(entry):
-    """The Mesh of an assignment's shape. Raises BadShot if the file has changed since the plan was made."""
+    """The Mesh of an assignment's shape. Raises BadShot if the file has changed since the plan was
+    made.
+    """
     mesh = load_mesh(entry.source)
     if mesh.hash != entry.hash:
-        raise BadShot(f"{entry.source.place}: expected the mesh with hash {entry.hash[:12]}, found {mesh.hash[:12]}: it changed meanwhile")
+        raise BadShot(
+            f"{entry.source.place}: expected the mesh with hash {entry.hash[:12]}, found"
+            f" {mesh.hash[:12]}: it changed meanwhile"
+        )
     return mesh
 
 
 def load_light(entry, library):
-    """The Light of an assignment's light. Raises BadShot if the file has changed since the plan was made."""
+    """The Light of an assignment's light. Raises BadShot if the file has changed since the plan was
+    made.
+    """
     from factory.lights import load
 
     light = load(entry.source, library)
     if light.hash != entry.hash:
-        raise BadShot(f"{entry.source}: expected the map with hash {entry.hash[:12]}, found {light.hash[:12]}: it changed meanwhile")
+        raise BadShot(
+            f"{entry.source}: expected the map with hash {entry.hash[:12]}, found"
+            f" {light.hash[:12]}: it changed meanwhile"
+        )
     return light
 
 

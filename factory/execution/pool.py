@@ -1,7 +1,9 @@
-"""Workers at work: chunks of shots handed out, answers gathered, the dead replaced. Nothing here knows what a shot looks like.
+"""Workers at work: chunks of shots handed out, answers gathered, the dead replaced. Nothing here
+knows what a shot looks like.
 
-A bad shot is tried once more in a fresh worker, and then given up. A worker that dies takes the first shot it had not finished with it
-as suspect; the rest of its chunk goes to another. A worker is judged by what it made: how its process ends is nobody's concern.
+A bad shot is tried once more in a fresh worker, and then given up. A worker that dies takes the
+first shot it had not finished with it as suspect; the rest of its chunk goes to another. A worker
+is judged by what it made: how its process ends is nobody's concern.
 """
 
 import contextlib
@@ -18,18 +20,24 @@ import msgspec
 from factory.execution.worker import STUDIO, Chunk, Reply, WorkerConfig
 from manifests.errors import InputError
 
-CHUNK = 32  # shots handed out at once: long enough that nobody waits, short enough that all end together
+# shots handed out at once: long enough that nobody waits, short enough that all end together
+CHUNK = 32
 BARREN = 8  # deaths with no picture in between after which the machine is to blame, not the shots
-PATIENCE = 600.0  # seconds of silence before a worker counts as hung, or 50 times the longest shot so far
+# seconds of silence before a worker counts as hung, or 50 times the longest shot so far
+PATIENCE = 600.0
 
 
 def _line(message):
-    """A message as a line of JSON. Raises InputError where a name of a file or folder in it is no text."""
+    """A message as a line of JSON. Raises InputError where a name of a file or folder in it is no
+    text.
+    """
     try:
         return msgspec.json.encode(message) + b"\n"
     except UnicodeEncodeError as error:
         remedy = "rename it, or give another --out"
-        raise InputError(ascii(error.object), "a name of a file or a folder in UTF-8", "other bytes", remedy) from None
+        raise InputError(
+            ascii(error.object), "a name of a file or a folder in UTF-8", "other bytes", remedy
+        ) from None
 
 
 class _Worker:
@@ -146,7 +154,11 @@ class Pool:
         return chunk or list(islice(shots, CHUNK))
 
     def _start(self, number):
-        worker = _Worker(self._setup(number), self._descriptors, self._folder / f"{self._setup(number).worker}.log")
+        worker = _Worker(
+            self._setup(number),
+            self._descriptors,
+            self._folder / f"{self._setup(number).worker}.log",
+        )
         self._workers[number] = worker
         self._selector.register(worker.process.stdout, selectors.EVENT_READ, number)
         return worker
@@ -174,7 +186,9 @@ class Pool:
         for number, worker in list(self._workers.items()):
             if worker.owed and time.monotonic() - worker.heard > max(PATIENCE, 50 * self._longest):
                 worker.process.kill()
-                yield from self._buried(number, f"the worker said nothing for {time.monotonic() - worker.heard:.0f} s")
+                yield from self._buried(
+                    number, f"the worker said nothing for {time.monotonic() - worker.heard:.0f} s"
+                )
 
     def _settled(self, number, worker, reply):
         shot = worker.owed.popleft()
@@ -186,7 +200,8 @@ class Pool:
         rest = list(worker.owed)
         worker.owed.clear()
         self._again.extendleft(reversed(rest))
-        if worker.failed and not worker.made:  # a fresh worker that has failed before and made nothing: the fault is in the shots
+        # a fresh worker that has failed before and made nothing: the fault is in the shots
+        if worker.failed and not worker.made:
             self._tried.add(shot.id)
         worker.failed += 1
         yield from self._judged(shot, reply.reason)
@@ -216,4 +231,11 @@ class Pool:
 
 def config_for_worker(folder, worker, device, threads, assignment, studio=STUDIO):
     """The Setup of a worker of this process."""
-    return WorkerConfig(folder=str(folder), worker=worker, device=device, threads=threads, studio=studio, assignment=assignment)
+    return WorkerConfig(
+        folder=str(folder),
+        worker=worker,
+        device=device,
+        threads=threads,
+        studio=studio,
+        assignment=assignment,
+    )

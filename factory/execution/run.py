@@ -1,4 +1,6 @@
-"""A job carried out: its folder opened, what is there left out, the rest made, until nothing is owed."""
+"""A job carried out: its folder opened, what is there left out, the rest made, until nothing is
+owed.
+"""
 
 import os
 from dataclasses import dataclass
@@ -54,13 +56,21 @@ class RunOptions:
 def carry_out(plan: Plan, folder, run_options: RunOptions, watch=None):
     """Make every shot of a plan that the folder does not hold yet.
 
-    watch    called with (event, value): "total" shots of this run, "already_there" one that was there, "made" a Reply, "failed" a Failure,
+    watch    called with (event, value): "total" shots of this run, "already_there" one that was
+    there, "made" a Reply, "failed" a Failure,
              "note" a line for the user
     Returns  Outcome
     Raises   InputError; OSError (full disk) with everything that was written before intact
     """
     watch = watch or (lambda event, value: None)
-    store, prefix = Store(folder), "worker-" if run_options.shard is None else f"worker-{run_options.shard[0]}of{run_options.shard[1]}-"
+    store, prefix = (
+        Store(folder),
+        (
+            "worker-"
+            if run_options.shard is None
+            else f"worker-{run_options.shard[0]}of{run_options.shard[1]}-"
+        ),
+    )
     with lock.writing(folder, run_options.shard) as descriptors:
         store.sweep(prefix if run_options.shard else "")
         with lock.changing(folder):
@@ -84,11 +94,18 @@ def _made(plan, store, run_options, prefix, descriptors, watch):
                 yield shot if known is None else msgspec.structs.replace(shot, geometry_hash=known)
 
     assignment = assign(plan, run_options.library)
-    threads = run_options.threads or (None if run_options.workers == 1 else max(1, processors() // run_options.workers))
+    threads = run_options.threads or (
+        None if run_options.workers == 1 else max(1, processors() // run_options.workers)
+    )
     pool = Pool(
         run_options.workers,
         lambda number: config_for_worker(
-            store.folder, f"{prefix}{number:02d}", run_options.device, threads, assignment, run_options.studio
+            store.folder,
+            f"{prefix}{number:02d}",
+            run_options.device,
+            threads,
+            assignment,
+            run_options.studio,
         ),
         descriptors,
         store.folder / "partial",
@@ -105,7 +122,9 @@ def _made(plan, store, run_options, prefix, descriptors, watch):
             watch("made", reply)
             continue
         failure = _failure(shot, reply.reason)
-        failures = failures or Lines(store.folder / f"failures{prefix.removeprefix('worker').rstrip('-')}.jsonl")
+        failures = failures or Lines(
+            store.folder / f"failures{prefix.removeprefix('worker').rstrip('-')}.jsonl"
+        )
         failures.append(failure)
         counts["failed"] += 1
         watch("failed", failure)
@@ -116,8 +135,14 @@ def assign(plan, library=None):
     """What the plan's workers need to know."""
     return Assignment(
         job=plan.job,
-        shapes={s.name: ShapeSource(source=s.source, hash=s.hash, category=s.category) for s in plan.assets.shapes},
-        lights={light.name: LightSource(source=light.source, hash=light.hash) for light in plan.assets.lights.values()},
+        shapes={
+            s.name: ShapeSource(source=s.source, hash=s.hash, category=s.category)
+            for s in plan.assets.shapes
+        },
+        lights={
+            light.name: LightSource(source=light.source, hash=light.hash)
+            for light in plan.assets.lights.values()
+        },
         library=library,
     )
 
@@ -125,30 +150,56 @@ def assign(plan, library=None):
 def register(store, plan):
     """Write down, in dataset.json, materials.json and lights/, what a plan brings to the folder.
 
-    Raises  InputError if the folder knows another thing by a name of the plan's, or has it on the other side of the split
+    Raises  InputError if the folder knows another thing by a name of the plan's, or has it on the
+    other side of the split
     """
     held = store.dataset() if (store.folder / "dataset.json").exists() else Dataset()
     assets = plan.assets
     shapes = {
         s.name: ShapeEntry(
-            hash=s.hash, category=s.category, side=s.side, role=s.role, segments=s.segments, licence=s.licence, report=s.report
+            hash=s.hash,
+            category=s.category,
+            side=s.side,
+            role=s.role,
+            segments=s.segments,
+            licence=s.licence,
+            report=s.report,
         )
         for s in assets.shapes
     }
-    materials = {m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source) for m in assets.materials}
-    lights = {light.name: _light_entry(store, light, held.lights.get(light.name)) for light in assets.lights.values()}
-    for kind, known, brought in (("shape", held.shapes, shapes), ("material", held.materials, materials), ("light", held.lights, lights)):
+    materials = {
+        m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source)
+        for m in assets.materials
+    }
+    lights = {
+        light.name: _light_entry(store, light, held.lights.get(light.name))
+        for light in assets.lights.values()
+    }
+    for kind, known, brought in (
+        ("shape", held.shapes, shapes),
+        ("material", held.materials, materials),
+        ("light", held.lights, lights),
+    ):
         _agree(store, kind, known, brought)
     _write_materials(store, assets.materials, held.materials)
     orders = held.orders
-    if not any(msgspec.structs.replace(order.job, name=plan.job.name, about=plan.job.about) == plan.job for order in orders):
-        orders = (*orders, Order(job=plan.job, shots=len(plan), begun=datetime.now(UTC).isoformat(timespec="seconds")))
+    if not any(
+        msgspec.structs.replace(order.job, name=plan.job.name, about=plan.job.about) == plan.job
+        for order in orders
+    ):
+        orders = (
+            *orders,
+            Order(
+                job=plan.job, shots=len(plan), begun=datetime.now(UTC).isoformat(timespec="seconds")
+            ),
+        )
     store.write_json(
         "dataset.json",
         msgspec.structs.replace(
             held,
             orders=orders,
-            settings={plan.render: {}, **held.settings},  # ids are hashed with it: known before the first of them is written
+            # ids are hashed with it: known before the first of them is written
+            settings={plan.render: {}, **held.settings},
             shapes={**held.shapes, **shapes},
             materials={**held.materials, **materials},
             lights={**held.lights, **lights},
@@ -163,21 +214,34 @@ def _agree(store, kind, known, brought):
         if name in known and known[name].hash != entry.hash:
             remedy = "rename the new one, or render into another folder"
             raise InputError(
-                f"{store.folder}: {kind} '{name}'", f"the one already there ({known[name].hash[:12]})", entry.hash[:12], remedy
+                f"{store.folder}: {kind} '{name}'",
+                f"the one already there ({known[name].hash[:12]})",
+                entry.hash[:12],
+                remedy,
             )
         if kind != "light" and (held := sides.get(entry.hash)) and held[0] != entry.side:
             remedy = "use the split rule of the folder's first job, or another folder"
-            raise InputError(f"{store.folder}: {kind} '{name}'", f"side {held[0]}, as '{held[1]}' there", entry.side, remedy)
+            raise InputError(
+                f"{store.folder}: {kind} '{name}'",
+                f"side {held[0]}, as '{held[1]}' there",
+                entry.side,
+                remedy,
+            )
 
 
 def _light_entry(store, light, known):
-    """The entry of a light, its stored map put in place unless it is there, whole and the one that the folder knows.
+    """The entry of a light, its stored map put in place unless it is there, whole and the one that
+    the folder knows.
 
     known   its LightEntry in dataset.json, or None
     """
     file = light_path(light.name, light.hash)
     digest = readable_hash(store.folder / file)
-    if digest is None or (known and known.file_hash != digest) or not _holds(store.folder / file, light.L64):
+    if (
+        digest is None
+        or (known and known.file_hash != digest)
+        or not _holds(store.folder / file, light.L64)
+    ):
         digest = store.place(file, encode_light(light.L64, light.scale), "main")
     return LightEntry(
         hash=light.hash,
@@ -191,7 +255,9 @@ def _light_entry(store, light, known):
 
 
 def _holds(path, L):
-    """Whether a stored light map is L, up to what another machine's rounding makes of the same light."""
+    """Whether a stored light map is L, up to what another machine's rounding makes of the same
+    light.
+    """
     try:
         return np.allclose(read_light(path), L, rtol=1e-4, atol=1e-6)
     except InputError:
@@ -202,15 +268,21 @@ def _write_materials(store, materials, known):
     """materials.json: the catalogue's lines of all materials that the folder's jobs name.
 
     known   {name: MaterialEntry} of dataset.json
-    Raises  InputError if it is damaged, and some of its materials are neither the plan's nor built in
+    Raises  InputError if it is damaged, and some of its materials are neither the plan's nor built
+    in
     """
     path, ours = store.folder / "materials.json", {m.name: m.entry for m in materials}
     try:
-        held = {entry.name: entry for entry in read_catalogue(path).materials} if path.exists() else {}
+        held = (
+            {entry.name: entry for entry in read_catalogue(path).materials} if path.exists() else {}
+        )
     except InputError as problem:
         held = _built_in(known)
         if lost := sorted(known.keys() - held.keys() - ours.keys()):
-            remedy = f"restore it, or delete it and render each of the folder's jobs again: they know {', '.join(lost[:3])}"
+            remedy = (
+                "restore it, or delete it and render each of the folder's jobs again: they know"
+                f" {', '.join(lost[:3])}"
+            )
             raise InputError(problem.where, problem.expected, problem.found, remedy) from None
         entries = held | ours
     else:
@@ -218,21 +290,34 @@ def _write_materials(store, materials, known):
         if entries == held:
             return
     catalogue = Catalogue(
-        title="The materials of this dataset", credit="each entry names its source and licence", materials=tuple(entries.values())
+        title="The materials of this dataset",
+        credit="each entry names its source and licence",
+        materials=tuple(entries.values()),
     )
     store.place("materials.json", encode(catalogue), "main")
 
 
 def _built_in(known):
     """{name: Entry} of those materials of dataset.json that the program itself brings."""
-    entries = [entry for path in BUILT_IN if path.exists() for entry in read_catalogue(path).materials]
-    return {entry.name: entry for entry in entries if entry.name in known and known[entry.name].hash == entry.hash}
+    entries = [
+        entry for path in BUILT_IN if path.exists() for entry in read_catalogue(path).materials
+    ]
+    return {
+        entry.name: entry
+        for entry in entries
+        if entry.name in known and known[entry.name].hash == entry.hash
+    }
 
 
 def _note_settings(store, plan, reply):
     held = store.dataset()
     settings = {**held.settings, plan.render: reply.settings}
-    store.write_json("dataset.json", msgspec.structs.replace(held, settings=settings, versions={**held.versions, **(reply.versions or {})}))
+    store.write_json(
+        "dataset.json",
+        msgspec.structs.replace(
+            held, settings=settings, versions={**held.versions, **(reply.versions or {})}
+        ),
+    )
 
 
 def _part_length(plan, shard):
@@ -256,7 +341,11 @@ def processors():
 
 
 def _failure(shot, reason):
-    return Failure(**shot.repeated_in(Failure), reason=reason, when=datetime.now(UTC).isoformat(timespec="seconds"))
+    return Failure(
+        **shot.repeated_in(Failure),
+        reason=reason,
+        when=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
 
 
 def planned(job, assets):
@@ -267,6 +356,18 @@ def planned(job, assets):
 def parsed_shard(text):
     """ "3/8" as (3, 8). Raises InputError."""
     i, slash, n = text.partition("/")
-    if not (slash and text.isascii() and len(text) < 20 and i.isdigit() and n.isdigit() and 1 <= int(i) <= int(n)):
-        raise InputError("--shard", "I/N with 1 ≤ I ≤ N", f"'{text}'", "write --shard 1/8 for the first of eight parts")
+    if not (
+        slash
+        and text.isascii()
+        and len(text) < 20
+        and i.isdigit()
+        and n.isdigit()
+        and 1 <= int(i) <= int(n)
+    ):
+        raise InputError(
+            "--shard",
+            "I/N with 1 ≤ I ≤ N",
+            f"'{text}'",
+            "write --shard 1/8 for the first of eight parts",
+        )
     return int(i), int(n)

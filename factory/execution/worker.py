@@ -1,11 +1,14 @@
-"""A worker: one process, one Blender, many shots. Started by factory.execution.pool as `python -m factory.execution.worker`.
+"""A worker: one process, one Blender, many shots. Started by factory.execution.pool as `python -m
+factory.execution.worker`.
 
-It reads messages, a JSON line each, from its standard input, and answers on what was its standard output; Blender's own prints go nowhere,
-its complaints to standard error. It ends when its input or its reader ends, after the shot in hand (it holds the run's lock, so nobody
-else begins meanwhile), and by os._exit: some Blenders crash while they clean up.
+It reads messages, a JSON line each, from its standard input, and answers on what was its standard
+output; Blender's own prints go nowhere, its complaints to standard error. It ends when its input or
+its reader ends, after the shot in hand (it holds the run's lock, so nobody else begins meanwhile),
+and by os._exit: some Blenders crash while they clean up.
 
 in   Setup, then any number of Chunk
-out  Reply: `made` or `bad` a shot (a bad one ends the chunk), or `fatal`: what no other shot would survive
+out  Reply: `made` or `bad` a shot (a bad one ends the chunk), or `fatal`: what no other shot would
+survive
 """
 
 import importlib
@@ -25,7 +28,9 @@ STUDIO = "factory.render.studio:Studio"
 
 
 class WorkerConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Where to write, under which name, and with what; studio: module:class of the studio, called with (device, threads)."""
+    """Where to write, under which name, and with what; studio: module:class of the studio, called
+    with (device, threads).
+    """
 
     folder: str
     worker: str
@@ -44,7 +49,8 @@ class Chunk(msgspec.Struct, frozen=True):
 class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """made, bad: a shot's id; settings and versions come with the first picture.
 
-    bytes: what the picture, or the geometry alone, takes on disk; spent: seconds by kind; notes: what the user should know.
+    bytes: what the picture, or the geometry alone, takes on disk; spent: seconds by kind; notes:
+    what the user should know.
     """
 
     made: str = ""
@@ -80,7 +86,15 @@ def main():
         answer(fatal=True, problem=(problem.where, problem.expected, problem.found, problem.remedy))
     except OSError as error:
         remedy = "make room or mend the disk, then run the same command: what was written stays"
-        answer(fatal=True, problem=(error.filename or config.folder, "a disk that takes a file", error.strerror or str(error), remedy))
+        answer(
+            fatal=True,
+            problem=(
+                error.filename or config.folder,
+                "a disk that takes a file",
+                error.strerror or str(error),
+                remedy,
+            ),
+        )
     except Exception as error:  # whatever else it is, the parent says it in one line
         answer(fatal=True, reason=f"worker {type(error).__name__}: {error}".replace("\n", " "))
     sys.stderr.flush()
@@ -91,7 +105,11 @@ def _serve(config, answer):
     store = Store(config.folder)
     pictures = config.assignment.job.pictures
     lines = Lines(store.folder / ("records" if pictures else "views") / f"{config.worker}.jsonl")
-    mixtures = {name: m.mixture for name, m in load_catalogue(store.folder / "materials.json").items()} if pictures else {}
+    mixtures = (
+        {name: m.mixture for name, m in load_catalogue(store.folder / "materials.json").items()}
+        if pictures
+        else {}
+    )
     studio = _studio(config)
     pipeline = Pipeline(studio, config.assignment, store, config.worker, lines.append, mixtures)
     first = True
@@ -105,10 +123,21 @@ def _serve(config, answer):
             except (BadShot, InputError, RuntimeError, ValueError) as error:
                 answer(bad=shot.id, reason=str(error).replace("\n", " "))
                 break
-            extra = {"settings": msgspec.to_builtins(studio.settings), "versions": studio.versions} if first else {}
+            extra = (
+                {"settings": msgspec.to_builtins(studio.settings), "versions": studio.versions}
+                if first
+                else {}
+            )
             first = False
             size = (store.folder / (record.image if pictures else record.geometry)).stat().st_size
-            answer(made=shot.id, seconds=record.seconds, bytes=size, spent=pipeline.spent, notes=pipeline.notes, **extra)
+            answer(
+                made=shot.id,
+                seconds=record.seconds,
+                bytes=size,
+                spent=pipeline.spent,
+                notes=pipeline.notes,
+                **extra,
+            )
 
 
 def _studio(config):

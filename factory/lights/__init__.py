@@ -1,4 +1,6 @@
-"""Lights: environment maps from the Blender wheel, from a user's files, or computed; each scaled to a mean luminance of 1."""
+"""Lights: environment maps from the Blender wheel, from a user's files, or computed; each scaled to
+a mean luminance of 1.
+"""
 
 from factory.lights.catalogue import load, names
 from factory.lights.light import Light

@@ -1,4 +1,6 @@
-"""Lights by name: the eight CC0 maps inside the Blender wheel, computed families, a user's library folder, or a path."""
+"""Lights by name: the eight CC0 maps inside the Blender wheel, computed families, a user's library
+folder, or a path.
+"""
 
 import hashlib
 import importlib.util
@@ -14,37 +16,62 @@ WHEEL_SOURCE = "Greg Zaal, Poly Haven; shipped with Blender as"
 
 
 def load(name_or_path, library=None):
-    """The Light of a name (`city`, `softboxes-7`, one in the `library` folder) or of an .hdr, .exr or .npz file.
+    """The Light of a name (`city`, `softboxes-7`, one in the `library` folder) or of an .hdr, .exr
+    or .npz file.
 
-    Raises  InputError for an unknown name (with the closest ones) or a file that holds no usable light
+    Raises  InputError for an unknown name (with the closest ones) or a file that holds no usable
+    light
     """
     text = str(name_or_path)
     if files.is_light_path(text):
         return _from_file(Path(text), Path(text).stem, "unknown", text)
     if library is not None and (result := library_maps(library).get(text)):
         known = entry(library, text)
-        return _from_file(result, text, known.get("licence", "unknown"), known.get("source", result.name))
+        return _from_file(
+            result, text, known.get("licence", "unknown"), known.get("source", result.name)
+        )
     if (wheel := wheel_maps()) and text in wheel:
         return _from_file(wheel[text], text, WHEEL_LICENCE, f"{WHEEL_SOURCE} {wheel[text].name}")
     if parsed := procedural.parse(text):
-        digest = hashlib.sha256(f"{parsed[0]}-{parsed[1]} version {procedural.VERSION}".encode()).hexdigest()
-        return from_pixels(procedural.pixels(*parsed), text, digest, "Apache-2.0", f"computed by factory.lights.procedural, {text}")
+        digest = hashlib.sha256(
+            f"{parsed[0]}-{parsed[1]} version {procedural.VERSION}".encode()
+        ).hexdigest()
+        return from_pixels(
+            procedural.pixels(*parsed),
+            text,
+            digest,
+            "Apache-2.0",
+            f"computed by factory.lights.procedural, {text}",
+        )
     remedy = closest(text, names(library)) + "; `python -m factory lights list` shows all"
-    raise InputError(f"light {text!r}", "a known name or an .hdr, .exr or .npz file", "neither", remedy)
+    raise InputError(
+        f"light {text!r}", "a known name or an .hdr, .exr or .npz file", "neither", remedy
+    )
 
 
 def names(library=None):
-    """Every name that `load` knows, in a stable order: the wheel's, the computed families', the library's."""
+    """Every name that `load` knows, in a stable order: the wheel's, the computed families', the
+    library's.
+    """
     own = library_maps(library) if library is not None else {}
-    return [*wheel_maps(), *procedural.FAMILIES, *(n for n in own if n not in wheel_maps() and n not in procedural.FAMILIES)]
+    return [
+        *wheel_maps(),
+        *procedural.FAMILIES,
+        *(n for n in own if n not in wheel_maps() and n not in procedural.FAMILIES),
+    ]
 
 
 def wheel_maps():
-    """{name: path} of the maps inside the bpy wheel, found without importing it; empty where it is not installed."""
+    """{name: path} of the maps inside the bpy wheel, found without importing it; empty where it is
+    not installed.
+    """
     spec = importlib.util.find_spec("bpy")
     if spec is None or spec.origin is None:
         return {}
-    return {path.stem: path for path in sorted(Path(spec.origin).parent.glob("*/datafiles/studiolights/world/*.exr"))}
+    return {
+        path.stem: path
+        for path in sorted(Path(spec.origin).parent.glob("*/datafiles/studiolights/world/*.exr"))
+    }
 
 
 def library_maps(folder):
@@ -52,14 +79,22 @@ def library_maps(folder):
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(
-            folder, "a folder of .hdr, .exr or .npz files", "nothing there" if not folder.exists() else "a file", "check the path"
+            folder,
+            "a folder of .hdr, .exr or .npz files",
+            "nothing there" if not folder.exists() else "a file",
+            "check the path",
         )
-    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in files.SUFFIXES}
+    return {
+        path.stem: path
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in files.SUFFIXES
+    }
 
 
 def _from_file(path, name, licence, source):
     pixels, digest = files.read(path)
     try:
         return from_pixels(pixels, name, digest, licence, source, in_place=True)
-    except InputError as problem:  # values are judged under the credit's name; the user knows the file by its path
+    # values are judged under the credit's name; the user knows the file by its path
+    except InputError as problem:
         raise InputError(path, problem.expected, problem.found, problem.remedy) from None

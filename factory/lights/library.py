@@ -1,4 +1,5 @@
-"""A user's folder of light maps with a list beside them: lights.json holds licence and source for each name.
+"""A user's folder of light maps with a list beside them: lights.json holds licence and source for
+each name.
 
 Maps may be put into the folder by hand too; then their licence is simply unknown.
 """
@@ -20,7 +21,9 @@ LIST = "lights.json"
 
 
 def entry(folder, name):
-    """What the folder's list says of a name: {file, hash, licence, source}, or {} if it says nothing."""
+    """What the folder's list says of a name: {file, hash, licence, source}, or {} if it says
+    nothing.
+    """
     return read_list(folder).get(name, {})
 
 
@@ -37,9 +40,11 @@ def read_list(folder):
 
 
 def add(path, folder, licence, source=None):
-    """Checks a map, copies it into the folder and lists it; returns its name, or the older name of the same map.
+    """Checks a map, copies it into the folder and lists it; returns its name, or the older name of
+    the same map.
 
-    The name is the file's, in lower case with dashes. Raises InputError if another map already has it
+    The name is the file's, in lower case with dashes. Raises InputError if another map already has
+    it
     """
     path, folder = Path(path), Path(folder)
     pixels, digest = files.read(path)
@@ -54,17 +59,22 @@ def add(path, folder, licence, source=None):
 
 
 def add_maps(path, folder, licence, known):
-    """Adds each map of an .npz as a file of its own; yields (its name there, name added or of the light it repeats, True if added).
+    """Adds each map of an .npz as a file of its own; yields (its name there, name added or of the
+    light it repeats, True if added).
 
-    known  {name: L64} of lights that there are already: a second copy of one would stand on another side of the split than the first;
+    known  {name: L64} of lights that there are already: a second copy of one would stand on another
+    side of the split than the first;
            grows by what is added
     """
     folder = Path(folder)
     for inner, pixels in files.maps_in(path):
         L64 = from_pixels(pixels, inner, "", licence, f"{path}: {inner}").L64
         listed, data = read_list(folder), npz_bytes({"L": pixels})
-        unlisted = _name(inner) not in listed and _holds(folder / f"{_name(inner)}.npz", data)  # a run was killed before it had listed it
-        if not unlisted and (twin := next((name for name, L in known.items() if envmap.is_same_source(L64, L)), None)):
+        # a run was killed before it had listed it
+        unlisted = _name(inner) not in listed and _holds(folder / f"{_name(inner)}.npz", data)
+        if not unlisted and (
+            twin := next((name for name, L in known.items() if envmap.is_same_source(L64, L)), None)
+        ):
             yield inner, twin, False
             continue
         target = _free(f"{path}: {inner}", inner, ".npz", folder, listed, data)
@@ -82,11 +92,21 @@ def _free(where, stem, suffix, folder, listed, data):
     """The path of a new map's file of these bytes. Raises InputError if its name is taken."""
     name = _name(stem)
     if name in listed:
-        raise InputError(where, "a name that is still free", f"another map called {name!r} in {folder}", "rename the file")
+        raise InputError(
+            where,
+            "a name that is still free",
+            f"another map called {name!r} in {folder}",
+            "rename the file",
+        )
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / (name + suffix)
     if target.exists() and not _holds(target, data):
-        raise InputError(target, "a name that is still free", "an unlisted file of that name", "rename one of the two")
+        raise InputError(
+            target,
+            "a name that is still free",
+            "an unlisted file of that name",
+            "rename one of the two",
+        )
     return target
 
 
@@ -96,7 +116,9 @@ def _holds(path, data):
 
 
 def _place(target, data, licence, source, listed):
-    """Put a map's file and its line of the list in place, both or neither; returns the map's name."""
+    """Put a map's file and its line of the list in place, both or neither; returns the map's
+    name.
+    """
     folder, name = target.parent, target.stem
     digest = hashlib.sha256(data).hexdigest()
     with transaction():

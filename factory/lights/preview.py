@@ -1,4 +1,6 @@
-"""A light as a picture: the map as the display shows it, and a grey diffuse and a mirror ball under it, seen from the camera."""
+"""A light as a picture: the map as the display shows it, and a grey diffuse and a mirror ball under
+it, seen from the camera.
+"""
 
 import numpy as np
 
@@ -8,7 +10,9 @@ BALL_LIGHT = (32, 64)  # texels of the sum for the diffuse ball; a cosine lobe i
 
 
 def sphere_normals(size):
-    """Normals (size, size, 3) of a sphere that fills the picture, camera frame, and its mask; 0 outside."""
+    """Normals (size, size, 3) of a sphere that fills the picture, camera frame, and its mask; 0
+    outside.
+    """
     x, y = frames.pixel_grid(size, size)
     inside = x * x + y * y < 1
     z = np.sqrt(np.where(inside, 1 - x * x - y * y, 0.0))
@@ -16,7 +20,9 @@ def sphere_normals(size):
 
 
 def diffuse_sphere(L, size):
-    """Radiance (size, size, 3) of a white Lambert sphere: the cosine-weighted mean of L over each normal's hemisphere."""
+    """Radiance (size, size, 3) of a white Lambert sphere: the cosine-weighted mean of L over each
+    normal's hemisphere.
+    """
     n, mask = sphere_normals(size)
     small = envmap.resize(L, *BALL_LIGHT)
     w, solid_angle = envmap.directions(*BALL_LIGHT)
@@ -35,7 +41,9 @@ def mirror_sphere(L, size):
 
 
 def picture(light, size=128):
-    """Display picture (size, 4·size, 3) uint8: map, diffuse ball, mirror ball; exposed so that the diffuse ball keeps below white."""
+    """Display picture (size, 4·size, 3) uint8: map, diffuse ball, mirror ball; exposed so that the
+    diffuse ball keeps below white.
+    """
     diffuse, mirror = diffuse_sphere(light.L64, size), mirror_sphere(light.L_full, size)
     exposure = 0.8 / max(float((diffuse @ envmap.LUMINANCE).max()), 1e-12)
     row = np.concatenate([envmap.resize(light.L_full, size, 2 * size), diffuse, mirror], axis=1)

@@ -1,7 +1,9 @@
-"""Lights computed from a seed: for tests, for training on more lights than there are photographs of, and where no file is at hand.
+"""Lights computed from a seed: for tests, for training on more lights than there are photographs
+of, and where no file is at hand.
 
-Each returns (height, width, 3) float64 radiance, rows and columns as in a file (factory.lights.light), any scale.
-A name may carry a seed after a dash: `softboxes-7`. A change that alters pixels raises VERSION, so that hashes tell.
+Each returns (height, width, 3) float64 radiance, rows and columns as in a file
+(factory.lights.light), any scale. A name may carry a seed after a dash: `softboxes-7`. A change
+that alters pixels raises VERSION, so that hashes tell.
 """
 
 import numpy as np
@@ -21,13 +23,17 @@ def constant(rng, height, width):
 
 
 def gradient(rng, height, width):
-    """Bright zenith to dark nadir, linear in the height above the horizon: the smoothest light that tells up from down."""
+    """Bright zenith to dark nadir, linear in the height above the horizon: the smoothest light that
+    tells up from down.
+    """
     up = envmap.directions(height, width)[0][..., 1]
     return np.repeat((1.0 + 0.9 * up)[..., None], 3, axis=-1)
 
 
 def one_texel(rng, height, width):
-    """One texel of a 64×128 map lit, white, above the horizon; which one is drawn: the probe of every convention."""
+    """One texel of a 64×128 map lit, white, above the horizon; which one is drawn: the probe of
+    every convention.
+    """
     row, column = int(rng.integers(8, 32)), int(rng.integers(0, 128))
     L = np.zeros((64, 128, 3))
     L[row, column] = 1.0
@@ -35,17 +41,26 @@ def one_texel(rng, height, width):
 
 
 def sun_and_sky(rng, height, width):
-    """A clear sky, over a dull ground; the sun's disc carries a fifth to two thirds of the light."""
+    """A clear sky, over a dull ground; the sun's disc carries a fifth to two thirds of the
+    light.
+    """
     w, _ = envmap.directions(height, width)
     elevation, azimuth = np.radians(rng.uniform(10, 70)), rng.uniform(0, 2 * np.pi)
-    sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(elevation), np.sin(azimuth) * np.cos(elevation)])
+    sun = np.array(
+        [
+            np.cos(azimuth) * np.cos(elevation),
+            np.sin(elevation),
+            np.sin(azimuth) * np.cos(elevation),
+        ]
+    )
     up = w[..., 1:2]
     haze = np.clip(1.0 - up, 0.0, 1.0) ** 3
     sky = SKY_ZENITH + (SKY_HORIZON - SKY_ZENITH) * haze
     away = np.arccos(np.clip(w @ sun, -1.0, 1.0))[..., None]
     glow = 2.0 * np.exp(-away / np.radians(12.0)) * SUN
     disc = SUN * np.where(away < np.radians(1.5), rng.uniform(1000, 5000), 0.0)
-    horizon = np.clip(up * height / 4 + 0.5, 0.0, 1.0)  # four rows wide, so that no edge is a staircase
+    # four rows wide, so that no edge is a staircase
+    horizon = np.clip(up * height / 4 + 0.5, 0.0, 1.0)
     return GROUND + horizon * (sky + glow - GROUND) + disc
 
 
@@ -59,7 +74,10 @@ def softboxes(rng, height, width):
         forward = np.array([c * np.cos(elevation), np.sin(elevation), s * np.cos(elevation)])
         right = np.array([-s, 0.0, c])
         ahead = w @ forward
-        plane = np.stack([w @ right, w @ np.cross(forward, right)], axis=-1) / np.where(ahead > 0.05, ahead, 1.0)[..., None]
+        plane = (
+            np.stack([w @ right, w @ np.cross(forward, right)], axis=-1)
+            / np.where(ahead > 0.05, ahead, 1.0)[..., None]
+        )
         half_size = rng.uniform(0.15, 0.6, size=2)
         rim = np.clip((half_size - np.abs(plane)) / (0.15 * half_size) + 0.5, 0.0, 1.0).prod(-1)
         warm = rng.uniform(-0.15, 0.15)

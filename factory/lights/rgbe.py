@@ -1,10 +1,11 @@
-"""Radiance's .hdr pictures: four bytes a pixel, a shared exponent e: value = mantissa · 2^(e − 136), 0 where e = 0.
+"""Radiance's .hdr pictures: four bytes a pixel, a shared exponent e: value = mantissa · 2^(e −
+136), 0 where e = 0.
 
-A scanline is flat, old-style (a pixel 1 1 1 n repeats the one before n times, successive ones shift n by 8 bits), or new-style
-(2 2 and the width in two bytes, then each of the four components by itself: a count above 128 repeats one byte count − 128
-times, another is followed by that many bytes).
-Source: Greg Ward, "Real Pixels", Graphics Gems II. Radiance itself adds ½ to the mantissa; Blender, whose picture this must be, does not
-(a test asks it).
+A scanline is flat, old-style (a pixel 1 1 1 n repeats the one before n times, successive ones shift
+n by 8 bits), or new-style (2 2 and the width in two bytes, then each of the four components by
+itself: a count above 128 repeats one byte count − 128 times, another is followed by that many
+bytes). Source: Greg Ward, "Real Pixels", Graphics Gems II. Radiance itself adds ½ to the mantissa;
+Blender, whose picture this must be, does not (a test asks it).
 """
 
 import re
@@ -16,15 +17,16 @@ from manifests.errors import InputError
 MAX_HEADER = 64 * 1024  # bytes; real headers hold a few hundred
 ROWS = 64  # scanlines that are unpacked together
 PIECE = 1 << 22  # bytes of the file that are read at once
-LONGEST = 20  # bytes per pixel of a scanline: each pixel by itself, and four repeats of no length (the old style)
+# bytes per pixel of a scanline: each pixel by itself, and four repeats of no length (the old style)
+LONGEST = 20
 REMEDY = "export the map again as Radiance .hdr or OpenEXR"
 
 
 def read(path, check_size):
     """Pixels (H, W, 3) float32 of a Radiance file.
 
-    check_size(height, width, bytes_needed) raises InputError before memory is taken for a picture too large
-    Raises  InputError
+    check_size(height, width, bytes_needed) raises InputError before memory is taken for a picture
+    too large Raises  InputError
 
     Takes the memory of the picture, of ROWS scanlines and of PIECE bytes of the file.
     """
@@ -33,7 +35,8 @@ def read(path, check_size):
         start, height, width, exposure = _header(data, path)
         check_size(height, width, height * width * 12)
         size = path.stat().st_size
-        if size - start < height * min(8, 4 * width):  # a pixel and its repeats: the shortest scanline there is
+        # a pixel and its repeats: the shortest scanline there is
+        if size - start < height * min(8, 4 * width):
             raise _truncated(path, f"{size} bytes for {width}×{height} pixels")
         pixels = np.empty((height, width, 3), np.float32)
         longest = LONGEST * width + 4  # bytes of a scanline
@@ -45,19 +48,28 @@ def read(path, check_size):
                 start = _scanline(data, start, each, path, row)
             scale = np.ldexp(np.float32(1.0), bytes_[..., 3].astype(np.int32) - 136)
             scale[bytes_[..., 3] == 0] = 0.0
-            with np.errstate(over="ignore"):  # values beyond float32 are infinite, and refused later, by count
-                pixels[first : first + ROWS] = bytes_[..., :3] * scale[..., None] / np.float32(exposure)
+            # values beyond float32 are infinite, and refused later, by count
+            with np.errstate(over="ignore"):
+                pixels[first : first + ROWS] = (
+                    bytes_[..., :3] * scale[..., None] / np.float32(exposure)
+                )
     return pixels
 
 
 def _header(data, path):
-    """Where the pixels start, height, width, and the product of EXPOSURE lines, by which the pixels were multiplied."""
+    """Where the pixels start, height, width, and the product of EXPOSURE lines, by which the pixels
+    were multiplied.
+    """
     end = data.find(b"\n\n", 0, MAX_HEADER)
     line_end = data.find(b"\n", end + 2, end + 2 + 100)
     if end < 0 or line_end < 0:
         raise _truncated(path, "no end of the header")
     lines = data[:end].decode("latin-1").splitlines()
-    wrong = [line for line in lines if line.startswith("FORMAT=") and line.strip() != "FORMAT=32-bit_rle_rgbe"]
+    wrong = [
+        line
+        for line in lines
+        if line.startswith("FORMAT=") and line.strip() != "FORMAT=32-bit_rle_rgbe"
+    ]
     if wrong:
         raise InputError(path, "FORMAT=32-bit_rle_rgbe", wrong[0].strip(), REMEDY)
     size = re.fullmatch(rb"-Y (\d{1,9}) \+X (\d{1,9})\s*", data[end + 2 : line_end])
@@ -72,18 +84,27 @@ def _header(data, path):
 
 
 def _positive(text, path):
-    """A number from text, or a product of such numbers, within what float32 can divide by. Raises InputError."""
+    """A number from text, or a product of such numbers, within what float32 can divide by. Raises
+    InputError.
+    """
     try:
         value = float(text)
     except ValueError:
         value = 0.0
     if not 1e-30 < value < 1e30:
-        raise InputError(path, "EXPOSURE= with a positive number", repr(str(text).strip())[:80], REMEDY)
+        raise InputError(
+            path, "EXPOSURE= with a positive number", repr(str(text).strip())[:80], REMEDY
+        )
     return value
 
 
 def _truncated(path, found):
-    return InputError(path, "a whole Radiance picture", f"the file ends early ({found})", "download or export it again")
+    return InputError(
+        path,
+        "a whole Radiance picture",
+        f"the file ends early ({found})",
+        "download or export it again",
+    )
 
 
 def _scanline(data, start, row, path, number):
@@ -92,13 +113,20 @@ def _scanline(data, start, row, path, number):
     head = data[start : start + 4]
     new = 8 <= width < 32768 and head[:2] == b"\x02\x02" and len(head) == 4 and head[2] < 128
     if new and head[2] * 256 + head[3] != width:
-        raise InputError(path, f"scanline {number} of {width} pixels", f"one of {head[2] * 256 + head[3]}", REMEDY)
+        raise InputError(
+            path,
+            f"scanline {number} of {width} pixels",
+            f"one of {head[2] * 256 + head[3]}",
+            REMEDY,
+        )
     try:
         return _new_style(data, start + 4, row) if new else _old_style(data, start, row)
     except IndexError:
         raise _truncated(path, f"within scanline {number} of {width} pixels") from None
     except OverflowError:
-        raise InputError(path, f"scanline {number} of {width} pixels", "a run that is longer", REMEDY) from None
+        raise InputError(
+            path, f"scanline {number} of {width} pixels", "a run that is longer", REMEDY
+        ) from None
 
 
 def _new_style(data, start, row):

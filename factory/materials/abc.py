@@ -1,8 +1,9 @@
-"""The ABC microfacet fits of MERL's hundred: a second witness of the same measurements, to set the neural ones against.
+"""The ABC microfacet fits of MERL's hundred: a second witness of the same measurements, to set the
+neural ones against.
 
-f = k_d/π + F D G / (π cos_i cos_o);  D = A / (1 + B (1 − cos_h))^C;  F unpolarised dielectric Fresnel at cos_d;
-G = min(1, 2 cos_h cos_i / cos_d, 2 cos_h cos_o / cos_d).
-Source: Löw, Kronander, Ynnerman, Unger, "BRDF Models for Accurate and Efficient Rendering of Glossy Surfaces", TOG 2012;
+f = k_d/π + F D G / (π cos_i cos_o);  D = A / (1 + B (1 − cos_h))^C;  F unpolarised dielectric
+Fresnel at cos_d; G = min(1, 2 cos_h cos_i / cos_d, 2 cos_h cos_o / cos_d). Source: Löw, Kronander,
+Ynnerman, Unger, "BRDF Models for Accurate and Efficient Rendering of Glossy Surfaces", TOG 2012;
 parameters as in dj_brdf's table (CSV: name, kd_r, kd_g, kd_b, A_r, A_g, A_b, B, C, ior).
 """
 
@@ -28,7 +29,10 @@ class ABC:
 
     def __call__(self, cos_i, cos_o, cos_h, cos_d):
         g = np.sqrt(self.ior**2 - 1 + cos_d**2)
-        parallel, crossed = (g - cos_d) / (g + cos_d), (cos_d * (g + cos_d) - 1) / (cos_d * (g - cos_d) + 1)
+        parallel, crossed = (
+            (g - cos_d) / (g + cos_d),
+            (cos_d * (g + cos_d) - 1) / (cos_d * (g - cos_d) + 1),
+        )
         F = 0.5 * parallel**2 * (1 + crossed**2)
         G = np.minimum(1, 2 * cos_h / cos_d * np.minimum(cos_i, cos_o))
         D = self.A / (1 + self.B * (1 - cos_h[..., None])) ** self.C
@@ -49,15 +53,24 @@ def load(path):
                 materials[row["name"]] = ABC(v[:3], v[3:6], *v[6:])
         except (KeyError, TypeError, ValueError, csv.Error) as error:
             result = f"'{str(error)[:80]}'"
-            raise InputError(f"{path}: line {number}", f"numbers under {', '.join(COLUMNS)}", result, "give the ABC table") from None
+            raise InputError(
+                f"{path}: line {number}",
+                f"numbers under {', '.join(COLUMNS)}",
+                result,
+                "give the ABC table",
+            ) from None
     return materials
 
 
 def relative_distances(sources, table):
-    """{name: (6,)}: relative L1 of f · cos between a measurement and the table's fit, at each held-out view; names in both."""
+    """{name: (6,)}: relative L1 of f · cos between a measurement and the table's fit, at each
+    held-out view; names in both.
+    """
     samples = held_out()
     return {
-        name: relative_l1(table[name](*samples.cosines), source.measured(samples.cos_h, samples.cos_d), samples)
+        name: relative_l1(
+            table[name](*samples.cosines), source.measured(samples.cos_h, samples.cos_d), samples
+        )
         for name, source in sources.items()
         if name in table
     }

@@ -1,7 +1,9 @@
-"""How well-conditioned a label is: how far its numbers and its BRDF move when the measurement is 1 % off.
+"""How well-conditioned a label is: how far its numbers and its BRDF move when the measurement is 1
+% off.
 
-The measurement is multiplied by exp(ε · smooth noise), different for each draw and channel, and fitted again from scratch by the same
-recipe. Smooth, because independent noise a sample averages out: the noise is a sum of a few cosines over (θ_h, θ_d), of unit variance.
+The measurement is multiplied by exp(ε · smooth noise), different for each draw and channel, and
+fitted again from scratch by the same recipe. Smooth, because independent noise a sample averages
+out: the noise is a sum of a few cosines over (θ_h, θ_d), of unit variance.
 """
 
 import numpy as np
@@ -17,22 +19,33 @@ class Noisy:
 
     def __init__(self, source, amount, rng):
         self.source, self.amount = source, amount
-        self.frequency, self.phase = rng.uniform(1, 6, (WAVES, 2)), rng.uniform(0, 2 * np.pi, (WAVES, 3))
+        self.frequency, self.phase = (
+            rng.uniform(1, 6, (WAVES, 2)),
+            rng.uniform(0, 2 * np.pi, (WAVES, 3)),
+        )
 
     def __call__(self, cos_h, cos_d):
-        theta_h, theta_d = (np.arccos(np.clip(c, 0, 1))[..., None, None] for c in np.broadcast_arrays(cos_h, cos_d))
-        waves = np.cos(self.frequency[:, :1] * np.sqrt(theta_h) + self.frequency[:, 1:] * theta_d + self.phase)
+        theta_h, theta_d = (
+            np.arccos(np.clip(c, 0, 1))[..., None, None] for c in np.broadcast_arrays(cos_h, cos_d)
+        )
+        waves = np.cos(
+            self.frequency[:, :1] * np.sqrt(theta_h) + self.frequency[:, 1:] * theta_d + self.phase
+        )
         return self.source(cos_h, cos_d) * np.exp(self.amount * waves.sum(-2) * np.sqrt(2 / WAVES))
 
 
 def moved(source, recipe_, amount, draws, rng):
     """How labels of noisy copies differ from the label of the clean source.
 
-    Returns  numbers (draws, 3, 3, 2, 6): differences of the logarithms; l1 (draws,): relative L1 of the BRDFs, mean of the held-out views
+    Returns  numbers (draws, 3, 3, 2, 6): differences of the logarithms; l1 (draws,): relative L1 of
+    the BRDFs, mean of the held-out views
     """
     samples = held_out()
     clean = recipe.fit(source, recipe_).label
     f = errors.label_values(clean, samples)
     labels = [recipe.fit(Noisy(source, amount, rng), recipe_).label for _ in range(draws)]
-    l1 = [errors.relative_l1(errors.label_values(label, samples), f, samples).mean() for label in labels]
+    l1 = [
+        errors.relative_l1(errors.label_values(label, samples), f, samples).mean()
+        for label in labels
+    ]
     return np.array(labels) - clean, np.array(l1)

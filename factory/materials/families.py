@@ -1,25 +1,54 @@
 """What kind of stuff each measured material is, and who may learn from it.
 
-MERL's hundred carry their family in the name, more or less; the rest is listed. The paper holds out 20 of 80 materials and names
-none: the twenty here are our choice, drawn from every family. Which 60 of the other
-80 the `paper` preset keeps is said by manifests.splits.
+MERL's hundred carry their family in the name, more or less; the rest is listed. The paper holds out
+20 of 80 materials and names none: the twenty here are our choice, drawn from every family. Which 60
+of the other 80 the `paper` preset keeps is said by manifests.splits.
 """
 
 import hashlib
 
 HELD_OUT = frozenset(
     [
-        *("chrome-steel", "aluminium", "ss440", "brass", "green-metallic-paint2", "silver-metallic-paint", "gold-metallic-paint"),
-        *("color-changing-paint1", "color-changing-paint2", "purple-paint", "white-paint", "specular-green-phenolic"),
-        *("specular-yellow-phenolic", "gray-plastic", "pink-plastic", "red-fabric", "white-fabric", "pink-fabric", "green-latex"),
+        *(
+            "chrome-steel",
+            "aluminium",
+            "ss440",
+            "brass",
+            "green-metallic-paint2",
+            "silver-metallic-paint",
+            "gold-metallic-paint",
+        ),
+        *(
+            "color-changing-paint1",
+            "color-changing-paint2",
+            "purple-paint",
+            "white-paint",
+            "specular-green-phenolic",
+        ),
+        *(
+            "specular-yellow-phenolic",
+            "gray-plastic",
+            "pink-plastic",
+            "red-fabric",
+            "white-fabric",
+            "pink-fabric",
+            "green-latex",
+        ),
         "pickled-oak-260",
     ]
 )
 NAMED = {
-    "metal": "alum-bronze aluminium black-oxidized-steel brass chrome chrome-steel grease-covered-steel hematite nickel ss440 steel "
-    "tungsten-carbide two-layer-gold two-layer-silver",
-    "wood": "cherry-235 colonial-maple-223 fruitwood-241 ipswich-pine-221 natural-209 pickled-oak-260 special-walnut-224",
-    "stone and ceramic": "alumina-oxide aventurnine black-obsidian pink-jasper silicon-nitrade white-marble",
+    "metal": (
+        "alum-bronze aluminium black-oxidized-steel brass chrome chrome-steel grease-covered-steel"
+        " hematite nickel ss440 steel tungsten-carbide two-layer-gold two-layer-silver"
+    ),
+    "wood": (
+        "cherry-235 colonial-maple-223 fruitwood-241 ipswich-pine-221 natural-209 pickled-oak-260"
+        " special-walnut-224"
+    ),
+    "stone and ceramic": (
+        "alumina-oxide aventurnine black-obsidian pink-jasper silicon-nitrade white-marble"
+    ),
     "plastic": "black-soft-plastic delrin nylon polyethylene pvc teflon white-diffuse-bball",
     "rubber": "green-latex polyurethane-foam",
     "fabric": "pink-felt",
@@ -75,7 +104,8 @@ def split(name):
 
 
 def rgl_split(name):
-    """train or test, of an EPFL material: about a fifth by a hash of the name's first part, so that one maker's colours keep together.
+    """train or test, of an EPFL material: about a fifth by a hash of the name's first part, so that
+    one maker's colours keep together.
 
     Our choice: the paper has MERL alone.
     """

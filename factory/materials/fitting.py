@@ -1,7 +1,8 @@
 """Fits many materials, keeps each as it is done, and gathers them into a catalogue.
 
-Beside the catalogue FILE a folder FILE.fits/ holds one entry a material, named by a hash of all that determines its fit: the
-measurement, the recipe, the light maps and this program's fitting code. A second call takes them from there; another recipe makes others.
+Beside the catalogue FILE a folder FILE.fits/ holds one entry a material, named by a hash of all
+that determines its fit: the measurement, the recipe, the light maps and this program's fitting
+code. A second call takes them from there; another recipe makes others.
 """
 
 import concurrent.futures
@@ -23,15 +24,21 @@ from manifests.inputs import require_file
 from manifests.materials import Distance, Entry, Errors, MixtureData, Neighbour
 from manifests.reading import decode
 
-VERSION = 2  # of the fitting code: raise it with any change that alters a fit, and kept fits are made again
-PROBE = np.linspace(0.01, 0.999, 64)[:, None], np.linspace(0.05, 0.999, 16)  # cos_h, cos_d at which a measurement is hashed
+# of the fitting code: raise it with any change that alters a fit, and kept fits are made again
+VERSION = 2
+# cos_h, cos_d at which a measurement is hashed
+PROBE = np.linspace(0.01, 0.999, 64)[:, None], np.linspace(0.05, 0.999, 16)
 
 _WORKER = {}  # what each worker process holds: sources, recipe, sphere
 
 
 def key(source, recipe_, maps):
-    """Names the fit of one source by one recipe, these light maps and this version of the fitting code."""
-    digest = hashlib.sha256(repr(recipe_).encode() + source.name.encode() + source.measured(*PROBE).tobytes())
+    """Names the fit of one source by one recipe, these light maps and this version of the fitting
+    code.
+    """
+    digest = hashlib.sha256(
+        repr(recipe_).encode() + source.name.encode() + source.measured(*PROBE).tobytes()
+    )
     for name, L in maps.items():
         digest.update(name.encode() + np.asarray(L, np.float32).tobytes())
     digest.update(str(VERSION).encode())
@@ -41,14 +48,24 @@ def key(source, recipe_, maps):
 def fit_all(sources, recipe_, maps, out, workers=1):
     """Entries of all sources, in their order; each is kept under OUT.fits as soon as it is done.
 
-    sources  {name: Source};  maps {name: (height, width, 3)} light maps for the display errors, may be empty
+    sources  {name: Source};  maps {name: (height, width, 3)} light maps for the display errors, may
+    be empty
     """
     folder = Path(f"{out}.fits")
     folder.mkdir(parents=True, exist_ok=True)
-    files = {name: folder / f"{name}.{key(source, recipe_, maps)}.json" for name, source in sources.items()}
+    files = {
+        name: folder / f"{name}.{key(source, recipe_, maps)}.json"
+        for name, source in sources.items()
+    }
     todo = [name for name, file in files.items() if _kept(file) is None]
     _WORKER.update(sources=sources, recipe=recipe_, files=files, sphere=None)
-    bar = tqdm(total=len(files), initial=len(files) - len(todo), unit="material", desc="fitting materials", dynamic_ncols=True)
+    bar = tqdm(
+        total=len(files),
+        initial=len(files) - len(todo),
+        unit="material",
+        desc="fitting materials",
+        dynamic_ncols=True,
+    )
     with bar:
         if todo and maps:
             bar.set_postfix_str("gathering the light of the maps")
@@ -60,7 +77,9 @@ def fit_all(sources, recipe_, maps, out, workers=1):
 
 
 def _kept(file):
-    """The entry of a fit that was kept; None if there is none, or a damaged one. Raises InputError where something else lies there."""
+    """The entry of a fit that was kept; None if there is none, or a damaged one. Raises InputError
+    where something else lies there.
+    """
     if not os.path.lexists(file):
         return None
     require_file(file, "a kept fit", "delete it")
@@ -79,7 +98,9 @@ def _each(names, workers):
             yield _fit_one(name)
         return
     with concurrent.futures.ProcessPoolExecutor(workers, mp_context=_fork()) as pool:
-        for future in concurrent.futures.as_completed([pool.submit(_fit_one, name) for name in names]):
+        for future in concurrent.futures.as_completed(
+            [pool.submit(_fit_one, name) for name in names]
+        ):
             yield future.result()
 
 
@@ -102,11 +123,15 @@ def write_entry(entry_, path):
 
 
 def entry(source, fit, sphere=None):
-    """The catalogue's entry of a source and its fit; display errors if there is a sphere to draw."""
+    """The catalogue's entry of a source and its fit; display errors if there is a sphere to
+    draw.
+    """
     shown = recipe.display(fit, source.measured, sphere) if sphere else ((), (), ())
     distances = [
         Distance(_short(l1), _short(l2))
-        for l1, l2 in zip((fit.nodes_vs_label, fit.nodes_vs_source, fit.label_vs_source), shown, strict=True)
+        for l1, l2 in zip(
+            (fit.nodes_vs_label, fit.nodes_vs_source, fit.label_vs_source), shown, strict=True
+        )
     ]
     mixture = MixtureData(**fit.mixture.to_json(recipe.DIGITS))
     label = tuple(map(float, fit.label.ravel()))
@@ -128,7 +153,9 @@ def _short(values):
 
 
 def with_neighbours(entries):
-    """The entries, each test one with the nearest training one: relative L1 of their labels' f · cos, mean over the held-out views."""
+    """The entries, each test one with the nearest training one: relative L1 of their labels' f ·
+    cos, mean over the held-out views.
+    """
     samples = held_out()
     f = {e.name: errors.label_values(np.reshape(e.label, (3, 3, 2, 6)), samples) for e in entries}
     train = [e.name for e in entries if e.split == "train"]
@@ -154,5 +181,11 @@ def duplicates(entries):
 def write_catalogue(entries, path, title, credit, light_maps):
     """The catalogue of these entries, nearest training materials found, written to `path`."""
     catalogue.write(
-        catalogue.Catalogue(title=title, credit=credit, light_maps=tuple(light_maps), materials=tuple(with_neighbours(entries))), path
+        catalogue.Catalogue(
+            title=title,
+            credit=credit,
+            light_maps=tuple(light_maps),
+            materials=tuple(with_neighbours(entries)),
+        ),
+        path,
     )

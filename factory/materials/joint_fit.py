@@ -1,10 +1,14 @@
 """The fit of a label and a mixture to a measured material and to each other, all at once.
 
-M  measured, L label, N mixture (nodes); λ, μ small.  Least:  |L − N|² + λ |L − M|² + μ |N − M|²  + ties,
-|·|² a weighted sum over samples, views and channels. For given L and closures the weights X ≥ 0 of N solve a small least-squares
-problem a view and channel (variable projection), because  |L − N|² + μ|N − M|² = (1 + μ)|N − T|² + μ/(1 + μ) |L − M|²,
-T = (L + μM)/(1 + μ). What is left, the label's 108 numbers and log α and tilt a view and closure, moves by Levenberg–Marquardt.
-Ties keep neighbouring views' log α and tilt together, so that nothing jumps between the stops of a colour ramp.
+M  measured, L label, N mixture (nodes); λ, μ small.  Least:  |L − N|² + λ |L − M|² + μ |N − M|²  +
+ties,
+|·|² a weighted sum over samples, views and channels. For given L and closures the weights X ≥ 0 of
+N solve a small least-squares
+problem a view and channel (variable projection), because  |L − N|² + μ|N − M|² = (1 + μ)|N − T|² +
+μ/(1 + μ) |L − M|²,
+T = (L + μM)/(1 + μ). What is left, the label's 108 numbers and log α and tilt a view and closure,
+moves by Levenberg–Marquardt. Ties keep neighbouring views' log α and tilt together, so that nothing
+jumps between the stops of a colour ramp.
 """
 
 from dataclasses import dataclass, replace
@@ -18,9 +22,11 @@ LABEL = 108
 
 @dataclass(frozen=True)
 class Settings:
-    """mu, mu_label: pull of nodes and label towards the measurement; tie_alpha, tie_tilt: between neighbouring views, and
-    upright: of tilts towards 0, all three relative to the measurement's weighted square; prior, smooth: of the label, towards
-    `prior_label` and against second differences; iterations at most, and the relative gain below which three in a row end it."""
+    """mu, mu_label: pull of nodes and label towards the measurement; tie_alpha, tie_tilt: between
+    neighbouring views, and upright: of tilts towards 0, all three relative to the measurement's
+    weighted square; prior, smooth: of the label, towards `prior_label` and against second
+    differences; iterations at most, and the relative gain below which three in a row end it.
+    """
 
     mu: float = 0.1
     mu_label: float = 0.1
@@ -35,7 +41,9 @@ class Settings:
 
 @dataclass(frozen=True)
 class State:
-    """label (3, 3, 2, 6), kinds (K,), log_alpha and tilt (V, K), weights (V, K, 3); cost is what was minimised."""
+    """label (3, 3, 2, 6), kinds (K,), log_alpha and tilt (V, K), weights (V, K, 3); cost is what
+    was minimised.
+    """
 
     label: np.ndarray
     kinds: tuple
@@ -46,10 +54,18 @@ class State:
 
 
 class JointFit:
-    """The problem: samples, measured values (V, P, 3), weights (V, P, 3) of squared differences, settings."""
+    """The problem: samples, measured values (V, P, 3), weights (V, P, 3) of squared differences,
+    settings.
+    """
 
     def __init__(self, samples, measured, weight, settings, prior_label):
-        self.samples, self.M, self.W, self.settings = samples, measured, np.moveaxis(weight, -1, 1), settings  # W (V, 3, P)
+        # W (V, 3, P)
+        self.samples, self.M, self.W, self.settings = (
+            samples,
+            measured,
+            np.moveaxis(weight, -1, 1),
+            settings,
+        )
         basis, self.log_cos_h = samples.spline()
         self.basis, self.prior_label = basis, prior_label
         self.energy = (weight * measured**2).sum((1, 2))  # (V,)
@@ -75,13 +91,18 @@ class JointFit:
         return A, x, active, G, r, np.moveaxis(L - self.M, -1, 1)
 
     def _ties(self, state):
-        """Quadratic penalty: its value, gradient (V·2K,) and matrix over [log α, tilt] of all views."""
+        """Quadratic penalty: its value, gradient (V·2K,) and matrix over [log α, tilt] of all
+        views.
+        """
         s, V, K = self.settings, *state.log_alpha.shape
         energy = 0.5 * (self.energy[1:] + self.energy[:-1])
         D = np.diff(np.eye(V), axis=0)
         chain = (D.T * energy) @ D * 0.5
         upright = np.diag(self.energy) * s.upright
-        blocks = [(state.log_alpha, s.tie_alpha * chain), (state.tilt, s.tie_tilt * chain + upright)]
+        blocks = [
+            (state.log_alpha, s.tie_alpha * chain),
+            (state.tilt, s.tie_tilt * chain + upright),
+        ]
         value = sum(np.einsum("vk,vu,uk->", p, Q, p) for p, Q in blocks)
         H = np.zeros((V, 2, K, V, 2, K))
         g = np.zeros((V, 2, K))
@@ -96,17 +117,24 @@ class JointFit:
         s = self.settings
         d = (label - self.prior_label).reshape(-1, 6)
         curves = label.reshape(-1, 6)
-        value = s.prior * (d * d).sum() + s.smooth * np.einsum("ci,ij,cj->", curves, label_model.ROUGHNESS, curves)
+        value = s.prior * (d * d).sum() + s.smooth * np.einsum(
+            "ci,ij,cj->", curves, label_model.ROUGHNESS, curves
+        )
         H = np.kron(np.eye(18), s.smooth * label_model.ROUGHNESS + s.prior * np.eye(6))
         return value, (s.prior * d + s.smooth * curves @ label_model.ROUGHNESS).ravel(), H
 
     def cost(self, state, projected=None):
-        """What is minimised, relative to the measurement's weighted square, and the projection it came from."""
+        """What is minimised, relative to the measurement's weighted square, and the projection it
+        came from.
+        """
         mu = self.settings.mu
         projected = projected or self._project(state)
         r, pull = projected[4], projected[5]
         data = (1 + mu) * (self.W * r * r).sum() + self.pull * (self.W * pull * pull).sum()
-        return data * self.scale + self._ties(state)[0] + self._label_prior(state.label)[0], projected
+        return (
+            data * self.scale + self._ties(state)[0] + self._label_prior(state.label)[0],
+            projected,
+        )
 
     # --- one Gauss–Newton system
 
@@ -117,9 +145,17 @@ class JointFit:
         V, P, K = A.shape
         _, dL = label_model.slopes(state.label, self.basis.reshape(-1, 6), self.log_cos_h.ravel())
         dL = np.moveaxis(dL.reshape(3, V, P, 36), 0, 1)  # (V, 3, P, 36)
-        by_alpha, by_tilt = node_model.slopes(state.kinds, state.log_alpha, state.tilt, self.samples, A)
-        moved = np.concatenate([by_alpha, by_tilt], -1)[:, None] * np.concatenate([x, x], -1)[:, :, None]  # (V, 3, P, 2K)
-        Z = np.concatenate([dL * (-1 / (1 + mu)), moved, np.broadcast_to(A[:, None], (V, 3, P, K))], -1)
+        by_alpha, by_tilt = node_model.slopes(
+            state.kinds, state.log_alpha, state.tilt, self.samples, A
+        )
+        # (V, 3, P, 2K)
+        moved = (
+            np.concatenate([by_alpha, by_tilt], -1)[:, None]
+            * np.concatenate([x, x], -1)[:, :, None]
+        )
+        Z = np.concatenate(
+            [dL * (-1 / (1 + mu)), moved, np.broadcast_to(A[:, None], (V, 3, P, K))], -1
+        )
         root = np.sqrt(self.W)
         Z *= root[..., None]
         S = np.swapaxes(Z, 2, 3) @ Z  # (V, 3, 36 + 3K, …)
@@ -129,7 +165,8 @@ class JointFit:
         inner = np.where(both, G, 0.0) + ridge[..., None] * np.eye(K)
         C = np.where(active[..., None], S[:, :, n:, :n], 0.0)
         S = S[:, :, :n, :n]
-        both_r = np.swapaxes(Z, 2, 3) @ np.stack([root * r, root * pull], -1)  # (V, 3, 36 + 3K, 2): slopes against both residuals
+        # (V, 3, 36 + 3K, 2): slopes against both residuals
+        both_r = np.swapaxes(Z, 2, 3) @ np.stack([root * r, root * pull], -1)
         gradient = both_r[:, :, :n, 0]
         projected_S = S - np.swapaxes(C, 2, 3) @ np.linalg.solve(inner, C)
         size = LABEL + V * 2 * K
@@ -137,7 +174,9 @@ class JointFit:
         pull_gradient = both_r[:, :, :36, 1].sum(0) * (-self.pull * (1 + mu))  # Z holds −dL/(1 + μ)
         for c in range(3):
             own = slice(36 * c, 36 * c + 36)
-            H[own, own] += (1 + mu) * projected_S[:, c, :36, :36].sum(0) + self.pull * (1 + mu) ** 2 * S[:, c, :36, :36].sum(0)
+            H[own, own] += (1 + mu) * projected_S[:, c, :36, :36].sum(0) + self.pull * (
+                1 + mu
+            ) ** 2 * S[:, c, :36, :36].sum(0)
             g[own] += (1 + mu) * gradient[:, c, :36].sum(0) + pull_gradient[c]
             for v in range(V):
                 nodes = slice(LABEL + 2 * K * v, LABEL + 2 * K * (v + 1))
@@ -155,19 +194,25 @@ class JointFit:
         return g, H
 
     def _moved(self, state, step):
-        """The state after a step, inside its bounds; steps are clipped to what a linear model can be trusted for."""
+        """The state after a step, inside its bounds; steps are clipped to what a linear model can
+        be trusted for.
+        """
         V, K = state.log_alpha.shape
         low, high, least, most = node_model.bounds(state.kinds, self.samples.view_cos)
         nodes = step[LABEL:].reshape(V, 2, K)
         return replace(
             state,
-            label=label_model.bounded(state.label + np.clip(step[:LABEL], -2, 2).reshape(state.label.shape)),
+            label=label_model.bounded(
+                state.label + np.clip(step[:LABEL], -2, 2).reshape(state.label.shape)
+            ),
             log_alpha=np.clip(state.log_alpha + np.clip(nodes[:, 0], -0.6, 0.6), low, high),
             tilt=np.clip(state.tilt + np.clip(nodes[:, 1], -0.15, 0.15), least, most),
         )
 
     def run(self, state, frozen=(), iterations=None):
-        """Levenberg–Marquardt from a state; `frozen` may hold "label" and "nodes". Returns the best state, its weights set."""
+        """Levenberg–Marquardt from a state; `frozen` may hold "label" and "nodes". Returns the best
+        state, its weights set.
+        """
         V, K = state.log_alpha.shape
         free = np.ones(LABEL + 2 * K * V, bool)
         if "label" in frozen:
@@ -194,7 +239,12 @@ class JointFit:
             else:
                 break
             idle = idle + 1 if cost - trial_cost < self.settings.tolerance * cost else 0
-            state, cost, projected, damping = trial, trial_cost, trial_projected, max(damping / 5, 1e-7)
+            state, cost, projected, damping = (
+                trial,
+                trial_cost,
+                trial_projected,
+                max(damping / 5, 1e-7),
+            )
             if idle >= 3:
                 break
         return replace(state, weights=np.swapaxes(projected[1], 1, 2), cost=cost)

@@ -4,11 +4,13 @@ import numpy as np
 
 from factory.materials import label_model
 
-PRIOR, SMOOTH = 1e-5, 1e-5  # towards the start, and against second differences; relative to the target's weighted square
+# towards the start, and against second differences; relative to the target's weighted square
+PRIOR, SMOOTH = 1e-5, 1e-5
 
 
 def fit(target, weight, samples, starts, tries=12, iterations=60):
-    """The label (3, 3, 2, 6) of least weighted squared difference; every start is tried, the best goes on.
+    """The label (3, 3, 2, 6) of least weighted squared difference; every start is tried, the best
+    goes on.
 
     target, weight  (V, P, 3);  starts (S, 3, 3, 2, 6)
     """
@@ -29,7 +31,9 @@ def _descend(start, target, weight, basis, log_cos_h, iterations):
     regular = np.kron(np.eye(6), SMOOTH * label_model.ROUGHNESS + PRIOR * np.eye(6))
 
     def penalty_slope(p):
-        return PRIOR * (p - start).ravel() + SMOOTH * (p.reshape(6, 6) @ label_model.ROUGHNESS).ravel()
+        return (
+            PRIOR * (p - start).ravel() + SMOOTH * (p.reshape(6, 6) @ label_model.ROUGHNESS).ravel()
+        )
 
     def cost(p, f):
         curves = p.reshape(6, 6)

@@ -1,4 +1,5 @@
-"""The label as something to fit: DSBRDF values and their slopes at samples, start values from data, bounds and priors.
+"""The label as something to fit: DSBRDF values and their slopes at samples, start values from data,
+bounds and priors.
 
 label  (3, 3, 2, 6): channel, lobe, (log κ, log γ), spline control values over θ_d
 """
@@ -46,7 +47,8 @@ def slopes(label, basis, log_cos_h):
 
 
 def initial_labels(source):
-    """Three labels (3, 3, 3, 2, 6) read off the data: how much of the peak each sharp lobe is given differs.
+    """Three labels (3, 3, 3, 2, 6) read off the data: how much of the peak each sharp lobe is given
+    differs.
 
     source  callable (cos_h, cos_d) → f (…, 3)
     """
@@ -62,13 +64,18 @@ def initial_labels(source):
         return np.maximum(theta_h[np.argmax(excess < share * peak, axis=0)], 2e-3)
 
     labels = []
-    for narrow, wide in (((1.0, 0.5), (0.08, 0.05)), ((0.7, 0.5), (0.4, 0.2)), ((1.0, 0.2), (0.02, 0.02))):
+    for narrow, wide in (
+        ((1.0, 0.5), (0.08, 0.05)),
+        ((0.7, 0.5), (0.4, 0.2)),
+        ((1.0, 0.2), (0.02, 0.02)),
+    ):
         lobes = [(np.log(np.log1p(base)), np.full_like(base, np.log(0.2)))]
         for part, share in (wide, narrow):
             kappa = np.log1p(part * peak)
             gamma = np.log(kappa / np.log1p(0.5 * part * peak)) / (half_width(share) ** 2 / 2)
             lobes.append((np.log(kappa), np.log(gamma)))
-        labels.append(np.moveaxis(np.array(lobes), -1, 0))  # (lobe, 2, 6, channel) → (channel, lobe, 2, 6)
+        # (lobe, 2, 6, channel) → (channel, lobe, 2, 6)
+        labels.append(np.moveaxis(np.array(lobes), -1, 0))
     return bounded(np.array(labels))
 
 

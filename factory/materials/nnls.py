@@ -1,8 +1,9 @@
 """Many small non-negative least-squares problems at once, on their normal equations.
 
 minimise x·G x − 2 b·x over x ≥ 0 for each of N problems: G (N, K, K), b (N, K).
-Block principal pivoting (Kim and Park 2011): all of a problem's wrong signs change sides together; a problem that does not
-improve for three rounds changes only its last wrong one, which is known to end.
+Block principal pivoting (Kim and Park 2011): all of a problem's wrong signs change sides together;
+a problem that does not improve for three rounds changes only its last wrong one, which is known to
+end.
 """
 
 import numpy as np
@@ -44,5 +45,7 @@ def solve(G, b, start=None):
 def _on_side(G, b, active):
     """Solution (N, K) with the inactive held at 0, and the slope (N, K) of the objective there."""
     both = active[:, :, None] & active[:, None, :]
-    x = np.linalg.solve(np.where(both, G, np.eye(b.shape[1])), np.where(active, b, 0.0)[..., None])[..., 0]
+    x = np.linalg.solve(np.where(both, G, np.eye(b.shape[1])), np.where(active, b, 0.0)[..., None])[
+        ..., 0
+    ]
     return x, np.einsum("nij,nj->ni", G, x) - b

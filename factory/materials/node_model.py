@@ -1,4 +1,5 @@
-"""The closures as something to fit: columns of a linear model at samples, their slopes, and a first choice among them.
+"""The closures as something to fit: columns of a linear model at samples, their slopes, and a first
+choice among them.
 
 alpha, tilt  (V, K): one width and one tilt a view stop and closure
 columns      (V, P, K): closure k at the samples of view v; a mixture is columns · weights (V, K, 3)
@@ -9,14 +10,16 @@ import numpy as np
 from factory.materials import nnls
 from shaders import closures
 
-LOG_ALPHA = {  # what Cycles renders without clamping; Ashikhmin–Shirley ends where its exponent reaches 0
+# what Cycles renders without clamping; Ashikhmin–Shirley ends where its exponent reaches 0
+LOG_ALPHA = {
     "diffuse": (0.0, 0.0),
     "ggx": tuple(np.log([0.0025, 1.0])),
     "beckmann": tuple(np.log([0.0025, 1.0])),
     "ashikhmin_shirley": tuple(np.log([0.0035, 0.99])),
     "sheen": tuple(np.log([0.15, 1.0])),
 }
-TILT_MOST, TILT_LEAST = 0.6, -0.3  # the least is times cos_o: never far away from the viewer at grazing
+# the least is times cos_o: never far away from the viewer at grazing
+TILT_MOST, TILT_LEAST = 0.6, -0.3
 STEP_ALPHA, STEP_TILT = 0.01, 0.004
 
 
@@ -31,25 +34,35 @@ def dictionary():
 def columns(kinds, log_alpha, tilt, samples):
     """(V, P, K) closures at the samples; log_alpha, tilt (V, K)."""
     parts = [
-        closures.evaluate(kind, np.exp(log_alpha[:, k, None]), tilt[:, k, None], *samples.cosines)
-        if np.any(tilt[:, k])
-        else closures.CLOSURES[kind](np.exp(log_alpha[:, k, None]), *samples.cosines)
+        (
+            closures.evaluate(
+                kind, np.exp(log_alpha[:, k, None]), tilt[:, k, None], *samples.cosines
+            )
+            if np.any(tilt[:, k])
+            else closures.CLOSURES[kind](np.exp(log_alpha[:, k, None]), *samples.cosines)
+        )
         for k, kind in enumerate(kinds)
     ]
     return np.stack(parts, -1)
 
 
 def slopes(kinds, log_alpha, tilt, samples, at):
-    """Differences of `at` (V, P, K), the columns, by log α and by tilt: two arrays (V, P, K); diffuse has no α, sheen is not tilted."""
+    """Differences of `at` (V, P, K), the columns, by log α and by tilt: two arrays (V, P, K);
+    diffuse has no α, sheen is not tilted.
+    """
     by_alpha, by_tilt = np.zeros_like(at), np.zeros_like(at)
     for k, kind in enumerate(kinds):
         a, t = log_alpha[:, k, None], tilt[:, k, None]
         if kind != "diffuse":
             step = np.where(a + STEP_ALPHA < LOG_ALPHA[kind][1], STEP_ALPHA, -STEP_ALPHA)
-            by_alpha[..., k] = (closures.evaluate(kind, np.exp(a + step), t, *samples.cosines) - at[..., k]) / step
+            by_alpha[..., k] = (
+                closures.evaluate(kind, np.exp(a + step), t, *samples.cosines) - at[..., k]
+            ) / step
         if kind != "sheen":
             step = np.where(t < 0.3, STEP_TILT, -STEP_TILT)
-            by_tilt[..., k] = (closures.evaluate(kind, np.exp(a), t + step, *samples.cosines) - at[..., k]) / step
+            by_tilt[..., k] = (
+                closures.evaluate(kind, np.exp(a), t + step, *samples.cosines) - at[..., k]
+            ) / step
     return by_alpha, by_tilt
 
 
@@ -57,11 +70,17 @@ def bounds(kinds, view_cos):
     """Lowest and highest log α (K,), and tilt (V, K)."""
     low, high = np.array([LOG_ALPHA[kind] for kind in kinds]).T
     movable = np.array([kind != "sheen" for kind in kinds], float)
-    return low, high, TILT_LEAST * view_cos[:, None] * movable, TILT_MOST * np.ones_like(view_cos)[:, None] * movable
+    return (
+        low,
+        high,
+        TILT_LEAST * view_cos[:, None] * movable,
+        TILT_MOST * np.ones_like(view_cos)[:, None] * movable,
+    )
 
 
 def choose(target, weight, samples, count):
-    """Greedy choice from the dictionary with one local swap a round: lists of (kind, alpha), one for each size 1 … count.
+    """Greedy choice from the dictionary with one local swap a round: lists of (kind, alpha), one
+    for each size 1 … count.
 
     target (V, P, 3), weight (V, P, 3) of the squared differences
     """
@@ -92,7 +111,9 @@ def choose(target, weight, samples, count):
             chosen[:i] + chosen[i + 1 :] + [chosen[i] + d]
             for i in range(len(chosen))
             for d in (-1, 1)
-            if 0 <= chosen[i] + d < len(atoms) and chosen[i] + d not in chosen and atoms[chosen[i] + d][0] == atoms[chosen[i]][0]
+            if 0 <= chosen[i] + d < len(atoms)
+            and chosen[i] + d not in chosen
+            and atoms[chosen[i] + d][0] == atoms[chosen[i]][0]
         ]
         if swaps and (cost := costs(swaps)).min() < 0.999 * least:
             chosen = swaps[int(np.argmin(cost))]

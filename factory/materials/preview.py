@@ -1,4 +1,6 @@
-"""A contact sheet of materials: a ball of each under one light map, from the label or from the mixture that Cycles renders."""
+"""A contact sheet of materials: a ball of each under one light map, from the label or from the
+mixture that Cycles renders.
+"""
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -11,7 +13,8 @@ from shaders.envmap import LUMINANCE
 
 CAPTION = 12  # pixels below a ball
 GROUND = 24  # display value around the balls
-WHITE_AT = 98.0  # percentile of a ball's luminance that reaches white, if the ball is brighter than a white one
+# percentile of a ball's luminance that reaches white, if the ball is brighter than a white one
+WHITE_AT = 98.0
 
 
 def contact_sheet(materials, L, size, columns, of, watch=lambda items: items):
@@ -23,7 +26,9 @@ def contact_sheet(materials, L, size, columns, of, watch=lambda items: items):
     watch      wraps the iterable, to show progress
     """
     rings = max(16, size // 3)
-    sphere = Sphere({"light": L}, np.random.default_rng(0), rings, 4 * rings // 2, n_theta=96, n_phi=9)
+    sphere = Sphere(
+        {"light": L}, np.random.default_rng(0), rings, 4 * rings // 2, n_theta=96, n_phi=9
+    )
     white = sphere.picture(np.full((rings, sphere.theta_h.size, 3), 1 / np.pi))
     exposure = 1.0 / np.percentile(white @ LUMINANCE, 95)
     rows = -(-len(materials) // columns)
@@ -31,8 +36,14 @@ def contact_sheet(materials, L, size, columns, of, watch=lambda items: items):
     draw = ImageDraw.Draw(picture)
     for i, material in enumerate(watch(materials)):
         x, y = i % columns * size, i // columns * (size + CAPTION)
-        picture.paste(Image.fromarray(material_sphere(sphere, material, size, of, exposure)), (x, y))
-        text = material.name if len(material.name) * 6 <= size else material.name[: size // 6 - 1] + "…"
+        picture.paste(
+            Image.fromarray(material_sphere(sphere, material, size, of, exposure)), (x, y)
+        )
+        text = (
+            material.name
+            if len(material.name) * 6 <= size
+            else material.name[: size // 6 - 1] + "…"
+        )
         draw.text((x + size // 2, y + size), text, fill=(190,) * 3, anchor="ma", font_size=10)
     return picture
 
@@ -40,9 +51,25 @@ def contact_sheet(materials, L, size, columns, of, watch=lambda items: items):
 def material_sphere(sphere, material, size, of, exposure):
     """(size, size, 3) uint8."""
     nodes = sphere.nodes()
-    label = on_pixels(sphere.picture(label_on(material.label, nodes))[:, :, 0], size) if of != "nodes" else None
-    mixture = on_pixels(sphere.picture(material.mixture.evaluate(*nodes))[:, :, 0], size) if of != "label" else None
-    radiance = label if mixture is None else mixture if label is None else np.where(np.arange(size)[:, None] * 2 < size, label, mixture)
+    label = (
+        on_pixels(sphere.picture(label_on(material.label, nodes))[:, :, 0], size)
+        if of != "nodes"
+        else None
+    )
+    mixture = (
+        on_pixels(sphere.picture(material.mixture.evaluate(*nodes))[:, :, 0], size)
+        if of != "label"
+        else None
+    )
+    radiance = (
+        label
+        if mixture is None
+        else (
+            mixture
+            if label is None
+            else np.where(np.arange(size)[:, None] * 2 < size, label, mixture)
+        )
+    )
     brightest = np.percentile(radiance @ LUMINANCE, WHITE_AT)
     display = tone.display(radiance, min(exposure, 1 / max(brightest, 1e-9)))
     return np.round(coverage(size)[..., None] * (display - GROUND) + GROUND).astype(np.uint8)

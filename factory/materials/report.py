@@ -23,7 +23,9 @@ LIMITS = (  # name, key of the figure, limit, what the prototype reached
 
 
 def figures(entries):
-    """{key: value}: the figures of LIMITS, and those of label against measurement and of closures."""
+    """{key: value}: the figures of LIMITS, and those of label against measurement and of
+    closures.
+    """
     agreement = np.array([e.errors.nodes_vs_label.l1 for e in entries])
     drift = np.array([e.errors.nodes_vs_source.l1 for e in entries])
     label = np.array([e.errors.label_vs_source.l1 for e in entries])
@@ -39,7 +41,11 @@ def figures(entries):
         "closures_mean": np.mean([len(e.mixture.kinds) for e in entries]),
     }
     if shown.size:
-        result |= {"display_median": np.median(shown), "display_p95": np.percentile(shown, 95), "display_max": shown.max()}
+        result |= {
+            "display_median": np.median(shown),
+            "display_p95": np.percentile(shown, 95),
+            "display_max": shown.max(),
+        }
     return {key: float(f"{value:.4g}") for key, value in result.items()}
 
 
@@ -49,7 +55,8 @@ def by_view(entries):
 
 
 def write(path, out, source=None, abc=None):
-    """Writes report.md, report.json and errors.png into the folder `out`; returns the table of limits as text.
+    """Writes report.md, report.json and errors.png into the folder `out`; returns the table of
+    limits as text.
 
     source, abc  measurements and ABC parameters to set against each other, or None
     """
@@ -59,16 +66,35 @@ def write(path, out, source=None, abc=None):
     catalogue = read_catalogue(path)
     entries = catalogue.materials
     if not entries:
-        raise InputError(path, "a material to report on", "none", "add one: python -m factory materials add")
+        raise InputError(
+            path, "a material to report on", "none", "add one: python -m factory materials add"
+        )
     result, made = figures(entries), provenance()
     witnesses = {}
     if source and abc:
-        witnesses = {name: l1.mean() for name, l1 in microfacets.relative_distances(sources.load(source), microfacets.load(abc)).items()}
+        witnesses = {
+            name: l1.mean()
+            for name, l1 in microfacets.relative_distances(
+                sources.load(source), microfacets.load(abc)
+            ).items()
+        }
     out.mkdir(parents=True, exist_ok=True)
     table = limits_table(result)
-    data = {**made, "catalogue": Path(path).name, "materials": len(entries), "light_maps": catalogue.light_maps, "figures": result}
-    data |= {"nodes_vs_label_by_view": dict(zip(map(str, HELD_OUT_DEG), map(float, by_view(entries)), strict=True))}
-    data |= {"measurement_vs_abc": {name: float(f"{value:.4g}") for name, value in witnesses.items()}}
+    data = {
+        **made,
+        "catalogue": Path(path).name,
+        "materials": len(entries),
+        "light_maps": catalogue.light_maps,
+        "figures": result,
+    }
+    data |= {
+        "nodes_vs_label_by_view": dict(
+            zip(map(str, HELD_OUT_DEG), map(float, by_view(entries)), strict=True)
+        )
+    }
+    data |= {
+        "measurement_vs_abc": {name: float(f"{value:.4g}") for name, value in witnesses.items()}
+    }
     with transaction():
         write_text(out / "report.md", _page(catalogue, table, result, made, witnesses))
         write_json(out / "report.json", data)
@@ -81,13 +107,18 @@ def limits_table(found):
     rows = ["| what | prototype | reached | limit | kept |", "|---|---|---|---|---|"]
     for text, key, limit, before in LIMITS:
         if key in found:
-            rows.append(f"| {text} | {before} | {found[key]:g} | ≤ {limit:g} | {'yes' if found[key] <= limit else '**no**'} |")
+            rows.append(
+                f"| {text} | {before} | {found[key]:g} | ≤ {limit:g} |"
+                f" {'yes' if found[key] <= limit else '**no**'} |"
+            )
     return "\n".join(rows)
 
 
 def _page(catalogue, table, found, made, witnesses):
     entries = catalogue.materials
-    views = ", ".join(f"{d:g}°: {v:.3f}" for d, v in zip(HELD_OUT_DEG, by_view(entries), strict=True))
+    views = ", ".join(
+        f"{d:g}°: {v:.3f}" for d, v in zip(HELD_OUT_DEG, by_view(entries), strict=True)
+    )
     maps = ", ".join(catalogue.light_maps) or "none"
     lines = [
         f"# {catalogue.title}: fit errors",
@@ -97,8 +128,11 @@ def _page(catalogue, table, found, made, witnesses):
         "",
         table,
         "",
-        f"Label against nodes, median by view angle: {views}. Label against measurement: median {found['label_drift_median']:g},"
-        f" 95th percentile {found['label_drift_p95']:g}. Closures a material: {found['closures_mean']:g}.",
+        (
+            f"Label against nodes, median by view angle: {views}. Label against measurement: median"
+            f" {found['label_drift_median']:g}, 95th percentile {found['label_drift_p95']:g}."
+            f" Closures a material: {found['closures_mean']:g}."
+        ),
         "",
         "![errors](errors.png)",
         "",
@@ -107,22 +141,34 @@ def _page(catalogue, table, found, made, witnesses):
         values = np.array(list(witnesses.values()))
         far = sorted(witnesses, key=witnesses.get)[-5:][::-1]
         lines += [
-            f"Measurement (neural fits) against ABC microfacet fits, L1 at the same views: median {np.median(values):.3f}, 95th percentile"
-            f" {np.percentile(values, 95):.3f}; farthest {', '.join(f'{n} {witnesses[n]:.2f}' for n in far)}.",
+            (
+                "Measurement (neural fits) against ABC microfacet fits, L1 at the same views:"
+                f" median {np.median(values):.3f}, 95th percentile {np.percentile(values, 95):.3f};"
+                f" farthest {', '.join(f'{n} {witnesses[n]:.2f}' for n in far)}."
+            ),
             "",
         ]
-    lines += ["| material | family | split | nearest for training | closures | L–N | worst | N–M | L–M | display L2 |", "|" + "---|" * 10]
+    lines += [
+        (
+            "| material | family | split | nearest for training | closures | L–N | worst | N–M |"
+            " L–M | display L2 |"
+        ),
+        "|" + "---|" * 10,
+    ]
     for e in entries:
         near = f"{e.nearest_train.name} {e.nearest_train.distance:.2f}" if e.nearest_train else ""
         shown = " ".join(f"{v:.2f}" for v in e.errors.nodes_vs_label.display_l2)
         a, d, w = e.errors.nodes_vs_label, e.errors.nodes_vs_source, e.errors.label_vs_source
         lines.append(
-            f"| {e.name} | {e.family} | {e.split} | {near} | {len(e.mixture.kinds)} | {a.mean:.4f} | {a.worst:.4f} | {d.mean:.3f}"
-            f" | {w.mean:.3f} | {shown} |"
+            f"| {e.name} | {e.family} | {e.split} | {near} | {len(e.mixture.kinds)} | {a.mean:.4f}"
+            f" | {a.worst:.4f} | {d.mean:.3f} | {w.mean:.3f} | {shown} |"
         )
     lines += [
         "",
-        "L–N: label against nodes, relative L1, mean of the six view angles; worst: of the six; N–M, L–M: against the measurement.",
+        (
+            "L–N: label against nodes, relative L1, mean of the six view angles; worst: of the six;"
+            " N–M, L–M: against the measurement."
+        ),
     ]
     return "\n".join(lines) + "\n"
 
@@ -144,14 +190,32 @@ def plot(entries, path):
     )
     for name, values, colour in curves:
         left.plot(share, np.sort(values), label=name, color=colour)
-    for x, limit, colour in ((50, 0.015, "C0"), (95, 0.035, "C0"), (95, 0.06, "C9"), (50, 0.07, "C1"), (95, 0.17, "C1")):
+    for x, limit, colour in (
+        (50, 0.015, "C0"),
+        (95, 0.035, "C0"),
+        (95, 0.06, "C9"),
+        (50, 0.07, "C1"),
+        (95, 0.17, "C1"),
+    ):
         left.plot([x], [limit], "v", color=colour)
-    left.set(yscale="log", xlabel="percent of the materials (triangles: limits)", ylabel="relative L1 of f · cos")
+    left.set(
+        yscale="log",
+        xlabel="percent of the materials (triangles: limits)",
+        ylabel="relative L1 of f · cos",
+    )
     left.legend(frameon=False)
     for family in sorted({e.family for e in entries}):
         own = [e for e in entries if e.family == family]
-        right.plot([e.errors.nodes_vs_source.mean for e in own], [e.errors.nodes_vs_label.mean for e in own], "o", label=family, ms=4)
-    right.set(xscale="log", yscale="log", xlabel="nodes against measurement", ylabel="label against nodes")
+        right.plot(
+            [e.errors.nodes_vs_source.mean for e in own],
+            [e.errors.nodes_vs_label.mean for e in own],
+            "o",
+            label=family,
+            ms=4,
+        )
+    right.set(
+        xscale="log", yscale="log", xlabel="nodes against measurement", ylabel="label against nodes"
+    )
     right.legend(frameon=False, fontsize=7, ncols=2)
     write_figure(path, figure, dpi=90)
     plt.close(figure)

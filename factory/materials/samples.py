@@ -1,8 +1,10 @@
-"""Where a BRDF is compared: points of the light's hemisphere, in half-vector space, for several view angles.
+"""Where a BRDF is compared: points of the light's hemisphere, in half-vector space, for several
+view angles.
 
 V  view angles, P  points a view
-θ_h = (π/2) u^power, u = (i + ½)/n: points crowd at the peak, where measured lobes are 0.2–0.5° wide; φ_h in (0, π), mirrored
-cos_d = cos_o cos_h + sin_o sin_h cos φ_h;  cos_i = 2 cos_d cos_h − cos_o;  dω_i = 4 cos_d sin θ_h dθ_h dφ_h, twice for the mirror image
+θ_h = (π/2) u^power, u = (i + ½)/n: points crowd at the peak, where measured lobes are 0.2–0.5°
+wide; φ_h in (0, π), mirrored cos_d = cos_o cos_h + sin_o sin_h cos φ_h;  cos_i = 2 cos_d cos_h −
+cos_o;  dω_i = 4 cos_d sin θ_h dθ_h dφ_h, twice for the mirror image
 """
 
 import numpy as np
@@ -16,7 +18,9 @@ HELD_OUT_DEG = (0.5, 15.0, 30.0, 45.0, 60.0, 75.0)  # never fitted: errors are r
 
 
 class Samples:
-    """cos_i, cos_o, cos_h, cos_d, solid_angle (V, P), all float64; points below the horizon have solid angle 0 and harmless cosines."""
+    """cos_i, cos_o, cos_h, cos_d, solid_angle (V, P), all float64; points below the horizon have
+    solid angle 0 and harmless cosines.
+    """
 
     def __init__(self, theta_o, n_theta=44, n_phi=10):
         """theta_o (V,) radians from the normal."""
@@ -65,5 +69,9 @@ def held_out():
 
 
 def view_stops(theta_deg):
-    """Facings (V,) nearest to 1 − cos θ among multiples of 1/255, where a colour ramp's table is exact; each once."""
-    return np.unique(np.round((1 - np.cos(np.radians(theta_deg))) * (TABLE_SIZE - 1))) / (TABLE_SIZE - 1)
+    """Facings (V,) nearest to 1 − cos θ among multiples of 1/255, where a colour ramp's table is
+    exact; each once.
+    """
+    return np.unique(np.round((1 - np.cos(np.radians(theta_deg))) * (TABLE_SIZE - 1))) / (
+        TABLE_SIZE - 1
+    )

@@ -1,12 +1,15 @@
-"""Pictures of a sphere under light maps, fast for any isotropic material: the light is gathered once, materials then cost a product.
+"""Pictures of a sphere under light maps, fast for any isotropic material: the light is gathered
+once, materials then cost a product.
 
-The sphere is seen orthographically from the usual elevation and sampled in rings (same angle to the view, cos_o) and azimuths: R × A
-"pixels", each weighing its area. About each pixel's normal the light, times cos_i, is gathered onto nodes in half-vector space,
-θ_h = (π/2) u^2.5 by φ_h in [0, π] (a bivariate BRDF is the same at ±φ_h): Q nodes. A picture is then Σ_q f(ring, q) gathered(pixel, q),
-that is f interpolated bilinearly between the nodes and summed exactly over the light.
+The sphere is seen orthographically from the usual elevation and sampled in rings (same angle to the
+view, cos_o) and azimuths: R × A "pixels", each weighing its area. About each pixel's normal the
+light, times cos_i, is gathered onto nodes in half-vector space, θ_h = (π/2) u^2.5 by φ_h in [0, π]
+(a bivariate BRDF is the same at ±φ_h): Q nodes. A picture is then Σ_q f(ring, q) gathered(pixel,
+q), that is f interpolated bilinearly between the nodes and summed exactly over the light.
 
-Light comes in by two samplings, each weighing where it is the finer one (power heuristic, exponent 4): one sample a texel for broad
-lobes, a jittered half-vector grid with nearest look-up for lobes narrower than a texel.
+Light comes in by two samplings, each weighing where it is the finer one (power heuristic, exponent
+4): one sample a texel for broad lobes, a jittered half-vector grid with nearest look-up for lobes
+narrower than a texel.
 
 maps   {name: (height, width, 3)} linear radiance, light frame (shaders.envmap)
 """
@@ -18,8 +21,12 @@ from shaders.envmap import LUMINANCE
 
 POWER = 2.5
 HORIZON = 1e-3
-FINER = 8.0  # the grid is used where its cells are that much smaller than a texel: a lamp of one texel must not fall between samples
-LOWEST = 0.02  # nodes below the horizon carry the f of light this far above it: they have a share in samples just above
+# the grid is used where its cells are that much smaller than a texel: a lamp of one texel must not
+# fall between samples
+FINER = 8.0
+# nodes below the horizon carry the f of light this far above it: they have a share in samples just
+# above
+LOWEST = 0.02
 
 
 class Sphere:
@@ -36,7 +43,9 @@ class Sphere:
         self.gathered = self._gather(maps, rng, radius, oversample)
 
     def nodes(self):
-        """cos_i, cos_o, cos_h, cos_d (R, Q) at the nodes; cos_i is held at 0.02 near and below the horizon."""
+        """cos_i, cos_o, cos_h, cos_d (R, Q) at the nodes; cos_i is held at 0.02 near and below the
+        horizon.
+        """
         cos_o, sin_o = self.view_cos[:, None], np.sqrt(1 - self.view_cos[:, None] ** 2)
         ch, sh = np.maximum(np.cos(self.theta_h), 1e-6), np.sin(self.theta_h)
         cos_d = np.clip(cos_o * ch + sin_o * sh * np.cos(self.phi_h), 1e-3, 1)
@@ -47,10 +56,14 @@ class Sphere:
         """Radiance (R, A, maps, 3) of BRDF values f (R, Q, 3) at the nodes."""
         response = np.ascontiguousarray(np.moveaxis(f, -1, 1), np.float32)  # (R, 3, Q)
         radiance = self.gathered @ response[..., None]  # (R, 3, A·maps, 1)
-        return np.moveaxis(radiance[..., 0].reshape(self.rings, 3, self.azimuths, -1), 1, -1).astype(float)
+        return np.moveaxis(
+            radiance[..., 0].reshape(self.rings, 3, self.azimuths, -1), 1, -1
+        ).astype(float)
 
     def display_l2(self, picture, reference):
-        """(maps,): mean over the sphere's area of the squared display difference; exposure: 99th percentile of the reference → 1."""
+        """(maps,): mean over the sphere's area of the squared display difference; exposure: 99th
+        percentile of the reference → 1.
+        """
         results = []
         for m in range(len(self.names)):
             a, b = picture[:, :, m].reshape(-1, 3), reference[:, :, m].reshape(-1, 3)
@@ -62,29 +75,51 @@ class Sphere:
     # --- gathering
 
     def _gather(self, maps, rng, radius, oversample):
-        """(R, 3, A·maps, Q) float32: light times cos_i times solid angle that falls on each node."""
+        """(R, 3, A·maps, Q) float32: light times cos_i times solid angle that falls on each
+        node.
+        """
         height, width = next(iter(maps.values())).shape[:2]
-        light = np.stack([np.asarray(L, np.float64) for L in maps.values()], 2).reshape(height * width, -1)  # (texels, maps·3)
+        # (texels, maps·3)
+        light = np.stack([np.asarray(L, np.float64) for L in maps.values()], 2).reshape(
+            height * width, -1
+        )
         w, solid_angle = envmap.directions(height, width)
         w = w.reshape(-1, 3) @ frames.camera_from_light().T
         view = np.array([0.0, 0.0, 1.0])
         h = w + view
         length = np.linalg.norm(h, axis=-1)
-        texels = dict(w=w, h=h / np.maximum(length, 1e-9)[:, None], cos_d=length / 2, solid_angle=solid_angle.ravel())
+        texels = dict(
+            w=w,
+            h=h / np.maximum(length, 1e-9)[:, None],
+            cos_d=length / 2,
+            solid_angle=solid_angle.ravel(),
+        )
         n_theta, n_phi = (self.shape[0] - 1) * oversample[0], (self.shape[1] - 1) * oversample[1]
-        gathered = np.empty((self.rings, 3, self.azimuths, len(maps), self.theta_h.size), np.float32)
+        gathered = np.empty(
+            (self.rings, 3, self.azimuths, len(maps), self.theta_h.size), np.float32
+        )
         for i, r in enumerate(radius):
             for j, a in enumerate((np.arange(self.azimuths) + 0.5) * 2 * np.pi / self.azimuths):
                 z = np.sqrt(1 - r * r)
-                n, x = np.array([r * np.cos(a), r * np.sin(a), z]), np.array([-z * np.cos(a), -z * np.sin(a), r])
+                n, x = (
+                    np.array([r * np.cos(a), r * np.sin(a), z]),
+                    np.array([-z * np.cos(a), -z * np.sin(a), r]),
+                )
                 y = np.cross(n, x)
                 parts = [
                     _from_texels(texels, n, x, y, n_theta, n_phi),
-                    _from_grid(n, x, y, view, n_theta, n_phi, rng, (height, width), solid_angle[:, 0]),
+                    _from_grid(
+                        n, x, y, view, n_theta, n_phi, rng, (height, width), solid_angle[:, 0]
+                    ),
                 ]
-                node, share, texel = (np.concatenate(p) for p in zip(*(self._onto_nodes(*p) for p in parts), strict=True))
+                node, share, texel = (
+                    np.concatenate(p)
+                    for p in zip(*(self._onto_nodes(*p) for p in parts), strict=True)
+                )
                 for m in range(light.shape[1]):
-                    gathered[i, m % 3, j, m // 3] = np.bincount(node, share * light[texel, m], self.theta_h.size)
+                    gathered[i, m % 3, j, m // 3] = np.bincount(
+                        node, share * light[texel, m], self.theta_h.size
+                    )
         return gathered.reshape(self.rings, 3, self.azimuths * len(maps), -1)
 
     def _onto_nodes(self, theta_h, phi_h, weight, texel):
@@ -96,7 +131,9 @@ class Sphere:
         du, dq = u - low_u, q - low_q
         node = low_u * n_phi + low_q
         nodes = np.concatenate([node, node + 1, node + n_phi, node + n_phi + 1])
-        shares = np.concatenate([(1 - du) * (1 - dq), (1 - du) * dq, du * (1 - dq), du * dq]) * np.tile(weight, 4)
+        shares = np.concatenate(
+            [(1 - du) * (1 - dq), (1 - du) * dq, du * (1 - dq), du * dq]
+        ) * np.tile(weight, 4)
         return nodes, shares, np.tile(texel, 4)
 
 
@@ -117,17 +154,28 @@ def _from_texels(texels, n, x, y, n_theta, n_phi):
     theta_h, phi_h = np.arctan2(sin_h, up), np.arctan2(across, along)
     own = texels["solid_angle"][above]
     other = np.maximum(_grid_density(theta_h, texels["cos_d"][above], n_theta, n_phi), 1e-12)
-    return theta_h, phi_h, cos_i[above] * own / (1 + np.minimum(own / (FINER * other), 1e9) ** 4), above
+    return (
+        theta_h,
+        phi_h,
+        cos_i[above] * own / (1 + np.minimum(own / (FINER * other), 1e9) ** 4),
+        above,
+    )
 
 
 def _from_grid(n, x, y, view, n_theta, n_phi, rng, size, row_solid_angle):
-    """One jittered sample a cell of the half-vector grid over the whole turn: θ_h, φ_h, weight (cos_i sr), texel looked up."""
+    """One jittered sample a cell of the half-vector grid over the whole turn: θ_h, φ_h, weight
+    (cos_i sr), texel looked up.
+    """
     u = (np.arange(n_theta)[:, None] + rng.random((n_theta, 2 * n_phi))) / n_theta
     phi_h = (np.arange(2 * n_phi) + rng.random((n_theta, 2 * n_phi))) / n_phi * np.pi - np.pi
     theta_h = (np.pi / 2 * u**POWER).ravel()
     phi_h = phi_h.ravel()
     sin_h = np.sin(theta_h)
-    h = (sin_h * np.cos(phi_h))[:, None] * x + (sin_h * np.sin(phi_h))[:, None] * y + np.cos(theta_h)[:, None] * n
+    h = (
+        (sin_h * np.cos(phi_h))[:, None] * x
+        + (sin_h * np.sin(phi_h))[:, None] * y
+        + np.cos(theta_h)[:, None] * n
+    )
     cos_d = h @ view
     w = 2 * cos_d[:, None] * h - view
     cos_i = w @ n
@@ -139,7 +187,11 @@ def _from_grid(n, x, y, view, n_theta, n_phi, rng, size, row_solid_angle):
 
 
 def weighted_percentile(values, weight, percent):
-    """The value below which `percent` of the weight lies; equal weights give numpy's percentile but for half a step."""
+    """The value below which `percent` of the weight lies; equal weights give numpy's percentile but
+    for half a step.
+    """
     order = np.argsort(values)
     cumulative = np.cumsum(weight[order])
-    return float(np.interp(percent / 100 * cumulative[-1], cumulative - 0.5 * weight[order], values[order]))
+    return float(
+        np.interp(percent / 100 * cumulative[-1], cumulative - 0.5 * weight[order], values[order])
+    )

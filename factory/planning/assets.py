@@ -1,7 +1,9 @@
-"""What a job names, found: shapes, materials and lights with their hashes, sides and licences. Meshes and maps are read, then let go.
+"""What a job names, found: shapes, materials and lights with their hashes, sides and licences.
+Meshes and maps are read, then let go.
 
 source  where a shape or a light is read from: a spec such as "chair:17", or a path
-twin    the same mesh, fit or map under a second name: left out, since its pictures would be the first one's again
+twin    the same mesh, fit or map under a second name: left out, since its pictures would be the
+first one's again
 """
 
 from dataclasses import dataclass, field
@@ -32,7 +34,9 @@ class Shape(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Material(msgspec.Struct, frozen=True, kw_only=True):
-    """A material of a job; entry: its line of the catalogue, which the dataset's materials.json repeats."""
+    """A material of a job; entry: its line of the catalogue, which the dataset's materials.json
+    repeats.
+    """
 
     name: str
     hash: str
@@ -44,7 +48,9 @@ class Material(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A light of a job; origin: where it comes from, for credits; L64 (64, 128, 3): the map that the dataset keeps."""
+    """A light of a job; origin: where it comes from, for credits; L64 (64, 128, 3): the map that
+    the dataset keeps.
+    """
 
     name: str
     source: str
@@ -57,7 +63,9 @@ class Light:
 
 @dataclass(frozen=True)
 class Assets:
-    """Everything a job names; lights by the name the job uses. notes: what was left out, and why, one line each."""
+    """Everything a job names; lights by the name the job uses. notes: what was left out, and why,
+    one line each.
+    """
 
     shapes: list[Shape]
     materials: list[Material]
@@ -68,11 +76,13 @@ class Assets:
 def resolve(job, folder=None, library=None, catalogues=(), watch=None):
     """The Assets of a job.
 
-    folder      where the job's relative paths start and end: a path that leaves it is refused; None: paths may lead anywhere
+    folder      where the job's relative paths start and end: a path that leaves it is refused;
+    None: paths may lead anywhere
     library     a folder of the user's light maps, or None
     catalogues  files of materials besides the built-in ones
     watch       wraps an iterable to show its progress, tqdm-like, or None
-    Raises      InputError: an unknown name, a broken file, a path that leaves the folder, a job that leaves nothing to render
+    Raises      InputError: an unknown name, a broken file, a path that leaves the folder, a job
+    that leaves nothing to render
     """
     check(job)
     notes = []
@@ -80,20 +90,35 @@ def resolve(job, folder=None, library=None, catalogues=(), watch=None):
     lights = _lights(job, folder, library)
     shapes = _without_duplicates(_shapes(job, folder, watch or _unwatched), "shape", notes)
     if not shapes:
-        raise InputError("job: shapes", f"some with a role among {', '.join(job.roles)}", "none", "widen shapes or roles")
+        raise InputError(
+            "job: shapes",
+            f"some with a role among {', '.join(job.roles)}",
+            "none",
+            "widen shapes or roles",
+        )
     return Assets(shapes, materials, lights, notes)
 
 
 def check(job):
-    """What types cannot say: raises InputError for values that repeat, and for draws of more than there are."""
+    """What types cannot say: raises InputError for values that repeat, and for draws of more than
+    there are.
+    """
     for key, most in (("views", 24), ("rotations", 128)):
         value = getattr(job, key)
         if isinstance(value, Draw):
             if value.random > most:
-                raise InputError(f"job: {key}.random", f"at most {most}", str(value.random), f"there are {most} different ones")
+                raise InputError(
+                    f"job: {key}.random",
+                    f"at most {most}",
+                    str(value.random),
+                    f"there are {most} different ones",
+                )
         elif len(set(value)) < len(value):
             raise InputError(
-                f"job: {key}", "each number once", f"{sorted({v for v in value if value.count(v) > 1})} twice", "drop the second"
+                f"job: {key}",
+                "each number once",
+                f"{sorted({v for v in value if value.count(v) > 1})} twice",
+                "drop the second",
             )
     for key in ("tiers", "light_resolutions"):
         value = getattr(job, key)
@@ -107,14 +132,23 @@ def _unwatched(items, **_):
 
 def _shapes(job, folder, watch):
     result = {}
-    for source in watch(list(dict.fromkeys(sources(job, folder))), desc="reading shapes", unit="shape"):
+    for source in watch(
+        list(dict.fromkeys(sources(job, folder))), desc="reading shapes", unit="shape"
+    ):
         mesh = load_mesh(source)
-        known = result.setdefault(mesh.name, (source, mesh.category, mesh.hash, mesh.segments, mesh.report.line()))
+        known = result.setdefault(
+            mesh.name, (source, mesh.category, mesh.hash, mesh.segments, mesh.report.line())
+        )
         if known[2] != mesh.hash:
             raise InputError(
-                f"shape '{mesh.name}'", "one mesh under a name", f"{known[0].place} and {source.place}", "rename one of the files"
+                f"shape '{mesh.name}'",
+                "one mesh under a name",
+                f"{known[0].place} and {source.place}",
+                "rename one of the files",
             )
-    roles = splits.shape_roles([(name, category, hash_) for name, (_, category, hash_, _, _) in result.items()], job.split)
+    roles = splits.shape_roles(
+        [(name, category, hash_) for name, (_, category, hash_, _, _) in result.items()], job.split
+    )
     requested = set(job.roles) or set(splits.SIDES)
     return [
         Shape(
@@ -143,7 +177,8 @@ def _materials(job, catalogues):
             side=sides[e.name],
             licence=e.licence,
             source=e.source,
-            entry=msgspec.structs.replace(e, split=sides[e.name]),  # a twin that is left out may have lifted it to test
+            # a twin that is left out may have lifted it to test
+            entry=msgspec.structs.replace(e, split=sides[e.name]),
         )
         for e in chosen
     ]
@@ -175,9 +210,16 @@ def _without_duplicates(assets, kind, notes):
     for asset in assets:
         if asset.hash in by_hash:
             if asset.name != by_hash[asset.hash].name:
-                notes.append(f"{kind} '{asset.name}' is '{by_hash[asset.hash].name}' again, left out")
+                notes.append(
+                    f"{kind} '{asset.name}' is '{by_hash[asset.hash].name}' again, left out"
+                )
             continue
         if asset.name in by_name:
-            raise InputError(f"{kind} '{asset.name}'", "one thing under a name", "two that differ", "rename one of the files")
+            raise InputError(
+                f"{kind} '{asset.name}'",
+                "one thing under a name",
+                "two that differ",
+                "rename one of the files",
+            )
         by_hash[asset.hash] = by_name[asset.name] = asset
     return list(by_hash.values())

@@ -1,4 +1,6 @@
-"""A job from a file, from a preset's name, or from the command line's --mesh, --material and --light."""
+"""A job from a file, from a preset's name, or from the command line's --mesh, --material and
+--light.
+"""
 
 import json
 import math
@@ -13,7 +15,13 @@ from manifests.schema import Camera, Draw, Job
 
 MAXIMUM_BYTES = 1 << 20
 # What a job's keys are called on the command line, where it is not --KEY
-OPTIONS = {"camera.fov_deg": "--fov", "shapes": "--mesh", "materials": "--material", "lights": "--light", "render": "render"}
+OPTIONS = {
+    "camera.fov_deg": "--fov",
+    "shapes": "--mesh",
+    "materials": "--material",
+    "lights": "--light",
+    "render": "render",
+}
 
 
 def presets():
@@ -30,7 +38,9 @@ def load(name_or_path):
     if not path.exists() and path.suffix != ".json" and len(path.parts) == 1:
         known = presets()
         if path.name not in known:
-            raise InputError(f"job '{path}'", "a file or a preset", "neither", closest(path.name, known))
+            raise InputError(
+                f"job '{path}'", "a file or a preset", "neither", closest(path.name, known)
+            )
         path = known[path.name]
     return read(path, Job, MAXIMUM_BYTES), path.parent
 
@@ -38,11 +48,17 @@ def load(name_or_path):
 def from_options(options):
     """The Job that `render --mesh … --material … --light …` means; options as argparse leaves them.
 
-    Raises  InputError for what a job file would be refused for: dataset.json holds jobs, and is read back under the same limits
+    Raises  InputError for what a job file would be refused for: dataset.json holds jobs, and is
+    read back under the same limits
     """
     height, width = size(options.size)
     if options.fov is not None and not math.isfinite(options.fov):  # no JSON can say so
-        raise InputError("--fov", "degrees from 1 to 120", str(options.fov), "write --fov 40, or leave it out for an orthographic camera")
+        raise InputError(
+            "--fov",
+            "degrees from 1 to 120",
+            str(options.fov),
+            "write --fov 40, or leave it out for an orthographic camera",
+        )
     job = Job(
         name="command line",
         shapes=tuple(options.mesh),
@@ -60,7 +76,12 @@ def from_options(options):
         return decode(json.dumps(msgspec.to_builtins(job)).encode(), Job, "render")
     except InputError as problem:
         key = problem.where.removeprefix("render: ").partition("[")[0]
-        raise InputError(OPTIONS.get(key, f"--{key}"), problem.expected, problem.found, "see python -m factory render --help") from None
+        raise InputError(
+            OPTIONS.get(key, f"--{key}"),
+            problem.expected,
+            problem.found,
+            "see python -m factory render --help",
+        ) from None
 
 
 def numbers(text, option, most):
@@ -70,7 +91,12 @@ def numbers(text, option, most):
         return Draw(random=int(count))
     parts = text.split(",")
     if not all(_is_number(p) and int(p) <= most for p in parts):
-        raise InputError(option, f"numbers from 0 to {most}", f"'{text}'", f"write {option} 0,6 or {option} random:5")
+        raise InputError(
+            option,
+            f"numbers from 0 to {most}",
+            f"'{text}'",
+            f"write {option} 0,6 or {option} random:5",
+        )
     return tuple(int(p) for p in parts)
 
 
@@ -83,5 +109,10 @@ def size(text):
     """ "128" as (128, 128), "128x256" as height and width. Raises InputError."""
     parts = text.lower().split("x")
     if len(parts) > 2 or not all(_is_number(p) and 4 <= int(p) <= 8192 for p in parts):
-        raise InputError("--size", "pixels from 4 to 8192", f"'{text}'", "write --size 128, or --size 128x256 for height and width")
+        raise InputError(
+            "--size",
+            "pixels from 4 to 8192",
+            f"'{text}'",
+            "write --size 128, or --size 128x256 for height and width",
+        )
     return int(parts[0]), int(parts[-1])

@@ -1,4 +1,5 @@
-"""The materials that a job names, found in catalogues: "brass", "merl", "merl/test", "merl/paper-train", "mine/felt".
+"""The materials that a job names, found in catalogues: "brass", "merl", "merl/test",
+"merl/paper-train", "mine/felt".
 
 A set is a catalogue's file: "merl" and "rgl" are built in, a user's own goes by its stem.
 """
@@ -19,10 +20,17 @@ def chosen_entries(names, catalogues=()):
 
     names       of materials, of sets, or SET/PART, SET/NAME
     catalogues  files besides the built-in ones
-    Raises      InputError: a name or set that no catalogue has, with the closest ones; a material whose hash is not its own
+    Raises      InputError: a name or set that no catalogue has, with the closest ones; a material
+    whose hash is not its own
     """
-    files = {SETS.get(Path(path).stem, Path(path).stem): Path(path) for path in (*BUILT_IN, *catalogues)}
-    sets = {name: read_catalogue(path).materials for name, path in files.items() if path.exists() or path not in BUILT_IN}
+    files = {
+        SETS.get(Path(path).stem, Path(path).stem): Path(path) for path in (*BUILT_IN, *catalogues)
+    }
+    sets = {
+        name: read_catalogue(path).materials
+        for name, path in files.items()
+        if path.exists() or path not in BUILT_IN
+    }
     known = {entry.name: entry for result in sets.values() for entry in result}
     chosen = {}
     for name in names:
@@ -30,9 +38,15 @@ def chosen_entries(names, catalogues=()):
         result = _part(sets[set_], part) if set_ in sets else [known[name]] if name in known else []
         if not result:
             every = [*known, *sets, *(f"{s}/{p}" for s in sets for p in PARTS)]
-            raise InputError(f"material '{name}'", "a name or a set in the catalogue", "none of that name", suggestion(name, every))
+            raise InputError(
+                f"material '{name}'",
+                "a name or a set in the catalogue",
+                "none of that name",
+                suggestion(name, every),
+            )
         chosen |= {entry.name: entry for entry in result}
-    for entry in chosen.values():  # ids hash it: another label under the same hash would pass for the same pictures
+    # ids hash it: another label under the same hash would pass for the same pictures
+    for entry in chosen.values():
         require_own_hash(entry, "catalogue")
     return list(chosen.values())
 

@@ -1,10 +1,16 @@
-"""A job as shots: pure data, made one after another and never all held, so that 720,000 of them need no memory.
+"""A job as shots: pure data, made one after another and never all held, so that 720,000 of them
+need no memory.
 
-shot      one picture to make; its id is the hash of all that determines its pixels (inputs, never pixels: two runs differ by 2e-6)
-draw      what a job leaves to chance comes from SeedSequence(job.seed, spawn_key=(shape, materials, light, occurrence)), each a hash
-          of what it is: adding a shape, a material, a light or a view to a job alters nobody else's draws
-view      a shot without a picture, of a job that wants geometry alone: shape and viewpoint; its id is the geometry file's
-order     shape, light, light resolution, tier, materials, rotation, view: what is dear to change changes least (persistent data pays)
+shot      one picture to make; its id is the hash of all that determines its pixels (inputs, never
+pixels: two runs differ by 2e-6)
+draw      what a job leaves to chance comes from SeedSequence(job.seed, spawn_key=(shape, materials,
+light, occurrence)), each a hash
+          of what it is: adding a shape, a material, a light or a view to a job alters nobody else's
+          draws
+view      a shot without a picture, of a job that wants geometry alone: shape and viewpoint; its id
+is the geometry file's
+order     shape, light, light resolution, tier, materials, rotation, view: what is dear to change
+changes least (persistent data pays)
 """
 
 from dataclasses import dataclass
@@ -24,15 +30,30 @@ from manifests.splits import split_of
 __all__ = ["TEXELS", "Plan", "Shot", "camera_words", "geometry_id", "shot_seed"]
 
 
-# Fields of a Shot that the lines of a data set repeat as they are; its geometry is an id, theirs a path
-REPEATED = ("id", "shape", "materials", "light", "viewpoint", "rotation_texels", "tier", "light_resolution", "seed", "split")
+# Fields of a Shot that the lines of a data set repeat as they are; its geometry is an id, theirs a
+# path
+REPEATED = (
+    "id",
+    "shape",
+    "materials",
+    "light",
+    "viewpoint",
+    "rotation_texels",
+    "tier",
+    "light_resolution",
+    "seed",
+    "split",
+)
 
 
 class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
-    """One picture to make. Shape, materials (one a segment) and light are names in the plan's assets; geometry is a geometry file's id.
+    """One picture to make. Shape, materials (one a segment) and light are names in the plan's
+    assets; geometry is a geometry file's id.
 
-    picture        False: geometry alone; materials and light are empty then, and split is the shape's side
-    geometry_hash  sha256 of the geometry file where a record of the folder names it already; None: no record does
+    picture        False: geometry alone; materials and light are empty then, and split is the
+    shape's side
+    geometry_hash  sha256 of the geometry file where a record of the folder names it already; None:
+    no record does
     """
 
     id: str
@@ -69,7 +90,11 @@ class Plan:
     def __len__(self):
         if not self.job.pictures:
             return len(self.assets.shapes) * self._views
-        return sum(len(self.choices(shape)) for shape in self.assets.shapes) * len(self.job.lights) * self.each
+        return (
+            sum(len(self.choices(shape)) for shape in self.assets.shapes)
+            * len(self.job.lights)
+            * self.each
+        )
 
     @property
     def each(self):
@@ -84,7 +109,9 @@ class Plan:
         return self.job.views.random if isinstance(self.job.views, Draw) else len(self.job.views)
 
     def choices(self, shape):
-        """What a shape may be made of: (materials, one a segment; or a number, of a draw not yet made)."""
+        """What a shape may be made of: (materials, one a segment; or a number, of a draw not yet
+        made).
+        """
         if self.job.segment_materials:
             return range(self.job.segment_materials)
         kept = [m for m in self.assets.materials if self.job.mixed or m.side == shape.side]
@@ -124,7 +151,9 @@ class Plan:
 
     @cached_property
     def lights(self):
-        """(light, occurrence) of each name in the job: a light named twice, or under two names, occurs as 0 and 1."""
+        """(light, occurrence) of each name in the job: a light named twice, or under two names,
+        occurs as 0 and 1.
+        """
         result, seen = [], {}
         for name in self.job.lights:
             light = self.assets.lights[name]
@@ -135,17 +164,30 @@ class Plan:
     def _under(self, shape, light, occurrence):
         """The shots of one shape under one light, unordered."""
         for choice in self.choices(shape):
-            materials = self._drawn_materials(shape, light, occurrence, choice) if isinstance(choice, int) else choice
+            materials = (
+                self._drawn_materials(shape, light, occurrence, choice)
+                if isinstance(choice, int)
+                else choice
+            )
             draw = choice if isinstance(choice, int) else None
-            key = ids.combination_key(shape.hash, [m.hash for m in materials], light.hash, occurrence, draw)
+            key = ids.combination_key(
+                shape.hash, [m.hash for m in materials], light.hash, occurrence, draw
+            )
             yield from self._shots(shape, materials, light, key)
 
     def _drawn_materials(self, shape, light, occurrence, draw):
-        """One material a segment, different ones while there are enough, all of the shape's own side while there is one."""
-        pool = [m for m in self.assets.materials if m.side == shape.side] or list(self.assets.materials)
+        """One material a segment, different ones while there are enough, all of the shape's own
+        side while there is one.
+        """
+        pool = [m for m in self.assets.materials if m.side == shape.side] or list(
+            self.assets.materials
+        )
         key = (0x5E6, ids.hash_word(shape.hash), ids.hash_word(light.hash), occurrence, draw)
         rng = np.random.default_rng(np.random.SeedSequence(self.job.seed, spawn_key=key))
-        return tuple(pool[i] for i in rng.choice(len(pool), shape.segments, replace=shape.segments > len(pool)))
+        return tuple(
+            pool[i]
+            for i in rng.choice(len(pool), shape.segments, replace=shape.segments > len(pool))
+        )
 
     def _shots(self, shape, materials, light, key):
         """The shots of one shape, one choice of materials and one light."""
@@ -153,10 +195,14 @@ class Plan:
         word, views, turns = ids.draws(job, key)
         split = split_of(shape.side, [m.side for m in materials])
         hashes = tuple(m.hash for m in materials)
-        shared = ids.shots_digest(self.render, shape.hash, hashes, light.hash, self._camera, job.samples)
+        shared = ids.shots_digest(
+            self.render, shape.hash, hashes, light.hash, self._camera, job.samples
+        )
         for view, rotations in zip(views, turns, strict=True):
             geometry = geometry_id(shape.hash, self._camera, view, self.render)
-            for turn, tier, resolution, repeat in product(rotations, job.tiers, job.light_resolutions, range(job.repeats)):
+            for turn, tier, resolution, repeat in product(
+                rotations, job.tiers, job.light_resolutions, range(job.repeats)
+            ):
                 seed = shot_seed(word, ids.shot_place(view, turn, tier, resolution, repeat))
                 yield Shot(
                     id=ids.shot_id(shared, view, turn, tier, resolution, seed),
@@ -178,5 +224,14 @@ class Plan:
 
 
 def _order(shot):
-    """Sort key of shots under one shape and light. Materials before rotations: new nodes cost twice what a new light does (docs/log.md)."""
-    return (shot.light_resolution, shot.tier, shot.materials, shot.rotation_texels, shot.viewpoint, shot.seed)
+    """Sort key of shots under one shape and light. Materials before rotations: new nodes cost twice
+    what a new light does (docs/log.md).
+    """
+    return (
+        shot.light_resolution,
+        shot.tier,
+        shot.materials,
+        shot.rotation_texels,
+        shot.viewpoint,
+        shot.seed,
+    )

@@ -1,4 +1,6 @@
-"""The shapes that a job names, one by one: "chair:0-39" a range, "meshes/" a folder, "stool.obj?up=z" a file with reading options."""
+"""The shapes that a job names, one by one: "chair:0-39" a range, "meshes/" a folder,
+"stool.obj?up=z" a file with reading options.
+"""
 
 import re
 from pathlib import Path
@@ -15,7 +17,9 @@ MOST_SHAPES = 1_000_000
 
 
 class Source(msgspec.Struct, frozen=True):
-    """Where a mesh is read from: what factory.shapes.catalogue.load takes; name and category: None, the mesh's own."""
+    """Where a mesh is read from: what factory.shapes.catalogue.load takes; name and category: None,
+    the mesh's own.
+    """
 
     place: str
     name: str | None = None
@@ -27,7 +31,12 @@ def load_mesh(source):
     """The Mesh of a Source."""
     from factory.shapes.catalogue import load
 
-    return load(source.place, **{k: v for k, v in (("name", source.name), ("category", source.category)) if v is not None})
+    return load(
+        source.place,
+        **{
+            k: v for k, v in (("name", source.name), ("category", source.category)) if v is not None
+        },
+    )
 
 
 def sources(job, folder):
@@ -51,18 +60,27 @@ def sources(job, folder):
 
 
 def local(path, folder, where):
-    """A path of a job file, within its folder. Raises InputError if it leaves it; folder None: any path."""
+    """A path of a job file, within its folder. Raises InputError if it leaves it; folder None: any
+    path.
+    """
     if folder is None:
         return Path(path)
     target = Path(folder) / path
     if Path(path).is_absolute() or ".." in Path(path).parts or not _lies_in(target, Path(folder)):
-        remedy = "write it relative to the job file, or pass --assets FOLDER and write it relative to that"
-        raise InputError(f"{where} '{path}'", f"a path inside {folder}", "one that leaves it", remedy)
+        remedy = (
+            "write it relative to the job file, or pass --assets FOLDER and write it relative to"
+            " that"
+        )
+        raise InputError(
+            f"{where} '{path}'", f"a path inside {folder}", "one that leaves it", remedy
+        )
     return target
 
 
 def _lies_in(target, folder):
-    """Whether a path leads into a folder, links followed; a name that no file can have, or links in a circle, lead nowhere."""
+    """Whether a path leads into a folder, links followed; a name that no file can have, or links in
+    a circle, lead nowhere.
+    """
     try:
         return target.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError, ValueError):
@@ -71,7 +89,12 @@ def _lies_in(target, folder):
 
 def _numbers(spec, family, first, last):
     if not first <= last < first + MOST_SHAPES:
-        raise InputError(f"job: shapes '{spec}'", "a range from low to high", f"{first} to {last}", f"write {family}:0-39")
+        raise InputError(
+            f"job: shapes '{spec}'",
+            "a range from low to high",
+            f"{first} to {last}",
+            f"write {family}:0-39",
+        )
     return [f"{family}:{number}" for number in range(first, last + 1)]
 
 
@@ -82,11 +105,14 @@ def _is_family(spec):
 
 
 def _files(place, folder):
-    """A mesh file, with its member and options if it has any; or all that lie in a folder or a library."""
+    """A mesh file, with its member and options if it has any; or all that lie in a folder or a
+    library.
+    """
     from factory.shapes.libraries import find
 
     target = local(place, folder, "job: shapes")
-    rest = "" if target.exists() else place[len(MARK.split(place)[0]) :]  # a '#' or '?' of an existing path stays in it
+    # a '#' or '?' of an existing path stays in it
+    rest = "" if target.exists() else place[len(MARK.split(place)[0]) :]
     target = local(place.removesuffix(rest), folder, "job: shapes")
     if target.is_dir() or (target.suffix.lower() == ".sh3f" and not rest.startswith("#")):
         for entry in find(target):

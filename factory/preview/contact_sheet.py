@@ -1,8 +1,10 @@
-"""A dataset at a glance: for each record image, normals, mask, light ball, the label's own rendering, and the difference.
+"""A dataset at a glance: for each record image, normals, mask, light ball, the label's own
+rendering, and the difference.
 
 Tiles are (size, size, 3) uint8. The label is shaded at every k-th pixel only, enough to look at
 (factory.preview.shading). The difference is
-|display − display| × GAIN: noise, shadows and interreflection included, which only `learn agree` takes apart.
+|display − display| × GAIN: noise, shadows and interreflection included, which only `learn agree`
+takes apart.
 """
 
 import base64
@@ -23,39 +25,69 @@ COLUMNS = ("image", "normals", "mask", "light", "label", "difference x 4")
 GAIN = 4.0
 SHADED = 56  # pixels a side at which the label is shaded
 MARGIN, TEXT = 4, 26
-STYLE = "body{background:#181818;color:#ddd;font:14px sans-serif}td{padding:2px 4px}code{color:#9c9}"
+STYLE = (
+    "body{background:#181818;color:#ddd;font:14px sans-serif}td{padding:2px 4px}code{color:#9c9}"
+)
 
 
 def row(store, dataset, materials, record, size):
-    """The tiles of one record, in the order of COLUMNS. Raises InputError for files that are missing, damaged or altered."""
+    """The tiles of one record, in the order of COLUMNS. Raises InputError for files that are
+    missing, damaged or altered.
+    """
     require_named(store, dataset, materials, record)
-    picture = read_picture(inside(store.folder, record.image), record.camera.size, record.image_hash)
-    geometry = read_geometry(inside(store.folder, record.geometry), record.camera.size, record.geometry_hash)
+    picture = read_picture(
+        inside(store.folder, record.image), record.camera.size, record.image_hash
+    )
+    geometry = read_geometry(
+        inside(store.folder, record.geometry), record.camera.size, record.geometry_hash
+    )
     normals, mask, segments = geometry.normals, geometry.mask, geometry.segments
     light = stored_light(store, dataset, record)
     elevation = np.radians(record.camera.elevation_deg)
     exposure = tone.auto_exposure(picture, mask)
     step = max(1, round(max(mask.shape) / SHADED))
     seen = (slice(step // 2, None, step),) * 2
-    label = labelled(record, normals[seen], segments[seen], view(record)[seen], materials, light, elevation)
-    ours, theirs = tone.display(label, exposure), tone.display(picture[seen], exposure) * mask[seen][..., None]
+    label = labelled(
+        record, normals[seen], segments[seen], view(record)[seen], materials, light, elevation
+    )
+    ours, theirs = (
+        tone.display(label, exposure),
+        tone.display(picture[seen], exposure) * mask[seen][..., None],
+    )
     return [
         tile(tone.display(picture, exposure), size),
         tile(np.where(mask[..., None], 127.5 + 127.5 * normals, 0), size),
         tile(np.repeat(segments[..., None] * (255.0 / max(segments.max(), 1)), 3, axis=-1), size),
-        tile(tone.display(mirror_sphere(light, size, elevation), tone.auto_exposure(light, np.ones(light.shape[:2], bool), 98)), size),
+        tile(
+            tone.display(
+                mirror_sphere(light, size, elevation),
+                tone.auto_exposure(light, np.ones(light.shape[:2], bool), 98),
+            ),
+            size,
+        ),
         tile(ours, size),
         tile(np.clip(np.abs(ours - theirs) * GAIN, 0, 255), size),
     ]
 
 
 def require_named(store, dataset, materials, record):
-    """Raises InputError if the dataset does not describe the light or a material that a record names."""
-    missing = [("materials.json", f"material '{name}'") for name in record.materials if name not in materials]
-    missing += [] if record.light in dataset.lights else [("dataset.json", f"light '{record.light}'")]
+    """Raises InputError if the dataset does not describe the light or a material that a record
+    names.
+    """
+    missing = [
+        ("materials.json", f"material '{name}'")
+        for name in record.materials
+        if name not in materials
+    ]
+    missing += (
+        [] if record.light in dataset.lights else [("dataset.json", f"light '{record.light}'")]
+    )
     for file, what in missing:
         raise InputError(
-            store.folder / file, f"the {what}, which record {record.id} names", "none", "verify lists all faults of the folder"
+            store.folder / file,
+            f"the {what}, which record {record.id} names",
+            "none",
+            "verify lists all faults of the folder",
         )
 
 
@@ -79,16 +111,21 @@ def view(record):
 def stored_light(store, dataset, record):
     """The light (64, 128, 3) as the camera of a record sees it."""
     entry = dataset.lights[record.light]
-    return roll(read_light(inside(store.folder, entry.file), entry.file_hash), record.rotation_texels)
+    return roll(
+        read_light(inside(store.folder, entry.file), entry.file_hash), record.rotation_texels
+    )
 
 
 def tile(display, size):
-    """Display values (height, width, 3) in [0, 255] as a square of `size`, the longer side filling it."""
+    """Display values (height, width, 3) in [0, 255] as a square of `size`, the longer side filling
+    it.
+    """
     height, width = display.shape[:2]
     image = Image.fromarray(np.clip(np.rint(display), 0, 255).astype(np.uint8))
     scale = size / max(height, width)
     image = image.resize(
-        (max(1, round(width * scale)), max(1, round(height * scale))), Image.Resampling.NEAREST if scale > 1 else Image.Resampling.BOX
+        (max(1, round(width * scale)), max(1, round(height * scale))),
+        Image.Resampling.NEAREST if scale > 1 else Image.Resampling.BOX,
     )
     square = Image.new("RGB", (size, size))
     square.paste(image, ((size - image.width) // 2, (size - image.height) // 2))
@@ -99,7 +136,10 @@ def caption(record):
     """What a record is, in one line."""
     materials = ", ".join(dict.fromkeys(record.materials))
     where = f"{record.light} +{record.rotation_texels}, view {record.viewpoint}"
-    return f"{record.shape}  {materials}  {where}  {record.tier} {record.light_resolution}  {record.samples} spp  {record.split}"
+    return (
+        f"{record.shape}  {materials}  {where}  {record.tier} {record.light_resolution} "
+        f" {record.samples} spp  {record.split}"
+    )
 
 
 def draw(rows, captions, size):
@@ -123,12 +163,23 @@ def page(title, rows, captions, ids):
     parts = [
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>",
         f"<style>{STYLE}</style>",
-        f"<h1>{html.escape(title)}</h1><p>The label is rendered from normals, light and material alone, without shadow or interreflection.",
+        (
+            f"<h1>{html.escape(title)}</h1><p>The label is rendered from normals, light and"
+            " material alone, without shadow or interreflection."
+        ),
         "<table><tr>" + "".join(f"<th>{name}</th>" for name in COLUMNS) + "</tr>",
     ]
     for tiles, text, id_ in zip(rows, captions, ids, strict=True):
-        parts.append(f"<tr><td colspan={len(COLUMNS)}>{html.escape(text)} <code>{id_}</code></td></tr>")
-        parts.append("<tr>" + "".join(f"<td><img src='data:image/png;base64,{_png(each)}' alt=''></td>" for each in tiles) + "</tr>")
+        parts.append(
+            f"<tr><td colspan={len(COLUMNS)}>{html.escape(text)} <code>{id_}</code></td></tr>"
+        )
+        parts.append(
+            "<tr>"
+            + "".join(
+                f"<td><img src='data:image/png;base64,{_png(each)}' alt=''></td>" for each in tiles
+            )
+            + "</tr>"
+        )
     return "\n".join([*parts, "</table></html>\n"])
 
 

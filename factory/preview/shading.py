@@ -1,7 +1,9 @@
-"""A record re-rendered from its label by the plain sum over the light's texels, at a few thousand pixels: the preview's second opinion.
+"""A record re-rendered from its label by the plain sum over the light's texels, at a few thousand
+pixels: the preview's second opinion.
 
-P pixels, T texels with positive radiance. The layer in learn/ does this properly; here it must only need numpy.
-n (P, 3) unit normals, camera frame; L (64, 128, 3) the light as the camera sees it; v (P, 3) towards the viewer, or None: (0, 0, 1)
+P pixels, T texels with positive radiance. The layer in learn/ does this properly; here it must only
+need numpy. n (P, 3) unit normals, camera frame; L (64, 128, 3) the light as the camera sees it; v
+(P, 3) towards the viewer, or None: (0, 0, 1)
 """
 
 import numpy as np
@@ -13,7 +15,9 @@ CHUNK = 1 << 21  # pixels × texels at a time: 16 MB an array of float64
 
 
 def lights(L, elevation):
-    """Directions (T, 3), camera frame, and radiance × solid angle (T, 3) of the texels that shine."""
+    """Directions (T, 3), camera frame, and radiance × solid angle (T, 3) of the texels that
+    shine.
+    """
     w, solid_angle = envmap.directions(*L.shape[:2])
     power = (L * solid_angle[..., None]).reshape(-1, 3).astype(np.float64)
     lit = power.max(-1) > 0
@@ -36,7 +40,9 @@ def shade(n, m, L, elevation, v=None):
 
 
 def _sum(n, m, w, power, v):
-    """The sum for a few pixels: Σ_t f(h·n, θ_d) max(0, n·w) L dω; v (3,) for all of them, or (P, 3)."""
+    """The sum for a few pixels: Σ_t f(h·n, θ_d) max(0, n·w) L dω; v (3,) for all of them, or (P,
+    3).
+    """
     cosine = np.maximum(n @ w.T, 0.0)
     if v.ndim == 1:  # a distant viewer: h and θ_d belong to the texel alone
         h, theta_d = dsbrdf.half_angles(w, v)
@@ -44,19 +50,28 @@ def _sum(n, m, w, power, v):
         cos_h = n @ h.T
     else:
         h, theta_d = dsbrdf.half_angles(w[None], v[:, None])
-        kappa, gamma = (c.reshape(*theta_d.shape, 3, 3) for c in dsbrdf.coefficients(m, theta_d.ravel()))
+        kappa, gamma = (
+            c.reshape(*theta_d.shape, 3, 3) for c in dsbrdf.coefficients(m, theta_d.ravel())
+        )
         cos_h = (h * n[:, None]).sum(-1)
     lit = (cosine > 0) & (cos_h > 0)
     log_c = np.log(np.where(lit, cos_h, 1.0))
     radiance = np.empty((len(n), 3))
     for k in range(3):
-        f = sum(np.expm1(np.minimum(kappa[..., k, s] * np.exp(gamma[..., k, s] * log_c), dsbrdf.MAX_EXPONENT)) for s in range(3))
+        f = sum(
+            np.expm1(
+                np.minimum(kappa[..., k, s] * np.exp(gamma[..., k, s] * log_c), dsbrdf.MAX_EXPONENT)
+            )
+            for s in range(3)
+        )
         radiance[:, k] = np.where(lit, f * cosine, 0.0) @ power[:, k]
     return radiance
 
 
 def mirror_sphere(L, size, elevation):
-    """The light as a mirror ball shows it to the camera: (size, size, 3), black outside the ball."""
+    """The light as a mirror ball shows it to the camera: (size, size, 3), black outside the
+    ball.
+    """
     y, x = np.mgrid[0:size, 0:size]
     x, y = (2 * x + 1 - size) / size, (size - 1 - 2 * y) / size
     r2 = x**2 + y**2

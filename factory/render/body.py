@@ -1,7 +1,8 @@
 """A Mesh as a Blender mesh whose normals are the given ones, to the last float32 digit.
 
-Blender's split normals are 16-bit numbers relative to the face. Vertex normals given as the free attribute `custom_normal`
-(Blender 4.5) are float32 and used as they are, so each vertex is doubled where its corners' normals differ.
+Blender's split normals are 16-bit numbers relative to the face. Vertex normals given as the free
+attribute `custom_normal` (Blender 4.5) are float32 and used as they are, so each vertex is doubled
+where its corners' normals differ.
 """
 
 import bpy
@@ -20,7 +21,11 @@ def split_by_normal(vertices, faces, corner_normals):
     rows = np.ascontiguousarray(corners).view(np.dtype((np.void, 16))).ravel()
     _, first, index = np.unique(rows, return_index=True, return_inverse=True)
     normals = corner_normals.reshape(-1, 3)[first]
-    return vertices[faces.ravel()[first]].astype(np.float32), normals.astype(np.float32), index.reshape(-1, 3).astype(np.int32)
+    return (
+        vertices[faces.ravel()[first]].astype(np.float32),
+        normals.astype(np.float32),
+        index.reshape(-1, 3).astype(np.int32),
+    )
 
 
 def build(mesh):
@@ -35,5 +40,7 @@ def build(mesh):
     body.polygons.foreach_set("loop_start", np.arange(0, faces.size, 3, dtype=np.int32))
     body.polygons.foreach_set("material_index", mesh.segment.astype(np.int32) - 1)
     body.update(calc_edges=True)
-    body.attributes.new("custom_normal", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", normals.ravel())
+    body.attributes.new("custom_normal", "FLOAT_VECTOR", "POINT").data.foreach_set(
+        "vector", normals.ravel()
+    )
     return body

@@ -1,7 +1,10 @@
-"""Where the camera stands: fixed at azimuth 0, above the horizon by the elevation; the object turns instead.
+"""Where the camera stands: fixed at azimuth 0, above the horizon by the elevation; the object turns
+instead.
 
-distance  from the camera to the object's centre, world units. A matter of choice for an orthographic camera; for a perspective
-          one it follows from fov and half_extent: the frame spans 2 half_extent at the object's centre.
+distance  from the camera to the object's centre, world units. A matter of choice for an
+orthographic camera; for a perspective
+          one it follows from fov and half_extent: the frame spans 2 half_extent at the object's
+          centre.
 """
 
 import mathutils
@@ -21,7 +24,9 @@ def distance(camera):
 
 
 def camera_from_fixed_world(camera):
-    """Rotation (3, 3) from the world in which the camera stands at azimuth 0 to the camera frame."""
+    """Rotation (3, 3) from the world in which the camera stands at azimuth 0 to the camera
+    frame.
+    """
     return frames.camera_from_world(0.0, np.radians(camera.elevation_deg))
 
 

@@ -1,8 +1,10 @@
 """The canary: the light read back through Cycles, to prove that what shines is what was asked for.
 
-With persistent data Cycles may go on showing an old light, and a lost one as magenta, and says FINISHED. So after each change of
-light the same scene is seen for one sample a pixel through a panorama camera, far above the object, whose pixels are the map's own
-texels: each must have its known radiance. (A matte ball would do it too, but its pixels are sums over the whole sky with noise on top.)
+With persistent data Cycles may go on showing an old light, and a lost one as magenta, and says
+FINISHED. So after each change of light the same scene is seen for one sample a pixel through a
+panorama camera, far above the object, whose pixels are the map's own texels: each must have its
+known radiance. (A matte ball would do it too, but its pixels are sums over the whole sky with noise
+on top.)
 """
 
 import bpy
@@ -12,9 +14,12 @@ from factory.render import render_result
 from factory.render.settings import Setting, apply, assign
 from shaders import envmap
 
-FAR = 1000.0  # world units above: the unit object fills 1e-3 rad around the nadir, between the lowest texels' centres
+# world units above: the unit object fills 1e-3 rad around the nadir, between the lowest texels'
+# centres
+FAR = 1000.0
 NEAREST_TOLERANCE = 1e-5  # relative: the same float32 numbers, through one multiplication or two
-BILINEAR_TOLERANCE = 2e-2  # L1, relative: rays go .005 px beside the pixel's centre, where a sun's slope is steep
+# L1, relative: rays go .005 px beside the pixel's centre, where a sun's slope is steep
+BILINEAR_TOLERANCE = 2e-2
 
 LOOK = (
     Setting("render.film_transparent", False, ""),
@@ -27,16 +32,29 @@ LOOK = (
 
 
 def expected(seen, nearest):
-    """Radiance (64, 128, 3) of the directions of the 64×128 map's texels, by the look-up that Cycles uses."""
+    """Radiance (64, 128, 3) of the directions of the 64×128 map's texels, by the look-up that
+    Cycles uses.
+    """
     height, width = seen.shape[:2]
     if nearest and (height, width) == (64, 128):
         return seen
-    row, column = (np.arange(64) + 0.5) * height / 64 - 0.5, (np.arange(128) + 0.5) * width / 128 - 0.5
+    row, column = (
+        (np.arange(64) + 0.5) * height / 64 - 0.5,
+        (np.arange(128) + 0.5) * width / 128 - 0.5,
+    )
     r0, c0 = np.floor(row).astype(int), np.floor(column).astype(int)
     fr, fc = (row - r0)[:, None, None], (column - c0)[None, :, None]
-    rows, columns = (np.clip(r0, 0, height - 1), np.clip(r0 + 1, 0, height - 1)), (c0 % width, (c0 + 1) % width)
+    rows, columns = (
+        (np.clip(r0, 0, height - 1), np.clip(r0 + 1, 0, height - 1)),
+        (
+            c0 % width,
+            (c0 + 1) % width,
+        ),
+    )
     corner = [[seen[r][:, c] for c in columns] for r in rows]
-    return (1 - fr) * ((1 - fc) * corner[0][0] + fc * corner[0][1]) + fr * ((1 - fc) * corner[1][0] + fc * corner[1][1])
+    return (1 - fr) * ((1 - fc) * corner[0][0] + fc * corner[0][1]) + fr * (
+        (1 - fc) * corner[1][0] + fc * corner[1][1]
+    )
 
 
 def look(scene):
@@ -72,5 +90,6 @@ def check(scene, seen, nearest):
     difference = np.abs(result - requested).sum() / max(np.abs(requested).sum(), 1e-12)
     if not difference <= (NEAREST_TOLERANCE if nearest else BILINEAR_TOLERANCE):
         raise RuntimeError(
-            f"light: expected the map that was set, found Cycles showing one {difference:.2g} away (render in a new process)"
+            f"light: expected the map that was set, found Cycles showing one {difference:.2g} away"
+            " (render in a new process)"
         )

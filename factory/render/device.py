@@ -4,7 +4,8 @@ import bpy
 
 from manifests.errors import InputError
 
-BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")  # fastest first: the order in which `auto` tries them
+# fastest first: the order in which `auto` tries them
+BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")
 NAMES = ("auto", "cpu", *(name.lower() for name in BACKENDS))
 
 
@@ -27,14 +28,19 @@ def choose(device):
             return "GPU", backend, tuple(gpu.name for gpu in gpus)
     if requested and device != "auto":
         raise InputError(
-            "--device", f"a GPU that Cycles can use through {device}", "none", "take --device cpu or auto, or check the driver"
+            "--device",
+            f"a GPU that Cycles can use through {device}",
+            "none",
+            "take --device cpu or auto, or check the driver",
         )
     preferences.compute_device_type = "NONE"
     return "CPU", "CPU", ()
 
 
 def _gpus(preferences, backend):
-    """The GPUs of one back end; Blender refuses the name of a back end that it was built without."""
+    """The GPUs of one back end; Blender refuses the name of a back end that it was built
+    without.
+    """
     try:
         preferences.compute_device_type = backend
     except TypeError:

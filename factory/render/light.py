@@ -1,9 +1,12 @@
-"""An environment map as a Blender world, turned so that the camera at azimuth 0 sees it as the layer does.
+"""An environment map as a Blender world, turned so that the camera at azimuth 0 sees it as the
+layer does.
 
 L  (height, width, 3) float32, the stored layout of shaders.envmap: row 0 at the zenith, light frame
-u  Blender's texture coordinate, ½ − atan2(y, x)/2π: at azimuth 0 the light frame's x is the world's y, hence u_blender = u_ours + ¼.
-   A whole-column roll of the pixels, so that texels stay where importance sampling and nearest look-up have their cells: turning
-   the world's Mapping by 15° instead puts a sun astride two cells and raises noise 28-fold (docs/rendering.md).
+u  Blender's texture coordinate, ½ − atan2(y, x)/2π: at azimuth 0 the light frame's x is the world's
+y, hence u_blender = u_ours + ¼.
+   A whole-column roll of the pixels, so that texels stay where importance sampling and nearest
+   look-up have their cells: turning the world's Mapping by 15° instead puts a sun astride two cells
+   and raises noise 28-fold (docs/rendering.md).
 """
 
 import bpy
@@ -12,7 +15,8 @@ import numpy as np
 from factory.render.settings import Setting, apply
 from shaders import envmap
 
-TEXELS = 128  # rotation_texels counts columns of the 64×128 map, whatever the size of the map that is rendered
+# rotation_texels counts columns of the 64×128 map, whatever the size of the map that is rendered
+TEXELS = 128
 
 
 def as_seen(L, rotation_texels):
@@ -22,7 +26,10 @@ def as_seen(L, rotation_texels):
     """
     width = L.shape[1]
     if width % TEXELS:
-        raise ValueError(f"light: expected a width that is a multiple of {TEXELS}, found {width} (resize it with shaders.envmap.resize)")
+        raise ValueError(
+            f"light: expected a width that is a multiple of {TEXELS}, found {width} (resize it with"
+            " shaders.envmap.resize)"
+        )
     return envmap.roll(L, rotation_texels * (width // TEXELS))
 
 
@@ -37,15 +44,24 @@ def blender_pixels(seen):
 def settings(width):
     """World settings, by path from the scene, for a map of that width."""
     return (
-        Setting("world.cycles.sampling_method", "MANUAL", "AUTOMATIC builds its own map size, 1.2 s a time"),
-        Setting("world.cycles.sample_map_resolution", min(width, 2048), "one importance cell a texel: exact for nearest look-up"),
+        Setting(
+            "world.cycles.sampling_method",
+            "MANUAL",
+            "AUTOMATIC builds its own map size, 1.2 s a time",
+        ),
+        Setting(
+            "world.cycles.sample_map_resolution",
+            min(width, 2048),
+            "one importance cell a texel: exact for nearest look-up",
+        ),
         Setting("world.cycles.is_caustics_light", False, "no manifold caustics"),
         Setting("world.cycles.max_bounces", 1024, "the light is seen after every bounce"),
     )
 
 
 def build(scene, seen, nearest):
-    """A new world with a new image datablock (persistent data never notices edited pixels); the old world and image are removed.
+    """A new world with a new image datablock (persistent data never notices edited pixels); the old
+    world and image are removed.
 
     seen     (height, width, 3) from `as_seen`
     nearest  True: nearest look-up, what the layer sees; False: bilinear
@@ -59,8 +75,15 @@ def build(scene, seen, nearest):
     tree = world.node_tree
     tree.nodes.clear()
     texture = tree.nodes.new("ShaderNodeTexEnvironment")
-    texture.image, texture.interpolation, texture.projection = image, "Closest" if nearest else "Linear", "EQUIRECTANGULAR"
-    background, output = tree.nodes.new("ShaderNodeBackground"), tree.nodes.new("ShaderNodeOutputWorld")
+    texture.image, texture.interpolation, texture.projection = (
+        image,
+        "Closest" if nearest else "Linear",
+        "EQUIRECTANGULAR",
+    )
+    background, output = (
+        tree.nodes.new("ShaderNodeBackground"),
+        tree.nodes.new("ShaderNodeOutputWorld"),
+    )
     tree.links.new(texture.outputs["Color"], background.inputs["Color"])
     tree.links.new(background.outputs["Background"], output.inputs["Surface"])
     old, scene.world = scene.world, world

@@ -1,7 +1,9 @@
-"""A node graph (shaders.nodes.Graph) as a group of Blender nodes, and the materials that show such groups.
+"""A node graph (shaders.nodes.Graph) as a group of Blender nodes, and the materials that show such
+groups.
 
-A fitted mixture has some 80 nodes and 500 colour stops, which Blender takes some 40 ms to put down: each mixture is built once, as a
-node group, and a material of one node shows whichever group it is told to.
+A fitted mixture has some 80 nodes and 500 colour stops, which Blender takes some 40 ms to put down:
+each mixture is built once, as a node group, and a material of one node shows whichever group it is
+told to.
 """
 
 import bpy
@@ -11,11 +13,15 @@ from shaders import nodes
 
 
 def new(name):
-    """A material that shows a node group, none as yet; tilted normals are left alone, and it is never taken for a lamp."""
+    """A material that shows a node group, none as yet; tilted normals are left alone, and it is
+    never taken for a lamp.
+    """
     material = bpy.data.materials.new(name)
     material.use_nodes = True
-    assign(material, "cycles.use_bump_map_correction", False)  # else Cycles bends tilted normals back
-    assign(material, "cycles.emission_sampling", "NONE")  # else a glowing mesh becomes a lamp with a tree of its own
+    # else Cycles bends tilted normals back
+    assign(material, "cycles.use_bump_map_correction", False)
+    # else a glowing mesh becomes a lamp with a tree of its own
+    assign(material, "cycles.emission_sampling", "NONE")
     assign(material, "displacement_method", "BUMP")
     material.node_tree.nodes.clear()
     output = material.node_tree.nodes.new("ShaderNodeOutputMaterial")
@@ -44,7 +50,14 @@ def build(graph):
     surface = tree.nodes.new("NodeGroupOutput").inputs["Surface"]
     for link in graph.links:
         source = _socket(drawn[link.source].outputs, link.output)
-        tree.links.new(source, surface if link.target == nodes.OUTPUT.name else _socket(drawn[link.target].inputs, link.input))
+        tree.links.new(
+            source,
+            (
+                surface
+                if link.target == nodes.OUTPUT.name
+                else _socket(drawn[link.target].inputs, link.input)
+            ),
+        )
     return tree
 
 
@@ -52,7 +65,10 @@ def _socket(sockets, identifier):
     for socket in sockets:
         if socket.identifier == identifier:
             return socket
-    raise KeyError(f"node: expected socket {identifier!r}, found {[s.identifier for s in sockets]} in this Blender (see shaders/nodes.py)")
+    raise KeyError(
+        f"node: expected socket {identifier!r}, found {[s.identifier for s in sockets]} in this"
+        " Blender (see shaders/nodes.py)"
+    )
 
 
 def _node(tree, node):
@@ -68,7 +84,9 @@ def _node(tree, node):
 
 
 def _ramp(ramp, stops):
-    """Fills a colour ramp. All values go in at once: set one by one, each makes Blender look through all its trees (ten times slower)."""
+    """Fills a colour ramp. All values go in at once: set one by one, each makes Blender look
+    through all its trees (ten times slower).
+    """
     while len(ramp.elements) > len(stops):
         ramp.elements.remove(ramp.elements[-1])
     while len(ramp.elements) < len(stops):
@@ -78,9 +96,20 @@ def _ramp(ramp, stops):
 
 
 def emit_id(level):
-    """A node group that emits `level` in red, green and blue: how geometry carries a segment's number.
+    """A node group that emits `level` in red, green and blue: how geometry carries a segment's
+    number.
 
-    It has no closure with a normal of its own: the Normal pass, which averages closures' normals, then gives the surface's.
+    It has no closure with a normal of its own: the Normal pass, which averages closures' normals,
+    then gives the surface's.
     """
-    emission = nodes.Node("emission", "ShaderNodeEmission", inputs={"Color": (1.0, 1.0, 1.0, 1.0), "Strength": float(level)})
-    return build(nodes.Graph((nodes.OUTPUT, emission), (nodes.Link("emission", "Emission", nodes.OUTPUT.name, "Surface"),)))
+    emission = nodes.Node(
+        "emission",
+        "ShaderNodeEmission",
+        inputs={"Color": (1.0, 1.0, 1.0, 1.0), "Strength": float(level)},
+    )
+    return build(
+        nodes.Graph(
+            (nodes.OUTPUT, emission),
+            (nodes.Link("emission", "Emission", nodes.OUTPUT.name, "Surface"),),
+        )
+    )

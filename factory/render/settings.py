@@ -1,7 +1,9 @@
-"""Every Cycles setting that alters pixels: its value, the reason, and the one setter that may change it.
+"""Every Cycles setting that alters pixels: its value, the reason, and the one setter that may
+change it.
 
-Cycles accepts `scene.cycles.<typo> = x` in silence, and clamps what lies outside a property's range: `assign` refuses both.
-A setting is named by the path from its scene: `cycles.samples`, `render.film_transparent`, `world.cycles.sampling_method`.
+Cycles accepts `scene.cycles.<typo> = x` in silence, and clamps what lies outside a property's
+range: `assign` refuses both. A setting is named by the path from its scene: `cycles.samples`,
+`render.film_transparent`, `world.cycles.sampling_method`.
 """
 
 import difflib
@@ -22,14 +24,24 @@ ALWAYS = (
     Setting("render.resolution_percentage", 100, "sizes are in whole pixels"),
     Setting("render.pixel_aspect_x", 1.0, "square pixels"),
     Setting("render.pixel_aspect_y", 1.0, "square pixels"),
-    Setting("render.film_transparent", True, "the background is black and never part of the picture"),
-    Setting("render.use_persistent_data", True, "the next view, light or material of a shape needs no new scene"),
+    Setting(
+        "render.film_transparent", True, "the background is black and never part of the picture"
+    ),
+    Setting(
+        "render.use_persistent_data",
+        True,
+        "the next view, light or material of a shape needs no new scene",
+    ),
     Setting("render.use_compositing", False, "nothing between the film and the file"),
     Setting("render.use_sequencer", False, "nothing between the film and the file"),
     Setting("render.use_motion_blur", False, "nothing moves"),
     Setting("render.use_simplify", False, "shapes as they are"),
     Setting("render.dither_intensity", 0.0, "the default 1 adds noise"),
-    Setting("view_settings.view_transform", "Raw", "the default AgX is no radiance; pixels are read before it, this is a second lock"),
+    Setting(
+        "view_settings.view_transform",
+        "Raw",
+        "the default AgX is no radiance; pixels are read before it, this is a second lock",
+    ),
     Setting("view_settings.exposure", 0.0, "radiance as it is"),
     Setting("view_settings.gamma", 1.0, "radiance as it is"),
     Setting("cycles.shading_system", False, "SVM: the closed forms are its closures"),
@@ -38,19 +50,43 @@ ALWAYS = (
     Setting("cycles.sample_offset", 0, "all samples of the sequence"),
     Setting("cycles.use_sample_subset", False, "all samples of the sequence"),
     Setting("cycles.time_limit", 0.0, "samples decide, never the clock"),
-    Setting("cycles.use_adaptive_sampling", False, "the default stops early where noise seems low: a bias"),
-    Setting("cycles.use_denoising", False, "the default paints over noise: a bias, and it needs 0.4 s"),
-    Setting("cycles.sampling_pattern", "TABULATED_SOBOL", "AUTOMATIC may dither seeds between pixels; noise must be independent"),
+    Setting(
+        "cycles.use_adaptive_sampling",
+        False,
+        "the default stops early where noise seems low: a bias",
+    ),
+    Setting(
+        "cycles.use_denoising", False, "the default paints over noise: a bias, and it needs 0.4 s"
+    ),
+    Setting(
+        "cycles.sampling_pattern",
+        "TABULATED_SOBOL",
+        "AUTOMATIC may dither seeds between pixels; noise must be independent",
+    ),
     Setting("cycles.scrambling_distance", 1.0, "no correlation between pixels"),
     Setting("cycles.auto_scrambling_distance", False, "no correlation between pixels"),
-    Setting("cycles.use_light_tree", False, "one light, the world: a tree over the mesh costs 5 ms a view and finds nothing"),
-    Setting("cycles.light_sampling_threshold", 0.0, "the default .01 drops dim light by chance: noise for nothing"),
-    Setting("cycles.direct_light_sampling_type", "MULTIPLE_IMPORTANCE_SAMPLING", "narrow lobes and small suns both"),
+    Setting(
+        "cycles.use_light_tree",
+        False,
+        "one light, the world: a tree over the mesh costs 5 ms a view and finds nothing",
+    ),
+    Setting(
+        "cycles.light_sampling_threshold",
+        0.0,
+        "the default .01 drops dim light by chance: noise for nothing",
+    ),
+    Setting(
+        "cycles.direct_light_sampling_type",
+        "MULTIPLE_IMPORTANCE_SAMPLING",
+        "narrow lobes and small suns both",
+    ),
     Setting("cycles.use_guiding", False, "learns while it renders: results depend on order"),
     Setting("cycles.sample_clamp_direct", 0.0, "clamping removes energy"),
     Setting("cycles.sample_clamp_indirect", 0.0, "the default 10 removes energy"),
     Setting("cycles.blur_glossy", 0.0, "the default 1 widens lobes after the first bounce"),
-    Setting("cycles.caustics_reflective", True, "metal lights its neighbour: that is interreflection"),
+    Setting(
+        "cycles.caustics_reflective", True, "metal lights its neighbour: that is interreflection"
+    ),
     Setting("cycles.caustics_refractive", False, "nothing transmits"),
     Setting("cycles.use_fast_gi", False, "interreflection is traced"),
     Setting("cycles.transmission_bounces", 0, "nothing transmits"),
@@ -60,17 +96,28 @@ ALWAYS = (
     Setting("cycles.film_exposure", 1.0, "radiance as it is"),
     Setting("cycles.use_auto_tile", False, "one tile: no seams, no files on disk between"),
     Setting("cycles.texture_limit_render", "OFF", "light maps as they are"),
-    Setting("cycles.debug_use_spatial_splits", False, "building costs more than it saves at these sizes"),
+    Setting(
+        "cycles.debug_use_spatial_splits", False, "building costs more than it saves at these sizes"
+    ),
 )
 
-# By manifests.schema.Camera.pixel. Of BOX, Cycles ignores the width: a pixel's centre needs another filter.
+# By manifests.schema.Camera.pixel. Of BOX, Cycles ignores the width: a pixel's centre needs another
+# filter.
 PIXELS = {
     "square": (
-        Setting("cycles.pixel_filter_type", "BOX", "a pixel is the mean over its own square, as a camera's is"),
+        Setting(
+            "cycles.pixel_filter_type",
+            "BOX",
+            "a pixel is the mean over its own square, as a camera's is",
+        ),
         Setting("cycles.filter_width", 1.0, "the default 1.5 reaches into neighbours"),
     ),
     "centre": (
-        Setting("cycles.pixel_filter_type", "GAUSSIAN", "a pixel is the point that geometry holds: what the layer sees"),
+        Setting(
+            "cycles.pixel_filter_type",
+            "GAUSSIAN",
+            "a pixel is the point that geometry holds: what the layer sees",
+        ),
         Setting("cycles.filter_width", 0.01, "the least that Cycles takes"),
     ),
 }
@@ -81,20 +128,32 @@ GEOMETRY = (
     Setting(
         "cycles.filter_width",
         0.01,
-        "a ray through the pixel's centre; Cycles sends the first sample there whatever the width, this is a second lock",
+        "a ray through the pixel's centre; Cycles sends the first sample there whatever the width,"
+        " this is a second lock",
     ),
     Setting("cycles.samples", 1, "un-antialiased: more would average normals, depths and segments"),
-    Setting("cycles.seed", 0, "nothing is drawn by lot: the first sample goes through the pixel's centre"),
+    Setting(
+        "cycles.seed",
+        0,
+        "nothing is drawn by lot: the first sample goes through the pixel's centre",
+    ),
 )
 
-# Light transport: what each tier follows. `visible_*` belong to the object (factory.render.studio): without them light passes through it.
+# Light transport: what each tier follows. `visible_*` belong to the object (factory.render.studio):
+# without them light passes through it.
 TIERS = {
-    "direct": {"unoccluded": True, "bounces": 0, "reason": "what the layer computes: neither shadow nor interreflection"},
+    "direct": {
+        "unoccluded": True,
+        "bounces": 0,
+        "reason": "what the layer computes: neither shadow nor interreflection",
+    },
     "shadow": {"unoccluded": False, "bounces": 0, "reason": "the object shades itself"},
     "full": {
         "unoccluded": False,
         "bounces": 6,
-        "reason": "and lights itself: on a chair of albedo .8 deeper bounces carry 1e-4 of the light",
+        "reason": (
+            "and lights itself: on a chair of albedo .8 deeper bounces carry 1e-4 of the light"
+        ),
     },
 }
 
@@ -112,24 +171,32 @@ def assign(root, path, value):
     root     a Blender object, mostly a scene
     path     dotted, from root
     Returns  the value as Blender holds it
-    Raises   AttributeError for a name that Blender does not know, ValueError for a value that it does not take
+    Raises   AttributeError for a name that Blender does not know, ValueError for a value that it
+    does not take
     """
     owner, name = _owner(root, path)
     known = owner.bl_rna.properties
     if name not in known:
         near = difflib.get_close_matches(name, known.keys(), n=3)
         raise AttributeError(
-            f"{type(owner).__name__}.{name}: expected a property of this Blender, found none of this name "
-            f"(did you mean {', '.join(near) or 'nothing near'}?)"
+            f"{type(owner).__name__}.{name}: expected a property of this Blender, found none of"
+            f" this name (did you mean {', '.join(near) or 'nothing near'}?)"
         )
     try:
         setattr(owner, name, value)
     except TypeError as error:  # an enum item or a type that Blender does not have
         raise ValueError(f"{path}: {value!r} is not accepted; {error}") from None
     held = getattr(owner, name)
-    same = abs(held - value) <= 1e-6 * max(1.0, abs(value)) if isinstance(value, float) else held == value
+    same = (
+        abs(held - value) <= 1e-6 * max(1.0, abs(value))
+        if isinstance(value, float)
+        else held == value
+    )
     if not same:
-        raise ValueError(f"{path}: expected {value!r}, found that Blender holds {held!r} (the value lies outside the property's range)")
+        raise ValueError(
+            f"{path}: expected {value!r}, found that Blender holds {held!r} (the value lies outside"
+            " the property's range)"
+        )
     return held
 
 

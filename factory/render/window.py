@@ -1,7 +1,9 @@
-"""The part of the frame in which the object may be seen: rays elsewhere would meet nothing, so they are not sent.
+"""The part of the frame in which the object may be seen: rays elsewhere would meet nothing, so they
+are not sent.
 
-A window is (top, bottom, left, right) in whole pixels, top and left inclusive, bottom and right exclusive, row 0 at the top.
-Pixels inside are the same, noise and all, as those of the whole frame (tests/render/test_film.py).
+A window is (top, bottom, left, right) in whole pixels, top and left inclusive, bottom and right
+exclusive, row 0 at the top. Pixels inside are the same, noise and all, as those of the whole frame
+(tests/render/test_film.py).
 """
 
 import numpy as np
@@ -9,23 +11,29 @@ import numpy as np
 from factory.render.camera import camera_from_fixed_world, distance
 from factory.render.settings import assign
 
-NEAREST = 0.01  # of the camera's distance: what is nearer is not drawn, but what it belongs to is (factory.render.camera)
+# of the camera's distance: what is nearer is not drawn, but what it belongs to is
+# (factory.render.camera)
+NEAREST = 0.01
 MARGIN = 1  # pixels: a pixel's square reaches half a pixel beyond its centre, float32 a little
 
 
 def around(vertices, azimuth, lens):
     """The window that holds all vertices.
 
-    vertices  (V, 3), the object's own frame;  azimuth: radians of the view;  lens: manifests.schema.Camera
+    vertices  (V, 3), the object's own frame;  azimuth: radians of the view;  lens:
+    manifests.schema.Camera
     """
     height, width = lens.size
     s, c = np.sin(azimuth), np.cos(azimuth)
-    camera_from_object = camera_from_fixed_world(lens) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    camera_from_object = camera_from_fixed_world(lens) @ np.array(
+        [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]
+    )
     seen = vertices @ camera_from_object.T.astype(vertices.dtype)
     x, y = seen[:, 0], seen[:, 1]
     if lens.fov_deg is not None:
         away = distance(lens)
-        if seen[:, 2].max() > (1 - NEAREST) * away:  # the camera stands within the object, which may be seen anywhere
+        # the camera stands within the object, which may be seen anywhere
+        if seen[:, 2].max() > (1 - NEAREST) * away:
             return 0, height, 0, width
         nearer = away / (away - seen[:, 2])
         x, y = x * nearer, y * nearer
@@ -47,7 +55,8 @@ def open_on(scene, window):
     height, width = scene.render.resolution_y, scene.render.resolution_x
     assign(scene, "render.use_border", True)
     assign(scene, "render.use_crop_to_border", True)
-    # Blender cuts fractions of the frame down to whole pixels: half a pixel more lands on the right one
+    # Blender cuts fractions of the frame down to whole pixels: half a pixel more lands on the right
+    # one
     borders = {"min_x": (left + 0.5) / width, "max_x": (right + 0.5) / width}
     borders |= {"min_y": (height - bottom + 0.5) / height, "max_y": (height - top + 0.5) / height}
     for side in ("max_x", "max_y", "min_x", "min_y"):
@@ -55,11 +64,14 @@ def open_on(scene, window):
 
 
 def paste(values, window, size):
-    """values (rows, columns, ...) of the window in a frame (height, width, ...) that is 0 elsewhere."""
+    """values (rows, columns, ...) of the window in a frame (height, width, ...) that is 0
+    elsewhere.
+    """
     top, bottom, left, right = window
     if values.shape[:2] != (bottom - top, right - left):
         raise RuntimeError(
-            f"Cycles: expected a window of {(bottom - top, right - left)} pixels, found {values.shape[:2]} (render it again)"
+            f"Cycles: expected a window of {(bottom - top, right - left)} pixels, found"
+            f" {values.shape[:2]} (render it again)"
         )
     frame = np.zeros((*size, *values.shape[2:]), values.dtype)
     frame[top:bottom, left:right] = values

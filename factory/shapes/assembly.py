@@ -7,7 +7,9 @@ from factory.shapes.surfaces import Surface
 
 
 class Assembly:
-    """Surfaces added part by part; each face remembers its part's name and its segment (1, 2, …)."""
+    """Surfaces added part by part; each face remembers its part's name and its segment (1, 2,
+    …).
+    """
 
     def __init__(self):
         self._vertices, self._faces, self._segment, self._part = [], [], [], []
@@ -20,7 +22,9 @@ class Assembly:
         self._faces.append(surface.faces + self._count)
         self._count += len(surface.vertices)
         self._segment.append(np.broadcast_to(np.asarray(segment, np.uint8), len(surface.faces)))
-        self._part.append(np.full(len(surface.faces), self._parts.setdefault(part, len(self._parts)), np.int32))
+        self._part.append(
+            np.full(len(surface.faces), self._parts.setdefault(part, len(self._parts)), np.int32)
+        )
 
     def pair(self, part, surface, segment):
         """Add a surface and its mirror image on the other side."""
@@ -28,11 +32,15 @@ class Assembly:
         self.add(part, surface.mirrored(), segment)
 
     def bend(self, curvature):
-        """Bend all that was added so far about a vertical axis in front (curvature > 0, 1/m): y becomes an arc, its ends come forward."""
+        """Bend all that was added so far about a vertical axis in front (curvature > 0, 1/m): y
+        becomes an arc, its ends come forward.
+        """
         for k, vertices in enumerate(self._vertices):
             radius = 1 / curvature - vertices[:, 0]
             angle = vertices[:, 1] * curvature
-            self._vertices[k] = np.column_stack([1 / curvature - radius * np.cos(angle), radius * np.sin(angle), vertices[:, 2]])
+            self._vertices[k] = np.column_stack(
+                [1 / curvature - radius * np.cos(angle), radius * np.sin(angle), vertices[:, 2]]
+            )
 
     def surface(self):
         """All of it as one Surface."""
@@ -43,5 +51,11 @@ class Assembly:
         surface = self.surface()
         segment = np.unique(np.concatenate(self._segment), return_inverse=True)[1].reshape(-1) + 1
         return finish(
-            name, category, surface.vertices, surface.faces, segment=segment, parts=tuple(self._parts), part=np.concatenate(self._part)
+            name,
+            category,
+            surface.vertices,
+            surface.faces,
+            segment=segment,
+            parts=tuple(self._parts),
+            part=np.concatenate(self._part),
         )

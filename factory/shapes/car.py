@@ -1,4 +1,5 @@
-"""Cars: nine bodies, and proportions drawn per seed. Segments: 1 painted body; 2 wheels, glass, lights and trim.
+"""Cars: nine bodies, and proportions drawn per seed. Segments: 1 painted body; 2 wheels, glass,
+lights and trim.
 
 Sizes are those of real cars, in metres: 3.5–5.6 long, 1.6–2.0 wide, 1.2–2.0 high.
 """
@@ -9,12 +10,23 @@ import numpy as np
 
 from factory.shapes.assembly import Assembly
 from factory.shapes.car_body import Form, cabin, lower_body
-from factory.shapes.car_details import DARK, PAINT, cockpit, front, lights, mirrors_and_handles, roof_things, seams, wheels
+from factory.shapes.car_details import (
+    DARK,
+    PAINT,
+    cockpit,
+    front,
+    lights,
+    mirrors_and_handles,
+    roof_things,
+    seams,
+    wheels,
+)
 
 FAMILY_KEY = 1
 
-# Ranges per kind: length, width, height, clearance, nose, cowl − nose, tail; then shares of the length from the nose:
-# foot of the windscreen, roof's front, roof's rear, foot of the rear window; wheel radius; tumblehome
+# Ranges per kind: length, width, height, clearance, nose, cowl − nose, tail; then shares of the
+# length from the nose: foot of the windscreen, roof's front, roof's rear, foot of the rear window;
+# wheel radius; tumblehome
 # fmt: off
 RANGES = {
     "sedan": (
@@ -82,9 +94,21 @@ def build(seed):
 
 def draw_form(rng, kind):
     """Numbers for one car of a kind."""
-    length, width, height, clearance, nose, rise, tail, cowl, roof_front, roof_rear, glass_rear, wheel, tumblehome = (
-        rng.uniform(*span) for span in RANGES[kind]
-    )
+    (
+        length,
+        width,
+        height,
+        clearance,
+        nose,
+        rise,
+        tail,
+        cowl,
+        roof_front,
+        roof_rear,
+        glass_rear,
+        wheel,
+        tumblehome,
+    ) = (rng.uniform(*span) for span in RANGES[kind])
     ahead = rng.uniform(0.155, 0.195) if kind != "van" else rng.uniform(0.17, 0.2)
     behind = rng.uniform(0.77, 0.82) if kind != "pickup" else rng.uniform(0.74, 0.78)
 

@@ -2,7 +2,8 @@
 
 x forward, y left, z up, metres; the ground is z = 0, the wheelbase's middle need not be x = 0.
 t     2 x / length, in [-1, 1]
-psi   place along the body, so that (t, plan) = (sin psi, cos psi) stretched onto a superellipse: ends as fine as sides
+psi   place along the body, so that (t, plan) = (sin psi, cos psi) stretched onto a superellipse:
+ends as fine as sides
 theta angle round half a section: −π/2 underneath, 0 at the widest, π/2 on top
 """
 
@@ -22,7 +23,9 @@ class Form:
     width: float
     height: float
     clearance: float
-    nose: float  # heights of the upper outline: at the nose, the cowl (foot of the windscreen), the belt, the tail
+    # heights of the upper outline: at the nose, the cowl (foot of the windscreen), the belt, the
+    # tail
+    nose: float
     cowl: float
     tail: float
     cowl_at: float
@@ -49,9 +52,25 @@ class Form:
         """Height of the lower body's upper outline."""
         half = self.length / 2
         reach = min(0.25, 0.6 * (self.glass_rear_at + half))
-        nodes = [-half, -half + reach, self.glass_rear_at, self.cowl_at, self.cowl_at + 0.55 * (half - self.cowl_at), half - 0.12, half]
+        nodes = [
+            -half,
+            -half + reach,
+            self.glass_rear_at,
+            self.cowl_at,
+            self.cowl_at + 0.55 * (half - self.cowl_at),
+            half - 0.12,
+            half,
+        ]
         middle = self.nose + 0.74 * (self.cowl - self.nose)
-        heights = [self.tail - 0.05, self.tail, self.tail + 0.015, self.cowl, middle, self.nose, self.nose - 0.05]
+        heights = [
+            self.tail - 0.05,
+            self.tail,
+            self.tail + 0.015,
+            self.cowl,
+            middle,
+            self.nose,
+            self.nose - 0.05,
+        ]
         return PchipInterpolator(nodes, heights)(np.clip(x, -half, half))
 
     def lower(self, x):
@@ -71,7 +90,9 @@ class Form:
         return np.arctan2(t, (1 - np.abs(t) ** self.corner) ** (1 / self.corner))
 
     def skin(self, psi, theta, cut=True):
-        """Points (..., 3) of the lower body's left half; psi and theta broadcast. cut: with wheel arches and bed."""
+        """Points (..., 3) of the lower body's left half; psi and theta broadcast. cut: with wheel
+        arches and bed.
+        """
         psi, theta = np.broadcast_arrays(psi, theta)
         t, plan = self.plan(psi)
         x = t * self.length / 2
@@ -88,12 +109,23 @@ class Form:
         norm = (np.abs(c) ** power + np.abs(s) ** power) ** (1 / power)
         y = c / norm * self.width / 2 * plan * waist
         z = middle + s / norm * np.where(above, high - middle, middle - low) * closing
-        y = y * (1 - 0.045 * np.clip((z - middle) / (high - middle), 0, 1) ** 2 - 0.05 * np.clip((middle - z) / (middle - low), 0, 1) ** 2)
+        y = y * (
+            1
+            - 0.045 * np.clip((z - middle) / (high - middle), 0, 1) ** 2
+            - 0.05 * np.clip((middle - z) / (middle - low), 0, 1) ** 2
+        )
         if self.bed and cut:
             over = np.where(
-                np.min([np.abs(x - axle) for axle in self.axles], axis=0) < self.arch * 1.02, self.wheel + self.arch + 0.04, 0.0
+                np.min([np.abs(x - axle) for axle in self.axles], axis=0) < self.arch * 1.02,
+                self.wheel + self.arch + 0.04,
+                0.0,
             )
-            inside = (x > self.bed[0]) & (x < self.bed[1]) & (y < self.width / 2 * plan * waist - 0.13) & above
+            inside = (
+                (x > self.bed[0])
+                & (x < self.bed[1])
+                & (y < self.width / 2 * plan * waist - 0.13)
+                & above
+            )
             z = np.where(inside, np.minimum(z, np.maximum(middle + self.bed_floor, over)), z)
         if cut:
             for axle in self.axles:
@@ -102,7 +134,9 @@ class Form:
                 raised = (reach < 1) & (z < roof)
                 # What is raised above the widest line comes in with the side there
                 share = np.clip((roof - middle) / ((high - middle) * closing), 0, 0.99)
-                inward = (1 - share ** self._shoulder(x)) ** (1 / self._shoulder(x)) * (1 - 0.045 * share**2)
+                inward = (1 - share ** self._shoulder(x)) ** (1 / self._shoulder(x)) * (
+                    1 - 0.045 * share**2
+                )
                 y, z = np.where(raised, y * inward, y), np.where(raised, roof, z)
         return np.stack([x, y, z], axis=-1)
 
@@ -124,10 +158,16 @@ def lower_body(form):
     places = []
     for axle in form.axles:
         angle = np.linspace(0, np.pi, 17)
-        places += [*(axle + form.arch * np.cos(angle) * 0.9995), axle - form.arch * 1.004, axle + form.arch * 1.004]
+        places += [
+            *(axle + form.arch * np.cos(angle) * 0.9995),
+            axle - form.arch * 1.004,
+            axle + form.arch * 1.004,
+        ]
     if form.bed:
         places += [edge + gap for edge in form.bed for gap in (-0.004, 0.004)]
-    stations = np.unique(np.concatenate([np.linspace(-np.pi / 2, np.pi / 2, 61)[1:-1], form.psi_at(places)]))
+    stations = np.unique(
+        np.concatenate([np.linspace(-np.pi / 2, np.pi / 2, 61)[1:-1], form.psi_at(places)])
+    )
     stations = stations[np.append(True, np.diff(stations) > 1e-4)]
     theta = np.linspace(-np.pi / 2, np.pi / 2, 27)
     left = form.skin(stations[:, None], theta[None, :])
@@ -138,28 +178,44 @@ def lower_body(form):
 def cabin(form, around=104):
     """The glasshouse, and which of its faces are glass: a closed Surface and a bool a face.
 
-    Rings from the belt to the roof's edge, then closing over the roof. Windows sink 10 mm into their frame.
+    Rings from the belt to the roof's edge, then closing over the roof. Windows sink 10 mm into
+    their frame.
     """
     phi = np.linspace(0, 2 * np.pi, around, endpoint=False) + np.pi / around
     square = 5.5
     norm = (np.abs(np.cos(phi)) ** square + np.abs(np.sin(phi)) ** square) ** (1 / square)
     ahead, across = np.cos(phi) / norm, np.sin(phi) / norm
-    front, rear = np.array([form.cowl_at, form.roof_front_at]), np.array([form.glass_rear_at, form.roof_rear_at])
+    front, rear = (
+        np.array([form.cowl_at, form.roof_front_at]),
+        np.array([form.glass_rear_at, form.roof_rear_at]),
+    )
     half = np.array([form.width / 2 - 0.085, form.width / 2 - 0.085 - form.tumblehome])
-    steps = [(k, 1.0) for k in np.concatenate([[0.0, 0.1, 0.19, 0.21], np.linspace(0.27, 0.84, 6), [0.86, 0.93]])]
+    steps = [
+        (k, 1.0)
+        for k in np.concatenate([[0.0, 0.1, 0.19, 0.21], np.linspace(0.27, 0.84, 6), [0.86, 0.93]])
+    ]
     steps += [(1.0, s) for s in (0.985, 0.955, 0.9, 0.78, 0.55, 0.25)]
     edge = form.height - 0.05
     rings, frame = [], []
     for rise, shrink in steps:
         ease = rise - 0.12 * rise * (1 - rise)  # windscreens and sides are slightly convex
-        x_front, x_rear, y_half = (pair[0] + ease * (pair[1] - pair[0]) for pair in (front, rear, half))
+        x_front, x_rear, y_half = (
+            pair[0] + ease * (pair[1] - pair[0]) for pair in (front, rear, half)
+        )
         y_half += 0.03 * np.sin(np.pi * min(rise, 1.0))
         centre, reach = (x_front + x_rear) / 2, (x_front - x_rear) / 2
         x = centre + reach * ahead * shrink
         y = y_half * across * shrink
-        x = x + (form.bow * np.clip(ahead, 0, 1) - 0.5 * form.bow * np.clip(-ahead, 0, 1)) * (1 - across**2) * shrink
+        x = (
+            x
+            + (form.bow * np.clip(ahead, 0, 1) - 0.5 * form.bow * np.clip(-ahead, 0, 1))
+            * (1 - across**2)
+            * shrink
+        )
         base = form.upper(np.clip(x, -form.length / 2 + 0.05, None)) - 0.12
-        roof_line = edge - 0.03 * np.clip((form.roof_front_at - 0.45 - x) / 1.5, 0, 1) ** 2 * (form.roof_rear_at < -0.8)
+        roof_line = edge - 0.03 * np.clip((form.roof_front_at - 0.45 - x) / 1.5, 0, 1) ** 2 * (
+            form.roof_rear_at < -0.8
+        )
         top = roof_line + 0.05 * (1 - shrink**2.2) if rise == 1.0 else roof_line
         rings.append(np.stack([x, y, base + np.minimum(rise * 1.04, 1.0) * (top - base)], 1))
         frame.append((x, y, rise))
@@ -169,17 +225,31 @@ def cabin(form, around=104):
 
 
 def _windows(form, rings, ahead, across, rise, front, rear):
-    """Which quads (rings − 1, around) are glass: between the belt and the roof, and between the pillars."""
-    x = (rings[6, :, 0] + np.roll(rings[6, :, 0], -1)) / 2  # halfway up: a pillar is a column of quads, so that its edges are straight
+    """Which quads (rings − 1, around) are glass: between the belt and the roof, and between the
+    pillars.
+    """
+    # halfway up: a pillar is a column of quads, so that its edges are straight
+    x = (rings[6, :, 0] + np.roll(rings[6, :, 0], -1)) / 2
     middle = (rise[:-1] + rise[1:]) / 2
     band = ((middle > 0.26) & (middle < 0.85))[:, None]
-    ahead_middle, across_middle = (ahead + np.roll(ahead, -1)) / 2, (across + np.roll(across, -1)) / 2
+    ahead_middle, across_middle = (
+        (ahead + np.roll(ahead, -1)) / 2,
+        (across + np.roll(across, -1)) / 2,
+    )
     screen = (np.abs(across_middle) < 0.86) & (np.abs(ahead_middle) > 0.9)
     length = form.roof_front_at - form.roof_rear_at
     count = 1 if length < 1.3 else 2 if length < 2.3 or form.bed else 3
     spacing = (length + 0.15) / (count + 0.7)
-    pillars = np.any([np.abs(x - (form.roof_front_at - 0.1 - (k + 1) * spacing)) < 0.045 for k in range(count)], axis=0)
-    side = (np.abs(across_middle) > 0.93) & (x < front.mean() - 0.13) & (x > rear.mean() + 0.16) & ~pillars
+    pillars = np.any(
+        [np.abs(x - (form.roof_front_at - 0.1 - (k + 1) * spacing)) < 0.045 for k in range(count)],
+        axis=0,
+    )
+    side = (
+        (np.abs(across_middle) > 0.93)
+        & (x < front.mean() - 0.13)
+        & (x > rear.mean() + 0.16)
+        & ~pillars
+    )
     return band & (screen | side)[None, :]
 
 
@@ -199,7 +269,14 @@ def _sunk(rings, glass):
     body = grid_faces(count, around, wrap_columns=True)
     j = np.arange(around)
     low = np.stack([np.full(around, count * around), j, (j + 1) % around], 1)
-    high = np.stack([np.full(around, count * around + 1), (count - 1) * around + (j + 1) % around, (count - 1) * around + j], 1)
+    high = np.stack(
+        [
+            np.full(around, count * around + 1),
+            (count - 1) * around + (j + 1) % around,
+            (count - 1) * around + j,
+        ],
+        1,
+    )
     quads = np.concatenate([glass.ravel()] * 2)
     surface = closed(vertices, np.concatenate([body, low, high]))
     # `closed` welds and drops nothing here: every face keeps its place

@@ -1,11 +1,22 @@
-"""What is fixed to a car's body: wheels, lights, grille, mirrors, handles, bumpers, roof rails. Metres, car axes (see car_body).
+"""What is fixed to a car's body: wheels, lights, grille, mirrors, handles, bumpers, roof rails.
+Metres, car axes (see car_body).
 
 Segment PAINT is the body, DARK wheels, glass, lights and trim.
 """
 
 import numpy as np
 
-from factory.shapes.surfaces import LEFT_RIGHT, closed, ellipsoid, grid_faces, revolve, rod, rounded_box, rounded_path, tube
+from factory.shapes.surfaces import (
+    LEFT_RIGHT,
+    closed,
+    ellipsoid,
+    grid_faces,
+    revolve,
+    rod,
+    rounded_box,
+    rounded_path,
+    tube,
+)
 
 PAINT, DARK = 1, 2
 
@@ -13,7 +24,13 @@ PAINT, DARK = 1, 2
 def wheel(rng_kind, spokes, radius, width):
     """A wheel about the y axis, its outer side to +y: tyre, rim and spokes as [(part, Surface)]."""
     rim, half = radius * 0.68, width / 2
-    tyre = [[rim - 0.02, -half * 0.7], [rim, -half * 0.9], [radius * 0.9, -half], [radius * 0.975, -half * 0.82], [radius, -half * 0.5]]
+    tyre = [
+        [rim - 0.02, -half * 0.7],
+        [rim, -half * 0.9],
+        [radius * 0.9, -half],
+        [radius * 0.975, -half * 0.82],
+        [radius, -half * 0.5],
+    ]
     profile = np.array(tyre + [[r, -z] for r, z in tyre[::-1]] + [[rim - 0.02, -half * 0.7]])
     angle = np.linspace(0, 2 * np.pi, 36, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
@@ -35,7 +52,19 @@ def wheel(rng_kind, spokes, radius, width):
     pieces = [
         ("tyre", solid),
         ("rim", lip),
-        ("hub", revolve([[0, dish - 0.03], [0.055, dish - 0.03], [0.05, dish + 0.03], [0.03, dish + 0.04], [0, dish + 0.04]], 20)),
+        (
+            "hub",
+            revolve(
+                [
+                    [0, dish - 0.03],
+                    [0.055, dish - 0.03],
+                    [0.05, dish + 0.03],
+                    [0.03, dish + 0.04],
+                    [0, dish + 0.04],
+                ],
+                20,
+            ),
+        ),
     ]
     if rng_kind == "disc":
         pieces.append(
@@ -59,7 +88,12 @@ def wheel(rng_kind, spokes, radius, width):
         for offset in offsets:
             size = (0.5 if rng_kind == "double" else 1.0) * min(0.045, 0.19 / spokes)
             arm = rod(
-                [0.03, 0, dish + 0.012], [rim - 0.035, offset * rim, half * 0.66], [size, 0.014], [size * 1.25, 0.012], around=6, square=4.0
+                [0.03, 0, dish + 0.012],
+                [rim - 0.035, offset * rim, half * 0.66],
+                [size, 0.014],
+                [size * 1.25, 0.012],
+                around=6,
+                square=4.0,
             )
             pieces.append(("spoke", arm.turned("z", 2 * np.pi * k / spokes)))
     return [(part, piece.turned("x", -np.pi / 2)) for part, piece in pieces]
@@ -79,15 +113,27 @@ def wheels(a, rng, form):
         x, z = axle + form.arch * np.cos(angle), form.wheel + form.arch * np.sin(angle)
         y = np.array([form.side(*place) for place in zip(x, z, strict=True)]) - 0.006
         lip = 0.035 if cladding == DARK else 0.016
-        a.pair("arch", tube(np.stack([x, y, z], 1), np.array([0.022, lip]), around=8, square=2.5), cladding)
+        a.pair(
+            "arch",
+            tube(np.stack([x, y, z], 1), np.array([0.022, lip]), around=8, square=2.5),
+            cladding,
+        )
     low, high = form.clearance + 0.03, form.wheel + 0.95 * form.arch
-    box = rounded_box([form.axles[0] - form.axles[1] + 1.9 * form.arch, form.width - 2 * width - 0.2, high - low], 0.05, edge=1)
+    box = rounded_box(
+        [form.axles[0] - form.axles[1] + 1.9 * form.arch, form.width - 2 * width - 0.2, high - low],
+        0.05,
+        edge=1,
+    )
     a.add("underbody", box.moved(sum(form.axles) / 2, 0, (low + high) / 2), DARK)
 
 
 def patch(form, psi, theta, lift, count=9):
-    """A pillow that follows the body's left skin between two psi and two theta, standing out by `lift`: a closed Surface."""
-    grid_psi, grid_theta = np.meshgrid(np.linspace(*psi, count), np.linspace(*theta, count), indexing="ij")
+    """A pillow that follows the body's left skin between two psi and two theta, standing out by
+    `lift`: a closed Surface.
+    """
+    grid_psi, grid_theta = np.meshgrid(
+        np.linspace(*psi, count), np.linspace(*theta, count), indexing="ij"
+    )
     skin = form.skin(grid_psi, grid_theta, cut=False)
     normal = np.cross(np.gradient(skin, axis=0), np.gradient(skin, axis=1))
     normal /= np.linalg.norm(normal, axis=2, keepdims=True)
@@ -106,8 +152,13 @@ def patch(form, psi, theta, lift, count=9):
         ]
     )
     ahead, size = np.roll(rim, -1), count * count
-    wall = np.concatenate([np.stack([rim, ahead, ahead + size], 1), np.stack([rim, ahead + size, rim + size], 1)])
-    return closed(np.concatenate([outer.reshape(-1, 3), inner.reshape(-1, 3)]), np.concatenate([faces, (faces + size)[:, ::-1], wall]))
+    wall = np.concatenate(
+        [np.stack([rim, ahead, ahead + size], 1), np.stack([rim, ahead + size, rim + size], 1)]
+    )
+    return closed(
+        np.concatenate([outer.reshape(-1, 3), inner.reshape(-1, 3)]),
+        np.concatenate([faces, (faces + size)[:, ::-1], wall]),
+    )
 
 
 def lights(a, rng, form):
@@ -123,7 +174,19 @@ def lights(a, rng, form):
         ring = np.linspace(0, 2 * np.pi, 32, endpoint=False)
         a.pair(
             "light ring",
-            tube(np.stack([0 * ring + x + 0.0, y + size * 0.52 * np.cos(ring), z + size * 0.52 * np.sin(ring)], 1), 0.014, 10, ring=True),
+            tube(
+                np.stack(
+                    [
+                        0 * ring + x + 0.0,
+                        y + size * 0.52 * np.cos(ring),
+                        z + size * 0.52 * np.sin(ring),
+                    ],
+                    1,
+                ),
+                0.014,
+                10,
+                ring=True,
+            ),
             PAINT,
         )
     else:
@@ -134,11 +197,28 @@ def lights(a, rng, form):
     if kind == "round" and form.tail < 1.2:
         z = form.tail - rng.uniform(0.17, 0.22)
         y = form.width / 2 * 0.72
-        a.pair("tail light", ellipsoid([0.1, 0.16, 0.16]).moved(-_nose_x(form, y) + 0.02, y, z), DARK)
+        a.pair(
+            "tail light", ellipsoid([0.1, 0.16, 0.16]).moved(-_nose_x(form, y) + 0.02, y, z), DARK
+        )
     else:
         psi = (-rng.uniform(0.95, 1.2), -rng.uniform(0.62, 0.75))
-        a.pair("tail light", patch(form, psi, (0.1, 0.62) if kind == "upright" else (rng.uniform(0.2, 0.35), 0.66), 0.012), DARK)
-    a.add("number plate", rounded_box([0.02, 0.5, 0.11], 0.008, edge=2).moved(-half + 0.005, 0, form.lower(-half) + 0.33), DARK)
+        a.pair(
+            "tail light",
+            patch(
+                form,
+                psi,
+                (0.1, 0.62) if kind == "upright" else (rng.uniform(0.2, 0.35), 0.66),
+                0.012,
+            ),
+            DARK,
+        )
+    a.add(
+        "number plate",
+        rounded_box([0.02, 0.5, 0.11], 0.008, edge=2).moved(
+            -half + 0.005, 0, form.lower(-half) + 0.33
+        ),
+        DARK,
+    )
 
 
 def _nose_x(form, y):
@@ -156,20 +236,35 @@ def front(a, rng, form):
     if kind in ("bars", "plain", "tall"):
         if kind == "tall":
             wide, high, middle = wide * 0.8, height * 0.46, bottom + height * 0.52
-        a.add("grille", rounded_box([0.05, wide, high], 0.02, edge=2).moved(half - 0.022, 0, middle), DARK)
+        a.add(
+            "grille",
+            rounded_box([0.05, wide, high], 0.02, edge=2).moved(half - 0.022, 0, middle),
+            DARK,
+        )
         for z in np.linspace(-0.4, 0.4, int(rng.integers(3, 6))) if kind != "plain" else ():
             a.add(
                 "grille bar",
-                rod([half + 0.004, -wide * 0.46, middle + z * high], [half + 0.004, wide * 0.46, middle + z * high], 0.008, around=8),
+                rod(
+                    [half + 0.004, -wide * 0.46, middle + z * high],
+                    [half + 0.004, wide * 0.46, middle + z * high],
+                    0.008,
+                    around=8,
+                ),
                 PAINT,
             )
     elif kind == "twin":
-        a.pair("grille", rounded_box([0.05, wide * 0.42, high], 0.03).moved(half - 0.022, wide * 0.26, middle), DARK)
+        a.pair(
+            "grille",
+            rounded_box([0.05, wide * 0.42, high], 0.03).moved(half - 0.022, wide * 0.26, middle),
+            DARK,
+        )
     a.add(
         "intake",
-        rounded_box([0.06, form.width * rng.uniform(0.45, 0.62), height * rng.uniform(0.12, 0.2)], 0.025, edge=2).moved(
-            half - 0.03, 0, bottom + height * 0.2
-        ),
+        rounded_box(
+            [0.06, form.width * rng.uniform(0.45, 0.62), height * rng.uniform(0.12, 0.2)],
+            0.025,
+            edge=2,
+        ).moved(half - 0.03, 0, bottom + height * 0.2),
         DARK,
     )
     if rng.random() < (0.75 if form.bed else 0.3):
@@ -179,8 +274,14 @@ def front(a, rng, form):
             psi = end * np.linspace(start, np.pi - start, 33)
             t, plan = form.plan(psi)
             z = form.lower(half) + height * 0.38
-            path = np.stack([t * half + end * 0.012, plan * form.width / 2 * 0.97, np.full(33, z)], 1)
-            a.add("bumper", tube(path, np.array([0.035, 0.065]), around=14, square=3.5, bevel=0.9), DARK if rng.random() < 0.5 else PAINT)
+            path = np.stack(
+                [t * half + end * 0.012, plan * form.width / 2 * 0.97, np.full(33, z)], 1
+            )
+            a.add(
+                "bumper",
+                tube(path, np.array([0.035, 0.065]), around=14, square=3.5, bevel=0.9),
+                DARK if rng.random() < 0.5 else PAINT,
+            )
 
 
 def mirrors_and_handles(a, rng, form):
@@ -188,13 +289,25 @@ def mirrors_and_handles(a, rng, form):
     z = float(form.upper(form.cowl_at)) + 0.06
     x, y = form.cowl_at - rng.uniform(0.32, 0.42), form.width / 2 + rng.uniform(-0.02, 0.02)
     size = rng.uniform(0.9, 1.15)
-    a.pair("mirror", ellipsoid([0.12 * size, 0.19 * size, 0.13 * size], 2.8, 16).moved(x, y + 0.02, z + 0.03), PAINT)
-    a.pair("mirror arm", rod([x - 0.01, y - 0.14, z - 0.02], [x, y + 0.02, z + 0.01], 0.022, around=10), DARK)
+    a.pair(
+        "mirror",
+        ellipsoid([0.12 * size, 0.19 * size, 0.13 * size], 2.8, 16).moved(x, y + 0.02, z + 0.03),
+        PAINT,
+    )
+    a.pair(
+        "mirror arm",
+        rod([x - 0.01, y - 0.14, z - 0.02], [x, y + 0.02, z + 0.01], 0.022, around=10),
+        DARK,
+    )
     doors = 1 if form.roof_front_at - form.roof_rear_at < 1.25 else 2
     for k in range(doors):
         x = form.roof_front_at - 0.55 - 0.92 * k
         z = float(form.upper(x)) - 0.16
-        a.pair("handle", ellipsoid([0.2, 0.045, 0.035], 3.0, 14).moved(x, form.side(x, z) + 0.006, z), PAINT)
+        a.pair(
+            "handle",
+            ellipsoid([0.2, 0.045, 0.035], 3.0, 14).moved(x, form.side(x, z) + 0.006, z),
+            PAINT,
+        )
 
 
 def seams(a, form):
@@ -207,11 +320,15 @@ def seams(a, form):
         a.pair("seam", tube(skin, 0.007, around=5), DARK)
     theta = np.linspace(0.9, np.pi / 2, 9)[:-1]
     across = form.skin(form.psi_at(form.length / 2 - 0.2), theta)
-    a.add("seam", tube(np.concatenate([across, (across * [1, -1, 1])[::-1]]), 0.007, around=5), DARK)
+    a.add(
+        "seam", tube(np.concatenate([across, (across * [1, -1, 1])[::-1]]), 0.007, around=5), DARK
+    )
 
 
 def cockpit(a, rng, form):
-    """What an open car has instead of a cabin: a windscreen, two seats, a steering wheel, perhaps hoops behind the heads."""
+    """What an open car has instead of a cabin: a windscreen, two seats, a steering wheel, perhaps
+    hoops behind the heads.
+    """
     x, z = form.cowl_at, float(form.upper(form.cowl_at))
     wide, tall, rake = form.width / 2 - 0.14, rng.uniform(0.32, 0.42), rng.uniform(0.45, 0.7)
     y = np.linspace(-1, 1, 17)
@@ -231,7 +348,11 @@ def cockpit(a, rng, form):
         )
     ring = np.linspace(0, 2 * np.pi, 28, endpoint=False)
     wheel = np.stack([0.35 * 0.18 * np.sin(ring), 0.18 * np.cos(ring), 0.18 * np.sin(ring)], 1)
-    a.add("steering wheel", tube(wheel + np.array([x - 0.42, 0.34, z - 0.02]), 0.014, around=8, ring=True), DARK)
+    a.add(
+        "steering wheel",
+        tube(wheel + np.array([x - 0.42, 0.34, z - 0.02]), 0.014, around=8, ring=True),
+        DARK,
+    )
     if rng.random() < 0.5:
         for k in LEFT_RIGHT:
             hoop = rounded_path(
@@ -252,7 +373,13 @@ def roof_things(a, rng, form, kind):
         y, z = form.width / 2 - 0.16 - form.tumblehome, form.height - 0.02
         ends = form.roof_front_at - 0.3, form.roof_rear_at + 0.35
         path = rounded_path(
-            [[ends[0], y, z - 0.03], [ends[0] - 0.15, y, z + 0.045], [ends[1] + 0.15, y, z + 0.04], [ends[1], y, z - 0.05]], 0.15
+            [
+                [ends[0], y, z - 0.03],
+                [ends[0] - 0.15, y, z + 0.045],
+                [ends[1] + 0.15, y, z + 0.04],
+                [ends[1], y, z - 0.05],
+            ],
+            0.15,
         )
         a.pair("rail", tube(path, 0.018, around=10), DARK)
     if kind in ("hatch", "suv", "wagon") and rng.random() < 0.6:
@@ -261,8 +388,16 @@ def roof_things(a, rng, form, kind):
         a.add("spoiler", wing.moved(form.roof_rear_at + 0.03, 0, form.height - 0.075), PAINT)
     if kind in ("coupe", "sedan") and rng.random() < 0.25:
         x, z = -form.length / 2 + 0.3, form.tail + rng.uniform(0.06, 0.13)
-        a.add("wing", rounded_box([0.2, form.width * 0.76, 0.03], 0.014).turned("y", 0.08).moved(x, 0, z), PAINT)
-        a.pair("wing post", rod([x, form.width * 0.26, form.tail - 0.06], [x, form.width * 0.26, z], [0.012, 0.05]), PAINT)
+        a.add(
+            "wing",
+            rounded_box([0.2, form.width * 0.76, 0.03], 0.014).turned("y", 0.08).moved(x, 0, z),
+            PAINT,
+        )
+        a.pair(
+            "wing post",
+            rod([x, form.width * 0.26, form.tail - 0.06], [x, form.width * 0.26, z], [0.012, 0.05]),
+            PAINT,
+        )
     if rng.random() < 0.3:
         for k in LEFT_RIGHT:
             pipe = rod(

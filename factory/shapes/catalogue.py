@@ -1,4 +1,6 @@
-"""Every shape by its spec, in text: "chair:17" a family and a seed, "sphere" a primitive, "file:PATH" or a plain path a mesh file."""
+"""Every shape by its spec, in text: "chair:17" a family and a seed, "sphere" a primitive,
+"file:PATH" or a plain path a mesh file.
+"""
 
 from importlib import import_module
 
@@ -14,7 +16,8 @@ def load(spec, **options):
     """The Mesh that a spec names.
 
     spec     "chair:17" | "sphere" | "sphere:4" (level) | "blob:3" (seed) | "file:PATH" | PATH
-    options  for files only: up=, front=, crease_deg=, category=, name=, maximum_triangles= (see factory.shapes.mesh_import.open_mesh)
+    options  for files only: up=, front=, crease_deg=, category=, name=, maximum_triangles= (see
+    factory.shapes.mesh_import.open_mesh)
     Raises   InputError: an unknown name, a seed that is no number, or anything wrong with the file
     """
     spec = str(spec)
@@ -30,11 +33,19 @@ def load(spec, **options):
             return build()
         if family in ("sphere", "blob"):
             return build(_number(spec, rest, 8 if family == "sphere" else None))
-        raise InputError(spec, f"'{family}' alone", f"'{spec}'", "only sphere (level) and blob (seed) take a number")
+        raise InputError(
+            spec,
+            f"'{family}' alone",
+            f"'{spec}'",
+            "only sphere (level) and blob (seed) take a number",
+        )
     if _looks_like_a_path(spec):
         return _file(spec, options)
     raise InputError(
-        spec, "a shape", "an unknown name", f"{closest(family, FAMILIES + PRIMITIVES)} (FAMILY:SEED, a primitive, or a mesh file)"
+        spec,
+        "a shape",
+        "an unknown name",
+        f"{closest(family, FAMILIES + PRIMITIVES)} (FAMILY:SEED, a primitive, or a mesh file)",
     )
 
 
@@ -42,7 +53,10 @@ def specs(family, count=None, first=0):
     """The specs of `count` seeds of a family, the paper's count by default."""
     if family not in FAMILIES:
         raise InputError(family, "a family", f"'{family}'", closest(family, FAMILIES))
-    return [f"{family}:{seed}" for seed in range(first, first + (PAPER_COUNTS[family] if count is None else count))]
+    return [
+        f"{family}:{seed}"
+        for seed in range(first, first + (PAPER_COUNTS[family] if count is None else count))
+    ]
 
 
 def _file(path, options):
@@ -56,7 +70,15 @@ def _looks_like_a_path(spec):
 
 
 def _number(spec, text, limit=None):
-    if not (text.isascii() and text.isdigit() and len(text) <= LONGEST) or (limit is not None and int(text) > limit):
-        span = f"a whole number ≥ 0 of at most {LONGEST} digits" if limit is None else f"a whole number from 0 to {limit}"
-        raise InputError(spec, f"{span} after the colon", f"'{text[:40]}'", f"write {spec.split(':')[0]}:3")
+    if not (text.isascii() and text.isdigit() and len(text) <= LONGEST) or (
+        limit is not None and int(text) > limit
+    ):
+        span = (
+            f"a whole number ≥ 0 of at most {LONGEST} digits"
+            if limit is None
+            else f"a whole number from 0 to {limit}"
+        )
+        raise InputError(
+            spec, f"{span} after the colon", f"'{text[:40]}'", f"write {spec.split(':')[0]}:3"
+        )
     return int(text)

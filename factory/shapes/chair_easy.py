@@ -9,20 +9,44 @@ from factory.shapes.surfaces import LEFT_RIGHT, cushion, rod, rounded_box, smoot
 def armchair(a, rng):
     """An upholstered easy chair: club, tub or wing."""
     w, d, h = rng.uniform(0.52, 0.64), rng.uniform(0.5, 0.6), rng.uniform(0.38, 0.45)
-    top, thick, arm_high = h + rng.uniform(0.36, 0.66), rng.uniform(0.09, 0.17), rng.uniform(0.14, 0.24)
+    top, thick, arm_high = (
+        h + rng.uniform(0.36, 0.66),
+        rng.uniform(0.09, 0.17),
+        rng.uniform(0.14, 0.24),
+    )
     low = rng.uniform(0.1, 0.17)
     lean = rng.uniform(0.05, 0.16)
     a.add(
-        "base", rounded_box([d + 0.05, w + thick, h - 0.12 - low + 0.04], 0.03, edge=3, inner=4).moved(-0.02, 0, (h - 0.12 + low) / 2), SOFT
+        "base",
+        rounded_box([d + 0.05, w + thick, h - 0.12 - low + 0.04], 0.03, edge=3, inner=4).moved(
+            -0.02, 0, (h - 0.12 + low) / 2
+        ),
+        SOFT,
     )
-    a.add("seat cushion", cushion([d + 0.02, w - 0.01, 0.16], rng.uniform(0.1, 0.35), 8).moved(0.03, 0, h - 0.06), SOFT)
+    a.add(
+        "seat cushion",
+        cushion([d + 0.02, w - 0.01, 0.16], rng.uniform(0.1, 0.35), 8).moved(0.03, 0, h - 0.06),
+        SOFT,
+    )
     tall = top - low
-    back = rounded_box([0.15, w + thick * 1.2, tall], rng.uniform(0.04, 0.07), (0.12, 0.0, rng.uniform(0, 0.08)), 4, 8)
-    a.add("back", back.turned("y", -lean).moved(-d / 2 - 0.05 - lean * tall * 0.3, 0, (top + low) / 2), SOFT)
+    back = rounded_box(
+        [0.15, w + thick * 1.2, tall],
+        rng.uniform(0.04, 0.07),
+        (0.12, 0.0, rng.uniform(0, 0.08)),
+        4,
+        8,
+    )
+    a.add(
+        "back",
+        back.turned("y", -lean).moved(-d / 2 - 0.05 - lean * tall * 0.3, 0, (top + low) / 2),
+        SOFT,
+    )
     if rng.random() < 0.6:
         a.add(
             "back cushion",
-            cushion([0.13, w - 0.03, top - h - 0.08], 0.3, 8).turned("y", -lean).moved(-d / 2 + 0.06 - lean * 0.2, 0, (top + h) / 2),
+            cushion([0.13, w - 0.03, top - h - 0.08], 0.3, 8)
+            .turned("y", -lean)
+            .moved(-d / 2 + 0.06 - lean * 0.2, 0, (top + h) / 2),
             SOFT,
         )
     kind = rng.choice(["box", "roll", "slope"])
@@ -31,14 +55,20 @@ def armchair(a, rng):
         if kind == "roll":
             a.add(
                 "arm",
-                rounded_box([d + 0.08, thick * 0.75, h + arm_high - low - 0.03], 0.025, edge=3, inner=4).moved(
-                    0, y, (h + arm_high + low) / 2 - 0.03
-                ),
+                rounded_box(
+                    [d + 0.08, thick * 0.75, h + arm_high - low - 0.03], 0.025, edge=3, inner=4
+                ).moved(0, y, (h + arm_high + low) / 2 - 0.03),
                 SOFT,
             )
             a.add(
                 "arm roll",
-                rod([-d / 2 - 0.05, y, h + arm_high - 0.03], [d / 2 + 0.05, y, h + arm_high - 0.03], thick * 0.62, around=20, bevel=0.3),
+                rod(
+                    [-d / 2 - 0.05, y, h + arm_high - 0.03],
+                    [d / 2 + 0.05, y, h + arm_high - 0.03],
+                    thick * 0.62,
+                    around=20,
+                    bevel=0.3,
+                ),
                 SOFT,
             )
         else:
@@ -59,7 +89,9 @@ def armchair(a, rng):
                 "wing",
                 rounded_box([0.24, 0.07, top - h - arm_high + 0.05], 0.034, (0, 0.3, 0), 4, 5)
                 .turned("y", -lean)
-                .moved(-d / 2 + 0.05 - lean * 0.3, s * (w / 2 + 0.04), (top + h + arm_high) / 2 - 0.01),
+                .moved(
+                    -d / 2 + 0.05 - lean * 0.3, s * (w / 2 + 0.04), (top + h + arm_high) / 2 - 0.01
+                ),
                 SOFT,
             )
     size = rng.uniform(0.018, 0.03)
@@ -67,4 +99,14 @@ def armchair(a, rng):
     for front in (1, -1):
         for s in LEFT_RIGHT:
             x, y = front * (d / 2 - 0.04), s * (w / 2)
-            a.add("leg", rod([x, y, low + 0.03], [x + front * 0.03, y + s * 0.02, 0], size, size * 0.6, square=square), FRAME)
+            a.add(
+                "leg",
+                rod(
+                    [x, y, low + 0.03],
+                    [x + front * 0.03, y + s * 0.02, 0],
+                    size,
+                    size * 0.6,
+                    square=square,
+                ),
+                FRAME,
+            )

@@ -1,23 +1,38 @@
-"""What chairs are made of: legs, bases, backs and arms, each added to an Assembly. Metres; the seat looks to +x, the back stands at −x.
+"""What chairs are made of: legs, bases, backs and arms, each added to an Assembly. Metres; the seat
+looks to +x, the back stands at −x.
 
-w, d: the seat's width (y) and depth (x);  h: the height of its top.  Segment SOFT is what one sits on or leans on, FRAME what carries it.
+w, d: the seat's width (y) and depth (x);  h: the height of its top.  Segment SOFT is what one sits
+on or leans on, FRAME what carries it.
 """
 
 import numpy as np
 
-from factory.shapes.surfaces import LEFT_RIGHT, revolve, rod, rounded_path, slab, smooth_path, superellipse, tube
+from factory.shapes.surfaces import (
+    LEFT_RIGHT,
+    revolve,
+    rod,
+    rounded_path,
+    slab,
+    smooth_path,
+    superellipse,
+    tube,
+)
 
 SOFT, FRAME = 1, 2
 
 
 def seat_outline(w, d, rear, square, around=48):
-    """Outline (N, 2) of a seat seen from above: a superellipse, its rear narrowed to the share `rear` of its front."""
+    """Outline (N, 2) of a seat seen from above: a superellipse, its rear narrowed to the share
+    `rear` of its front.
+    """
     x, y = superellipse(around, square).T
     return np.stack([x * d / 2, y * w / 2 * (1 + rear + (1 - rear) * x) / 2], 1)
 
 
 def four_legs(a, rng, w, d, h, rear=1.0, kinds=("square", "round", "tapered", "turned")):
-    """Four legs at the corners, of one of the kinds. Returns their tops and feet: {(±1 front, ±1 left): (top, foot)}."""
+    """Four legs at the corners, of one of the kinds. Returns their tops and feet: {(±1 front, ±1
+    left): (top, foot)}.
+    """
     kind = rng.choice(kinds)
     size, splay, inset = rng.uniform(0.015, 0.025), rng.uniform(0.0, 0.07), rng.uniform(0.03, 0.05)
     if kind == "turned":
@@ -31,7 +46,11 @@ def four_legs(a, rng, w, d, h, rear=1.0, kinds=("square", "round", "tapered", "t
             ends[front, left] = top, foot
             if kind == "turned":
                 t = np.linspace(0, 1, 25)
-                girth = size * (0.75 + 0.35 * np.sin(np.pi * t) ** 2 + 0.22 * np.sin(6 * np.pi * t) * np.sin(np.pi * t))
+                girth = size * (
+                    0.75
+                    + 0.35 * np.sin(np.pi * t) ** 2
+                    + 0.22 * np.sin(6 * np.pi * t) * np.sin(np.pi * t)
+                )
                 a.add("leg", tube(top + t[:, None] * (foot - top), girth, around=14), FRAME)
             else:
                 square = {"square": 7.0, "round": 2.0, "tapered": rng.choice([2.0, 5.0])}[kind]
@@ -42,31 +61,62 @@ def four_legs(a, rng, w, d, h, rear=1.0, kinds=("square", "round", "tapered", "t
 
 def stretchers(a, rng, ends):
     """Rails between the legs: none, a box, an H, or two at the sides."""
-    kind, t, size = rng.choice(["none", "box", "h", "sides"]), rng.uniform(0.45, 0.75), rng.uniform(0.007, 0.011)
+    kind, t, size = (
+        rng.choice(["none", "box", "h", "sides"]),
+        rng.uniform(0.45, 0.75),
+        rng.uniform(0.007, 0.011),
+    )
     at = {key: top + t * (foot - top) for key, (top, foot) in ends.items()}
     if kind == "none":
         return
     for left in LEFT_RIGHT:
         a.add("stretcher", rod(at[1, left], at[-1, left], size, around=10, square=3.0), FRAME)
     if kind == "h":
-        a.add("stretcher", rod(*((at[1, left] + at[-1, left]) / 2 for left in LEFT_RIGHT), size, around=10, square=3.0), FRAME)
+        a.add(
+            "stretcher",
+            rod(
+                *((at[1, left] + at[-1, left]) / 2 for left in LEFT_RIGHT),
+                size,
+                around=10,
+                square=3.0,
+            ),
+            FRAME,
+        )
     if kind == "box":
         for front in (1, -1):
             rise = np.array([0, 0, 0.04])
-            a.add("stretcher", rod(at[front, 1] + rise, at[front, -1] + rise, size, around=10, square=3.0), FRAME)
+            a.add(
+                "stretcher",
+                rod(at[front, 1] + rise, at[front, -1] + rise, size, around=10, square=3.0),
+                FRAME,
+            )
 
 
 def apron(a, w, d, h, rear, inset=0.045):
     """The four boards under a wooden seat."""
     corner = {
-        (f, s): np.array([f * (d / 2 - inset), s * ((w if f > 0 else w * rear) / 2 - inset), h - 0.055])
+        (f, s): np.array(
+            [f * (d / 2 - inset), s * ((w if f > 0 else w * rear) / 2 - inset), h - 0.055]
+        )
         for f in (1, -1)
         for s in LEFT_RIGHT
     }
-    for one, other in (((1, 1), (1, -1)), ((-1, 1), (-1, -1)), ((1, 1), (-1, 1)), ((1, -1), (-1, -1))):
+    for one, other in (
+        ((1, 1), (1, -1)),
+        ((-1, 1), (-1, -1)),
+        ((1, 1), (-1, 1)),
+        ((1, -1), (-1, -1)),
+    ):
         a.add(
             "apron",
-            rod(corner[one], corner[other], (0.009, 0.028), around=16, square=8.0, side=np.cross(corner[other] - corner[one], [0, 0, 1.0])),
+            rod(
+                corner[one],
+                corner[other],
+                (0.009, 0.028),
+                around=16,
+                square=8.0,
+                side=np.cross(corner[other] - corner[one], [0, 0, 1.0]),
+            ),
             FRAME,
         )
 
@@ -94,12 +144,28 @@ def star_base(a, rng, h):
         FRAME,
     )
     for angle in np.arange(arms) * 2 * np.pi / arms + rng.uniform(0, 1):
-        path = smooth_path([[0.01, 0, hub], [reach * 0.5, 0, hub - 0.012], [reach, 0, 2 * wheel + 0.014]], 8)
-        a.add("star", tube(path, np.linspace([0.026, 0.02], [0.015, 0.011], 8), around=12, square=3.5).turned("z", angle), FRAME)
+        path = smooth_path(
+            [[0.01, 0, hub], [reach * 0.5, 0, hub - 0.012], [reach, 0, 2 * wheel + 0.014]], 8
+        )
+        a.add(
+            "star",
+            tube(path, np.linspace([0.026, 0.02], [0.015, 0.011], 8), around=12, square=3.5).turned(
+                "z", angle
+            ),
+            FRAME,
+        )
         if wheel:
             for side in LEFT_RIGHT:
                 turn = revolve(
-                    [[0, -0.008], [wheel * 0.8, -0.009], [wheel, -0.004], [wheel, 0.004], [wheel * 0.8, 0.009], [0, 0.008]], 16
+                    [
+                        [0, -0.008],
+                        [wheel * 0.8, -0.009],
+                        [wheel, -0.004],
+                        [wheel, 0.004],
+                        [wheel * 0.8, 0.009],
+                        [0, 0.008],
+                    ],
+                    16,
                 ).turned("x", np.pi / 2)
                 a.add("castor", turn.moved(reach, side * 0.014, wheel).turned("z", angle), FRAME)
 
@@ -108,10 +174,21 @@ def trumpet_base(a, rng, h):
     """A tulip chair's foot: a disc that grows into a stem and opens under the seat."""
     foot, stem, top = rng.uniform(0.2, 0.27), rng.uniform(0.022, 0.04), rng.uniform(0.06, 0.12)
     t = np.linspace(0, 1, 28)
-    radius = stem + (foot - stem) * (1 - t) ** rng.uniform(5, 9) + (top - stem) * t ** rng.uniform(5, 9)
+    radius = (
+        stem + (foot - stem) * (1 - t) ** rng.uniform(5, 9) + (top - stem) * t ** rng.uniform(5, 9)
+    )
     a.add(
         "pedestal",
-        revolve(np.concatenate([[[0, 0], [foot, 0]], np.stack([radius, 0.012 + (h - 0.03) * t], 1), [[0, h - 0.015]]]), 40),
+        revolve(
+            np.concatenate(
+                [
+                    [[0, 0], [foot, 0]],
+                    np.stack([radius, 0.012 + (h - 0.03) * t], 1),
+                    [[0, h - 0.015]],
+                ]
+            ),
+            40,
+        ),
         FRAME,
     )
 
@@ -122,31 +199,55 @@ def sled(a, rng, w, d, h):
     for side in LEFT_RIGHT:
         y = side * (w / 2 - 0.03)
         path = rounded_path(
-            [[d * 0.3, y * 0.8, h], [d / 2 - 0.04 + lean, y, size], [-d / 2 + 0.02 - lean, y, size], [-d * 0.3, y * 0.8, h]], 0.06
+            [
+                [d * 0.3, y * 0.8, h],
+                [d / 2 - 0.04 + lean, y, size],
+                [-d / 2 + 0.02 - lean, y, size],
+                [-d * 0.3, y * 0.8, h],
+            ],
+            0.06,
         )
         a.add("sled", tube(path, size, around=10), FRAME)
     for x in (d * 0.3, -d * 0.3):
-        a.add("cross bar", rod([x, -w * 0.4, h - 0.005], [x, w * 0.4, h - 0.005], size, around=10), FRAME)
+        a.add(
+            "cross bar",
+            rod([x, -w * 0.4, h - 0.005], [x, w * 0.4, h - 0.005], size, around=10),
+            FRAME,
+        )
 
 
 def posts(a, rng, w, d, h, rear, top, lean, square=5.0):
-    """Two rear posts that go on upwards from the seat. Returns a function (height, y share) → point on the back's middle surface."""
+    """Two rear posts that go on upwards from the seat. Returns a function (height, y share) → point
+    on the back's middle surface.
+    """
     size, curve = rng.uniform(0.014, 0.021), rng.uniform(-0.02, 0.05)
 
     def at(z, share):
         t = (z - h) / (top - h)
         return np.array(
-            [-d / 2 + 0.025 - lean * t - curve * np.sin(np.pi * np.clip(t, 0, 1)), share * (w * rear / 2 - 0.025) * (1 + 0.04 * t), z]
+            [
+                -d / 2 + 0.025 - lean * t - curve * np.sin(np.pi * np.clip(t, 0, 1)),
+                share * (w * rear / 2 - 0.025) * (1 + 0.04 * t),
+                z,
+            ]
         )
 
     for side in LEFT_RIGHT:
         path = np.array([at(z, side) for z in np.linspace(h - 0.04, top, 12)])
-        a.add("post", tube(path, np.linspace(size * 1.1, size * 0.8, 12), around=14, square=square, bevel=0.8), FRAME)
+        a.add(
+            "post",
+            tube(
+                path, np.linspace(size * 1.1, size * 0.8, 12), around=14, square=square, bevel=0.8
+            ),
+            FRAME,
+        )
     return at
 
 
 def between(a, part, at, low, high, thick, share=1.0, bow=0.02, segment=SOFT, crown=0.0):
-    """A board across the back from height low to high (m), bowed backwards by `bow`, its upper rim raised in the middle by `crown`."""
+    """A board across the back from height low to high (m), bowed backwards by `bow`, its upper rim
+    raised in the middle by `crown`.
+    """
     y = np.linspace(-share, share, 17)
     middle = np.array([at((low + high) / 2, s) for s in y])
     middle[:, 0] -= bow * (1 - (y / share) ** 2)
@@ -159,9 +260,16 @@ def between(a, part, at, low, high, thick, share=1.0, bow=0.02, segment=SOFT, cr
 
 
 def upright_bars(a, part, at, low, high, count, size, share, fan=1.0, segment=SOFT, square=2.0):
-    """`count` bars from the seat (height low) to the top rail (high); fan: how much wider they stand at the top."""
+    """`count` bars from the seat (height low) to the top rail (high); fan: how much wider they
+    stand at the top.
+    """
     for s in np.linspace(-share, share, count):
-        path = np.array([at(z, s * (1 + (fan - 1) * t)) for t, z in zip(np.linspace(0, 1, 9), np.linspace(low, high, 9), strict=True)])
+        path = np.array(
+            [
+                at(z, s * (1 + (fan - 1) * t))
+                for t, z in zip(np.linspace(0, 1, 9), np.linspace(low, high, 9), strict=True)
+            ]
+        )
         a.add(part, tube(path, size, around=10, square=square), segment)
 
 
@@ -172,11 +280,29 @@ def arm_rests(a, rng, w, d, h, back_x):
     for side in LEFT_RIGHT:
         y = side * wide
         drop = rng.uniform(0.0, 0.03)
-        path = smooth_path([[back_x, y * 0.97, h + rise + drop], [0, y * 1.03, h + rise], [reach + 0.03, y * 1.02, h + rise - drop]], 12)
-        a.add("arm", tube(path, np.array([size * 1.7, size * 0.75]), around=16, square=3.5, bevel=0.9), FRAME)
+        path = smooth_path(
+            [
+                [back_x, y * 0.97, h + rise + drop],
+                [0, y * 1.03, h + rise],
+                [reach + 0.03, y * 1.02, h + rise - drop],
+            ],
+            12,
+        )
+        a.add(
+            "arm",
+            tube(path, np.array([size * 1.7, size * 0.75]), around=16, square=3.5, bevel=0.9),
+            FRAME,
+        )
         a.add(
             "arm post",
-            rod([reach - 0.02, side * (w / 2 - 0.03), h - 0.03], [reach, y, h + rise], size, size * 0.8, around=12, square=3.0),
+            rod(
+                [reach - 0.02, side * (w / 2 - 0.03), h - 0.03],
+                [reach, y, h + rise],
+                size,
+                size * 0.8,
+                around=12,
+                square=3.0,
+            ),
             FRAME,
         )
 
@@ -191,4 +317,6 @@ def hoop_path(at, low, high, share, count=33, power=0.6):
     angle = np.linspace(0, np.pi, count)
     rise = np.sin(angle) ** power
     side = np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** 0.8
-    return np.array([at(low + (high - low) * r, share * s) for r, s in zip(rise, side, strict=True)])
+    return np.array(
+        [at(low + (high - low) * r, share * s) for r, s in zip(rise, side, strict=True)]
+    )

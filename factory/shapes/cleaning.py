@@ -1,6 +1,8 @@
-"""What is broken in a mesh is dropped or refused: doubled vertices and faces, faces of no area; and faces are turned outward.
+"""What is broken in a mesh is dropped or refused: doubled vertices and faces, faces of no area; and
+faces are turned outward.
 
-vertices (V, 3), faces (F, 3). Each step says in words what it did; nothing is repaired by adding faces.
+vertices (V, 3), faces (F, 3). Each step says in words what it did; nothing is repaired by adding
+faces.
 """
 
 import numpy as np
@@ -19,12 +21,19 @@ FLAT = 1e-13  # of the size squared: a face of less area is none
 def clean(vertices, faces, where):
     """A mesh without what is broken.
 
-    Returns  vertices, faces, kept (F',) which of the given faces they were, notes: what was done, in words
-    Raises   InputError: a coordinate that is not finite, an index outside the vertices, or no surface left
+    Returns  vertices, faces, kept (F',) which of the given faces they were, notes: what was done,
+    in words
+    Raises   InputError: a coordinate that is not finite, an index outside the vertices, or no
+    surface left
     """
     vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int64)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-        raise InputError(where, f"faces among {len(vertices)} vertices", f"vertex {faces.max()}", "download or export it again")
+        raise InputError(
+            where,
+            f"faces among {len(vertices)} vertices",
+            f"vertex {faces.max()}",
+            "download or export it again",
+        )
     used = np.unique(faces)
     broken = used[~np.isfinite(vertices[used]).all(1)]
     if len(broken):
@@ -36,19 +45,28 @@ def clean(vertices, faces, where):
         )
     size = float(np.ptp(vertices[used], axis=0).max()) if len(used) else 0.0
     if not (0 < size < 1e150):
-        raise InputError(where, "a mesh of some extent", f"a size of {size:.3g}", "check the file in a viewer, or export it again")
+        raise InputError(
+            where,
+            "a mesh of some extent",
+            f"a size of {size:.3g}",
+            "check the file in a viewer, or export it again",
+        )
     notes = []
     if len(used) < len(vertices):
         notes.append(f"{len(vertices) - len(used)} unused vertices dropped")
     centred = (vertices[used] - vertices[used].mean(0)) / size
-    cell, first, inverse = np.unique(np.round(centred / WELD), axis=0, return_index=True, return_inverse=True)
+    cell, first, inverse = np.unique(
+        np.round(centred / WELD), axis=0, return_index=True, return_inverse=True
+    )
     if len(cell) < len(used):
         notes.append(f"{len(used) - len(cell)} doubled vertices welded")
     vertices = centred[first]
     faces = inverse.reshape(-1)[np.searchsorted(used, faces)]
 
     flat = face_normals(vertices, faces)[1] <= FLAT
-    flat |= (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    flat |= (
+        (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    )
     if flat.any():
         notes.append(f"{int(flat.sum())} faces of no area dropped")
     kept = np.flatnonzero(~flat)
@@ -58,7 +76,10 @@ def clean(vertices, faces, where):
     kept = kept[np.sort(single)]
     if not len(kept):
         raise InputError(
-            where, "a mesh with a surface", f"{len(flat)} triangles of no area", "check the file in a viewer, or export it again"
+            where,
+            "a mesh with a surface",
+            f"{len(flat)} triangles of no area",
+            "check the file in a viewer, or export it again",
         )
     compact, faces = np.unique(faces[kept], return_inverse=True)
     return vertices[compact], faces.reshape(-1, 3), kept, notes
@@ -67,8 +88,9 @@ def clean(vertices, faces, where):
 def orient(vertices, faces):
     """The faces wound alike within each piece, and turned outward where that can be decided.
 
-    A piece that closes is turned so that its volume is positive; an open one so that more of its outer side is seen from around.
-    Returns  faces, the share of what is seen that remains inner side, notes
+    A piece that closes is turned so that its volume is positive; an open one so that more of its
+    outer side is seen from around. Returns  faces, the share of what is seen that remains inner
+    side, notes
     """
     wound, piece = _wind_alike(faces)
     notes = []
@@ -107,8 +129,9 @@ def _seen(vertices, faces):
 def _wind_alike(faces):
     """Faces wound consistently across edges of two faces, and the piece (F,) each belongs to.
 
-    Each face stands twice in a graph, as it is and turned round; two faces that share an edge are joined in the states that agree.
-    A piece in which a face meets its own turned self (a Möbius strip) has no sides and stays as it was.
+    Each face stands twice in a graph, as it is and turned round; two faces that share an edge are
+    joined in the states that agree. A piece in which a face meets its own turned self (a Möbius
+    strip) has no sides and stays as it was.
     """
     count = len(faces)
     first, second, same, _ = edge_pairs(faces)
@@ -119,7 +142,8 @@ def _wind_alike(faces):
     links = coo_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(2 * count, 2 * count))
     state = connected_components(links, directed=False)[1]
     plain, turned = state[:count], state[count:]
-    # Each orientable piece is two components, mirror images: the one with the lower number is taken, for all of its faces
+    # Each orientable piece is two components, mirror images: the one with the lower number is
+    # taken, for all of its faces
     turn = (turned < plain)[:, None]
     piece = np.unique(np.minimum(plain, turned), return_inverse=True)[1].reshape(-1)
     return np.where(turn, faces[:, ::-1], faces), piece

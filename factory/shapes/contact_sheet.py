@@ -1,4 +1,6 @@
-"""Contact sheets of shapes: each seen from the front left, named and counted. No Blender: factory.shapes.raster draws."""
+"""Contact sheets of shapes: each seen from the front left, named and counted. No Blender:
+factory.shapes.raster draws.
+"""
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -13,7 +15,9 @@ def contact_sheet(meshes, count, *, columns=None, size=160, azimuths=(AZIMUTH,))
 
     azimuths  radians; several: that many pictures of each mesh, side by side
     """
-    columns = columns or max(1, min(count, round(10 / len(azimuths)), int(np.ceil(count**0.5 * 1.3))))
+    columns = columns or max(
+        1, min(count, round(10 / len(azimuths)), int(np.ceil(count**0.5 * 1.3)))
+    )
     rows, wide, label = -(-count // columns), size * len(azimuths), 14
     sheet = Image.new("RGB", (columns * wide, max(rows, 1) * (size + label)), "white")
     pen = ImageDraw.Draw(sheet)

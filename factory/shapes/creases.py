@@ -1,9 +1,10 @@
 """Smooth normals that stop at creases: one normal per corner of each face.
 
-vertices (V, 3); faces (F, 3); corner (face, i) is the i-th vertex as the face sees it; corner normals (F, 3, 3).
-Two faces that share an edge are smooth there when their normals differ by less than the crease angle. The corners around a
-vertex that smooth edges connect share one normal: the mean of their faces' normals, weighted by the angle at the corner.
-Linear in the number of faces, whatever the valence: a vertex with a million faces costs a million.
+vertices (V, 3); faces (F, 3); corner (face, i) is the i-th vertex as the face sees it; corner
+normals (F, 3, 3). Two faces that share an edge are smooth there when their normals differ by less
+than the crease angle. The corners around a vertex that smooth edges connect share one normal: the
+mean of their faces' normals, weighted by the angle at the corner. Linear in the number of faces,
+whatever the valence: a vertex with a million faces costs a million.
 """
 
 import numpy as np
@@ -14,7 +15,9 @@ CREASE_DEG = 45.0
 
 
 def face_normals(vertices, faces):
-    """Unit normals (F, 3), right-handed about the corner order, and areas (F,); a zero-area face has normal 0."""
+    """Unit normals (F, 3), right-handed about the corner order, and areas (F,); a zero-area face
+    has normal 0.
+    """
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     cross = np.cross(b - a, c - a)
     double_area = np.linalg.norm(cross, axis=1)
@@ -30,10 +33,12 @@ def corner_angles(vertices, faces):
 
 
 def edge_pairs(faces):
-    """Pairs of half-edges that lie on the same edge, for edges with exactly two faces, and the count of faces on each edge.
+    """Pairs of half-edges that lie on the same edge, for edges with exactly two faces, and the
+    count of faces on each edge.
 
     A half-edge is 3 * face + i: it leads from corner i to corner i + 1 of its face.
-    Returns  first (P,), second (P,) half-edges; same (P,) bool: both run the same way, so the faces are wound inconsistently;
+    Returns  first (P,), second (P,) half-edges; same (P,) bool: both run the same way, so the faces
+    are wound inconsistently;
              counts (E,) faces an edge
     """
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
@@ -54,7 +59,8 @@ def corner_normals(vertices, faces, crease_deg=CREASE_DEG):
     smooth = (normals[first // 3] * normals[second // 3]).sum(1) > np.cos(np.radians(crease_deg))
     first, second = first[smooth & ~same], second[smooth & ~same]
 
-    # Corners at the two ends of a smooth edge belong together: a's start is b's end, and the other way round
+    # Corners at the two ends of a smooth edge belong together: a's start is b's end, and the other
+    # way round
     def end(half_edge):
         return half_edge - half_edge % 3 + (half_edge + 1) % 3
 
@@ -67,6 +73,7 @@ def corner_normals(vertices, faces, crease_deg=CREASE_DEG):
     smooth_normals = summed[group].reshape(-1, 3, 3)
     length = np.linalg.norm(smooth_normals, axis=2, keepdims=True)
     unit = smooth_normals / np.maximum(length, 1e-300)
-    # A fan that turns right round (a needle's tip) has no mean direction: there the face's own normal stands
+    # A fan that turns right round (a needle's tip) has no mean direction: there the face's own
+    # normal stands
     opposed = (unit * normals[:, None, :]).sum(2, keepdims=True) < 0.1
     return np.where(opposed, normals[:, None, :], unit).astype(np.float32)

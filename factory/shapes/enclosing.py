@@ -1,4 +1,5 @@
-"""The smallest sphere around points, exactly: Welzl's problem solved by pivoting on the farthest point.
+"""The smallest sphere around points, exactly: Welzl's problem solved by pivoting on the farthest
+point.
 
 points: (N, 3).  A sphere is (centre (3,), radius).  At most four points carry it: the support.
 Source: Gärtner, "Fast and robust smallest enclosing balls", ESA 1999 (the pivot rule).
@@ -22,14 +23,17 @@ def smallest_sphere(points):
             break
         grown = np.vstack([support, points[farthest]])
         found_centre, found_radius, found_support = _smallest_of_few(grown)
-        if found_radius <= radius:  # rounding has stopped the growth: four nearly cospherical points
+        # rounding has stopped the growth: four nearly cospherical points
+        if found_radius <= radius:
             break
         centre, radius, support = found_centre, found_radius, found_support
     return centre, float(np.linalg.norm(points - centre, axis=1).max())
 
 
 def _smallest_of_few(points):
-    """Centre, radius and support of the smallest sphere around at most five points, by trying every support."""
+    """Centre, radius and support of the smallest sphere around at most five points, by trying every
+    support.
+    """
     best = None
     reach = np.ptp(points, axis=0).max()
     for count in range(2, min(4, len(points)) + 1):
@@ -37,7 +41,9 @@ def _smallest_of_few(points):
             support = points[list(chosen)]
             centre = _through(support)
             radius = np.linalg.norm(support - centre, axis=1).max()
-            if np.linalg.norm(points - centre, axis=1).max() <= radius + 1e-10 * reach and (best is None or radius < best[1]):
+            if np.linalg.norm(points - centre, axis=1).max() <= radius + 1e-10 * reach and (
+                best is None or radius < best[1]
+            ):
                 best = centre, radius, support
     return best
 

@@ -1,8 +1,10 @@
-"""Mesh files read into raw triangles, their size bounded before any memory is taken: a reader for each format.
+"""Mesh files read into raw triangles, their size bounded before any memory is taken: a reader for
+each format.
 
-No texture, library or second file is ever followed. The readers are our own because the polygons of OBJ, PLY and OFF must be cut
-into triangles with care (factory.shapes.polygons), and because each count and offset in a file is checked before it is
-used; `trimesh`, which cuts every polygon as a fan and passes over a GLB's sparse positions, is what tests compare them with.
+No texture, library or second file is ever followed. The readers are our own because the polygons of
+OBJ, PLY and OFF must be cut into triangles with care (factory.shapes.polygons), and because each
+count and offset in a file is checked before it is used; `trimesh`, which cuts every polygon as a
+fan and passes over a GLB's sparse positions, is what tests compare them with.
 """
 
 import io
@@ -18,7 +20,9 @@ FORMATS = (".obj", ".ply", ".glb", ".stl", ".off")
 
 
 def read(path: str | Path, maximum: int = MAXIMUM_TRIANGLES) -> Raw:
-    """The Raw triangles of a file. Raises InputError: missing, not a mesh, truncated, or more than `maximum` triangles."""
+    """The Raw triangles of a file. Raises InputError: missing, not a mesh, truncated, or more than
+    `maximum` triangles.
+    """
     path = Path(path)
     require_file(path, "a mesh file", _remedy(path))
     kind = path.suffix.lower()
@@ -39,11 +43,15 @@ def _remedy(path):
 def check_format(where: str | Path, kind: str) -> None:
     """Raises InputError if a file's ending is not one that is read."""
     if kind not in FORMATS:
-        remedy = "export it as binary glTF (.glb)" if kind == ".gltf" else "convert it to one of these"
+        remedy = (
+            "export it as binary glTF (.glb)" if kind == ".gltf" else "convert it to one of these"
+        )
         raise InputError(where, f"one of {', '.join(FORMATS)}", f"'{kind or 'no ending'}'", remedy)
 
 
-def parse(file: BinaryIO, kind: str, size: int, where: str | Path, maximum: int = MAXIMUM_TRIANGLES) -> Raw:
+def parse(
+    file: BinaryIO, kind: str, size: int, where: str | Path, maximum: int = MAXIMUM_TRIANGLES
+) -> Raw:
     """The Raw triangles of an open binary file of `size` bytes; where: its name in errors."""
     if size == 0:
         raise InputError(where, "a mesh", "an empty file", AGAIN)

@@ -1,8 +1,10 @@
-"""Binary glTF: the triangles of its scene, each mesh as often as nodes show it; nothing outside of the file is opened.
+"""Binary glTF: the triangles of its scene, each mesh as often as nodes show it; nothing outside of
+the file is opened.
 
-Source: Khronos, glTF 2.0 specification. Every offset, count and index is checked against what holds it before memory is
-taken. Accessors may be strided, sparse, or quantised (KHR_mesh_quantization); compressed ones are refused. Materials,
-normals, cameras, lights and animations are passed over, as are deformations by skins and morph targets, with a note.
+Source: Khronos, glTF 2.0 specification. Every offset, count and index is checked against what holds
+it before memory is taken. Accessors may be strided, sparse, or quantised (KHR_mesh_quantization);
+compressed ones are refused. Materials, normals, cameras, lights and animations are passed over, as
+are deformations by skins and morph targets, with a note.
 
 world_from_node (4, 4): a point p of the node's mesh lies at world_from_node @ (p, 1)
 """
@@ -26,7 +28,15 @@ LARGEST_SCENE = 64 << 20  # bytes of JSON
 TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 POINTS, LINES, TRIANGLES, STRIP, FAN = (0,), (1, 2, 3), 4, 5, 6
-HARMLESS = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "EXT_lights_")
+HARMLESS = (
+    "KHR_mesh_quantization",
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_",
+    "KHR_lights_",
+    "EXT_lights_",
+)
 HARMLESS += ("KHR_xmp", "KHR_animation_", "KHR_techniques_")
 DOWNLOAD = "download or export it again"
 
@@ -159,10 +169,14 @@ def _document(file, size, where):
     """The scene's JSON, and the bytes after it."""
     head = file.read(20)
     if len(head) < 20 or head[:4] != b"glTF":
-        raise InputError(where, "a binary glTF header", f"'{glimpse(head)}'", "check the file's ending")
+        raise InputError(
+            where, "a binary glTF header", f"'{glimpse(head)}'", "check the file's ending"
+        )
     version, total, length, kind = struct.unpack("<III4s", head[4:])
     if kind != b"JSON" or length > min(size, LARGEST_SCENE):
-        raise InputError(where, "a JSON chunk of at most 64 MiB first", f"{kind!r} of {length:,} bytes", DOWNLOAD)
+        raise InputError(
+            where, "a JSON chunk of at most 64 MiB first", f"{kind!r} of {length:,} bytes", DOWNLOAD
+        )
     if version != 2:
         raise InputError(where, "glTF of version 2", f"version {version}", "export it as glTF 2")
     if total > size:
@@ -173,12 +187,21 @@ def _document(file, size, where):
         raise InputError(where, "a readable glTF scene", f"'{error}'"[:160], DOWNLOAD) from None
     for name in document.extensionsRequired:
         if "draco" in name.lower() or "meshopt" in name.lower():
-            raise InputError(where, "plain geometry", f"the compression {name}", "export it without compression")
+            raise InputError(
+                where, "plain geometry", f"the compression {name}", "export it without compression"
+            )
         if not name.startswith(HARMLESS):
-            raise InputError(where, "geometry without further extensions", name, "export it without that extension")
+            raise InputError(
+                where,
+                "geometry without further extensions",
+                name,
+                "export it without that extension",
+            )
     for buffer in document.buffers:
         if buffer.uri is not None and not buffer.uri.startswith("data:"):
-            raise InputError(where, "all data inside the file", "a buffer elsewhere", "export it as one .glb")
+            raise InputError(
+                where, "all data inside the file", "a buffer elsewhere", "export it as one .glb"
+            )
     return document, file
 
 
@@ -191,14 +214,21 @@ class _Scene:
         self.buffers, self.meshes = [], {}
 
     def shown(self):
-        """[(mesh, world_from_node)] of each node of the scene that shows a mesh. Raises InputError: a node reached twice."""
+        """[(mesh, world_from_node)] of each node of the scene that shows a mesh. Raises InputError:
+        a node reached twice.
+        """
         document, shown, seen = self.document, [], set()
         waiting = [(node, np.eye(4)) for node in reversed(self._roots())]
         while waiting:
             index, world_from_parent = waiting.pop()
             node = self._item("nodes", index)
             if index in seen:  # in a circle, or twice as many on each level: a bomb
-                raise InputError(self.where, "a tree of nodes", f"a node with two parents, number {index}", DOWNLOAD)
+                raise InputError(
+                    self.where,
+                    "a tree of nodes",
+                    f"a node with two parents, number {index}",
+                    DOWNLOAD,
+                )
             seen.add(index)
             with np.errstate(all="ignore"):
                 world_from_node = world_from_parent @ self._parent_from(node)
@@ -227,7 +257,9 @@ class _Scene:
             if value is None:
                 continue
             if len(value) != count:
-                raise InputError(self.where, f"{count} numbers in a node's {name}", str(len(value)), DOWNLOAD)
+                raise InputError(
+                    self.where, f"{count} numbers in a node's {name}", str(len(value)), DOWNLOAD
+                )
             step = np.eye(4)
             if name == "matrix":
                 step = np.reshape(value, (4, 4)).T
@@ -248,36 +280,59 @@ class _Scene:
             if primitive.mode in (*POINTS, *LINES):
                 continue
             vertices = self._positions(primitive).count
-            corners = vertices if primitive.indices is None else self._item("accessors", primitive.indices).count
+            corners = (
+                vertices
+                if primitive.indices is None
+                else self._item("accessors", primitive.indices).count
+            )
             total += max(corners // 3 if primitive.mode == TRIANGLES else corners, vertices // 4)
         return total
 
     def _positions(self, primitive):
         """The accessor of a primitive's vertices."""
         if "KHR_draco_mesh_compression" in primitive.extensions:
-            raise InputError(self.where, "plain geometry", "the compression KHR_draco_mesh_compression", "export it without compression")
+            raise InputError(
+                self.where,
+                "plain geometry",
+                "the compression KHR_draco_mesh_compression",
+                "export it without compression",
+            )
         if "POSITION" not in primitive.attributes:
             raise InputError(self.where, "vertices with a POSITION", "none", DOWNLOAD)
         accessor = self._item("accessors", primitive.attributes["POSITION"])
         if accessor.type != "VEC3" or accessor.componentType == 5125:
-            raise InputError(self.where, "positions of type VEC3", f"{accessor.type} of {accessor.componentType}", DOWNLOAD)
+            raise InputError(
+                self.where,
+                "positions of type VEC3",
+                f"{accessor.type} of {accessor.componentType}",
+                DOWNLOAD,
+            )
         return accessor
 
     def load(self, file):
-        """Find the data of the buffers: the binary chunk, or what is written into the scene itself."""
+        """Find the data of the buffers: the binary chunk, or what is written into the scene
+        itself.
+        """
         chunk = memoryview(b"")
         while len(head := file.read(8)) == 8:
             length, kind = struct.unpack("<I4s", head)
             data = file.read(length)
             if len(data) < length:
-                raise InputError(self.where, f"a chunk of {length:,} bytes", f"{len(data):,}", DOWNLOAD)
+                raise InputError(
+                    self.where, f"a chunk of {length:,} bytes", f"{len(data):,}", DOWNLOAD
+                )
             if kind == b"BIN\0":
                 chunk = memoryview(data)
                 break
         for index, buffer in enumerate(self.document.buffers):
             data = chunk if buffer.uri is None and index == 0 else self._inside(buffer)
             if buffer.byteLength > len(data):
-                raise InputError(self.where, f"a buffer of {buffer.byteLength:,} bytes", f"{len(data):,}", DOWNLOAD)
+                raise InputError(
+                    self.where,
+                    f"a buffer of {buffer.byteLength:,} bytes",
+                    f"{len(data):,}",
+                    DOWNLOAD,
+                )
             self.buffers.append(data[: buffer.byteLength])
 
     def _inside(self, buffer):
@@ -288,20 +343,27 @@ class _Scene:
         try:
             return memoryview(base64.b64decode(text, validate=True))
         except binascii.Error:
-            raise InputError(self.where, "a buffer in base64", "other characters", DOWNLOAD) from None
+            raise InputError(
+                self.where, "a buffer in base64", "other characters", DOWNLOAD
+            ) from None
 
     def parts(self, mesh):
         """[(points (V, 3), triangles (F, 3))] of a mesh's primitives."""
         if mesh not in self.meshes:
             self.meshes[mesh] = [
-                self._part(primitive) for primitive in self._item("meshes", mesh).primitives if primitive.mode not in (*POINTS, *LINES)
+                self._part(primitive)
+                for primitive in self._item("meshes", mesh).primitives
+                if primitive.mode not in (*POINTS, *LINES)
             ]
         return self.meshes[mesh]
 
     def _part(self, primitive):
         positions = self._positions(primitive)
-        if positions.bufferView is None and positions.sparse is None:  # an extension that is not required holds them
-            raise InputError(self.where, "positions with data", "none", "export it without compression")
+        # an extension that is not required holds them
+        if positions.bufferView is None and positions.sparse is None:
+            raise InputError(
+                self.where, "positions with data", "none", "export it without compression"
+            )
         points = self._array(positions).astype(float)
         if primitive.indices is None:
             corners = np.arange(len(points))
@@ -312,7 +374,12 @@ class _Scene:
                 raise InputError(self.where, "indices as unsigned whole numbers", result, DOWNLOAD)
             corners = self._array(accessor).astype(np.int64).reshape(-1)
         if len(corners) and corners.max() >= len(points):
-            raise InputError(self.where, f"faces among its {len(points)} vertices", f"vertex {corners.max() + 1}", DOWNLOAD)
+            raise InputError(
+                self.where,
+                f"faces among its {len(points)} vertices",
+                f"vertex {corners.max() + 1}",
+                DOWNLOAD,
+            )
         self.passed_over["morph targets"] += bool(primitive.targets)
         return points, self._faces(corners, primitive.mode)
 
@@ -320,12 +387,19 @@ class _Scene:
         """Triangles (F, 3) of a list, a strip or a fan of corners."""
         if mode == TRIANGLES:
             if len(corners) % 3:
-                raise InputError(self.where, "three corners for each triangle", f"{len(corners)} corners", DOWNLOAD)
+                raise InputError(
+                    self.where,
+                    "three corners for each triangle",
+                    f"{len(corners)} corners",
+                    DOWNLOAD,
+                )
             return corners.reshape(-1, 3)
         if mode not in (STRIP, FAN):
             raise InputError(self.where, "triangles, strips or fans", f"mode {mode}", DOWNLOAD)
         if mode == FAN:
-            return np.stack([np.broadcast_to(corners[:1], len(corners[2:])), corners[1:-1], corners[2:]], axis=1)
+            return np.stack(
+                [np.broadcast_to(corners[:1], len(corners[2:])), corners[1:-1], corners[2:]], axis=1
+            )
         faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
         faces[1::2] = faces[1::2, [1, 0, 2]]
         return faces
@@ -333,39 +407,80 @@ class _Scene:
     def _array(self, accessor):
         """The values (count, width) of an accessor, those of a sparse one put in."""
         if accessor.componentType not in TYPES or accessor.type not in WIDTHS:
-            raise InputError(self.where, "a known type of numbers", f"{accessor.type} of {accessor.componentType}", DOWNLOAD)
+            raise InputError(
+                self.where,
+                "a known type of numbers",
+                f"{accessor.type} of {accessor.componentType}",
+                DOWNLOAD,
+            )
         type_, width = np.dtype(TYPES[accessor.componentType]), WIDTHS[accessor.type]
         if accessor.bufferView is None:
             values = np.zeros((accessor.count, width), type_)
         else:
-            values = self._view(accessor.bufferView, accessor.byteOffset, accessor.count, width, type_)
+            values = self._view(
+                accessor.bufferView, accessor.byteOffset, accessor.count, width, type_
+            )
         if sparse := accessor.sparse:
             values = values.copy()
             kind = TYPES.get(sparse.indices.componentType, "")
             if kind not in ("u1", "<u2", "<u4"):
-                raise InputError(self.where, "sparse indices as unsigned whole numbers", str(sparse.indices.componentType), DOWNLOAD)
-            places = self._view(sparse.indices.bufferView, sparse.indices.byteOffset, sparse.count, 1, np.dtype(kind), False)[:, 0]
+                raise InputError(
+                    self.where,
+                    "sparse indices as unsigned whole numbers",
+                    str(sparse.indices.componentType),
+                    DOWNLOAD,
+                )
+            places = self._view(
+                sparse.indices.bufferView,
+                sparse.indices.byteOffset,
+                sparse.count,
+                1,
+                np.dtype(kind),
+                False,
+            )[:, 0]
             if len(places) and places.max() >= accessor.count:
-                raise InputError(self.where, f"sparse indices below {accessor.count}", str(places.max()), DOWNLOAD)
-            values[places] = self._view(sparse.values.bufferView, sparse.values.byteOffset, sparse.count, width, type_, False)
+                raise InputError(
+                    self.where,
+                    f"sparse indices below {accessor.count}",
+                    str(places.max()),
+                    DOWNLOAD,
+                )
+            values[places] = self._view(
+                sparse.values.bufferView,
+                sparse.values.byteOffset,
+                sparse.count,
+                width,
+                type_,
+                False,
+            )
         if accessor.normalized and type_.kind in "iu":
             values = np.maximum(values / np.iinfo(type_).max, -1.0)
         return values
 
     def _view(self, index, offset, count, width, type_, strided=True):
-        """(count, width) numbers at an offset of a buffer view. Raises InputError if they reach beyond it."""
+        """(count, width) numbers at an offset of a buffer view. Raises InputError if they reach
+        beyond it.
+        """
         view = self._item("bufferViews", index)
         if view.buffer >= len(self.buffers):
-            raise InputError(self.where, f"buffers below {len(self.buffers)}", str(view.buffer), DOWNLOAD)
+            raise InputError(
+                self.where, f"buffers below {len(self.buffers)}", str(view.buffer), DOWNLOAD
+            )
         data = self.buffers[view.buffer]
         row = width * type_.itemsize
         step = view.byteStride if strided and view.byteStride is not None else row
         end = offset + (count - 1) * step + row if count else offset
         if step < row or end > view.byteLength or view.byteOffset + view.byteLength > len(data):
             expected = f"{count:,} × {row} bytes within a buffer view of {view.byteLength:,}"
-            result = f"a step of {step}" if step < row else f"an end at {max(end, view.byteOffset + view.byteLength):,}"
+            result = (
+                f"a step of {step}"
+                if step < row
+                else f"an end at {max(end, view.byteOffset + view.byteLength):,}"
+            )
             raise InputError(self.where, expected, result, DOWNLOAD)
-        return np.ndarray((count, width), type_, data, view.byteOffset + offset, (step, type_.itemsize))
+        return np.ndarray(
+            (count, width), type_, data, view.byteOffset + offset, (step, type_.itemsize)
+        )
 
     def _item(self, name, index):
         """One of the document's lists' items. Raises InputError if there is none."""
@@ -377,7 +492,9 @@ class _Scene:
     def notes(self):
         """What was passed over, in words."""
         meshes = [self.document.meshes[mesh] for mesh in self.meshes]
-        plain = sum(primitive.mode in (*POINTS, *LINES) for mesh in meshes for primitive in mesh.primitives)
+        plain = sum(
+            primitive.mode in (*POINTS, *LINES) for mesh in meshes for primitive in mesh.primitives
+        )
         words = {
             "skins": "skins left as they are bound",
             "morph targets": "morph targets left out",
@@ -388,7 +505,9 @@ class _Scene:
 
 
 def _rotation(q):
-    """Rotation (3, 3) of a quaternion x, y, z, w of any length but 0; one of length 0 turns nothing."""
+    """Rotation (3, 3) of a quaternion x, y, z, w of any length but 0; one of length 0 turns
+    nothing.
+    """
     length = np.linalg.norm(q)
     if not length > 0:
         return np.eye(3)

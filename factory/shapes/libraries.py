@@ -1,4 +1,6 @@
-"""Many meshes in one place: folders (ShapeNet's layout too) and Sweet Home 3D's .sh3f files, which are zips of OBJ with a catalogue."""
+"""Many meshes in one place: folders (ShapeNet's layout too) and Sweet Home 3D's .sh3f files, which
+are zips of OBJ with a catalogue.
+"""
 
 import re
 from dataclasses import dataclass
@@ -10,7 +12,8 @@ from manifests.archives import DAMAGE, opened_zip
 from manifests.errors import InputError, closest
 from manifests.inputs import require_file
 
-SYNSETS = {"02958343": "car", "03001627": "chair", "04256520": "sofa", "03211117": "monitor"}  # ShapeNet's names of the paper's categories
+# ShapeNet's names of the paper's categories
+SYNSETS = {"02958343": "car", "03001627": "chair", "04256520": "sofa", "03211117": "monitor"}
 WORDS = {
     "chair": ("chair", "stool", "seat"),
     "sofa": ("sofa", "couch", "settee", "loveseat"),
@@ -33,10 +36,16 @@ class Entry:
 
 
 def find(folder):
-    """Every mesh below a folder or in one file, as a list of Entry, sorted by place. Raises InputError if there is none."""
+    """Every mesh below a folder or in one file, as a list of Entry, sorted by place. Raises
+    InputError if there is none.
+    """
     folder = Path(folder)
     if folder.is_file():
-        return _inside(folder) if folder.suffix.lower() == ".sh3f" else [Entry(str(folder), folder.stem, category_of(folder))]
+        return (
+            _inside(folder)
+            if folder.suffix.lower() == ".sh3f"
+            else [Entry(str(folder), folder.stem, category_of(folder))]
+        )
     if not folder.is_dir():
         require_file(folder, "a folder of meshes, or a mesh file")
     results = []
@@ -46,26 +55,41 @@ def find(folder):
         elif path.suffix.lower() in FORMATS and path.is_file():
             results.append(Entry(str(path), _name(path, folder), category_of(path)))
     if not results:
-        raise InputError(folder, f"meshes ({', '.join(FORMATS)}, .sh3f)", "none in it or below it", "name another folder")
+        raise InputError(
+            folder,
+            f"meshes ({', '.join(FORMATS)}, .sh3f)",
+            "none in it or below it",
+            "name another folder",
+        )
     return results
 
 
 def _name(path, folder):
-    """A name from where a mesh lies; ShapeNet's synset/model/models/model_normalized.obj gives "synset-model"."""
+    """A name from where a mesh lies; ShapeNet's synset/model/models/model_normalized.obj gives
+    "synset-model".
+    """
     parts = path.relative_to(folder).with_suffix("").parts
     meaning = [part for part in parts if part not in ("models", "model_normalized")] or [parts[-1]]
     return "-".join(meaning)
 
 
 def category_of(path, chosen=""):
-    """The paper's category that a member's name, a file's name or its folders suggest, the nearest first; else "object"."""
+    """The paper's category that a member's name, a file's name or its folders suggest, the nearest
+    first; else "object".
+    """
     for part in (chosen, *reversed(Path(path).parts[-6:])):
         if part in SYNSETS:
             return SYNSETS[part]
         # armChair_01 → arm, chair; sofas → sofa
-        words = [w.lower().removesuffix("s") for w in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", Path(part).stem)]
+        words = [
+            w.lower().removesuffix("s")
+            for w in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", Path(part).stem)
+        ]
         for category, known in WORDS.items():
-            if any(word in known or (category in ("chair", "sofa") and word.endswith(known)) for word in words):
+            if any(
+                word in known or (category in ("chair", "sofa") and word.endswith(known))
+                for word in words
+            ):
                 return category
     return "object"
 
@@ -74,16 +98,29 @@ def _inside(path):
     with opened_zip(path, A_LIBRARY, AGAIN) as archive:
         catalogue = _catalogue(archive, path)
         library = catalogue.get("license", catalogue.get("name", ""))
-        models = {key.partition("#")[2]: value.lstrip("/") for key, value in catalogue.items() if key.startswith("model#")}
+        models = {
+            key.partition("#")[2]: value.lstrip("/")
+            for key, value in catalogue.items()
+            if key.startswith("model#")
+        }
         entries = []
         for number, model in models.items():
             licence = catalogue.get(f"license#{number}", library)
             creator = catalogue.get(f"creator#{number}", "")
             named = f"{catalogue.get(f'name#{number}', '')} {Path(model).stem}"
-            kind = category_of(Path("x"), catalogue.get(f"name#{number}", "")) if named else "object"
+            kind = (
+                category_of(Path("x"), catalogue.get(f"name#{number}", "")) if named else "object"
+            )
             if kind == "object":
                 kind = category_of(Path("x"), Path(model).stem)
-            entries.append(Entry(f"{path}#{Path(model).stem}", Path(model).stem, kind, f"{licence}, {creator}".strip(", ")))
+            entries.append(
+                Entry(
+                    f"{path}#{Path(model).stem}",
+                    Path(model).stem,
+                    kind,
+                    f"{licence}, {creator}".strip(", "),
+                )
+            )
     return sorted(entries, key=lambda entry: entry.place)
 
 
@@ -91,11 +128,22 @@ def _catalogue(archive, path):
     """Keys and values of the library's catalogue, a Java properties file."""
     if CATALOGUE not in archive.namelist():
         raise InputError(
-            path, f"a library with {CATALOGUE}", "none in it", "use a furniture library of Sweet Home 3D, or unzip it and name the folder"
+            path,
+            f"a library with {CATALOGUE}",
+            "none in it",
+            "use a furniture library of Sweet Home 3D, or unzip it and name the folder",
         )
     text = _extract(archive, CATALOGUE, path, MOST_CATALOGUE).decode("latin-1")
-    pairs = (line.partition("=") for line in text.splitlines() if not line.lstrip().startswith(("#", "!")))
-    return {key.strip(): re.sub(r"\\u([0-9a-fA-F]{4})", lambda m: chr(int(m[1], 16)), value.strip()) for key, mark, value in pairs if mark}
+    pairs = (
+        line.partition("=")
+        for line in text.splitlines()
+        if not line.lstrip().startswith(("#", "!"))
+    )
+    return {
+        key.strip(): re.sub(r"\\u([0-9a-fA-F]{4})", lambda m: chr(int(m[1], 16)), value.strip())
+        for key, mark, value in pairs
+        if mark
+    }
 
 
 def _extract(archive, name, path, most):
@@ -113,16 +161,29 @@ def _extract(archive, name, path, most):
         with archive.open(info) as file:
             data = file.read(bound + 1)
     except DAMAGE as error:
-        raise InputError(f"{path}#{name}", "a readable member", f"'{error}'", "download the library again") from None
+        raise InputError(
+            f"{path}#{name}", "a readable member", f"'{error}'", "download the library again"
+        ) from None
     if len(data) > bound:
-        raise InputError(f"{path}#{name}", f"at most {bound:,} bytes unpacked", "more than the zip announces", "download the library again")
+        raise InputError(
+            f"{path}#{name}",
+            f"at most {bound:,} bytes unpacked",
+            "more than the zip announces",
+            "download the library again",
+        )
     return data
 
 
 def member(path, chosen, maximum=MAXIMUM_TRIANGLES):
-    """(bytes, name, ending) of one mesh of a .sh3f library. Raises InputError: no such name, or none given."""
+    """(bytes, name, ending) of one mesh of a .sh3f library. Raises InputError: no such name, or
+    none given.
+    """
     with opened_zip(path, A_LIBRARY, AGAIN) as archive:
-        models = [value.lstrip("/") for key, value in _catalogue(archive, path).items() if key.startswith("model#")]
+        models = [
+            value.lstrip("/")
+            for key, value in _catalogue(archive, path).items()
+            if key.startswith("model#")
+        ]
         by_name = {Path(model).stem: model for model in models}
         if chosen not in by_name:
             result = f"'{chosen}'" if chosen else "no name"
@@ -130,5 +191,14 @@ def member(path, chosen, maximum=MAXIMUM_TRIANGLES):
             raise InputError(path, "the name of one of its meshes after '#'", result, near)
         model = by_name[chosen]
         if model not in archive.namelist():
-            raise InputError(f"{path}#{chosen}", "the mesh its catalogue names", f"no {model}", "download the library again")
-        return _extract(archive, model, path, maximum * BYTES_A_TRIANGLE), chosen, Path(model).suffix.lower()
+            raise InputError(
+                f"{path}#{chosen}",
+                "the mesh its catalogue names",
+                f"no {model}",
+                "download the library again",
+            )
+        return (
+            _extract(archive, model, path, maximum * BYTES_A_TRIANGLE),
+            chosen,
+            Path(model).suffix.lower(),
+        )

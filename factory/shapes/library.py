@@ -1,6 +1,7 @@
 """A user's own library: cleaned meshes written as OBJ with a note beside each, by `shapes add`.
 
-LIBRARY/chair/mine.obj    y up, front +z, as other programs expect; a material "segment-1", "segment-2", … for each region
+LIBRARY/chair/mine.obj    y up, front +z, as other programs expect; a material "segment-1",
+"segment-2", … for each region
 LIBRARY/chair/mine.json   name, category, hash, source, licence, report
 """
 
@@ -17,23 +18,36 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 
 
 def add(mesh, library, *, source, licence):
-    """Write a Mesh and its note into a library folder; the path of the OBJ. The note comes last: without it a mesh is not yet there.
+    """Write a Mesh and its note into a library folder; the path of the OBJ. The note comes last:
+    without it a mesh is not yet there.
 
     Raises  InputError: a name that is no file name, or one that a different mesh has already
     """
     for what, text in (("name", mesh.name), ("category", mesh.category)):
         if not NAME.fullmatch(text):
-            raise InputError(f"{what} '{text}'", "letters, digits, '.', '_' and '-', 80 at most", f"'{text}'", f"pass --{what}")
+            raise InputError(
+                f"{what} '{text}'",
+                "letters, digits, '.', '_' and '-', 80 at most",
+                f"'{text}'",
+                f"pass --{what}",
+            )
     folder = Path(library) / mesh.category
     folder.mkdir(parents=True, exist_ok=True)
     path, note = folder / f"{mesh.name}.obj", folder / f"{mesh.name}.json"
     if note.exists() and _hash_of_metadata(note) != mesh.hash:
-        raise InputError(note, "a name that is free", "another mesh of that name", "pass a different --name")
+        raise InputError(
+            note, "a name that is free", "another mesh of that name", "pass a different --name"
+        )
     text = _obj(mesh, licence).encode()
     if note.exists() and _holds(path, text):
         return path
     write_bytes(path, text)
-    words = {"name": mesh.name, "category": mesh.category, "hash": mesh.hash, "segments": mesh.segments}
+    words = {
+        "name": mesh.name,
+        "category": mesh.category,
+        "hash": mesh.hash,
+        "segments": mesh.segments,
+    }
     words |= {"source": str(source), "licence": licence, "report": mesh.report.line()}
     write_text(note, json.dumps(words, indent=1, ensure_ascii=False) + "\n")
     return path
@@ -41,7 +55,10 @@ def add(mesh, library, *, source, licence):
 
 def _hash_of_metadata(note):
     """The hash of the mesh that a note is about. Raises InputError for a damaged note."""
-    remedy = f"delete it, and {note.stem}.obj beside it unless that is this mesh; or pass a different --name"
+    remedy = (
+        f"delete it, and {note.stem}.obj beside it unless that is this mesh; or pass a different"
+        " --name"
+    )
     require_file(note, "a mesh's note as JSON", remedy, LARGEST_NOTE)
     try:
         return json.loads(note.read_bytes()).get("hash")
@@ -50,7 +67,9 @@ def _hash_of_metadata(note):
 
 
 def _holds(path, data):
-    """Whether a file holds these bytes: a library's mesh that was damaged since is written again."""
+    """Whether a file holds these bytes: a library's mesh that was damaged since is written
+    again.
+    """
     try:
         return path.stat().st_size == len(data) and path.read_bytes() == data
     except OSError:
@@ -63,5 +82,7 @@ def _obj(mesh, licence):
     lines += [f"v {float(y)!r} {float(z)!r} {float(x)!r}" for x, y, z in mesh.vertices]
     for segment in range(1, mesh.segments + 1):
         lines.append(f"usemtl segment-{segment:03d}")
-        lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces[mesh.segment == segment] + 1).tolist()]
+        lines += [
+            f"f {a} {b} {c}" for a, b, c in (mesh.faces[mesh.segment == segment] + 1).tolist()
+        ]
     return "\n".join(lines) + "\n"

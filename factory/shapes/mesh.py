@@ -1,11 +1,15 @@
-"""A mesh that is ready to be rendered: centred, scaled, its normals smooth, its parts named, hashed.
+"""A mesh that is ready to be rendered: centred, scaled, its normals smooth, its parts named,
+hashed.
 
-vertices        (V, 3) float64, world frame: z up, the object's front +x; the smallest sphere around them is the unit sphere
+vertices        (V, 3) float64, world frame: z up, the object's front +x; the smallest sphere around
+them is the unit sphere
 faces           (F, 3) int32, counter-clockwise seen from outside
-corner_normals  (F, 3, 3) float32, unit: the normal of each face's three corners, smooth below the crease angle
+corner_normals  (F, 3, 3) float32, unit: the normal of each face's three corners, smooth below the
+crease angle
 segment         (F,) uint8: 1, 2, …: the semantic region that gets a material of its own
 parts, part     names, and (F,) int32 the index of each face's name
-hash            sha256 of geometry and segments: of neither name nor the order of vertices and faces, so that twins are found
+hash            sha256 of geometry and segments: of neither name nor the order of vertices and
+faces, so that twins are found
 """
 
 import hashlib
@@ -17,12 +21,16 @@ from factory.shapes.creases import CREASE_DEG, corner_normals, edge_pairs, face_
 from factory.shapes.enclosing import smallest_sphere
 from manifests.errors import InputError
 
-HASH_GRID = 1 << 16  # vertices are hashed to 1/65536 of the unit sphere's radius: twice the digits of a float16, none of libm's noise
+# vertices are hashed to 1/65536 of the unit sphere's radius: twice the digits of a float16, none of
+# libm's noise
+HASH_GRID = 1 << 16
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a mesh is like. back_faces: share of what is seen from 14 sides that is a face's inner side; None: not measured."""
+    """What a mesh is like. back_faces: share of what is seen from 14 sides that is a face's inner
+    side; None: not measured.
+    """
 
     triangles: int
     watertight: bool
@@ -35,7 +43,11 @@ class Report:
     def line(self):
         """All of it in one line of text."""
         back = "" if self.back_faces is None else f", {self.back_faces:.1%} seen from behind"
-        tight = "watertight" if self.watertight else f"{self.open_edges} open and {self.crowded_edges} crowded edges"
+        tight = (
+            "watertight"
+            if self.watertight
+            else f"{self.open_edges} open and {self.crowded_edges} crowded edges"
+        )
         notes = f"; {', '.join(self.cleaned)}" if self.cleaned else ""
         return f"{self.triangles} triangles, {self.components} components, {tight}{back}{notes}"
 
@@ -65,7 +77,19 @@ class Mesh:
         return int(self.segment.max())
 
 
-def finish(name, category, vertices, faces, *, segment=None, parts=("body",), part=None, normals=None, crease_deg=CREASE_DEG, **known):
+def finish(
+    name,
+    category,
+    vertices,
+    faces,
+    *,
+    segment=None,
+    parts=("body",),
+    part=None,
+    normals=None,
+    crease_deg=CREASE_DEG,
+    **known,
+):
     """A Mesh from welded, outward triangles: centred, scaled, smooth, counted and hashed.
 
     vertices, faces  (V, 3), (F, 3); world axes, any place and size
@@ -74,29 +98,59 @@ def finish(name, category, vertices, faces, *, segment=None, parts=("body",), pa
     known            back_faces=, cleaned=: known to the caller, kept in the report
     Raises           InputError if there is no area to scale
     """
-    vertices, faces = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int32)
+    vertices, faces = (
+        np.ascontiguousarray(vertices, np.float64),
+        np.ascontiguousarray(faces, np.int32),
+    )
     centre, radius = smallest_sphere(vertices[np.unique(faces)]) if len(faces) else (0.0, 0.0)
     if not radius > 0 or not face_normals(vertices, faces)[1].sum() > 1e-12 * radius**2:
         raise InputError(
-            name, "a mesh with a surface", f"{len(faces)} triangles of no area", "check the file in a viewer, or export it again"
+            name,
+            "a mesh with a surface",
+            f"{len(faces)} triangles of no area",
+            "check the file in a viewer, or export it again",
         )
     vertices = (vertices - centre) / radius
     segment = np.ones(len(faces), np.uint8) if segment is None else np.array(segment, np.uint8)
     part = np.zeros(len(faces), np.int32) if part is None else np.array(part, np.int32)
     hash_ = geometry_hash(vertices, faces, segment, crease_deg if normals is None else CREASE_DEG)
-    normals = corner_normals(vertices, faces, crease_deg) if normals is None else np.array(normals, np.float32)
-    return Mesh(name, category, vertices, faces, normals, segment, tuple(parts), part, hash_, describe(faces, **known))
+    normals = (
+        corner_normals(vertices, faces, crease_deg)
+        if normals is None
+        else np.array(normals, np.float32)
+    )
+    return Mesh(
+        name,
+        category,
+        vertices,
+        faces,
+        normals,
+        segment,
+        tuple(parts),
+        part,
+        hash_,
+        describe(faces, **known),
+    )
 
 
 def describe(faces, **known):
     """The Report of faces (F, 3)."""
     counts = edge_pairs(faces)[3]
     open_edges, crowded = int((counts == 1).sum()), int((counts > 2).sum())
-    return Report(len(faces), open_edges == 0 and crowded == 0, int(face_components(faces).max()) + 1, open_edges, crowded, **known)
+    return Report(
+        len(faces),
+        open_edges == 0 and crowded == 0,
+        int(face_components(faces).max()) + 1,
+        open_edges,
+        crowded,
+        **known,
+    )
 
 
 def face_components(faces):
-    """Index (F,) of the connected piece that each face belongs to; pieces hang together by shared vertices."""
+    """Index (F,) of the connected piece that each face belongs to; pieces hang together by shared
+    vertices.
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -108,9 +162,11 @@ def face_components(faces):
 
 
 def geometry_hash(vertices, faces, segment, crease_deg=CREASE_DEG):
-    """sha256 (hex) of the set of triangles, their segments and the crease angle that shades them, whatever their order and their names.
+    """sha256 (hex) of the set of triangles, their segments and the crease angle that shades them,
+    whatever their order and their names.
 
-    Each triangle is its three corners on a grid, beginning with the least; the triangles are sorted.
+    Each triangle is its three corners on a grid, beginning with the least; the triangles are
+    sorted.
     """
     grid = np.round(vertices * HASH_GRID).astype(np.int64) + 2 * HASH_GRID  # positive, 18 bits each
     key = (grid[:, 0] << 36) | (grid[:, 1] << 18) | grid[:, 2]

@@ -1,7 +1,9 @@
-"""The door for meshes from outside: a file comes in, a Mesh comes out: cleaned, oriented, turned to our axes, centred, scaled, hashed.
+"""The door for meshes from outside: a file comes in, a Mesh comes out: cleaned, oriented, turned to
+our axes, centred, scaled, hashed.
 
-A place is a path; of a library of many (a folder, a zip of Sweet Home 3D's) it may name the one after '#'. Reading options may follow
-after '?', so that a job file can carry them: "chairs/a.obj?up=z&front=-y", "BlendSwap-CC-0.sh3f#armchair?segments=materials".
+A place is a path; of a library of many (a folder, a zip of Sweet Home 3D's) it may name the one
+after '#'. Reading options may follow after '?', so that a job file can carry them:
+"chairs/a.obj?up=z&front=-y", "BlendSwap-CC-0.sh3f#armchair?segments=materials".
 """
 
 from pathlib import Path
@@ -17,19 +19,34 @@ from factory.shapes.mesh import finish
 from factory.shapes.raw import MAXIMUM_TRIANGLES
 from manifests.errors import InputError, closest
 
-AXES = {sign + axis: (1.0 if sign == "+" else -1.0) * np.eye(3)[k] for sign in "+-" for k, axis in enumerate("xyz")}
-Y_UP = (".obj", ".glb", ".sh3f")  # these come y up, front +z; the others as our world: z up, front +x
+AXES = {
+    sign + axis: (1.0 if sign == "+" else -1.0) * np.eye(3)[k]
+    for sign in "+-"
+    for k, axis in enumerate("xyz")
+}
+# these come y up, front +z; the others as our world: z up, front +x
+Y_UP = (".obj", ".glb", ".sh3f")
 OPTIONS = ("up", "front", "segments", "crease", "category")
 OWN_SEGMENT = "segment-"  # material names that `shapes add` writes: they always become segments
 
 
 def open_mesh(
-    place, *, up=None, front=None, crease_deg=CREASE_DEG, segments="one", category=None, name=None, maximum_triangles=MAXIMUM_TRIANGLES
+    place,
+    *,
+    up=None,
+    front=None,
+    crease_deg=CREASE_DEG,
+    segments="one",
+    category=None,
+    name=None,
+    maximum_triangles=MAXIMUM_TRIANGLES,
 ):
     """The Mesh of a file.
 
-    place              PATH, or PATH#MEMBER of a library; with ?up=…&front=…&segments=…&crease=…&category=…
-    up, front          "+x", "-x", … "z": the file's axes that point up and to the front; None: y and z for OBJ and GLB, z and x for others
+    place              PATH, or PATH#MEMBER of a library; with
+    ?up=…&front=…&segments=…&crease=…&category=…
+    up, front          "+x", "-x", … "z": the file's axes that point up and to the front; None: y
+    and z for OBJ and GLB, z and x for others
     crease_deg         faces that meet at less than this angle look smooth
     segments           "one", or "materials": a segment for each of an OBJ's materials
     category, name     None: from the file's and the folders' names
@@ -38,7 +55,8 @@ def open_mesh(
     """
     path, chosen, options = split_place(place)
     up, front, segments, category = (
-        options.get(k, v) for k, v in (("up", up), ("front", front), ("segments", segments), ("category", category))
+        options.get(k, v)
+        for k, v in (("up", up), ("front", front), ("segments", segments), ("category", category))
     )
     crease_deg = _angle(place, options.get("crease", crease_deg))
     kind = Path(path).suffix.lower()
@@ -50,7 +68,9 @@ def open_mesh(
         raw, label = read(path, maximum_triangles), Path(path).stem
     vertices, faces, kept, cleaned = clean(raw.vertices, raw.faces, place)
     faces, inner_share, turned = orient(vertices, faces)
-    rotation = world_from_file(place, up or ("+y" if kind in Y_UP else "+z"), front or ("+z" if kind in Y_UP else "+x"))
+    rotation = world_from_file(
+        place, up or ("+y" if kind in Y_UP else "+z"), front or ("+z" if kind in Y_UP else "+x")
+    )
     segment, parts, part = _segments(raw, kept, segments, place)
     return finish(
         name or label,
@@ -67,7 +87,9 @@ def open_mesh(
 
 
 def split_place(place):
-    """(path, member or None, options) of "PATH#MEMBER?key=value&…"; a '#' or '?' that belongs to an existing path stays in it."""
+    """(path, member or None, options) of "PATH#MEMBER?key=value&…"; a '#' or '?' that belongs to an
+    existing path stays in it.
+    """
     text = str(place)
     if Path(text).exists():
         return text, None, {}
@@ -75,21 +97,35 @@ def split_place(place):
     options = dict(parse_qsl(query))
     for key in options:
         if key not in OPTIONS:
-            raise InputError(place, f"options among {', '.join(OPTIONS)}", f"'{key}'", closest(key, OPTIONS))
+            raise InputError(
+                place, f"options among {', '.join(OPTIONS)}", f"'{key}'", closest(key, OPTIONS)
+            )
     path, mark, chosen = text.partition("#")
     return path, chosen if mark else None, options
 
 
 def world_from_file(place, up, front):
-    """Rotation (3, 3) that takes the file's axes to ours: `up` to +z, `front` to +x. Raises InputError if they are not two axes."""
+    """Rotation (3, 3) that takes the file's axes to ours: `up` to +z, `front` to +x. Raises
+    InputError if they are not two axes.
+    """
     named = []
     for label, axis in (("up", up), ("front", front)):
         text = axis if axis[:1] in "+-" and axis else f"+{axis}"
         if text not in AXES:
-            raise InputError(f"{place}: {label}", "an axis such as y, +z or -x", f"'{axis}'", "name one of the six")
+            raise InputError(
+                f"{place}: {label}",
+                "an axis such as y, +z or -x",
+                f"'{axis}'",
+                "name one of the six",
+            )
         named.append(AXES[text])
     if abs(named[0] @ named[1]) > 0.5:
-        raise InputError(f"{place}: up and front", "two different axes", f"'{up}' and '{front}'", "pass --up and --front")
+        raise InputError(
+            f"{place}: up and front",
+            "two different axes",
+            f"'{up}' and '{front}'",
+            "pass --up and --front",
+        )
     return np.stack([named[1], np.cross(named[0], named[1]), named[0]])
 
 
@@ -99,14 +135,26 @@ def _angle(place, value):
     except ValueError:
         angle = float("nan")
     if not 0 <= angle <= 180:
-        raise InputError(f"{place}: crease", "an angle from 0 to 180 degrees", f"'{value}'", "45 suits most meshes")
+        raise InputError(
+            f"{place}: crease",
+            "an angle from 0 to 180 degrees",
+            f"'{value}'",
+            "45 suits most meshes",
+        )
     return angle
 
 
 def _segments(raw, kept, requested, place):
-    """Segments, part names and parts of the kept faces: parts are the OBJ's materials, segments too if wanted."""
+    """Segments, part names and parts of the kept faces: parts are the OBJ's materials, segments too
+    if wanted.
+    """
     if requested not in ("one", "materials"):
-        raise InputError(f"{place}: segments", "'one' or 'materials'", f"'{requested}'", closest(requested, ("one", "materials")))
+        raise InputError(
+            f"{place}: segments",
+            "'one' or 'materials'",
+            f"'{requested}'",
+            closest(requested, ("one", "materials")),
+        )
     if raw.material is None:
         return None, ("body",), None
     used, part = np.unique(raw.material[kept], return_inverse=True)

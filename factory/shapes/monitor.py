@@ -1,4 +1,5 @@
-"""Screens: desk monitors flat and curved, two on an arm, all-in-ones, televisions, laptops, tubes. Segments: 1 screen; 2 casing and stand.
+"""Screens: desk monitors flat and curved, two on an arm, all-in-ones, televisions, laptops, tubes.
+Segments: 1 screen; 2 casing and stand.
 
 The screen looks to +x. Sizes are those of real ones, in metres: 0.30–1.2 wide, 4:3 to 32:9.
 """
@@ -7,7 +8,19 @@ import numpy as np
 
 from factory.shapes.assembly import Assembly
 from factory.shapes.monitor_parts import CASE, add_panel, bend, draw_panel, panel, stand
-from factory.shapes.surfaces import LEFT_RIGHT, closed, loft, revolve, rod, rounded_box, rounded_path, slab, smooth_path, superellipse, tube
+from factory.shapes.surfaces import (
+    LEFT_RIGHT,
+    closed,
+    loft,
+    revolve,
+    rod,
+    rounded_box,
+    rounded_path,
+    slab,
+    smooth_path,
+    superellipse,
+    tube,
+)
 
 FAMILY_KEY = 4
 ASPECTS = (4 / 3, 5 / 4, 16 / 10, 16 / 9, 16 / 9, 21 / 9, 32 / 9)
@@ -32,14 +45,33 @@ def desk(a, rng):
     lift = high / 2 + rng.uniform(0.05, 0.15)
     tilt = rng.uniform(0.0, 0.14)
     add_panel(a, pieces, lambda s: s.turned("y", -tilt).moved(0.02, 0, lift))
-    stand(a, rng, rng.choice(["plate", "disc", "v", "loop", "tripod", "arc"], p=[0.3, 0.18, 0.14, 0.14, 0.1, 0.14]), lift, wide)
+    stand(
+        a,
+        rng,
+        rng.choice(
+            ["plate", "disc", "v", "loop", "tripod", "arc"], p=[0.3, 0.18, 0.14, 0.14, 0.1, 0.14]
+        ),
+        lift,
+        wide,
+    )
     if rng.random() < 0.15 and high > 0.2:
-        a.add("sound bar", rounded_box([0.04, wide * 0.7, 0.035], 0.012, edge=2).moved(0.01, 0, lift - high / 2 - 0.018), CASE)
+        a.add(
+            "sound bar",
+            rounded_box([0.04, wide * 0.7, 0.035], 0.012, edge=2).moved(
+                0.01, 0, lift - high / 2 - 0.018
+            ),
+            CASE,
+        )
 
 
 def curved(a, rng):
     """A wide panel bent towards the viewer."""
-    wide, high, pieces = draw_panel(rng, rng.uniform(0.75, 1.2), float(rng.choice([16 / 9, 21 / 9, 32 / 9])), thick=rng.uniform(0.02, 0.04))
+    wide, high, pieces = draw_panel(
+        rng,
+        rng.uniform(0.75, 1.2),
+        float(rng.choice([16 / 9, 21 / 9, 32 / 9])),
+        thick=rng.uniform(0.02, 0.04),
+    )
     lift, radius = high / 2 + rng.uniform(0.06, 0.14), rng.uniform(0.75, 1.6)
     add_panel(a, pieces, lambda s: bend(s, radius).moved(0.03, 0, lift))
     stand(a, rng, rng.choice(["plate", "v", "tripod", "disc", "arc"]), lift, wide * 0.7)
@@ -52,20 +84,50 @@ def dual(a, rng):
     if rng.random() < 0.7:
         lift, turn = high / 2 + rng.uniform(0.06, 0.14), rng.uniform(0.05, 0.35)
         for s in LEFT_RIGHT:
-            add_panel(a, pieces, lambda p, s=s: p.moved(0, s * (wide / 2 + 0.006), 0).turned("z", -s * turn).moved(0.04, 0, lift))
+            add_panel(
+                a,
+                pieces,
+                lambda p, s=s: (
+                    p.moved(0, s * (wide / 2 + 0.006), 0)
+                    .turned("z", -s * turn)
+                    .moved(0.04, 0, lift)
+                ),
+            )
             path = rounded_path(
-                [[-0.09, 0, lift], [-0.1, s * wide * 0.25, lift], [-0.01 + 0.5 * wide * np.sin(turn), s * wide * 0.5 * np.cos(turn), lift]],
+                [
+                    [-0.09, 0, lift],
+                    [-0.1, s * wide * 0.25, lift],
+                    [-0.01 + 0.5 * wide * np.sin(turn), s * wide * 0.5 * np.cos(turn), lift],
+                ],
                 0.04,
             )
-            a.add("arm", tube(path, np.array([0.022, 0.012]), around=14, square=3.0, side=(0, 0, 1.0)), CASE)
+            a.add(
+                "arm",
+                tube(path, np.array([0.022, 0.012]), around=14, square=3.0, side=(0, 0, 1.0)),
+                CASE,
+            )
     else:
         lift = high + rng.uniform(0.05, 0.1)
         tilt = rng.uniform(0.0, 0.12)
         for s in LEFT_RIGHT:
-            add_panel(a, pieces, lambda p, s=s: p.turned("y", s * tilt).moved(0.03, 0, lift + s * (high / 2 + 0.01)))
-            a.add("arm", rounded_box([0.1, 0.08, 0.08], 0.012, edge=2).moved(-0.05, 0, lift + s * high / 2), CASE)
+            add_panel(
+                a,
+                pieces,
+                lambda p, s=s: p.turned("y", s * tilt).moved(0.03, 0, lift + s * (high / 2 + 0.01)),
+            )
+            a.add(
+                "arm",
+                rounded_box([0.1, 0.08, 0.08], 0.012, edge=2).moved(-0.05, 0, lift + s * high / 2),
+                CASE,
+            )
     a.add("column", rod([-0.1, 0, 0.01], [-0.1, 0, lift + high * 0.55], 0.018, around=18), CASE)
-    a.add("foot", slab(superellipse(48, rng.choice([2.0, 5.0])) * [0.13, rng.uniform(0.14, 0.22)], 0.016, 0.8).moved(-0.04, 0, 0.008), CASE)
+    a.add(
+        "foot",
+        slab(
+            superellipse(48, rng.choice([2.0, 5.0])) * [0.13, rng.uniform(0.14, 0.22)], 0.016, 0.8
+        ).moved(-0.04, 0, 0.008),
+        CASE,
+    )
 
 
 def all_in_one(a, rng):
@@ -82,40 +144,80 @@ def all_in_one(a, rng):
         )
         lift = high / 2 + rng.uniform(0.08, 0.12)
         add_panel(a, pieces, lambda s: s.turned("y", -0.06).moved(0.05, 0, lift))
-        path = rounded_path([[0.12, 0, 0.006], [-0.12, 0, 0.006], [-0.02, 0, lift]], rng.uniform(0.03, 0.1), 8)
-        a.add("stand", tube(path, np.array([rng.uniform(0.07, 0.11), 0.005]), around=20, square=7.0), CASE)
+        path = rounded_path(
+            [[0.12, 0, 0.006], [-0.12, 0, 0.006], [-0.02, 0, lift]], rng.uniform(0.03, 0.1), 8
+        )
+        a.add(
+            "stand",
+            tube(path, np.array([rng.uniform(0.07, 0.11), 0.005]), around=20, square=7.0),
+            CASE,
+        )
     else:
         aspect = float(rng.choice([4 / 3, 1.6, 0.75, 0.62]))
         _, high, pieces = draw_panel(
-            rng, rng.uniform(0.24, 0.34), aspect, thick=0.009, bezel=rng.uniform(0.008, 0.016), chin=0.0, bulge=0.0, radius=0.014
+            rng,
+            rng.uniform(0.24, 0.34),
+            aspect,
+            thick=0.009,
+            bezel=rng.uniform(0.008, 0.016),
+            chin=0.0,
+            bulge=0.0,
+            radius=0.014,
         )
         lean = rng.uniform(0.2, 0.45)
         rise = high / 2 * np.cos(lean) + 0.018
         add_panel(a, pieces, lambda s: s.turned("y", -lean).moved(0.0, 0, rise))
-        a.add("foot", slab(superellipse(40, 5.0) * [0.08, 0.07], 0.012, 0.8).moved(0.0, 0, 0.006), CASE)
+        a.add(
+            "foot",
+            slab(superellipse(40, 5.0) * [0.08, 0.07], 0.012, 0.8).moved(0.0, 0, 0.006),
+            CASE,
+        )
         path = smooth_path([[-0.07, 0, 0.008], [-0.08, 0, rise * 0.6], [-0.012, 0, rise]], 10)
         a.add("stand", tube(path, np.array([0.03, 0.006]), around=16, square=5.0), CASE)
-        a.add("ledge", rounded_box([0.03, 0.14, 0.014], 0.006, edge=2).moved(high / 2 * np.sin(lean) + 0.004, 0, 0.016), CASE)
+        a.add(
+            "ledge",
+            rounded_box([0.03, 0.14, 0.014], 0.006, edge=2).moved(
+                high / 2 * np.sin(lean) + 0.004, 0, 0.016
+            ),
+            CASE,
+        )
 
 
 def television(a, rng):
     """A wide screen on feet or a plate, or on a low cabinet."""
-    wide, high, pieces = draw_panel(rng, rng.uniform(0.9, 1.3), 16 / 9, chin=rng.choice([0.0, 0.02, 0.05]))
+    wide, high, pieces = draw_panel(
+        rng, rng.uniform(0.9, 1.3), 16 / 9, chin=rng.choice([0.0, 0.02, 0.05])
+    )
     lift = high / 2 + rng.uniform(0.04, 0.1)
     ground = 0.0
     if rng.random() < 0.4:
         ground = rng.uniform(0.3, 0.45)
         size = [0.36, wide * rng.uniform(0.9, 1.3), ground - 0.1]
-        a.add("cabinet", rounded_box(size, 0.012, edge=2, inner=4).moved(-0.02, 0, 0.1 + size[2] / 2), CASE)
+        a.add(
+            "cabinet",
+            rounded_box(size, 0.012, edge=2, inner=4).moved(-0.02, 0, 0.1 + size[2] / 2),
+            CASE,
+        )
         for x in (0.1, -0.14):
             for s in LEFT_RIGHT:
-                a.add("leg", rod([x, s * size[1] * 0.42, 0.12], [x * 1.15, s * size[1] * 0.45, 0], 0.018, 0.012), CASE)
+                a.add(
+                    "leg",
+                    rod(
+                        [x, s * size[1] * 0.42, 0.12],
+                        [x * 1.15, s * size[1] * 0.45, 0],
+                        0.018,
+                        0.012,
+                    ),
+                    CASE,
+                )
         for y in np.linspace(-0.5, 0.5, 2 * int(rng.integers(1, 3)) + 1)[1::2] * size[1] * 0.96:
             a.add(
                 "door",
-                rounded_box([0.02, size[1] * 0.44 / (1 + (abs(y) < size[1] * 0.3)), size[2] * 0.86], 0.006, edge=2).moved(
-                    0.16, y, 0.1 + size[2] / 2
-                ),
+                rounded_box(
+                    [0.02, size[1] * 0.44 / (1 + (abs(y) < size[1] * 0.3)), size[2] * 0.86],
+                    0.006,
+                    edge=2,
+                ).moved(0.16, y, 0.1 + size[2] / 2),
                 CASE,
             )
     b = Assembly()
@@ -129,41 +231,80 @@ def laptop(a, rng):
     wide = rng.uniform(0.28, 0.38)
     deep, thick = wide / rng.uniform(1.35, 1.55), rng.uniform(0.012, 0.024)
     corner = rng.uniform(5, 14)
-    a.add("base", slab(superellipse(64, corner) * [deep / 2, wide / 2], thick, 0.7).moved(z=thick / 2), CASE)
+    a.add(
+        "base",
+        slab(superellipse(64, corner) * [deep / 2, wide / 2], thick, 0.7).moved(z=thick / 2),
+        CASE,
+    )
     rows, columns = 5, 13
     for r in range(rows):
         for k in range(columns):
             if r == 0 and 3 < k < 9:
                 continue
-            y, x = (k - (columns - 1) / 2) / columns * wide * 0.88, -deep * 0.38 + (rows - 1 - r) * deep * 0.098
-            a.add("key", rounded_box([deep * 0.08, wide * 0.055, 0.004], 0.0015, edge=1, inner=1).moved(x, y, thick + 0.001), CASE)
+            y, x = (
+                (k - (columns - 1) / 2) / columns * wide * 0.88,
+                -deep * 0.38 + (rows - 1 - r) * deep * 0.098,
+            )
+            a.add(
+                "key",
+                rounded_box([deep * 0.08, wide * 0.055, 0.004], 0.0015, edge=1, inner=1).moved(
+                    x, y, thick + 0.001
+                ),
+                CASE,
+            )
     a.add(
         "space bar",
-        rounded_box([deep * 0.08, wide * 0.33, 0.004], 0.0015, edge=1, inner=1).moved(-deep * 0.38 + 4 * deep * 0.098, 0, thick + 0.001),
+        rounded_box([deep * 0.08, wide * 0.33, 0.004], 0.0015, edge=1, inner=1).moved(
+            -deep * 0.38 + 4 * deep * 0.098, 0, thick + 0.001
+        ),
         CASE,
     )
     a.add(
         "touch pad",
-        rounded_box([deep * 0.26, wide * rng.uniform(0.26, 0.4), 0.003], 0.001, edge=1, inner=1).moved(deep * 0.28, 0, thick),
+        rounded_box(
+            [deep * 0.26, wide * rng.uniform(0.26, 0.4), 0.003], 0.001, edge=1, inner=1
+        ).moved(deep * 0.28, 0, thick),
         CASE,
     )
     pieces = panel(
-        wide, deep * 0.98, thick=rng.uniform(0.006, 0.01), bezel=rng.uniform(0.006, 0.018), chin=rng.uniform(0.0, 0.015), radius=0.012
+        wide,
+        deep * 0.98,
+        thick=rng.uniform(0.006, 0.01),
+        bezel=rng.uniform(0.006, 0.018),
+        chin=rng.uniform(0.0, 0.015),
+        radius=0.012,
     )
     lean = np.radians(rng.uniform(5, 42))
-    add_panel(a, pieces, lambda s: s.moved(0, 0, deep * 0.49).turned("y", -lean).moved(-deep / 2 + 0.004, 0, thick))
-    a.add("hinge", rod([-deep / 2 + 0.004, -wide * 0.36, thick], [-deep / 2 + 0.004, wide * 0.36, thick], 0.007, around=14), CASE)
+    add_panel(
+        a,
+        pieces,
+        lambda s: s.moved(0, 0, deep * 0.49).turned("y", -lean).moved(-deep / 2 + 0.004, 0, thick),
+    )
+    a.add(
+        "hinge",
+        rod(
+            [-deep / 2 + 0.004, -wide * 0.36, thick],
+            [-deep / 2 + 0.004, wide * 0.36, thick],
+            0.007,
+            around=14,
+        ),
+        CASE,
+    )
 
 
 def tube_body(wide, high, depth, rear, sink):
-    """The back of a tube's casing: it narrows from the front to a box of `rear` of the size, its top falling by `sink`."""
+    """The back of a tube's casing: it narrows from the front to a box of `rear` of the size, its
+    top falling by `sink`.
+    """
     rings = []
     for t in (0.0, 0.12, 0.25, 0.4, 0.55, 0.7, 0.85, 0.96, 1.0):
         ease = np.clip((t - 0.12) / 0.7, 0, 1)
         ease = ease * ease * (3 - 2 * ease)
         share = 1 - (1 - rear) * ease - (0.06 if t == 1.0 else 0.0)
         outline = superellipse(56, 8.0 - 3 * ease) * [wide / 2 * share, high / 2 * share]
-        rings.append(np.column_stack([np.full(56, -t * depth), outline[:, 0], outline[:, 1] - sink * ease]))
+        rings.append(
+            np.column_stack([np.full(56, -t * depth), outline[:, 0], outline[:, 1] - sink * ease])
+        )
     return loft(np.array(rings))
 
 
@@ -184,14 +325,25 @@ def tube_monitor(a, rng):
     )
     tilt = rng.uniform(0.0, 0.1)
     add_panel(a, pieces, lambda s: s.turned("y", -tilt).moved(depth / 2, 0, lift))
-    body = tube_body(wide * 0.97, high * 0.97, depth - 0.05, rng.uniform(0.5, 0.7), rng.uniform(0.0, 0.05))
+    body = tube_body(
+        wide * 0.97, high * 0.97, depth - 0.05, rng.uniform(0.5, 0.7), rng.uniform(0.0, 0.05)
+    )
     a.add("casing", body.moved(-0.05, 0, 0).turned("y", -tilt).moved(depth / 2, 0, lift), CASE)
     foot = rng.uniform(0.11, 0.15)
     a.add(
         "foot",
-        revolve([[0, 0], [foot, 0], [foot, 0.012], [foot * 0.75, 0.022], [foot * 0.55, 0.05], [foot * 0.6, 0.1], [0, 0.11]], 40).moved(
-            0.03, 0, 0
-        ),
+        revolve(
+            [
+                [0, 0],
+                [foot, 0],
+                [foot, 0.012],
+                [foot * 0.75, 0.022],
+                [foot * 0.55, 0.05],
+                [foot * 0.6, 0.1],
+                [0, 0.11],
+            ],
+            40,
+        ).moved(0.03, 0, 0),
         CASE,
     )
     for k in range(int(rng.integers(1, 6))):
@@ -205,26 +357,64 @@ def tube_monitor(a, rng):
 
 
 def tube_television(a, rng):
-    """An old television: a wooden box on splayed legs, knobs and a grille beside the screen, perhaps an aerial."""
+    """An old television: a wooden box on splayed legs, knobs and a grille beside the screen,
+    perhaps an aerial.
+    """
     wide, high, deep = rng.uniform(0.5, 0.68), rng.uniform(0.4, 0.48), rng.uniform(0.3, 0.4)
     legs = rng.choice([0.0, rng.uniform(0.15, 0.45)])
     lift = legs + high / 2 + 0.012
-    a.add("box", rounded_box([deep, wide, high], rng.uniform(0.015, 0.06), (0.0, 0.02, 0.02), 4, 6).moved(0, 0, lift), CASE)
-    a.add("casing", tube_body(wide * 0.7, high * 0.75, 0.14, 0.6, 0.0).moved(-deep / 2 + 0.01, 0, lift), CASE)
+    a.add(
+        "box",
+        rounded_box([deep, wide, high], rng.uniform(0.015, 0.06), (0.0, 0.02, 0.02), 4, 6).moved(
+            0, 0, lift
+        ),
+        CASE,
+    )
+    a.add(
+        "casing",
+        tube_body(wide * 0.7, high * 0.75, 0.14, 0.6, 0.0).moved(-deep / 2 + 0.01, 0, lift),
+        CASE,
+    )
     tube_wide = wide * rng.uniform(0.6, 0.68)
     shift = -(wide - tube_wide) / 2 + 0.035
-    pieces = panel(tube_wide, high * 0.84, thick=0.05, bezel=0.02, radius=rng.uniform(0.04, 0.09), recess=0.008, crown=0.022)
+    pieces = panel(
+        tube_wide,
+        high * 0.84,
+        thick=0.05,
+        bezel=0.02,
+        radius=rng.uniform(0.04, 0.09),
+        recess=0.008,
+        crown=0.022,
+    )
     add_panel(a, pieces, lambda s: closed(s.vertices, s.faces).moved(deep / 2 + 0.016, shift, lift))
     y = wide / 2 - (wide - tube_wide) / 2 + 0.012
     for k in range(2):
         knob = revolve([[0, 0], [0.03, 0], [0.027, 0.03], [0, 0.032]], 24).turned("y", np.pi / 2)
         a.add("knob", knob.moved(deep / 2 - 0.004, y, lift + high * (0.3 - 0.2 * k)), CASE)
     for z in np.linspace(-0.36, -0.04, 7) * high:
-        a.add("grille", rod([deep / 2 + 0.004, y - 0.045, lift + z], [deep / 2 + 0.004, y + 0.045, lift + z], 0.005, around=10), CASE)
+        a.add(
+            "grille",
+            rod(
+                [deep / 2 + 0.004, y - 0.045, lift + z],
+                [deep / 2 + 0.004, y + 0.045, lift + z],
+                0.005,
+                around=10,
+            ),
+            CASE,
+        )
     for x in (1, -1):
         for s in LEFT_RIGHT:
             top = [x * deep * 0.36, s * wide * 0.4, lift - high / 2 + 0.015]
-            a.add("leg", rod(top, [x * (deep * 0.36 + 0.15 * legs), s * (wide * 0.4 + 0.15 * legs), 0], 0.018, 0.011), CASE)
+            a.add(
+                "leg",
+                rod(
+                    top,
+                    [x * (deep * 0.36 + 0.15 * legs), s * (wide * 0.4 + 0.15 * legs), 0],
+                    0.018,
+                    0.011,
+                ),
+                CASE,
+            )
     if rng.random() < 0.5:
         for s in LEFT_RIGHT:
             a.add(

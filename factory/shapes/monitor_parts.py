@@ -1,32 +1,59 @@
-"""What screens are made of: the panel (a casing with a screen let into it) and the stands. Metres; the screen looks to +x.
+"""What screens are made of: the panel (a casing with a screen let into it) and the stands. Metres;
+the screen looks to +x.
 
 Segment SCREEN is what shows the picture, CASE everything else.
 """
 
 import numpy as np
 
-from factory.shapes.surfaces import LEFT_RIGHT, Surface, loft, rod, rounded_box, rounded_path, slab, smooth_path, superellipse, tube
+from factory.shapes.surfaces import (
+    LEFT_RIGHT,
+    Surface,
+    loft,
+    rod,
+    rounded_box,
+    rounded_path,
+    slab,
+    smooth_path,
+    superellipse,
+    tube,
+)
 
 SCREEN, CASE = 1, 2
 
 
 def rounded_rectangle(wide, high, radius, steps=6, along=12):
-    """Outline (N, 2) of a rectangle with rounded corners, in the y–z plane; straight runs are subdivided so that they can be bent."""
+    """Outline (N, 2) of a rectangle with rounded corners, in the y–z plane; straight runs are
+    subdivided so that they can be bent.
+    """
     points = []
     radius = min(radius, 0.49 * min(wide, high))
     for k, (sy, sz) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
         angle = np.linspace(k * np.pi / 2, (k + 1) * np.pi / 2, steps + 1)
-        arc = np.stack([sy * (wide / 2 - radius) + radius * np.cos(angle), sz * (high / 2 - radius) + radius * np.sin(angle)], 1)
+        arc = np.stack(
+            [
+                sy * (wide / 2 - radius) + radius * np.cos(angle),
+                sz * (high / 2 - radius) + radius * np.sin(angle),
+            ],
+            1,
+        )
         if points:
-            points += list(points[-1] + np.linspace(0, 1, along + 1)[1:-1, None] * (arc[0] - points[-1]))
+            points += list(
+                points[-1] + np.linspace(0, 1, along + 1)[1:-1, None] * (arc[0] - points[-1])
+            )
         points += list(arc)
-    return np.array(points + list(points[-1] + np.linspace(0, 1, along + 1)[1:-1, None] * (points[0] - points[-1])))
+    return np.array(
+        points
+        + list(points[-1] + np.linspace(0, 1, along + 1)[1:-1, None] * (points[0] - points[-1]))
+    )
 
 
 def panel(wide, high, *, thick, bezel, chin=0.0, radius=0.01, bulge=0.0, recess=0.003, crown=0.0):
-    """A casing with its screen let into the front: [(Surface, segment)], its front at x = 0, centred on the whole casing.
+    """A casing with its screen let into the front: [(Surface, segment)], its front at x = 0,
+    centred on the whole casing.
 
-    chin  how much wider the lower bezel is;  bulge  m that the middle of the back stands out;  crown  m that a tube's screen bulges
+    chin  how much wider the lower bezel is;  bulge  m that the middle of the back stands out;
+    crown  m that a tube's screen bulges
     """
     full, inner = (
         rounded_rectangle(wide, high, radius),
@@ -42,13 +69,22 @@ def panel(wide, high, *, thick, bezel, chin=0.0, radius=0.01, bulge=0.0, recess=
     def inset(outline, d):
         return outline * (1 - 2 * d / np.array([wide, high]))
 
-    rings = [ring(inset(full, bevel * (1 - np.sin(t))), 1.0, -thick + bevel * (1 - np.cos(t))) for t in np.linspace(0, np.pi / 2, 4)]
+    rings = [
+        ring(inset(full, bevel * (1 - np.sin(t))), 1.0, -thick + bevel * (1 - np.cos(t)))
+        for t in np.linspace(0, np.pi / 2, 4)
+    ]
     back = (
-        [ring(full, share, -thick - bulge * (1 - share**4) ** 0.7) for share in (0.05, 0.35, 0.6, 0.8, 0.93)]
+        [
+            ring(full, share, -thick - bulge * (1 - share**4) ** 0.7)
+            for share in (0.05, 0.35, 0.6, 0.8, 0.93)
+        ]
         if bulge
         else [ring(full, 0.3, -thick), ring(full, 0.7, -thick)]
     )
-    front = [ring(inset(full, bevel * (1 - np.cos(t))), 1.0, -bevel * (1 - np.sin(t))) for t in np.linspace(0, np.pi / 2, 4)]
+    front = [
+        ring(inset(full, bevel * (1 - np.cos(t))), 1.0, -bevel * (1 - np.sin(t)))
+        for t in np.linspace(0, np.pi / 2, 4)
+    ]
     floor = recess + min(0.4 * thick, 0.008)
     face = [ring(inner, 1.0, 0.0), ring(inner, 1.0, -floor)]
     shares = (1.0, 0.86, 0.7, 0.5, 0.3, 0.12)
@@ -64,7 +100,9 @@ def panel(wide, high, *, thick, bezel, chin=0.0, radius=0.01, bulge=0.0, recess=
         return points
 
     # The screen: a thin plate in the recess, its edge hidden in the casing
-    glass = [plate(s, -floor + 0.001, 0.0) for s in shares[::-1]] + [plate(s, -recess, crown) for s in shares]
+    glass = [plate(s, -floor + 0.001, 0.0) for s in shares[::-1]] + [
+        plate(s, -recess, crown) for s in shares
+    ]
     return [(case, CASE), (loft(np.array(glass)), SCREEN)]
 
 
@@ -78,7 +116,9 @@ def bend(surface, radius):
     """Bend about a vertical axis `radius` m in front: a curved monitor."""
     x, y, z = surface.vertices.T
     angle, reach = y / radius, radius - x
-    return Surface(np.stack([radius - reach * np.cos(angle), reach * np.sin(angle), z], 1), surface.faces)
+    return Surface(
+        np.stack([radius - reach * np.cos(angle), reach * np.sin(angle), z], 1), surface.faces
+    )
 
 
 def draw_panel(rng, diagonal, aspect, **fixed):
@@ -101,14 +141,31 @@ def stand(a, rng, kind, lift, wide, behind=-0.03):
     size = rng.uniform(0.018, 0.035)
     if kind == "v":
         for s in LEFT_RIGHT:
-            path = rounded_path([[0.12, s * 0.2 * wide * 2, 0.008], [column, s * 0.05, 0.05], [column, s * 0.02, lift]], 0.05)
+            path = rounded_path(
+                [
+                    [0.12, s * 0.2 * wide * 2, 0.008],
+                    [column, s * 0.05, 0.05],
+                    [column, s * 0.02, lift],
+                ],
+                0.05,
+            )
             a.add("stand", tube(path, np.array([0.016, 0.009]), around=14, square=4.0), CASE)
         return
     if kind == "feet":
         for s in LEFT_RIGHT:
             y = s * wide * 0.36
             for x in (0.11, -0.13):
-                a.add("foot", rod([-0.012, y, lift * 0.55], [x, y + s * 0.02, 0.006], [0.012, 0.008], around=14, square=4.0), CASE)
+                a.add(
+                    "foot",
+                    rod(
+                        [-0.012, y, lift * 0.55],
+                        [x, y + s * 0.02, 0.006],
+                        [0.012, 0.008],
+                        around=14,
+                        square=4.0,
+                    ),
+                    CASE,
+                )
         return
     if kind == "tripod":
         for angle in (0.75, -0.75, np.pi):
@@ -116,14 +173,18 @@ def stand(a, rng, kind, lift, wide, behind=-0.03):
             a.add(
                 "leg",
                 tube(
-                    smooth_path([[column, 0, 0.06], [(column + foot[0]) / 2, foot[1] / 2, 0.035], foot], 9),
+                    smooth_path(
+                        [[column, 0, 0.06], [(column + foot[0]) / 2, foot[1] / 2, 0.035], foot], 9
+                    ),
                     np.linspace([0.016, 0.012], [0.01, 0.006], 9),
                     around=14,
                     square=3.0,
                 ),
                 CASE,
             )
-        a.add("column", rod([column, 0, 0.03], [column, 0, lift + 0.02], size * 0.8, size * 0.6), CASE)
+        a.add(
+            "column", rod([column, 0, 0.03], [column, 0, lift + 0.02], size * 0.8, size * 0.6), CASE
+        )
     elif kind == "loop":
         w = rng.uniform(0.08, 0.16)
         path = rounded_path(
@@ -145,22 +206,47 @@ def stand(a, rng, kind, lift, wide, behind=-0.03):
             outline = superellipse(48) * [depth / 2, depth / 2]
         elif kind == "arc":
             angle = np.linspace(-1.2, 1.2, 25)
-            path = np.stack([column - 0.05 + 0.2 * np.cos(angle) - 0.02, 0.2 * np.sin(angle) * reach / 0.24, np.full(25, 0.009)], 1)
+            path = np.stack(
+                [
+                    column - 0.05 + 0.2 * np.cos(angle) - 0.02,
+                    0.2 * np.sin(angle) * reach / 0.24,
+                    np.full(25, 0.009),
+                ],
+                1,
+            )
             a.add("foot", tube(path, np.array([0.03, 0.009]), around=16, square=5.0), CASE)
             outline = superellipse(32, 4.0) * [0.09, 0.045]
         else:
             outline = superellipse(48, rng.uniform(3, 9)) * [depth / 2, reach / 2]
         a.add(
             "foot",
-            slab(outline, rng.uniform(0.01, 0.018), 0.8, rng.choice([0.0, 0.008])).moved(0.0 if kind != "arc" else column + 0.06, 0, 0.008),
+            slab(outline, rng.uniform(0.01, 0.018), 0.8, rng.choice([0.0, 0.008])).moved(
+                0.0 if kind != "arc" else column + 0.06, 0, 0.008
+            ),
             CASE,
         )
         lean = rng.uniform(-0.02, 0.05)
         flat = rng.choice([True, False])
-        path = smooth_path([[column + lean, 0, 0.01], [column + lean * 0.3, 0, lift * 0.5], [column, 0, lift + 0.03]], 12)
+        path = smooth_path(
+            [
+                [column + lean, 0, 0.01],
+                [column + lean * 0.3, 0, lift * 0.5],
+                [column, 0, lift + 0.03],
+            ],
+            12,
+        )
         a.add(
             "neck",
-            tube(path, np.array([size * (1.6 if flat else 0.8), size * (0.5 if flat else 0.8)]), around=18, square=rng.choice([2.5, 6.0])),
+            tube(
+                path,
+                np.array([size * (1.6 if flat else 0.8), size * (0.5 if flat else 0.8)]),
+                around=18,
+                square=rng.choice([2.5, 6.0]),
+            ),
             CASE,
         )
-    a.add("mount", rounded_box([0.016 - column, 0.1, 0.1], 0.012, edge=2).moved((column - 0.004) / 2, 0, lift), CASE)
+    a.add(
+        "mount",
+        rounded_box([0.016 - column, 0.1, 0.1], 0.012, edge=2).moved((column - 0.004) / 2, 0, lift),
+        CASE,
+    )

@@ -1,7 +1,9 @@
-"""Wavefront OBJ: vertices, polygons and the names of materials; nothing outside of the file is opened.
+"""Wavefront OBJ: vertices, polygons and the names of materials; nothing outside of the file is
+opened.
 
-Source: Wavefront, "Advanced Visualizer Manual", appendix B1. A line that ends in a backslash goes on in the next one.
-Indices count from 1, or backwards from the last vertex so far, which is -1. Normals and texture coordinates are passed over.
+Source: Wavefront, "Advanced Visualizer Manual", appendix B1. A line that ends in a backslash goes
+on in the next one. Indices count from 1, or backwards from the last vertex so far, which is -1.
+Normals and texture coordinates are passed over.
 """
 
 from array import array
@@ -12,11 +14,21 @@ from typing import BinaryIO
 
 import numpy as np
 
-from factory.shapes.raw import AGAIN, LONGEST_LINE, Raw, from_polygons, glimpse, number, require_count, text_lines
+from factory.shapes.raw import (
+    AGAIN,
+    LONGEST_LINE,
+    Raw,
+    from_polygons,
+    glimpse,
+    number,
+    require_count,
+    text_lines,
+)
 from manifests.errors import InputError
 
 TEXT = "an OBJ file's text"
-NAMING = frozenset(b"usemtl mtllib o g usemap maplib shadow_obj trace_obj call csh".split())  # a name may end in a backslash
+# a name may end in a backslash
+NAMING = frozenset(b"usemtl mtllib o g usemap maplib shadow_obj trace_obj call csh".split())
 KNOWN = NAMING | frozenset(b"v vt vn vp f fo s l p lod bevel c_interp d_interp".split())
 
 
@@ -36,12 +48,16 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
                 lengths.append(len(polygon))
                 material.append(current)
             elif key == b"usemtl":
-                current = names.setdefault(b" ".join(words).decode("utf-8", "replace"), len(names) + 1)
+                current = names.setdefault(
+                    b" ".join(words).decode("utf-8", "replace"), len(names) + 1
+                )
             elif key not in KNOWN:
                 unknown[key] += 1
         except (ValueError, IndexError):
             text = glimpse(b" ".join((key, *words)))
-            raise InputError(f"{where}: line {line}", "a vertex or face", f"'{text}'", AGAIN) from None
+            raise InputError(
+                f"{where}: line {line}", "a vertex or face", f"'{text}'", AGAIN
+            ) from None
     return from_polygons(
         np.array(vertices, float).reshape(-1, 3),
         np.array(corners, np.int64),
@@ -54,7 +70,9 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
 
 
 def _passed_over(unknown):
-    """A note on lines whose first word means nothing here: free-form surfaces, capital letters, misspellings."""
+    """A note on lines whose first word means nothing here: free-form surfaces, capital letters,
+    misspellings.
+    """
     if not unknown:
         return ()
     (word, _), *_ = unknown.most_common(1)
@@ -62,7 +80,9 @@ def _passed_over(unknown):
 
 
 def _polygon(words, vertices):
-    """Indices from 0 of a face's corners. Raises ValueError for what is none; faces may come before their vertices."""
+    """Indices from 0 of a face's corners. Raises ValueError for what is none; faces may come before
+    their vertices.
+    """
     polygon = [int(word.split(b"/", 1)[0]) for word in words]
     if 0 in polygon or b"_" in b"".join(words):
         raise ValueError
@@ -73,7 +93,9 @@ def _polygon(words, vertices):
 
 
 def _count(file, where):
-    """Triangles of all faces, or a quarter of the vertices if that is more: a cloud of points is no mesh."""
+    """Triangles of all faces, or a quarter of the vertices if that is more: a cloud of points is no
+    mesh.
+    """
     triangles, vertices, line = 0, 0, 0
     for line, key, words in _statements(file, where):  # noqa: B007 (named in the error)
         if key in (b"f", b"fo"):
@@ -81,7 +103,12 @@ def _count(file, where):
         elif key == b"v":
             vertices += 1
     if vertices == 0:
-        raise InputError(where, "an OBJ file with 'v' and 'f' lines", f"{line} lines, no vertex among them", AGAIN)
+        raise InputError(
+            where,
+            "an OBJ file with 'v' and 'f' lines",
+            f"{line} lines, no vertex among them",
+            AGAIN,
+        )
     return max(triangles, vertices // 4) if triangles else 0
 
 
@@ -96,7 +123,12 @@ def _statements(file, where) -> Iterator[tuple[int, bytes, list[bytes]]]:
             held.append(text.rstrip()[:-1])
             size += len(text)
             if size > LONGEST_LINE:
-                raise InputError(where, f"{TEXT} in lines of at most {LONGEST_LINE >> 20} MiB", "a longer one", AGAIN)
+                raise InputError(
+                    where,
+                    f"{TEXT} in lines of at most {LONGEST_LINE >> 20} MiB",
+                    "a longer one",
+                    AGAIN,
+                )
             continue
         if held:
             text, held, size = b" ".join([*held, text]), [], 0

@@ -1,6 +1,8 @@
-"""Object File Format: a line of counts, a line for each vertex, a line for each polygon; colours and normals are passed over.
+"""Object File Format: a line of counts, a line for each vertex, a line for each polygon; colours
+and normals are passed over.
 
-Source: Geomview's manual, "OFF Files". COFF and NOFF have colours or normals behind a vertex's coordinates.
+Source: Geomview's manual, "OFF Files". COFF and NOFF have colours or normals behind a vertex's
+coordinates.
 """
 
 from array import array
@@ -9,7 +11,16 @@ from typing import BinaryIO
 
 import numpy as np
 
-from factory.shapes.raw import AGAIN, Raw, from_polygons, glimpse, number, require_count, text_lines, whole_number
+from factory.shapes.raw import (
+    AGAIN,
+    Raw,
+    from_polygons,
+    glimpse,
+    number,
+    require_count,
+    text_lines,
+    whole_number,
+)
 from manifests.errors import InputError
 
 KINDS = (b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF", b"STCOFF", b"STNOFF", b"STCNOFF")
@@ -20,7 +31,12 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
     rows = _rows(file, where)
     vertex_count, face_count = _counts(rows, where)
     if vertex_count + face_count > size:  # each takes at least a byte
-        raise InputError(where, f"{face_count:,} faces as its header says", f"{size:,} bytes", "download or export it again")
+        raise InputError(
+            where,
+            f"{face_count:,} faces as its header says",
+            f"{size:,} bytes",
+            "download or export it again",
+        )
     require_count(max(face_count, vertex_count // 4) if face_count else 0, maximum, where, size)
     vertices, corners, lengths = array("d"), array("q"), array("q")
     line, words = 0, []
@@ -41,10 +57,22 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
         raise
     except StopIteration:
         result = f"the end after {len(vertices) // 3:,} and {len(lengths):,}"
-        raise InputError(where, f"{vertex_count:,} vertices and {face_count:,} faces", result, "download or export it again") from None
+        raise InputError(
+            where,
+            f"{vertex_count:,} vertices and {face_count:,} faces",
+            result,
+            "download or export it again",
+        ) from None
     except (ValueError, IndexError, OverflowError):
-        raise InputError(f"{where}: line {line}", "a vertex or face", f"'{glimpse(b' '.join(words))}'", AGAIN) from None
-    return from_polygons(np.array(vertices, float).reshape(-1, 3), np.array(corners, np.int64), np.array(lengths, np.int64), where)
+        raise InputError(
+            f"{where}: line {line}", "a vertex or face", f"'{glimpse(b' '.join(words))}'", AGAIN
+        ) from None
+    return from_polygons(
+        np.array(vertices, float).reshape(-1, 3),
+        np.array(corners, np.int64),
+        np.array(lengths, np.int64),
+        where,
+    )
 
 
 def _rows(file, where):
@@ -60,6 +88,15 @@ def _counts(rows, where):
     head = list(words)
     if words and words[0] in KINDS and len(words) == 1:
         head += next(rows, (0, []))[1]
-    if len(head) < 3 or head[0] not in KINDS or not (head[1].isdigit() and head[2].isdigit() and len(head[1] + head[2]) < 30):
-        raise InputError(where, "'OFF' and the counts of vertices and faces", f"'{glimpse(b' '.join(head))}'", AGAIN)
+    if (
+        len(head) < 3
+        or head[0] not in KINDS
+        or not (head[1].isdigit() and head[2].isdigit() and len(head[1] + head[2]) < 30)
+    ):
+        raise InputError(
+            where,
+            "'OFF' and the counts of vertices and faces",
+            f"'{glimpse(b' '.join(head))}'",
+            AGAIN,
+        )
     return int(head[1]), int(head[2])

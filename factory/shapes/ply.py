@@ -1,7 +1,9 @@
-"""PLY: elements with properties as a header tells them, text or binary of either byte order; vertices and faces are kept.
+"""PLY: elements with properties as a header tells them, text or binary of either byte order;
+vertices and faces are kept.
 
-Source: Greg Turk, "The PLY Polygon File Format", 1994. Lists may be of any length and of any integer type, polygons of
-different lengths may be mixed; properties and elements that no mesh needs are passed over.
+Source: Greg Turk, "The PLY Polygon File Format", 1994. Lists may be of any length and of any
+integer type, polygons of different lengths may be mixed; properties and elements that no mesh needs
+are passed over.
 """
 
 import re
@@ -15,11 +17,39 @@ from typing import BinaryIO
 
 import numpy as np
 
-from factory.shapes.raw import AGAIN, NOTHING, Raw, from_polygons, glimpse, number, require_count, text_lines, whole_number
+from factory.shapes.raw import (
+    AGAIN,
+    NOTHING,
+    Raw,
+    from_polygons,
+    glimpse,
+    number,
+    require_count,
+    text_lines,
+    whole_number,
+)
 from manifests.errors import InputError
 
-TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8"}
-TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8"}
+TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+}
+TYPES |= {
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "int64": "i8",
+    "uint64": "u8",
+}
 TYPES |= {"float16": "f2", "float32": "f4", "float64": "f8"}
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": None}
 HEADER = 1 << 16  # bytes; real ones have some hundred
@@ -28,7 +58,9 @@ DOWNLOAD = "download or export it again"
 
 @dataclass
 class Property:
-    """type: of each value; count: of a list's length, None for a single value. Both as numpy names them, without byte order."""
+    """type: of each value; count: of a list's length, None for a single value. Both as numpy names
+    them, without byte order.
+    """
 
     name: str
     type: str
@@ -54,7 +86,9 @@ class Element:
 def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
     """The Raw of a PLY file. See factory.shapes.raw."""
     elements, order, start = _header(file, where)
-    vertex, face = (next((e for e in elements if e.name == name), None) for name in ("vertex", "face"))
+    vertex, face = (
+        next((e for e in elements if e.name == name), None) for name in ("vertex", "face")
+    )
     if vertex is None or face is None:
         raise InputError(where, "a PLY header with faces", "none", NOTHING)
     if face.count + vertex.count > size:  # each takes at least a byte
@@ -79,7 +113,10 @@ def _header(file, where):
     end = next((k for k, line in enumerate(lines[:-1]) if line.strip() == b"end_header"), None)
     if end is None or lines[0].strip() != b"ply":
         raise InputError(
-            where, "a PLY header with faces", f"'{glimpse(head)}'", "check the file's ending, or that it holds more than points"
+            where,
+            "a PLY header with faces",
+            f"'{glimpse(head)}'",
+            "check the file's ending, or that it holds more than points",
         )
     elements, order = [], "none"
     for place, line in enumerate(lines[1:end], 2):
@@ -88,7 +125,9 @@ def _header(file, where):
             match words:
                 case ["format", name, _]:
                     order = ORDERS[name]
-                case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 19:
+                case ["element", name, count] if (
+                    count.isascii() and count.isdigit() and len(count) < 19
+                ):
                     elements.append(Element(name, int(count)))
                 case ["property", "list", count, type_, name] if TYPES[count][0] in "iu":
                     elements[-1].properties.append(Property(name, TYPES[type_], TYPES[count]))
@@ -99,7 +138,9 @@ def _header(file, where):
                 case _:
                     raise KeyError
         except (KeyError, IndexError):
-            raise InputError(f"{where}: line {place}", "a line of a PLY header", f"'{glimpse(line)}'", AGAIN) from None
+            raise InputError(
+                f"{where}: line {place}", "a line of a PLY header", f"'{glimpse(line)}'", AGAIN
+            ) from None
     if order == "none":
         raise InputError(where, "a PLY header with its format", "none", AGAIN)
     return elements, order, start + sum(len(line) + 1 for line in lines[: end + 1])
@@ -110,14 +151,22 @@ def _columns(vertex, face, where):
     try:
         xyz = tuple(vertex.place(name) for name in "xyz")
     except KeyError as missing:
-        raise InputError(where, "vertices with x, y and z", f"no {missing.args[0]}", AGAIN) from None
+        raise InputError(
+            where, "vertices with x, y and z", f"no {missing.args[0]}", AGAIN
+        ) from None
     lists = [p.name for p in face.properties if p.count]
-    named = [name for name in lists if name in ("vertex_indices", "vertex_index")] or (lists if len(lists) == 1 else [])
+    named = [name for name in lists if name in ("vertex_indices", "vertex_index")] or (
+        lists if len(lists) == 1 else []
+    )
     if not named or any(vertex.properties[k].count for k in xyz):
-        raise InputError(where, "faces with a list vertex_indices", ", ".join(lists) or "no list", AGAIN)
+        raise InputError(
+            where, "faces with a list vertex_indices", ", ".join(lists) or "no list", AGAIN
+        )
     indices = face.place(named[0])
     if face.properties[indices].type[0] not in "iu":
-        raise InputError(where, "whole numbers in vertex_indices", face.properties[indices].type, AGAIN)
+        raise InputError(
+            where, "whole numbers in vertex_indices", face.properties[indices].type, AGAIN
+        )
     return {"vertex": (xyz, None), "face": ((), indices)}
 
 
@@ -138,7 +187,12 @@ class _Rows:
             self.corners, self.lengths = corners, lengths
 
     def _short(self, element):
-        return InputError(self.where, f"{element.count:,} rows of '{element.name}' as its header says", "the end of the file", DOWNLOAD)
+        return InputError(
+            self.where,
+            f"{element.count:,} rows of '{element.name}' as its header says",
+            "the end of the file",
+            DOWNLOAD,
+        )
 
 
 class _Text(_Rows):
@@ -153,7 +207,9 @@ class _Text(_Rows):
                 break
 
     def take(self, element, single, listed, maximum):
-        """Read an element's rows; keep its values at the places `single` and the list at the place `listed`."""
+        """Read an element's rows; keep its values at the places `single` and the list at the place
+        `listed`.
+        """
         if not element.properties:
             return
         values, corners, lengths = array("d"), array("q"), array("q")
@@ -171,7 +227,12 @@ class _Text(_Rows):
                 values.extend([number(words[starts[k]]) for k in single])
                 if listed is not None:
                     count = whole_number(words[starts[listed]])
-                    corners.extend([whole_number(word) for word in words[starts[listed] + 1 : starts[listed] + 1 + count]])
+                    corners.extend(
+                        [
+                            whole_number(word)
+                            for word in words[starts[listed] + 1 : starts[listed] + 1 + count]
+                        ]
+                    )
                     lengths.append(count)
                     if len(corners) - 2 * len(lengths) > maximum:
                         require_count(len(corners) - 2 * len(lengths), maximum, self.where)
@@ -179,10 +240,18 @@ class _Text(_Rows):
                 raise
             except (ValueError, IndexError, OverflowError):
                 text = glimpse(b" ".join(words))
-                raise InputError(f"{self.where}: line {line}", f"a row of '{element.name}'", f"'{text}'", AGAIN) from None
+                raise InputError(
+                    f"{self.where}: line {line}", f"a row of '{element.name}'", f"'{text}'", AGAIN
+                ) from None
         if seen < element.count:
             raise self._short(element)
-        self._keep(element, maximum, np.array(values, float).reshape(-1, 3), np.array(corners, np.int64), np.array(lengths, np.int64))
+        self._keep(
+            element,
+            maximum,
+            np.array(values, float).reshape(-1, 3),
+            np.array(corners, np.int64),
+            np.array(lengths, np.int64),
+        )
 
     @staticmethod
     def _offsets(element, words):
@@ -202,7 +271,9 @@ class _Text(_Rows):
         """Raises InputError if there is more than the header says."""
         for line, words in self.lines:
             text = glimpse(b" ".join(words))
-            raise InputError(f"{self.where}: line {line}", "the end, as its header says", f"'{text}'", DOWNLOAD)
+            raise InputError(
+                f"{self.where}: line {line}", "the end, as its header says", f"'{text}'", DOWNLOAD
+            )
 
 
 class _Binary(_Rows):
@@ -214,25 +285,38 @@ class _Binary(_Rows):
         self.data, self.place, self.order = file.read(), 0, order
 
     def take(self, element, single, listed, maximum):
-        """Read an element's rows; keep its values at the places `single` and the list at the place `listed`."""
+        """Read an element's rows; keep its values at the places `single` and the list at the place
+        `listed`.
+        """
         if not element.properties or not element.count:
             return
-        lengths = [self._first_length(element, k) if p.count else None for k, p in enumerate(element.properties)]
+        lengths = [
+            self._first_length(element, k) if p.count else None
+            for k, p in enumerate(element.properties)
+        ]
         table = self._table(element, lengths) if all(n is None or n >= 0 for n in lengths) else None
         if table is None:
             self._by_row(element, single, listed, maximum)
             return
         self.place += table.nbytes
-        values = np.stack([table[f"p{k}"].astype(float) for k in single], axis=1) if single else None
+        values = (
+            np.stack([table[f"p{k}"].astype(float) for k in single], axis=1) if single else None
+        )
         corners = counts = None
         if listed is not None:
             require_count(len(table) * max(lengths[listed] - 2, 0) or -1, maximum, self.where)
-            corners = table[f"p{listed}"].astype(np.int64).reshape(-1) if lengths[listed] else np.zeros(0, np.int64)
+            corners = (
+                table[f"p{listed}"].astype(np.int64).reshape(-1)
+                if lengths[listed]
+                else np.zeros(0, np.int64)
+            )
             counts = np.full(len(table), lengths[listed], np.int64)
         self._keep(element, maximum, values, corners, counts)
 
     def _first_length(self, element, place):
-        """The length of a list in the first row, where all lists before it are as long as theirs; -1: the data end before."""
+        """The length of a list in the first row, where all lists before it are as long as theirs;
+        -1: the data end before.
+        """
         before = self.place
         for each in element.properties[: place + 1]:
             type_ = np.dtype(self.order + (each.count or each.type))
@@ -245,24 +329,43 @@ class _Binary(_Rows):
         return length
 
     def _table(self, element, lengths):
-        """All rows, if each list is as long in every row as in the first; else None. Raises InputError if the data are too few."""
+        """All rows, if each list is as long in every row as in the first; else None. Raises
+        InputError if the data are too few.
+        """
         fields = []
         for k, (each, length) in enumerate(zip(element.properties, lengths, strict=True)):
             if each.count:
                 fields.append((f"n{k}", self.order + each.count))
             if length != 0:
-                fields.append((f"p{k}", self.order + each.type, () if length is None else (length,)))
-        if sum(np.dtype(f[1]).itemsize * (f[2][0] if f[2:] and f[2] else 1) for f in fields) * element.count > len(self.data) - self.place:
+                fields.append(
+                    (f"p{k}", self.order + each.type, () if length is None else (length,))
+                )
+        if (
+            sum(np.dtype(f[1]).itemsize * (f[2][0] if f[2:] and f[2] else 1) for f in fields)
+            * element.count
+            > len(self.data) - self.place
+        ):
             if any(n is not None for n in lengths):  # the first list may be the longest
                 return None
             raise self._short(element)
         table = np.frombuffer(self.data, np.dtype(fields), element.count, self.place)
-        alike = all((table[f"n{k}"] == length).all() for k, length in enumerate(lengths) if length is not None)
+        alike = all(
+            (table[f"n{k}"] == length).all()
+            for k, length in enumerate(lengths)
+            if length is not None
+        )
         return table if alike else None
 
     def _by_row(self, element, single, listed, maximum):
         """As `take`, where lists are of different lengths."""
-        steps = [(struct.Struct(self.order + CODES[p.count or p.type]), np.dtype(p.type).itemsize, p.count) for p in element.properties]
+        steps = [
+            (
+                struct.Struct(self.order + CODES[p.count or p.type]),
+                np.dtype(p.type).itemsize,
+                p.count,
+            )
+            for p in element.properties
+        ]
         data, place, end = self.data, self.place, len(self.data)
         values, starts, lengths = array("d"), array("q"), array("q")
         triangles = 0
@@ -290,19 +393,39 @@ class _Binary(_Rows):
         if listed is not None:
             type_ = np.dtype(self.order + element.properties[listed].type)
             counts = np.array(lengths, np.int64)
-            from_byte = np.repeat(np.array(starts, np.int64) - (np.cumsum(counts) - counts) * type_.itemsize, counts)
+            from_byte = np.repeat(
+                np.array(starts, np.int64) - (np.cumsum(counts) - counts) * type_.itemsize, counts
+            )
             byte = from_byte + np.arange(counts.sum()) * type_.itemsize
             raw = np.frombuffer(data, np.uint8)[byte[:, None] + np.arange(type_.itemsize)]
             corners = np.ascontiguousarray(raw).view(type_).reshape(-1).astype(np.int64)
         order = np.argsort(single)  # values stand in the order of the properties
-        values = np.array(values, float).reshape(-1, max(len(single), 1))[:, np.argsort(order)] if single else None
+        values = (
+            np.array(values, float).reshape(-1, max(len(single), 1))[:, np.argsort(order)]
+            if single
+            else None
+        )
         self._keep(element, maximum, values, corners, np.array(lengths, np.int64))
 
     def end(self):
         """Raises InputError if there is more than the header says."""
         rest = self.data[self.place :]
         if rest.strip():
-            raise InputError(self.where, "the end, as its header says", f"{len(rest):,} bytes more", DOWNLOAD)
+            raise InputError(
+                self.where, "the end, as its header says", f"{len(rest):,} bytes more", DOWNLOAD
+            )
 
 
-CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f2": "e", "f4": "f", "f8": "d"}
+CODES = {
+    "i1": "b",
+    "u1": "B",
+    "i2": "h",
+    "u2": "H",
+    "i4": "i",
+    "u4": "I",
+    "i8": "q",
+    "u8": "Q",
+    "f2": "e",
+    "f4": "f",
+    "f8": "d",
+}

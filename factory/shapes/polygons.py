@@ -1,21 +1,27 @@
 """Polygons cut into triangles: as a fan where that is right, else by cutting off ears.
 
-Polygons stand one after another: corners (C,) indices of vertices, lengths (P,) corners of each. A polygon of n corners
-becomes n - 2 triangles whose outer edges are its own edges, whatever its shape, so that no hole can come of it.
+Polygons stand one after another: corners (C,) indices of vertices, lengths (P,) corners of each. A
+polygon of n corners becomes n - 2 triangles whose outer edges are its own edges, whatever its
+shape, so that no hole can come of it.
 
-fan    triangles around the first corner. It is right for convex polygons, and for those concave ones of which the
+fan    triangles around the first corner. It is right for convex polygons, and for those concave
+ones of which the
        first corner sees every other; it is kept there
-ear    a corner whose two neighbours see each other: cut off, it leaves a polygon of one corner less. Every simple
-       polygon has two (Meisters, "Polygons have ears", 1975). All polygons of a mesh are cut at once, in rounds:
-       each round cuts every ear that is better than the ears beside it
-plane  a polygon is cut as it lies when seen along its normal (Newell's: half the sum of cross products of its edges),
+ear    a corner whose two neighbours see each other: cut off, it leaves a polygon of one corner
+less. Every simple
+       polygon has two (Meisters, "Polygons have ears", 1975). All polygons of a mesh are cut at
+       once, in rounds: each round cuts every ear that is better than the ears beside it
+plane  a polygon is cut as it lies when seen along its normal (Newell's: half the sum of cross
+products of its edges),
        so one that is not plane is cut by its projection
-none   corners in a line, or doubled, keep their place among the triangles (some of which have no area). A polygon that
-       crosses itself has no right answer: ears are cut while there are any, then the smallest corner; where that
-       covers hardly less than the fan, the fan stays; it is counted
+none   corners in a line, or doubled, keep their place among the triangles (some of which have no
+area). A polygon that
+       crosses itself has no right answer: ears are cut while there are any, then the smallest
+       corner; where that covers hardly less than the fan, the fan stays; it is counted
 
-Memory: 500 bytes per corner of a polygon whose fan is wrong, and 60 MB. Time: a polygon of 4,000 corners takes 0.1 to 2
-seconds, by its shape; MOST_TESTS and MOST_CORNERS bound all polygons of a mesh to about a minute (tests/factory/test_polygons.py).
+Memory: 500 bytes per corner of a polygon whose fan is wrong, and 60 MB. Time: a polygon of 4,000
+corners takes 0.1 to 2 seconds, by its shape; MOST_TESTS and MOST_CORNERS bound all polygons of a
+mesh to about a minute (tests/factory/test_polygons.py).
 """
 
 import numpy as np
@@ -23,10 +29,12 @@ import numpy as np
 BLOCK = 500_000  # triangles looked at together: 100 MB
 PAIRS = 500_000  # pairs of an ear and a corner that might lie in it, tested together: 60 MB
 MOST_TESTS = 100_000_000  # of such pairs in all, half a minute; real meshes need a thousandth
-MOST_CORNERS = 50_000  # of one polygon whose fan is wrong: its corners may have to be cut off one by one
+# of one polygon whose fan is wrong: its corners may have to be cut off one by one
+MOST_CORNERS = 50_000
 TINY = 1e-12  # doubled area below which three corners are in a line; the polygon's size is 1
 WORTH = 0.9  # of a polygon that crosses itself: the fan stays unless ears cover so much less
-OVERLAP = 1e-6  # share of a polygon's area by which its triangles may exceed it before it counts as crossing itself
+# share of a polygon's area by which its triangles may exceed it before it counts as crossing itself
+OVERLAP = 1e-6
 
 
 class TooLarge(ValueError):
@@ -34,16 +42,22 @@ class TooLarge(ValueError):
 
     def __init__(self, corners: int):
         self.corners = corners
-        super().__init__(f"expected polygons that can be cut in bounded time, found one of {corners} corners")
+        super().__init__(
+            f"expected polygons that can be cut in bounded time, found one of {corners} corners"
+        )
 
 
-def triangulate(vertices: np.ndarray, corners: np.ndarray, lengths: np.ndarray, depth: float = 0.0) -> tuple[np.ndarray, np.ndarray, int]:
-    """Triangles (F, 3), the polygon (F,) that each came from, and how many polygons cross themselves.
+def triangulate(
+    vertices: np.ndarray, corners: np.ndarray, lengths: np.ndarray, depth: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Triangles (F, 3), the polygon (F,) that each came from, and how many polygons cross
+    themselves.
 
     vertices  (V, 3), any frame and unit
     corners   (C,) indices into vertices, polygon after polygon
     lengths   (P,) corners of each polygon, 3 or more
-    depth     a notch less deep than this, in units of the vertices, is taken for rounding: the fan passes over it
+    depth     a notch less deep than this, in units of the vertices, is taken for rounding: the fan
+    passes over it
     Raises    TooLarge before time is spent
     """
     faces, owner = fans(corners, lengths)
@@ -60,12 +74,19 @@ def triangulate(vertices: np.ndarray, corners: np.ndarray, lengths: np.ndarray, 
 
 
 def fans(corners: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Polygons as triangles (F, 3) around each first corner, and the polygon (F,) that each came from."""
+    """Polygons as triangles (F, 3) around each first corner, and the polygon (F,) that each came
+    from.
+    """
     triangles = lengths - 2
     owner = np.repeat(np.arange(len(lengths)), triangles)
     step = np.arange(triangles.sum()) - np.repeat(np.cumsum(triangles) - triangles, triangles)
     start = (np.cumsum(lengths) - lengths)[owner]
-    return np.stack([corners[start], corners[start + step + 1], corners[start + step + 2]], axis=1).reshape(-1, 3), owner
+    return (
+        np.stack(
+            [corners[start], corners[start + step + 1], corners[start + step + 2]], axis=1
+        ).reshape(-1, 3),
+        owner,
+    )
 
 
 def _ranges(starts, lengths):
@@ -74,7 +95,9 @@ def _ranges(starts, lengths):
 
 
 def _where_fans_fail(vertices, faces, owner, lengths, depth):
-    """The polygons (indices) whose fan has a triangle turned against the polygon, and how many others have no normal."""
+    """The polygons (indices) whose fan has a triangle turned against the polygon, and how many
+    others have no normal.
+    """
     failing, none, polygon = [np.zeros(0, np.int64)], 0, 0
     ends = np.cumsum(lengths - 2)
     while polygon < len(lengths):
@@ -82,7 +105,9 @@ def _where_fans_fail(vertices, faces, owner, lengths, depth):
         last = max(int(np.searchsorted(ends, start + BLOCK, side="right")), polygon + 1)
         some = slice(start, int(ends[last - 1]))
         if (lengths[polygon:last] > 3).any():
-            turned, without = _failing(vertices, faces[some], owner[some] - polygon, last - polygon, depth)
+            turned, without = _failing(
+                vertices, faces[some], owner[some] - polygon, last - polygon, depth
+            )
             failing.append(polygon + turned)
             none += without
         polygon = last
@@ -95,7 +120,8 @@ def _failing(vertices, faces, owner, count, depth):
     base = np.sqrt(np.maximum(np.maximum(_squared(b - a), _squared(c - a)), _squared(c - b)))
     normal = np.stack([np.bincount(owner, cross[:, k], count) for k in range(3)], axis=1)
     length = np.linalg.norm(normal, axis=1)
-    sure = length > TINY * np.bincount(owner, base**2, count)  # else its halves, wound against each other, cancel
+    # else its halves, wound against each other, cancel
+    sure = length > TINY * np.bincount(owner, base**2, count)
     normal[sure] /= length[sure, None]
     height = np.einsum("fi,fi->f", cross, normal[owner])  # doubled area: height times base
     turned = (height < -depth * base - TINY * base**2) & sure[owner]
@@ -108,13 +134,17 @@ def _squared(vectors):
 
 
 def _cut(vertices, corners, lengths):
-    """Triangles (F, 3) of polygons by ears, in the polygons' order, and how many polygons cross themselves."""
+    """Triangles (F, 3) of polygons by ears, in the polygons' order, and how many polygons cross
+    themselves.
+    """
     xy = _flattened(vertices[corners], lengths)
     ears = _Ears(xy, lengths)
     triangles, polygon = ears.cut()
     triangles = triangles[np.argsort(polygon, kind="stable")]
     fan, owner = fans(np.arange(len(xy)), lengths)
-    covered = np.bincount(owner, np.abs(_cross(xy[fan[:, 1]] - xy[fan[:, 0]], xy[fan[:, 2]] - xy[fan[:, 0]])))
+    covered = np.bincount(
+        owner, np.abs(_cross(xy[fan[:, 1]] - xy[fan[:, 0]], xy[fan[:, 2]] - xy[fan[:, 0]]))
+    )
     crossing = ears.crossing()
     kept = (crossing & (ears.covered > WORTH * covered))[owner]
     triangles[kept] = fan[kept]
@@ -122,7 +152,9 @@ def _cut(vertices, corners, lengths):
 
 
 def _flattened(points, lengths):
-    """The polygons' corners (C, 2) seen along the polygons' normals, counter-clockwise, each polygon of size 1."""
+    """The polygons' corners (C, 2) seen along the polygons' normals, counter-clockwise, each
+    polygon of size 1.
+    """
     polygon = np.repeat(np.arange(len(lengths)), lengths)
     starts = np.cumsum(lengths) - lengths
     points = points - points[starts][polygon]
@@ -153,7 +185,8 @@ class _Ears:
     xy             (C, 2), counter-clockwise
     before, after  (C,): the corners beside each one
     left           (P,): corners that a polygon still has
-    turn           (C,): doubled area of the triangle at each corner, positive where the polygon is convex
+    turn           (C,): doubled area of the triangle at each corner, positive where the polygon is
+    convex
     key            (C,): squared length of the cut that takes the corner off; short cuts come first
     """
 
@@ -173,7 +206,9 @@ class _Ears:
         self.blockers = []
 
     def cut(self):
-        """Triangles (F, 3) of corners, and the polygon (F,) of each, in the order in which they are cut off."""
+        """Triangles (F, 3) of corners, and the polygon (F,) of each, in the order in which they are
+        cut off.
+        """
         triangles, owners = [], []
         every = np.arange(len(self.xy))
         self._measure(every)
@@ -203,7 +238,9 @@ class _Ears:
         """The ears with a shorter cut than the ears beside them: no two of them are neighbours."""
         best = np.ones(len(ears), bool)
         for beside in (self.before[ears], self.after[ears]):
-            shorter = (self.key[beside] < self.key[ears]) | ((self.key[beside] == self.key[ears]) & (beside < ears))
+            shorter = (self.key[beside] < self.key[ears]) | (
+                (self.key[beside] == self.key[ears]) & (beside < ears)
+            )
             best &= ~(self.ear[beside] & shorter)
         return ears[best]
 
@@ -228,7 +265,9 @@ class _Ears:
         self.key[corners] = _squared(b - a)
 
     def _list_blockers(self):
-        """Corners that may lie in a triangle: those where the polygon is not convex, by polygon and x, and by polygon and y."""
+        """Corners that may lie in a triangle: those where the polygon is not convex, by polygon and
+        x, and by polygon and y.
+        """
         self.cuts = 0
         alive = np.flatnonzero(self.alive)
         self.listed = len(alive)
@@ -245,7 +284,8 @@ class _Ears:
         a, v, b = self.xy[self.before[corners]], self.xy[corners], self.xy[self.after[corners]]
         back = np.einsum("ci,ci->c", a - v, b - v) >= 0
         line = np.abs(self.turn[corners]) <= TINY
-        nothing = line & (back | (_squared(a - v) <= TINY**2) | (_squared(b - v) <= TINY**2))  # a spike, or a doubled corner
+        # a spike, or a doubled corner
+        nothing = line & (back | (_squared(a - v) <= TINY**2) | (_squared(b - v) <= TINY**2))
         sure = nothing | (self.left[self.polygon[corners]] == 3)
         self.ear[corners] = sure
         convex = corners[(self.turn[corners] > TINY) & ~sure]
@@ -259,7 +299,9 @@ class _Ears:
         spans = []
         for axis, (_, place, _) in enumerate(self.blockers):
             start = np.searchsorted(place, 4.0 * self.polygon[corners] + low[:, axis] - 1e-7)
-            end = np.searchsorted(place, 4.0 * self.polygon[corners] + high[:, axis] + 1e-7, side="right")
+            end = np.searchsorted(
+                place, 4.0 * self.polygon[corners] + high[:, axis] + 1e-7, side="right"
+            )
             spans.append((start, end - start))
         blocked = np.zeros(len(corners), bool)
         by_x = spans[0][1] <= spans[1][1]
@@ -272,40 +314,57 @@ class _Ears:
             if self.tests > MOST_TESTS:
                 raise TooLarge(int(self.left.max()))
             listed, _, across = self.blockers[axis]
-            for part in np.split(np.arange(len(some)), np.flatnonzero(np.diff(np.cumsum(count) // PAIRS)) + 1):
+            for part in np.split(
+                np.arange(len(some)), np.flatnonzero(np.diff(np.cumsum(count) // PAIRS)) + 1
+            ):
                 which, place = np.repeat(some[part], count[part]), _ranges(start[part], count[part])
-                near = (across[place] >= low[which, 1 - axis] - TINY) & (across[place] <= high[which, 1 - axis] + TINY)
+                near = (across[place] >= low[which, 1 - axis] - TINY) & (
+                    across[place] <= high[which, 1 - axis] + TINY
+                )
                 which, point = which[near], listed[place[near]]
                 blocked[which[self._inside(point, which, triangle)]] = True
         return blocked
 
     def _inside(self, point, which, triangle):
-        """The pairs (indices) of a point (K,) that lies in its triangle, number which (K,) of (C, 3), and keeps it from being an ear.
+        """The pairs (indices) of a point (K,) that lies in its triangle, number which (K,) of (C,
+        3), and keeps it from being an ear.
 
-        It does in the triangle and on its cut. On the other two sides, and where a corner of the triangle lies, it
-        touches the polygon, and does only if the polygon goes on from there into the triangle.
+        It does in the triangle and on its cut. On the other two sides, and where a corner of the
+        triangle lies, it touches the polygon, and does only if the polygon goes on from there into
+        the triangle.
         """
         pairs = np.arange(len(point))
         for side in (2, 0, 1):  # the cut first: most points lie beyond it
             pairs = pairs[self._side(point[pairs], triangle[which[pairs]], side) >= -TINY]
         p = point[pairs]
-        pairs = pairs[self.alive[p] & (self.turn[p] <= TINY) & (p[:, None] != triangle[which[pairs]]).all(axis=1)]
+        pairs = pairs[
+            self.alive[p]
+            & (self.turn[p] <= TINY)
+            & (p[:, None] != triangle[which[pairs]]).all(axis=1)
+        ]
         p, t = point[pairs], triangle[which[pairs]]
         touching = [np.abs(self._side(p, t, side)) <= TINY for side in range(3)]
         inside = ~(touching[0] | touching[1])
         for beside in (self.before[p], self.after[p]):
-            inside |= np.all([(self._side(beside, t, side) > TINY) | ~touching[side] for side in range(3)], axis=0)
+            inside |= np.all(
+                [(self._side(beside, t, side) > TINY) | ~touching[side] for side in range(3)],
+                axis=0,
+            )
         return pairs[inside]
 
     def _side(self, point, triangle, side):
-        """Doubled area (K,) of each point with a side of its triangle, positive inside; side 2 is the cut."""
+        """Doubled area (K,) of each point with a side of its triangle, positive inside; side 2 is
+        the cut.
+        """
         start = self.xy[triangle[:, side]]
         return _cross(self.xy[triangle[:, side - 2]] - start, self.xy[point] - start)
 
     def _with_forced(self, ears, polygons):
-        """The ears, and some corner of each of the polygons that has none: it crosses itself, or rounding hides them.
+        """The ears, and some corner of each of the polygons that has none: it crosses itself, or
+        rounding hides them.
 
-        All corners of such a polygon are judged again once it has lost half of them since the last time.
+        All corners of such a polygon are judged again once it has lost half of them since the last
+        time.
         """
         stuck = np.setdiff1d(polygons[self.left[polygons] > 2], self.polygon[ears])
         if not len(stuck):
@@ -318,9 +377,13 @@ class _Ears:
             result = corners[self.ear[corners]]
             ears, stuck = np.union1d(ears, result), np.setdiff1d(stuck, self.polygon[result])
         corners = self._corners(stuck)
-        kind = np.where(np.abs(self.turn[corners]) <= TINY, 0, np.where(self.turn[corners] > 0, 1, 2))
+        kind = np.where(
+            np.abs(self.turn[corners]) <= TINY, 0, np.where(self.turn[corners] > 0, 1, 2)
+        )
         corners = corners[np.lexsort((np.abs(self.turn[corners]), kind, self.polygon[corners]))]
-        rank = np.arange(len(corners)) - np.repeat(np.cumsum(self.left[stuck]) - self.left[stuck], self.left[stuck])
+        rank = np.arange(len(corners)) - np.repeat(
+            np.cumsum(self.left[stuck]) - self.left[stuck], self.left[stuck]
+        )
         forced = corners[rank <= self.left[self.polygon[corners]] // 500]
         self.ear[forced] = True
         return np.union1d(ears, forced)

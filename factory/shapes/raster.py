@@ -1,6 +1,8 @@
-"""A small z-buffer in numpy: what is seen of a mesh from one side, for previews without Blender and for counting back faces.
+"""A small z-buffer in numpy: what is seen of a mesh from one side, for previews without Blender and
+for counting back faces.
 
-Orthographic, the unit sphere fills the frame; camera frame: x right, y up, z towards the viewer (shaders.frames).
+Orthographic, the unit sphere fills the frame; camera frame: x right, y up, z towards the viewer
+(shaders.frames).
 """
 
 import numpy as np
@@ -9,7 +11,8 @@ from shaders.frames import ELEVATION, camera_from_world
 
 CHUNK = 4_000_000  # candidate pixels tested at a time: about 250 MB at most
 HALF_EXTENT = 1.02
-MOST_LOOKED_AT = 500_000_000  # pixels tested for back faces, a minute; a mesh of 2,000,000 small faces has a quarter
+# pixels tested for back faces, a minute; a mesh of 2,000,000 small faces has a quarter
+MOST_LOOKED_AT = 500_000_000
 INSIDE = 1e-9  # a pixel on the edge between two faces is in one of them, whatever the rounding
 EDGE_ON = 0.02  # a face seen at less than 1.1° shows neither side
 
@@ -17,11 +20,12 @@ EDGE_ON = 0.02  # a face seen at less than 1.1° shows neither side
 def look(vertices, faces, camera, size):
     """Which face each pixel sees, and where in it.
 
-    vertices  (V, 3);  faces (F, 3);  camera (3, 3) camera_from_world;  size  pixels along the square frame's side
+    vertices  (V, 3);  faces (F, 3);  camera (3, 3) camera_from_world;  size  pixels along the
+    square frame's side
     Returns   face (size, size) int, -1: none;  barycentric (size, size, 3)
 
-    Time and memory follow the pixels that faces cover and the rows that they cross, not the boxes around them: a fan of
-    thousands of slivers would fill the frame with boxes thousands of times.
+    Time and memory follow the pixels that faces cover and the rows that they cross, not the boxes
+    around them: a fan of thousands of slivers would fill the frame with boxes thousands of times.
     """
     corner_x, corner_y, depth = _corners(vertices, faces, camera, size)
     box = _boxes(corner_x, corner_y, size)
@@ -49,7 +53,11 @@ def look(vertices, faces, camera, size):
         last = np.flatnonzero(np.append(np.diff(place[order]) != 0, True)) if len(order) else order
         best = order[last]
         best = best[z[best] > nearest[place[best]]]
-        nearest[place[best]], winner[place[best]], kept[place[best]] = z[best], face[best], weight[best]
+        nearest[place[best]], winner[place[best]], kept[place[best]] = (
+            z[best],
+            face[best],
+            weight[best],
+        )
     return winner.reshape(size, size), kept.reshape(size, size, 3)
 
 
@@ -68,7 +76,9 @@ def _cost(vertices, faces, camera, size):
 
 
 def _boxes(x, y, size):
-    """Columns and rows (F, 4), first and last of each, that may hold pixels of faces with corners x, y (F, 3)."""
+    """Columns and rows (F, 4), first and last of each, that may hold pixels of faces with corners
+    x, y (F, 3).
+    """
     spans = []
     for corner in (x, y):
         spans += [np.ceil(corner.min(1)).clip(0, size), np.floor(corner.max(1)).clip(-1, size - 1)]
@@ -86,7 +96,9 @@ def _parts(block, cost):
 
 
 def _candidates(chosen, x, y, box):
-    """Faces, columns and rows (K,) of the pixels that may lie in the chosen faces, row by row, and of few others."""
+    """Faces, columns and rows (K,) of the pixels that may lie in the chosen faces, row by row, and
+    of few others.
+    """
     left, right, top, bottom = box[chosen].T
     high = bottom - top + 1
     row = np.arange(high.sum()) - np.repeat(np.cumsum(high) - high - top, high)
@@ -97,9 +109,15 @@ def _candidates(chosen, x, y, box):
         run, rise = x[:, k - 2] - x[:, k], y[:, k - 2] - y[:, k]
         steep = np.abs(rise) > 1e-4  # a flatter side limits no row more than the box does
         slope = np.divide(run, rise, out=np.zeros_like(run), where=steep)
-        slack = 1e-3 + np.divide(INSIDE * np.abs(area), np.abs(rise), out=np.zeros_like(run), where=steep)
-        ahead = np.where(steep, -np.sign(area) * np.sign(rise), 0)  # the face lies to the right of this side, or to its left
-        at = np.repeat(x[:, k] - slope * y[:, k] - ahead * slack, high) + np.repeat(slope, high) * row
+        slack = 1e-3 + np.divide(
+            INSIDE * np.abs(area), np.abs(rise), out=np.zeros_like(run), where=steep
+        )
+        # the face lies to the right of this side, or to its left
+        ahead = np.where(steep, -np.sign(area) * np.sign(rise), 0)
+        at = (
+            np.repeat(x[:, k] - slope * y[:, k] - ahead * slack, high)
+            + np.repeat(slope, high) * row
+        )
         ahead = np.repeat(ahead, high)
         np.maximum(first, np.ceil(at), out=first, where=ahead > 0)
         np.minimum(last, np.floor(at), out=last, where=ahead < 0)
@@ -120,7 +138,10 @@ def _cross(ax, ay, bx, by):
 def _barycentric(x, y, area, column, row):
     """Weights (K, 3) of the pixel (column, row) in triangles with corners x, y (K, 3)."""
     dx, dy = x - column[:, None], y - row[:, None]
-    weight = np.stack([_cross(dx[:, k], dy[:, k], dx[:, m], dy[:, m]) for k, m in ((1, 2), (2, 0), (0, 1))], axis=1)
+    weight = np.stack(
+        [_cross(dx[:, k], dy[:, k], dx[:, m], dy[:, m]) for k, m in ((1, 2), (2, 0), (0, 1))],
+        axis=1,
+    )
     return weight / area[:, None]
 
 
@@ -129,11 +150,22 @@ def silhouette(mesh, azimuth, elevation, size=64):
     return look(mesh.vertices, mesh.faces, camera_from_world(azimuth, elevation), size)[0] >= 0
 
 
-COLOURS = np.array([[0.62, 0.64, 0.67], [0.30, 0.42, 0.62], [0.66, 0.45, 0.28], [0.36, 0.55, 0.38], [0.6, 0.33, 0.4], [0.5, 0.5, 0.25]])
+COLOURS = np.array(
+    [
+        [0.62, 0.64, 0.67],
+        [0.30, 0.42, 0.62],
+        [0.66, 0.45, 0.28],
+        [0.36, 0.55, 0.38],
+        [0.6, 0.33, 0.4],
+        [0.5, 0.5, 0.25],
+    ]
+)
 
 
 def picture(mesh, azimuth, elevation=ELEVATION, size=160, oversample=2):
-    """A shaded picture (size, size, 3) in [0, 1], display values: a headlight from the upper left, segments in different colours."""
+    """A shaded picture (size, size, 3) in [0, 1], display values: a headlight from the upper left,
+    segments in different colours.
+    """
     camera = camera_from_world(azimuth, elevation)
     face, weight = look(mesh.vertices, mesh.faces, camera, size * oversample)
     hit = face >= 0
@@ -146,23 +178,34 @@ def picture(mesh, azimuth, elevation=ELEVATION, size=160, oversample=2):
     light = 0.18 + 0.75 * np.clip(normal @ key, 0, None) + 0.22 * np.clip(normal @ fill, 0, None)
     shine = 0.25 * np.clip(normal @ half, 0, None) ** 40
     image = np.ones((*face.shape, 3))
-    image[hit] = np.clip(COLOURS[(mesh.segment[face[hit]] - 1) % len(COLOURS)] * light[:, None] + shine[:, None], 0, 1)
+    image[hit] = np.clip(
+        COLOURS[(mesh.segment[face[hit]] - 1) % len(COLOURS)] * light[:, None] + shine[:, None],
+        0,
+        1,
+    )
     return image.reshape(size, oversample, size, oversample, 3).mean((1, 3))
 
 
 def back_faces(vertices, faces, size=96):
-    """How many pixels see each face's outer and inner side (F, 2), counted from 14 sides: the cube's sides and corners.
+    """How many pixels see each face's outer and inner side (F, 2), counted from 14 sides: the
+    cube's sides and corners.
 
-    Faces that fill the frame thousands of times over are looked at in a coarser frame (MOST_LOOKED_AT).
+    Faces that fill the frame thousands of times over are looked at in a coarser frame
+    (MOST_LOOKED_AT).
     """
     counts = np.zeros((len(faces), 2), int)
     views = [(k * np.pi / 2, 0.0) for k in range(4)] + [(0.0, np.pi / 2), (0.0, -np.pi / 2)]
-    views += [((k + 0.5) * np.pi / 2, sign * np.arctan(0.5**0.5)) for k in range(4) for sign in (1, -1)]
+    views += [
+        ((k + 0.5) * np.pi / 2, sign * np.arctan(0.5**0.5)) for k in range(4) for sign in (1, -1)
+    ]
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     cameras = [camera_from_world(azimuth, elevation) for azimuth, elevation in views]
-    while size > 8 and sum(_cost(vertices, faces, camera, size) for camera in cameras) > MOST_LOOKED_AT:
+    while (
+        size > 8
+        and sum(_cost(vertices, faces, camera, size) for camera in cameras) > MOST_LOOKED_AT
+    ):
         size //= 2
     for camera in cameras:
         face = look(vertices, faces, camera, size)[0]

@@ -1,7 +1,9 @@
-"""Triangles as they stand in a mesh file, and what the readers of all formats share: bounds, lines of text, polygons.
+"""Triangles as they stand in a mesh file, and what the readers of all formats share: bounds, lines
+of text, polygons.
 
-Each reader is a function `read(file, size, where, maximum)` of an open binary file of `size` bytes, whose name in errors is
-`where`. It gives a Raw, or raises InputError before it takes memory for more than `maximum` triangles.
+Each reader is a function `read(file, size, where, maximum)` of an open binary file of `size` bytes,
+whose name in errors is `where`. It gives a Raw, or raises InputError before it takes memory for
+more than `maximum` triangles.
 """
 
 import codecs
@@ -16,17 +18,25 @@ from factory.shapes.polygons import TooLarge, fans, triangulate
 from manifests.errors import InputError
 
 MAXIMUM_TRIANGLES = 2_000_000
-BYTES_A_TRIANGLE = 250  # more than any format spends on one, OBJ with normals and texture coordinates included
+# more than any format spends on one, OBJ with normals and texture coordinates included
+BYTES_A_TRIANGLE = 250
 LONGEST_LINE = 4 << 20  # bytes; a polygon of 300,000 corners
-WELD = 1e-6  # of the mesh's size: vertices nearer than this are one, and a polygon's notch less deep than this is none
-MORE = "reduce the mesh, with Blender's Decimate modifier for instance (the limit is fixed but for `factory shapes`: --max-triangles)"
+# of the mesh's size: vertices nearer than this are one, and a polygon's notch less deep than this
+# is none
+WELD = 1e-6
+MORE = (
+    "reduce the mesh, with Blender's Decimate modifier for instance (the limit is fixed but for"
+    " `factory shapes`: --max-triangles)"
+)
 AGAIN = "export it again"
 NOTHING = "check that the file holds a surface, not points or curves"
 
 
 @dataclass(frozen=True)
 class Raw:
-    """vertices (V, 3) and faces (F, 3) as they stand in the file; material (F,) indexes materials, the OBJ's names."""
+    """vertices (V, 3) and faces (F, 3) as they stand in the file; material (F,) indexes materials,
+    the OBJ's names.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -36,7 +46,9 @@ class Raw:
 
 
 def require_count(count: int, maximum: int, where: str | Path, size: int = 0) -> None:
-    """Raises InputError for a mesh of no triangles or of more than `maximum`, or for more bytes (size) than so many can take."""
+    """Raises InputError for a mesh of no triangles or of more than `maximum`, or for more bytes
+    (size) than so many can take.
+    """
     if count > maximum:
         raise InputError(where, f"at most {maximum:,} triangles", f"{count:,}", MORE)
     if size > maximum * BYTES_A_TRIANGLE:  # few triangles among much else: textures, points
@@ -60,17 +72,26 @@ def from_polygons(
     corners    (C,) indices into vertices, polygon after polygon
     lengths    (P,) corners of each polygon
     materials  names; material (P,): which of them each polygon has, or None
-    Raises     InputError: an index outside of the vertices, polygons too large to be cut into triangles
+    Raises     InputError: an index outside of the vertices, polygons too large to be cut into
+    triangles
     """
     whole = lengths >= 3
     if not whole.all():  # points and lines, which some exporters write so
         notes = (*notes, f"{int((~whole).sum())} faces of fewer than three corners dropped")
-        corners, material = corners[np.repeat(whole, lengths)], None if material is None else material[whole]
+        corners, material = (
+            corners[np.repeat(whole, lengths)],
+            (None if material is None else material[whole]),
+        )
         lengths = lengths[whole]
     outside = corners[(corners < 0) | (corners >= len(vertices))]
     if len(outside):
         result = f"vertex {outside[0] + 1}"
-        raise InputError(where, f"faces among its {len(vertices)} vertices", result, "download or export it again")
+        raise InputError(
+            where,
+            f"faces among its {len(vertices)} vertices",
+            result,
+            "download or export it again",
+        )
     if not len(lengths):
         raise InputError(where, "a mesh with triangles", "none", NOTHING)
     faces, owner, crossing = _cut(vertices, corners, lengths, where)
@@ -83,18 +104,23 @@ def _cut(vertices, corners, lengths, where):
     low, high = vertices[corners].min(axis=0), vertices[corners].max(axis=0)
     with np.errstate(all="ignore"):
         size = float((high - low).max())
-    if (lengths == 3).all() or not 1e-150 < size < 1e150:  # without extent, or not finite: refused later, by name
+    # without extent, or not finite: refused later, by name
+    if (lengths == 3).all() or not 1e-150 < size < 1e150:
         return *fans(corners, lengths), 0
     try:
         return triangulate((vertices - low) / size, corners, lengths, WELD)
     except TooLarge as error:
         raise InputError(
-            where, "polygons that are soon cut into triangles", f"one of {error.corners:,} corners", "triangulate it before the export"
+            where,
+            "polygons that are soon cut into triangles",
+            f"one of {error.corners:,} corners",
+            "triangulate it before the export",
         ) from None
 
 
 def text_lines(file: BinaryIO, where: str | Path, what: str) -> Iterator[bytes]:
-    """The lines of a text file from its start, each with its end: of Unix, Windows or old Mac; byte-order marks are left out.
+    """The lines of a text file from its start, each with its end: of Unix, Windows or old Mac;
+    byte-order marks are left out.
 
     what    the text that should stand there: "an OBJ file's text"
     Raises  InputError for binary data, and for lines that only binary data has
@@ -103,12 +129,19 @@ def text_lines(file: BinaryIO, where: str | Path, what: str) -> Iterator[bytes]:
     rest = b""
     while chunk := file.read(1 << 20):
         if b"\0" in chunk:
-            raise InputError(where, what, "binary data", "check the file's ending; text must be UTF-8 or ASCII")
+            raise InputError(
+                where, what, "binary data", "check the file's ending; text must be UTF-8 or ASCII"
+            )
         block = rest + chunk
         lines = block.splitlines(keepends=True)
         rest = b"" if block.endswith(b"\n") else lines.pop()  # after a "\r" a "\n" may come
         if len(rest) > LONGEST_LINE:
-            raise InputError(where, f"{what} in lines of at most {LONGEST_LINE >> 20} MiB", "a longer one", "check the file's ending")
+            raise InputError(
+                where,
+                f"{what} in lines of at most {LONGEST_LINE >> 20} MiB",
+                "a longer one",
+                "check the file's ending",
+            )
         for line in lines:
             yield line.removeprefix(codecs.BOM_UTF8)
     if rest:

@@ -1,6 +1,8 @@
-"""Sofas: upholstered, on a frame, curved or with a chaise; one to four seats. Segments: 1 upholstery; 2 feet and frame.
+"""Sofas: upholstered, on a frame, curved or with a chaise; one to four seats. Segments: 1
+upholstery; 2 feet and frame.
 
-Sizes are those of real sofas, in metres: a seat 0.55–0.80 wide, 0.50–0.65 deep, 0.38–0.46 high, the back to 0.68–1.0.
+Sizes are those of real sofas, in metres: a seat 0.55–0.80 wide, 0.50–0.65 deep, 0.38–0.46 high, the
+back to 0.68–1.0.
 """
 
 from dataclasses import dataclass
@@ -8,7 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.surfaces import LEFT_RIGHT, closed, cushion, ellipsoid, rod, rounded_box, rounded_path, smooth_path, tube
+from factory.shapes.surfaces import (
+    LEFT_RIGHT,
+    closed,
+    cushion,
+    ellipsoid,
+    rod,
+    rounded_box,
+    rounded_path,
+    smooth_path,
+    tube,
+)
 
 FAMILY_KEY = 3
 SOFT, FRAME = 1, 2
@@ -16,7 +28,9 @@ SOFT, FRAME = 1, 2
 
 @dataclass(frozen=True)
 class Plan:
-    """The numbers that the parts share, in m. y runs over the seats from −width/2 to width/2; the seat's front is x = depth/2."""
+    """The numbers that the parts share, in m. y runs over the seats from −width/2 to width/2; the
+    seat's front is x = depth/2.
+    """
 
     seats: int
     width: float  # between the arms
@@ -31,7 +45,9 @@ class Plan:
 def build(seed):
     """The sofa of a seed, a Mesh of category "sofa"."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAMILY_KEY,)))
-    style = ("upholstered", "framed", "chesterfield", "curved")[int(rng.choice(4, p=[0.56, 0.18, 0.12, 0.14]))]
+    style = ("upholstered", "framed", "chesterfield", "curved")[
+        int(rng.choice(4, p=[0.56, 0.18, 0.12, 0.14]))
+    ]
     seats = int(rng.choice([1, 2, 3, 4], p=[0.12, 0.36, 0.42, 0.10]))
     if style == "curved":
         seats = max(seats, 2)
@@ -40,7 +56,9 @@ def build(seed):
         rng.uniform(0.04, 0.17), rng.uniform(0.05, 0.24), rng.uniform(0.11, 0.2),
     )  # fmt: skip
     a = Assembly()
-    {"upholstered": upholstered, "framed": framed, "chesterfield": chesterfield, "curved": curved}[style](a, rng, plan)
+    {"upholstered": upholstered, "framed": framed, "chesterfield": chesterfield, "curved": curved}[
+        style
+    ](a, rng, plan)
     return a.finish(f"sofa:{seed}", "sofa")
 
 
@@ -49,12 +67,16 @@ def upholstered(a, rng, p):
     chaise = rng.choice([-1, 1]) if p.seats >= 2 and rng.random() < 0.3 else 0
     base(a, p)
     back_body(a, rng, p, rng.choice(["flat", "flat", "camel", "round"]))
-    kind = rng.choice(["box", "roll", "slope", "pad", "none", "flare"], p=[0.28, 0.2, 0.16, 0.16, 0.06, 0.14])
+    kind = rng.choice(
+        ["box", "roll", "slope", "pad", "none", "flare"], p=[0.28, 0.2, 0.16, 0.16, 0.06, 0.14]
+    )
     wide = arms(a, rng, p, kind, chaise)
     if chaise:
         chaise_longue(a, rng, p, chaise)
     seat_cushions(a, rng, p, int(rng.choice([1, p.seats])))
-    back_cushions(a, rng, p, rng.choice(["box", "soft", "lumbar", "none"], p=[0.4, 0.3, 0.15, 0.15]), p.seats)
+    back_cushions(
+        a, rng, p, rng.choice(["box", "soft", "lumbar", "none"], p=[0.4, 0.3, 0.15, 0.15]), p.seats
+    )
     throw_pillows(a, rng, p)
     feet(a, rng, p, wide, rng.choice(["cone", "block", "skirt", "sled", "turned"]))
 
@@ -69,7 +91,9 @@ def back_body(a, rng, p, kind):
     """The upholstered back: straight on top, a camel's hump, or round-shouldered."""
     tall = p.back - p.low - 0.02
     inner = 4 + 4 * p.seats
-    body = rounded_box([p.thick, p.width + 0.1, tall], rng.uniform(0.25, 0.46) * p.thick, (0.06, 0, 0), 4, inner)
+    body = rounded_box(
+        [p.thick, p.width + 0.1, tall], rng.uniform(0.25, 0.46) * p.thick, (0.06, 0, 0), 4, inner
+    )
     v = body.vertices.copy()
     share = np.clip(v[:, 2] / tall + 0.5, 0, 1)
     across = 2 * v[:, 1] / p.width
@@ -79,16 +103,23 @@ def back_body(a, rng, p, kind):
         v[:, 2] -= share**2 * 0.22 * np.clip(np.abs(across) - 0.55, 0, None) ** 2 / 0.2
     a.add(
         "back",
-        closed(v, body.faces).turned("y", -p.lean).moved(-p.depth / 2 - p.thick / 2 - p.lean * tall * 0.4, 0, (p.back + p.low) / 2),
+        closed(v, body.faces)
+        .turned("y", -p.lean)
+        .moved(-p.depth / 2 - p.thick / 2 - p.lean * tall * 0.4, 0, (p.back + p.low) / 2),
         SOFT,
     )
 
 
 def arms(a, rng, p, kind, chaise=0):
-    """Two arms (one beside a chaise stays low); returns how far the sofa reaches on each side of the seats."""
-    thick = {"box": rng.uniform(0.1, 0.26), "roll": rng.uniform(0.13, 0.2), "pad": rng.uniform(0.16, 0.3), "none": 0.0}.get(
-        kind, rng.uniform(0.1, 0.17)
-    )
+    """Two arms (one beside a chaise stays low); returns how far the sofa reaches on each side of
+    the seats.
+    """
+    thick = {
+        "box": rng.uniform(0.1, 0.26),
+        "roll": rng.uniform(0.13, 0.2),
+        "pad": rng.uniform(0.16, 0.3),
+        "none": 0.0,
+    }.get(kind, rng.uniform(0.1, 0.17))
     high = p.height + rng.uniform(0.12, 0.26)
     x_front, x_rear = p.depth / 2 + rng.uniform(-0.03, 0.04), -p.depth / 2 - p.thick
     for side in LEFT_RIGHT if kind != "none" else ():
@@ -97,21 +128,36 @@ def arms(a, rng, p, kind, chaise=0):
         y = side * (p.width / 2 + thick / 2)
         middle, length = (x_front + x_rear) / 2, x_front - x_rear
         if kind == "box":
-            box = rounded_box([length, thick, high - p.low], min(0.3 * thick, 0.05), edge=3, inner=5)
+            box = rounded_box(
+                [length, thick, high - p.low], min(0.3 * thick, 0.05), edge=3, inner=5
+            )
             a.add("arm", box.moved(middle, y, (high + p.low) / 2), SOFT)
         elif kind == "roll":
             a.add(
                 "arm",
-                rounded_box([length, thick * 0.72, high - p.low - 0.02], 0.03, edge=3, inner=5).moved(middle, y, (high + p.low) / 2 - 0.02),
+                rounded_box(
+                    [length, thick * 0.72, high - p.low - 0.02], 0.03, edge=3, inner=5
+                ).moved(middle, y, (high + p.low) / 2 - 0.02),
                 SOFT,
             )
             path = [[x_rear, y + side * 0.02, high - 0.03], [x_front, y + side * 0.02, high - 0.03]]
             a.add("arm roll", rod(*path, thick * 0.62, around=24, bevel=0.25), SOFT)
         elif kind == "pad":
-            a.add("arm", cushion([length, thick, high - p.low - 0.02], 0.12, 7).moved(middle, y, (high + p.low) / 2), SOFT)
+            a.add(
+                "arm",
+                cushion([length, thick, high - p.low - 0.02], 0.12, 7).moved(
+                    middle, y, (high + p.low) / 2
+                ),
+                SOFT,
+            )
         else:
-            rise, lean = (p.back - high) * (0.85 if kind == "slope" else 0.0), 0.07 if kind == "flare" else 0.0
-            path = smooth_path([[x_front, y, high], [middle, y, high + 0.25 * rise], [x_rear, y, high + rise]], 9)
+            rise, lean = (
+                (p.back - high) * (0.85 if kind == "slope" else 0.0),
+                (0.07 if kind == "flare" else 0.0),
+            )
+            path = smooth_path(
+                [[x_front, y, high], [middle, y, high + 0.25 * rise], [x_rear, y, high + rise]], 9
+            )
             half = np.stack([np.full(9, thick / 2), (path[:, 2] - p.low) / 2], 1)
             path[:, 2] = (path[:, 2] + p.low) / 2
             arm = tube(path, half, around=32, square=6.0, bevel=0.3)
@@ -127,14 +173,26 @@ def chaise_longue(a, rng, p, side):
     y, high = side * (p.width / 2 - wide / 2 + 0.02), p.height - 0.13
     a.add(
         "chaise",
-        rounded_box([reach + 0.1, wide, high - p.low], 0.03, edge=3, inner=5).moved(p.depth / 2 + reach / 2 - 0.05, y, (high + p.low) / 2),
+        rounded_box([reach + 0.1, wide, high - p.low], 0.03, edge=3, inner=5).moved(
+            p.depth / 2 + reach / 2 - 0.05, y, (high + p.low) / 2
+        ),
         SOFT,
     )
     top = cushion([reach + 0.05, wide, 0.16], rng.uniform(0.08, 0.25), 7)
     a.add("chaise cushion", top.moved(p.depth / 2 + reach / 2 + 0.02, y, p.height - 0.075), SOFT)
     for s in LEFT_RIGHT:
         x = p.depth / 2 + reach - 0.08
-        a.add("foot", rod([x, y + s * (wide / 2 - 0.08), p.low + 0.02], [x, y + s * (wide / 2 - 0.08), 0], 0.025, 0.018, square=4.0), FRAME)
+        a.add(
+            "foot",
+            rod(
+                [x, y + s * (wide / 2 - 0.08), p.low + 0.02],
+                [x, y + s * (wide / 2 - 0.08), 0],
+                0.025,
+                0.018,
+                square=4.0,
+            ),
+            FRAME,
+        )
 
 
 def seat_cushions(a, rng, p, count):
@@ -158,11 +216,17 @@ def back_cushions(a, rng, p, kind, count):
     each = p.width / count
     for k in range(count):
         y = -p.width / 2 + (k + 0.5) * each
-        pad = cushion([thick, each - 0.012, tall], 0.22 if kind == "box" else 0.5, 8 if count > 1 else 12).turned("y", -p.lean - 0.03)
+        pad = cushion(
+            [thick, each - 0.012, tall], 0.22 if kind == "box" else 0.5, 8 if count > 1 else 12
+        ).turned("y", -p.lean - 0.03)
         if kind == "soft":
             pad = pad.turned("x", rng.uniform(-0.03, 0.03))
         x = -p.depth / 2 + thick / 2 - 0.01 - p.lean * tall * 0.35
-        a.add("back cushion", pad.moved(x, y, p.height + tall / 2 + (0.04 if kind == "lumbar" else 0.0)), SOFT)
+        a.add(
+            "back cushion",
+            pad.moved(x, y, p.height + tall / 2 + (0.04 if kind == "lumbar" else 0.0)),
+            SOFT,
+        )
 
 
 def throw_pillows(a, rng, p):
@@ -185,27 +249,45 @@ def feet(a, rng, p, half, kind):
     if kind == "skirt" or p.low < 0.06:
         a.add(
             "plinth",
-            rounded_box([x_front - x_rear + 0.06, 2 * half - 0.08, p.low + 0.04], 0.01, edge=2).moved(
-                (x_front + x_rear) / 2, 0, p.low / 2 + 0.02
-            ),
+            rounded_box(
+                [x_front - x_rear + 0.06, 2 * half - 0.08, p.low + 0.04], 0.01, edge=2
+            ).moved((x_front + x_rear) / 2, 0, p.low / 2 + 0.02),
             FRAME,
         )
         return
     size = rng.uniform(0.02, 0.035)
-    places = [(x, side * (min(half, p.width / 2 + 0.05) - 0.07), side) for x in (x_front, x_rear) for side in LEFT_RIGHT] + (
-        [(x_front, 0.0, 0), (x_rear, 0.0, 0)] if p.seats > 2 else []
-    )
+    places = [
+        (x, side * (min(half, p.width / 2 + 0.05) - 0.07), side)
+        for x in (x_front, x_rear)
+        for side in LEFT_RIGHT
+    ] + ([(x_front, 0.0, 0), (x_rear, 0.0, 0)] if p.seats > 2 else [])
     if kind == "sled":
         for side in LEFT_RIGHT:
             y = side * (half - 0.1)
-            path = rounded_path([[x_front, y, p.low + 0.03], [x_front, y, 0.012], [x_rear, y, 0.012], [x_rear, y, p.low + 0.03]], 0.03)
+            path = rounded_path(
+                [
+                    [x_front, y, p.low + 0.03],
+                    [x_front, y, 0.012],
+                    [x_rear, y, 0.012],
+                    [x_rear, y, p.low + 0.03],
+                ],
+                0.03,
+            )
             a.add("runner", tube(path, np.array([0.025, 0.01]), around=16, square=6.0), FRAME)
         return
     for x, y, side in places:
         if kind == "turned":
             z = np.linspace(p.low + 0.02, 0, 16)
             t = np.linspace(0, 1, 16)
-            a.add("foot", tube(np.stack([0 * z + x, 0 * z + y, z], 1), size * (0.7 + 0.7 * np.sin(np.pi * t**1.5) ** 2), around=16), FRAME)
+            a.add(
+                "foot",
+                tube(
+                    np.stack([0 * z + x, 0 * z + y, z], 1),
+                    size * (0.7 + 0.7 * np.sin(np.pi * t**1.5) ** 2),
+                    around=16,
+                ),
+                FRAME,
+            )
         else:
             splay = 0.03 if kind == "cone" else 0.0
             out = np.sign(x) * splay
@@ -225,45 +307,106 @@ def feet(a, rng, p, half, kind):
 def framed(a, rng, p):
     """Loose cushions in a frame of wood or steel tube."""
     steel, half = rng.random() < 0.45, p.width / 2 + 0.03
-    size, square = (rng.uniform(0.012, 0.02), 2.0) if steel else (rng.uniform(0.018, 0.028), rng.choice([3.0, 6.0]))
+    size, square = (
+        (rng.uniform(0.012, 0.02), 2.0)
+        if steel
+        else (rng.uniform(0.018, 0.028), rng.choice([3.0, 6.0]))
+    )
     high, rear, x = p.height + rng.uniform(0.16, 0.24), -p.depth / 2 - 0.1, p.depth / 2
     seat_cushions(a, rng, p, p.seats)
     back_cushions(a, rng, p, "box", p.seats)
     under = p.height - 0.17
-    a.add("deck", rounded_box([p.depth + 0.08, p.width, 0.035], 0.012, edge=2, inner=3).moved(-0.04, 0, under), FRAME)
+    a.add(
+        "deck",
+        rounded_box([p.depth + 0.08, p.width, 0.035], 0.012, edge=2, inner=3).moved(
+            -0.04, 0, under
+        ),
+        FRAME,
+    )
     for side in LEFT_RIGHT:
         y = side * half
         if steel:
-            path = rounded_path([[rear, y, size], [x, y, size], [x, y, high], [rear, y, high], [rear, y, size]], 0.07, 6)[:-1]
+            path = rounded_path(
+                [[rear, y, size], [x, y, size], [x, y, high], [rear, y, high], [rear, y, size]],
+                0.07,
+                6,
+            )[:-1]
             a.add("frame", tube(path, size, around=12, ring=True), FRAME)
         else:
             splay = rng.uniform(0.0, 0.08)
-            a.add("leg", rod([x - 0.02, y, high], [x + splay, y, 0], [size, size * 1.4], size * 0.8, square=square), FRAME)
-            a.add("leg", rod([rear + 0.03, y, high + 0.02], [rear - splay, y, 0], [size, size * 1.4], size * 0.8, square=square), FRAME)
-            arm = smooth_path([[rear, y, high + 0.02], [0, y, high + 0.01], [x + 0.03, y, high - 0.005]], 12)
-            a.add("arm", tube(arm, np.array([size * 2, size * 0.7]), around=16, square=4.0, bevel=0.9), FRAME)
+            a.add(
+                "leg",
+                rod(
+                    [x - 0.02, y, high],
+                    [x + splay, y, 0],
+                    [size, size * 1.4],
+                    size * 0.8,
+                    square=square,
+                ),
+                FRAME,
+            )
+            a.add(
+                "leg",
+                rod(
+                    [rear + 0.03, y, high + 0.02],
+                    [rear - splay, y, 0],
+                    [size, size * 1.4],
+                    size * 0.8,
+                    square=square,
+                ),
+                FRAME,
+            )
+            arm = smooth_path(
+                [[rear, y, high + 0.02], [0, y, high + 0.01], [x + 0.03, y, high - 0.005]], 12
+            )
+            a.add(
+                "arm",
+                tube(arm, np.array([size * 2, size * 0.7]), around=16, square=4.0, bevel=0.9),
+                FRAME,
+            )
             a.add("rail", rod([x, y, under], [rear, y, under], size), FRAME)
     for at, z in ((x - 0.03, under), (rear + 0.02, under)):
         a.add("rail", rod([at, -half, z], [at, half, z], size * 0.8, square=square), FRAME)
     top, lean = p.back - 0.06, p.lean * (p.back - p.height)
     for z in np.linspace(p.height + 0.1, top, int(rng.integers(2, 5))):
         at = rear - lean * (z - p.height) / (top - p.height)
-        a.add("back rail", rod([at, -half, z], [at, half, z], [size, size * (0.7 if steel else 1.3)], square=square), FRAME)
+        a.add(
+            "back rail",
+            rod(
+                [at, -half, z], [at, half, z], [size, size * (0.7 if steel else 1.3)], square=square
+            ),
+            FRAME,
+        )
     for y in np.linspace(-half, half, p.seats + 1):
-        a.add("back post", rod([rear + 0.02, y, under], [rear - lean, y, top + 0.02], size * 0.8, square=square), FRAME)
+        a.add(
+            "back post",
+            rod([rear + 0.02, y, under], [rear - lean, y, top + 0.02], size * 0.8, square=square),
+            FRAME,
+        )
     throw_pillows(a, rng, p)
 
 
 def chesterfield(a, rng, p):
     """Rolled arms as high as the back, buttons on the back, turned feet."""
-    p = Plan(p.seats, p.width, p.depth, p.height, p.height + rng.uniform(0.28, 0.36), max(p.low, 0.08), 0.1, 0.16)
+    p = Plan(
+        p.seats,
+        p.width,
+        p.depth,
+        p.height,
+        p.height + rng.uniform(0.28, 0.36),
+        max(p.low, 0.08),
+        0.1,
+        0.16,
+    )
     base(a, p)
     seat_cushions(a, rng, p, int(rng.choice([1, p.seats])))
     back_body(a, rng, p, "flat")
     roll, top = rng.uniform(0.075, 0.1), p.back - 0.02
     rear = -p.depth / 2 - p.thick - 0.03
     half, x = p.width / 2 + 0.09, p.depth / 2
-    path = rounded_path([[x, -half, top], [rear, -half, top], [rear, half, top], [x, half, top]], 0.16, 8)
+    path = rounded_path(
+        [[x, -half, top], [rear, -half, top], [rear, half, top], [x, half, top]], 0.16, 8
+    )
     path = np.concatenate(
         [
             np.linspace(path[0], path[1], 6)[:-1],
@@ -275,12 +418,22 @@ def chesterfield(a, rng, p):
     )
     a.add(
         "roll",
-        tube(path[np.append(True, np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-6)], roll, around=22, bevel=0.3, side=(0, 0, 1.0)),
+        tube(
+            path[np.append(True, np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-6)],
+            roll,
+            around=22,
+            bevel=0.3,
+            side=(0, 0, 1.0),
+        ),
         SOFT,
     )
     for side in LEFT_RIGHT:
         box = rounded_box([p.depth + p.thick, 0.13, top - p.low], 0.04, edge=3, inner=5)
-        a.add("arm", box.moved(-p.thick / 2 - 0.01, side * (p.width / 2 + 0.065), (top + p.low) / 2), SOFT)
+        a.add(
+            "arm",
+            box.moved(-p.thick / 2 - 0.01, side * (p.width / 2 + 0.065), (top + p.low) / 2),
+            SOFT,
+        )
     rows, columns = 2, 4 * p.seats
     for r in range(rows):
         for k in range(columns - r % 2):

@@ -1,7 +1,7 @@
 """STL: triangles one by one, binary or text; normals, colours and names are passed over.
 
-Source: 3D Systems, "StereoLithography Interface Specification", 1989. A binary file is known by its length, which follows
-from its count; "solid" may begin both kinds.
+Source: 3D Systems, "StereoLithography Interface Specification", 1989. A binary file is known by its
+length, which follows from its count; "solid" may begin both kinds.
 """
 
 import struct
@@ -27,7 +27,10 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
         triangles = np.frombuffer(file.read(TRIANGLE * announced), CORNERS)
         return _raw(triangles["corners"].astype(float))
     if not head.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(b"solid"):
-        expected = f"{HEAD + TRIANGLE * announced:,} bytes for the {announced:,} triangles its header announces"
+        expected = (
+            f"{HEAD + TRIANGLE * announced:,} bytes for the {announced:,} triangles its header"
+            " announces"
+        )
         raise InputError(where, expected, f"{size:,}", "download or export it again")
     require_count(1, maximum, where, size)
     return _raw(_from_text(file, where, maximum))
@@ -57,7 +60,13 @@ def _from_text(file, where, maximum):
                 if word == b"loop":
                     inside = 0
                 elif word == b"vertex":
-                    corners.extend((number(words[place + 1]), number(words[place + 2]), number(words[place + 3])))
+                    corners.extend(
+                        (
+                            number(words[place + 1]),
+                            number(words[place + 2]),
+                            number(words[place + 3]),
+                        )
+                    )
                     inside += 1
                     place += 3
                 elif word == b"endloop":
@@ -71,7 +80,12 @@ def _from_text(file, where, maximum):
         raise
     except (ValueError, IndexError, TypeError):
         text = glimpse(b" ".join(words))
-        raise InputError(f"{where}: line {line}", "a triangle between 'outer loop' and 'endloop'", f"'{text}'", AGAIN) from None
+        raise InputError(
+            f"{where}: line {line}",
+            "a triangle between 'outer loop' and 'endloop'",
+            f"'{text}'",
+            AGAIN,
+        ) from None
     if solids or inside is not None:
         raise InputError(where, "'endsolid' at the end", "none", "download or export it again")
     require_count(len(corners) // 9, maximum, where)

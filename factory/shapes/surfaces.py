@@ -1,6 +1,8 @@
-"""Closed surfaces to build furniture and cars from: lofts, tubes, slabs, boxes, revolutions, shells; each one watertight and outward.
+"""Closed surfaces to build furniture and cars from: lofts, tubes, slabs, boxes, revolutions,
+shells; each one watertight and outward.
 
-A Surface is vertices (V, 3) in metres and faces (F, 3). Axes are the world's: x front, y left, z up, unless a docstring says otherwise.
+A Surface is vertices (V, 3) in metres and faces (F, 3). Axes are the world's: x front, y left, z
+up, unless a docstring says otherwise.
 """
 
 from typing import NamedTuple
@@ -33,8 +35,12 @@ class Surface(NamedTuple):
         return Surface(vertices, self.faces)
 
     def scaled(self, x=1.0, y=1.0, z=1.0):
-        """The surface stretched along each axis; a negative factor mirrors, and the faces turn round to stay outward."""
-        return Surface(self.vertices * (x, y, z), self.faces[:, ::-1] if x * y * z < 0 else self.faces)
+        """The surface stretched along each axis; a negative factor mirrors, and the faces turn
+        round to stay outward.
+        """
+        return Surface(
+            self.vertices * (x, y, z), self.faces[:, ::-1] if x * y * z < 0 else self.faces
+        )
 
     def mirrored(self):
         """Left becomes right."""
@@ -48,21 +54,34 @@ def signed_volume(vertices, faces):
 
 
 def closed(vertices, faces):
-    """A Surface from triangles: coinciding vertices welded, collapsed triangles dropped, turned outward."""
+    """A Surface from triangles: coinciding vertices welded, collapsed triangles dropped, turned
+    outward.
+    """
     vertices = np.asarray(vertices, float)
-    _, first, inverse = np.unique(np.round(vertices, 8), axis=0, return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(
+        np.round(vertices, 8), axis=0, return_index=True, return_inverse=True
+    )
     faces = inverse.reshape(-1)[faces]
-    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    faces = faces[
+        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    ]
     vertices = vertices[first]
     return Surface(vertices, faces if signed_volume(vertices, faces) > 0 else faces[:, ::-1])
 
 
 def grid_faces(rows, columns, wrap_rows=False, wrap_columns=False):
     """Triangles (F, 3) over a grid of vertices, row after row."""
-    i, j = np.meshgrid(np.arange(rows - (not wrap_rows)), np.arange(columns - (not wrap_columns)), indexing="ij")
+    i, j = np.meshgrid(
+        np.arange(rows - (not wrap_rows)), np.arange(columns - (not wrap_columns)), indexing="ij"
+    )
     i, j = i.ravel(), j.ravel()
     below, beside = (i + 1) % rows, (j + 1) % columns
-    a, b, c, d = i * columns + j, below * columns + j, below * columns + beside, i * columns + beside
+    a, b, c, d = (
+        i * columns + j,
+        below * columns + j,
+        below * columns + beside,
+        i * columns + beside,
+    )
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
 
@@ -76,38 +95,53 @@ def loft(rings):
     start = np.stack([np.full(around, count * around), j, ahead], 1)
     last = (count - 1) * around
     finish = np.stack([np.full(around, count * around + 1), last + ahead, last + j], 1)
-    return closed(vertices, np.concatenate([grid_faces(count, around, wrap_columns=True), start, finish]))
+    return closed(
+        vertices, np.concatenate([grid_faces(count, around, wrap_columns=True), start, finish])
+    )
 
 
 def smooth_path(points, count):
-    """`count` points (count, 3) along a smooth curve through the given ones (P, 3), by chord length."""
+    """`count` points (count, 3) along a smooth curve through the given ones (P, 3), by chord
+    length.
+    """
     points = np.asarray(points, float)
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     return CubicSpline(length, points)(np.linspace(0, length[-1], count))
 
 
 def rounded_path(points, radius, steps=5):
-    """A path (N, 3) through straight runs whose corners are rounded by arcs (quadratic Bézier) of about `radius` metres."""
+    """A path (N, 3) through straight runs whose corners are rounded by arcs (quadratic Bézier) of
+    about `radius` metres.
+    """
     points = np.asarray(points, float)
     path = [points[:1]]
     t = np.linspace(0, 1, steps + 1)[:, None]
     for before, corner, after in zip(points[:-2], points[1:-1], points[2:], strict=True):
         lengths = np.linalg.norm(before - corner), np.linalg.norm(after - corner)
         reach = min(radius, 0.45 * min(lengths))
-        a, b = corner + reach * (before - corner) / lengths[0], corner + reach * (after - corner) / lengths[1]
+        a, b = (
+            corner + reach * (before - corner) / lengths[0],
+            corner + reach * (after - corner) / lengths[1],
+        )
         path.append((1 - t) ** 2 * a + 2 * t * (1 - t) * corner + t**2 * b)
     return np.concatenate([*path, points[-1:]])
 
 
 def superellipse(around, square=2.0):
-    """Unit superellipse (around, 2): |x|^square + |y|^square = 1; 2 is a circle, 8 a square with rounded corners."""
+    """Unit superellipse (around, 2): |x|^square + |y|^square = 1; 2 is a circle, 8 a square with
+    rounded corners.
+    """
     angle = np.linspace(0, 2 * np.pi, around, endpoint=False) + np.pi / around
     c, s = np.cos(angle), np.sin(angle)
-    return np.stack([c, s], 1) / ((np.abs(c) ** square + np.abs(s) ** square) ** (1 / square))[:, None]
+    return (
+        np.stack([c, s], 1) / ((np.abs(c) ** square + np.abs(s) ** square) ** (1 / square))[:, None]
+    )
 
 
 def _frames(path, side, ring):
-    """Tangents, and two normals each (N, 3), carried along the path without twist, the first as near `side` as can be."""
+    """Tangents, and two normals each (N, 3), carried along the path without twist, the first as
+    near `side` as can be.
+    """
     tangent = np.gradient(path, axis=0) if not ring else np.roll(path, -1, 0) - np.roll(path, 1, 0)
     tangent = tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
     first = np.empty_like(path)
@@ -132,14 +166,20 @@ def tube(path, size, around=12, square=2.0, bevel=0.35, ring=False, side=(0.0, 1
     """
     path = np.asarray(path, float)
     size = np.asarray(size, float)
-    size = np.broadcast_to(size[:, None] if size.ndim == 1 and len(size) == len(path) else size, (len(path), 2))
+    size = np.broadcast_to(
+        size[:, None] if size.ndim == 1 and len(size) == len(path) else size, (len(path), 2)
+    )
     tangent, first, second = _frames(path, side, ring)
     outline = superellipse(around, square)
 
     def rings(at, shrink, ahead):
         half = size[at][:, None, :] * outline * shrink
         centre = path[at] + tangent[at] * ahead
-        return centre[:, None, :] + half[..., :1] * first[at][:, None, :] + half[..., 1:] * second[at][:, None, :]
+        return (
+            centre[:, None, :]
+            + half[..., :1] * first[at][:, None, :]
+            + half[..., 1:] * second[at][:, None, :]
+        )
 
     body = rings(slice(None), 1.0, 0.0)
     if ring:
@@ -162,13 +202,17 @@ def rod(start, finish, size, finish_size=None, **options):
 
 
 def slab(outline, thickness, bevel=0.3, dome=0.0, steps=3):
-    """A plate with rounded edges, flat in x–y about z = 0, its outline (N, 2) star-shaped about its centre.
+    """A plate with rounded edges, flat in x–y about z = 0, its outline (N, 2) star-shaped about its
+    centre.
 
-    bevel  edge radius over the half thickness;  dome  m that the middle rises above (and sinks below, if negative: a saddle) the rim
+    bevel  edge radius over the half thickness;  dome  m that the middle rises above (and sinks
+    below, if negative: a saddle) the rim
     """
     outline = np.asarray(outline, float)
     tangent = np.roll(outline, -1, 0) - np.roll(outline, 1, 0)
-    inward = np.stack([-tangent[:, 1], tangent[:, 0]], 1) / np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
+    inward = np.stack([-tangent[:, 1], tangent[:, 0]], 1) / np.maximum(
+        np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12
+    )
     centre = outline.mean(0)
     inward *= np.sign(((centre - outline) * inward).sum())
     radius = bevel * thickness / 2
@@ -177,16 +221,31 @@ def slab(outline, thickness, bevel=0.3, dome=0.0, steps=3):
         half = []
         for share in (0.0, 0.3, 0.6, 0.85):
             flat = centre + share * (outline + radius * inward - centre)
-            half.append(np.column_stack([flat, np.full(len(flat), side * thickness / 2 + dome * (1 - share**2))]))
+            half.append(
+                np.column_stack(
+                    [flat, np.full(len(flat), side * thickness / 2 + dome * (1 - share**2))]
+                )
+            )
         for angle in np.linspace(0, np.pi / 2, steps + 1):
             flat = outline + inward * radius * (1 - np.sin(angle))
-            half.append(np.column_stack([flat, np.full(len(flat), side * (thickness / 2 - radius + radius * np.cos(angle)))]))
+            half.append(
+                np.column_stack(
+                    [
+                        flat,
+                        np.full(
+                            len(flat), side * (thickness / 2 - radius + radius * np.cos(angle))
+                        ),
+                    ]
+                )
+            )
         rings += half if side < 0 else half[::-1]
     return loft(rings)
 
 
 def revolve(profile, around=32):
-    """A profile (N, 2) of (radius, z) turned about z; it should begin and end on the axis, or comes closed by flat lids."""
+    """A profile (N, 2) of (radius, z) turned about z; it should begin and end on the axis, or comes
+    closed by flat lids.
+    """
     profile = np.asarray(profile, float)
     angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
@@ -196,7 +255,8 @@ def revolve(profile, around=32):
 def rounded_box(size, radius, bulge=(0.0, 0.0, 0.0), edge=3, inner=2):
     """A box about the origin with rounded edges, its sides flat or puffed.
 
-    size    (3,) m;  radius  of the edges, m;  bulge  how far each pair of sides swells, as a share of its half size
+    size    (3,) m;  radius  of the edges, m;  bulge  how far each pair of sides swells, as a share
+    of its half size
     edge    steps round an edge;  inner  steps across a flat side
     """
     half = np.asarray(size, float) / 2
@@ -204,7 +264,11 @@ def rounded_box(size, radius, bulge=(0.0, 0.0, 0.0), edge=3, inner=2):
     curve = np.tan(np.linspace(np.pi / 4, 0, edge + 1))
     ticks = [
         np.concatenate(
-            [-(h - radius) - radius * curve, np.linspace(-(h - radius), h - radius, inner + 1)[1:-1], h - radius + radius * curve[::-1]]
+            [
+                -(h - radius) - radius * curve,
+                np.linspace(-(h - radius), h - radius, inner + 1)[1:-1],
+                h - radius + radius * curve[::-1],
+            ]
         )
         for h in half
     ]
@@ -231,7 +295,9 @@ def rounded_box(size, radius, bulge=(0.0, 0.0, 0.0), edge=3, inner=2):
 
 
 def cushion(size, puff=0.25, inner=6):
-    """A soft cushion: a box whose edges are half its thickness round and whose large sides swell."""
+    """A soft cushion: a box whose edges are half its thickness round and whose large sides
+    swell.
+    """
     size = np.asarray(size, float)
     thin = int(size.argmin())
     bulge = [0.03, 0.03, 0.03]
@@ -245,19 +311,32 @@ def ellipsoid(size, square=2.0, around=20):
     c, s = np.cos(latitude), np.sin(latitude)
     share = (np.abs(c) ** square + np.abs(s) ** square) ** (-1 / square)
     outline = superellipse(around, square)
-    rings = np.concatenate([(c * share)[:, None, None] * outline, np.broadcast_to((s * share)[:, None, None], (len(c), around, 1))], axis=2)
+    rings = np.concatenate(
+        [
+            (c * share)[:, None, None] * outline,
+            np.broadcast_to((s * share)[:, None, None], (len(c), around, 1)),
+        ],
+        axis=2,
+    )
     return loft(rings * np.asarray(size) / 2)
 
 
 def shell(points, thickness, times=2):
-    """A thin sheet through a cage of points (R, C, 3), given thickness, smoothed by Loop subdivision; its rim comes out round."""
+    """A thin sheet through a cage of points (R, C, 3), given thickness, smoothed by Loop
+    subdivision; its rim comes out round.
+    """
     from trimesh.remesh import subdivide_loop
 
     points = np.asarray(points, float)
     rows, columns, _ = points.shape
     normal = np.cross(np.gradient(points, axis=0), np.gradient(points, axis=1))
     normal /= np.linalg.norm(normal, axis=2, keepdims=True)
-    both = np.concatenate([(points + normal * thickness / 2).reshape(-1, 3), (points - normal * thickness / 2).reshape(-1, 3)])
+    both = np.concatenate(
+        [
+            (points + normal * thickness / 2).reshape(-1, 3),
+            (points - normal * thickness / 2).reshape(-1, 3),
+        ]
+    )
     faces = grid_faces(rows, columns)
     rim = np.concatenate(
         [
@@ -268,7 +347,9 @@ def shell(points, thickness, times=2):
         ]
     )
     ahead, size = np.roll(rim, -1), rows * columns
-    wall = np.concatenate([np.stack([rim, ahead, ahead + size], 1), np.stack([rim, ahead + size, rim + size], 1)])
+    wall = np.concatenate(
+        [np.stack([rim, ahead, ahead + size], 1), np.stack([rim, ahead + size, rim + size], 1)]
+    )
     # The sheet runs i then j; its rim runs j first: the wall's sense is the sheet's own
     surface = np.concatenate([faces, (faces + size)[:, ::-1], wall])
     vertices, faces = subdivide_loop(both, surface, times)

@@ -1,18 +1,27 @@
-"""Why the two renderers differ where they should not: a direct-tier disagreement taken apart, each cause measured on its own.
+"""Why the two renderers differ where they should not: a direct-tier disagreement taken apart, each
+cause measured on its own.
 
-On at most PIXELS inner pixels of a scene (letters as in learn.agreement.measure; all L2 in display values squared, over those pixels):
+On at most PIXELS inner pixels of a scene (letters as in learn.agreement.measure; all L2 in display
+values squared, over those pixels):
 
 noise        half the L2 of two seeds
-node fit     the label against the closed form of the nodes that Cycles renders, both at the same normals by the same places of the light:
-             texels where no lobe of the label is narrow, else ever more taps, each seeing the mean light of what it stands for:
-             taps that look at points take lamps of a few texels for misfit (79 display L2 where 31 is right)
-texel sum    the paper's sum against the converged integral: the light's discretisation. It is no part of I's disagreement
-footprint    a pixel of Cycles is the mean over its square, the layer's its centre: I averaged over the pixel (measure.footprint) against I
-look-up      the turn of the light about the vertical, in texels, that explains most of what is left, and the L2 it explains
-net          Cycles' pictures against the layer's, net of noise; net_footprint the same with the footprint put into the layer's
+node fit     the label against the closed form of the nodes that Cycles renders, both at the same
+normals by the same places of the light:
+             texels where no lobe of the label is narrow, else ever more taps, each seeing the mean
+             light of what it stands for: taps that look at points take lamps of a few texels for
+             misfit (79 display L2 where 31 is right)
+texel sum    the paper's sum against the converged integral: the light's discretisation. It is no
+part of I's disagreement
+footprint    a pixel of Cycles is the mean over its square, the layer's its centre: I averaged over
+the pixel (measure.footprint) against I
+look-up      the turn of the light about the vertical, in texels, that explains most of what is
+left, and the L2 it explains
+net          Cycles' pictures against the layer's, net of noise; net_footprint the same with the
+footprint put into the layer's
 rest         the same with footprint and node fit put into it: what no known cause explains
 
-Edges (silhouette, segment borders, creases) are the pixels left out here; their part of L2 is measured apart (Row.edge_net).
+Edges (silhouette, segment borders, creases) are the pixels left out here; their part of L2 is
+measured apart (Row.edge_net).
 """
 
 import zlib
@@ -33,22 +42,33 @@ SAMPLE_COUNTS = (
     4096,
     16384,
     65536,
-)  # of a narrow material: four times as many, until the nodes' radiance moves by a tenth of what is sought
+    # of a narrow material: four times as many, until the nodes' radiance moves by a tenth of what
+    # is sought
+)
 MOVED = 0.1
 CHUNK = 65536  # pairs of pixel and place of the light at a time, 1.5 MB an array
 
 
 def drawn(inner, record, most=PIXELS):
-    """Flat indices (Q,) of at most `most` of the pixels `inner` (H, W) bool, drawn by the geometry's id: the same on every run."""
+    """Flat indices (Q,) of at most `most` of the pixels `inner` (H, W) bool, drawn by the
+    geometry's id: the same on every run.
+    """
     inside = np.flatnonzero(inner)
     rng = np.random.default_rng(zlib.crc32(record.geometry.encode()))
     return np.sort(rng.choice(inside, min(most, len(inside)), replace=False))
 
 
 def node_difference(sample, index, mixtures):
-    """The label's radiance minus the nodes', (Q, 3), by the same places of the light; mixtures: one shaders.mixture.Mixture a segment."""
-    n = torch.nn.functional.normalize(sample.n.reshape(-1, 3)[index].double(), dim=-1)  # float32's length shows in lobes of α = .003
-    view = n.new_tensor([[0.0, 0.0, 1.0]]).expand_as(n) if sample.view is None else sample.view.reshape(-1, 3)[index].double()
+    """The label's radiance minus the nodes', (Q, 3), by the same places of the light; mixtures: one
+    shaders.mixture.Mixture a segment.
+    """
+    # float32's length shows in lobes of α = .003
+    n = torch.nn.functional.normalize(sample.n.reshape(-1, 3)[index].double(), dim=-1)
+    view = (
+        n.new_tensor([[0.0, 0.0, 1.0]]).expand_as(n)
+        if sample.view is None
+        else sample.view.reshape(-1, 3)[index].double()
+    )
     segment = sample.segments.reshape(-1)[index]
     out = np.zeros((len(index), 3))
     for number in segment.unique().tolist():
@@ -59,13 +79,18 @@ def node_difference(sample, index, mixtures):
 
 
 def converged(sample, m, mixture, n, view):
-    """node_difference of one material m (3, 3, 2, 6) at normals n and views (p, 3): by texels, or by ever more taps until it stays."""
+    """node_difference of one material m (3, 3, 2, 6) at normals n and views (p, 3): by texels, or
+    by ever more taps until it stays.
+    """
     if not narrow(m):
         return at_places(*texels(sample), m, mixture, n, view)
     result = None
     for count in SAMPLE_COUNTS:
         coarser, result = result, at_places(*lobe_samples(sample, m, count), m, mixture, n, view)
-        if coarser is not None and np.square(result - coarser).sum() <= MOVED**2 * np.square(result).sum():
+        if (
+            coarser is not None
+            and np.square(result - coarser).sum() <= MOVED**2 * np.square(result).sum()
+        ):
             break
     return result
 
@@ -75,17 +100,26 @@ def at_places(places, count, m, mixture, n, view):
     out = np.zeros((len(n), 3))
     for part in torch.arange(len(n)).split(max(1, CHUNK // count)):
         w, weight, L = places(n[part], view[part])
-        difference = brdf_difference(m.numpy(), mixture, w.numpy(), n[part].numpy(), view[part].numpy())
+        difference = brdf_difference(
+            m.numpy(), mixture, w.numpy(), n[part].numpy(), view[part].numpy()
+        )
         mu = (w * n[part][:, None]).sum(-1).clamp(min=0) * weight
-        out[part.numpy()] = np.einsum("pik,pik,pi->pk", difference, np.broadcast_to(L, difference.shape), mu.numpy())
+        out[part.numpy()] = np.einsum(
+            "pik,pik,pi->pk", difference, np.broadcast_to(L, difference.shape), mu.numpy()
+        )
     return out
 
 
 def texels(sample):
-    """places(n, view) → w (p, T, 3), solid angle (p, T), 0 below the horizon, and radiance (T, 3): the map's texels; and how many."""
+    """places(n, view) → w (p, T, 3), solid angle (p, T), 0 below the horizon, and radiance (T, 3):
+    the map's texels; and how many.
+    """
     w, solid_angle = directions(*sample.light.shape[:2])
     w = torch.as_tensor(w.reshape(-1, 3) @ camera_from_light(sample.elevation).T)
-    weight, L = torch.as_tensor(solid_angle.reshape(1, -1)), sample.light.reshape(-1, 3).double().numpy()
+    weight, L = (
+        torch.as_tensor(solid_angle.reshape(1, -1)),
+        sample.light.reshape(-1, 3).double().numpy(),
+    )
 
     def places(n, view):
         above = n @ w.T > 0
@@ -95,12 +129,17 @@ def texels(sample):
 
 
 def lobe_samples(sample, m, count):
-    """places(n, view) → w (p, N, 3), solid angle (p, N) and radiance (p, N, 3): taps that follow the lobes of m; and how many.
+    """places(n, view) → w (p, N, 3), solid angle (p, N) and radiance (p, N, 3): taps that follow
+    the lobes of m; and how many.
 
-    A tap's radiance is the mean over the solid angle that it stands for, as in the layer's integral.
+    A tap's radiance is the mean over the solid angle that it stands for, as in the layer's
+    integral.
     """
     spiral = tuple(torch.as_tensor(x) for x in quadrature.spiral(m, count))
-    rotation, light = torch.as_tensor(camera_from_light(sample.elevation)), sample.light.reshape(-1, 3).double()
+    rotation, light = (
+        torch.as_tensor(camera_from_light(sample.elevation)),
+        sample.light.reshape(-1, 3).double(),
+    )
 
     def places(n, view):
         w, weight, _ = quadrature.place(n, view, *spiral, rotation, sample.light.shape[:2])
@@ -113,18 +152,25 @@ def lobe_samples(sample, m, count):
 def brdf_difference(m, mixture, w, n, view):
     """f of the label minus f of the nodes, (p, N, 3); w (p, N, 3), n and view (p, 3)."""
     h, theta_d = dsbrdf.half_angles(w, np.broadcast_to(view[:, None], w.shape))
-    cos_h, cos_i, cos_o = (h * n[:, None]).sum(-1), (w * n[:, None]).sum(-1), (view * n).sum(-1)[:, None]
+    cos_h, cos_i, cos_o = (
+        (h * n[:, None]).sum(-1),
+        (w * n[:, None]).sum(-1),
+        (view * n).sum(-1)[:, None],
+    )
     f = dsbrdf.evaluate(m, cos_h.reshape(-1), theta_d.reshape(-1)).reshape(w.shape)
     log_alpha, tilt, weights = mixture.at(cos_o[:, 0])  # once a pixel, not once a tap
     for k, kind in enumerate(mixture.kinds):
         alpha = np.exp(log_alpha[:, k, None])
-        value = closures.evaluate(kind, alpha, tilt[:, k, None], np.maximum(cos_i, 1e-9), cos_o, cos_h, np.cos(theta_d))
+        value = closures.evaluate(
+            kind, alpha, tilt[:, k, None], np.maximum(cos_i, 1e-9), cos_o, cos_h, np.cos(theta_d)
+        )
         f -= weights[:, None, k] * value[..., None]
     return f
 
 
 def separate_causes(sample, pictures, layer, mixtures, exposure):
-    """The causes of one direct-tier condition as a dict of figures, or None where no pixel is inside.
+    """The causes of one direct-tier condition as a dict of figures, or None where no pixel is
+    inside.
 
     pictures  (seeds, H, W, 3) Cycles' radiance
     """
@@ -136,7 +182,8 @@ def separate_causes(sample, pictures, layer, mixtures, exposure):
     nodes = np.maximum(I - node_difference(sample, index, mixtures), 0)
     spread = layer.footprint.reshape(-1, 3)[index]
     predicted = np.maximum(nodes + spread - I, 0)
-    turned = 0.5 * (at_pixels(sample, index, turn=1) - at_pixels(sample, index, turn=-1))  # per texel
+    # per texel
+    turned = 0.5 * (at_pixels(sample, index, turn=1) - at_pixels(sample, index, turn=-1))
     weight = 1 / (predicted + predicted.mean() + 1e-12) ** 2
     slope = (weight * turned**2).sum()
     shift = float((weight * turned * (C.mean(0) - predicted)).sum() / max(slope, 1e-30))
@@ -151,7 +198,9 @@ def separate_causes(sample, pictures, layer, mixtures, exposure):
         "node_fit": float(squared(D(I), D(nodes)).mean()),
         "texel_sum": float(squared(D(I), D(S)).mean()),
         "footprint": float(squared(D(I), D(spread)).mean()),
-        "look_up": float(squared(D(predicted), D(np.maximum(predicted + shift * turned, 0))).mean()),
+        "look_up": float(
+            squared(D(predicted), D(np.maximum(predicted + shift * turned, 0))).mean()
+        ),
         "look_up_texels": shift,
         "net": float(shared(D(C) - D(I)).mean()) if several else None,
         "net_footprint": float(shared(D(C) - D(spread)).mean()) if several else None,

@@ -74,23 +74,35 @@ def number(figure, value):
 def table_rows(table):
     """Header and rows of text for a breakdown {value: figures}."""
     columns = [f for f in TITLES if f == "pictures" or f in FIGURES]
-    return [TITLES[c] for c in columns], [(value, [number(c, cell[c]) for c in columns]) for value, cell in table.items()]
+    return [TITLES[c] for c in columns], [
+        (value, [number(c, cell[c]) for c in columns]) for value, cell in table.items()
+    ]
 
 
 def verdict(head):
     """The headline in sentences."""
     if not head["conditions"]:
-        return "No picture of the direct tier under the 64×128 map: what the layer models was not rendered. Render with tiers direct."
+        return (
+            "No picture of the direct tier under the 64×128 map: what the layer models was not"
+            " rendered. Render with tiers direct."
+        )
     if head["like_net"] is None:
-        return "The direct tier has no second seed: its noise is unknown, and the limit cannot be judged. Render with repeats = 2."
-    fit, whose = (head["node_fit"], "in the catalogue") if head["node_fit"] is not None else (head["node_fit_measured"], "measured here")
+        return (
+            "The direct tier has no second seed: its noise is unknown, and the limit cannot be"
+            " judged. Render with repeats = 2."
+        )
+    fit, whose = (
+        (head["node_fit"], "in the catalogue")
+        if head["node_fit"] is not None
+        else (head["node_fit_measured"], "measured here")
+    )
     judged = "within" if head["holds"] else "beyond"
     return (
-        f"Direct tier, inside the silhouette, both renderers over the same part of each pixel: display L2 net of noise "
-        f"{head['like_net']:.3g}; the materials' own node fit {whose} is {fit:.3g}: {judged} the limit of {head['limit']:g} times. "
-        "Over the whole mask, with "
-        f"{100 * head['edge_share']:.0f} % of it on edges, the integral stands at {head['net']:.3g} and the paper's texel sum at "
-        f"{head['sum_net']:.3g}."
+        "Direct tier, inside the silhouette, both renderers over the same part of each pixel:"
+        f" display L2 net of noise {head['like_net']:.3g}; the materials' own node fit {whose} is"
+        f" {fit:.3g}: {judged} the limit of {head['limit']:g} times. Over the whole mask, with"
+        f" {100 * head['edge_share']:.0f} % of it on edges, the integral stands at"
+        f" {head['net']:.3g} and the paper's texel sum at {head['sum_net']:.3g}."
     )
 
 
@@ -109,15 +121,34 @@ def markdown(summary, about):
     lines += [f"| {NAMES[key]} | {number(key, result.get(key))} |" for key in NAMES]
     if result["look_up_texels"]:
         shift = result["look_up_texels"]
-        lines += ["", f"The light's turn that explains most: median {shift['median']:+.3f} texels, largest {shift['largest']:.3f}."]
-    lines += ["", "## By grazing angle", "", "| degrees | pixels | L2 | signed % |", "|---|---|---|---|"]
+        lines += [
+            "",
+            (
+                f"The light's turn that explains most: median {shift['median']:+.3f} texels,"
+                f" largest {shift['largest']:.3f}."
+            ),
+        ]
     lines += [
-        f"| {b['from_deg']}–{b['to_deg']} | {b['pixels']} | {number('l2', b['l2'])} | {number('signed', b['signed'])} |"
+        "",
+        "## By grazing angle",
+        "",
+        "| degrees | pixels | L2 | signed % |",
+        "|---|---|---|---|",
+    ]
+    lines += [
+        f"| {b['from_deg']}–{b['to_deg']} | {b['pixels']} | {number('l2', b['l2'])} |"
+        f" {number('signed', b['signed'])} |"
         for b in summary["grazing"]
     ]
     for name, table in summary["breakdowns"].items():
         header, rows = table_rows(table)
-        lines += ["", f"## By {name}", "", f"| {name} | {' | '.join(header)} |", "|---" * (len(header) + 1) + "|"]
+        lines += [
+            "",
+            f"## By {name}",
+            "",
+            f"| {name} | {' | '.join(header)} |",
+            "|---" * (len(header) + 1) + "|",
+        ]
         lines += [f"| {value} | {' | '.join(cells)} |" for value, cells in rows]
     return "\n".join(lines) + "\n"
 
@@ -125,37 +156,52 @@ def markdown(summary, about):
 def web(summary, about, plots, panels):
     """index.html.
 
-    plots   [(PNG's bytes, caption)]; panels  list of (caption, Cycles' display picture, the layer's)
+    plots   [(PNG's bytes, caption)]; panels  list of (caption, Cycles' display picture, the
+    layer's)
     """
     head = summary["direct"]
     parts = [
-        "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'>"
-        f"<title>Agreement</title><style>{STYLE}</style>"
+        "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport"
+        f" content='width=device-width'><title>Agreement</title><style>{STYLE}</style>"
     ]
-    parts += ["<h1>Cycles and the layer, side by side</h1>", f"<p class=soft>{' · '.join(html.escape(str(v)) for v in about.values())}</p>"]
+    parts += [
+        "<h1>Cycles and the layer, side by side</h1>",
+        f"<p class=soft>{' · '.join(html.escape(str(v)) for v in about.values())}</p>",
+    ]
     parts += [f"<p>{html.escape(verdict(head))}</p>", cards(summary)]
     parts += [
-        "<h2>Why they differ</h2><p class=soft>Each cause is measured on its own, in the direct tier. Texel sum is what the paper's "
-        "point sum over the map costs; it is no part of the converged integral's disagreement.</p><div class=plots>"
+        "<h2>Why they differ</h2><p class=soft>Each cause is measured on its own, in the direct"
+        " tier. Texel sum is what the paper's point sum over the map costs; it is no part of the"
+        " converged integral's disagreement.</p><div class=plots>"
     ]
     parts += [
-        f"<figure><img src='{encoded(png)}' alt=''><figcaption>{html.escape(caption)}</figcaption></figure>" for png, caption in plots
+        f"<figure><img src='{encoded(png)}'"
+        f" alt=''><figcaption>{html.escape(caption)}</figcaption></figure>"
+        for png, caption in plots
     ]
     parts += [
-        "</div><h2>Pictures, the worst first</h2><p class=soft>Cycles, the layer, and their difference times "
-        f"{DIFFERENCE_GAIN:g} around grey.</p><div class=panels>"
+        "</div><h2>Pictures, the worst first</h2><p class=soft>Cycles, the layer, and their"
+        f" difference times {DIFFERENCE_GAIN:g} around grey.</p><div class=panels>"
     ]
     for caption, cycles, layer in panels:
         images = (cycles, layer, 128 + DIFFERENCE_GAIN * (layer - cycles))
         row = "".join(f"<img src='{png(image)}' alt=''>" for image in images)
-        parts.append(f"<figure><div class=triple>{row}</div><figcaption>{html.escape(caption)}</figcaption></figure>")
+        parts.append(
+            "<figure><div"
+            f" class=triple>{row}</div><figcaption>{html.escape(caption)}</figcaption></figure>"
+        )
     parts.append("</div>")
     for name, table in summary["breakdowns"].items():
         header, rows = table_rows(table)
         top = "".join(f"<th>{h}</th>" for h in (html.escape(name), *header))
-        body = "".join(f"<tr><td>{html.escape(value)}</td>{''.join(f'<td>{c}</td>' for c in cells)}</tr>" for value, cells in rows)
+        body = "".join(
+            f"<tr><td>{html.escape(value)}</td>{''.join(f'<td>{c}</td>' for c in cells)}</tr>"
+            for value, cells in rows
+        )
         opened = " open" if len(rows) <= 8 else ""
-        parts.append(f"<details{opened}><summary>By {html.escape(name)}</summary><div class=scroll>")
+        parts.append(
+            f"<details{opened}><summary>By {html.escape(name)}</summary><div class=scroll>"
+        )
         parts.append(f"<table><tr>{top}</tr>{body}</table></div></details>")
     return "\n".join(parts) + "</html>\n"
 
@@ -165,13 +211,24 @@ def cards(summary):
     judged = "" if head["holds"] is None else " good" if head["holds"] else " bad"
     shown = [
         (judged, number("like_net", head["like_net"]), "direct tier inside, L2 − noise"),
-        ("", number("node_fit", head["node_fit_measured"] if head["node_fit"] is None else head["node_fit"]), "node fit of its materials"),
+        (
+            "",
+            number(
+                "node_fit",
+                head["node_fit_measured"] if head["node_fit"] is None else head["node_fit"],
+            ),
+            "node fit of its materials",
+        ),
         ("", number("net", head["net"]), "over the whole mask"),
         ("", number("sum_net", head["sum_net"]), "the same by the paper's sum"),
         ("", number("ssim", every.get("ssim")), "SSIM, all tiers"),
         ("", str(every.get("pictures", 0)), "pictures compared"),
     ]
-    return "<div class=cards>" + "".join(f"<div class='card{c}'><b>{value}</b>{text}</div>" for c, value, text in shown) + "</div>"
+    return (
+        "<div class=cards>"
+        + "".join(f"<div class='card{c}'><b>{value}</b>{text}</div>" for c, value, text in shown)
+        + "</div>"
+    )
 
 
 def encoded(png):

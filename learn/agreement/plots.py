@@ -53,7 +53,11 @@ def draw(summary, rows):
                 "By angle between normal and view, inside the silhouette, net of noise",
                 lambda ax: grazing(ax, summary["grazing"]),
             ),
-            ("highlight.png", "Paper's sum and converged integral, by the highlight's width", lambda ax: highlight(ax, own)),
+            (
+                "highlight.png",
+                "Paper's sum and converged integral, by the highlight's width",
+                lambda ax: highlight(ax, own),
+            ),
         ):
             fig, ax = plt.subplots(figsize=(5.2, 3.2))
             if chart(ax):
@@ -75,7 +79,12 @@ def causes(ax, found):
     known = {NAMES[key]: found[key] for key in NAMES if found.get(key) is not None}
     if not known:
         return False
-    bars(ax, list(known), list(known.values()), color=[PALE if name == NAMES["texel_sum"] else ACCENT for name in known])
+    bars(
+        ax,
+        list(known),
+        list(known.values()),
+        color=[PALE if name == NAMES["texel_sum"] else ACCENT for name in known],
+    )
     for position, value in zip(np.arange(len(known))[::-1], known.values(), strict=True):
         ax.text(max(value, 0), position, f" {value:.3g}", va="center", fontsize=8)
     ax.set_xlabel("display L2")
@@ -89,7 +98,14 @@ def materials(ax, summary):
         return False
     names = [name if len(name) < 28 else name[:27] + "…" for name, _ in shown]
     positions = np.arange(len(shown))[::-1]
-    bars(ax, names, [max(cell["net"], 0) for _, cell in shown], color=ACCENT, height=0.6, label="layer − Cycles, net of noise")
+    bars(
+        ax,
+        names,
+        [max(cell["net"], 0) for _, cell in shown],
+        color=ACCENT,
+        height=0.6,
+        label="layer − Cycles, net of noise",
+    )
     fits = [cell["node_fit"] if cell["node_fit"] is not None else np.nan for _, cell in shown]
     ax.plot(fits, positions, "D", color=INK, markersize=4, label="label − nodes (catalogue)")
     ax.set_xlabel("display L2")
@@ -103,10 +119,17 @@ def grazing(ax, bins):
     if not seen:
         return False
     middles = [(cell["from_deg"] + cell["to_deg"]) / 2 for cell in seen]
-    ax.bar(middles, [cell["l2"] for cell in seen], width=[cell["to_deg"] - cell["from_deg"] - 1 for cell in seen], color=ACCENT)
+    ax.bar(
+        middles,
+        [cell["l2"] for cell in seen],
+        width=[cell["to_deg"] - cell["from_deg"] - 1 for cell in seen],
+        color=ACCENT,
+    )
     ax.set(xlabel="angle between normal and view, degrees", ylabel="display L2", xlim=(0, 90))
     other = ax.twinx()
-    other.plot(middles, [100 * cell["signed"] for cell in seen], "o-", color=INK, markersize=3, linewidth=1)
+    other.plot(
+        middles, [100 * cell["signed"] for cell in seen], "o-", color=INK, markersize=3, linewidth=1
+    )
     other.set_ylabel("signed error, % of the mean")
     other.grid(visible=False)
     other.spines["right"].set_visible(True)
@@ -118,8 +141,27 @@ def highlight(ax, rows):
     if not seen:
         return False
     width = [max(row.half_width_deg, 0.05) for row in seen]
-    ax.loglog(width, [max(row.sum_net, 1e-3) for row in seen], "o", color="#c2703d", markersize=4, alpha=0.7, label="paper's sum")
-    ax.loglog(width, [max(row.net, 1e-3) for row in seen], "o", color=ACCENT, markersize=4, alpha=0.7, label="converged integral")
-    ax.set(xlabel="half-width of the highlight, degrees of half angle", ylabel="display L2 net of noise")
+    ax.loglog(
+        width,
+        [max(row.sum_net, 1e-3) for row in seen],
+        "o",
+        color="#c2703d",
+        markersize=4,
+        alpha=0.7,
+        label="paper's sum",
+    )
+    ax.loglog(
+        width,
+        [max(row.net, 1e-3) for row in seen],
+        "o",
+        color=ACCENT,
+        markersize=4,
+        alpha=0.7,
+        label="converged integral",
+    )
+    ax.set(
+        xlabel="half-width of the highlight, degrees of half angle",
+        ylabel="display L2 net of noise",
+    )
     ax.legend(frameon=False, fontsize=8)
     return True

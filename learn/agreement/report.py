@@ -22,7 +22,8 @@ PANELS = 9  # pictures shown, the worst of the direct tier first
 
 @dataclass(frozen=True)
 class Options:
-    """folder of the dataset; out; limit: pictures at most, None: all; tolerance of the converged integral; device: of the layer's pictures.
+    """folder of the dataset; out; limit: pictures at most, None: all; tolerance of the converged
+    integral; device: of the layer's pictures.
 
     What takes a disagreement apart (learn.agreement.causes) is computed on the CPU, in float64.
     """
@@ -64,10 +65,17 @@ def limited(groups, limit):
 
 
 def compare(options):
-    """Rows of every condition and the panels to show. Raises InputError for a dataset without records, or a damaged file."""
+    """Rows of every condition and the panels to show. Raises InputError for a dataset without
+    records, or a damaged file.
+    """
     records = Records(options.folder)
     if not len(records):
-        raise InputError(options.folder, "a dataset with records", "none", "render some with: python -m factory render JOB --out DIR")
+        raise InputError(
+            options.folder,
+            "a dataset with records",
+            "none",
+            "render some with: python -m factory render JOB --out DIR",
+        )
     groups = limited(scenes(records.records), options.limit)
     rows, worst = [], Worst()
     total = sum(len(condition.records) for group in groups for condition in group)
@@ -82,30 +90,46 @@ def compare(options):
             for condition in group:
                 row, shown = compare_condition(condition, records, sample, layer, entries)
                 rows.append(row)
-                caption = f"{row.shape}, {' + '.join(dict.fromkeys(row.materials))}, {row.light} turned {row.rotation_texels}, {row.tier}"
+                caption = (
+                    f"{row.shape}, {' + '.join(dict.fromkeys(row.materials))}, {row.light} turned"
+                    f" {row.rotation_texels}, {row.tier}"
+                )
                 l2 = f"L2 {row.l2:.3g}" + ("" if row.net is None else f", net {row.net:.3g}")
-                worst.offer((condition.direct, row.net if row.net is not None else row.l2), f"{caption}: {l2}, SSIM {row.ssim:.3f}", shown)
+                worst.offer(
+                    (condition.direct, row.net if row.net is not None else row.l2),
+                    f"{caption}: {l2}, SSIM {row.ssim:.3f}",
+                    shown,
+                )
                 bar.update(len(condition.records))
     return rows, worst.panels()
 
 
 def compare_condition(condition, records, sample, layer, entries):
-    """The Row of a condition, causes included where the layer claims to model it, and its display pictures."""
+    """The Row of a condition, causes included where the layer claims to model it, and its display
+    pictures.
+    """
     pictures = np.stack([records.image(record) for record in condition.records])
     row, shown = measure(condition, pictures, layer, entries)
     if condition.direct:
-        row.causes = causes.separate_causes(sample, pictures, layer, [entry.mixture for entry in entries], row.exposure)
+        row.causes = causes.separate_causes(
+            sample, pictures, layer, [entry.mixture for entry in entries], row.exposure
+        )
     return row, shown
 
 
 def about(options):
     """What made the report: command, commit, machine, date."""
     limit = "" if options.limit is None else f" --limit {options.limit}"
-    return provenance(f"python -m learn agree {options.folder.name} --out {options.out.name}{limit} --tolerance {options.tolerance:g}")
+    return provenance(
+        f"python -m learn agree {options.folder.name} --out {options.out.name}{limit} --tolerance"
+        f" {options.tolerance:g}"
+    )
 
 
 def make(options):
-    """Compare, and write report.json, report.md, index.html and the charts to options.out. Returns the summary."""
+    """Compare, and write report.json, report.md, index.html and the charts to options.out. Returns
+    the summary.
+    """
     rows, panels = compare(options)
     summary, origin = summarise(rows), about(options)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -116,5 +140,7 @@ def make(options):
             files.write_bytes(options.out / name, png)
         files.write_json(options.out / "report.json", report)
         files.write_text(options.out / "report.md", page.markdown(summary, origin))
-        files.write_text(options.out / "index.html", page.web(summary, origin, drawn.values(), panels))
+        files.write_text(
+            options.out / "index.html", page.web(summary, origin, drawn.values(), panels)
+        )
     return summary

@@ -1,8 +1,12 @@
-"""Training of Baseline 1: the loop of learn.training, given pictures of what is wanted. Its terms, weighed as a run's `losses` say:
+"""Training of Baseline 1: the loop of learn.training, given pictures of what is wanted. Its terms,
+weighed as a run's `losses` say:
 
-target           mean (O' − c(O))² over the mask's pixels and channels, c = learn.networks.coding.compressed
-target_features  the same two pictures compared by features (learn.networks.features): the paper's perceptual loss
-material         mean (code' − code)² of the input's material, read from f_m, and of the wanted one, read from e(m_t)
+target           mean (O' − c(O))² over the mask's pixels and channels, c =
+learn.networks.coding.compressed
+target_features  the same two pictures compared by features (learn.networks.features): the paper's
+perceptual loss
+material         mean (code' − code)² of the input's material, read from f_m, and of the wanted one,
+read from e(m_t)
 """
 
 from dataclasses import replace
@@ -28,16 +32,28 @@ ROWS = 6
 
 
 class Paired(RelitDataset):
-    """Relit batches with the true O beside the true I: the same shape and light, rendered in the target material."""
+    """Relit batches with the true O beside the true I: the same shape and light, rendered in the
+    target material.
+    """
 
     def __getitem__(self, k):
         batch = super().__getitem__(k)
         pictures = []
-        for i in range(0, len(batch.n), self.data.sharing):  # a group shares material and light, so its map too
-            n, light = batch.n[i : i + self.data.sharing].movedim(1, -1).contiguous(), batch.light[i].movedim(0, -1).contiguous()
+        # a group shares material and light, so its map too
+        for i in range(0, len(batch.n), self.data.sharing):
+            n, light = (
+                batch.n[i : i + self.data.sharing].movedim(1, -1).contiguous(),
+                batch.light[i].movedim(0, -1).contiguous(),
+            )
             material = batch.target_label[i, :1].exp().expand(len(n), -1)
             with torch.no_grad():
-                picture = render(n, material, light.expand(len(n), -1, -1, -1), tolerance=self.data.tolerance, elevation=batch.elevation)
+                picture = render(
+                    n,
+                    material,
+                    light.expand(len(n), -1, -1, -1),
+                    tolerance=self.data.tolerance,
+                    elevation=batch.elevation,
+                )
             pictures.append(picture.clamp(0, BRIGHTEST).movedim(-1, 1))
         return replace(batch, target=torch.cat(pictures).contiguous())
 
@@ -49,7 +65,14 @@ class SwapTraining(Training):
 
     def _source(self):
         run = self.run
-        return Paired(self.data_splits["train"], run.data, run.schedule.batch, run.size, run.seed, (self.rank, self.world))
+        return Paired(
+            self.data_splits["train"],
+            run.data,
+            run.schedule.batch,
+            run.size,
+            run.seed,
+            (self.rank, self.world),
+        )
 
     def predict(self, model, batch, parts=None):
         with devices.mixed_precision(self.device, self.run.mixed_precision):
@@ -66,33 +89,51 @@ class SwapTraining(Training):
             edits = [self._predicted(network, batch) for batch in batches]
         write_montage(self.out / f"sheet-{self.step:07d}.jpg", batches[0], edits[0])
         run_json = msgspec.json.encode(run).decode()
-        checkpoint.save_weights(self.out / "weights.safetensors", self.network, self.average, run_json, run.size, self.step)
-        results = [figures(edit, batch, network.ranges) for edit, batch in zip(edits, batches, strict=True)]
+        checkpoint.save_weights(
+            self.out / "weights.safetensors",
+            self.network,
+            self.average,
+            run_json,
+            run.size,
+            self.step,
+        )
+        results = [
+            figures(edit, batch, network.ranges) for edit, batch in zip(edits, batches, strict=True)
+        ]
         return {name: float(np.mean([f[name] for f in results])) for name in results[0]}
 
 
 def terms(edited, batch, weights, ranges, features=None):
-    """{name: scalar}; see the module. weights: learn.data.settings.Losses; features: learn.networks.features.Features, if asked for."""
+    """{name: scalar}; see the module. weights: learn.data.settings.Losses; features:
+    learn.networks.features.Features, if asked for.
+    """
     inside = (batch.segments > 0)[:, None] * batch.mask
     truth = compressed(batch.target)
     read = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean()
     embedded = ((edited.embedded - ranges.code(batch.target_label[:, :1])) ** 2).mean()
     result = {"material": read + embedded}
     if weights.target:
-        result["target"] = ((edited.picture - truth) ** 2 * inside).sum() / (3 * inside.sum()).clamp(min=1)
+        result["target"] = ((edited.picture - truth) ** 2 * inside).sum() / (
+            3 * inside.sum()
+        ).clamp(min=1)
     if weights.target_features:
         result["target_features"] = compared_by(features, edited.picture, truth, inside)
     return result
 
 
 def figures(edited, batch, ranges):
-    """Display L2 over the mask of O' and of the input returned unchanged, against the true O; code_l2 of the input's material."""
+    """Display L2 over the mask of O' and of the input returned unchanged, against the true O;
+    code_l2 of the input's material.
+    """
     drawn = array(radiance(edited.picture).movedim(1, -1))
     result = {"target_l2": [], "unchanged_l2": []}
     for i, truth in enumerate(array(batch.target.movedim(1, -1))):
         mask = array(batch.segments[i] > 0)
         exposure = tone.auto_exposure(truth, mask)
-        for name, picture in (("target_l2", drawn[i]), ("unchanged_l2", array(batch.image[i].movedim(0, -1)))):
+        for name, picture in (
+            ("target_l2", drawn[i]),
+            ("unchanged_l2", array(batch.image[i].movedim(0, -1))),
+        ):
             result[name].append(tone.display_l2(picture, truth, exposure, mask))
     code_l2 = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean().item()
     return {name: float(np.mean(values)) for name, values in result.items()} | {"code_l2": code_l2}

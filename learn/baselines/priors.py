@@ -1,10 +1,15 @@
-"""What is likely before a picture is seen: Gaussians over materials and lights, fitted to the training side alone.
+"""What is likely before a picture is seen: Gaussians over materials and lights, fitted to the
+training side alone.
 
-material  label = mean + z U, z (K,) standard normal, rows of U the principal directions of the training labels, scaled by their spread,
-          under every exchange of colour channels; the smallest are left out once 1 − KEPT of the variance remains
-light     log L = Σ_j (μ_j + σ_j z_j) Y_j over spherical harmonics up to DEGREE, in three colour axes, then unit mean luminance. μ_j is the
-          training maps' mean where it does not turn with the light (m = 0), else 0; σ_j is one number a degree and axis: that light is
-          smooth, bright above and nearly grey is all that it says
+material  label = mean + z U, z (K,) standard normal, rows of U the principal directions of the
+training labels, scaled by their spread,
+          under every exchange of colour channels; the smallest are left out once 1 − KEPT of the
+          variance remains
+light     log L = Σ_j (μ_j + σ_j z_j) Y_j over spherical harmonics up to DEGREE, in three colour
+axes, then unit mean luminance. μ_j is the
+          training maps' mean where it does not turn with the light (m = 0), else 0; σ_j is one
+          number a degree and axis: that light is smooth, bright above and nearly grey is all that
+          it says
 noise     standard deviation of compressed radiance about the layer's; not fitted but set: see NOISE
 
 J harmonics, K directions, M materials, N maps
@@ -29,12 +34,15 @@ DEGREE = 10
 MOST_MEDOIDS = 8
 NOISE = 0.03  # of log(1 + 8 I)/log 9: what a sum over 32×64 lights leaves between layer and picture
 DARKEST = 1e-2  # of the mean: darker texels count as this dark, for log has no floor of its own
-AXES = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]) / np.sqrt([[3], [2], [6]])  # brightness, red against green, yellow against blue
+# brightness, red against green, yellow against blue
+AXES = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]) / np.sqrt([[3], [2], [6]])
 
 
 @dataclass(frozen=True)
 class Priors:
-    """mean (108,), directions (K, 108), medoids (T, K) z of typical training materials, light_mean and light_spread (J, 3)."""
+    """mean (108,), directions (K, 108), medoids (T, K) z of typical training materials, light_mean
+    and light_spread (J, 3).
+    """
 
     mean: torch.Tensor
     directions: torch.Tensor
@@ -54,7 +62,9 @@ class Priors:
         """(1, 3, height, width) linear radiance of unit mean luminance, of z (J, 3)."""
         waves = torch.from_numpy(spherical_harmonics(height, width, DEGREE)).to(z)
         axes = torch.as_tensor(AXES).to(z)
-        log = torch.einsum("ja,ac,jhw->chw", self.light_mean.to(z) + self.light_spread.to(z) * z, axes, waves)
+        log = torch.einsum(
+            "ja,ac,jhw->chw", self.light_mean.to(z) + self.light_spread.to(z) * z, axes, waves
+        )
         solid_angle = torch.as_tensor(envmap.row_solid_angles(height, width)).to(z)
         return unit_mean(log.clamp(-10, 10).exp()[None], solid_angle)
 
@@ -71,7 +81,9 @@ def fitted(labels, maps):
 def _principal(labels):
     """mean (108,), directions (K, 108): σ_k u_k, the largest first."""
     orders = itertools.permutations(range(3))
-    all_labels = np.concatenate([labels.reshape(-1, 3, 36)[:, list(order)].reshape(-1, 108) for order in orders])
+    all_labels = np.concatenate(
+        [labels.reshape(-1, 3, 36)[:, list(order)].reshape(-1, 108) for order in orders]
+    )
     mean = all_labels.mean(0)
     _, spread, directions = np.linalg.svd(all_labels - mean, full_matrices=False)
     total = (spread**2).sum()  # 0 for a data set of one grey material: nothing spreads
@@ -80,7 +92,9 @@ def _principal(labels):
 
 
 def _medoids(z, count):
-    """(count, K): the training materials that together lie nearest to all others, found one by one."""
+    """(count, K): the training materials that together lie nearest to all others, found one by
+    one.
+    """
     distance = np.linalg.norm(z[:, None] - z[None], axis=-1)
     nearest, chosen = np.full(len(z), np.inf), []
     for _ in range(min(count, len(z))):
@@ -91,22 +105,38 @@ def _medoids(z, count):
 
 
 def _light(maps):
-    """mean, spread (J, 3) over harmonics and colour axes: least squares of each map's log radiance, weighed by solid angle."""
+    """mean, spread (J, 3) over harmonics and colour axes: least squares of each map's log radiance,
+    weighed by solid angle.
+    """
     height, width = 32, 64
-    waves = spherical_harmonics(height, width, DEGREE).astype(np.float64).reshape(-1, height * width)
+    waves = (
+        spherical_harmonics(height, width, DEGREE).astype(np.float64).reshape(-1, height * width)
+    )
     weight = np.repeat(envmap.row_solid_angles(height, width), width) / (4 * np.pi)
     solve = np.linalg.solve((waves * weight) @ waves.T, waves * weight)
-    logs = [np.log(np.maximum(envmap.resize(L, height, width), DARKEST)).reshape(-1, 3) @ AXES.T for L in maps]
+    logs = [
+        np.log(np.maximum(envmap.resize(L, height, width), DARKEST)).reshape(-1, 3) @ AXES.T
+        for L in maps
+    ]
     result = np.stack([solve @ log for log in logs])  # (N, J, 3)
     degree, order = _degrees()
     mean = np.where((order == 0)[:, None], result.mean(0), 0.0)
     squared = ((result - mean) ** 2).mean(0)
-    return mean, np.sqrt(np.stack([squared[degree == degree[j]].mean(0) for j in range(len(degree))]))
+    return mean, np.sqrt(
+        np.stack([squared[degree == degree[j]].mean(0) for j in range(len(degree))])
+    )
 
 
 def _degrees():
-    """(J,) degree and order of each harmonic, in the order of learn.refinement.coordinates.spherical_harmonics."""
-    each = [(degree, m) for m in range(DEGREE + 1) for degree in range(m, DEGREE + 1) for _ in range(1 if m == 0 else 2)]
+    """(J,) degree and order of each harmonic, in the order of
+    learn.refinement.coordinates.spherical_harmonics.
+    """
+    each = [
+        (degree, m)
+        for m in range(DEGREE + 1)
+        for degree in range(m, DEGREE + 1)
+        for _ in range(1 if m == 0 else 2)
+    ]
     return np.array(each).T
 
 
@@ -121,10 +151,16 @@ def load(path):
     with tensor_file.opened(path, "priors in a .safetensors file", remedy) as stored:
         names = Priors.__dataclass_fields__
         if stored.metadata.get("format") != FORMAT or set(stored.shapes) != set(names):
-            raise InputError(path, "priors", stored.metadata.get("format", "something else"), remedy)
+            raise InputError(
+                path, "priors", stored.metadata.get("format", "something else"), remedy
+            )
         K, T = (next(iter(stored.shapes[name]), 0) for name in ("directions", "medoids"))
         harmonics = ((DEGREE + 1) ** 2, 3)
-        shapes = {"mean": (108,), "directions": (min(K, 108), 108), "medoids": (min(T, MOST_MEDOIDS), min(K, 108))}
+        shapes = {
+            "mean": (108,),
+            "directions": (min(K, 108), 108),
+            "medoids": (min(T, MOST_MEDOIDS), min(K, 108)),
+        }
         shapes |= {"light_mean": harmonics, "light_spread": harmonics}
         stored.require(shapes, "these priors")
         return Priors(**{name: stored.tensor(name).double() for name in names})

@@ -1,4 +1,6 @@
-"""From a dataset and light maps to the baselines' files: what `learn train-baselines` does for each name."""
+"""From a dataset and light maps to the baselines' files: what `learn train-baselines` does for each
+name.
+"""
 
 import msgspec
 
@@ -9,17 +11,27 @@ from learn.networks import tensor_file
 from learn.training import loop
 from manifests.files import write_bytes
 
-FILE_OF = {"lombardi": FILES["Lombardi-like"], "baseline-1": FILES["Baseline 1"], "baseline-2": FILES["Baseline 2"]}
+FILE_OF = {
+    "lombardi": FILES["Lombardi-like"],
+    "baseline-1": FILES["Baseline 1"],
+    "baseline-2": FILES["Baseline 2"],
+}
 
 
 def make(name, preset, options, device="cpu"):
-    """Make one file in options.out, and say so in a line. options: as learn.commands.train_baselines parses them; device: of networks."""
+    """Make one file in options.out, and say so in a line. options: as
+    learn.commands.train_baselines parses them; device: of networks.
+    """
     target = options.out / FILE_OF[name]
     if target.exists():
         return f"{target} is there already"
     options.out.mkdir(parents=True, exist_ok=True)
     run = None if preset is None else resolved(settings.read_run(preset), options)
-    data_splits = sources.data_splits(held_out(options, settings.Data() if run is None else run.data), options.data, options.lights)
+    data_splits = sources.data_splits(
+        held_out(options, settings.Data() if run is None else run.data),
+        options.data,
+        options.lights,
+    )
     if run is None:
         data_split = data_splits["train"]
         priors.save(
@@ -39,12 +51,15 @@ def make(name, preset, options, device="cpu"):
 def resolved(run, options):
     """A preset with the steps and the held-out lights that were asked for."""
     if options.steps is not None:
-        run = msgspec.structs.replace(run, schedule=msgspec.structs.replace(run.schedule, steps=options.steps))
+        run = msgspec.structs.replace(
+            run, schedule=msgspec.structs.replace(run.schedule, steps=options.steps)
+        )
     return msgspec.structs.replace(run, data=held_out(options, run.data))
 
 
 def held_out(options, data):
-    """data with the held-out lights of the weights options.like, if there are any, and with materials from where theirs came.
+    """data with the held-out lights of the weights options.like, if there are any, and with
+    materials from where theirs came.
 
     options.materials, if it is given, says whose materials, whatever the weights' were.
     """
@@ -52,5 +67,10 @@ def held_out(options, data):
         return settings.with_materials(data, options.materials)
     with tensor_file.opened(options.like) as stored:
         like = settings.decode_run(stored.metadata.get("run", "{}").encode(), options.like).data
-    data = msgspec.structs.replace(data, materials=like.materials, validation_lights=like.validation_lights, test_lights=like.test_lights)
+    data = msgspec.structs.replace(
+        data,
+        materials=like.materials,
+        validation_lights=like.validation_lights,
+        test_lights=like.test_lights,
+    )
     return settings.with_materials(data, options.materials)

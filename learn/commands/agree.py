@@ -1,31 +1,50 @@
-"""`learn agree`: how closely the rendering layer reproduces the pictures of a data set, and why it differs."""
+"""`learn agree`: how closely the rendering layer reproduces the pictures of a data set, and why it
+differs.
+"""
 
 from pathlib import Path
 
 from learn.commands import device_option
 from manifests.option_types import positive
 
-DISAGREE = 3  # exit status: the report is whole, and says that the renderers disagree beyond the limit
+# exit status: the report is whole, and says that the renderers disagree beyond the limit
+DISAGREE = 3
 
 
 def register(subparsers):
     parser = subparsers.add_parser(
         "agree",
         help="compare Cycles' pictures with the layer's, and say why they differ",
-        description="Renders every record of a dataset again with the differentiable layer, from its label, normals and light, "
-        "and compares. Writes index.html (open it first), report.md, report.json and charts. Pictures rendered twice with different seeds "
-        "(a job's repeats = 2) let it separate noise from disagreement. Exit status: 0 where the two renderers agree within the limit, "
-        "or where the pictures do not suffice to judge it; 3 where they disagree beyond it; 1 and 2 as for every command.",
+        description=(
+            "Renders every record of a dataset again with the differentiable layer, from its label,"
+            " normals and light, and compares. Writes index.html (open it first), report.md,"
+            " report.json and charts. Pictures rendered twice with different seeds (a job's repeats"
+            " = 2) let it separate noise from disagreement. Exit status: 0 where the two renderers"
+            " agree within the limit, or where the pictures do not suffice to judge it; 3 where"
+            " they disagree beyond it; 1 and 2 as for every command."
+        ),
     )
-    parser.add_argument("dataset", type=Path, metavar="DIR", help="a folder that `python -m factory render` wrote")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the report")
-    parser.add_argument("--limit", type=positive, metavar="N", help="compare about N pictures, spread over the data set (default: all)")
+    parser.add_argument(
+        "dataset", type=Path, metavar="DIR", help="a folder that `python -m factory render` wrote"
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the report"
+    )
+    parser.add_argument(
+        "--limit",
+        type=positive,
+        metavar="N",
+        help="compare about N pictures, spread over the data set (default: all)",
+    )
     parser.add_argument(
         "--tolerance",
         type=fraction,
         default=4e-3,
         metavar="X",
-        help="relative error allowed in the layer's integral (default 0.004; a smaller one takes longer)",
+        help=(
+            "relative error allowed in the layer's integral (default 0.004; a smaller one takes"
+            " longer)"
+        ),
     )
     device_option.add(parser)
     parser.set_defaults(run=run)
@@ -44,7 +63,9 @@ def run(options) -> int:
     from learn.data import devices
 
     device = devices.choose(options.device)
-    summary = report.make(report.Options(options.dataset, options.out, options.limit, options.tolerance, device))
+    summary = report.make(
+        report.Options(options.dataset, options.out, options.limit, options.tolerance, device)
+    )
     print(page.verdict(summary["direct"]))
     print(f"See {options.out / 'index.html'}")
     return DISAGREE if summary["direct"]["holds"] is False else 0

@@ -11,5 +11,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--device",
         choices=CHOICES,
         default="auto",
-        help="where networks and the layer compute (default auto: cuda if torch sees a CUDA device, else cpu)",
+        help=(
+            "where networks and the layer compute (default auto: cuda if torch sees a CUDA device,"
+            " else cpu)"
+        ),
     )

@@ -9,25 +9,37 @@ def register(subparsers):
     parser = subparsers.add_parser(
         "edit",
         help="change what the object of a photograph is made of",
-        description="Decomposes a photograph of one object into normals, light and material, refines them "
-        "until their rendering looks like the "
-        "photograph, and renders the object again in other materials, in front of its own background and at the photograph's size. "
-        "Writes the edited pictures, the decomposition, and one contact sheet (sheet.png). "
-        "Example: python -m learn edit chair.png --mask chair-mask.png --material brass red-fabric --out edited",
+        description=(
+            "Decomposes a photograph of one object into normals, light and material, refines them"
+            " until their rendering looks like the photograph, and renders the object again in"
+            " other materials, in front of its own background and at the photograph's size. Writes"
+            " the edited pictures, the decomposition, and one contact sheet (sheet.png). Example:"
+            " python -m learn edit chair.png --mask chair-mask.png --material brass red-fabric"
+            " --out edited"
+        ),
     )
     parser.add_argument(
-        "photo", type=Path, metavar="PHOTO", help="PNG, JPEG, TIFF, EXR …, of any size; a dataset's folder; or example:espresso-cup"
+        "photo",
+        type=Path,
+        metavar="PHOTO",
+        help="PNG, JPEG, TIFF, EXR …, of any size; a dataset's folder; or example:espresso-cup",
     )
     parser.add_argument(
         "--mask",
         action="append",
         default=[],
         metavar="FILE",
-        help="a picture that is white where the object is; without it, or with 'alpha', the photograph's transparency is used. "
-        "Given several times, each mask is a region with a material of its own",
+        help=(
+            "a picture that is white where the object is; without it, or with 'alpha', the"
+            " photograph's transparency is used. Given several times, each mask is a region with a"
+            " material of its own"
+        ),
     )
     parser.add_argument(
-        "--regions", type=Path, metavar="FILE", help="a picture with one grey or colour for each region of the object, black outside"
+        "--regions",
+        type=Path,
+        metavar="FILE",
+        help="a picture with one grey or colour for each region of the object, black outside",
     )
     parser.add_argument(
         "--material",
@@ -35,12 +47,22 @@ def register(subparsers):
         action="extend",
         required=True,
         metavar="MATERIAL",
-        help="a material's name (`python -m factory materials list`), a material.json, or a picture to take the material from (with "
-        "transparency, or NAME.mask.png beside it). With regions, A+B gives each its own; 'keep' leaves one",
+        help=(
+            "a material's name (`python -m factory materials list`), a material.json, or a picture"
+            " to take the material from (with transparency, or NAME.mask.png beside it). With"
+            " regions, A+B gives each its own; 'keep' leaves one"
+        ),
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
     parser.add_argument(
-        "--record", metavar="ID", help="if PHOTO is a data set's folder, the record to edit (default: the first one that is held out)"
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
+    )
+    parser.add_argument(
+        "--record",
+        metavar="ID",
+        help=(
+            "if PHOTO is a data set's folder, the record to edit (default: the first one that is"
+            " held out)"
+        ),
     )
     editing_options.add(parser)
     parser.set_defaults(run=run, continues=False)
@@ -51,7 +73,19 @@ def run(options):
 
     masks = [Path(mask) for mask in options.mask if mask != "alpha"]
     edit_options = editing_options.edit_options(options)
-    report = edit.run(options.photo, masks, options.regions, options.material, options.out, edit_options, options.record, options.overwrite)
+    report = edit.run(
+        options.photo,
+        masks,
+        options.regions,
+        options.material,
+        options.out,
+        edit_options,
+        options.record,
+        options.overwrite,
+    )
     for text, error in report["display_l2"].items():
-        print(f"{text}: display L2 {error['mask']:.1f} over the object, {error['frame']:.1f} over the frame, against the rendered truth")
+        print(
+            f"{text}: display L2 {error['mask']:.1f} over the object, {error['frame']:.1f} over the"
+            " frame, against the rendered truth"
+        )
     print(f"See {options.out / 'sheet.png'}")

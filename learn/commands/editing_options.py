@@ -14,37 +14,59 @@ def add(parser):
         "--refine",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="adjust the predicted normals, light and material until their rendering looks like the photograph (default: yes); "
-        "--no-refine saves some seconds per photograph",
+        help=(
+            "adjust the predicted normals, light and material until their rendering looks like the"
+            " photograph (default: yes); --no-refine saves some seconds per photograph"
+        ),
     )
-    parser.add_argument("--tolerance", type=float, default=1e-2, metavar="T", help="relative error allowed in rendering (default 0.01)")
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=1e-2,
+        metavar="T",
+        help="relative error allowed in rendering (default 0.01)",
+    )
     parser.add_argument(
         "--detail",
         type=float,
         default=0.25,
         metavar="D",
-        help="share of the photograph's fine shading that is kept, from 0 to 1 (default 0.25); it includes fine highlights",
+        help=(
+            "share of the photograph's fine shading that is kept, from 0 to 1 (default 0.25); it"
+            " includes fine highlights"
+        ),
     )
     parser.add_argument(
         "--exposure",
         type=float,
         metavar="X",
-        help="multiply the photograph by X to get radiance (default: estimated from the object's brightness)",
+        help=(
+            "multiply the photograph by X to get radiance (default: estimated from the object's"
+            " brightness)"
+        ),
     )
     parser.add_argument(
         "--white-balance",
         default="none",
         metavar="W",
-        help="none: leave the colours as they are (default); grey: make the background grey on average; or three factors R,G,B",
+        help=(
+            "none: leave the colours as they are (default); grey: make the background grey on"
+            " average; or three factors R,G,B"
+        ),
     )
     parser.add_argument(
         "--weights",
         type=Path,
         metavar="FILE",
-        help="weights.safetensors of a training run (default: the weights that come with the program)",
+        help=(
+            "weights.safetensors of a training run (default: the weights that come with the"
+            " program)"
+        ),
     )
     device_option.add(parser)
-    parser.add_argument("--overwrite", action="store_true", help="replace earlier results in the folder")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace earlier results in the folder"
+    )
 
 
 def edit_options(options):
@@ -54,13 +76,23 @@ def edit_options(options):
     from learn.editing.predict import WEIGHTS
     from learn.refinement import Settings
 
-    check("--tolerance", 0 < options.tolerance < 1, "a number above 0 and below 1", options.tolerance)
+    check(
+        "--tolerance", 0 < options.tolerance < 1, "a number above 0 and below 1", options.tolerance
+    )
     check("--detail", 0 <= options.detail <= 1, "a number from 0 to 1", options.detail)
     check_exposure(options.exposure)
     settings = Settings() if options.refine else None
     balance = balance_of(options.white_balance)
     device = devices.choose(options.device)
-    return EditOptions(options.weights or WEIGHTS, settings, options.tolerance, options.detail, options.exposure, balance, device)
+    return EditOptions(
+        options.weights or WEIGHTS,
+        settings,
+        options.tolerance,
+        options.detail,
+        options.exposure,
+        balance,
+        device,
+    )
 
 
 def check_exposure(value):
@@ -91,7 +123,8 @@ def balance_of(text):
         pass
     raise InputError(
         "--white-balance",
-        f"none, grey, or three factors from {1 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}, as 1.2,1,0.8",
+        f"none, grey, or three factors from {1 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}, as"
+        " 1.2,1,0.8",
         text,
         "see --help",
     )

@@ -1,4 +1,6 @@
-"""`learn evaluate`: edits against their truth, and every part of them, for all methods there are."""
+"""`learn evaluate`: edits against their truth, and every part of them, for all methods there
+are.
+"""
 
 from pathlib import Path
 
@@ -10,45 +12,94 @@ def register(subparsers):
     parser = subparsers.add_parser(
         "evaluate",
         help="measure edits against Cycles' renderings of the same edits",
-        description="Edits pictures of a data set into materials in which the data set holds the same shape, "
-        "view and light, and compares each "
-        "edit with that rendering, for our method and for others. Writes index.html (open it first), report.md "
-        "and report.json. Each finished "
-        "edit is a line in edits.jsonl, so that the same command continues a stopped run, and a larger --edits adds to it.",
+        description=(
+            "Edits pictures of a data set into materials in which the data set holds the same"
+            " shape, view and light, and compares each edit with that rendering, for our method and"
+            " for others. Writes index.html (open it first), report.md and report.json. Each"
+            " finished edit is a line in edits.jsonl, so that the same command continues a stopped"
+            " run, and a larger --edits adds to it."
+        ),
     )
     parser.add_argument(
-        "--data", type=Path, required=True, metavar="DIR", help="a dataset with pictures in two materials or more of each view"
+        "--data",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="a dataset with pictures in two materials or more of each view",
     )
     parser.add_argument(
         "--weights",
         type=Path,
         metavar="FILE",
-        help="weights.safetensors of a training run (default: the weights that come with the program)",
+        help=(
+            "weights.safetensors of a training run (default: the weights that come with the"
+            " program)"
+        ),
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
-    parser.add_argument("--edits", type=positive, default=100, metavar="N", help="number of edits (default 100; the paper has 500)")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
+    )
+    parser.add_argument(
+        "--edits",
+        type=positive,
+        default=100,
+        metavar="N",
+        help="number of edits (default 100; the paper has 500)",
+    )
     refine = parser.add_mutually_exclusive_group()
     refine.add_argument(
-        "--refine", action="store_true", default=True, help="also measure refined predictions, Section 3.5 of the paper (default)"
+        "--refine",
+        action="store_true",
+        default=True,
+        help="also measure refined predictions, Section 3.5 of the paper (default)",
     )
     refine.add_argument(
-        "--no-refine", dest="refine", action="store_false", help="leave refined predictions out, which is many times faster"
+        "--no-refine",
+        dest="refine",
+        action="store_false",
+        help="leave refined predictions out, which is many times faster",
     )
     parser.add_argument(
-        "--baselines", type=Path, metavar="DIR", help="weights of the baselines of Section 4.5; those that are not there are left out"
+        "--baselines",
+        type=Path,
+        metavar="DIR",
+        help="weights of the baselines of Section 4.5; those that are not there are left out",
     )
     parser.add_argument(
-        "--lpips", type=Path, metavar="FILE", help="LPIPS' AlexNet weights, .safetensors (docs/evaluation.md); else no such column"
+        "--lpips",
+        type=Path,
+        metavar="FILE",
+        help="LPIPS' AlexNet weights, .safetensors (docs/evaluation.md); else no such column",
     )
     parser.add_argument(
         "--materials",
         choices=MATERIALS,
         default="dataset",
-        help="whose training materials the row 'mean material' is the mean of: the data set's own, or the built-in ones (default: dataset)",
+        help=(
+            "whose training materials the row 'mean material' is the mean of: the data set's own,"
+            " or the built-in ones (default: dataset)"
+        ),
     )
-    parser.add_argument("--seed", type=whole, default=0, metavar="N", help="seed by which edits are drawn (default 0)")
-    parser.add_argument("--processes", type=positive, metavar="N", help="number of processes (default: one per core)")
-    parser.add_argument("--gallery", type=whole, default=12, metavar="N", help="number of edits shown as pictures (default 12)")
+    parser.add_argument(
+        "--seed",
+        type=whole,
+        default=0,
+        metavar="N",
+        help="seed by which edits are drawn (default 0)",
+    )
+    parser.add_argument(
+        "--processes",
+        type=positive,
+        metavar="N",
+        help="number of processes (default: one per core)",
+    )
+    parser.add_argument(
+        "--gallery",
+        type=whole,
+        default=12,
+        metavar="N",
+        help="number of edits shown as pictures (default 12)",
+    )
     device_option.add(parser)
     parser.set_defaults(run=run)
 

@@ -12,38 +12,81 @@ def register(subparsers):
     parser = subparsers.add_parser(
         "train",
         help="train networks that predict normals, material and light from a picture",
-        description="Trains on a data set's geometry. The rendering layer relights it while training, each "
-        "time in other materials and under "
-        "other lights of the data set (or in the built-in materials, where the run or --materials says so). "
-        "Writes weights.safetensors, checkpoint.safetensors, log.jsonl, run.json, made.json and, now and then, a contact sheet. "
-        "The same command continues a stopped run, and a run that was stopped and continued ends with the same weights. "
-        "Example: python -m learn train joint-compact --data geometry-data --out run",
+        description=(
+            "Trains on a data set's geometry. The rendering layer relights it while training, each"
+            " time in other materials and under other lights of the data set (or in the built-in"
+            " materials, where the run or --materials says so). Writes weights.safetensors,"
+            " checkpoint.safetensors, log.jsonl, run.json, made.json and, now and then, a contact"
+            " sheet. The same command continues a stopped run, and a run that was stopped and"
+            " continued ends with the same weights. Example: python -m learn train joint-compact"
+            " --data geometry-data --out run"
+        ),
     )
-    parser.add_argument("settings", metavar="RUN", help=f"a run file (JSON), or a preset: {presets}")
-    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset that `python -m factory render` wrote")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
-    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help="further light maps, as arrays of shape (64, 128, 3)")
+    parser.add_argument(
+        "settings", metavar="RUN", help=f"a run file (JSON), or a preset: {presets}"
+    )
+    parser.add_argument(
+        "--data",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="a dataset that `python -m factory render` wrote",
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
+    )
+    parser.add_argument(
+        "--lights",
+        type=Path,
+        metavar="FILE.npz",
+        help="further light maps, as arrays of shape (64, 128, 3)",
+    )
     parser.add_argument(
         "--materials",
         choices=MATERIALS,
-        help="the data set's own materials, or the built-in ones of MERL and RGL (default: as the run says)",
+        help=(
+            "the data set's own materials, or the built-in ones of MERL and RGL (default: as the"
+            " run says)"
+        ),
     )
     parser.add_argument(
         "--pictures",
         type=Path,
         metavar="DIR",
-        help='a dataset with pictures that Cycles rendered, for runs whose data.source is "pictures" or "mix" (default: --data)',
+        help=(
+            'a dataset with pictures that Cycles rendered, for runs whose data.source is "pictures"'
+            ' or "mix" (default: --data)'
+        ),
     )
     parser.add_argument(
-        "--skip-bad", action="store_true", help="leave damaged records out and count them, instead of stopping before training"
+        "--skip-bad",
+        action="store_true",
+        help="leave damaged records out and count them, instead of stopping before training",
     )
-    parser.add_argument("--tensorboard", action="store_true", help="write TensorBoard's events too (needs the package tensorboard)")
-    parser.add_argument("--steps", type=positive, metavar="N", help="number of steps (default: as the run says)")
-    parser.add_argument("--seed", type=whole, metavar="N", help="random seed (default: as the run says)")
     parser.add_argument(
-        "--sheet-every", type=whole, default=500, metavar="N", help="steps between contact sheets and validations (default 500)"
+        "--tensorboard",
+        action="store_true",
+        help="write TensorBoard's events too (needs the package tensorboard)",
     )
-    parser.add_argument("--checkpoint-every", type=positive, metavar="N", help="steps between checkpoints (default: one every two minutes)")
+    parser.add_argument(
+        "--steps", type=positive, metavar="N", help="number of steps (default: as the run says)"
+    )
+    parser.add_argument(
+        "--seed", type=whole, metavar="N", help="random seed (default: as the run says)"
+    )
+    parser.add_argument(
+        "--sheet-every",
+        type=whole,
+        default=500,
+        metavar="N",
+        help="steps between contact sheets and validations (default 500)",
+    )
+    parser.add_argument(
+        "--checkpoint-every",
+        type=positive,
+        metavar="N",
+        help="steps between checkpoints (default: one every two minutes)",
+    )
     parser.add_argument(
         "--threads",
         type=positive,
@@ -76,16 +119,31 @@ def run(options):
     chosen = settings.read_run(options.settings, options.steps, options.seed, options.materials)
     torch.set_num_threads(options.threads)
     with loop.only_writer(options.out):
-        data_splits = sources.data_splits(chosen.data, options.data, options.lights, pictures=options.pictures, skip_bad=options.skip_bad)
+        data_splits = sources.data_splits(
+            chosen.data,
+            options.data,
+            options.lights,
+            pictures=options.pictures,
+            skip_bad=options.skip_bad,
+        )
         if left_out := sources.skipped(data_splits):
-            print(f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}", file=sys.stderr)
+            print(
+                f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}",
+                file=sys.stderr,
+            )
         kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
         saving = options.sheet_every, options.checkpoint_every
-        training = kind(chosen, data_splits, options.out, *saving, options.workers, options.tensorboard, device)
+        training = kind(
+            chosen, data_splits, options.out, *saving, options.workers, options.tensorboard, device
+        )
         figures = training.train()
         if training.rank == 0:
             training.journal.made(
-                provenance(), {side: data_split.sizes() for side, data_split in data_splits.items()}, len(left_out), training.step, figures
+                provenance(),
+                {side: data_split.sizes() for side, data_split in data_splits.items()},
+                len(left_out),
+                training.step,
+                figures,
             )
     if figures:
         print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))

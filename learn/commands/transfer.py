@@ -9,22 +9,45 @@ def register(subparsers):
     parser = subparsers.add_parser(
         "transfer",
         help="render each picture's object in the materials of the others",
-        description="Decomposes several pictures and renders the object of each, under its own light, in the material of every other one. "
-        "Writes one picture per pair and a grid with a row per object and a column per material. "
-        "Example: python -m learn transfer a.png b.png c.png --out swapped",
+        description=(
+            "Decomposes several pictures and renders the object of each, under its own light, in"
+            " the material of every other one. Writes one picture per pair and a grid with a row"
+            " per object and a column per material. Example: python -m learn transfer a.png b.png"
+            " c.png --out swapped"
+        ),
     )
-    parser.add_argument("pictures", nargs="*", type=Path, metavar="PICTURE", help="two pictures or more, with transparency or with masks")
-    parser.add_argument("--list", type=Path, metavar="FILE", help="a text file with one picture's path per line, relative to that file")
+    parser.add_argument(
+        "pictures",
+        nargs="*",
+        type=Path,
+        metavar="PICTURE",
+        help="two pictures or more, with transparency or with masks",
+    )
+    parser.add_argument(
+        "--list",
+        type=Path,
+        metavar="FILE",
+        help="a text file with one picture's path per line, relative to that file",
+    )
     parser.add_argument(
         "--mask-dir",
         type=Path,
         metavar="DIR",
-        help="folder of masks with the names of the pictures (default: NAME.mask.png beside each picture)",
+        help=(
+            "folder of masks with the names of the pictures (default: NAME.mask.png beside each"
+            " picture)"
+        ),
     )
     parser.add_argument(
-        "--per-grid", type=int, default=6, metavar="N", help="pictures per grid; further pictures go into further grids (default 6)"
+        "--per-grid",
+        type=int,
+        default=6,
+        metavar="N",
+        help="pictures per grid; further pictures go into further grids (default 6)",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
+    )
     editing_options.add(parser)
     parser.set_defaults(run=run, continues=False)
 
@@ -33,5 +56,12 @@ def run(options):
     from learn.editing import transfer
 
     paths = transfer.listed(options.pictures, options.list)
-    transfer.run(paths, options.mask_dir, options.out, editing_options.edit_options(options), options.per_grid, options.overwrite)
+    transfer.run(
+        paths,
+        options.mask_dir,
+        options.out,
+        editing_options.edit_options(options),
+        options.per_grid,
+        options.overwrite,
+    )
     print(f"See {options.out}")

@@ -1,1 +1,3 @@
-"""Examples to learn from and to test on: records, geometry, photographs, batches relit by the layer or rendered by Cycles."""
+"""Examples to learn from and to test on: records, geometry, photographs, batches relit by the layer
+or rendered by Cycles.
+"""

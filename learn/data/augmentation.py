@@ -1,4 +1,5 @@
-"""What happens to a picture on its way through a camera; truth stays as it is, but for a shift that moves it along.
+"""What happens to a picture on its way through a camera; truth stays as it is, but for a shift that
+moves it along.
 
 image (H, W, 3) linear radiance, mask (H, W) bool
 """
@@ -32,11 +33,16 @@ def shift(rng, mask):
     """Rows and columns to roll by that keep the object inside the frame."""
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     reach = int(SHIFT * len(mask))
-    return tuple(int(rng.integers(-min(reach, r[0]), min(reach, len(mask) - 1 - r[-1]) + 1)) for r in (rows, columns))
+    return tuple(
+        int(rng.integers(-min(reach, r[0]), min(reach, len(mask) - 1 - r[-1]) + 1))
+        for r in (rows, columns)
+    )
 
 
 def nibbled(rng, mask):
-    """The mask with up to a pixel missing along its rim, in places: nobody cuts out a photograph exactly."""
+    """The mask with up to a pixel missing along its rim, in places: nobody cuts out a photograph
+    exactly.
+    """
     if rng.random() < 0.5:
         return mask
     inner = mask.copy()
@@ -49,12 +55,21 @@ def nibbled(rng, mask):
 def photographed(rng, image, mask):
     """Another exposure, sensor noise, and now and then a JPEG in between."""
     image = image * np.exp(rng.normal(0, EXPOSURE))
-    image = image + rng.normal(0, 1, image.shape) * np.sqrt(np.maximum(image, 0) * rng.uniform(0, 2e-3) + rng.uniform(0, 5e-3) ** 2)
+    image = image + rng.normal(0, 1, image.shape) * np.sqrt(
+        np.maximum(image, 0) * rng.uniform(0, 2e-3) + rng.uniform(0, 5e-3) ** 2
+    )
     image = np.maximum(image, 0).astype(np.float32)
     if rng.random() < 0.25 and mask.any():
         exposure = tone.auto_exposure(image, mask)
         data = io.BytesIO()
-        Image.fromarray(np.rint(tone.display(image, exposure)).astype(np.uint8)).save(data, "JPEG", quality=int(rng.integers(60, 96)))
+        Image.fromarray(np.rint(tone.display(image, exposure)).astype(np.uint8)).save(
+            data, "JPEG", quality=int(rng.integers(60, 96))
+        )
         encoded = np.asarray(Image.open(data, formats=["JPEG"]), np.float32) / 255.0
-        image = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(np.float32) / exposure
+        image = (
+            np.where(
+                encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
+            ).astype(np.float32)
+            / exposure
+        )
     return image

@@ -19,9 +19,11 @@ class Batch:
     segments      (B, H, W) int64, 1 … S, 0 outside the object
     label         (B, S, 108) natural logarithms
     light         (B, 3, 64, 128) linear radiance of unit mean luminance, light frame
-    target_label  (B, S, 108) another material for the same shape and light: what the target image O is made of
+    target_label  (B, S, 108) another material for the same shape and light: what the target image O
+    is made of
     names         what each picture is, for messages: shape, …, material, apart by spaces
-    picture       (B, 3, H, W) the true I where it came from a renderer of its own; None: what the layer makes of the truth
+    picture       (B, 3, H, W) the true I where it came from a renderer of its own; None: what the
+    layer makes of the truth
     target        (B, 3, H, W) the true O, likewise
     """
 
@@ -42,18 +44,23 @@ class Batch:
         return self._with_tensors(lambda tensor: tensor.to(device, non_blocking=non_blocking))
 
     def pin_memory(self) -> "Batch":
-        """The batch in page-locked memory, from which copies to a CUDA device need not be waited for; DataLoader calls this."""
+        """The batch in page-locked memory, from which copies to a CUDA device need not be waited
+        for; DataLoader calls this.
+        """
         return self._with_tensors(torch.Tensor.pin_memory)
 
     def _with_tensors(self, function):
-        """The batch with each tensor replaced by function(tensor); the batch itself if none of them changes."""
+        """The batch with each tensor replaced by function(tensor); the batch itself if none of them
+        changes.
+        """
         old = [getattr(self, field.name) for field in fields(self)]
         new = [function(value) if isinstance(value, torch.Tensor) else value for value in old]
         return self if all(a is b for a, b in zip(old, new, strict=True)) else Batch(*new)
 
 
 def joined(examples, elevation):
-    """A Batch of examples: tuples (image, mask, n, segments, label, light, target label, name), arrays channels last.
+    """A Batch of examples: tuples (image, mask, n, segments, label, light, target label, name),
+    arrays channels last.
 
     An example may end in two more, picture and target, but then all must.
     """

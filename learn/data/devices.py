@@ -1,6 +1,7 @@
 """Where networks and the layer compute, and the one way from there to numpy.
 
-A device is a torch.device: "cpu", or "cuda" where torch sees one. Sources of batches, files and figures stay on the CPU.
+A device is a torch.device: "cpu", or "cuda" where torch sees one. Sources of batches, files and
+figures stay on the CPU.
 """
 
 import os
@@ -16,8 +17,8 @@ CHOICES = ("auto", "cpu", "cuda")
 def choose(name: str = "auto") -> torch.device:
     """The device that a name of CHOICES stands for; auto: CUDA where torch sees it, else the CPU.
 
-    Of several processes of one run (torchrun) each takes the CUDA device of its own number, LOCAL_RANK.
-    Raises  InputError where CUDA is asked for and torch sees none
+    Of several processes of one run (torchrun) each takes the CUDA device of its own number,
+    LOCAL_RANK. Raises  InputError where CUDA is asked for and torch sees none
     """
     if name not in CHOICES:
         raise ValueError(f"device: expected one of {', '.join(CHOICES)}, found {name!r}")
@@ -30,8 +31,15 @@ def choose(name: str = "auto") -> torch.device:
     if name == "auto" and not count:
         return torch.device("cpu")
     if count:
-        raise InputError("--device", f"CUDA device {number}", f"{count} of them", f"start at most {count} processes on this machine")
-    result = "a build of torch without CUDA" if torch.version.cuda is None else "none that torch sees"
+        raise InputError(
+            "--device",
+            f"CUDA device {number}",
+            f"{count} of them",
+            f"start at most {count} processes on this machine",
+        )
+    result = (
+        "a build of torch without CUDA" if torch.version.cuda is None else "none that torch sees"
+    )
     remedy = "give --device cpu, or install the build of torch for your CUDA driver"
     raise InputError("--device", "a CUDA device", result, remedy)
 

@@ -1,17 +1,21 @@
-"""A dataset's geometry, packed for training: each view of each shape once, with pictures (records) or without (views).
+"""A dataset's geometry, packed for training: each view of each shape once, with pictures (records)
+or without (views).
 
-V views, H, W picture. Beside a dataset's lines stands a cache of two memory-mapped arrays, five bytes a pixel, made on first use and
-again when they change:
+V views, H, W picture. Beside a dataset's lines stands a cache of two memory-mapped arrays, five
+bytes a pixel, made on first use and again when they change:
 
-packed/normals.npy   (V, H, W, 2) int16, n_x and n_y in units of 1/32767; n_z = √(1 − n_x² − n_y²), for normals face the viewer;
-                     a normal is turned by .002° where it faces the viewer and by .5° at most, at the rim
+packed/normals.npy   (V, H, W, 2) int16, n_x and n_y in units of 1/32767; n_z = √(1 − n_x² − n_y²),
+for normals face the viewer;
+                     a normal is turned by .002° where it faces the viewer and by .5° at most, at
+                     the rim
 packed/segments.npy  (V, H, W) uint8, 1 … S, 0 in the background
 packed/skipped.json  hashes of files that were left out, and why
 packed/sums.json     CRC-32 of the two arrays' files, by which a damaged cache is known
-packed/views.json    the geometry files' hashes, by which a stale cache is known; written last, removed before anything else is changed
+packed/views.json    the geometry files' hashes, by which a stale cache is known; written last,
+removed before anything else is changed
 
-A cache that is stale or damaged is made again. Where it cannot be kept (a full disk, a data set that may only be read) the arrays stay
-in memory.
+A cache that is stale or damaged is made again. Where it cannot be kept (a full disk, a data set
+that may only be read) the arrays stay in memory.
 """
 
 import json
@@ -25,7 +29,13 @@ import numpy as np
 from tqdm import tqdm
 
 from learn.data.records import Records
-from manifests.arrays import PACKED_NORMALS, PACKED_SEGMENTS, PACKED_TYPES, pack_normals, unpack_normals
+from manifests.arrays import (
+    PACKED_NORMALS,
+    PACKED_SEGMENTS,
+    PACKED_TYPES,
+    pack_normals,
+    unpack_normals,
+)
 from manifests.errors import InputError
 from manifests.files import replacing, write_text
 from manifests.inputs import require_file
@@ -38,7 +48,9 @@ LEAST_COVERAGE = 0.02  # a view that shows less of its shape teaches nothing
 
 @dataclass(frozen=True)
 class View:
-    """One view of one shape: names as in its records, the geometry file's hash, the shape's side of the split."""
+    """One view of one shape: names as in its records, the geometry file's hash, the shape's side of
+    the split.
+    """
 
     shape: str
     category: str
@@ -50,8 +62,9 @@ class View:
 class Geometry:
     """The views of a dataset rendered with one orthographic camera.
 
-    skip_bad  leave damaged geometry out, and say so in `skipped`, {hash: what is wrong}; otherwise the first one raises
-    Raises  InputError: no dataset, nothing rendered, cameras of several sizes or with perspective; damaged geometry when it is packed
+    skip_bad  leave damaged geometry out, and say so in `skipped`, {hash: what is wrong}; otherwise
+    the first one raises Raises  InputError: no dataset, nothing rendered, cameras of several sizes
+    or with perspective; damaged geometry when it is packed
     """
 
     def __init__(self, folder, progress=True, skip_bad=False):
@@ -61,18 +74,31 @@ class Geometry:
             if record.coverage >= LEAST_COVERAGE:
                 first.setdefault(record.geometry_hash, record)
         if not first:
-            raise InputError(folder, "views or records", "none", f"render some: python -m factory render geometry --out {folder}")
+            raise InputError(
+                folder,
+                "views or records",
+                "none",
+                f"render some: python -m factory render geometry --out {folder}",
+            )
         chosen = sorted(first.values(), key=lambda r: (r.shape, r.viewpoint, r.geometry_hash))
         cameras = {(r.camera.size, r.camera.fov_deg, r.camera.elevation_deg) for r in chosen}
         if len(cameras) > 1 or chosen[0].camera.fov_deg is not None:
-            raise InputError(folder, "one orthographic camera everywhere", f"{sorted(map(str, cameras))}", "render them with one job")
+            raise InputError(
+                folder,
+                "one orthographic camera everywhere",
+                f"{sorted(map(str, cameras))}",
+                "render them with one job",
+            )
         self.folder, self.size = Path(folder), chosen[0].camera.size
         self.elevation = float(np.radians(chosen[0].camera.elevation_deg))
         sides = {name: entry.side for name, entry in records.dataset.shapes.items()}
         missing = sorted({r.shape for r in chosen} - set(sides))
         if missing:
             raise InputError(
-                self.folder / "dataset.json", f"a shape '{missing[0]}', which a record names", "none", "copy the dataset again"
+                self.folder / "dataset.json",
+                f"a shape '{missing[0]}', which a record names",
+                "none",
+                "copy the dataset again",
             )
         self.skipped = self._known_as_bad() if skip_bad else {}
         self._n = self._segments = None
@@ -83,8 +109,12 @@ class Geometry:
             self._pack(records, chosen, progress, skip_bad)
         chosen = [r for r in chosen if r.geometry_hash not in self.skipped]
         if not chosen:
-            raise InputError(folder, "geometry that can be used", "none", next(iter(self.skipped.values())))
-        self.views = [View(r.shape, r.category, r.viewpoint, sides[r.shape], r.geometry_hash) for r in chosen]
+            raise InputError(
+                folder, "geometry that can be used", "none", next(iter(self.skipped.values()))
+            )
+        self.views = [
+            View(r.shape, r.category, r.viewpoint, sides[r.shape], r.geometry_hash) for r in chosen
+        ]
 
     def __len__(self):
         return len(self.views)
@@ -103,7 +133,11 @@ class Geometry:
     def _known_as_bad(self):
         """{hash: what is wrong} of files that were left out when the cache was made."""
         known = self._remembered("skipped.json")
-        return known if isinstance(known, dict) and all(isinstance(text, str) for text in known.values()) else {}
+        return (
+            known
+            if isinstance(known, dict) and all(isinstance(text, str) for text in known.values())
+            else {}
+        )
 
     def _is_fresh(self, hashes):
         """Whether the cache was made of these files."""
@@ -121,9 +155,13 @@ class Geometry:
         """Map the arrays of `count` views into memory, if they are those that were packed."""
         sums, (height, width) = self._remembered("sums.json"), self.size
         try:
-            if not isinstance(sums, dict) or any(_sum(self._at(name)) != sums.get(name) for name in ARRAYS):
+            if not isinstance(sums, dict) or any(
+                _sum(self._at(name)) != sums.get(name) for name in ARRAYS
+            ):
                 return
-            n, segments = (np.load(self._at(name), mmap_mode="r", allow_pickle=False) for name in ARRAYS)
+            n, segments = (
+                np.load(self._at(name), mmap_mode="r", allow_pickle=False) for name in ARRAYS
+            )
         except (OSError, ValueError, EOFError):
             return
         if (n.shape, segments.shape) == ((count, height, width, 2), (count, height, width)):
@@ -132,8 +170,12 @@ class Geometry:
     def _pack(self, records, chosen, progress, skip_bad):
         self.skipped, hashes = {}, []
         shapes = ((len(chosen), *self.size, 2), (len(chosen), *self.size))
-        n, segments = (np.zeros(shape, PACKED_TYPES[name]) for shape, name in zip(shapes, ARRAYS, strict=True))
-        for record in tqdm(chosen, "packing geometry", unit="view", disable=not progress, leave=False):
+        n, segments = (
+            np.zeros(shape, PACKED_TYPES[name]) for shape, name in zip(shapes, ARRAYS, strict=True)
+        )
+        for record in tqdm(
+            chosen, "packing geometry", unit="view", disable=not progress, leave=False
+        ):
             try:
                 normals, covered = self._checked(records, record)
             except InputError as problem:
@@ -147,7 +189,10 @@ class Geometry:
         try:
             self._keep(hashes)
         except OSError as error:
-            print(f"learn: packed geometry stays in memory, for it cannot be kept: {error}", file=sys.stderr)
+            print(
+                f"learn: packed geometry stays in memory, for it cannot be kept: {error}",
+                file=sys.stderr,
+            )
             return
         self._map(len(hashes))
 
@@ -158,19 +203,28 @@ class Geometry:
         for name, array in zip(ARRAYS, (self._n, self._segments), strict=True):
             with replacing(self._at(name)) as file:
                 np.save(file, array, allow_pickle=False)
-        write_text(self._at("sums.json"), json.dumps({name: _sum(self._at(name)) for name in ARRAYS}))
+        write_text(
+            self._at("sums.json"), json.dumps({name: _sum(self._at(name)) for name in ARRAYS})
+        )
         write_text(self._at("skipped.json"), json.dumps(self.skipped))
         write_text(self._at("views.json"), json.dumps(hashes))
 
     def _checked(self, records, record):
-        """normals (H, W, 3), segments (H, W) of a record or a view. Raises InputError for what cannot be learned from."""
+        """normals (H, W, 3), segments (H, W) of a record or a view. Raises InputError for what
+        cannot be learned from.
+        """
         normals, _, segments = records.geometry(record)
-        where, remedy = self.folder / record.geometry, "python -m factory verify DIR --repair, then render again; or --skip-bad"
+        where, remedy = (
+            self.folder / record.geometry,
+            "python -m factory verify DIR --repair, then render again; or --skip-bad",
+        )
         if not segments.any():
             raise InputError(where, "a shape in the frame", "an empty mask", remedy)
         lengths = np.linalg.norm(normals[segments > 0], axis=-1)
         if not np.abs(lengths - 1).max() < UNIT_TOLERANCE:  # so asked, NaN is refused too
-            raise InputError(where, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", remedy)
+            raise InputError(
+                where, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", remedy
+            )
         return normals, segments
 
 

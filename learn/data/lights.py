@@ -1,6 +1,8 @@
-"""Light for relit pictures: maps turned, mirrored, mixed and tinted, and computed skies and rooms, for there are few maps.
+"""Light for relit pictures: maps turned, mirrored, mixed and tinted, and computed skies and rooms,
+for there are few maps.
 
-L  (64, 128, 3) float32 radiance of unit mean luminance, light frame; all draws from a numpy Generator
+L  (64, 128, 3) float32 radiance of unit mean luminance, light frame; all draws from a numpy
+Generator
 """
 
 import zipfile
@@ -29,12 +31,18 @@ def read_maps(path):
     with archives.opened_zip(path, rule, remedy) as archive:
         members = archive.infolist()
         if len(members) > MOST_MAPS:
-            raise InputError(path, f"at most {MOST_MAPS} maps", str(len(members)), "give fewer maps")
-        return {member.filename.removesuffix(".npy"): _map(archive, member, path) for member in members}
+            raise InputError(
+                path, f"at most {MOST_MAPS} maps", str(len(members)), "give fewer maps"
+            )
+        return {
+            member.filename.removesuffix(".npy"): _map(archive, member, path) for member in members
+        }
 
 
 def _map(archive, member, path):
-    """L of one member of an archive, unit mean. Raises InputError, and one of `archives.DAMAGE` for a damaged one."""
+    """L of one member of an archive, unit mean. Raises InputError, and one of `archives.DAMAGE` for
+    a damaged one.
+    """
     where, remedy = f"{path}: {member.filename.removesuffix('.npy')}", "average it to 64×128 first"
     rule = "finite radiance of shape (64, 128, 3)"
     if member.file_size > LARGEST_MAP:  # by the directory, before memory is taken
@@ -49,20 +57,26 @@ def _map(archive, member, path):
     L = values.reshape(header.shape, order="F" if header.fortran else "C").astype(np.float64)
     if not np.isfinite(L).all() or L.max() > BRIGHTEST:
         result = f"values up to {L.max():g}" if np.isfinite(L).all() else "NaN or infinity"
-        raise InputError(where, f"finite radiance up to {BRIGHTEST:g}", result, "clip it, and write it again")
+        raise InputError(
+            where, f"finite radiance up to {BRIGHTEST:g}", result, "clip it, and write it again"
+        )
     if not (L > 0).any():
         raise InputError(where, "light", "a black map", "leave it out")
     return envmap.unit_mean(np.maximum(L, 0).astype(np.float32))[0].astype(np.float32)
 
 
 def draw(rng, maps, real):
-    """One light. maps: a list of L; real: the share of plain maps, the rest mixtures and computed ones in equal parts."""
+    """One light. maps: a list of L; real: the share of plain maps, the rest mixtures and computed
+    ones in equal parts.
+    """
     kind = rng.random()
     if maps and kind < real:
         L = _turned(rng, maps)
     elif maps and kind < (1 + real) / 2:
         share = rng.uniform(0.1, 0.9)
-        L = share * _turned(rng, maps) * _tint(rng, 0.3) + (1 - share) * _turned(rng, maps) * _tint(rng, 0.3)
+        L = share * _turned(rng, maps) * _tint(rng, 0.3) + (1 - share) * _turned(rng, maps) * _tint(
+            rng, 0.3
+        )
     else:
         L = computed(rng)
     return envmap.unit_mean((L * _tint(rng, 0.15)).astype(np.float32))[0].astype(np.float32)
@@ -73,14 +87,19 @@ def computed(rng):
     w, _ = envmap.directions(HEIGHT, WIDTH)
     up = w[..., 1]
     gradient = np.clip(0.5 + 0.5 * up / rng.uniform(0.1, 1.0), 0, 1)[..., None]
-    L = rng.uniform(0.02, 0.6) * _tint(rng, 0.4) + gradient * (rng.uniform(0.1, 1.5) * _tint(rng, 0.4))
+    L = rng.uniform(0.02, 0.6) * _tint(rng, 0.4) + gradient * (
+        rng.uniform(0.1, 1.5) * _tint(rng, 0.4)
+    )
     for _ in range(rng.integers(0, 5)):
         centre = rng.normal(size=3)
         centre[1] = abs(centre[1]) * rng.choice([1.0, 1.0, 1.0, -0.5])
         centre /= np.linalg.norm(centre)
         width = np.exp(rng.uniform(np.log(0.04), np.log(0.7)))  # radians
-        lamp = np.clip((width - np.arccos(np.clip(w @ centre, -1, 1))) / (0.3 * width + 0.02) + 0.5, 0, 1)
-        share = np.exp(rng.uniform(np.log(0.03), np.log(1.0)))  # of the sphere's light, against the ambient's of about one half
+        lamp = np.clip(
+            (width - np.arccos(np.clip(w @ centre, -1, 1))) / (0.3 * width + 0.02) + 0.5, 0, 1
+        )
+        # of the sphere's light, against the ambient's of about one half
+        share = np.exp(rng.uniform(np.log(0.03), np.log(1.0)))
         L = L + (share / max(lamp.mean(), 1e-4) * lamp)[..., None] * _tint(rng, 0.4)
     return L
 

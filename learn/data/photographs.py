@@ -1,11 +1,15 @@
-"""Pictures from a user: any size, in the formats of FORMATS or OpenEXR, with a mask, brought to what the networks were trained on.
+"""Pictures from a user: any size, in the formats of FORMATS or OpenEXR, with a mask, brought to
+what the networks were trained on.
 
 radiance  (H, W, 3) float32 linear Rec.709; 8 and 16 bit files pass the sRGB curve backwards
-mask      (H, W) bool, from a file of the same size (brighter than half) or from the picture's own alpha
-Of 16-bit colour Pillow keeps the upper eight bits; of 16-bit grey all. Orientation is taken from the file, colour profiles are not read.
+mask      (H, W) bool, from a file of the same size (brighter than half) or from the picture's own
+alpha
+Of 16-bit colour Pillow keeps the upper eight bits; of 16-bit grey all. Orientation is taken from
+the file, colour profiles are not read.
 
-Which radiance is accepted: finite values up to LARGEST_RADIANCE, negative ones counting as 0, of an object that is bright enough, and not
-too bright, for its exposure to be estimated (ESTIMATED) or for the networks (SEEN). A constant or fully clipped object is accepted.
+Which radiance is accepted: finite values up to LARGEST_RADIANCE, negative ones counting as 0, of an
+object that is bright enough, and not too bright, for its exposure to be estimated (ESTIMATED) or
+for the networks (SEEN). A constant or fully clipped object is accepted.
 """
 
 import functools
@@ -27,8 +31,9 @@ from manifests.inputs import require_file
 from shaders import tone
 from shaders.envmap import LUMINANCE
 
-# What Pillow may open. Left out are formats that start other programs (EPS starts Ghostscript), hold several sizes (ICO, ICNS), are read
-# line by line in Python (plain PPM), or that no camera and no painting program writes by default.
+# What Pillow may open. Left out are formats that start other programs (EPS starts Ghostscript),
+# hold several sizes (ICO, ICNS), are read line by line in Python (plain PPM), or that no camera and
+# no painting program writes by default.
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF", "TIFF", "BMP", "GIF")
 FORMATS_TEXT = "PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR"
 MOST_PIXELS = 64_000_000
@@ -62,23 +67,29 @@ LARGEST_RADIANCE = 1e10  # the sun's disk has 1.6e9 cd/m²: in no unit in use is
 MOST_REGIONS = 8
 LEAST_PIXELS = 16  # of the mask; fewer tell nothing of a shape
 MASK_REMEDY = "give --mask FILE: white where the object is"
-MOST_SQUARE = 9600  # pixels along the side of the square over the object: of a square picture of MOST_PIXELS
+# pixels along the side of the square over the object: of a square picture of MOST_PIXELS
+MOST_SQUARE = 9600
 MARGIN = 1.18  # of the square over the object: objects span 0.85 of the median training picture
-# A photograph's scale is unknown: that under which a light of unit mean lit it is guessed from the object's mean luminance Y in the file as
-# TYPICAL · Y^−DEPENDENCE: the best line over 200 pictures of known light, exposed for their 99th percentile.
-# `python -m learn.experiments exposure` measures it
-# (docs/editing.md): over 600 others it is as good as their own line, and a third of them lie off either by more than a factor of 2.5.
+# A photograph's scale is unknown: that under which a light of unit mean lit it is guessed from the
+# object's mean luminance Y in the file as TYPICAL · Y^−DEPENDENCE: the best line over 200 pictures
+# of known light, exposed for their 99th percentile. `python -m learn.experiments exposure` measures
+# it (docs/editing.md): over 600 others it is as good as their own line, and a third of them lie off
+# either by more than a factor of 2.5.
 TYPICAL, DEPENDENCE = 0.23, 0.19
-# Mean luminance of an object whose exposure is estimated: below it 8 bits have three steps, above it a file is in units of its own.
+# Mean luminance of an object whose exposure is estimated: below it 8 bits have three steps, above
+# it a file is in units of its own.
 ESTIMATED = (1e-3, 1e3)
-# Mean luminance of an object times its exposure. Under light of unit mean the catalogue's materials on a sphere have 2.3e-4 (lit by a
-# sun from behind) to 1.8; a mirror that faces the sun may have far more, but not over a whole object.
+# Mean luminance of an object times its exposure. Under light of unit mean the catalogue's materials
+# on a sphere have 2.3e-4 (lit by a sun from behind) to 1.8; a mirror that faces the sun may have
+# far more, but not over a whole object.
 SEEN = (1e-4, 1e2)
 
 
 @dataclass(frozen=True)
 class Framed:
-    """A picture cut to the object's square. box: (top, left, side) in its pixels; exposure: radiance = photograph × exposure."""
+    """A picture cut to the object's square. box: (top, left, side) in its pixels; exposure:
+    radiance = photograph × exposure.
+    """
 
     radiance: np.ndarray
     mask: np.ndarray
@@ -93,8 +104,8 @@ def read(path, mask_path=None):
 
 
 def read_soft(path, mask_path=None, regions=None, remedy=MASK_REMEDY):
-    """radiance (H, W, 3); coverage (H, W) in [0, 1]: how much of each pixel the object covers, from a mask's grey or a picture's alpha;
-    and that alpha itself.
+    """radiance (H, W, 3); coverage (H, W) in [0, 1]: how much of each pixel the object covers, from
+    a mask's grey or a picture's alpha; and that alpha itself.
 
     regions  a label image's file: without a mask and transparency the object is all its regions
     remedy   of a picture without a mask
@@ -113,25 +124,35 @@ def read_soft(path, mask_path=None, regions=None, remedy=MASK_REMEDY):
         raise InputError(path, "a mask, or transparency around the object", "neither", remedy)
     if (coverage >= 0.5).sum() < LEAST_PIXELS:
         result = f"{int((coverage >= 0.5).sum())}"
-        raise InputError(mask_path or path, f"an object of {LEAST_PIXELS} pixels or more in the mask", result, "white marks the object")
+        raise InputError(
+            mask_path or path,
+            f"an object of {LEAST_PIXELS} pixels or more in the mask",
+            result,
+            "white marks the object",
+        )
     return radiance, coverage, alpha
 
 
 def read_mask(path, size):
-    """Coverage (H, W) of a mask file: its display value, 0 black to 1 white, times its own alpha. Raises InputError: not of that size."""
+    """Coverage (H, W) of a mask file: its display value, 0 black to 1 white, times its own alpha.
+    Raises InputError: not of that size.
+    """
     values, own = _pixels(Path(path))
     _require_size(path, values.shape[:2], size, "a mask")
     return tone.srgb(values.mean(-1)).astype(np.float32) * own
 
 
 def read_labels(path, size):
-    """Regions (H, W) uint8, 0 background, 1 … S by rising value: each grey, colour or palette entry but 0 is a region.
+    """Regions (H, W) uint8, 0 background, 1 … S by rising value: each grey, colour or palette entry
+    but 0 is a region.
 
     Raises  InputError
     """
     path = Path(path)
     if path.suffix.lower() == ".exr":
-        raise InputError(path, "a picture of whole numbers, one a region", "an EXR", "save it as PNG")
+        raise InputError(
+            path, "a picture of whole numbers, one a region", "an EXR", "save it as PNG"
+        )
     values = _decoded(path, _label_values)
     _require_size(path, values.shape[:2], size, "regions")
     levels = [level for level in np.unique(values) if level != 0]
@@ -142,7 +163,9 @@ def read_labels(path, size):
 
 
 def _label_values(picture):
-    """(H, W) whole numbers of a Pillow image: greys and palette entries as they are, of colours one number each."""
+    """(H, W) whole numbers of a Pillow image: greys and palette entries as they are, of colours one
+    number each.
+    """
     if picture.mode in ("P", "L", "1") or picture.mode.startswith("I"):
         return np.asarray(picture)
     r, g, b, alpha = np.moveaxis(np.asarray(picture.convert("RGBA"), np.uint32), -1, 0)
@@ -163,19 +186,31 @@ def _pixels(path):
     if values.ndim == 2:
         low, high = values.min(), values.max()
         if low < 0 or high > 65535:
-            raise InputError(path, "8 or 16 bit values", f"values from {low} to {high}", "save it as a 16-bit PNG, or as EXR")
-        return np.repeat(_linear(values.astype(np.float32) / 65535)[..., None], 3, -1), np.ones(values.shape, np.float32)
-    table = _linear(np.arange(256) / 255)  # one look-up a value: of twenty megapixels the power would take seconds and gigabytes
+            raise InputError(
+                path,
+                "8 or 16 bit values",
+                f"values from {low} to {high}",
+                "save it as a 16-bit PNG, or as EXR",
+            )
+        return np.repeat(_linear(values.astype(np.float32) / 65535)[..., None], 3, -1), np.ones(
+            values.shape, np.float32
+        )
+    # one look-up a value: of twenty megapixels the power would take seconds and gigabytes
+    table = _linear(np.arange(256) / 255)
     return table[values[..., :3]], values[..., 3].astype(np.float32) / 255
 
 
 def _display_values(picture):
-    """(H, W, 4) uint8 of a Pillow image's colours and transparency; (H, W) whole numbers of deeper greys."""
+    """(H, W, 4) uint8 of a Pillow image's colours and transparency; (H, W) whole numbers of deeper
+    greys.
+    """
     return np.asarray(picture if picture.mode.startswith("I") else picture.convert("RGBA"))
 
 
 def _decoded(path, values_of):
-    """What `values_of` takes from the Pillow image of a file, which is whole and upright. Raises InputError."""
+    """What `values_of` takes from the Pillow image of a file, which is whole and upright. Raises
+    InputError.
+    """
     require_file(path, "a picture", "check the name", MOST_BYTES)
     try:
         with warnings.catch_warnings():
@@ -187,11 +222,16 @@ def _decoded(path, values_of):
     except InputError:
         raise
     except UnidentifiedImageError:
-        rule, remedy = f"a picture in one of the formats {FORMATS_TEXT}", "save it as PNG, JPEG or EXR"
+        rule, remedy = (
+            f"a picture in one of the formats {FORMATS_TEXT}",
+            "save it as PNG, JPEG or EXR",
+        )
         raise InputError(path, rule, "another format, or a damaged file", remedy) from None
     except (OSError, *DAMAGED) as error:
         result = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-        raise InputError(path, f"a whole picture ({FORMATS_TEXT})", result, "save it again, as PNG, JPEG or EXR") from None
+        raise InputError(
+            path, f"a whole picture ({FORMATS_TEXT})", result, "save it again, as PNG, JPEG or EXR"
+        ) from None
 
 
 @functools.cache
@@ -202,9 +242,14 @@ def _formats():
 
 
 def _require_readable(path, picture):
-    """Raises InputError for a Pillow image, of which only the header was read, that is too large or holds no display values."""
+    """Raises InputError for a Pillow image, of which only the header was read, that is too large or
+    holds no display values.
+    """
     tags = getattr(picture, "tag_v2", {})  # of a TIFF, whose decoder takes memory for a whole tile
-    for what, width, height in (("", *picture.size), ("tiles of ", tags.get(TILE_WIDTH), tags.get(TILE_LENGTH))):
+    for what, width, height in (
+        ("", *picture.size),
+        ("tiles of ", tags.get(TILE_WIDTH), tags.get(TILE_LENGTH)),
+    ):
         sides = [side for side in (width, height) if isinstance(side, int)]
         if math.prod(sides) > MOST_PIXELS or max(sides, default=0) > MOST_SIDE:
             rule = f"at most {MOST_PIXELS // 1_000_000} megapixels, and {MOST_SIDE} a side"
@@ -226,31 +271,55 @@ def _upright(picture):
 
 def _linear(values):
     """float32 linear values of display values in [0, 1]: the sRGB curve backwards."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(
+        np.float32
+    )
 
 
 def _exr_pixels(path):
     channels = exr.read(path)
     missing = [name for name in PICTURE_CHANNELS if name not in channels]
     if missing:
-        raise InputError(path, "channels R, G, B", f"only {', '.join(sorted(channels)) or 'none'}", "export it as RGB")
-    planes = {name: np.asarray(channels[name]) for name in (*PICTURE_CHANNELS, "A") if name in channels}
+        raise InputError(
+            path,
+            "channels R, G, B",
+            f"only {', '.join(sorted(channels)) or 'none'}",
+            "export it as RGB",
+        )
+    planes = {
+        name: np.asarray(channels[name]) for name in (*PICTURE_CHANNELS, "A") if name in channels
+    }
     kinds = {(plane.shape, plane.dtype.kind) for plane in planes.values()}
-    if len({shape for shape, _ in kinds}) > 1 or any(len(shape) != 2 or kind not in "fu" for shape, kind in kinds):
-        raise InputError(path, "channels R, G, B and A of one size", "channels of several sizes, or deep data", "export it as flat RGB")
+    if len({shape for shape, _ in kinds}) > 1 or any(
+        len(shape) != 2 or kind not in "fu" for shape, kind in kinds
+    ):
+        raise InputError(
+            path,
+            "channels R, G, B and A of one size",
+            "channels of several sizes, or deep data",
+            "export it as flat RGB",
+        )
     radiance = np.stack([planes[name].astype(np.float32) for name in PICTURE_CHANNELS], -1)
-    alpha = planes["A"].astype(np.float32) if "A" in planes else np.ones(radiance.shape[:2], np.float32)
+    alpha = (
+        planes["A"].astype(np.float32) if "A" in planes else np.ones(radiance.shape[:2], np.float32)
+    )
     if not np.isfinite(radiance).all():
         raise InputError(path, "finite radiance", "NaN or infinity", "export it again")
     if not np.isfinite(alpha).all():
         raise InputError(path, "a finite alpha channel", "NaN or infinity", "export it again")
     if (brightest := radiance.max()) > LARGEST_RADIANCE:
-        raise InputError(path, f"radiance up to {LARGEST_RADIANCE:g}", f"{brightest:g}", "divide it by what white is, and export it again")
+        raise InputError(
+            path,
+            f"radiance up to {LARGEST_RADIANCE:g}",
+            f"{brightest:g}",
+            "divide it by what white is, and export it again",
+        )
     return np.maximum(radiance, 0), np.clip(alpha, 0, 1)
 
 
 def exposure_of(radiance, mask, exposure=None, where="the object"):
-    """The factor from a picture's radiance to the networks': the one given, or an estimate from the object's brightness.
+    """The factor from a picture's radiance to the networks': the one given, or an estimate from the
+    object's brightness.
 
     radiance (H, W, 3), mask (H, W) bool, not empty
     Raises  InputError at `where` for an object that is black, or too dark or too bright to be read
@@ -260,11 +329,18 @@ def exposure_of(radiance, mask, exposure=None, where="the object"):
     if exposure is None:
         if not ESTIMATED[0] <= Y <= ESTIMATED[1]:
             rule = "an object of mean luminance {:g} to {:g}".format(*ESTIMATED)
-            raise InputError(where, rule, shown, "expose it so that white is 1, or say by --exposure what to multiply it by")
+            raise InputError(
+                where,
+                rule,
+                shown,
+                "expose it so that white is 1, or say by --exposure what to multiply it by",
+            )
         return TYPICAL * Y**-DEPENDENCE
     if not SEEN[0] <= exposure * Y <= SEEN[1]:
         rule = "an object whose mean luminance times the exposure is {:g} to {:g}".format(*SEEN)
-        raise InputError(where, rule, f"{shown} times {exposure:g}", "give another --exposure, or leave it out")
+        raise InputError(
+            where, rule, f"{shown} times {exposure:g}", "give another --exposure, or leave it out"
+        )
     return exposure
 
 
@@ -286,21 +362,36 @@ def framed(radiance, mask, size, exposure=None, where="the object"):
     exposure = exposure_of(radiance, mask, exposure, where)
     weight = placed(mask.astype(np.float32), (top, left, side))
     covered = resized(weight, size)
-    colour = resized(placed(radiance * mask[..., None], (top, left, side)), size) / np.maximum(covered, 1e-3)[..., None]
+    colour = (
+        resized(placed(radiance * mask[..., None], (top, left, side)), size)
+        / np.maximum(covered, 1e-3)[..., None]
+    )
     inside = covered >= 0.5
-    if inside.sum() < 0.5 * covered.sum():  # wires and rims: the pixels that hold most of it, as many as its area
+    # wires and rims: the pixels that hold most of it, as many as its area
+    if inside.sum() < 0.5 * covered.sum():
         inside = covered >= max(np.sort(covered, None)[-round(float(covered.sum()))], 1e-2)
     if inside.sum() < LEAST_PIXELS:
         rule = f"an object of {LEAST_PIXELS} pixels or more at the network's {size} × {size}"
-        raise InputError("the mask", rule, f"{int(inside.sum())}", "mask a thicker part of it, or crop to it")
-    return Framed((colour * inside[..., None] * exposure).astype(np.float32), inside, (int(top), int(left), side), float(exposure))
+        raise InputError(
+            "the mask", rule, f"{int(inside.sum())}", "mask a thicker part of it, or crop to it"
+        )
+    return Framed(
+        (colour * inside[..., None] * exposure).astype(np.float32),
+        inside,
+        (int(top), int(left), side),
+        float(exposure),
+    )
 
 
 def framed_regions(regions, framed):
-    """(size, size) int64: regions (H, W) in the object's square, each pixel of the framed mask the nearest pixel's, 0 outside the mask."""
+    """(size, size) int64: regions (H, W) in the object's square, each pixel of the framed mask the
+    nearest pixel's, 0 outside the mask.
+    """
     size = len(framed.mask)
     at = ((np.arange(size) + 0.5) * framed.box[2] / size).astype(int)
-    near = distance_transform_edt(placed(regions, framed.box) == 0, return_distances=False, return_indices=True)
+    near = distance_transform_edt(
+        placed(regions, framed.box) == 0, return_distances=False, return_indices=True
+    )
     return placed(regions, framed.box)[tuple(near)][at][:, at].astype(np.int64) * framed.mask
 
 
@@ -329,7 +420,13 @@ def resized(array, size):
     """Averaged or interpolated to (size, size)."""
     planes = array[..., None] if array.ndim == 2 else array
     method = Image.Resampling.BOX if len(array) >= size else Image.Resampling.BILINEAR
-    out = np.stack([np.asarray(Image.fromarray(planes[..., k]).resize((size, size), method)) for k in range(planes.shape[-1])], -1)
+    out = np.stack(
+        [
+            np.asarray(Image.fromarray(planes[..., k]).resize((size, size), method))
+            for k in range(planes.shape[-1])
+        ],
+        -1,
+    )
     return out[..., 0] if array.ndim == 2 else out
 
 
@@ -343,6 +440,13 @@ def write_exr(path, array, names=PICTURE_CHANNELS):
 
 
 def require_finite(path, values):
-    """Raises InputError if a picture that is about to be written to `path` holds NaN or infinity, of which no file is made."""
+    """Raises InputError if a picture that is about to be written to `path` holds NaN or infinity,
+    of which no file is made.
+    """
     if not np.isfinite(values).all():
-        raise InputError(path, "a finite picture", "NaN or infinity", "give another --exposure, or other --weights or --material")
+        raise InputError(
+            path,
+            "a finite picture",
+            "NaN or infinity",
+            "give another --exposure, or other --weights or --material",
+        )

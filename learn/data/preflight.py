@@ -1,7 +1,7 @@
 """Before training starts: is every picture that it will need there, whole, finite and of something?
 
-All files are read once; what was found good is remembered by size and time of change (packed/pictures.json), so that another run only
-asks the file system.
+All files are read once; what was found good is remembered by size and time of change
+(packed/pictures.json), so that another run only asks the file system.
 """
 
 import contextlib
@@ -26,9 +26,16 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
     Raises    InputError that names the record's file and the remedy
     """
     path = records.folder / "packed" / "pictures.json"
-    known, good, skipped, seen = _remembered(path), [], {}, {hash_: None for hash_ in geometry.skipped}
+    known, good, skipped, seen = (
+        _remembered(path),
+        [],
+        {},
+        {hash_: None for hash_ in geometry.skipped},
+    )
     seen |= {view.hash: True for view in geometry.views}
-    for record in tqdm(chosen, "checking pictures", unit="picture", disable=not progress, leave=False):
+    for record in tqdm(
+        chosen, "checking pictures", unit="picture", disable=not progress, leave=False
+    ):
         try:
             stamp = _stamp(inside(records.folder, record.image))
             for name in record.materials:
@@ -38,14 +45,22 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
                 _check(records, record)
                 known[record.id] = stamp
             if not seen.get(record.geometry_hash):
-                result = geometry.skipped.get(record.geometry_hash, "a shape that covers next to nothing of the frame")
-                raise InputError(f"{records.folder}: record {record.id}", "usable geometry", result, "render it again")
+                result = geometry.skipped.get(
+                    record.geometry_hash, "a shape that covers next to nothing of the frame"
+                )
+                raise InputError(
+                    f"{records.folder}: record {record.id}",
+                    "usable geometry",
+                    result,
+                    "render it again",
+                )
             good.append(record)
         except InputError as problem:
             if not skip_bad:
                 raise skippable(problem) from None
             skipped[record.id] = str(problem)
-    with contextlib.suppress(OSError):  # a full disk, a data set that may only be read: the next run checks them again
+    # a full disk, a data set that may only be read: the next run checks them again
+    with contextlib.suppress(OSError):
         path.parent.mkdir(exist_ok=True)
         write_text(path, json.dumps(known))
     return good, skipped
@@ -53,7 +68,12 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
 
 def skippable(problem: InputError) -> InputError:
     """The InputError with a remedy that names --skip-bad too."""
-    return InputError(problem.where, problem.expected, problem.found, f"{problem.remedy}, or leave it out by --skip-bad")
+    return InputError(
+        problem.where,
+        problem.expected,
+        problem.found,
+        f"{problem.remedy}, or leave it out by --skip-bad",
+    )
 
 
 def _check(records, record):
@@ -62,7 +82,9 @@ def _check(records, record):
     image = records.image(record)
     if not np.isfinite(image).all():
         count = int((~np.isfinite(image)).sum())
-        raise InputError(where, "finite radiance", f"{count} values that are not", "render it again")
+        raise InputError(
+            where, "finite radiance", f"{count} values that are not", "render it again"
+        )
 
 
 def _stamp(path):

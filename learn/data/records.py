@@ -5,8 +5,10 @@ H, W picture, S segments; letters as in learn/layer/rendering.py. Everything is 
 image     (H, W, 3) linear Rec.709 radiance, as Cycles rendered it
 n         (H, W, 3) unit normals, camera frame, 0 in the background
 segments  (H, W) int64, 1 … S, 0 in the background
-label     (S, 108) natural logarithms of κ and γ control values; material = exp(label) is what the layer takes
-light     (64, 128, 3) linear radiance of unit mean luminance, light frame of this view: the stored map rolled by rotation_texels
+label     (S, 108) natural logarithms of κ and γ control values; material = exp(label) is what the
+layer takes
+light     (64, 128, 3) linear radiance of unit mean luminance, light frame of this view: the stored
+map rolled by rotation_texels
 view      (H, W, 3) unit vectors to the viewer, camera frame; None for an orthographic camera
 """
 
@@ -34,7 +36,9 @@ REPAIR = "python -m factory verify DIR --repair, then render again"
 
 @dataclass(frozen=True)
 class Sample:
-    """One record's tensors; see the module for shapes and frames. depth (H, W), 0 in the background."""
+    """One record's tensors; see the module for shapes and frames. depth (H, W), 0 in the
+    background.
+    """
 
     record: Record
     image: torch.Tensor
@@ -73,18 +77,25 @@ class Sample:
 
 
 class Records(torch.utils.data.Dataset):
-    """A dataset's folder as a sequence of samples, in order of record id: an index means the same picture on every machine."""
+    """A dataset's folder as a sequence of samples, in order of record id: an index means the same
+    picture on every machine.
+    """
 
     def __init__(self, folder, keep=None):
         """keep: a function of a Record that says whether it is wanted; None: all.
 
-        Raises  InputError if the folder holds no dataset, or a record that is not the one its id means
+        Raises  InputError if the folder holds no dataset, or a record that is not the one its id
+        means
         """
         self.store = Store(folder)
         self.folder = Path(folder)
         self.dataset = self.store.dataset()
-        self.materials = {entry.name: entry for entry in read_catalogue(self.folder / "materials.json").materials}
-        self.records = sorted(self._judged("records", self.store.records(keep)), key=lambda record: record.id)
+        self.materials = {
+            entry.name: entry for entry in read_catalogue(self.folder / "materials.json").materials
+        }
+        self.records = sorted(
+            self._judged("records", self.store.records(keep)), key=lambda record: record.id
+        )
         if twice := next((a.id for a, b in pairwise(self.records) if a.id == b.id), None):
             raise InputError(self.folder, "each record once", f"{twice} twice", REPAIR)
 
@@ -95,13 +106,22 @@ class Records(torch.utils.data.Dataset):
         return self.load(self.records[index])
 
     def load(self, record):
-        """The Sample of a record. Raises InputError for a file that is missing, damaged or of another size."""
+        """The Sample of a record. Raises InputError for a file that is missing, damaged or of
+        another size.
+        """
         normals, depth, segments = self.geometry(record)
         fov = None if record.camera.fov_deg is None else np.radians(record.camera.fov_deg)
-        view = None if fov is None else torch.from_numpy(view_vectors(*record.camera.size, fov=fov).astype(np.float32))
+        view = (
+            None
+            if fov is None
+            else torch.from_numpy(view_vectors(*record.camera.size, fov=fov).astype(np.float32))
+        )
         light = roll(self.light(record.light), record.rotation_texels)
         label = np.stack([self.label(name) for name in record.materials])
-        tensors = (torch.from_numpy(np.ascontiguousarray(array)) for array in (self.image(record), normals, depth, segments, label, light))
+        tensors = (
+            torch.from_numpy(np.ascontiguousarray(array))
+            for array in (self.image(record), normals, depth, segments, label, light)
+        )
         return Sample(record, *tensors, view)
 
     def views(self):
@@ -109,45 +129,78 @@ class Records(torch.utils.data.Dataset):
         return self._judged("views", self.store.views())
 
     def _judged(self, kind, lines):
-        """The lines, each held against its id and its entries: an altered one would be learned from as what it is not."""
+        """The lines, each held against its id and its entries: an altered one would be learned from
+        as what it is not.
+        """
         judge, result = Judge(self.dataset, {}, set(), None), []
         faults_of = judge.of_kind(kind)
         for line in lines:
             for fault in faults_of(line, None):
-                raise InputError(self.folder, f"{kind} that are what their ids mean", fault.text, REPAIR)
+                raise InputError(
+                    self.folder, f"{kind} that are what their ids mean", fault.text, REPAIR
+                )
             result.append(line)
         for fault in judge.verdicts():
-            raise InputError(self.folder, f"{kind} that are what their ids mean", fault.text, REPAIR)
+            raise InputError(
+                self.folder, f"{kind} that are what their ids mean", fault.text, REPAIR
+            )
         return result
 
     def image(self, record):
-        """Radiance (H, W, 3) float32 of a record. Raises InputError for another file than the record means."""
-        return arrays.read_picture(inside(self.folder, record.image), record.camera.size, record.image_hash)
+        """Radiance (H, W, 3) float32 of a record. Raises InputError for another file than the
+        record means.
+        """
+        return arrays.read_picture(
+            inside(self.folder, record.image), record.camera.size, record.image_hash
+        )
 
     def geometry(self, record):
-        """normals (H, W, 3) float32, depth (H, W) float32, segments (H, W) int64 of a record or a view."""
+        """normals (H, W, 3) float32, depth (H, W) float32, segments (H, W) int64 of a record or a
+        view.
+        """
         path = inside(self.folder, record.geometry)
         geometry = arrays.read_geometry(path, record.camera.size, record.geometry_hash)
         normals, depth, segments = geometry
         if away := turned_away(geometry, record.camera):
-            raise InputError(path, "normals that face the viewer", f"{away} turned away", "render it again")
+            raise InputError(
+                path, "normals that face the viewer", f"{away} turned away", "render it again"
+            )
         if segments.max(initial=0) > record.segments:
-            raise InputError(path, f"at most {record.segments} segments", f"segment {int(segments.max())}", "render it again")
+            raise InputError(
+                path,
+                f"at most {record.segments} segments",
+                f"segment {int(segments.max())}",
+                "render it again",
+            )
         return normals, depth, segments.astype(np.int64)
 
     @cache  # noqa: B019 -- one dataset lives as long as its program
     def material(self, name):
-        """The manifests.materials.Material of this dataset under that name: label, mixture, fit errors."""
+        """The manifests.materials.Material of this dataset under that name: label, mixture, fit
+        errors.
+        """
         where, entry = self.folder / "materials.json", self.materials.get(name)
         if entry is None:
-            raise InputError(where, f"an entry for '{name}', which a record names", "none", "copy the dataset again")
+            raise InputError(
+                where,
+                f"an entry for '{name}', which a record names",
+                "none",
+                "copy the dataset again",
+            )
         result, known = material(entry, where), self.dataset.materials.get(name)
         if known is not None and known.hash != result.hash:
-            raise InputError(f"{where}: '{name}'", f"hash {known.hash}, as in dataset.json", result.hash, "copy the dataset again")
+            raise InputError(
+                f"{where}: '{name}'",
+                f"hash {known.hash}, as in dataset.json",
+                result.hash,
+                "copy the dataset again",
+            )
         return result
 
     def side(self, name: str) -> str:
-        """The side of the split, "train" or "test", that this data set gives to one of its materials."""
+        """The side of the split, "train" or "test", that this data set gives to one of its
+        materials.
+        """
         known = self.dataset.materials.get(name)
         return self.materials[name].split if known is None else known.side
 
@@ -157,8 +210,15 @@ class Records(torch.utils.data.Dataset):
 
     @cache  # noqa: B019 -- a map takes 100 KB
     def light(self, name):
-        """The stored map (64, 128, 3) float32 of a light of this dataset, as the camera sees it at rotation 0."""
+        """The stored map (64, 128, 3) float32 of a light of this dataset, as the camera sees it at
+        rotation 0.
+        """
         entry = self.dataset.lights.get(name)
         if entry is None:
-            raise InputError(self.folder / "dataset.json", f"a light '{name}', which a record names", "none", "copy the dataset again")
+            raise InputError(
+                self.folder / "dataset.json",
+                f"a light '{name}', which a record names",
+                "none",
+                "copy the dataset again",
+            )
         return arrays.read_light(inside(self.folder, entry.file), entry.file_hash)

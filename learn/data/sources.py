@@ -1,7 +1,7 @@
 """From a run's settings and folders to its batches: who is for training, who is held out.
 
-Shapes, materials and lights are the data set's own, on the sides of the split that it gives them. The built-in
-materials take the place of its own where the run says so ("materials": "built-in").
+Shapes, materials and lights are the data set's own, on the sides of the split that it gives them.
+The built-in materials take the place of its own where the run says so ("materials": "built-in").
 """
 
 import hashlib
@@ -33,21 +33,26 @@ def by_hash(name, parts):
 
 
 def data_splits(data, folder, maps_file=None, progress=True, pictures=None, skip_bad=False):
-    """{"train": Pool, "validation": Pool, "test": Pool}: disjoint in shapes, materials and lights, all checked before anything is trained.
+    """{"train": Pool, "validation": Pool, "test": Pool}: disjoint in shapes, materials and lights,
+    all checked before anything is trained.
 
-    A side for which no light is left, validation or test, is lit by all maps, and one for which no material is left draws
-    from those of training; training never sees a held-out one.
+    A side for which no light is left, validation or test, is lit by all maps, and one for which no
+    material is left draws from those of training; training never sees a held-out one.
 
     data       learn.data.settings.Data
     folder     a dataset with geometry; its lights are used too
     maps_file  an .npz of further light maps, or None
-    pictures   a dataset with records that Cycles rendered, or None: those of `folder`, where the run asks for pictures
+    pictures   a dataset with records that Cycles rendered, or None: those of `folder`, where the
+    run asks for pictures
     skip_bad   leave out what is damaged, and count it; otherwise the first one raises
-    Raises     InputError: a held-out light that is not there, a side without shapes, no material for training, a damaged material,
+    Raises     InputError: a held-out light that is not there, a side without shapes, no material
+    for training, a damaged material,
                damaged geometry or pictures
     """
     geometry, records = Geometry(folder, progress, skip_bad), Records(folder)
-    maps = {name: records.light(name) for name in records.dataset.lights} | ({} if maps_file is None else read_maps(maps_file))
+    maps = {name: records.light(name) for name in records.dataset.lights} | (
+        {} if maps_file is None else read_maps(maps_file)
+    )
     maps = without_duplicates(maps, (*data.validation_lights, *data.test_lights))
     held = _held_out(data, maps, records.dataset.lights)
     materials, bad = materials_of(data, records, skip_bad)
@@ -55,67 +60,124 @@ def data_splits(data, folder, maps_file=None, progress=True, pictures=None, skip
     rendered_splits = {}
     if pictures is not None or data.source != "relit":
         known = {name: (held.get(name, "train"), L) for name, L in maps.items()}
-        rendered_splits = _rendered_splits(data, pictures or folder, geometry, known, materials, skip_bad, progress)
+        rendered_splits = _rendered_splits(
+            data, pictures or folder, geometry, known, materials, skip_bad, progress
+        )
     result = {}
     for side in SIDES:
         views = np.array([i for i, s in enumerate(sides) if s == side])
         if not len(views):
-            raise InputError(folder, f"shapes for {side}", "none", "render more shapes; a fifth of them is held out")
+            raise InputError(
+                folder,
+                f"shapes for {side}",
+                "none",
+                "render more shapes; a fifth of them is held out",
+            )
         names = [name for name in maps if held.get(name, "train") == side]
-        if not names and side != "train":  # without maps training draws computed light, never a held-out map
+        # without maps training draws computed light, never a held-out map
+        if not names and side != "train":
             names = maps
-        labels = {m.name: m.label.reshape(-1).astype(np.float32) for m in materials[side] or materials["train"]}
-        result[side] = DataSplit(geometry, views, labels, [maps[name] for name in sorted(names)], side, rendered_splits.get(side), bad)
+        labels = {
+            m.name: m.label.reshape(-1).astype(np.float32)
+            for m in materials[side] or materials["train"]
+        }
+        result[side] = DataSplit(
+            geometry,
+            views,
+            labels,
+            [maps[name] for name in sorted(names)],
+            side,
+            rendered_splits.get(side),
+            bad,
+        )
     return result
 
 
 def source_of(data_split, run, batch, seed, part=(0, 1)):
-    """Batches of one side as a run wants them: relit, of pictures, or both. Sides without pictures are relit."""
+    """Batches of one side as a run wants them: relit, of pictures, or both. Sides without pictures
+    are relit.
+    """
     relit = RelitDataset(data_split, run.data, batch, run.size, seed, part)
     if run.data.source == "relit" or not data_split.rendered_split:
         return relit
     cycles = RenderedDataset(data_split, run.data, batch, run.size, seed, part)
-    return cycles if run.data.source == "pictures" or data_split.side != "train" else MixedDataset(relit, cycles, run.data.pictures_share)
+    return (
+        cycles
+        if run.data.source == "pictures" or data_split.side != "train"
+        else MixedDataset(relit, cycles, run.data.pictures_share)
+    )
 
 
 def skipped(data_splits):
     """{record id, geometry hash or material: what is wrong} of all that was left out."""
     rendered_splits, train = (
-        [data_split.rendered_split for data_split in data_splits.values() if data_split.rendered_split],
+        [
+            data_split.rendered_split
+            for data_split in data_splits.values()
+            if data_split.rendered_split
+        ],
         data_splits["train"],
     )
     return (
         train.geometry.skipped
         | train.skipped
-        | {key: report for rendered_split in rendered_splits for key, report in rendered_split.skipped.items()}
+        | {
+            key: report
+            for rendered_split in rendered_splits
+            for key, report in rendered_split.skipped.items()
+        }
     )
 
 
 def _held_out(data, maps, entries):
-    """{name: "validation" or "test"} of the maps that training must not see. Raises InputError for a name that is not there."""
-    named = dict.fromkeys(data.test_lights, "test") | dict.fromkeys(data.validation_lights, "validation")
+    """{name: "validation" or "test"} of the maps that training must not see. Raises InputError for
+    a name that is not there.
+    """
+    named = dict.fromkeys(data.test_lights, "test") | dict.fromkeys(
+        data.validation_lights, "validation"
+    )
     for name in named:
         if name not in maps:
-            raise InputError(f"held-out light '{name}'", "a light of the dataset or of --lights", "none of that name", closest(name, maps))
+            raise InputError(
+                f"held-out light '{name}'",
+                "a light of the dataset or of --lights",
+                "none of that name",
+                closest(name, maps),
+            )
     if named:
         return named
-    hashes = {name: entries[name].hash if name in entries else hashlib.sha256(L.tobytes()).hexdigest() for name, L in maps.items()}
+    hashes = {
+        name: entries[name].hash if name in entries else hashlib.sha256(L.tobytes()).hexdigest()
+        for name, L in maps.items()
+    }
     sides = {name: splits.light_side(hashes[name]) for name in maps}
     held = {name: "test" for name, side in sides.items() if side == "test"}
-    return held | {name: "validation" for name in maps if name not in held and by_hash(hashes[name], VALIDATION_LIGHTS) == 0}
+    return held | {
+        name: "validation"
+        for name in maps
+        if name not in held and by_hash(hashes[name], VALIDATION_LIGHTS) == 0
+    }
 
 
 def _rendered_splits(data, folder, geometry, maps, materials, skip_bad, progress):
-    """{side: Album}: a picture is for training or testing if shape, materials and light all are; for validation if its shape is and nothing
-    of it is for testing. maps: {name: (side, L)}; materials: as of `materials_of`. Raises InputError for no pictures, or damaged ones.
+    """{side: Album}: a picture is for training or testing if shape, materials and light all are;
+    for validation if its shape is and nothing of it is for testing. maps: {name: (side, L)};
+    materials: as of `materials_of`. Raises InputError for no pictures, or damaged ones.
     """
     records = Records(folder)
-    geometry = geometry if geometry.folder.resolve() == records.folder.resolve() else Geometry(folder, progress, skip_bad)
+    geometry = (
+        geometry
+        if geometry.folder.resolve() == records.folder.resolve()
+        else Geometry(folder, progress, skip_bad)
+    )
     fitting = [r for r in records.records if fits(r, data.regions)]
     if not fitting:
         remedy = "render some: python -m factory render JOB, or take another number of regions"
         raise InputError(
-            folder, f"pictures of {data.regions} material{'s' * (data.regions > 1)}", f"none in {len(records)} records", remedy
+            folder,
+            f"pictures of {data.regions} material{'s' * (data.regions > 1)}",
+            f"none in {len(records)} records",
+            remedy,
         )
     good, wrong = preflight.checked(records, fitting, geometry, skip_bad, progress)
     side_of = {key: side for side in SIDES for m in materials[side] for key in (m.name, m.hash)}
@@ -130,12 +192,20 @@ def _rendered_splits(data, folder, geometry, maps, materials, skip_bad, progress
             chosen[side].append(record)
     if not chosen["train"] and data.source != "relit":
         result = f"{len(good)} in which shape, material or light is held out"
-        raise InputError(folder, "pictures for training", result, "render shapes, materials and lights of the training side")
-    return {side: RenderedSplit(records, geometry, of_side, wrong) for side, of_side in chosen.items()}
+        raise InputError(
+            folder,
+            "pictures for training",
+            result,
+            "render shapes, materials and lights of the training side",
+        )
+    return {
+        side: RenderedSplit(records, geometry, of_side, wrong) for side, of_side in chosen.items()
+    }
 
 
 def _side_of_material(records, name, side_of):
-    """The side of a material of a data set with pictures: the strictest that its data set, its name or its hash says.
+    """The side of a material of a data set with pictures: the strictest that its data set, its name
+    or its hash says.
 
     side_of  {name or hash: side} of the materials that the run draws from
     """
@@ -145,27 +215,48 @@ def _side_of_material(records, name, side_of):
 
 def _light_side(L, maps):
     """The side of the map that this one is, under whatever name; unknown maps are for training."""
-    return next((side for side, other in maps.values() if is_same_source(L, other) or are_duplicates(L, other)), "train")
+    return next(
+        (
+            side
+            for side, other in maps.values()
+            if is_same_source(L, other) or are_duplicates(L, other)
+        ),
+        "train",
+    )
 
 
 def without_duplicates(maps, held):
-    """Each capture once, under the name by which it is held out if it is: a copy under another name would let training see it.
+    """Each capture once, under the name by which it is held out if it is: a copy under another name
+    would let training see it.
 
     maps  {name: L}; held: names of maps that training must not see
     Raises  InputError if two held-out names mean one map
     """
     kept = {}
     for name in sorted(maps, key=lambda name: name not in held):
-        twin = next((other for other, L in kept.items() if (is_same_source(L, maps[name]) or are_duplicates(L, maps[name]))), None)
+        twin = next(
+            (
+                other
+                for other, L in kept.items()
+                if (is_same_source(L, maps[name]) or are_duplicates(L, maps[name]))
+            ),
+            None,
+        )
         if twin is None:
             kept[name] = maps[name]
         elif name in held:
-            raise InputError(f"held-out light '{name}'", "a map of its own", f"'{twin}' again", "name each held-out map once")
+            raise InputError(
+                f"held-out light '{name}'",
+                "a map of its own",
+                f"'{twin}' again",
+                "name each held-out map once",
+            )
     return kept
 
 
 def are_duplicates(a, b):
-    """Whether two maps (64, 128, 3) are one, turned or mirrored: their Fourier amplitudes along rows are then the same.
+    """Whether two maps (64, 128, 3) are one, turned or mirrored: their Fourier amplitudes along
+    rows are then the same.
 
     Averaging to 64×128 by other programs and half floats move them by less than TWIN of the whole.
     """
@@ -179,11 +270,14 @@ def _side(view):
     return "validation" if by_hash(view.shape, VALIDATION_SHAPES) == 0 else "train"
 
 
-def materials_of(data: Data, records: Records | None, skip_bad: bool = False) -> tuple[dict[str, list[Material]], dict[str, str]]:
-    """({side: the materials that a run draws from}, {name: what is wrong} of those that were left out).
+def materials_of(
+    data: Data, records: Records | None, skip_bad: bool = False
+) -> tuple[dict[str, list[Material]], dict[str, str]]:
+    """({side: the materials that a run draws from}, {name: what is wrong} of those that were left
+    out).
 
-    Some of the training materials are for validation instead: one in ten, eight at most. A data set with fewer than
-    ten keeps all of them for training.
+    Some of the training materials are for validation instead: one in ten, eight at most. A data set
+    with fewer than ten keeps all of them for training.
 
     data      says whose materials: the data set's own, or the built-in ones
     records   of the data set; None will do for the built-in ones
@@ -202,12 +296,26 @@ def materials_of(data: Data, records: Records | None, skip_bad: bool = False) ->
                 if not skip_bad:
                     raise preflight.skippable(problem) from None
                 bad[name] = str(problem)
-    train = sorted((m for m, side in known if side == "train"), key=lambda m: by_hash(m.name, 1 << 30))
+    train = sorted(
+        (m for m, side in known if side == "train"), key=lambda m: by_hash(m.name, 1 << 30)
+    )
     if not train:
         result = f"{len(known)}, all of them for testing" if known else "none"
-        remedy = 'name some of the training side in the job (merl/train), or set "materials": "built-in" in the run'
-        raise InputError("materials" if records is None else records.folder, "materials for training", result, remedy)
+        remedy = (
+            'name some of the training side in the job (merl/train), or set "materials": "built-in"'
+            " in the run"
+        )
+        raise InputError(
+            "materials" if records is None else records.folder,
+            "materials for training",
+            result,
+            remedy,
+        )
     chosen = train[: min(VALIDATION_MATERIALS, len(train) // LEAST_FOR_VALIDATION)]
     names = {m.name for m in chosen}
     rest = [m for m in train if m.name not in names]
-    return {"train": rest, "validation": chosen, "test": [m for m, side in known if side == "test"]}, bad
+    return {
+        "train": rest,
+        "validation": chosen,
+        "test": [m for m, side in known if side == "test"],
+    }, bad

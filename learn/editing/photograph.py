@@ -1,9 +1,11 @@
-"""A picture to be edited, with all that is known of it: its object, its regions, and where it came from.
+"""A picture to be edited, with all that is known of it: its object, its regions, and where it came
+from.
 
 radiance  (H, W, 3) linear, as the file has it
 coverage  (H, W) in [0, 1]: how much of a pixel the object covers
 regions   (H, W) uint8 1 … S, 0 in the background
-balance   (3,) by which colours are multiplied before the network sees them; an edited picture is divided by it again
+balance   (3,) by which colours are multiplied before the network sees them; an edited picture is
+divided by it again
 """
 
 from dataclasses import dataclass
@@ -17,7 +19,9 @@ from learn.data.records import Records
 from manifests.errors import InputError, closest
 from shaders.envmap import LUMINANCE
 
-GREY = 1e-3  # coverage from which a mask has greys: half a step of 8 bits is 0.002, and white through the sRGB curve is 1 − 6e-8
+# coverage from which a mask has greys: half a step of 8 bits is 0.002, and white through the sRGB
+# curve is 1 − 6e-8
+GREY = 1e-3
 RIM = 3  # pixels
 SOFTENING = 0.7  # pixels, of a mask that is black and white: its steps would show
 STRONGEST_BALANCE = 8.0
@@ -69,7 +73,8 @@ class Photograph:
 
 
 def example(path, masks, regions):
-    """(path, regions) as given; of "example:espresso-cup" the photograph that scikit-image brings, and our regions: 1 cup, 2 saucer.
+    """(path, regions) as given; of "example:espresso-cup" the photograph that scikit-image brings,
+    and our regions: 1 cup, 2 saucer.
 
     The photograph is Rachel Michetti's (Pikolo Espresso Bar), CC0.
     Raises  InputError for another example
@@ -85,7 +90,15 @@ def example(path, masks, regions):
     return Path(skimage.data.__file__).parent / "coffee.png", None if masks else regions or cup
 
 
-def opened(path, masks=(), regions=None, balance="none", exposure=None, record=None, remedy=photographs.MASK_REMEDY):
+def opened(
+    path,
+    masks=(),
+    regions=None,
+    balance="none",
+    exposure=None,
+    record=None,
+    remedy=photographs.MASK_REMEDY,
+):
     """The Photograph at `path`: a picture, or a dataset's folder, of which a record is taken.
 
     masks    files; several: each is a region of its own
@@ -97,12 +110,22 @@ def opened(path, masks=(), regions=None, balance="none", exposure=None, record=N
     """
     path, regions = example(path, masks, regions)
     if path.is_dir():
-        _require_none(path, "a photograph: a dataset's records have masks and regions, and light of known colour", masks, regions, balance)
+        _require_none(
+            path,
+            "a photograph: a dataset's records have masks and regions, and light of known colour",
+            masks,
+            regions,
+            balance,
+        )
         return _of_record(path, exposure, record)
     if record is not None:
-        raise InputError(f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out")
+        raise InputError(
+            f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out"
+        )
     if len(masks) <= 1:
-        radiance, coverage, alpha = photographs.read_soft(path, masks[0] if masks else None, regions, remedy)
+        radiance, coverage, alpha = photographs.read_soft(
+            path, masks[0] if masks else None, regions, remedy
+        )
         labels = (coverage >= 0.5).astype(np.uint8)
     else:
         radiance, _, alpha = photographs.read_soft(path, masks[0])
@@ -119,11 +142,22 @@ def opened(path, masks=(), regions=None, balance="none", exposure=None, record=N
     photographs.exposure_of(radiance * factors, labels > 0, exposure, path)
     linear = path.suffix.lower() == ".exr"
     own = alpha if before_background and (alpha < 1).any() else None
-    return Photograph(path.stem, radiance, coverage, labels, factors, exposure, cut_out=not before_background, linear=linear, alpha=own)
+    return Photograph(
+        path.stem,
+        radiance,
+        coverage,
+        labels,
+        factors,
+        exposure,
+        cut_out=not before_background,
+        linear=linear,
+        alpha=own,
+    )
 
 
 def without_unlabelled(coverage, labels):
-    """Coverage with 0 where the object is in no region, but for the rim of RIM pixels that hand-drawn regions leave.
+    """Coverage with 0 where the object is in no region, but for the rim of RIM pixels that
+    hand-drawn regions leave.
 
     coverage (H, W) in [0, 1], labels (H, W) 1 … S, 0 in none
     """
@@ -131,13 +165,18 @@ def without_unlabelled(coverage, labels):
     outside = inside & (labels == 0)
     if outside.any():
         outside &= distance_transform_edt(labels == 0) > RIM
-        index = distance_transform_edt(~inside, return_distances=False, return_indices=True)  # a soft edge goes with what it is the edge of
+        # a soft edge goes with what it is the edge of
+        index = distance_transform_edt(~inside, return_distances=False, return_indices=True)
         coverage = np.where(outside[tuple(index)], 0, coverage).astype(np.float32)
     return coverage
 
 
 def _require_none(path, rule, masks, regions, balance):
-    given = {"--mask": bool(masks), "--regions": regions is not None, "--white-balance": balance != "none"}
+    given = {
+        "--mask": bool(masks),
+        "--regions": regions is not None,
+        "--white-balance": balance != "none",
+    }
     for option in (name for name, there in given.items() if there):
         raise InputError(option, rule, f"the dataset {path}", f"leave {option} out")
 
@@ -157,18 +196,30 @@ def _require_pixels(labels, count, where):
     for number in range(1, int(count) + 1):
         if (result := int((labels == number).sum())) < photographs.LEAST_PIXELS:
             rule = f"{photographs.LEAST_PIXELS} pixels or more in region {number}"
-            raise InputError(where, rule, str(result), "regions must lie inside the mask, and not under one another")
+            raise InputError(
+                where,
+                rule,
+                str(result),
+                "regions must lie inside the mask, and not under one another",
+            )
 
 
 def _balance(requested, radiance, coverage, background):
-    """(3,) factors that leave luminance alone. "grey" holds that the background, or the object where there is none, is grey on average."""
+    """(3,) factors that leave luminance alone. "grey" holds that the background, or the object
+    where there is none, is grey on average.
+    """
     if requested == "none":
         return np.ones(3, np.float32)
     if requested == "grey":
         where = coverage < 0.02 if background and (coverage < 0.02).any() else coverage >= 0.5
         mean = radiance[where].mean(0)
         if not mean.any():
-            raise InputError("--white-balance grey", "a background that is not black", "a black one", "give three factors R,G,B, or none")
+            raise InputError(
+                "--white-balance grey",
+                "a background that is not black",
+                "a black one",
+                "give three factors R,G,B, or none",
+            )
         factors = (mean @ LUMINANCE) / np.maximum(mean, 1e-6)
         return np.clip(factors, 1 / STRONGEST_BALANCE, STRONGEST_BALANCE).astype(np.float32)
     factors = np.asarray(requested, np.float32)
@@ -179,20 +230,45 @@ def _of_record(folder, exposure, requested):
     """A record's picture; its light has unit mean luminance, so its exposure is 1."""
     records = Records(folder)
     if not len(records):
-        raise InputError(folder, "records", "none", "render some: python -m factory render JOB --out DIR")
+        raise InputError(
+            folder, "records", "none", "render some: python -m factory render JOB --out DIR"
+        )
     if requested is None:
         record = next((r for r in records.records if r.split == "test"), records.records[0])
     else:
         record = next((r for r in records.records if r.id.startswith(requested)), None)
         if record is None:
-            raise InputError(f"record '{requested}'", f"a record of {folder}", "none", closest(requested, [r.id for r in records.records]))
+            raise InputError(
+                f"record '{requested}'",
+                f"a record of {folder}",
+                "none",
+                closest(requested, [r.id for r in records.records]),
+            )
     sample = records.load(record)
     if sample.view is not None:
-        raise InputError(folder, "an orthographic camera", f"{record.camera.fov_deg:g}°", "render without fov_deg")
+        raise InputError(
+            folder,
+            "an orthographic camera",
+            f"{record.camera.fov_deg:g}°",
+            "render without fov_deg",
+        )
     regions = sample.segments.numpy().astype(np.uint8)
     if len(set(record.materials)) == 1:
         regions = (regions > 0).astype(np.uint8)
     coverage, ones = (regions > 0).astype(np.float32), np.ones(3, np.float32)
     picture = sample.image.numpy()
-    exposure = photographs.exposure_of(picture, regions > 0, 1.0 if exposure is None else exposure, f"record {record.id}")
-    return Photograph(record.id, picture, coverage, regions, ones, exposure, cut_out=True, linear=True, records=records, record=record)
+    exposure = photographs.exposure_of(
+        picture, regions > 0, 1.0 if exposure is None else exposure, f"record {record.id}"
+    )
+    return Photograph(
+        record.id,
+        picture,
+        coverage,
+        regions,
+        ones,
+        exposure,
+        cut_out=True,
+        linear=True,
+        records=records,
+        record=record,
+    )

@@ -1,4 +1,5 @@
-"""What a user may mean by a material: a name of the catalogue, a material.json, another picture; or that it stays as it is.
+"""What a user may mean by a material: a name of the catalogue, a material.json, another picture; or
+that it stays as it is.
 
 label  (S, 108) natural logarithms
 """
@@ -25,11 +26,13 @@ REMEDY = "write one: python -m learn predict PHOTO --out DIR"
 
 
 def label_of(text, predict, known=None):
-    """(S, 108) float32 of what `text` names; S is 1 but for a file with several regions. None for "keep".
+    """(S, 108) float32 of what `text` names; S is 1 but for a file with several regions. None for
+    "keep".
 
     predict  path → label (1, 108): takes a picture's material
     known    {name: label (108,)}: a dataset's own materials, before those of the catalogue
-    Raises   InputError: a name that is not known (with the closest ones), a file that holds no material
+    Raises   InputError: a name that is not known (with the closest ones), a file that holds no
+    material
     """
     if text == KEEP:
         return None
@@ -47,17 +50,25 @@ class MaterialFile(msgspec.Struct, frozen=True):
     """What is read of a material.json. label: of one region; labels: of several, one each."""
 
     label: Label | None = None
-    labels: Annotated[list[Label], msgspec.Meta(min_length=1, max_length=MOST_REGIONS)] | None = None
+    labels: Annotated[list[Label], msgspec.Meta(min_length=1, max_length=MOST_REGIONS)] | None = (
+        None
+    )
 
 
 def _from_json(path):
     """The labels of a material.json, as `learn predict` writes it."""
     require_file(path, "a material.json", REMEDY, LARGEST_JSON)
     try:
-        # every number as a float: 10^400 is then infinity, which is out of range, and no error of its own
+        # every number as a float: 10^400 is then infinity, which is out of range, and no error of
+        # its own
         values = json.loads(path.read_text(encoding="utf-8"), parse_int=float)
         report = msgspec.convert(values, MaterialFile)
-    except (msgspec.ValidationError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (
+        msgspec.ValidationError,
+        json.JSONDecodeError,
+        UnicodeDecodeError,
+        RecursionError,
+    ) as error:
         rule = f'JSON with "label": {SIZE} numbers'
         raise InputError(path, rule, f"{type(error).__name__}: {error}", REMEDY) from None
     if report.label is None and report.labels is None:
@@ -66,7 +77,9 @@ def _from_json(path):
     within = (labels >= SMALLEST_LABEL) & (labels <= LARGEST_LABEL)  # NaN is not
     if not within.all():
         rule = f"natural logarithms from {SMALLEST_LABEL:g} to {LARGEST_LABEL:g}"
-        raise InputError(path, rule, f"{labels[~within][0]:g}", "is this m itself? a label holds its logarithms")
+        raise InputError(
+            path, rule, f"{labels[~within][0]:g}", "is this m itself? a label holds its logarithms"
+        )
     if (kappa := labels.reshape(-1, *SHAPE)[..., 0, :].max()) > LARGEST_KAPPA:
         remedy = "its reflectance is no number any more; check the file"
         raise InputError(path, f"logarithms of κ up to {LARGEST_KAPPA}", f"{kappa:g}", remedy)
@@ -82,7 +95,9 @@ def is_file(text):
 
 
 def parts_of(text):
-    """What is wanted of each region: "A+B" parted, but not the name of a file, which may hold a plus."""
+    """What is wanted of each region: "A+B" parted, but not the name of a file, which may hold a
+    plus.
+    """
     return [text] if is_file(text) else text.split("+")
 
 
@@ -93,4 +108,9 @@ def caption_of(text):
 
 def file_name(text):
     """What a wanted material's file is called."""
-    return re.sub(r"[^A-Za-z0-9+_-]+", "-", "+".join(Path(part).stem for part in parts_of(text))).strip("-") or "material"
+    return (
+        re.sub(
+            r"[^A-Za-z0-9+_-]+", "-", "+".join(Path(part).stem for part in parts_of(text))
+        ).strip("-")
+        or "material"
+    )

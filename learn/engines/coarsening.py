@@ -1,8 +1,10 @@
-"""Kernels that gather a map's texels into larger ones by a stencil along rows and columns, and the way back (learn/methods/coarse.py).
+"""Kernels that gather a map's texels into larger ones by a stencil along rows and columns, and the
+way back (learn/methods/coarse.py).
 
 fine     (planes, height, width), several maps one after the other
 coarse   (planes, height / step, width / step)
-stencil  (4 step,): weights in the coarse texel (i, j) of the fine ones from row step·i − 3/2 step, and column step·j − 3/2 step, on
+stencil  (4 step,): weights in the coarse texel (i, j) of the fine ones from row step·i − 3/2 step,
+and column step·j − 3/2 step, on
 along    (width,) scratch: one coarse row, its columns still fine
 Columns go round; beyond a pole lies the same row's other half.
 """

@@ -1,7 +1,9 @@
-"""The exact sum and its derivatives on a CUDA device: the Triton kernels, group by group. Arguments as in learn.engines.cpu, as tensors.
+"""The exact sum and its derivatives on a CUDA device: the Triton kernels, group by group. Arguments
+as in learn.engines.cpu, as tensors.
 
-Tables are made on the device in float64 and handed over in float32; sums over lights and materials come back in fixed parts and are added
-in float64. Memory beyond inputs and outputs: tables and parts of one slab of lights, below 20 MiB.
+Tables are made on the device in float64 and handed over in float32; sums over lights and materials
+come back in fixed parts and are added in float64. Memory beyond inputs and outputs: tables and
+parts of one slab of lights, below 20 MiB.
 """
 
 import functools
@@ -20,7 +22,9 @@ TILE = distant.LIGHTS
 
 @dataclass(frozen=True)
 class DeviceSlab:
-    """learn.engines.lights.Slab on a device, filled up to T lights, a multiple of TILE: the kernels' rows (R, T)."""
+    """learn.engines.lights.Slab on a device, filled up to T lights, a multiple of TILE: the
+    kernels' rows (R, T).
+    """
 
     order: torch.Tensor
     solid_angle: torch.Tensor
@@ -35,7 +39,9 @@ class DeviceSlab:
     def energy(self, light):
         """(3, T) float32 of light (height, width, 3); the fill is black."""
         energy = light.new_zeros(3, self.lights)
-        energy[:, : len(self.order)] = (light.reshape(-1, 3)[self.order].double() * self.solid_angle[:, None]).T.float()
+        energy[:, : len(self.order)] = (
+            light.reshape(-1, 3)[self.order].double() * self.solid_angle[:, None]
+        ).T.float()
         return energy
 
     def add_light_gradient(self, by_energy, gradient):
@@ -47,7 +53,9 @@ class DeviceSlab:
 @functools.lru_cache(maxsize=8)
 def _slabs(height, width, rotation, device):
     def filled(rows):
-        return np.ascontiguousarray(np.concatenate([rows, np.repeat(rows[:, -1:], -rows.shape[1] % TILE, 1)], 1))
+        return np.ascontiguousarray(
+            np.concatenate([rows, np.repeat(rows[:, -1:], -rows.shape[1] % TILE, 1)], 1)
+        )
 
     results = []
     for slab in lights.slabs(height, width, rotation):
@@ -67,16 +75,30 @@ def radiance(n, view, m, light, rotation, counts, light_of):
             grid = (triton.cdiv(len(part), distant.PIXELS),)
             if view is None:
                 arrays = part, slab.distant, energy, _distant_tables(m[g], slab)[0], result
-                distant.forward[grid](*arrays, len(part), slab.lights, PIXELS=distant.PIXELS, LIGHTS=TILE)
+                distant.forward[grid](
+                    *arrays, len(part), slab.lights, PIXELS=distant.PIXELS, LIGHTS=TILE
+                )
             else:
-                arrays = part, views[g], _shortfall(views[g]), slab.general, energy, _general_tables(m[g])[0], result
-                general.forward[grid](*arrays, len(part), slab.lights, PIXELS=general.PIXELS, LIGHTS=TILE)
+                arrays = (
+                    part,
+                    views[g],
+                    _shortfall(views[g]),
+                    slab.general,
+                    energy,
+                    _general_tables(m[g])[0],
+                    result,
+                )
+                general.forward[grid](
+                    *arrays, len(part), slab.lights, PIXELS=general.PIXELS, LIGHTS=TILE
+                )
             into += result
     return out
 
 
 def gradients(g_radiance, n, view, m, light, rotation, counts, light_of):
-    """Derivatives by n, view (None without one), m and light, in their shapes; those by n and view are right in their tangential parts."""
+    """Derivatives by n, view (None without one), m and light, in their shapes; those by n and view
+    are right in their tangential parts.
+    """
     by_n, by_m, by_light = torch.zeros_like(n), torch.zeros_like(m), torch.zeros_like(light)
     by_view = None if view is None else torch.zeros_like(view)
     ends = np.cumsum((0, *counts)).tolist()
@@ -87,7 +109,9 @@ def gradients(g_radiance, n, view, m, light, rotation, counts, light_of):
             if view is None:
                 result = _distant_backward(n[pixels], m[group], slab, energy, g_radiance[pixels])
             else:
-                result = _general_backward(n[pixels], view[pixels], m[group], slab, energy, g_radiance[pixels])
+                result = _general_backward(
+                    n[pixels], view[pixels], m[group], slab, energy, g_radiance[pixels]
+                )
                 by_view[pixels] += result[3]
             by_n[pixels] += result[0]
             by_m[group] += result[1]
@@ -116,12 +140,18 @@ def _distant_tables(m, slab):
 def _distant_backward(n, m, slab, energy, g):
     """Derivatives of one group by n (p, 3), m (3, 3, 2, 6), energy (3, T)."""
     lobes, kappa = _distant_tables(m, slab)
-    by_n, total, sizes = torch.empty_like(n), slab.lights, {"PIXELS": distant.PIXELS, "LIGHTS": TILE}
+    by_n, total, sizes = (
+        torch.empty_like(n),
+        slab.lights,
+        {"PIXELS": distant.PIXELS, "LIGHTS": TILE},
+    )
     grid = (triton.cdiv(len(n), distant.PIXELS),)
     distant.backward_pixels[grid](n, slab.distant, energy, lobes, g, by_n, len(n), total, **sizes)
     sums = n.new_empty(distant.SPLITS, 3, 7, total)
     grid = (total // TILE, distant.SPLITS, 3)
-    distant.backward_lights[grid](n, slab.distant, lobes, g, sums, len(n), total, _part(len(n)), **sizes)
+    distant.backward_lights[grid](
+        n, slab.distant, lobes, g, sums, len(n), total, _part(len(n)), **sizes
+    )
     sums = sums.double().sum(0)
     by_lobe = sums[:, 1:].reshape(3, 3, 2, -1).transpose(0, 1) * energy.double()[:, None]
     by_kappa, by_gamma = by_lobe[:, :, 0], by_lobe[:, :, 1] * kappa * lights.LN2
@@ -146,11 +176,15 @@ def _general_backward(n, view, m, slab, energy, g):
     sizes = {"PIXELS": general.PIXELS, "LIGHTS": TILE}
     seen = n, view, _shortfall(view), slab.general, energy, values
     by_n, by_view = torch.empty_like(n), torch.empty_like(n)
-    general.backward_pixels[(triton.cdiv(len(n), general.PIXELS),)](*seen, steps, g, by_n, by_view, len(n), total, **sizes)
+    general.backward_pixels[(triton.cdiv(len(n), general.PIXELS),)](
+        *seen, steps, g, by_n, by_view, len(n), total, **sizes
+    )
     energy_sums = n.new_empty(general.SPLITS, 3, 3, total)
     m_sums = n.new_empty(total // TILE, general.SPLITS, 3, 3, 2, 8)
     grid = (total // TILE, general.SPLITS, 9)
-    general.backward_lights[grid](*seen, g, energy_sums, m_sums, len(n), total, _part(len(n)), **sizes)
+    general.backward_lights[grid](
+        *seen, g, energy_sums, m_sums, len(n), total, _part(len(n)), **sizes
+    )
     by_m = m_sums[..., :6].double().sum((0, 1))
     by_m[:, :, 0] *= lights.LN2**2
     return by_n, _lobe_first(by_m).float(), energy_sums.double().sum((0, 1)), by_view

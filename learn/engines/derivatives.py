@@ -1,9 +1,10 @@
 """Derivatives that a step does not have are refused in words, at the moment they are asked for.
 
-torch.autograd.function.once_differentiable lets a second derivative come out as None or 0 wherever the gradient that is passed down does
-not depend on the inputs (a sum, a fixed weighting), for the results of the backward pass then have no graph at all. Here they always
-depend on everything they were computed from, through a step whose own backward pass raises. Asking for the graph (create_graph=True)
-without using it raises nothing.
+torch.autograd.function.once_differentiable lets a second derivative come out as None or 0 wherever
+the gradient that is passed down does not depend on the inputs (a sum, a fixed weighting), for the
+results of the backward pass then have no graph at all. Here they always depend on everything they
+were computed from, through a step whose own backward pass raises. Asking for the graph
+(create_graph=True) without using it raises nothing.
 """
 
 import functools
@@ -12,13 +13,14 @@ import torch
 from torch.autograd import forward_ad
 
 FORWARD_MODE = (
-    "derivatives: expected reverse mode (backward, torch.autograd.grad), found forward mode (torch.autograd.forward_ad, jvp) "
-    "(torch.autograd.functional.jvp gives the same product by two reverse passes)"
+    "derivatives: expected reverse mode (backward, torch.autograd.grad), found forward mode"
+    " (torch.autograd.forward_ad, jvp) (torch.autograd.functional.jvp gives the same product by two"
+    " reverse passes)"
 )
 
 BATCHED = (
-    "derivatives: expected one gradient at a time, found a batch of them (vectorize=True or is_grads_batched=True) "
-    "(torch.func.jacrev and torch.func.vmap take batches)"
+    "derivatives: expected one gradient at a time, found a batch of them (vectorize=True or"
+    " is_grads_batched=True) (torch.func.jacrev and torch.func.vmap take batches)"
 )
 THIRD = "derivatives: expected at most a derivative of a derivative, found a third one"
 
@@ -32,7 +34,9 @@ class Step(torch.autograd.Function):
 
 
 class Refusal(Step):
-    """message, count, then `count` results of a backward pass (or None), then what they depend on → the results."""
+    """message, count, then `count` results of a backward pass (or None), then what they depend on →
+    the results.
+    """
 
     @staticmethod
     def forward(ctx, message, count, *tensors):
@@ -62,7 +66,8 @@ class Gate(Step):
 
 
 def last(backward):
-    """A decorator for the backward pass of a `Step`, which it runs without a graph; differentiating its results raises.
+    """A decorator for the backward pass of a `Step`, which it runs without a graph; differentiating
+    its results raises.
 
     The step's forward pass keeps the message as ctx.refusal and its tensors by save_for_backward.
     """
@@ -80,7 +85,9 @@ def last(backward):
 
 
 def first_only(message, *tensors):
-    """The tensors (or None), each the same; where one has been differentiated, differentiating by any of them again raises."""
+    """The tensors (or None), each the same; where one has been differentiated, differentiating by
+    any of them again raises.
+    """
     gated = [i for i, x in enumerate(tensors) if x is not None and x.requires_grad]
     if not gated or not torch.is_grad_enabled():
         return tensors
@@ -91,15 +98,20 @@ def first_only(message, *tensors):
 
 
 def require_one_gradient(*g):
-    """Refuses gradients (or None) that torch hands to a backward pass several at a time, for one that torch cannot see into."""
-    kinds = torch._C._functorch  # torch has no public name for it, and its own error names an operator that the caller never saw
+    """Refuses gradients (or None) that torch hands to a backward pass several at a time, for one
+    that torch cannot see into.
+    """
+    # torch has no public name for it, and its own error names an operator that the caller never saw
+    kinds = torch._C._functorch
     for x in g:
         if x is not None and (kinds.is_legacy_batchedtensor(x) or kinds.is_batchedtensor(x)):
             raise NotImplementedError(BATCHED)
 
 
 def require_reverse_mode(*tensors):
-    """Refuses tensors (or None) that carry a forward-mode tangent, for a step that torch cannot see into."""
+    """Refuses tensors (or None) that carry a forward-mode tangent, for a step that torch cannot see
+    into.
+    """
     for x in tensors:
         if x is not None and forward_ad.unpack_dual(x).tangent is not None:
             raise NotImplementedError(FORWARD_MODE)

@@ -1,4 +1,5 @@
-"""Kernels for a distant viewer: every pixel sees from (0, 0, 1), so h, θ_d and the 18 spline values belong to the light.
+"""Kernels for a distant viewer: every pixel sees from (0, 0, 1), so h, θ_d and the 18 spline values
+belong to the light.
 
 P pixels, blocks of 16 lights (LANES); all arrays float32, flat, C order.
 n         (P, 3) unit normals, camera frame
@@ -6,24 +7,38 @@ geometry  (blocks, 9, 16): w (3 rows), h (3 rows), and what rounding took off h 
 energy    (blocks, 3, 16): radiance × solid angle, E_k
 lobes     (blocks, 3 lobes, 3 channels, 2, 16): γ, κ log2 e
 least     (blocks, 3 lobes): smallest γ, to bound a whole block
-cut       (blocks,): a lobe with log2 c^γ below it everywhere in a block is left out (learn.engines.lights)
+cut       (blocks,): a lobe with log2 c^γ below it everywhere in a block is left out
+(learn.engines.lights)
 scratch   per call: room for TILE pixels' sums, (TILE, 3, 16)
 
     I_k = Σ_i F_k max(0, n·w) E_k,   F_k = Σ_s expm1(κ c^γ),   c = n·h = 1 − ½‖h − n‖²
 
-‖h − n‖² instead of n·h keeps the precision of 1 − c at the peak of sharp lobes; h's second half matters there too (γ = 1e5).
-Sums run over blocks in order, so a pixel's bits depend on nothing but its own inputs.
+‖h − n‖² instead of n·h keeps the precision of 1 − c at the peak of sharp lobes; h's second half
+matters there too (γ = 1e5). Sums run over blocks in order, so a pixel's bits depend on nothing but
+its own inputs.
 """
 
 from numba import types
 
 from learn.engines.compilation import inlined
 from learn.engines.exponentials import exp2, exp2m1, log2
-from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, select, splat, store
+from learn.engines.vector import (
+    FLOAT_POINTER,
+    anywhere,
+    fma,
+    lane_max,
+    lane_sum,
+    load,
+    maximum,
+    select,
+    splat,
+    store,
+)
 
 TILE = 32  # pixels that share a block of lights in the first-level cache
 CHUNKS = 16  # of lights, in the backward pass: the most threads it can use
-LEAST_COSINE = 1e-12  # of h·n in lanes whose light is behind the horizon; seen ones have c > HORIZON / 2
+# of h·n in lanes whose light is behind the horizon; seen ones have c > HORIZON / 2
+LEAST_COSINE = 1e-12
 LN2 = 0.6931471805599453
 
 FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 8)
@@ -79,8 +94,12 @@ def write_sums(sums, o, count, out, to):
 
 
 @inlined
-def add_by_n(sums, a, geometry, o, energy, e, visible, f0, f1, f2, d0, d1, d2, g0, g1, g2, n_w, c, x, y, z):
-    """Adds the derivative by n, given F = f, dF/dc c log2 e = d, h − n = (x, y, z) and the derivative g by radiance, to a pixel's sums."""
+def add_by_n(
+    sums, a, geometry, o, energy, e, visible, f0, f1, f2, d0, d1, d2, g0, g1, g2, n_w, c, x, y, z
+):
+    """Adds the derivative by n, given F = f, dF/dc c log2 e = d, h − n = (x, y, z) and the
+    derivative g by radiance, to a pixel's sums.
+    """
     e0, e1, e2 = load(energy, e), load(energy, e + 16), load(energy, e + 32)
     by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
     by_w = select(visible, by_w, 0.0)
@@ -127,7 +146,9 @@ def forward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut,
 
 @inlined
 def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
-    """Adds one lobe and channel: its two sums over pixels, f + expm1(κ c^γ), slope + x κ c^γ γ log2 e, where x = exp(κ c^γ)."""
+    """Adds one lobe and channel: its two sums over pixels, f + expm1(κ c^γ), slope + x κ c^γ γ log2
+    e, where x = exp(κ c^γ).
+    """
     gamma = load(lobes, o)
     power = exp2(gamma * log_c)
     exponent = load(lobes, o + 16) * power
@@ -139,16 +160,35 @@ def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
     return f + value, fma(x * exponent, gamma, slope)
 
 
-def backward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut, scratch, g, n_part, energy_sums, lobe_sums):
-    """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew is computed again.
+def backward(
+    first,
+    last,
+    pixels,
+    blocks,
+    n,
+    geometry,
+    energy,
+    lobes,
+    least,
+    cut,
+    scratch,
+    g,
+    n_part,
+    energy_sums,
+    lobe_sums,
+):
+    """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew
+    is computed again.
 
     g            (P, 3) derivative by radiance
-    n_part       (CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to n
+    n_part       (CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to
+    n
     energy_sums  (blocks, 3, 16) out: Σ_p g F max(0, n·w), the derivative by energy
     lobe_sums    (blocks, 3, 3, 2, 16) out: Σ_p g max(0, n·w) x c^γ, and the same times log2 c
-    A block belongs to one chunk, and chunks do not depend on the number of threads: no atomics, the same bits every time.
-    Off the sphere the derivative by n is free; c is taken as 1 − ½‖h − n‖² with its radial part left out, so that the small
-    tangential part of a sharp lobe does not drown in the radial one.
+    A block belongs to one chunk, and chunks do not depend on the number of threads: no atomics, the
+    same bits every time. Off the sphere the derivative by n is free; c is taken as 1 − ½‖h − n‖²
+    with its radial part left out, so that the small tangential part of a sharp lobe does not drown
+    in the radial one.
     """
     for chunk in range(first, last):
         block_first, block_last = chunk * blocks // CHUNKS, (chunk + 1) * blocks // CHUNKS
@@ -181,13 +221,39 @@ def backward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut
                             t = 288 * block + 96 * s
                             seen = True
                             f0, d0 = lobe_backward(lobes, t, log_c, w0, lobe_sums, t, f0, d0)
-                            f1, d1 = lobe_backward(lobes, t + 32, log_c, w1, lobe_sums, t + 32, f1, d1)
-                            f2, d2 = lobe_backward(lobes, t + 64, log_c, w2, lobe_sums, t + 64, f2, d2)
+                            f1, d1 = lobe_backward(
+                                lobes, t + 32, log_c, w1, lobe_sums, t + 32, f1, d1
+                            )
+                            f2, d2 = lobe_backward(
+                                lobes, t + 64, log_c, w2, lobe_sums, t + 64, f2, d2
+                            )
                     if not seen:
                         continue
                     add_to(energy_sums, e, f0 * w0)
                     add_to(energy_sums, e + 16, f1 * w1)
                     add_to(energy_sums, e + 32, f2 * w2)
                     a = sums + 48 * j
-                    add_by_n(scratch, a, geometry, o, energy, e, visible, f0, f1, f2, d0, d1, d2, g0, g1, g2, n_w, c, x, y, z)
+                    add_by_n(
+                        scratch,
+                        a,
+                        geometry,
+                        o,
+                        energy,
+                        e,
+                        visible,
+                        f0,
+                        f1,
+                        f2,
+                        d0,
+                        d1,
+                        d2,
+                        g0,
+                        g1,
+                        g2,
+                        n_w,
+                        c,
+                        x,
+                        y,
+                        z,
+                    )
             write_sums(scratch, sums, 3 * count, n_part, 3 * (chunk * pixels + start))

@@ -1,20 +1,23 @@
-"""Kernel for second derivatives of the sum for a distant viewer: the backward pass of learn.engines.distant.backward.
+"""Kernel for second derivatives of the sum for a distant viewer: the backward pass of
+learn.engines.distant.backward.
 
-Letters, arrays and the sum as in learn.engines.distant; besides, a direction and the radiance's change I' along it:
-n_along  (P, 3): n', tangential up to rounding
-e_along  (blocks, 3, 16): E'
+Letters, arrays and the sum as in learn.engines.distant; besides, a direction and the radiance's
+change I' along it: n_along  (P, 3): n', tangential up to rounding e_along  (blocks, 3, 16): E'
 l_along  (blocks, 3 lobes, 3 channels, 2, 16): γ', κ' at each light
 
-    S = Σ_pk g_pk I'_pk,   I'_k = Σ_i (F'_k μ + F_k μ') E_k + F_k μ E'_k,   μ = max(0, n·w),  μ' = w·n' where μ > 0
-    F' = Σ_s exp(x) x',   x = κ c^γ,   x' = c^γ κ' + x q,   q = γ' ln c + γ r,   r = c'/c,   c' = (h − n)·n'
+    S = Σ_pk g_pk I'_pk,   I'_k = Σ_i (F'_k μ + F_k μ') E_k + F_k μ E'_k,   μ = max(0, n·w),  μ' =
+    w·n' where μ > 0
+    F' = Σ_s exp(x) x',   x = κ c^γ,   x' = c^γ κ' + x q,   q = γ' ln c + γ r,   r = c'/c,   c' = (h
+    − n)·n'
 
-Its gradient, of one lobe and channel with u = g E μ and v = g (E μ' + E' μ): α = u exp(x) and X = exp(x) (u (x' + q) + v) belong to x'
-and to x; Y = α c^γ κ' + X x to γ ln c; hence
+Its gradient, of one lobe and channel with u = g E μ and v = g (E μ' + E' μ): α = u exp(x) and X =
+exp(x) (u (x' + q) + v) belong to x' and to x; Y = α c^γ κ' + X x to γ ln c; hence
 
-    by κ: X c^γ     by γ: Y ln c + α x r     by ln c: Y γ + α x γ'     by r: α x γ     by n: c'_n = −n' where c_n = h − n
+    by κ: X c^γ     by γ: Y ln c + α x r     by ln c: Y γ + α x γ'     by r: α x γ     by n: c'_n =
+    −n' where c_n = h − n
 
-The first derivative by n was that of c = 1 − ½‖h − n‖², (h − n) a light, which this is the derivative of: see `radial` in
-learn.methods.exact_second, which is the same in plain torch.
+The first derivative by n was that of c = 1 − ½‖h − n‖², (h − n) a light, which this is the
+derivative of: see `radial` in learn.methods.exact_second, which is the same in plain torch.
 """
 
 from numba import types
@@ -50,7 +53,8 @@ SECOND = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 15)
 
 @inlined
 def lobe_second(gamma, kappa, gamma_along, kappa_along, log2_c, log_c, r, u, v):
-    """Of one lobe and channel: F, F', and S's derivatives by κ, γ, ln c and r; then, for those by κ' and γ', α c^γ and α x ln c.
+    """Of one lobe and channel: F, F', and S's derivatives by κ, γ, ln c and r; then, for those by
+    κ' and γ', α c^γ and α x ln c.
 
     kappa is κ log2 e, log2_c and log_c the same in two units.
     """
@@ -83,10 +87,12 @@ def second(
     first, last, pixels, blocks,
     n, geometry, energy, lobes, least, cut, scratch, g, n_along, e_along, l_along, n_part, g_part, energy_sums, lobe_sums,
 ):  # fmt: skip
-    """Derivatives of S that belong to light chunks first … last − 1, as in learn.engines.distant.backward.
+    """Derivatives of S that belong to light chunks first … last − 1, as in
+    learn.engines.distant.backward.
 
     scratch      room for CHUNKS tiles' sums, (CHUNKS, TILE, ROWS, 16)
-    n_part       (CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to n
+    n_part       (CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to
+    n
     g_part       (CHUNKS, P, 3) out: of the derivative by g
     energy_sums  (blocks, 3, 16) out: the derivative by energy
     lobe_sums    (blocks, 3, 3, 2, 16) out: those by κ and by γ at each light
@@ -164,7 +170,9 @@ def second(
                     by_w = select(visible, by_w, 0.0)
                     moving = by_r * by_c
                     by_c = (by_log_c - by_r * r) * by_c
-                    add_to(scratch, a, fma(by_w, load(geometry, o), fma(by_c, x, 0.0 - moving * ax)))
+                    add_to(
+                        scratch, a, fma(by_w, load(geometry, o), fma(by_c, x, 0.0 - moving * ax))
+                    )
                     add_to(
                         scratch,
                         a + 16,

@@ -1,11 +1,12 @@
-"""2^x, 2^x − 1, log2 and an arc tangent of sixteen floats: polynomials without branches, tables or calls.
+"""2^x, 2^x − 1, log2 and an arc tangent of sixteen floats: polynomials without branches, tables or
+calls.
 
-x = k + f with k the nearest integer and f in [−½, ½]; 2^x = 2^k 2^f. Adding ROUND leaves k + 127, which is the exponent field
-of 2^k, in the low bits of the sum: a shift makes 2^k, no conversion is needed.
-c = 2^k (1 + m) with 1 + m in [¾, 1½) for the logarithm.
+x = k + f with k the nearest integer and f in [−½, ½]; 2^x = 2^k 2^f. Adding ROUND leaves k + 127,
+which is the exponent field of 2^k, in the low bits of the sum: a shift makes 2^k, no conversion is
+needed. c = 2^k (1 + m) with 1 + m in [¾, 1½) for the logarithm.
 
-Coefficients: constant term first, least relative error on the interval named; tests/learn/engines/test_vector.py holds
-each function to its own.
+Coefficients: constant term first, least relative error on the interval named;
+tests/learn/engines/test_vector.py holds each function to its own.
 """
 
 from numba import types
@@ -15,11 +16,34 @@ from learn.engines.compilation import inlined
 from learn.engines.vector import FLOATS, INTS, constant, fma, maximum, minimum, select, sqrt, wide
 
 ROUND = 1.5 * 2.0**23 + 127.0
-LOWEST = -48.0  # 2^x is held at 2^-48 below: products stay clear of denormal numbers, which cost a hundred times more
-EXPM1 = (0.69314714, 0.24022351, 0.055505, 0.00966625, 0.00133335)  # (2^f − 1) / f on [−½, ½], 4.3e-7
-LOG = (1.44269503, -0.72134848, 0.48090208, -0.36057592, 0.28819153, -0.24272362, 0.21632471, -0.17422922, 0.07806572)
+# 2^x is held at 2^-48 below: products stay clear of denormal numbers, which cost a hundred times
+# more
+LOWEST = -48.0
+# (2^f − 1) / f on [−½, ½], 4.3e-7
+EXPM1 = (0.69314714, 0.24022351, 0.055505, 0.00966625, 0.00133335)
+LOG = (
+    1.44269503,
+    -0.72134848,
+    0.48090208,
+    -0.36057592,
+    0.28819153,
+    -0.24272362,
+    0.21632471,
+    -0.17422922,
+    0.07806572,
+)
 # LOG: log2(1 + m) / m on [−¼, ½], 2.7e-8
-ATAN = (0.99999998, -0.33333073, 0.19992619, -0.14203642, 0.10640924, -0.07504274, 0.04269128, -0.01606848, 0.00284985)
+ATAN = (
+    0.99999998,
+    -0.33333073,
+    0.19992619,
+    -0.14203642,
+    0.10640924,
+    -0.07504274,
+    0.04269128,
+    -0.01606848,
+    0.00284985,
+)
 # ATAN: arctan(r) / r in z = r² on [0, 1], 1.5e-8
 
 
@@ -28,7 +52,8 @@ def _fraction_and_scale(typing, x):
     """(f, 2^k) of x = k + f, for x in [LOWEST, 127]."""
 
     def generate(context, builder, signature, arguments):
-        shifted = builder.fadd(arguments[0], constant(ROUND))  # no flags here: ROUND must not be cancelled
+        # no flags here: ROUND must not be cancelled
+        shifted = builder.fadd(arguments[0], constant(ROUND))
         fraction = builder.fsub(arguments[0], builder.fsub(shifted, constant(ROUND)))
         scale = builder.bitcast(builder.shl(builder.bitcast(shifted, INTS), constant(23)), FLOATS)
         return context.make_tuple(builder, signature.return_type, (fraction, scale))
@@ -42,7 +67,8 @@ def _mantissa_and_exponent(typing, c):
 
     def generate(context, builder, signature, arguments):
         bits = builder.bitcast(arguments[0], INTS)
-        exponent = builder.ashr(builder.sub(bits, constant(0x3F400000)), constant(23))  # 0x3F400000 is ¾
+        # 0x3F400000 is ¾
+        exponent = builder.ashr(builder.sub(bits, constant(0x3F400000)), constant(23))
         mantissa = builder.bitcast(builder.sub(bits, builder.shl(exponent, constant(23))), FLOATS)
         pair = builder.fsub(mantissa, constant(1.0)), builder.sitofp(exponent, FLOATS)
         return context.make_tuple(builder, signature.return_type, pair)
@@ -72,7 +98,9 @@ def exp2m1(x):
 
 @inlined
 def log2(c, one_minus_c):
-    """log2 of c in (0, 1], given 1 − c too: keeps the relative precision at c → 1, where a lobe has its peak."""
+    """log2 of c in (0, 1], given 1 − c too: keeps the relative precision at c → 1, where a lobe has
+    its peak.
+    """
     m, k = _mantissa_and_exponent(c)
     m = select(c > 0.75, 0.0 - one_minus_c, m)
     p = fma(m, fma(m, fma(m, fma(m, LOG[8], LOG[7]), LOG[6]), LOG[5]), LOG[4])

@@ -6,12 +6,14 @@ geometry  (blocks, 6, 16): w (3 rows), and what rounding took off w (3 rows)
 energy    (blocks, 3, 16): radiance × solid angle, E_k
 m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 least     (3 lobes,): smallest γ, to bound a whole block
-cut       (blocks,): a lobe with log2 c^γ below it everywhere in a block is left out (learn.engines.lights)
+cut       (blocks,): a lobe with log2 c^γ below it everywhere in a block is left out
+(learn.engines.lights)
 
-    s = w + v, t = w − v, h = s/‖s‖, θ_d = arctan(‖t‖/‖s‖), c = n·h = 1 − ½‖h − n‖²;   the sum as in learn.engines.distant
+    s = w + v, t = w − v, h = s/‖s‖, θ_d = arctan(‖t‖/‖s‖), c = n·h = 1 − ½‖h − n‖²;   the sum as in
+    learn.engines.distant
 
-s is kept as a float and its rounding error, and v's length is set right, so that h − n is right to its own size: a lobe of
-γ = 1e5 needs it.
+s is kept as a float and its rounding error, and v's length is set right, so that h − n is right to
+its own size: a lobe of γ = 1e5 needs it.
 """
 
 from numba import float32, float64, types
@@ -20,7 +22,18 @@ from learn.engines.compilation import inlined
 from learn.engines.distant import CHUNKS, LN2, add_to, clear, peak_cosine, write_sums
 from learn.engines.exponentials import angle, exp2, exp2m1
 from learn.engines.splines import ANGLE_TO_X, add_curve, basis, curve, slope, tents
-from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, select, splat, sqrt
+from learn.engines.vector import (
+    FLOAT_POINTER,
+    anywhere,
+    fma,
+    lane_max,
+    lane_sum,
+    load,
+    maximum,
+    select,
+    splat,
+    sqrt,
+)
 
 TILE = 32  # pixels of a thread's piece of work
 SCRATCH = 2 * 48 * TILE + 16 * 108  # floats: sums by n, by v, by m
@@ -90,7 +103,11 @@ def forward(first, last, pixels, blocks, n, v, geometry, energy, m, least, cut, 
             sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
             s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
             inverse = 1.0 / sqrt(s_square)
-            x, y, z = offset(sx, rx, nx, inverse), offset(sy, ry, ny, inverse), offset(sz, rz, nz, inverse)
+            x, y, z = (
+                offset(sx, rx, nx, inverse),
+                offset(sy, ry, ny, inverse),
+                offset(sz, rz, nz, inverse),
+            )
             log_c = peak_cosine(x, y, z)[1]
             nearest = lane_max(log_c)
             if not (nearest * min(least[0], least[1], least[2]) > cut[block]):
@@ -106,12 +123,18 @@ def forward(first, last, pixels, blocks, n, v, geometry, energy, m, least, cut, 
             i0 = fma(f0 * n_w, load(energy, e), i0)
             i1 = fma(f1 * n_w, load(energy, e + 16), i1)
             i2 = fma(f2 * n_w, load(energy, e + 32), i2)
-        radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = lane_sum(i0), lane_sum(i1), lane_sum(i2)
+        radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = (
+            lane_sum(i0),
+            lane_sum(i1),
+            lane_sum(i2),
+        )
 
 
 @inlined
 def lobe_backward(m, steps, o, log_c, b, tent, weight, m_sums, at, with_view):
-    """One lobe and channel: F, dF/dc · c log2 e, dF/dx of the spline's x; adds its derivatives by m, × weight, from m_sums[at] on."""
+    """One lobe and channel: F, dF/dc · c log2 e, dF/dx of the spline's x; adds its derivatives by
+    m, × weight, from m_sums[at] on.
+    """
     gamma, kappa = curve(m, o, b), curve(m, o + 6, b)
     power = exp2(gamma * log_c)
     exponent = kappa * power
@@ -132,16 +155,20 @@ def backward(
     first, last, pixels, blocks, with_view,
     n, v, geometry, energy, m, steps, least, cut, scratch, g, n_part, v_part, energy_sums, m_sums,
 ):  # fmt: skip
-    """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew is computed again.
+    """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew
+    is computed again.
 
     with_view    0: v_part is not written
-    steps        (3 lobes, 3 channels, 2, 5): slopes of the splines of γ ln² 2 and of κ (learn.engines.lights.spline_steps)
+    steps        (3 lobes, 3 channels, 2, 5): slopes of the splines of γ ln² 2 and of κ
+    (learn.engines.lights.spline_steps)
     scratch      (CHUNKS, SCRATCH): room for a tile's sums
     g            (P, 3) derivative by radiance
-    n_part       (CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to n
+    n_part       (CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to
+    n
     v_part       (CHUNKS, P, 3) out: the same by v
     energy_sums  (blocks, 3, 16) out: Σ_p g F max(0, n·w), the derivative by energy
-    m_sums       (CHUNKS, tiles, 108) out, like m: derivatives by γ ln² 2 and by κ, each tile's and chunk's share
+    m_sums       (CHUNKS, tiles, 108) out, like m: derivatives by γ ln² 2 and by κ, each tile's and
+    chunk's share
     Chunks as in learn.engines.distant.
     """
     tiles = (pixels + TILE - 1) // TILE
@@ -169,7 +196,11 @@ def backward(
                     sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
                     s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
                     inverse = 1.0 / sqrt(s_square)
-                    x, y, z = offset(sx, rx, nx, inverse), offset(sy, ry, ny, inverse), offset(sz, rz, nz, inverse)
+                    x, y, z = (
+                        offset(sx, rx, nx, inverse),
+                        offset(sy, ry, ny, inverse),
+                        offset(sz, rz, nz, inverse),
+                    )
                     c, log_c = peak_cosine(x, y, z)
                     nearest = lane_max(log_c)
                     if not (nearest * min(least[0], least[1], least[2]) > cut[block]):
@@ -186,7 +217,16 @@ def backward(
                         for s in range(3):
                             if nearest * least[s] > cut[block]:
                                 lobe_f, lobe_c, lobe_x = lobe_backward(
-                                    m, steps, 36 * s + 12 * k, log_c, b, tent, weight, scratch, v_sums + 48 * TILE, with_view
+                                    m,
+                                    steps,
+                                    36 * s + 12 * k,
+                                    log_c,
+                                    b,
+                                    tent,
+                                    weight,
+                                    scratch,
+                                    v_sums + 48 * TILE,
+                                    with_view,
                                 )
                                 f, d_c, d_x = f + lobe_f, d_c + lobe_c, d_x + lobe_x
                         add_to(energy_sums, e + 16 * k, f * n_w * g[p + k])
@@ -201,16 +241,34 @@ def backward(
                     add_to(scratch, a + 32, fma(by_w, wz, by_c * z))
                     if with_view:
                         # ∂c/∂v = (n − c h)/‖s‖, and n − c h is what of n − h stands across h.
-                        # ∂θ_d/∂v = −(‖s‖² t + ‖t‖² s)/(4 ‖s‖ ‖t‖): tangential in itself, so that nothing cancels at either end
+                        # ∂θ_d/∂v = −(‖s‖² t + ‖t‖² s)/(4 ‖s‖ ‖t‖): tangential in itself, so that
+                        # nothing cancels at either end
                         by_c = by_c * inverse
                         hx, hy, hz = x + nx, y + ny, z + nz
                         along = by_c * fma(x, hx, fma(y, hy, z * hz))
-                        by_theta = by_x * (0.25 * ANGLE_TO_X) * inverse / sqrt(maximum(t_square, LEAST_SQUARE))
+                        by_theta = (
+                            by_x
+                            * (0.25 * ANGLE_TO_X)
+                            * inverse
+                            / sqrt(maximum(t_square, LEAST_SQUARE))
+                        )
                         by_t, by_s = by_theta * s_square, by_theta * t_square
                         a = v_sums + 48 * j
-                        add_to(scratch, a, fma(along, hx, 0.0 - by_c * x) - by_t * (wx - vx) - by_s * sx)
-                        add_to(scratch, a + 16, fma(along, hy, 0.0 - by_c * y) - by_t * (wy - vy) - by_s * sy)
-                        add_to(scratch, a + 32, fma(along, hz, 0.0 - by_c * z) - by_t * (wz - vz) - by_s * sz)
+                        add_to(
+                            scratch,
+                            a,
+                            fma(along, hx, 0.0 - by_c * x) - by_t * (wx - vx) - by_s * sx,
+                        )
+                        add_to(
+                            scratch,
+                            a + 16,
+                            fma(along, hy, 0.0 - by_c * y) - by_t * (wy - vy) - by_s * sy,
+                        )
+                        add_to(
+                            scratch,
+                            a + 32,
+                            fma(along, hz, 0.0 - by_c * z) - by_t * (wz - vz) - by_s * sz,
+                        )
             write_sums(scratch, n_sums, 3 * count, n_part, 3 * (chunk * pixels + start))
             if with_view:
                 write_sums(scratch, v_sums, 3 * count, v_part, 3 * (chunk * pixels + start))

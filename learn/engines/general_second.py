@@ -1,17 +1,20 @@
-"""Kernel for second derivatives of the sum for a view vector per pixel: the backward pass of learn.engines.general.backward.
+"""Kernel for second derivatives of the sum for a view vector per pixel: the backward pass of
+learn.engines.general.backward.
 
-Letters, arrays and the sum as in learn.engines.general, S and its parts as in learn.engines.distant_second; besides
-n_along, v_along  (P, 3): n', v', tangential up to rounding
+Letters, arrays and the sum as in learn.engines.general, S and its parts as in
+learn.engines.distant_second; besides n_along, v_along  (P, 3): n', v', tangential up to rounding
 m                 (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 m_along           the same of γ' and of κ'
-steps             (3 lobes, 3 channels, 2, 5): slopes of the splines of γ and of κ (learn.engines.lights.spline_steps)
+steps             (3 lobes, 3 channels, 2, 5): slopes of the splines of γ and of κ
+(learn.engines.lights.spline_steps)
 steps_along       the same of γ' and of κ'
 
     c' = (h − n)·n' + h'·n    h' = (v' − h (h·v'))/‖s‖    θ' = −¼ (‖s‖ d + ‖t‖ h)·v'    d = t/‖t‖
     κ' = Σ_b B_b m'_b + θ' Σ_b B_b' κ_b, and so γ'
 
-The derivatives by n and by θ_d, θ' and c' of v are written out in `second`. θ_d has a corner where w = v: ‖t‖ is held above
-√LEAST_SQUARE, and so is the second derivative below the bound that it lacks.
+The derivatives by n and by θ_d, θ' and c' of v are written out in `second`. θ_d has a corner where
+w = v: ‖t‖ is held above √LEAST_SQUARE, and so is the second derivative below the bound that it
+lacks.
 """
 
 from numba import types
@@ -43,7 +46,9 @@ SECOND = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 21)
 
 @inlined
 def bends(theta_d):
-    """The derivatives of `tents` by x: 1 on the interval before a tent's knot, −1 on the one after."""
+    """The derivatives of `tents` by x: 1 on the interval before a tent's knot, −1 on the one
+    after.
+    """
     x = theta_d * ANGLE_TO_X
     one, none = splat(1.0), splat(0.0)
     i0 = select(x < 1.0, one, none)
@@ -73,12 +78,15 @@ def second(
     n, v, geometry, energy, m, steps, least, cut, scratch, g, n_along, v_along, e_along, m_along, steps_along,
     n_part, v_part, g_part, energy_sums, m_sums, steps_sums,
 ):  # fmt: skip
-    """Derivatives of S that belong to light chunks first … last − 1, as in learn.engines.general.backward.
+    """Derivatives of S that belong to light chunks first … last − 1, as in
+    learn.engines.general.backward.
 
     scratch                 (CHUNKS, SCRATCH): room for a tile's sums
-    n_part, v_part, g_part  (CHUNKS, P, 3) out: each chunk's share of the derivatives by n, v (tangential parts) and g
+    n_part, v_part, g_part  (CHUNKS, P, 3) out: each chunk's share of the derivatives by n, v
+    (tangential parts) and g
     energy_sums             (blocks, 3, 16) out: the derivative by energy
-    m_sums, steps_sums      (CHUNKS, tiles, 108) and (…, 90) out, like m and steps: derivatives by γ and κ through their values, and by
+    m_sums, steps_sums      (CHUNKS, tiles, 108) and (…, 90) out, like m and steps: derivatives by γ
+    and κ through their values, and by
                             their steps through θ', each tile's and chunk's share
     """
     tiles = (pixels + TILE - 1) // TILE
@@ -127,7 +135,8 @@ def second(
                     ax, ay, az = n_along[p], n_along[p + 1], n_along[p + 2]
                     qx, qy, qz = v_along[p], v_along[p + 1], v_along[p + 2]
                     h_q, d_q = dot(hx, hy, hz, qx, qy, qz), dot(dx, dy, dz, qx, qy, qz)
-                    turned = -0.25 * ANGLE_TO_X * fma(length_s, d_q, length_t * h_q)  # x' of the spline's x
+                    # x' of the spline's x
+                    turned = -0.25 * ANGLE_TO_X * fma(length_s, d_q, length_t * h_q)
                     # across h: n, v' and n'; (h − n)·h is ½‖h − n‖², which keeps its digits
                     x_h = dot(x, y, z, hx, hy, hz)
                     ux, uy, uz = fma(x_h, hx, 0.0 - x), fma(x_h, hy, 0.0 - y), fma(x_h, hz, 0.0 - z)
@@ -187,9 +196,15 @@ def second(
                                 add_curve(scratch, by_m + 16 * to, by_gamma, b)
                                 add_curve(scratch, by_m + 16 * to + 96, by_kappa, b)
                                 add_slope(scratch, by_steps + 16 * st, along_gamma * turned, tent)
-                                add_slope(scratch, by_steps + 16 * st + 80, along_kappa * turned, tent)
-                                by_turned = by_turned + fma(along_gamma, slope_gamma, along_kappa * slope_kappa)
-                                bent_gamma = fma(turned, slope(steps, st, bend), slope(steps_along, st, tent))
+                                add_slope(
+                                    scratch, by_steps + 16 * st + 80, along_kappa * turned, tent
+                                )
+                                by_turned = by_turned + fma(
+                                    along_gamma, slope_gamma, along_kappa * slope_kappa
+                                )
+                                bent_gamma = fma(
+                                    turned, slope(steps, st, bend), slope(steps_along, st, tent)
+                                )
                                 bent_kappa = fma(
                                     turned,
                                     slope(steps, st + 5, bend),
@@ -207,11 +222,16 @@ def second(
                     # by n: c has h − n, and c' has h' − n'
                     to_h = moving * inverse_s
                     add_to(scratch, at, fma(by_w, wx, by_c * x) + (to_h * across_x - moving * ax))
-                    add_to(scratch, at + 16, fma(by_w, wy, by_c * y) + (to_h * across_y - moving * ay))
-                    add_to(scratch, at + 32, fma(by_w, wz, by_c * z) + (to_h * across_z - moving * az))
+                    add_to(
+                        scratch, at + 16, fma(by_w, wy, by_c * y) + (to_h * across_y - moving * ay)
+                    )
+                    add_to(
+                        scratch, at + 32, fma(by_w, wz, by_c * z) + (to_h * across_z - moving * az)
+                    )
                     # by v: with u what of n stands across h, N = u·v', q that of v',
                     #   c has u/‖s‖;   c' has (n' across h)/‖s‖ − (N h + c q + (h·v') u)/‖s‖²
-                    #   θ has −¼ (‖s‖ d + ‖t‖ h);   θ' has −¼ ((d·v') h − (h·v') d − (‖s‖/‖t‖) (v' across d) + (‖t‖/‖s‖) q)
+                    # θ has −¼ (‖s‖ d + ‖t‖ h);   θ' has −¼ ((d·v') h − (h·v') d − (‖s‖/‖t‖) (v'
+                    # across d) + (‖t‖/‖s‖) q)
                     h_a = dot(hx, hy, hz, ax, ay, az)
                     twice = to_h * inverse_s
                     along_u = fma(by_c, inverse_s, 0.0 - twice * h_q)
@@ -226,17 +246,20 @@ def second(
                     add_to(
                         scratch,
                         at + 48,
-                        dot(along_u, along_h, along_d, ux, hx, dx) + (along_q * across_x + to_h * ax - far * qx),
+                        dot(along_u, along_h, along_d, ux, hx, dx)
+                        + (along_q * across_x + to_h * ax - far * qx),
                     )
                     add_to(
                         scratch,
                         at + 64,
-                        dot(along_u, along_h, along_d, uy, hy, dy) + (along_q * across_y + to_h * ay - far * qy),
+                        dot(along_u, along_h, along_d, uy, hy, dy)
+                        + (along_q * across_y + to_h * ay - far * qy),
                     )
                     add_to(
                         scratch,
                         at + 80,
-                        dot(along_u, along_h, along_d, uz, hz, dz) + (along_q * across_z + to_h * az - far * qz),
+                        dot(along_u, along_h, along_d, uz, hz, dz)
+                        + (along_q * across_z + to_h * az - far * qz),
                     )
             for j in range(count):
                 to = 3 * (chunk * pixels + start + j)

@@ -1,11 +1,15 @@
 """Kernels for a look-up in a map over normals by bicubic Catmull–Rom weights, and its derivatives.
 
-n      (P, 3) unit normals; p = (n_x, n_y) / √(1 + n_z), the equal-area disk (learn/methods/reflectance_map.py)
-size   nodes along a side; the place of a normal in nodes is (row, column) = ((p_y, p_x) + 1) (size − 5) / 2 + 2
-table  (size, size, 4) values at the nodes, the fourth unused: four neighbours in a row are sixteen floats, one load
+n      (P, 3) unit normals; p = (n_x, n_y) / √(1 + n_z), the equal-area disk
+(learn/methods/reflectance_map.py)
+size   nodes along a side; the place of a normal in nodes is (row, column) = ((p_y, p_x) + 1) (size
+− 5) / 2 + 2
+table  (size, size, 4) values at the nodes, the fourth unused: four neighbours in a row are sixteen
+floats, one load
 out    (P, 3)
 
-    out = Σ_ij a_i(row) b_j(column) table[r + i − 1, c + j − 1],   i, j = 0 … 3,   r, c the whole parts of row and column
+    out = Σ_ij a_i(row) b_j(column) table[r + i − 1, c + j − 1],   i, j = 0 … 3,   r, c the whole
+    parts of row and column
 
 Places and weights are found in float64, sums made in float32.
 """
@@ -15,7 +19,17 @@ import math
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.vector import FLOAT_POINTER, by_four, fma, in_turn, lane_sum, load, splat, store, turn_sums
+from learn.engines.vector import (
+    FLOAT_POINTER,
+    by_four,
+    fma,
+    in_turn,
+    lane_sum,
+    load,
+    splat,
+    store,
+    turn_sums,
+)
 
 CHUNKS = 4  # of pixels, in the backward pass: the most threads it can use
 
@@ -26,7 +40,9 @@ BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 5)
 
 @inlined
 def place(x, y, z, size):
-    """Row and column of the node before a normal's place, what is left of the place, and 1 / √(1 + n_z)."""
+    """Row and column of the node before a normal's place, what is left of the place, and 1 / √(1 +
+    n_z).
+    """
     shrink = 1.0 / math.sqrt(1.0 + z)
     half = 0.5 * (size - 5)
     v, u = (y * shrink + 1.0) * half + 2.0, (x * shrink + 1.0) * half + 2.0
@@ -84,11 +100,17 @@ def forward(first, last, size, n, table, out):
 
 
 def backward(first, last, pixels, size, n, table, g, by_n, by_table):
-    """Derivatives of Σ g·out from pixel chunks first … last − 1: by_n (P, 3), added to by_table (CHUNKS, size, size, 4)."""
+    """Derivatives of Σ g·out from pixel chunks first … last − 1: by_n (P, 3), added to by_table
+    (CHUNKS, size, size, 4).
+    """
     for chunk in range(first, last):
         base = chunk * 4 * size * size
         for p in range(chunk * pixels // CHUNKS, (chunk + 1) * pixels // CHUNKS):
-            x, y, z = types.float64(n[3 * p]), types.float64(n[3 * p + 1]), types.float64(n[3 * p + 2])
+            x, y, z = (
+                types.float64(n[3 * p]),
+                types.float64(n[3 * p + 1]),
+                types.float64(n[3 * p + 2]),
+            )
             row, column, v, u, shrink = place(x, y, z, size)
             a, b, da, db = weights(v), weights(u), weight_slopes(v), weight_slopes(u)
             weighted = in_turn(g[3 * p], g[3 * p + 1], g[3 * p + 2], 0.0)

@@ -1,12 +1,16 @@
-"""What the kernels are told of the lights and the material: blocks of 16 lights, tables, and the way back from sums to derivatives.
+"""What the kernels are told of the lights and the material: blocks of 16 lights, tables, and the
+way back from sums to derivatives.
 
 R × LIGHTS   rows of numbers over lights, float64
-blocked      (blocks, R, 16) float32: sixteen neighbouring lights side by side, the last block filled up with lights that are
+blocked      (blocks, R, 16) float32: sixteen neighbouring lights side by side, the last block
+filled up with lights that are
              nowhere (w = (0, 0, −1) with energy 0)
-slab         at most SLAB lights that are worked on together, so that memory does not grow with the map
+slab         at most SLAB lights that are worked on together, so that memory does not grow with the
+map
 
-Lights go in 4×4 tiles of the map, so that a block sits close together on the sphere and is skipped as one.
-Everything that does not depend on radiance or material is made once for each map size and rotation.
+Lights go in 4×4 tiles of the map, so that a block sits close together on the sphere and is skipped
+as one. Everything that does not depend on radiance or material is made once for each map size and
+rotation.
 """
 
 import functools
@@ -27,7 +31,9 @@ LN2 = 0.6931471805599453
 
 def blocked(rows):
     """(R, LIGHTS), LIGHTS a multiple of 16 → (LIGHTS/16, R, 16) float32."""
-    return np.ascontiguousarray(rows.reshape(len(rows), -1, LANES).transpose(1, 0, 2), dtype=np.float32)
+    return np.ascontiguousarray(
+        rows.reshape(len(rows), -1, LANES).transpose(1, 0, 2), dtype=np.float32
+    )
 
 
 def unblocked(blocks):
@@ -49,7 +55,8 @@ class Slab:
     blocks       their number, with the fill
     distant      (blocks, 9, 16): geometry for learn.engines.distant
     general      (blocks, 6, 16): geometry for learn.engines.general
-    basis        (filled lights, 6) float64: the spline's basis at each light's θ_d, for the distant viewer
+    basis        (filled lights, 6) float64: the spline's basis at each light's θ_d, for the distant
+    viewer
     """
 
     order: np.ndarray
@@ -62,7 +69,9 @@ class Slab:
     def energy(self, light):
         """(blocks, 3, 16) radiance × solid angle of light (height, width, 3)."""
         rows = np.zeros((3, self.blocks * LANES))
-        rows[:, : len(self.order)] = (light.reshape(-1, 3)[self.order] * self.solid_angle[:, None]).T
+        rows[:, : len(self.order)] = (
+            light.reshape(-1, 3)[self.order] * self.solid_angle[:, None]
+        ).T
         return blocked(rows)
 
     def add_light_gradient(self, energy_sums, gradient):
@@ -73,7 +82,9 @@ class Slab:
 
 @functools.lru_cache(maxsize=8)
 def slabs(height, width, camera_from_light):
-    """The `Slab`s of a map; camera_from_light as nine numbers in a tuple, so that the result can be kept."""
+    """The `Slab`s of a map; camera_from_light as nine numbers in a tuple, so that the result can be
+    kept.
+    """
     w, solid_angle = (a.reshape(height * width, -1) for a in directions(height, width))
     row, column = np.divmod(np.arange(height * width), width)
     order = np.lexsort((column, row, column // 4, row // 4))
@@ -95,7 +106,8 @@ def _slab(order, w, solid_angle):
 def cutoff(energy):
     """(blocks,) log2 of c^γ below which a lobe is left out of a block.
 
-    Lowered where a block outshines the mean, so that what is left out of the sum stays small even for a sun.
+    Lowered where a block outshines the mean, so that what is left out of the sum stays small even
+    for a sun.
     """
     brightest = energy.max((1, 2)).astype(np.float64)
     mean = brightest.mean()
@@ -104,7 +116,9 @@ def cutoff(energy):
 
 
 def lobe_first(m):
-    """(3 channels, 3 lobes, (κ, γ), 6) → (3 lobes, 3 channels, (γ, κ), 6), and back: the kernels' order."""
+    """(3 channels, 3 lobes, (κ, γ), 6) → (3 lobes, 3 channels, (γ, κ), 6), and back: the kernels'
+    order.
+    """
     return m.transpose(1, 0, 2, 3)[:, :, ::-1]
 
 
@@ -112,7 +126,8 @@ def distant_tables(m, slab):
     """The material at each light of a slab, for the distant viewer.
 
     m        (3, 3, 2, 6) float64
-    Returns  lobes (blocks, 3, 3, 2, 16) and least (blocks, 3) for learn.engines.distant; kappa (3, 3, lights) float64
+    Returns  lobes (blocks, 3, 3, 2, 16) and least (blocks, 3) for learn.engines.distant; kappa (3,
+    3, lights) float64
     """
     curves = lobe_first(m).reshape(18, 6) @ slab.basis.T
     gamma, kappa = curves[0::2], curves[1::2].copy()
@@ -129,12 +144,16 @@ def distant_material_gradient(lobe_sums, energy, kappa, slab):
 
 
 def general_tables(m):
-    """The material for learn.engines.general: control values (108,), spline steps (90,), least (3,), float32."""
+    """The material for learn.engines.general: control values (108,), spline steps (90,), least
+    (3,), float32.
+    """
     values = lobe_first(m).copy()
     steps = spline_steps(values * np.array([LN2**2, 1.0])[:, None])
     least = values[:, :, 0].min((1, 2))
     values[:, :, 1] *= LOG2_E
-    return tuple(np.ascontiguousarray(a, dtype=np.float32).reshape(-1) for a in (values, steps, least))
+    return tuple(
+        np.ascontiguousarray(a, dtype=np.float32).reshape(-1) for a in (values, steps, least)
+    )
 
 
 def general_material_gradient(m_sums):
@@ -144,5 +163,7 @@ def general_material_gradient(m_sums):
 
 
 def spline_steps(values):
-    """Slopes (…, 5) by x = 4u of curves with control values (…, 6), at x = 0 … 4 (learn.engines.splines)."""
+    """Slopes (…, 5) by x = 4u of curves with control values (…, 6), at x = 0 … 4
+    (learn.engines.splines).
+    """
     return np.diff(values, axis=-1) * np.array([2.0, 1.0, 1.0, 1.0, 2.0])

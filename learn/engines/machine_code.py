@@ -1,11 +1,15 @@
-"""The kernels as machine code: compiled by numba on first use, kept on disk, loaded without numba afterwards.
+"""The kernels as machine code: compiled by numba on first use, kept on disk, loaded without numba
+afterwards.
 
-A kernel is a numba function of integers and float pointers that never fails and calls nothing. Its machine code is stored in the
-user's cache folder under the hash of everything it depends on: the sources of the kernel modules, the versions of numba and
-llvmlite, the processor. numba's own cache knows only the file of the outermost function and went stale when an imported one changed.
-Compiling (learn.engines.compilation) takes up to a second and says so on stderr; loading takes milliseconds and needs llvmlite alone.
+A kernel is a numba function of integers and float pointers that never fails and calls nothing. Its
+machine code is stored in the user's cache folder under the hash of everything it depends on: the
+sources of the kernel modules, the versions of numba and llvmlite, the processor. numba's own cache
+knows only the file of the outermost function and went stale when an imported one changed. Compiling
+(learn.engines.compilation) takes up to a second and says so on stderr; loading takes milliseconds
+and needs llvmlite alone.
 
-The functions are called through ctypes, which releases Python's lock: threads run them side by side.
+The functions are called through ctypes, which releases Python's lock: threads run them side by
+side.
 """
 
 import ctypes
@@ -37,17 +41,26 @@ os.register_at_fork(after_in_child=_renew_lock)
 
 
 def is_available():
-    """Whether kernels can be made here: numba (which brings llvmlite) is installed. Says so once if it is not."""
+    """Whether kernels can be made here: numba (which brings llvmlite) is installed. Says so once if
+    it is not.
+    """
     if "numba" not in _found:  # not functools.cache: torch.compile warns of it
         _found["numba"] = importlib.util.find_spec("numba") is not None
         if not _found["numba"]:
-            print("brdfactory: numba is not installed; the exact sum runs in plain torch, about 100 times slower", file=sys.stderr)
+            print(
+                "brdfactory: numba is not installed; the exact sum runs in plain torch, about 100"
+                " times slower",
+                file=sys.stderr,
+            )
     return _found["numba"]
 
 
 def call(name, *arguments):
-    """Run a kernel, "module.function" of this folder, on integers and C-contiguous arrays (or None)."""
-    unused = ctypes.c_void_p(), ctypes.c_void_p()  # where numba puts the result (None) and would put an exception
+    """Run a kernel, "module.function" of this folder, on integers and C-contiguous arrays (or
+    None).
+    """
+    # where numba puts the result (None) and would put an exception
+    unused = ctypes.c_void_p(), ctypes.c_void_p()
     kinds, values = [ctypes.c_void_p, ctypes.c_void_p], [ctypes.addressof(u) for u in unused]
     for argument in arguments:
         if isinstance(argument, int):
@@ -74,7 +87,8 @@ def _load(name, code):
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     empty = llvm.parse_assembly("", context=llvm.create_context())
-    # its own memory manager lays code and data side by side; LLVM's may put them over 2 GiB apart, and then aborts the process
+    # its own memory manager lays code and data side by side; LLVM's may put them over 2 GiB apart,
+    # and then aborts the process
     engine = llvm.create_mcjit_compiler(empty, _target_machine(llvm), use_lmm=True)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
@@ -90,12 +104,20 @@ def _machine_code(name):
             return code
     except OSError:
         pass
-    print(f"brdfactory: compiling the kernel {name} for this machine, less than 1 s, once (kept in {path.parent})", file=sys.stderr)
+    print(
+        f"brdfactory: compiling the kernel {name} for this machine, less than 1 s, once (kept in"
+        f" {path.parent})",
+        file=sys.stderr,
+    )
     code = _compile(name)
     try:
         _write(path, hashlib.sha256(code).digest() + code)
     except (OSError, InputError) as error:
-        print(f"brdfactory: cannot keep it ({error}); set BRDFACTORY_CACHE to a folder that can be written", file=sys.stderr)
+        print(
+            f"brdfactory: cannot keep it ({error}); set BRDFACTORY_CACHE to a folder that can be"
+            " written",
+            file=sys.stderr,
+        )
     return code
 
 
@@ -104,12 +126,16 @@ def _compile(name):
 
     module_name, function_name = name.split(".")
     module = importlib.import_module(f"learn.engines.{module_name}")
-    return compilation.object_code(getattr(module, function_name), getattr(module, function_name.upper()), _symbol(name))
+    return compilation.object_code(
+        getattr(module, function_name), getattr(module, function_name.upper()), _symbol(name)
+    )
 
 
 def _target_machine(llvm):
     features = llvm.get_host_cpu_features().flatten()
-    return llvm.Target.from_default_triple().create_target_machine(llvm.get_host_cpu_name(), features, opt=3, reloc="pic")
+    return llvm.Target.from_default_triple().create_target_machine(
+        llvm.get_host_cpu_name(), features, opt=3, reloc="pic"
+    )
 
 
 def _symbol(name):
@@ -117,13 +143,19 @@ def _symbol(name):
 
 
 def sources(module):
-    """The names of a kernel's module and of all modules of this folder that it imports, directly or not; and this one's."""
+    """The names of a kernel's module and of all modules of this folder that it imports, directly or
+    not; and this one's.
+    """
     result, open_ = {"machine_code"}, [module]
     while open_:
         name = open_.pop()
         if name not in result:
             result.add(name)
-            open_ += re.findall(r"^from learn\.engines\.(\w+) import", (Path(__file__).parent / f"{name}.py").read_text(), re.MULTILINE)
+            open_ += re.findall(
+                r"^from learn\.engines\.(\w+) import",
+                (Path(__file__).parent / f"{name}.py").read_text(),
+                re.MULTILINE,
+            )
     return sorted(result)
 
 
@@ -139,7 +171,11 @@ def _key(module):
 
 def _cache_folder():
     named = os.environ.get("BRDFACTORY_CACHE")
-    base = Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "brdfactory"
+    base = (
+        Path(named)
+        if named
+        else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "brdfactory"
+    )
     return base / "kernels"
 
 

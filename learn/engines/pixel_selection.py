@@ -1,9 +1,11 @@
-"""Pixels picked out of pictures and put back, as differentiable steps: by learn.engines.pixels in float32 on the CPU, else by torch.
+"""Pixels picked out of pictures and put back, as differentiable steps: by learn.engines.pixels in
+float32 on the CPU, else by torch.
 
 vectors  (P, 3) normals or views of all pixels;  index (N,) places of the pixels that are seen
 
-On the way to the kernels numpy does what torch could do too: torch's operators wake OpenMP's threads for as few as 32,768 numbers, and
-these wait for more work spinning, in the way of the kernels' own threads (docs/log.md, 2026-11-21).
+On the way to the kernels numpy does what torch could do too: torch's operators wake OpenMP's
+threads for as few as 32,768 numbers, and these wait for more work spinning, in the way of the
+kernels' own threads (docs/log.md, 2026-11-21).
 """
 
 import numpy as np
@@ -12,13 +14,16 @@ import torch
 from learn.engines import machine_code, threads
 from learn.engines.derivatives import Step, require_one_gradient
 
-OUTSIDE, AWAY, SEEN, WRONG = range(4)  # states of a pixel, those of learn.engines.pixels, which needs numba to be read
+# states of a pixel, those of learn.engines.pixels, which needs numba to be read
+OUTSIDE, AWAY, SEEN, WRONG = range(4)
 PIXEL = 6e-9  # seconds that a kernel needs for each
 SHORTEST = 1e-12  # as torch.nn.functional.normalize
 
 
 def has_kernels(tensor):
-    """Whether the kernels serve; under torch.compile torch's own operators do, which it can see into."""
+    """Whether the kernels serve; under torch.compile torch's own operators do, which it can see
+    into.
+    """
     right = tensor.dtype == torch.float32 and tensor.device.type == "cpu"
     return right and not torch.compiler.is_compiling() and machine_code.is_available()
 
@@ -31,14 +36,30 @@ def in_order(tensor):
 def run(name, count, *arguments):
     """A kernel over range(count), on as many threads as torch may use."""
     workers = threads.worth(torch.get_num_threads(), count * PIXEL)
-    threads.run(lambda first, last: machine_code.call(name, first, last, *arguments), threads.split(count, workers), workers)
+    threads.run(
+        lambda first, last: machine_code.call(name, first, last, *arguments),
+        threads.split(count, workers),
+        workers,
+    )
 
 
 def states(n, view, mask, tolerance, horizon):
-    """State (P,) uint8 of each pixel as learn.engines.pixels has it; n, view (…, 3) float32, mask (…) bool; view and mask may be None."""
+    """State (P,) uint8 of each pixel as learn.engines.pixels has it; n, view (…, 3) float32, mask
+    (…) bool; view and mask may be None.
+    """
     n, view, mask = (None if x is None else in_order(x.detach()) for x in (n, view, mask))
     result, limits = np.empty(n.size // 3, np.uint8), np.array([tolerance, horizon], np.float32)
-    run("pixels.look", len(result), int(view is not None), int(mask is not None), n, view, limits, mask, result)
+    run(
+        "pixels.look",
+        len(result),
+        int(view is not None),
+        int(mask is not None),
+        n,
+        view,
+        limits,
+        mask,
+        result,
+    )
     return result
 
 
@@ -78,11 +99,15 @@ class Unit(Step):
 
 
 def tangential(g, vectors, index):
-    """(P, 3): derivatives by the vectors, given those by the unit vectors at index; the same in torch, to be differentiated again."""
+    """(P, 3): derivatives by the vectors, given those by the unit vectors at index; the same in
+    torch, to be differentiated again.
+    """
     picked = vectors.index_select(0, index)
     length = picked.norm(dim=-1, keepdim=True).clamp(min=SHORTEST)
     unit = picked / length
-    return torch.zeros_like(vectors).index_copy(0, index, (g - (g * unit).sum(-1, keepdim=True) * unit) / length)
+    return torch.zeros_like(vectors).index_copy(
+        0, index, (g - (g * unit).sum(-1, keepdim=True) * unit) / length
+    )
 
 
 class Spread(Step):

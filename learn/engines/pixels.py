@@ -1,8 +1,10 @@
-"""Kernels that pick the pixels which are seen, scale their vectors to unit length, and put results back, each in one pass.
+"""Kernels that pick the pixels which are seen, scale their vectors to unit length, and put results
+back, each in one pass.
 
 P pixels of whole pictures, N of them picked
 vectors  (P, 3): normals or views, camera frame
-state    (P,) one of OUTSIDE, AWAY (inside the mask, not facing the viewer), SEEN, WRONG (inside, a length not close to 1, or NaN)
+state    (P,) one of OUTSIDE, AWAY (inside the mask, not facing the viewer), SEEN, WRONG (inside, a
+length not close to 1, or NaN)
 index    (N,) int64 places of the picked pixels
 unit     (N, 3) vectors scaled to unit length; length (N,) what they were
 """
@@ -27,15 +29,25 @@ PICK = types.void(*[types.int64] * 2, PLACE_POINTER, *[FLOAT_POINTER] * 2)
 
 @inlined
 def length_at(vectors, p):
-    x, y, z = types.float64(vectors[3 * p]), types.float64(vectors[3 * p + 1]), types.float64(vectors[3 * p + 2])
+    x, y, z = (
+        types.float64(vectors[3 * p]),
+        types.float64(vectors[3 * p + 1]),
+        types.float64(vectors[3 * p + 2]),
+    )
     return math.sqrt(x * x + y * y + z * z)
 
 
 def look(first, last, has_view, has_mask, n, view, limits, mask, state):
-    """The state of pixels first … last − 1; limits (2,): largest |length − 1|, and least n·v; without a mask, n = 0 is outside."""
+    """The state of pixels first … last − 1; limits (2,): largest |length − 1|, and least n·v;
+    without a mask, n = 0 is outside.
+    """
     tolerance, horizon = limits[0], limits[1]
     for p in range(first, last):
-        outside = mask[p] == 0 if has_mask else n[3 * p] == 0.0 and n[3 * p + 1] == 0.0 and n[3 * p + 2] == 0.0
+        outside = (
+            mask[p] == 0
+            if has_mask
+            else n[3 * p] == 0.0 and n[3 * p + 1] == 0.0 and n[3 * p + 2] == 0.0
+        )
         if outside:
             state[p] = OUTSIDE
             continue
@@ -49,7 +61,11 @@ def look(first, last, has_view, has_mask, n, view, limits, mask, state):
             if not abs(view_length - 1.0) <= tolerance:
                 state[p] = WRONG
                 continue
-            facing = (n[3 * p] * view[3 * p] + n[3 * p + 1] * view[3 * p + 1] + n[3 * p + 2] * view[3 * p + 2]) / (length * view_length)
+            facing = (
+                n[3 * p] * view[3 * p]
+                + n[3 * p + 1] * view[3 * p + 1]
+                + n[3 * p + 2] * view[3 * p + 2]
+            ) / (length * view_length)
         state[p] = SEEN if facing > horizon else AWAY
 
 
@@ -63,9 +79,13 @@ def unit(first, last, vectors, index, unit, length):
 
 
 def unit_backward(first, last, index, unit, length, g, by_vectors):
-    """Derivatives by the vectors (P, 3), of picked pixels first … last − 1: the tangential part of g, over the length."""
+    """Derivatives by the vectors (P, 3), of picked pixels first … last − 1: the tangential part of
+    g, over the length.
+    """
     for i in range(first, last):
-        along = unit[3 * i] * g[3 * i] + unit[3 * i + 1] * g[3 * i + 1] + unit[3 * i + 2] * g[3 * i + 2]
+        along = (
+            unit[3 * i] * g[3 * i] + unit[3 * i + 1] * g[3 * i + 1] + unit[3 * i + 2] * g[3 * i + 2]
+        )
         for k in range(3):
             by_vectors[3 * index[i] + k] = (g[3 * i + k] - along * unit[3 * i + k]) / length[i]
 

@@ -1,7 +1,9 @@
-"""Second derivatives of the exact sum on the CPU: the kernels' backward pass differentiated, group by group on threads. numpy only.
+"""Second derivatives of the exact sum on the CPU: the kernels' backward pass differentiated, group
+by group on threads. numpy only.
 
-Arguments and what they promise as in learn.engines.cpu; n', view', m', light' are the derivatives of some loss by the results of
-`cpu.gradients`, all float32. learn.methods.exact_second says what is differentiated, and does the same in plain torch.
+Arguments and what they promise as in learn.engines.cpu; n', view', m', light' are the derivatives
+of some loss by the results of `cpu.gradients`, all float32. learn.methods.exact_second says what is
+differentiated, and does the same in plain torch.
 """
 
 import numpy as np
@@ -17,7 +19,8 @@ DISTANT, GENERAL = (
 
 
 def gradients(direction, g, n, view, m, light, rotation, counts, light_of, workers):
-    """Derivatives by g, n, view (None without one), m and light, in their shapes, of Σ direction · cpu.gradients(g, n, view, m, light).
+    """Derivatives by g, n, view (None without one), m and light, in their shapes, of Σ direction ·
+    cpu.gradients(g, n, view, m, light).
 
     direction  n' (P, 3), view' (P, 3) or None, m' (G, 3, 3, 2, 6), light' (B, height, width, 3)
     Those by n and view are right in their tangential part.
@@ -37,10 +40,14 @@ def gradients(direction, g, n, view, m, light, rotation, counts, light_of, worke
             lit = Lit(slab, *prepared.energy(image), slab.energy(along_light[image]), workers)
             material, along = prepared.material(k), along_m[k].astype(np.float64)
             if view is None:
-                per_pixel, energy_sums, by_material = lit.distant(n[pixels], g[pixels], along_n[pixels], material, along)
+                per_pixel, energy_sums, by_material = lit.distant(
+                    n[pixels], g[pixels], along_n[pixels], material, along
+                )
             else:
                 vectors = n[pixels], view[pixels], g[pixels], along_n[pixels], along_view[pixels]
-                per_pixel, energy_sums, by_material = lit.general(*vectors, material, m[k].astype(np.float64), along)
+                per_pixel, energy_sums, by_material = lit.general(
+                    *vectors, material, m[k].astype(np.float64), along
+                )
                 by_view[pixels] += per_pixel[2]
             by_n[pixels] += per_pixel[0]
             by_g[pixels] += per_pixel[1]
@@ -85,7 +92,9 @@ class Lit:
                 self.energy_along,
                 lobes_along,
             )
-            self.run("distant_second.second", len(n), *arrays, n_part, g_part, energy_part, lobe_part)
+            self.run(
+                "distant_second.second", len(n), *arrays, n_part, g_part, energy_part, lobe_part
+            )
             np.add(lobe_sums, lobe_part, out=lobe_sums)
 
         per_pixel, energy_sums = self.passes(one_pass, 2, n, g, along_n)
@@ -112,7 +121,9 @@ class Lit:
         )
 
         def one_pass(n, view, g, along_n, along_view, n_part, g_part, view_part, energy_part):
-            m_part, steps_part = (np.empty((CHUNKS, -(-len(n) // TILE), size), np.float32) for size in (108, 90))
+            m_part, steps_part = (
+                np.empty((CHUNKS, -(-len(n) // TILE), size), np.float32) for size in (108, 90)
+            )
             arrays = (
                 n,
                 view,
@@ -144,13 +155,17 @@ class Lit:
             np.add(by_steps, steps_part.sum((0, 1), dtype=np.float64), out=by_steps)
 
         per_pixel, energy_sums = self.passes(one_pass, 3, n, view, g, along_n, along_view)
-        by_m = by_values.reshape(3, 3, 2, 6) + by_steps.reshape(3, 3, 2, 5) @ lights.spline_steps(np.eye(6)).T
+        by_m = (
+            by_values.reshape(3, 3, 2, 6)
+            + by_steps.reshape(3, 3, 2, 5) @ lights.spline_steps(np.eye(6)).T
+        )
         return per_pixel, energy_sums, lights.lobe_first(by_m)
 
     def passes(self, one_pass, results, *vectors):
         """`results` arrays (p, 3), and the energy sums.
 
-        one_pass is given the vectors of a pass, each result's parts (CHUNKS, pass, 3) and the energy part to fill.
+        one_pass is given the vectors of a pass, each result's parts (CHUNKS, pass, 3) and the
+        energy part to fill.
         """
         matches = [np.empty_like(vectors[0]) for _ in range(results)]
         energy_part, energy_sums = np.empty_like(self.energy), np.zeros(self.energy.shape)

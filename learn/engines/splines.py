@@ -1,8 +1,11 @@
-"""The material's spline over θ_d for sixteen lights at once (shaders.spline, in terms that lose no digits in float32).
+"""The material's spline over θ_d for sixteen lights at once (shaders.spline, in terms that lose no
+digits in float32).
 
-x        θ_d · 8/π in [0, 4]; the six functions as two clamped ends and two bumps, each a sum of squares that does not cancel,
+x        θ_d · 8/π in [0, 4]; the six functions as two clamped ends and two bumps, each a sum of
+squares that does not cancel,
          so that a control value of 1e5 leaves no trace where its function is 0
-tents    the five linear B-splines at x = 0 … 4; the slope of the spline is Σ tent_j step_j, with steps prepared by
+tents    the five linear B-splines at x = 0 … 4; the slope of the spline is Σ tent_j step_j, with
+steps prepared by
          learn.engines.lights.spline_steps
 """
 
@@ -26,13 +29,17 @@ def magnitude(a):
 @inlined
 def end(x):
     """The first two functions, seen from the end at x = 0."""
-    return positive_square(1.0 - x), select(x < 1.0, x * fma(x, -1.5, 2.0), 0.5 * positive_square(2.0 - x))
+    return positive_square(1.0 - x), select(
+        x < 1.0, x * fma(x, -1.5, 2.0), 0.5 * positive_square(2.0 - x)
+    )
 
 
 @inlined
 def bump(distance):
     """The uniform quadratic B-spline, by the distance from its middle."""
-    return select(distance < 0.5, fma(0.0 - distance, distance, 0.75), 0.5 * positive_square(1.5 - distance))
+    return select(
+        distance < 0.5, fma(0.0 - distance, distance, 0.75), 0.5 * positive_square(1.5 - distance)
+    )
 
 
 @inlined
@@ -68,7 +75,9 @@ def slope(steps, o, t):
 
 @inlined
 def add_curve(sums, o, q, b):
-    """sums rows o/16 … + 5 (16 lanes each) += q b_t: the curve's derivative by its control values."""
+    """sums rows o/16 … + 5 (16 lanes each) += q b_t: the curve's derivative by its control
+    values.
+    """
     store(sums, o, fma(q, b[0], load(sums, o)))
     store(sums, o + 16, fma(q, b[1], load(sums, o + 16)))
     store(sums, o + 32, fma(q, b[2], load(sums, o + 32)))

@@ -1,4 +1,5 @@
-"""Kernels for what a material is at each light of a map, and the way back from sums over pixels to its control values.
+"""Kernels for what a material is at each light of a map, and the way back from sums over pixels to
+its control values.
 
 Arrays and letters as in learn.engines.culled, whose tables these are. Besides
 m        (many, 3 channels, 2, 6): γ and κ control values of the lobes that are summed
@@ -10,7 +11,18 @@ from numba import types
 
 from learn.engines.culled import CONE_ROWS, LARGEST
 from learn.engines.distant import LN2
-from learn.engines.vector import FLOAT_POINTER, fma, lane_max, lane_sum, load, maximum, minimum, select, splat, store
+from learn.engines.vector import (
+    FLOAT_POINTER,
+    fma,
+    lane_max,
+    lane_sum,
+    load,
+    maximum,
+    minimum,
+    select,
+    splat,
+    store,
+)
 
 LOG2_E = 1.4426950408889634
 HIGHEST = 1e30
@@ -20,7 +32,9 @@ GRADIENT = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 5)
 
 
 def make(first, last, many, m, basis, energy, lobes, cones):
-    """Lobes of blocks first … last − 1, and their energy in the brightest channel, least γ and largest κ log2 e in the cones' rows."""
+    """Lobes of blocks first … last − 1, and their energy in the brightest channel, least γ and
+    largest κ log2 e in the cones' rows.
+    """
     for block in range(first, last):
         row = 16 * CONE_ROWS * (block // 16) + block % 16
         for s in range(many):
@@ -40,12 +54,14 @@ def make(first, last, many, m, basis, energy, lobes, cones):
         brightest = types.float32(0.0)
         for k in range(3):
             light = load(energy, 48 * block + 16 * k)
-            brightest = max(brightest, lane_sum(maximum(light, 0.0 - light)))  # a light gathered from others may be negative
+            # a light gathered from others may be negative
+            brightest = max(brightest, lane_sum(maximum(light, 0.0 - light)))
         cones[row + 160] = brightest
 
 
 def gradient(many, blocks, chunks, stride, basis, energy, lobes, lobe_sums, by_m):
-    """Derivatives by_m (many, 3, 2, 6, 16), lanes still apart, from what learn.engines.culled.backward has summed.
+    """Derivatives by_m (many, 3, 2, 6, 16), lanes still apart, from what
+    learn.engines.culled.backward has summed.
 
     stride  floats from one chunk's sums to the next one's
     """

@@ -1,19 +1,24 @@
-"""Kernel of the half-vector quadrature: taps about each pixel's normal, the light averaged over each tap's footprint.
+"""Kernel of the half-vector quadrature: taps about each pixel's normal, the light averaged over
+each tap's footprint.
 
 P pixels, blocks of 16 taps (LANES), ordered by radius; all arrays float32, flat, C order.
 n, v      (P, 3) unit normals, and unit vectors to the viewer, camera frame
-around    (blocks, 5, 16): half vectors about the z axis as sin θ cos φ, sin θ sin φ, cos θ; log2 cos θ; solid angle
+around    (blocks, 5, 16): half vectors about the z axis as sin θ cos φ, sin θ sin φ, cos θ; log2
+cos θ; solid angle
 m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
-least     (3 lobes,): smallest γ of a lobe that reflects, to leave it out of blocks that it does not reach
+least     (3 lobes,): smallest γ of a lobe that reflects, to leave it out of blocks that it does not
+reach
 rotation  (9,): camera_from_light, row by row
 light     (height, width, 3): radiance
 scratch   per call: (7, 16) floats
 
-    I_k = Σ_i F_k L_k(w_i) max(0, n·w_i) 4 (v·h_i) dω_h,   w = 2 (v·h) h − v,   cos θ_d = v·h,   c = n·h = cos θ
+    I_k = Σ_i F_k L_k(w_i) max(0, n·w_i) 4 (v·h_i) dω_h,   w = 2 (v·h) h − v,   cos θ_d = v·h,   c =
+    n·h = cos θ
 
-c and its logarithm belong to the tap, not to the pixel: they come in full precision, however sharp the lobe.
-A tap's footprint is the square of its solid angle dω = 4 (v·h) dω_h, at most a texel wide each way: L_k is the mean over it, so that the
-sum does not jump where a tap crosses a texel's border, and a few taps find the border's place (learn.methods.quadrature.footprint).
+c and its logarithm belong to the tap, not to the pixel: they come in full precision, however sharp
+the lobe. A tap's footprint is the square of its solid angle dω = 4 (v·h) dω_h, at most a texel wide
+each way: L_k is the mean over it, so that the sum does not jump where a tap crosses a texel's
+border, and a few taps find the border's place (learn.methods.quadrature.footprint).
 """
 
 from numba import types
@@ -21,7 +26,20 @@ from numba import types
 from learn.engines.compilation import inlined
 from learn.engines.exponentials import angle, exp2, exp2m1
 from learn.engines.splines import basis, curve
-from learn.engines.vector import FLOAT_POINTER, anywhere, fma, lane_max, lane_sum, load, maximum, minimum, select, splat, sqrt, store
+from learn.engines.vector import (
+    FLOAT_POINTER,
+    anywhere,
+    fma,
+    lane_max,
+    lane_sum,
+    load,
+    maximum,
+    minimum,
+    select,
+    splat,
+    sqrt,
+    store,
+)
 
 TILE = 16  # pixels of a thread's piece of work
 NEGLIGIBLE = -40.0  # log2 of a lobe's height, relative to its peak, below which it is left out
@@ -64,7 +82,9 @@ def reflectance(m, least, log_c, cos_d):
 
 @inlined
 def border(x, width):
-    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it; texel k begins at x = k."""
+    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it;
+    texel k begins at x = k.
+    """
     k = (x + ROUND) - ROUND
     return k, minimum(maximum((x - k) / minimum(width, 1.0) + 0.5, 0.0), 1.0)
 
@@ -73,7 +93,9 @@ def border(x, width):
 def alone(border, beyond):
     """Whether the footprints of all lanes lie in one row (or column) of texels."""
     place = border + beyond  # whole where no footprint is parted
-    return lane_max(place) + lane_max(0.0 - place) == 0.0 and not anywhere(beyond * (1.0 - beyond) > 0.0)
+    return lane_max(place) + lane_max(0.0 - place) == 0.0 and not anywhere(
+        beyond * (1.0 - beyond) > 0.0
+    )
 
 
 @inlined
@@ -85,7 +107,23 @@ def corner(row, column, height, width):
     return i * width + j
 
 
-def forward(first, last, pixels, blocks, height, width, n, v, around, m, least, rotation, light, scratch, radiance):
+def forward(
+    first,
+    last,
+    pixels,
+    blocks,
+    height,
+    width,
+    n,
+    v,
+    around,
+    m,
+    least,
+    rotation,
+    light,
+    scratch,
+    radiance,
+):
     """Radiance (P, 3) of pixel tiles first … last − 1."""
     for p in range(first * TILE, min(last * TILE, pixels)):
         nx, ny, nz = n[3 * p], n[3 * p + 1], n[3 * p + 2]
@@ -103,7 +141,11 @@ def forward(first, last, pixels, blocks, height, width, n, v, around, m, least, 
             hy = fma(q, uy, fma(r, ty, c * ny))
             hz = fma(q, uz, fma(r, tz, c * nz))
             cos_d = fma(hx, vx, fma(hy, vy, hz * vz))
-            wx, wy, wz = fma(2.0 * cos_d, hx, -vx), fma(2.0 * cos_d, hy, -vy), fma(2.0 * cos_d, hz, -vz)
+            wx, wy, wz = (
+                fma(2.0 * cos_d, hx, -vx),
+                fma(2.0 * cos_d, hy, -vy),
+                fma(2.0 * cos_d, hz, -vz),
+            )
             n_w = fma(wx, nx, fma(wy, ny, wz * nz))
             weight = maximum(n_w, 0.0) * maximum(cos_d, 0.0) * load(around, o + 64) * 4.0
             if not anywhere(weight > 0.0):
@@ -121,9 +163,13 @@ def forward(first, last, pixels, blocks, height, width, n, v, around, m, least, 
             side = sqrt(4.0 * maximum(cos_d, 0.0) * load(around, o + 64))
             row, by_row = border(theta * (height / PI), side * (height / PI))
             sine = sqrt(maximum(1.0 - w_up * w_up, TINY))
-            column, by_column = border(phi * (width / (2.0 * PI)), side * (width / (2.0 * PI)) / sine)
+            column, by_column = border(
+                phi * (width / (2.0 * PI)), side * (width / (2.0 * PI)) / sine
+            )
             if alone(row, by_row) and alone(column, by_column):
-                texel = 3 * corner(lane_max(row + by_row) - 1.0, lane_max(column + by_column) - 1.0, height, width)
+                texel = 3 * corner(
+                    lane_max(row + by_row) - 1.0, lane_max(column + by_column) - 1.0, height, width
+                )
                 i0 += lane_sum(f0 * weight) * light[texel]
                 i1 += lane_sum(f1 * weight) * light[texel + 1]
                 i2 += lane_sum(f2 * weight) * light[texel + 2]
@@ -144,6 +190,10 @@ def forward(first, last, pixels, blocks, height, width, n, v, around, m, least, 
                         right = 3 * corner(k + below - 1.0, t, height, width)
                         one, other = share * (1.0 - q), share * q
                         i0 += scratch[lane] * (one * light[left] + other * light[right])
-                        i1 += scratch[16 + lane] * (one * light[left + 1] + other * light[right + 1])
-                        i2 += scratch[32 + lane] * (one * light[left + 2] + other * light[right + 2])
+                        i1 += scratch[16 + lane] * (
+                            one * light[left + 1] + other * light[right + 1]
+                        )
+                        i2 += scratch[32 + lane] * (
+                            one * light[left + 2] + other * light[right + 2]
+                        )
         radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = i0, i1, i2

@@ -1,9 +1,11 @@
 """Slices of a kernel's work on a few Python threads.
 
-The kernels run outside Python's lock, so plain threads serve: OpenMP and numba's own threading layers kill or hang a DataLoader's
-forked worker, or abort under two callers. A forked child has none of its parent's threads: it starts its own.
+The kernels run outside Python's lock, so plain threads serve: OpenMP and numba's own threading
+layers kill or hang a DataLoader's forked worker, or abort under two callers. A forked child has
+none of its parent's threads: it starts its own.
 
-A run of the kernels behind `auto` takes 0.1 to 5 ms, and waking a thread 0.05: what is shorter than `WORTHWHILE` is not shared.
+A run of the kernels behind `auto` takes 0.1 to 5 ms, and waking a thread 0.05: what is shorter than
+`WORTHWHILE` is not shared.
 """
 
 import itertools
@@ -38,10 +40,17 @@ def worth(threads, seconds):
 
 
 class _Task:
-    """Work offered to a helper, until the caller takes it back; what it raises is kept for the caller."""
+    """Work offered to a helper, until the caller takes it back; what it raises is kept for the
+    caller.
+    """
 
     def __init__(self, work):
-        self.work, self.offered, self.done, self.error = work, threading.Lock(), threading.Lock(), None
+        self.work, self.offered, self.done, self.error = (
+            work,
+            threading.Lock(),
+            threading.Lock(),
+            None,
+        )
         self.done.acquire()
 
     def run(self):
@@ -66,10 +75,11 @@ def _help(tasks):
 
 
 def run(function, bounds, threads):
-    """function(first, last) for each pair of bounds, on up to `threads` threads, this one among them; the first exception is raised.
+    """function(first, last) for each pair of bounds, on up to `threads` threads, this one among
+    them; the first exception is raised.
 
-    Each thread takes the next slice when it is done with one: a helper that wakes late leaves the others its share, and the caller waits
-    only for slices that somebody is at.
+    Each thread takes the next slice when it is done with one: a helper that wakes late leaves the
+    others its share, and the caller waits only for slices that somebody is at.
     """
     helpers = min(threads, len(bounds)) - 1
     if helpers <= 0:
@@ -78,7 +88,9 @@ def run(function, bounds, threads):
         return
     with _lock:
         while len(_helpers) < helpers:
-            _helpers.append(threading.Thread(target=_help, args=(_tasks,), name="brdfactory", daemon=True))
+            _helpers.append(
+                threading.Thread(target=_help, args=(_tasks,), name="brdfactory", daemon=True)
+            )
             _helpers[-1].start()
     following = iter(bounds).__next__  # one bytecode: two threads never get the same slice
 

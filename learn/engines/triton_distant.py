@@ -1,15 +1,16 @@
-"""CUDA kernels for a distant viewer, in Triton: the sum of learn.engines.distant, tiled over pixels and lights.
+"""CUDA kernels for a distant viewer, in Triton: the sum of learn.engines.distant, tiled over pixels
+and lights.
 
 n         (P, 3) unit normals, camera frame
 geometry  (9, T): w (3 rows), h (3 rows), and what rounding took off h (3 rows)
 energy    (3, T): radiance × solid angle
 lobes     (18, T): rows 6 s + 2 k (γ) and 6 s + 2 k + 1 (κ log2 e) of lobe s, channel k
-T lights, a multiple of LIGHTS. float32 throughout; nothing of size pixels × lights is ever stored, what the forward pass knew is
-computed again. Derivatives by pixels and by lights are two passes, each the only writer of what it writes: no atomics, the same bits
-every time.
+T lights, a multiple of LIGHTS. float32 throughout; nothing of size pixels × lights is ever stored,
+what the forward pass knew is computed again. Derivatives by pixels and by lights are two passes,
+each the only writer of what it writes: no atomics, the same bits every time.
 
-No accelerator was at hand when these were written: tests run them through Triton's interpreter (TRITON_INTERPRET=1) on the CPU. The tile
-sizes are estimates.
+No accelerator was at hand when these were written: tests run them through Triton's interpreter
+(TRITON_INTERPRET=1) on the CPU. The tile sizes are estimates.
 """
 
 import triton
@@ -18,7 +19,8 @@ import triton.language as tl
 from learn.engines.triton_parts import exp2, exp2m1, peak_cosine, rows, vectors
 
 PIXELS, LIGHTS = 32, 32  # of a tile
-SPLITS = 16  # parts of the pixels in the pass over lights; fixed, so that sums do not depend on the device
+# parts of the pixels in the pass over lights; fixed, so that sums do not depend on the device
+SPLITS = 16
 LN2 = tl.constexpr(0.6931471805599453)
 
 
@@ -49,7 +51,9 @@ def channel(lobes, k, t, lights, log_c):
 
 
 @triton.jit
-def forward(n, geometry, energy, lobes, radiance, pixels, lights, PIXELS: tl.constexpr, LIGHTS: tl.constexpr):
+def forward(
+    n, geometry, energy, lobes, radiance, pixels, lights, PIXELS: tl.constexpr, LIGHTS: tl.constexpr
+):
     """Radiance (P, 3); one program a tile of pixels."""
     p = tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
     inside = p < pixels
@@ -74,7 +78,9 @@ def forward(n, geometry, energy, lobes, radiance, pixels, lights, PIXELS: tl.con
 
 
 @triton.jit
-def backward_pixels(n, geometry, energy, lobes, g, by_n, pixels, lights, PIXELS: tl.constexpr, LIGHTS: tl.constexpr):
+def backward_pixels(
+    n, geometry, energy, lobes, g, by_n, pixels, lights, PIXELS: tl.constexpr, LIGHTS: tl.constexpr
+):
     """Derivative by n (P, 3), tangential up to a radial part; one program a tile of pixels."""
     p = tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
     inside = p < pixels
@@ -116,11 +122,14 @@ def lobe_sums(lobes, row, t, lights, log_c, weight, by_kappa, by_gamma):
 
 
 @triton.jit
-def backward_lights(n, geometry, lobes, g, sums, pixels, lights, split, PIXELS: tl.constexpr, LIGHTS: tl.constexpr):
+def backward_lights(
+    n, geometry, lobes, g, sums, pixels, lights, split, PIXELS: tl.constexpr, LIGHTS: tl.constexpr
+):
     """Sums over one part of the pixels: one program a tile of lights, a part and a channel.
 
     split  pixels of a part, a multiple of PIXELS
-    sums   (SPLITS, 3 channels, 7, T) out: Σ g F max(0, n·w), then of each lobe Σ g max(0, n·w) x c^γ and the same times log2 c
+    sums   (SPLITS, 3 channels, 7, T) out: Σ g F max(0, n·w), then of each lobe Σ g max(0, n·w) x
+    c^γ and the same times log2 c
     """
     t = tl.program_id(0) * LIGHTS + tl.arange(0, LIGHTS)
     k = tl.program_id(2)

@@ -1,12 +1,15 @@
-"""CUDA kernels for a view vector per pixel, in Triton: the sum of learn.engines.general, tiled over pixels and lights.
+"""CUDA kernels for a view vector per pixel, in Triton: the sum of learn.engines.general, tiled over
+pixels and lights.
 
 n, v      (P, 3) unit normals, and unit vectors to the viewer, camera frame
 short     (P,) 1/‖v‖ − 1: what v lacks of unit length after rounding
 geometry  (6, T): w (3 rows), and what rounding took off w (3 rows)
 energy    (3, T): radiance × solid angle
 m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
-steps     (3 lobes, 3 channels, 2, 5): slopes of the splines of γ ln² 2 and of κ (learn.engines.lights.spline_steps)
-Formulas, and why s keeps its rounding error: learn.engines.general. Passes and promises: learn.engines.triton_distant.
+steps     (3 lobes, 3 channels, 2, 5): slopes of the splines of γ ln² 2 and of κ
+(learn.engines.lights.spline_steps)
+Formulas, and why s keeps its rounding error: learn.engines.general. Passes and promises:
+learn.engines.triton_distant.
 """
 
 import triton
@@ -51,12 +54,16 @@ def positive_square(a):
 
 @triton.jit
 def end(x):
-    return positive_square(1.0 - x), tl.where(x < 1.0, x * (2.0 - 1.5 * x), 0.5 * positive_square(2.0 - x))
+    return positive_square(1.0 - x), tl.where(
+        x < 1.0, x * (2.0 - 1.5 * x), 0.5 * positive_square(2.0 - x)
+    )
 
 
 @triton.jit
 def bump(distance):
-    return tl.where(distance < 0.5, 0.75 - distance * distance, 0.5 * positive_square(1.5 - distance))
+    return tl.where(
+        distance < 0.5, 0.75 - distance * distance, 0.5 * positive_square(1.5 - distance)
+    )
 
 
 @triton.jit
@@ -76,7 +83,9 @@ def curve(m, o, b0, b1, b2, b3, b4, b5):
 @triton.jit
 def slope(steps, o, x):
     """Derivative by x of the curve with steps at o: Σ tent_j step_j."""
-    result = tl.load(steps + o) * tl.maximum(1.0 - x, 0.0) + tl.load(steps + o + 4) * tl.maximum(x - 3.0, 0.0)
+    result = tl.load(steps + o) * tl.maximum(1.0 - x, 0.0) + tl.load(steps + o + 4) * tl.maximum(
+        x - 3.0, 0.0
+    )
     result += tl.load(steps + o + 1) * tl.maximum(1.0 - tl.abs(x - 1.0), 0.0)
     result += tl.load(steps + o + 2) * tl.maximum(1.0 - tl.abs(x - 2.0), 0.0)
     return result + tl.load(steps + o + 3) * tl.maximum(1.0 - tl.abs(x - 3.0), 0.0)
@@ -117,7 +126,19 @@ def channel(m, k, log_c, b0, b1, b2, b3, b4, b5):
 
 
 @triton.jit
-def forward(n, v, short, geometry, energy, m, radiance, pixels, lights, PIXELS: tl.constexpr, LIGHTS: tl.constexpr):
+def forward(
+    n,
+    v,
+    short,
+    geometry,
+    energy,
+    m,
+    radiance,
+    pixels,
+    lights,
+    PIXELS: tl.constexpr,
+    LIGHTS: tl.constexpr,
+):
     """Radiance (P, 3); one program a tile of pixels."""
     p = tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
     inside = p < pixels
@@ -129,7 +150,9 @@ def forward(n, v, short, geometry, energy, m, radiance, pixels, lights, PIXELS: 
     i2 = tl.zeros((PIXELS,), tl.float32)
     for start in range(0, lights, LIGHTS):
         t = start + tl.arange(0, LIGHTS)
-        n_w, x, y, z, _sx, _sy, _sz, s_square, t_square = place(geometry, t, lights, nx, ny, nz, vx, vy, vz, lack)
+        n_w, x, y, z, _sx, _sy, _sz, s_square, t_square = place(
+            geometry, t, lights, nx, ny, nz, vx, vy, vz, lack
+        )
         if tl.max(n_w) > 0.0:
             log_c = peak_cosine(x, y, z)[1]
             b0, b1, b2, b3, b4, b5 = basis(angle(t_square, s_square) * ANGLE_TO_X)
@@ -146,7 +169,9 @@ def forward(n, v, short, geometry, energy, m, radiance, pixels, lights, PIXELS: 
 def backward_pixels(
     n, v, short, geometry, energy, m, steps, g, by_n, by_v, pixels, lights, PIXELS: tl.constexpr, LIGHTS: tl.constexpr
 ):  # fmt: skip
-    """Derivatives by n and v (P, 3), right in their tangential parts; one program a tile of pixels."""
+    """Derivatives by n and v (P, 3), right in their tangential parts; one program a tile of
+    pixels.
+    """
     p = tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
     inside = p < pixels
     nx, ny, nz = vectors(n, p, inside)
@@ -160,7 +185,9 @@ def backward_pixels(
     v2 = tl.zeros((PIXELS,), tl.float32)
     for start in range(0, lights, LIGHTS):
         t = start + tl.arange(0, LIGHTS)
-        n_w, x, y, z, sx, sy, sz, s_square, t_square = place(geometry, t, lights, nx, ny, nz, vx, vy, vz, lack)
+        n_w, x, y, z, sx, sy, sz, s_square, t_square = place(
+            geometry, t, lights, nx, ny, nz, vx, vy, vz, lack
+        )
         if tl.max(n_w) > 0.0:
             c, log_c = peak_cosine(x, y, z)
             at = angle(t_square, s_square) * ANGLE_TO_X
@@ -170,12 +197,18 @@ def backward_pixels(
             by_x = tl.zeros((PIXELS, LIGHTS), tl.float32)
             for i in range(9):  # lobe i // 3, channel i % 3
                 o = 12 * i
-                ge = tl.load(g + 3 * p + i % 3, mask=inside, other=0.0)[:, None] * tl.load(energy + (i % 3) * lights + t)[None, :]
+                ge = (
+                    tl.load(g + 3 * p + i % 3, mask=inside, other=0.0)[:, None]
+                    * tl.load(energy + (i % 3) * lights + t)[None, :]
+                )
                 gamma, power, exponent, f = lobe(m, o, log_c, b0, b1, b2, b3, b4, b5)
                 weight = ge * n_w * (f + 1.0)
                 by_w += ge * f
                 by_c += weight * exponent * gamma
-                by_x += weight * (exponent * log_c * slope(steps, 10 * i, at) + power * slope(steps, 10 * i + 5, at))
+                by_x += weight * (
+                    exponent * log_c * slope(steps, 10 * i, at)
+                    + power * slope(steps, 10 * i + 5, at)
+                )
             by_w = tl.where(n_w > 0.0, by_w, 0.0)
             by_c *= LN2 / c
             wx, wy, wz = rows(geometry, 0, t, lights)
@@ -186,7 +219,9 @@ def backward_pixels(
             by_c *= inverse
             hx, hy, hz = x + nx, y + ny, z + nz
             along = by_c * (x * hx + y * hy + z * hz)
-            by_theta = by_x * (0.25 * ANGLE_TO_X) * inverse / tl.sqrt(tl.maximum(t_square, LEAST_SQUARE))
+            by_theta = (
+                by_x * (0.25 * ANGLE_TO_X) * inverse / tl.sqrt(tl.maximum(t_square, LEAST_SQUARE))
+            )
             by_t, by_s = by_theta * s_square, by_theta * t_square
             v0 += tl.sum(along * hx - by_c * x - by_t * (wx - vx) - by_s * sx, 1)
             v1 += tl.sum(along * hy - by_c * y - by_t * (wy - vy) - by_s * sy, 1)
@@ -212,11 +247,13 @@ def add_curve(q, b0, b1, b2, b3, b4, b5, sums):
 def backward_lights(
     n, v, short, geometry, energy, m, g, energy_sums, m_sums, pixels, lights, split, PIXELS: tl.constexpr, LIGHTS: tl.constexpr
 ):  # fmt: skip
-    """Sums over one part of the pixels: one program a tile of lights, a part, and a lobe and channel.
+    """Sums over one part of the pixels: one program a tile of lights, a part, and a lobe and
+    channel.
 
     split        pixels of a part, a multiple of PIXELS
     energy_sums  (SPLITS, 9, T) out: Σ g F max(0, n·w) of lobe i // 3, channel i % 3
-    m_sums       (light tiles, SPLITS, 9, 2, 8) out: derivatives by γ ln² 2 and by κ in the first six places
+    m_sums       (light tiles, SPLITS, 9, 2, 8) out: derivatives by γ ln² 2 and by κ in the first
+    six places
     """
     t = tl.program_id(0) * LIGHTS + tl.arange(0, LIGHTS)
     i = tl.program_id(2)
@@ -231,7 +268,9 @@ def backward_lights(
         nx, ny, nz = vectors(n, p, inside)
         vx, vy, vz = vectors(v, p, inside)
         lack = tl.load(short + p, mask=inside, other=0.0)[:, None]
-        n_w, x, y, z, _sx, _sy, _sz, s_square, t_square = place(geometry, t, lights, nx, ny, nz, vx, vy, vz, lack)
+        n_w, x, y, z, _sx, _sy, _sz, s_square, t_square = place(
+            geometry, t, lights, nx, ny, nz, vx, vy, vz, lack
+        )
         if tl.max(n_w) > 0.0:
             log_c = peak_cosine(x, y, z)[1]
             b0, b1, b2, b3, b4, b5 = basis(angle(t_square, s_square) * ANGLE_TO_X)
@@ -242,6 +281,10 @@ def backward_lights(
             by_gamma = add_curve(q * exponent * log_c, b0, b1, b2, b3, b4, b5, by_gamma)
             by_kappa = add_curve(q * power, b0, b1, b2, b3, b4, b5, by_kappa)
     tl.store(energy_sums + (tl.program_id(1) * 9 + i) * lights + t, total)
-    out = m_sums + ((tl.program_id(0) * tl.num_programs(1) + tl.program_id(1)) * 9 + i) * 16 + tl.arange(0, 8)
+    out = (
+        m_sums
+        + ((tl.program_id(0) * tl.num_programs(1) + tl.program_id(1)) * 9 + i) * 16
+        + tl.arange(0, 8)
+    )
     tl.store(out, by_gamma)
     tl.store(out + 8, by_kappa)

@@ -1,7 +1,9 @@
-"""Pieces that the Triton kernels share: exponentials that keep their digits, and one tile's geometry and lobes.
+"""Pieces that the Triton kernels share: exponentials that keep their digits, and one tile's
+geometry and lobes.
 
-A tile is (PIXELS, LIGHTS) float32. `t` are places of lights in rows of `lights` numbers, `p` places of pixels.
-Polynomials and bounds are those of learn.engines.exponentials, whose module text explains them.
+A tile is (PIXELS, LIGHTS) float32. `t` are places of lights in rows of `lights` numbers, `p` places
+of pixels. Polynomials and bounds are those of learn.engines.exponentials, whose module text
+explains them.
 """
 
 import triton

@@ -1,13 +1,16 @@
-"""Sixteen floats at once: a numba value type that LLVM knows as <16 x float>, and the few operations the kernels need.
+"""Sixteen floats at once: a numba value type that LLVM knows as <16 x float>, and the few
+operations the kernels need.
 
-LLVM splits the vector for the machine at hand: one register on AVX-512, two on AVX2, four on SSE or NEON. No instruction set is
-named. Each function below becomes a single LLVM instruction or intrinsic (`lane_sum` four additions).
+LLVM splits the vector for the machine at hand: one register on AVX-512, two on AVX2, four on SSE or
+NEON. No instruction set is named. Each function below becomes a single LLVM instruction or
+intrinsic (`lane_sum` four additions).
 
-Wide    sixteen float32, "lanes"; numbers that meet a Wide in + − × ÷ or in a function are spread over the lanes
+Wide    sixteen float32, "lanes"; numbers that meet a Wide in + − × ÷ or in a function are spread
+over the lanes
 Mask    sixteen truth values, from `a > b` or `a < b`
 
-FLAGS let LLVM fuse a×b+c and assume finite numbers. `reassoc` is left out on purpose: it would fold (x + M) − M in
-learn.engines.exponentials, and two_sum here.
+FLAGS let LLVM fuse a×b+c and assume finite numbers. `reassoc` is left out on purpose: it would fold
+(x + M) − M in learn.engines.exponentials, and two_sum here.
 """
 
 import operator
@@ -49,7 +52,8 @@ class _MaskModel(models.PrimitiveModel):
         super().__init__(data_model, kind, BITS)
 
 
-# --- LLVM pieces ---------------------------------------------------------------------------------------------------------------
+# --- LLVM pieces
+# ---------------------------------------------------------------------------------------------------------------
 
 
 def constant(value):
@@ -71,7 +75,9 @@ def call(builder, name, result, *arguments):
     """A call of an LLVM intrinsic, declared on first use."""
     function = builder.module.globals.get(name)
     if function is None:
-        function = ir.Function(builder.module, ir.FunctionType(result, [a.type for a in arguments]), name)
+        function = ir.Function(
+            builder.module, ir.FunctionType(result, [a.type for a in arguments]), name
+        )
     return builder.call(function, arguments, fastmath=FLAGS)
 
 
@@ -84,11 +90,14 @@ def is_widenable(*numba_types):
     return all(t == wide or isinstance(t, types.Number) for t in numba_types)
 
 
-# --- operators -----------------------------------------------------------------------------------------------------------------
+# --- operators
+# -----------------------------------------------------------------------------------------------------------------
 
 
 def _operator(function, result, build):
-    """Teach numba `function` (of the operator module) for Wide with Wide or a number: build(builder, x, y) → value."""
+    """Teach numba `function` (of the operator module) for Wide with Wide or a number:
+    build(builder, x, y) → value.
+    """
 
     @type_callable(function)
     def typing(context):
@@ -99,7 +108,13 @@ def _operator(function, result, build):
         return typer
 
     def lower(context, builder, signature, arguments):
-        return build(builder, *(spread(context, builder, a, t) for a, t in zip(arguments, signature.args, strict=True)))
+        return build(
+            builder,
+            *(
+                spread(context, builder, a, t)
+                for a, t in zip(arguments, signature.args, strict=True)
+            ),
+        )
 
     for pair in ((wide, wide), (wide, types.Number), (types.Number, wide)):
         lower_builtin(function, *pair)(lower)
@@ -113,7 +128,8 @@ _operator(operator.lt, mask, lambda b, x, y: b.fcmp_ordered("<", x, y))
 _operator(operator.gt, mask, lambda b, x, y: b.fcmp_ordered(">", x, y))
 
 
-# --- functions -----------------------------------------------------------------------------------------------------------------
+# --- functions
+# -----------------------------------------------------------------------------------------------------------------
 
 
 def _unary(build, result=wide):
@@ -133,7 +149,13 @@ def _binary(build):
     @intrinsic
     def function(typing, x, y):
         def generate(context, builder, signature, arguments):
-            return build(builder, *(spread(context, builder, a, t) for a, t in zip(arguments, signature.args, strict=True)))
+            return build(
+                builder,
+                *(
+                    spread(context, builder, a, t)
+                    for a, t in zip(arguments, signature.args, strict=True)
+                ),
+            )
 
         return wide(x, y), generate
 
@@ -154,7 +176,9 @@ def _sum(builder, x):
 splat = _unary(lambda b, x: x)
 sqrt = _unary(lambda b, x: call(b, f"llvm.sqrt.v{LANES}f32", FLOATS, x))
 lane_sum = _unary(_sum, types.float32)
-lane_max = _unary(lambda b, x: call(b, f"llvm.vector.reduce.fmax.v{LANES}f32", FLOAT, x), types.float32)
+lane_max = _unary(
+    lambda b, x: call(b, f"llvm.vector.reduce.fmax.v{LANES}f32", FLOAT, x), types.float32
+)
 maximum = _binary(lambda b, x, y: call(b, f"llvm.maxnum.v{LANES}f32", FLOATS, x, y))
 minimum = _binary(lambda b, x, y: call(b, f"llvm.minnum.v{LANES}f32", FLOATS, x, y))
 
@@ -164,7 +188,13 @@ def fma(typing, a, b, c):
     """a × b + c, rounded once where the machine can."""
 
     def generate(context, builder, signature, arguments):
-        return fused(builder, *(spread(context, builder, v, t) for v, t in zip(arguments, signature.args, strict=True)))
+        return fused(
+            builder,
+            *(
+                spread(context, builder, v, t)
+                for v, t in zip(arguments, signature.args, strict=True)
+            ),
+        )
 
     return wide(a, b, c), generate
 
@@ -231,7 +261,9 @@ def store(typing, pointer, index, value):
     """Write sixteen consecutive floats from pointer[index] on."""
 
     def generate(context, builder, signature, arguments):
-        builder.store(arguments[2], _address(context, builder, *arguments[:2], signature.args[1]), align=4)
+        builder.store(
+            arguments[2], _address(context, builder, *arguments[:2], signature.args[1]), align=4
+        )
         return context.get_dummy_value()
 
     return types.void(pointer, index, value), generate
@@ -252,7 +284,10 @@ def _four(order):
     @intrinsic
     def function(typing, a, b, c, d):
         def generate(context, builder, signature, arguments):
-            numbers = [context.cast(builder, v, t, types.float32) for v, t in zip(arguments, signature.args, strict=True)]
+            numbers = [
+                context.cast(builder, v, t, types.float32)
+                for v, t in zip(arguments, signature.args, strict=True)
+            ]
             return _lanes(builder, numbers, order)
 
         return wide(a, b, c, d), generate
@@ -273,8 +308,14 @@ def turn_sums(typing, x):
         for half in (8, 4):
             undefined, lanes = ir.Constant(x.type, ir.Undefined), ir.VectorType(INT, half)
             low = builder.shuffle_vector(x, undefined, ir.Constant(lanes, list(range(half))))
-            high = builder.shuffle_vector(x, undefined, ir.Constant(lanes, list(range(half, 2 * half))))
+            high = builder.shuffle_vector(
+                x, undefined, ir.Constant(lanes, list(range(half, 2 * half)))
+            )
             x = builder.fadd(low, high)
-        return context.make_tuple(builder, signature.return_type, [builder.extract_element(x, ir.Constant(INT, i)) for i in range(4)])
+        return context.make_tuple(
+            builder,
+            signature.return_type,
+            [builder.extract_element(x, ir.Constant(INT, i)) for i in range(4)],
+        )
 
     return types.UniTuple(types.float32, 4)(x), generate

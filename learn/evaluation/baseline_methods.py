@@ -1,8 +1,10 @@
-"""The baselines as rows of a table: name, parts(batch), edit(batch, label), as learn.evaluation.methods.Method has them.
+"""The baselines as rows of a table: name, parts(batch), edit(batch, label), as
+learn.evaluation.methods.Method has them.
 
 batch  learn.data.batch.Batch of one; label (S, 108) natural logarithms
 
-Networks see every picture at the size they were trained on, and what they say by pixel is interpolated back.
+Networks see every picture at the size they were trained on, and what they say by pixel is
+interpolated back.
 """
 
 from dataclasses import replace
@@ -30,10 +32,15 @@ def load(name, path, device="cpu"):
     expected = Separate if name == "Baseline 2" else EncoderDecoder
     if not isinstance(net, expected):
         raise InputError(
-            path, f"weights of {name}: network '{expected.name}'", f"'{net.name}'", "train it: python -m learn train-baselines"
+            path,
+            f"weights of {name}: network '{expected.name}'",
+            f"'{net.name}'",
+            "train it: python -m learn train-baselines",
         )
     size = metadata["size"]
-    return Layered(name, predicting(net, size)) if name == "Baseline 2" else Swapped(name, net, size)
+    return (
+        Layered(name, predicting(net, size)) if name == "Baseline 2" else Swapped(name, net, size)
+    )
 
 
 def predicting(net, size):
@@ -48,23 +55,35 @@ def predicting(net, size):
 
 
 def resized(batch, size):
-    """The batch's picture, mask and segments at another size, its other truth as it was; the object's colour is averaged over itself."""
+    """The batch's picture, mask and segments at another size, its other truth as it was; the
+    object's colour is averaged over itself.
+    """
     if batch.image.shape[-1] == size:
         return batch
     covered = F.interpolate(batch.mask, (size, size), mode="area")
-    image = F.interpolate(batch.image * batch.mask, (size, size), mode="area") / covered.clamp(min=1e-3)
-    segments = F.interpolate(batch.segments[:, None].float(), (size, size), mode="nearest-exact")[:, 0].long()
+    image = F.interpolate(batch.image * batch.mask, (size, size), mode="area") / covered.clamp(
+        min=1e-3
+    )
+    segments = F.interpolate(batch.segments[:, None].float(), (size, size), mode="nearest-exact")[
+        :, 0
+    ].long()
     mask = (covered >= 0.5).float()
     return replace(batch, image=image * mask, mask=mask, segments=segments)
 
 
 def interpolated(pixels, size):
     """(B, C, H, W) at another size."""
-    return pixels if pixels.shape[-2:] == tuple(size) else F.interpolate(pixels, tuple(size), mode="bilinear")
+    return (
+        pixels
+        if pixels.shape[-2:] == tuple(size)
+        else F.interpolate(pixels, tuple(size), mode="bilinear")
+    )
 
 
 class Swapped:
-    """Baseline 1: knows a material, and draws edits without normals or light. A picture of several regions is drawn one by one."""
+    """Baseline 1: knows a material, and draws edits without normals or light. A picture of several
+    regions is drawn one by one.
+    """
 
     def __init__(self, name, net, size):
         self.name, self.net, self.size = name, net, size
@@ -73,16 +92,25 @@ class Swapped:
         """A Prediction with nothing but the material."""
         seen = resized(batch, self.size)
         with torch.no_grad():
-            read = [self.net(seen.image * region, region, batch.label[:, :1]) for region in regions(seen)]
-        code, label = (torch.cat([getattr(r, field) for r in read], 1) for field in ("code", "label"))
+            read = [
+                self.net(seen.image * region, region, batch.label[:, :1])
+                for region in regions(seen)
+            ]
+        code, label = (
+            torch.cat([getattr(r, field) for r in read], 1) for field in ("code", "label")
+        )
         return Prediction(None, code, label, None, None)
 
     def edit(self, batch, label):
         """(H, W, 3) numpy linear radiance, zeros outside the mask."""
         seen, picture = resized(batch, self.size), torch.zeros_like(batch.image)
         with torch.no_grad():
-            for region, at_size, requested in zip(regions(batch), regions(seen), label.to(batch.label.device), strict=True):
-                drawn = radiance(self.net(seen.image * at_size, at_size, requested[None, None]).picture)
+            for region, at_size, requested in zip(
+                regions(batch), regions(seen), label.to(batch.label.device), strict=True
+            ):
+                drawn = radiance(
+                    self.net(seen.image * at_size, at_size, requested[None, None]).picture
+                )
                 picture += interpolated(drawn, picture.shape[-2:]) * region
         return array(picture[0].movedim(0, -1))
 
@@ -90,7 +118,11 @@ class Swapped:
 def regions(batch):
     """[(1, 1, H, W) float]: the mask, or its part in each segment."""
     count = batch.label.shape[1]
-    return [batch.mask] if count == 1 else [batch.mask * (batch.segments == s + 1)[:, None] for s in range(count)]
+    return (
+        [batch.mask]
+        if count == 1
+        else [batch.mask * (batch.segments == s + 1)[:, None] for s in range(count)]
+    )
 
 
 def present_and_missing(folder, device="cpu"):
@@ -100,7 +132,12 @@ def present_and_missing(folder, device="cpu"):
     Raises   InputError: a file is there and is not what its name says
     """
     if not Path(folder).is_dir():
-        raise InputError("--baselines", "a folder of weights", f"no folder {folder}", "train them: python -m learn train-baselines")
+        raise InputError(
+            "--baselines",
+            "a folder of weights",
+            f"no folder {folder}",
+            "train them: python -m learn train-baselines",
+        )
     present, missing = [], {}
     for name, file in FILES.items():
         path = Path(folder) / file

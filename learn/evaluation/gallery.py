@@ -1,7 +1,8 @@
-"""Pictures of one edit, side by side: what the method was shown, the truth, and each method's edit with its error beneath.
+"""Pictures of one edit, side by side: what the method was shown, the truth, and each method's edit
+with its error beneath.
 
-All under the truth's exposure but the input, which is under its own. Error: root mean square over channels of display values, black 0,
-white FULL or more.
+All under the truth's exposure but the input, which is under its own. Error: root mean square over
+channels of display values, black 0, white FULL or more.
 """
 
 import numpy as np
@@ -16,7 +17,8 @@ BACKGROUND = 32.0
 
 
 def write(path, batch, truth, pictures, mask):
-    """A PNG of two rows: input, truth, each method's edit; beneath, two empty cells, and each error map.
+    """A PNG of two rows: input, truth, each method's edit; beneath, two empty cells, and each error
+    map.
 
     pictures  {name: (H, W, 3) radiance}, in the order of the columns
     """
@@ -24,12 +26,20 @@ def write(path, batch, truth, pictures, mask):
     seen = array(batch.image[0].movedim(0, -1))
     right = tone.display(truth, exposure)
     empty = np.full((*mask.shape, 3), BACKGROUND)
-    above, below = [cut(tone.display(seen, tone.auto_exposure(seen, mask)), mask), cut(right, mask)], [empty, empty]
+    above, below = (
+        [
+            cut(tone.display(seen, tone.auto_exposure(seen, mask)), mask),
+            cut(right, mask),
+        ],
+        [empty, empty],
+    )
     for picture in pictures.values():
         shown = tone.display(picture, exposure)
         above.append(cut(shown, mask))
         below.append(cut(heat(np.sqrt(((shown - right) ** 2).mean(-1))), mask))
-    sheet = np.concatenate([np.concatenate([cell[window] for cell in row], 1) for row in (above, below)], 0)
+    sheet = np.concatenate(
+        [np.concatenate([cell[window] for cell in row], 1) for row in (above, below)], 0
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     write_image(path, np.clip(np.rint(sheet), 0, 255).astype(np.uint8))
 
@@ -46,7 +56,8 @@ def around(mask):
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     side = min(max(np.ptp(rows), np.ptp(columns)) + 7, *mask.shape)
     top, left = (
-        np.clip((at[0] + at[-1] + 1 - side) // 2, 0, size - side) for at, size in ((rows, mask.shape[0]), (columns, mask.shape[1]))
+        np.clip((at[0] + at[-1] + 1 - side) // 2, 0, size - side)
+        for at, size in ((rows, mask.shape[0]), (columns, mask.shape[1]))
     )
     return np.s_[top : top + side, left : left + side]
 
@@ -59,5 +70,9 @@ def cut(display, mask):
 def heat(error):
     """Colours (H, W, 3) of errors (H, W): black, violet, orange, white."""
     x = np.clip(error / FULL, 0, 1)
-    stops = np.array([[0, 0, 0], [70, 15, 110], [180, 50, 90], [245, 125, 20], [252, 255, 200]], float)
-    return np.stack([np.interp(x, np.linspace(0, 1, len(stops)), stops[:, k]) for k in range(3)], -1)
+    stops = np.array(
+        [[0, 0, 0], [70, 15, 110], [180, 50, 90], [245, 125, 20], [252, 255, 200]], float
+    )
+    return np.stack(
+        [np.interp(x, np.linspace(0, 1, len(stops)), stops[:, k]) for k in range(3)], -1
+    )

@@ -1,11 +1,14 @@
-"""The methods that the tables compare, under one protocol: what a picture is made of, and what it looks like in another material.
+"""The methods that the tables compare, under one protocol: what a picture is made of, and what it
+looks like in another material.
 
-batch   learn.data.batch.Batch of one picture; its truth (n, label, light) is for metrics, and for methods that are said to be given it
+batch   learn.data.batch.Batch of one picture; its truth (n, label, light) is for metrics, and for
+methods that are said to be given it
 label   (S, 108) natural logarithms of the wanted material, one a region
-A method remembers the parts of the last batch it saw: the edits of one picture share its prediction and its refinement.
+A method remembers the parts of the last batch it saw: the edits of one picture share its prediction
+and its refinement.
 
-Baselines come from `learn.evaluation.baseline_methods.present_and_missing(folder)`: the Methods whose weights
-lie in the folder, and {name: what is missing} of the others.
+Baselines come from `learn.evaluation.baseline_methods.present_and_missing(folder)`: the Methods
+whose weights lie in the folder, and {name: what is missing} of the others.
 """
 
 from dataclasses import dataclass
@@ -21,8 +24,10 @@ from learn.networks.prediction import Prediction
 from manifests.materials import load_catalogue
 
 REFINED = ("Baseline 2",)  # of the baselines, those that the paper refines too
-GIVEN_TRUTH = ("the layer alone", "Lombardi-like")  # besides those with "true" in their name: shown a part of what the others predict
-METHOD = "quadrature"  # the integral, not the paper's sum: of a mirror-like lobe the sum alone is 200 display L2 off
+# besides those with "true" in their name: shown a part of what the others predict
+GIVEN_TRUTH = ("the layer alone", "Lombardi-like")
+# the integral, not the paper's sum: of a mirror-like lobe the sum alone is 200 display L2 off
+METHOD = "quadrature"
 TOLERANCE = 5e-3  # at 1e-2 one of 75 true edits was 0.7 display L2 off by it, at 5e-3 none 0.1
 
 
@@ -35,14 +40,20 @@ class Method(Protocol):
     name: str
 
     def parts(self, batch) -> Prediction | None:
-        """Normals, material and light of a batch of one; a field is None, or all of it, where the method does not tell them apart."""
+        """Normals, material and light of a batch of one; a field is None, or all of it, where the
+        method does not tell them apart.
+        """
 
     def edit(self, batch, label):
-        """(H, W, 3) numpy linear radiance of the object in the material `label` (S, 108), zeros outside the mask."""
+        """(H, W, 3) numpy linear radiance of the object in the material `label` (S, 108), zeros
+        outside the mask.
+        """
 
 
 def rendered(n, label, light, batch):
-    """(H, W, 3) numpy radiance by the layer of n (1, 3, H, W), label (S, 108) or (1, S, 108), light (1, 3, 64, 128)."""
+    """(H, W, 3) numpy radiance by the layer of n (1, 3, H, W), label (S, 108) or (1, S, 108), light
+    (1, 3, 64, 128).
+    """
     label = (label if label.ndim == 3 else label[None]).to(light.device)
     several = label.shape[1] > 1
     with torch.no_grad():
@@ -60,7 +71,9 @@ def rendered(n, label, light, batch):
 
 
 class Layered:
-    """A method that takes a picture apart and renders it anew. predict: Batch → Prediction with n and light."""
+    """A method that takes a picture apart and renders it anew. predict: Batch → Prediction with n
+    and light.
+    """
 
     def __init__(self, name, predict):
         self.name, self.predict = name, predict
@@ -77,7 +90,9 @@ class Layered:
 
 
 class Refined(Layered):
-    """Another method's parts, refined to fit the picture (Eq. 6). told: the last learn.refinement.Refined."""
+    """Another method's parts, refined to fit the picture (Eq. 6). told: the last
+    learn.refinement.Refined.
+    """
 
     def __init__(self, method, refine):
         super().__init__(f"{method.name}, refined", self._refine)
@@ -101,16 +116,30 @@ class Unchanged:
 
 
 class MeanMaterial(Layered):
-    """The training materials' mean label whatever is asked for, in true normals and light, or in a method's."""
+    """The training materials' mean label whatever is asked for, in true normals and light, or in a
+    method's.
+    """
 
     def __init__(self, labels, method=None):
-        """labels: (M, 108) of the training materials; method: whose normals and light are taken, None: the true ones."""
-        super().__init__(f"mean material, {'true normals and light' if method is None else 'the rest of ' + method.name}", self._predict)
+        """labels: (M, 108) of the training materials; method: whose normals and light are taken,
+        None: the true ones.
+        """
+        super().__init__(
+            "mean material,"
+            f" {'true normals and light' if method is None else 'the rest of ' + method.name}",
+            self._predict,
+        )
         self.label, self.method = torch.from_numpy(np.mean(labels, 0)).float(), method
 
     def _predict(self, batch):
-        result = Prediction(batch.n, None, None, None, batch.light) if self.method is None else self.method.parts(batch)
-        return result._replace(code=None, label=self.label.to(batch.label.device).expand_as(batch.label))
+        result = (
+            Prediction(batch.n, None, None, None, batch.light)
+            if self.method is None
+            else self.method.parts(batch)
+        )
+        return result._replace(
+            code=None, label=self.label.to(batch.label.device).expand_as(batch.label)
+        )
 
     def edit(self, batch, label):
         return super().edit(batch, self.parts(batch).label)
@@ -120,44 +149,63 @@ def training_labels(records: Records | None, materials: str) -> list[np.ndarray]
     """Labels (108,) of the materials for training.
 
     records    of the data set; None will do for "built-in"
-    materials  "dataset": those that the data set has on its training side, maybe none; "built-in": the built-in catalogue's
+    materials  "dataset": those that the data set has on its training side, maybe none; "built-in":
+    the built-in catalogue's
     """
     if materials == "built-in":
         return [m.label.reshape(-1) for m in load_catalogue().values() if m.split == "train"]
-    return [records.material(name).label.reshape(-1) for name in records.materials if records.side(name) == "train"]
+    return [
+        records.material(name).label.reshape(-1)
+        for name in records.materials
+        if records.side(name) == "train"
+    ]
 
 
 def network(net):
-    """Batch → Prediction by a network of learn.networks, over regions where the picture has several."""
+    """Batch → Prediction by a network of learn.networks, over regions where the picture has
+    several.
+    """
 
     def predict(batch):
         regions = batch.label.shape[1]
         with torch.no_grad():
-            return net(batch.image, batch.mask, batch.segments if regions > 1 else None, regions=regions)
+            return net(
+                batch.image, batch.mask, batch.segments if regions > 1 else None, regions=regions
+            )
 
     return predict
 
 
 def constant_light(method=None):
-    """A map of the same radiance everywhere, with true normals, or with those of a method: what knowing nothing of light is worth."""
+    """A map of the same radiance everywhere, with true normals, or with those of a method: what
+    knowing nothing of light is worth.
+    """
 
     def predict(batch):
         n = batch.n if method is None else method.parts(batch).n
         return Prediction(n, None, None, None, torch.ones_like(batch.light))
 
-    return Layered(f"constant light, {'true normals' if method is None else 'normals of ' + method.name}", predict)
+    return Layered(
+        f"constant light, {'true normals' if method is None else 'normals of ' + method.name}",
+        predict,
+    )
 
 
 def layer_alone():
-    """True normals, light and label: what the layer itself is off by, in the material that it is asked for as in the one that is there."""
-    return Layered("the layer alone", lambda batch: Prediction(batch.n, None, batch.label, None, batch.light))
+    """True normals, light and label: what the layer itself is off by, in the material that it is
+    asked for as in the one that is there.
+    """
+    return Layered(
+        "the layer alone", lambda batch: Prediction(batch.n, None, batch.label, None, batch.light)
+    )
 
 
 @dataclass(frozen=True)
 class Entrants:
     """Who is compared.
 
-    edits     methods that edit, the rows of the table of edits, in order; the last one is the layer alone
+    edits     methods that edit, the rows of the table of edits, in order; the last one is the layer
+    alone
     parts     further methods, of which the parts alone are compared
     left_out  {name: why it is not there}
     """
@@ -187,12 +235,17 @@ def entrants(net, refine, labels, baselines=None, device="cpu"):
 
         result, left_out = baseline_methods.present_and_missing(baselines, device)
         for method in result:
-            rows += [method, Refined(method, refine)] if refine and method.name in REFINED else [method]
+            rows += (
+                [method, Refined(method, refine)] if refine and method.name in REFINED else [method]
+            )
     rows += [ours, Refined(ours, refine)] if refine else [ours]
     if not refine:
         left_out["refined rows"] = "--no-refine was given"
     mean = [MeanMaterial(labels), MeanMaterial(labels, ours)] if len(labels) else []
     if not mean:
-        left_out["mean material"] = "the data set has no material for training; --materials built-in takes the built-in ones"
+        left_out["mean material"] = (
+            "the data set has no material for training; --materials built-in takes the built-in"
+            " ones"
+        )
     trivial = [Unchanged(), *mean[:1], constant_light(), constant_light(ours)]
     return Entrants((*trivial, *rows, layer_alone()), tuple(mean[1:]), left_out)

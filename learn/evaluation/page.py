@@ -59,21 +59,41 @@ def markdown(report):
     lines += [*(f"- {sentence}" for sentence in report["headline"]), ""]
     for each in report["tables"].values():
         lines += [f"## {each['title']}", "", each["note"], ""]
-        lines += ["| | " + " | ".join(c["label"] for c in each["columns"]) + " |", "|---" * (len(each["columns"]) + 1) + "|"]
+        lines += [
+            "| | " + " | ".join(c["label"] for c in each["columns"]) + " |",
+            "|---" * (len(each["columns"]) + 1) + "|",
+        ]
         for row in each["rows"]:
-            lines.append(f"| {row['name']} | " + " | ".join(text_of(row["cells"].get(c["key"]), c) for c in each["columns"]) + " |")
+            lines.append(
+                f"| {row['name']} | "
+                + " | ".join(text_of(row["cells"].get(c["key"]), c) for c in each["columns"])
+                + " |"
+            )
         lines.append("")
-    return "\n".join([*lines, "## How it was made", "", *(f"- {item}" for item in origin(report["about"]))]) + "\n"
+    return (
+        "\n".join(
+            [*lines, "## How it was made", "", *(f"- {item}" for item in origin(report["about"]))]
+        )
+        + "\n"
+    )
 
 
 def origin(about):
     """Sentences about the run."""
     made = about["made"]
     lines = [
-        f"{about['edits']} edits of {about['pictures']} pictures, drawn with seed {about['asked']['seed']} from {about['data']} "
-        f"({'; '.join(about['tiers'])}). An edit's truth is the picture of the same shape, view and light in the wanted material.",
-        f"Display values: {about['tone curve']}. Brackets: 95 % intervals, shapes and materials drawn with replacement.",
-        f"`{made['command']}`, commit {made['commit']}, {made['date']}; {made['machine']}; weights {about['weights']}"
+        (
+            f"{about['edits']} edits of {about['pictures']} pictures, drawn with seed"
+            f" {about['asked']['seed']} from {about['data']} ({'; '.join(about['tiers'])}). An"
+            " edit's truth is the picture of the same shape, view and light in the wanted"
+            " material."
+        ),
+        (
+            f"Display values: {about['tone curve']}. Brackets: 95 % intervals, shapes and materials"
+            " drawn with replacement."
+        ),
+        f"`{made['command']}`, commit {made['commit']}, {made['date']}; {made['machine']}; weights"
+        f" {about['weights']}"
         + (f", LPIPS weights {about['lpips']}" if about["lpips"] else "")
         + (f"; edits made at {', '.join(about['lines'])}" if "lines" in about else ""),
     ]
@@ -81,25 +101,46 @@ def origin(about):
 
 
 def web(report, shown, names):
-    """index.html. shown: [(row of edits.jsonl, path of its gallery PNG)]; names: of the methods, the columns of the gallery."""
-    parts = ["<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'>"]
-    parts += [f"<title>Evaluation</title><style>{STYLE}</style><h1>Edits, their truth, and what they are made of</h1>"]
-    parts += [
-        "<p class=soft>A method is shown one picture and a wanted material; Cycles rendered the same shape, view and light in it.</p>"
+    """index.html. shown: [(row of edits.jsonl, path of its gallery PNG)]; names: of the methods,
+    the columns of the gallery.
+    """
+    parts = [
+        "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport"
+        " content='width=device-width'>"
     ]
-    parts += ["<ul>" + "".join(f"<li>{html.escape(sentence)}</li>" for sentence in report["headline"]) + "</ul>"]
+    parts += [
+        f"<title>Evaluation</title><style>{STYLE}</style><h1>Edits, their truth, and what they are"
+        " made of</h1>"
+    ]
+    parts += [
+        "<p class=soft>A method is shown one picture and a wanted material; Cycles rendered the"
+        " same shape, view and light in it.</p>"
+    ]
+    parts += [
+        "<ul>"
+        + "".join(f"<li>{html.escape(sentence)}</li>" for sentence in report["headline"])
+        + "</ul>"
+    ]
     for key, each in report["tables"].items():
-        parts.append(f"<h2>{html.escape(each['title'])}</h2><p class=note>{html.escape(each['note'])}</p>{web_table(each)}")
+        parts.append(
+            f"<h2>{html.escape(each['title'])}</h2><p"
+            f" class=note>{html.escape(each['note'])}</p>{web_table(each)}"
+        )
         if key == "edits" and shown:
             parts.append(web_gallery(shown, names))
     parts += [
-        "<h2>How it was made</h2><ul>" + "".join(f"<li>{html.escape(item).replace('`', '')}</li>" for item in origin(report["about"]))
+        "<h2>How it was made</h2><ul>"
+        + "".join(
+            f"<li>{html.escape(item).replace('`', '')}</li>" for item in origin(report["about"])
+        )
     ]
     return "\n".join(parts) + "</ul></html>\n"
 
 
 def web_table(each):
-    """HTML of one table of learn.evaluation.tables, intervals beneath the figures, the best of each column marked."""
+    """HTML of one table of learn.evaluation.tables, intervals beneath the figures, the best of each
+    column marked.
+    """
     head = "".join(f"<th>{html.escape(c['label'])}</th>" for c in each["columns"])
     best = {c["key"]: _best(each["rows"], c) for c in each["columns"]}
     body = []
@@ -109,7 +150,9 @@ def web_table(each):
             cell = row["cells"].get(c["key"])
             text = html.escape(text_of(cell, c, interval=False))
             if isinstance(cell, list) and c["interval"]:
-                text += f"<span class=ci>{cell[1]:.{c['digits']}f} … {cell[2]:.{c['digits']}f}</span>"
+                text += (
+                    f"<span class=ci>{cell[1]:.{c['digits']}f} … {cell[2]:.{c['digits']}f}</span>"
+                )
             word = WORDS.get(cell) if isinstance(cell, str) else None
             kind = word or ("best" if row["name"] == best[c["key"]] else "")
             cells.append(f"<td class='{kind}'>{text}</td>" if kind else f"<td>{text}</td>")
@@ -119,10 +162,14 @@ def web_table(each):
 
 
 def _best(rows, column):
-    """The name of the row that does best in a column with an arrow, all that is given truth left out."""
+    """The name of the row that does best in a column with an arrow, all that is given truth left
+    out.
+    """
     sign = 1 if "↓" in column["label"] else -1 if "↑" in column["label"] else 0
     given = (*GIVEN_TRUTH, *(row["name"] for row in rows if "true" in row["name"]))
-    cells = {row["name"]: row["cells"].get(column["key"]) for row in rows if row["name"] not in given}
+    cells = {
+        row["name"]: row["cells"].get(column["key"]) for row in rows if row["name"] not in given
+    }
     there = {name: sign * cell[0] for name, cell in cells.items() if isinstance(cell, list)}
     return min(there, key=there.get) if sign and len(there) > 1 else None
 
@@ -130,19 +177,30 @@ def _best(rows, column):
 def web_gallery(shown, names):
     """The first edits: input, truth, every method's edit, and the error of each beneath."""
     parts = [
-        "<h2>Pictures of the first edits</h2><p class=note>Above: the picture a method was shown, Cycles' truth of the edit, and what each "
-        f"method made of it. Beneath: its error, black where there is none, white from {FULL:g} of 255 display steps on. The number is L2 "
-        "over the mask.</p>"
+        "<h2>Pictures of the first edits</h2><p class=note>Above: the picture a method was shown,"
+        " Cycles' truth of the edit, and what each method made of it. Beneath: its error, black"
+        f" where there is none, white from {FULL:g} of 255 display steps on. The number is L2 over"
+        " the mask.</p>"
     ]
     for row, path in shown:
         requested, was = (" + ".join(dict.fromkeys(row[key])) for key in ("wanted", "materials"))
-        caption = f"<b>{html.escape(was)} → {html.escape(requested)}</b> · {html.escape(row['shape'])}, {html.escape(row['light'])}"
+        caption = (
+            f"<b>{html.escape(was)} → {html.escape(requested)}</b> · {html.escape(row['shape'])},"
+            f" {html.escape(row['light'])}"
+        )
         columns = []
-        heads = [("shown", ""), ("truth", ""), *((name, f"{row['methods'][name]['l2']:.0f}") for name in names)]
+        heads = [
+            ("shown", ""),
+            ("truth", ""),
+            *((name, f"{row['methods'][name]['l2']:.0f}") for name in names),
+        ]
         for (name, l2), (above, below) in zip(heads, gallery.cells(path, len(heads)), strict=True):
             pictures = f"<img src='{png(above)}' alt='{html.escape(name)}'>"
             pictures += f"<img src='{png(below)}' alt='error'>" if l2 else ""
             columns.append(f"<div>{pictures}<b>{l2}</b>{html.escape(name)}</div>")
         width = f"grid-template-columns:repeat({len(columns)},minmax(84px,1fr))"
-        parts.append(f"<figure><figcaption>{caption}</figcaption><div class=strip style='{width}'>{''.join(columns)}</div></figure>")
+        parts.append(
+            f"<figure><figcaption>{caption}</figcaption><div class=strip"
+            f" style='{width}'>{''.join(columns)}</div></figure>"
+        )
     return "".join(parts)

@@ -12,25 +12,44 @@ from manifests import files
 from manifests.provenance import provenance
 from manifests.store import file_hash
 
-CURVE = "radiance × exposure, clipped to [0, 1], sRGB curve (IEC 61966-2-1), × 255; exposure: the truth's 99th percentile of luminance → 1"
+CURVE = (
+    "radiance × exposure, clipped to [0, 1], sRGB curve (IEC 61966-2-1), × 255; exposure: the"
+    " truth's 99th percentile of luminance → 1"
+)
 
 
 def about(options, records, kept, left_out, perceptual):
     """What the figures were made of, and what is missing from them."""
     sides = {record.split for record in kept}
-    held = "shapes and materials of the test side" if sides == {"test"} else "no test side: what networks were trained on is among it"
+    held = (
+        "shapes and materials of the test side"
+        if sides == {"test"}
+        else "no test side: what networks were trained on is among it"
+    )
     missing = dict(left_out)
     if perceptual is None:
         missing["LPIPS"] = "no weights were given (--lpips FILE); nothing is downloaded"
-    asked = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
+    asked = {
+        key: str(value) if isinstance(value, Path) else value
+        for key, value in asdict(options).items()
+    }
     return {
         "made": provenance(),
         "asked": {
-            key: Path(value).name if key in ("data", "weights", "out", "baselines", "lpips") and value else value
+            key: (
+                Path(value).name
+                if key in ("data", "weights", "out", "baselines", "lpips") and value
+                else value
+            )
             for key, value in asked.items()
         },
-        "data": f"{len(kept)} pictures, {len({r.shape for r in kept})} shapes, {len({r.light for r in kept})} lights; {held}",
-        "tiers": sorted({f"{r.tier}, light {r.light_resolution}, {r.samples} samples" for r in kept}),
+        "data": (
+            f"{len(kept)} pictures, {len({r.shape for r in kept})} shapes,"
+            f" {len({r.light for r in kept})} lights; {held}"
+        ),
+        "tiers": sorted(
+            {f"{r.tier}, light {r.light_resolution}, {r.samples} samples" for r in kept}
+        ),
         "jobs": msgspec.to_builtins([order.job for order in records.dataset.orders]),
         "weights": file_hash(options.weights)[:12],
         "lpips": None if perceptual is None else file_hash(options.lpips)[:12],
@@ -59,7 +78,9 @@ def write(out, pictures, edits, shown, about, entrants, families):
     texts = {
         "report.json": json.dumps(report, indent=1, ensure_ascii=False) + "\n",
         "report.md": page.markdown(report),
-        "index.html": page.web(report, [(row, path) for row, path in gallery if path.exists()], names),
+        "index.html": page.web(
+            report, [(row, path) for row, path in gallery if path.exists()], names
+        ),
     }
     with files.transaction():
         for name, text in texts.items():
@@ -73,15 +94,29 @@ def headline(found):
     report = []
     if OURS in rows:
         mine = rows[OURS]["l2"]
-        report.append(f"An edit differs from its truth by a display L2 of {mine[0]:.0f} [{mine[1]:.0f}, {mine[2]:.0f}] over the mask")
+        report.append(
+            f"An edit differs from its truth by a display L2 of {mine[0]:.0f} [{mine[1]:.0f},"
+            f" {mine[2]:.0f}] over the mask"
+        )
         if OURS_REFINED in rows:
             refined = rows[OURS_REFINED]["l2"]
             more = 100 * (refined[0] / mine[0] - 1)
-            report[-1] += f"; after refinement by {refined[0]:.0f} [{refined[1]:.0f}, {refined[2]:.0f}]: {more:+.0f} %"
+            report[-1] += (
+                f"; after refinement by {refined[0]:.0f} [{refined[1]:.0f}, {refined[2]:.0f}]:"
+                f" {more:+.0f} %"
+            )
         report[-1] += "."
         given = [(key, rows[OURS].get(f"l2_true_{key}")) for key in ("light", "normals")]
-        report += [f"With true {key} instead of predicted it would be {cell[0]:.0f}." for key, cell in given if cell]
-    return [*report, _judged(found, OURS_REFINED if OURS_REFINED in rows else OURS)] if "differences" in found else report
+        report += [
+            f"With true {key} instead of predicted it would be {cell[0]:.0f}."
+            for key, cell in given
+            if cell
+        ]
+    return (
+        [*report, _judged(found, OURS_REFINED if OURS_REFINED in rows else OURS)]
+        if "differences" in found
+        else report
+    )
 
 
 def _judged(found, mine):

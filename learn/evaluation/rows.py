@@ -1,6 +1,8 @@
-"""What the lines of an evaluation hold, as types that they are checked against when a later run reads them again.
+"""What the lines of an evaluation hold, as types that they are checked against when a later run
+reads them again.
 
-A figure is None where there was nothing to measure, or where it was not finite. Keys that are not named here are kept.
+A figure is None where there was nothing to measure, or where it was not finite. Keys that are not
+named here are kept.
 """
 
 from typing import Annotated
@@ -36,7 +38,9 @@ class Refinement(Struct):
 
 
 class Parts(Struct):
-    """What a method makes of a picture: errors of the parts that it predicts, and of pictures rendered from them."""
+    """What a method makes of a picture: errors of the parts that it predicts, and of pictures
+    rendered from them.
+    """
 
     normals: Figures = {}
     material: Figures = {}
@@ -50,7 +54,9 @@ class Parts(Struct):
 
 
 class Layer(Struct):
-    """How far the layer's edit from true parts is off; the rest where the truth has a second seed."""
+    """How far the layer's edit from true parts is off; the rest where the truth has a second
+    seed.
+    """
 
     l2: Figure
     l2_inner: Figure | None
@@ -83,7 +89,9 @@ class Picture(Struct):
 
 
 class Edit(Struct):
-    """A line of edits.jsonl: one edit by every method. source, truth: ids of records; wanted: the truth's materials."""
+    """A line of edits.jsonl: one edit by every method. source, truth: ids of records; wanted: the
+    truth's materials.
+    """
 
     id: str
     source: str

@@ -1,11 +1,13 @@
-"""The whole evaluation: edits drawn, worked through by processes, each one a line as soon as it is done; then the report.
+"""The whole evaluation: edits drawn, worked through by processes, each one a line as soon as it is
+done; then the report.
 
 OUT/settings.json   what the figures depend on; a folder made with others is not gone on with
 OUT/pictures.jsonl  one line a source picture: its parts by every method (learn.evaluation.bench)
 OUT/edits.jsonl     one line an edit
 OUT/gallery/        a PNG of each of the first edits
 OUT/report.json, report.md, index.html
-A kill loses the pictures in flight. The same command goes on; a larger --edits adds to what is there.
+A kill loses the pictures in flight. The same command goes on; a larger --edits adds to what is
+there.
 """
 
 import multiprocessing
@@ -31,7 +33,8 @@ from manifests.store import Lines, file_hash
 
 @dataclass(frozen=True)
 class Options:
-    """data, weights, out: paths; baselines: a folder, or None; lpips: a file, or None; gallery: how many edits are shown.
+    """data, weights, out: paths; baselines: a folder, or None; lpips: a file, or None; gallery: how
+    many edits are shown.
 
     materials  whose training materials the row "mean material" is of: "dataset" or "built-in"
     device     of networks, refinement and the layer: "cpu", or "cuda:0"
@@ -57,23 +60,45 @@ def make(options):
     kept = [record for record in records.records if record.split == "test"] or records.records
     if len(kept) < len(records) and not pairs.edits_between(kept):
         result = f"none among its {len(kept)} of {len(records)} pictures"
-        remedy = "render the test side's shapes, views and lights in two of its materials or more, or a dataset without a test side"
-        raise InputError(options.data, "pictures of the test side that differ in nothing but the material", result, remedy)
+        remedy = (
+            "render the test side's shapes, views and lights in two of its materials or more, or a"
+            " dataset without a test side"
+        )
+        raise InputError(
+            options.data,
+            "pictures of the test side that differ in nothing but the material",
+            result,
+            remedy,
+        )
     chosen = pairs.chosen(kept, options.edits, options.seed)
     out = Path(options.out)
     with lock.writing(out, patience=0):
-        bench = Bench(**arguments(options))  # here first: what is wrong with weights is said before any process starts
+        # here first: what is wrong with weights is said before any process starts
+        bench = Bench(**arguments(options))
         files.pin_settings(out / "settings.json", settings(options))
         work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
-        lines = [[row for id_, row in rows_of(out / name).items() if id_ in requested] for name, requested in names(chosen).items()]
+        lines = [
+            [row for id_, row in rows_of(out / name).items() if id_ in requested]
+            for name, requested in names(chosen).items()
+        ]
         families = {entry.name: entry.family for entry in records.materials.values()}
         about = report.about(options, records, kept, bench.entrants.left_out, bench.perceptual)
-        return report.write(out, *lines, [edit.id for edit in chosen[: options.gallery]], about, bench.entrants, families)
+        return report.write(
+            out,
+            *lines,
+            [edit.id for edit in chosen[: options.gallery]],
+            about,
+            bench.entrants,
+            families,
+        )
 
 
 def names(chosen):
     """{file: ids of its lines}."""
-    return {"pictures.jsonl": {edit.source.id for edit in chosen}, "edits.jsonl": {edit.id for edit in chosen}}
+    return {
+        "pictures.jsonl": {edit.source.id for edit in chosen},
+        "edits.jsonl": {edit.id for edit in chosen},
+    }
 
 
 def arguments(options):
@@ -92,7 +117,13 @@ def arguments(options):
 def settings(options):
     """What determines a line's figures: files by their bytes."""
     folder = options.baselines
-    of_baselines = {} if folder is None else {p.name: file_hash(p) for p in sorted(Path(folder).glob("*.safetensors")) if p.is_file()}
+    of_baselines = (
+        {}
+        if folder is None
+        else {
+            p.name: file_hash(p) for p in sorted(Path(folder).glob("*.safetensors")) if p.is_file()
+        }
+    )
     result = {
         "data": Path(options.data).resolve().name,
         "materials": file_hash(Path(options.data) / "materials.json"),
@@ -104,13 +135,19 @@ def settings(options):
         "lpips": None if options.lpips is None else file_hash(options.lpips),
         "mean_material_of": options.materials,
     }
-    return result if options.device == "cpu" else result | {"device": torch.device(options.device).type}
+    return (
+        result
+        if options.device == "cpu"
+        else result | {"device": torch.device(options.device).type}
+    )
 
 
 def units(out, chosen, gallery, repeats):
-    """[(edits of one source picture still to do, whether the picture itself is to do, folder of pictures or None of each)].
+    """[(edits of one source picture still to do, whether the picture itself is to do, folder of
+    pictures or None of each)].
 
-    An edit is made again if its picture is wanted and not there, or if its truth has more seeds by now: its later line holds.
+    An edit is made again if its picture is wanted and not there, or if its truth has more seeds by
+    now: its later line holds.
 
     repeats  learn.data.pairs.repeats of the records
     """
@@ -120,7 +157,10 @@ def units(out, chosen, gallery, repeats):
     def finished(edit):
         drawn = edit.id not in shown or (out / "gallery" / f"{edit.id}.png").exists()
         seeds = len(repeats[pairs.scene(edit.truth), edit.truth.materials])
-        judged = edit.id in done and (done[edit.id]["layer"].get("seeds", 1) == seeds or done[edit.id]["layer"]["l2_inner"] is None)
+        judged = edit.id in done and (
+            done[edit.id]["layer"].get("seeds", 1) == seeds
+            or done[edit.id]["layer"]["l2_inner"] is None
+        )
         return drawn and judged
 
     grouped = {}
@@ -161,14 +201,22 @@ def results(options, todo, bench):
             yield bench.work(*unit)
         return
     threads = max(1, (os.cpu_count() or 1) // processes)
-    context = multiprocessing.get_context("spawn")  # a fork of a process with running threads may hang
-    with ProcessPoolExecutor(processes, context, _begin, (arguments(options), threads)) as data_split:
+    # a fork of a process with running threads may hang
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(
+        processes, context, _begin, (arguments(options), threads)
+    ) as data_split:
         try:
             for done in as_completed([data_split.submit(_work, unit) for unit in todo]):
                 yield done.result()
         except BrokenProcessPool:
             remedy = "run the same command again with fewer --processes: what was done stays"
-            raise InputError("evaluation", "processes that live", "one that was killed, for want of memory perhaps", remedy) from None
+            raise InputError(
+                "evaluation",
+                "processes that live",
+                "one that was killed, for want of memory perhaps",
+                remedy,
+            ) from None
         finally:
             data_split.shutdown(wait=True, cancel_futures=True)
 
@@ -184,5 +232,7 @@ def _work(unit):
 
 
 def rows_of(path):
-    """{id: row} of a file of lines; of two of one id the later. Raises InputError for a damaged line."""
+    """{id: row} of a file of lines; of two of one id the later. Raises InputError for a damaged
+    line.
+    """
     return {row["id"]: row for row in files.read_lines(path, rows.TYPES[path.name])}

@@ -1,9 +1,10 @@
-"""From rows of figures to tables: means, 95 % intervals, and differences between methods on the same edits.
+"""From rows of figures to tables: means, 95 % intervals, and differences between methods on the
+same edits.
 
-A table is plain JSON: {"title", "note", "columns": [{"key", "label", "digits", "interval"}], "rows": [{"name", "cells": {key: cell}}]}.
-A cell is [mean, low, high], a number, a word, or None where a method has no such figure. Intervals: learn.metrics.bootstrap, over shapes
-and
-materials (of edits: the wanted ones).
+A table is plain JSON: {"title", "note", "columns": [{"key", "label", "digits", "interval"}],
+"rows": [{"name", "cells": {key: cell}}]}. A cell is [mean, low, high], a number, a word, or None
+where a method has no such figure. Intervals: learn.metrics.bootstrap, over shapes and materials (of
+edits: the wanted ones).
 """
 
 from functools import partial
@@ -17,7 +18,9 @@ LIMIT = 1.5  # times the node fit, as learn.agreement judges
 
 
 def column(key, label, digits=3, interval=False):
-    """A column of a table: key of its cells, label with an arrow towards better, digits after the point, whether intervals are shown."""
+    """A column of a table: key of its cells, label with an arrow towards better, digits after the
+    point, whether intervals are shown.
+    """
     return {"key": key, "label": label, "digits": digits, "interval": interval}
 
 
@@ -31,7 +34,10 @@ PICTURE = [
     column("flip", "FLIP ↓", 3),
     LPIPS,
 ]
-GIVEN = [column("l2_true_light", "L2, light given ↓", 1, True), column("l2_true_normals", "L2, normals given ↓", 1, True)]
+GIVEN = [
+    column("l2_true_light", "L2, light given ↓", 1, True),
+    column("l2_true_normals", "L2, normals given ↓", 1, True),
+]
 LIT = [column("l2", "L2, light given ↓", 1, True)]
 NORMALS = [
     column("mean_deg", "mean ° ↓", 2, True),
@@ -54,7 +60,11 @@ LIGHT = [
     column("glossy_sphere_l2", "glossy ↓", 0),
     column("sharp_sphere_l2", "sharp ↓", 0),
 ]
-SHORT = [column("l2", "rendered L2 ↓", 1, True), column("ssim", "rendered SSIM ↑", 4, True), column("flip", "rendered FLIP ↓", 3)]
+SHORT = [
+    column("l2", "rendered L2 ↓", 1, True),
+    column("ssim", "rendered SSIM ↑", 4, True),
+    column("flip", "rendered FLIP ↓", 3),
+]
 
 
 class Rows:
@@ -63,9 +73,13 @@ class Rows:
     def __init__(self, rows, material):
         """material: the key of a row's material names."""
         self.rows = rows
-        names = [["+".join(dict.fromkeys(row[material])) for row in rows], [row["shape"] for row in rows]]
+        names = [
+            ["+".join(dict.fromkeys(row[material])) for row in rows],
+            [row["shape"] for row in rows],
+        ]
         self.weights = bootstrap.draws(bootstrap.groups_of(*reversed(names))) if rows else None
-        self.enough = all(len(set(each)) > 1 for each in names)  # one shape or one material has nothing to be drawn from
+        # one shape or one material has nothing to be drawn from
+        self.enough = all(len(set(each)) > 1 for each in names)
 
     def values(self, method, path):
         """(P,) float64 of one figure, NaN where a row has none; path: keys below the method."""
@@ -105,10 +119,16 @@ def table(title, note, columns, rows):
 
 
 def by_method(rows, title, note, groups):
-    """A table of a row a method. groups: [(path below the method, columns, suffix of their keys)]; rows without any figure are left out."""
+    """A table of a row a method. groups: [(path below the method, columns, suffix of their keys)];
+    rows without any figure are left out.
+    """
     results = []
     for name in rows.methods():
-        cells = {c["key"] + suffix: rows.cell(name, (*path, c["key"])) for path, columns, suffix in groups for c in columns}
+        cells = {
+            c["key"] + suffix: rows.cell(name, (*path, c["key"]))
+            for path, columns, suffix in groups
+            for c in columns
+        }
         if any(cell is not None for cell in cells.values()):
             results.append({"name": name, "cells": cells})
     columns = [c | {"key": c["key"] + suffix} for _, columns, suffix in groups for c in columns]
@@ -117,23 +137,43 @@ def by_method(rows, title, note, groups):
 
 def borrowed(row, rows):
     """Whether a method "… of another" shows no figure but that other's: a part it took over."""
-    return any(other is not row and row["name"].endswith(f"of {other['name']}") and other["cells"] == row["cells"] for other in rows)
+    return any(
+        other is not row
+        and row["name"].endswith(f"of {other['name']}")
+        and other["cells"] == row["cells"]
+        for other in rows
+    )
 
 
 def differences(rows):
-    """Ours, refined and not, against every other row on the same edits: whether the difference of L2 could be nothing."""
+    """Ours, refined and not, against every other row on the same edits: whether the difference of
+    L2 could be nothing.
+    """
     results = []
     for mine in (OURS, OURS_REFINED):
         a = rows.values(mine, ("l2",))
         for other in rows.methods() if np.isfinite(a).any() else ():
             b = rows.values(other, ("l2",))
-            if other == mine or (mine == OURS and other == OURS_REFINED) or not np.isfinite(b).any():
+            if (
+                other == mine
+                or (mine == OURS and other == OURS_REFINED)
+                or not np.isfinite(b).any()
+            ):
                 continue
             cell, both = rows.interval(a - b), np.isfinite(a + b)
             of = bootstrap.relative(b[both], a[both], rows.drawn(both))
-            verdict = "better" if cell[2] < 0 else "worse" if cell[1] > 0 else "undecided: 0 is inside"
-            verdict = verdict if rows.enough else "undecided: two shapes and two materials are needed"
-            cells = {"difference": cell, "ratio": of, "won": float((a < b)[both].mean()), "verdict": verdict}
+            verdict = (
+                "better" if cell[2] < 0 else "worse" if cell[1] > 0 else "undecided: 0 is inside"
+            )
+            verdict = (
+                verdict if rows.enough else "undecided: two shapes and two materials are needed"
+            )
+            cells = {
+                "difference": cell,
+                "ratio": of,
+                "won": float((a < b)[both].mean()),
+                "verdict": verdict,
+            }
             results.append({"name": f"{mine} − {other}", "cells": cells})
     columns = [column("difference", "L2 difference", 1, True), column("ratio", "L2 ratio", 3, True)]
     columns += [column("won", "edits won", 2), column("verdict", "at 95 %")]
@@ -158,15 +198,27 @@ def gains(rows, known):
         return families.pop() if len(families) == 1 else "several families"
 
     groups = {"all edits": both}
-    for title, of in (("light", lambda row: row["light"]), ("shape", lambda row: row["category"]), ("into", family)):
+    for title, of in (
+        ("light", lambda row: row["light"]),
+        ("shape", lambda row: row["category"]),
+        ("into", family),
+    ):
         names = np.array([of(row) for row in rows.rows])
         groups |= {f"{title}: {name}": both & (names == name) for name in np.unique(names)}
     results = []
     for title, there in groups.items():
         if there.any():
             a, b = before[there], after[there]
-            cells = {"edits": int(there.sum()), "ratio": bootstrap.relative(a, b, rows.drawn(there)), "won": float((b < a).mean())}
-            for name, mean in (("mean", np.mean), ("median", np.median), ("geometric", lambda x: np.exp(np.log(x).mean()))):
+            cells = {
+                "edits": int(there.sum()),
+                "ratio": bootstrap.relative(a, b, rows.drawn(there)),
+                "won": float((b < a).mean()),
+            }
+            for name, mean in (
+                ("mean", np.mean),
+                ("median", np.median),
+                ("geometric", lambda x: np.exp(np.log(x).mean())),
+            ):
                 cells |= {name: float(mean(a)), f"{name}_after": float(mean(b))}
             results.append({"name": title, "cells": cells})
     columns = [column("edits", "edits", 0), column("ratio", "ratio of means", 3, True)]
@@ -179,13 +231,23 @@ def gains(rows, known):
 
 def refinement(rows):
     """What refinement did to its starts, a row a method, and all together."""
-    refined = [name for name in rows.methods() if any("refinement" in row["methods"].get(name, {}) for row in rows.rows)]
-    groups = {name: [name] for name in refined} | ({"all starts": refined} if len(refined) > 1 else {})
+    refined = [
+        name
+        for name in rows.methods()
+        if any("refinement" in row["methods"].get(name, {}) for row in rows.rows)
+    ]
+    groups = {name: [name] for name in refined} | (
+        {"all starts": refined} if len(refined) > 1 else {}
+    )
     results = []
     for title, names in groups.items():
         get = partial(_gathered, rows, names)
-        before, after, seconds, finite = (get(("refinement", key)) for key in ("before", "after", "seconds", "finite"))
-        started = np.concatenate([rows.values(name.removesuffix(", refined"), ("rendered_all", "l2")) for name in names])
+        before, after, seconds, finite = (
+            get(("refinement", key)) for key in ("before", "after", "seconds", "finite")
+        )
+        started = np.concatenate(
+            [rows.values(name.removesuffix(", refined"), ("rendered_all", "l2")) for name in names]
+        )
         ended = get(("rendered_all", "l2"))
         there = np.isfinite(before)
         cells = {
@@ -216,7 +278,11 @@ def refinement(rows):
         column("slowest", "slowest s", 1),
     ]
     return table(
-        "Refinement", "Energy: Eq. 6 as learn.refinement states it. I′: the picture rendered again from refined parts.", columns, results
+        "Refinement",
+        "Energy: Eq. 6 as learn.refinement states it. I′: the picture rendered again from refined"
+        " parts.",
+        columns,
+        results,
     )
 
 
@@ -225,15 +291,23 @@ def _gathered(rows, names, path):
 
 
 def layer(rows):
-    """The edit from true normals, light and label against Cycles, by wanted material, beside what the catalogue says of its nodes."""
+    """The edit from true normals, light and label against Cycles, by wanted material, beside what
+    the catalogue says of its nodes.
+    """
     by = {}
     for row in rows.rows:
-        by.setdefault(" + ".join(dict.fromkeys(row["wanted"])), {})[row["truth"]] = row["layer"]  # edits that share a truth count once
-    results = [{"name": name, "cells": _layer_cells(list(by[name].values()))} for name in sorted(by)]
+        # edits that share a truth count once
+        by.setdefault(" + ".join(dict.fromkeys(row["wanted"])), {})[row["truth"]] = row["layer"]
+    results = [
+        {"name": name, "cells": _layer_cells(list(by[name].values()))} for name in sorted(by)
+    ]
     judged = [name["cells"] for name in results if "within" in name["cells"]]
     every = _layer_cells([each for truths in by.values() for each in truths.values()])
     if judged:
-        every |= {key: f"{sum(cells[key] == 'yes' for cells in judged)} of {len(judged)}" for key in ("within", "within_here")}
+        every |= {
+            key: f"{sum(cells[key] == 'yes' for cells in judged)} of {len(judged)}"
+            for key in ("within", "within_here")
+        }
     results.append({"name": "all", "cells": every})
     columns = [
         column("truths", "truths", 0),
@@ -250,10 +324,12 @@ def layer(rows):
         column("within_here", f"within {LIMIT:g} × node fit at these pixels"),
     ]
     note = (
-        "Inside: away from silhouettes, segment borders and creases, where a pixel of Cycles sees one surface. Noise is known, and the row "
-        "judged, where Cycles rendered the truth with a second seed. Node fit: display L2 between label and nodes, the two forms of a "
-        "material; the catalogue's is of spheres under its own lights. Cycles against its nodes: what is left where a converged "
-        "integral is taken of the nodes instead of the label: it is this, and the tolerance, that the loop adds to the fit."
+        "Inside: away from silhouettes, segment borders and creases, where a pixel of Cycles sees"
+        " one surface. Noise is known, and the row judged, where Cycles rendered the truth with a"
+        " second seed. Node fit: display L2 between label and nodes, the two forms of a material;"
+        " the catalogue's is of spheres under its own lights. Cycles against its nodes: what is"
+        " left where a converged integral is taken of the nodes instead of the label: it is this,"
+        " and the tolerance, that the loop adds to the fit."
     )
     return table("True normals, light and label through the layer", note, columns, results)
 
@@ -264,39 +340,70 @@ def _layer_cells(truths):
         return float(np.mean(values)) if values else None
 
     judged = [each for each in truths if each.get("net_inner") is not None]
-    cells = {"truths": len(truths), "judged": len(judged)} | {key: mean(key, truths) for key in ("l2", "l2_inner", "node_fit")}
+    cells = {"truths": len(truths), "judged": len(judged)} | {
+        key: mean(key, truths) for key in ("l2", "l2_inner", "node_fit")
+    }
     cells |= {key: mean(key, judged) for key in ("net_inner", "fit_here", "coarse", "rest")}
     if judged:
-        cells["net_error"] = float(np.sqrt(sum(each["net_error"] ** 2 for each in judged)) / len(judged))
+        cells["net_error"] = float(
+            np.sqrt(sum(each["net_error"] ** 2 for each in judged)) / len(judged)
+        )
         for key, fit in (("within", mean("node_fit", judged)), ("within_here", cells["fit_here"])):
-            cells |= {} if fit is None else {key: "yes" if cells["net_inner"] <= LIMIT * fit else "no"}
+            cells |= (
+                {} if fit is None else {key: "yes" if cells["net_inner"] <= LIMIT * fit else "no"}
+            )
     return cells
 
 
 def all_of(pictures, edits, families):
-    """{key: table} of rows of pictures.jsonl and edits.jsonl; tables without rows are left out. families: as `gains` takes them."""
+    """{key: table} of rows of pictures.jsonl and edits.jsonl; tables without rows are left out.
+    families: as `gains` takes them.
+    """
     P, E = Rows(pictures, "materials"), Rows(edits, "wanted")
     material_alone = (
-        "The method's material, with true normals and light, rendered again and compared with the picture (the paper's Table 1)."
+        "The method's material, with true normals and light, rendered again and compared with the"
+        " picture (the paper's Table 1)."
     )
-    normals_alone = "The method's normals, with true material and light, rendered again (the paper's Table 2)."
+    normals_alone = (
+        "The method's normals, with true material and light, rendered again (the paper's Table 2)."
+    )
     light_alone = "The method's light, with true normals and material, rendered again."
     again = "All three parts of the method. Light given: were the light not predicted but true."
     given = (
-        "Light given, normals given: the same edits were that part not predicted but true. It shows where the error comes from. "
-        "Lombardi-like is given true normals, as in the paper."
+        "Light given, normals given: the same edits were that part not predicted but true. It shows"
+        " where the error comes from. Lombardi-like is given true normals, as in the paper."
     )
     result = {
-        "edits": by_method(E, "Edits against their truth", given, [((), PICTURE, ""), ((), GIVEN, "")]),
+        "edits": by_method(
+            E, "Edits against their truth", given, [((), PICTURE, ""), ((), GIVEN, "")]
+        ),
         "differences": differences(E),
         "gains": gains(E, families),
         "refinement": refinement(P),
         "rerendered": by_method(
-            P, "Pictures rendered again", again, [(("rendered_all",), PICTURE, ""), (("rendered_all_true_light",), LIT, "_lit")]
+            P,
+            "Pictures rendered again",
+            again,
+            [(("rendered_all",), PICTURE, ""), (("rendered_all_true_light",), LIT, "_lit")],
         ),
-        "material": by_method(P, "Material", material_alone, [(("material",), MATERIAL, ""), (("rendered_material",), SHORT, "_rendered")]),
-        "normals": by_method(P, "Normals", normals_alone, [(("normals",), NORMALS, ""), (("rendered_normals",), SHORT, "_rendered")]),
-        "light": by_method(P, "Light", light_alone, [(("light",), LIGHT, ""), (("rendered_light",), SHORT, "_rendered")]),
+        "material": by_method(
+            P,
+            "Material",
+            material_alone,
+            [(("material",), MATERIAL, ""), (("rendered_material",), SHORT, "_rendered")],
+        ),
+        "normals": by_method(
+            P,
+            "Normals",
+            normals_alone,
+            [(("normals",), NORMALS, ""), (("rendered_normals",), SHORT, "_rendered")],
+        ),
+        "light": by_method(
+            P,
+            "Light",
+            light_alone,
+            [(("light",), LIGHT, ""), (("rendered_light",), SHORT, "_rendered")],
+        ),
         "layer": layer(E),
     }
     return {key: value for key, value in result.items() if value is not None}

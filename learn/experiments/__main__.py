@@ -1,4 +1,6 @@
-"""`python -m learn.experiments`: the measurements behind the figures in docs/results, each made again by one command."""
+"""`python -m learn.experiments`: the measurements behind the figures in docs/results, each made
+again by one command.
+"""
 
 import sys
 

@@ -1,8 +1,11 @@
-"""The numbers by which `auto` plans, fitted on this machine: a map's error by spacing and sharpness, and seconds of each kind of work.
+"""The numbers by which `auto` plans, fitted on this machine: a map's error by spacing and
+sharpness, and seconds of each kind of work.
 
-map_error  of_lobe · (h √g)^power + of_light · h², h the spacing of nodes in radians, g ≥ least_sharpness
-light_error  of a light whose texels are interpolated between larger ones: of_lobe · (h √g)^power + of_horizon · h², h their rows' spacing
-seconds    of the culled sum: pixels · (lights · share · pair + pixel) + call, share that of the cone · / √g + block; of a look-up a pixel
+map_error  of_lobe · (h √g)^power + of_light · h², h the spacing of nodes in radians, g ≥
+least_sharpness light_error  of a light whose texels are interpolated between larger ones: of_lobe ·
+(h √g)^power + of_horizon · h², h their rows' spacing
+seconds    of the culled sum: pixels · (lights · share · pair + pixel) + call, share that of the
+cone · / √g + block; of a look-up a pixel
 """
 
 import functools
@@ -33,7 +36,9 @@ def one_lobe(sharpness, kappa=0.3):
 
 
 def map_error():
-    """Upper envelope over lights: the fit is by least squares of logarithms, then raised until nine tenths of the points lie below."""
+    """Upper envelope over lights: the fit is by least squares of logarithms, then raised until nine
+    tenths of the points lie below.
+    """
     n = chart_cases.sphere(64)
     n = n[(n != 0).any(-1)]
     points = []
@@ -43,8 +48,18 @@ def map_error():
             m = one_lobe(g)
             truth = directional.radiance(n, None, m, E, lights)
             for size in SIZES:
-                seen = reflectance_map.with_nodes(n, size, lambda nodes, m=m, E=E, k=lights: directional.radiance(nodes, None, m, E, k))
-                points.append((2 * np.sqrt(2) / (size - 5), g, ((seen - truth).abs().mean() / truth.mean()).item()))
+                seen = reflectance_map.with_nodes(
+                    n,
+                    size,
+                    lambda nodes, m=m, E=E, k=lights: directional.radiance(nodes, None, m, E, k),
+                )
+                points.append(
+                    (
+                        2 * np.sqrt(2) / (size - 5),
+                        g,
+                        ((seen - truth).abs().mean() / truth.mean()).item(),
+                    )
+                )
     h, g, error = np.array(points).T
     least = 8.0
     x = h * np.sqrt(np.maximum(g, least))
@@ -52,17 +67,27 @@ def map_error():
     power = np.polyfit(np.log(x[inside]), np.log(error[inside]), 1)[0]
     of_light = float(np.quantile((error / h**2)[x < 0.25], 0.9))
     of_lobe = float(np.quantile((error / x**power)[inside], 0.9))
-    return {"of_lobe": of_lobe, "power": float(power), "least_sharpness": least, "of_light": of_light}
+    return {
+        "of_lobe": of_lobe,
+        "power": float(power),
+        "least_sharpness": least,
+        "of_light": of_light,
+    }
 
 
 def light_error():
-    """The same for coarse lights, under one lit texel: there nothing cancels. The broadest lobe has the horizon's error alone."""
+    """The same for coarse lights, under one lit texel: there nothing cancels. The broadest lobe has
+    the horizon's error alone.
+    """
     n = chart_cases.sphere(64)
     n = n[(n != 0).any(-1)].numpy()
     points = []
     for g in SHARPNESS:
         scene = planned.Scene(
-            n, one_lobe(g).double().numpy(), chart_cases.computed_lights()["one texel"].astype(np.float32), tuple(np.eye(3).ravel())
+            n,
+            one_lobe(g).double().numpy(),
+            chart_cases.computed_lights()["one texel"].astype(np.float32),
+            tuple(np.eye(3).ravel()),
         )
         truth = scene.at(n, (0,)).radiance
         for level in (1, 2):
@@ -79,11 +104,18 @@ def light_error():
 def seconds():
     n = chart_cases.sphere(192)
     n = n[(n != 0).any(-1)]
-    lights, E = directional.of_map(torch.as_tensor(chart_cases.computed_lights()["sky"]).float(), torch.eye(3))
+    lights, E = directional.of_map(
+        torch.as_tensor(chart_cases.computed_lights()["sky"]).float(), torch.eye(3)
+    )
     allowed = 0.1 * directional.scale(n, None, one_lobe(4.0), E, lights)
-    took = [timed(functools.partial(summed, m=one_lobe(g), E=E, lights=lights, allowed=allowed), n) for g in SUMMED]
+    took = [
+        timed(functools.partial(summed, m=one_lobe(g), E=E, lights=lights, allowed=allowed), n)
+        for g in SUMMED
+    ]
     whole = 0.5 * len(E) * len(n)  # a broad lobe sees half of all lights
-    call = timed(functools.partial(summed, m=one_lobe(1e5), E=E, lights=lights, allowed=allowed), n[:64])
+    call = timed(
+        functools.partial(summed, m=one_lobe(1e5), E=E, lights=lights, allowed=allowed), n[:64]
+    )
     pair = (took[0] - call) / whole
     share = np.clip((np.array(took[1:]) - call) / (pair * len(E) * len(n)), 1e-3, 0.49)
     cone = np.arccos(1 - 2 * share)  # the cone's half angle by sharpness: cone / √g + block
@@ -91,7 +123,14 @@ def seconds():
     nodes = reflectance_map.needed_nodes(n, 64)
     values = torch.rand(len(nodes), 3).requires_grad_()
     look_up = timed(lambda a: reflectance_map.look_up(a, values, nodes, 64), n) / len(n)
-    result = {"pair": pair, "look_up": look_up, "pixel": 2e-7, "call": call, "cone": slope / 1.2, "block": max(block, 0.05)}
+    result = {
+        "pair": pair,
+        "look_up": look_up,
+        "pixel": 2e-7,
+        "call": call,
+        "cone": slope / 1.2,
+        "block": max(block, 0.05),
+    }
     return {name: float(f"{value:.3g}") for name, value in result.items()}
 
 

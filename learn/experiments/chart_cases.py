@@ -1,4 +1,5 @@
-"""What the chart is measured on: materials, lights, cameras; and the methods' settings that make its points.
+"""What the chart is measured on: materials, lights, cameras; and the methods' settings that make
+its points.
 
 A point is a method with a knob: `Setting(method, knob, radiance)`, radiance(batch) → (P, 3).
 """
@@ -36,7 +37,10 @@ def settings():
     """Every point of the chart."""
 
     def by_tolerance(name, *tolerances):
-        return [Setting(name, f"{t:g}", lambda b, n=name, t=t: methods.load(n).radiance(b, t)) for t in tolerances]
+        return [
+            Setting(name, f"{t:g}", lambda b, n=name, t=t: methods.load(n).radiance(b, t))
+            for t in tolerances
+        ]
 
     def by_count(name, function, *counts):
         return [Setting(name, str(c), lambda b, c=c: function(b, c)) for c in counts]
@@ -63,7 +67,11 @@ def computed_lights():
     w, solid_angle = envmap.directions(*SIZE)
     sky = 0.2 + np.clip(w[..., 1:2], 0, 1) * [0.5, 0.8, 1.4]
     lamps = (
-        0.05 + sum(5.0 * np.exp(40 * (w @ (a / np.linalg.norm(a)) - 1)) for a in np.array([(1, 1, 1), (-2, 1, 0), (0, 0.3, 1)]))[..., None]
+        0.05
+        + sum(
+            5.0 * np.exp(40 * (w @ (a / np.linalg.norm(a)) - 1))
+            for a in np.array([(1, 1, 1), (-2, 1, 0), (0, 0.3, 1)])
+        )[..., None]
     )
     sun, spot = np.full((*SIZE, 3), 0.4), np.zeros((*SIZE, 3))
     sun[20, 40] = 0.6 * 4 * np.pi / solid_angle[20, 40]
@@ -73,18 +81,28 @@ def computed_lights():
 
 
 def lights(folder=None, names=None):
-    """The computed ones, or the sun in a texel and the maps of a folder: *.exr, or a dataset's lights/*.npz; all, or those named."""
+    """The computed ones, or the sun in a texel and the maps of a folder: *.exr, or a dataset's
+    lights/*.npz; all, or those named.
+    """
     if folder is None:
         return computed_lights()
     result = {"sun in a texel": computed_lights()["sun in a texel"]}
     paths = sorted(Path(folder).glob("*.exr")) or sorted((Path(folder) / "lights").glob("**/*.npz"))
-    chosen = [path for path in paths if names is None or any(path.stem.startswith(name) for name in names)]
+    chosen = [
+        path for path in paths if names is None or any(path.stem.startswith(name) for name in names)
+    ]
     if not chosen:
         stems = ", ".join(path.stem for path in paths) or "none"
         raise InputError(
-            folder, "environment maps (*.exr, or a dataset with lights)", stems, "check the path and the names, or leave --lights out"
+            folder,
+            "environment maps (*.exr, or a dataset with lights)",
+            stems,
+            "check the path and the names, or leave --lights out",
         )
-    return result | {path.stem: envmap.unit_mean(envmap.resize(np.maximum(radiance_of(path), 0), *SIZE))[0] for path in chosen}
+    return result | {
+        path.stem: envmap.unit_mean(envmap.resize(np.maximum(radiance_of(path), 0), *SIZE))[0]
+        for path in chosen
+    }
 
 
 def radiance_of(path):
@@ -93,7 +111,12 @@ def radiance_of(path):
         return arrays.read_light(path).astype(np.float64)
     channels = exr.read(path)
     if missing := [name for name in arrays.PICTURE_CHANNELS if name not in channels]:
-        raise InputError(path, f"channels {', '.join(arrays.PICTURE_CHANNELS)}", f"no {', '.join(missing)}", "export it as RGB")
+        raise InputError(
+            path,
+            f"channels {', '.join(arrays.PICTURE_CHANNELS)}",
+            f"no {', '.join(missing)}",
+            "export it as RGB",
+        )
     return np.stack([channels[name] for name in arrays.PICTURE_CHANNELS], -1).astype(np.float64)
 
 
@@ -108,12 +131,22 @@ def sphere(size):
 
 
 def batch_of(label, light, size, camera, with_gradients=False):
-    """A learn.methods.Batch of one sphere, with tensors that want gradients or not, and these tensors."""
-    n, m = sphere(size), torch.as_tensor(np.exp(np.asarray(label)).reshape(1, 108), dtype=torch.float32)
+    """A learn.methods.Batch of one sphere, with tensors that want gradients or not, and these
+    tensors.
+    """
+    n, m = (
+        sphere(size),
+        torch.as_tensor(np.exp(np.asarray(label)).reshape(1, 108), dtype=torch.float32),
+    )
     L = torch.as_tensor(light, dtype=torch.float32)[None]
     view = None
     if camera == "perspective":
-        view = torch.as_tensor(view_vectors(size, size, FIELD_OF_VIEW).copy(), dtype=torch.float32)[None]
+        view = torch.as_tensor(view_vectors(size, size, FIELD_OF_VIEW).copy(), dtype=torch.float32)[
+            None
+        ]
         n = torch.where((n * view).sum(-1, keepdim=True) > 1e-3, n, torch.zeros(()))
     leaves = [x.requires_grad_(with_gradients) for x in (n, m, L)]
-    return compact(checked(*leaves, view, None, (n != 0).any(-1).detach(), 1e-2, ELEVATION))[0], leaves
+    return (
+        compact(checked(*leaves, view, None, (n != 0).any(-1).detach(), 1e-2, ELEVATION))[0],
+        leaves,
+    )

@@ -1,10 +1,15 @@
 """Times and errors of every setting on every case.
 
-seconds, forward   CPU time of one thread, forward and backward in n, m and L, and of the forward picture alone without derivatives: a busy
-                   machine alters it little. A few methods go another way where no derivative is wanted
-error, forward_error   mean absolute difference over mean radiance, on SAMPLE pixels, against the paper's sum, of each
-integral  the same (forward and backward) against the converged integral of the piecewise-constant map: lobes up to an exponent of 1,600
-          summed over a map whose texels are parted into 4 × 4, sharper ones by 16,384 half-vector taps
+seconds, forward   CPU time of one thread, forward and backward in n, m and L, and of the forward
+picture alone without derivatives: a busy
+                   machine alters it little. A few methods go another way where no derivative is
+                   wanted
+error, forward_error   mean absolute difference over mean radiance, on SAMPLE pixels, against the
+paper's sum, of each
+integral  the same (forward and backward) against the converged integral of the piecewise-constant
+map: lobes up to an exponent of 1,600
+          summed over a map whose texels are parted into 4 × 4, sharper ones by 16,384 half-vector
+          taps
 """
 
 import time
@@ -23,14 +28,28 @@ SAMPLE, FINE_PARTS = 192, 4
 
 
 def measure(materials, lights, cameras, size, processes=1):
-    """Rows (dicts) of material, light, camera, method, knob and the above; materials {name: label}, lights {name: L}.
+    """Rows (dicts) of material, light, camera, method, knob and the above; materials {name: label},
+    lights {name: L}.
 
     processes  cases measured side by side, each on one thread
     """
-    todo = [(m, label, L, light, c, size) for m, label in materials.items() for L, light in lights.items() for c in cameras]
+    todo = [
+        (m, label, L, light, c, size)
+        for m, label in materials.items()
+        for L, light in lights.items()
+        for c in cameras
+    ]
     rows = []
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=warm_up, initargs=todo[0]) as data_split:
-        for result in tqdm(data_split.map(one_case, *zip(*todo, strict=True)), total=len(todo), desc="chart", unit="case", mininterval=2):
+    with ProcessPoolExecutor(
+        processes, mp_context=get_context("spawn"), initializer=warm_up, initargs=todo[0]
+    ) as data_split:
+        for result in tqdm(
+            data_split.map(one_case, *zip(*todo, strict=True)),
+            total=len(todo),
+            desc="chart",
+            unit="case",
+            mininterval=2,
+        ):
             rows += result
     return rows
 
@@ -54,10 +73,18 @@ def one_case(m, label, L, light, camera, size):
             continue
         seconds, seen = timed(setting, label, light, size, camera, True)
         forward, picture = timed(setting, label, light, size, camera, False)
-        error, to_integral = ((seen[pick] - truth).abs().mean() / truth.mean() for truth in (paper, integral))
+        error, to_integral = (
+            (seen[pick] - truth).abs().mean() / truth.mean() for truth in (paper, integral)
+        )
         forward_error = (picture[pick] - paper).abs().mean() / paper.mean()
         rows.append(
-            {"material": m, "light": L, "camera": camera, "method": setting.method, "knob": setting.knob}
+            {
+                "material": m,
+                "light": L,
+                "camera": camera,
+                "method": setting.method,
+                "knob": setting.knob,
+            }
             | {"seconds": seconds, "error": error.item(), "integral": to_integral.item()}
             | {"forward": forward, "forward_error": forward_error.item(), "pixels": len(batch.n)}
         )

@@ -1,4 +1,6 @@
-"""How long the first use of the layer takes: fresh processes, the kernels' folder empty, and then again with what the first has kept."""
+"""How long the first use of the layer takes: fresh processes, the kernels' folder empty, and then
+again with what the first has kept.
+"""
 
 import json
 import os
@@ -17,7 +19,9 @@ ROOT = Path(__file__).parents[2]
 
 
 def measure(rounds, threads):
-    """{case: {"empty" | "kept": {what: median seconds}}}, what as in learn.experiments.first_use."""
+    """{case: {"empty" | "kept": {what: median seconds}}}, what as in
+    learn.experiments.first_use.
+    """
     result = {case: {"empty": [], "kept": []} for case in CASES}
     with tqdm(total=rounds * len(CASES), unit="start", desc="startup") as progress:
         for _ in range(rounds):
@@ -26,16 +30,27 @@ def measure(rounds, threads):
                     for kernels in ("empty", "kept"):
                         result[case][kernels].append(start(case, threads, folder))
                 progress.update()
-    return {case: {kernels: medians(times) for kernels, times in both.items()} for case, both in result.items()}
+    return {
+        case: {kernels: medians(times) for kernels, times in both.items()}
+        for case, both in result.items()
+    }
 
 
 def start(case, threads, folder):
     """What one fresh process says of itself; its kernels are kept in the folder."""
-    environment = os.environ | {"BRDFACTORY_CACHE": folder, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    environment = os.environ | {
+        "BRDFACTORY_CACHE": folder,
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+    }
     command = [sys.executable, "-m", "learn.experiments.first_use", case, str(threads)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise InputError(" ".join(command[1:]), "a picture", done.stderr.strip().splitlines()[-1], "run it by hand to see the whole error")
+        raise InputError(
+            " ".join(command[1:]),
+            "a picture",
+            done.stderr.strip().splitlines()[-1],
+            "run it by hand to see the whole error",
+        )
     return json.loads(done.stdout)
 
 

@@ -1,7 +1,9 @@
-"""What the engines are timed against: the paper's sum in plain torch operators and autograd, float32, pixels in chunks.
+"""What the engines are timed against: the paper's sum in plain torch operators and autograd,
+float32, pixels in chunks.
 
-Both take the general formula (a view for every pixel) and pass each chunk backward at once, so that only one chunk's intermediates are
-ever held. P pixels of a chunk, T texels; n, view (P, 3) unit, m (3, 3, 2, 6), E (T, 3) radiance × solid angle, w (T, 3).
+Both take the general formula (a view for every pixel) and pass each chunk backward at once, so that
+only one chunk's intermediates are ever held. P pixels of a chunk, T texels; n, view (P, 3) unit, m
+(3, 3, 2, 6), E (T, 3) radiance × solid angle, w (T, 3).
 """
 
 import math
@@ -21,7 +23,9 @@ def plain(n, view, m, E, w):
 
 
 def tuned(n, view, m, E, w):
-    """The same by log2 and exp2, which torch computes up to ten times faster than exp where a lobe vanishes."""
+    """The same by log2 and exp2, which torch computes up to ten times faster than exp where a lobe
+    vanishes.
+    """
     h, theta_d = half_angles(w[None], view[:, None])
     curves = torch.einsum("ptb,ksjb->jptks", basis(theta_d), m)
     log_c = torch.log2((h * n[:, None]).sum(-1).clamp(min=1e-12))[..., None, None]
@@ -32,7 +36,12 @@ def tuned(n, view, m, E, w):
 def forward(radiance, n, view, m, E, w, chunk):
     """Radiance (pixels, 3) by `radiance` (plain or tuned), `chunk` pixels at a time."""
     with torch.no_grad():
-        return torch.cat([radiance(n[i : i + chunk], view[i : i + chunk], m, E, w) for i in range(0, len(n), chunk)])
+        return torch.cat(
+            [
+                radiance(n[i : i + chunk], view[i : i + chunk], m, E, w)
+                for i in range(0, len(n), chunk)
+            ]
+        )
 
 
 def forward_backward(radiance, n, view, m, E, w, g, chunk, with_view):

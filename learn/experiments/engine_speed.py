@@ -1,9 +1,9 @@
 """The exact sum, timed against plain torch: the same scene, taking turns, medians of ratios.
 
-The scene is the one of the measures: a sphere over 40 % of a 256² picture (26,214 pixels or a few more), a 64×128 map with a sun.
-Plain torch (learn.experiments.eager_sum) renders evenly spaced pixels of it; its time is proportional to pixels, and is
-scaled to all of them.
-Both wall and processor time are kept: on a busy machine the second is the steadier.
+The scene is the one of the measures: a sphere over 40 % of a 256² picture (26,214 pixels or a few
+more), a 64×128 map with a sun. Plain torch (learn.experiments.eager_sum) renders evenly spaced
+pixels of it; its time is proportional to pixels, and is scaled to all of them. Both wall and
+processor time are kept: on a busy machine the second is the steadier.
 """
 
 import statistics
@@ -47,7 +47,9 @@ class Scene:
 
 @dataclass(frozen=True)
 class Row:
-    """Seconds for the whole picture: medians over rounds; and how many times longer plain torch takes, median of each round's ratio."""
+    """Seconds for the whole picture: medians over rounds; and how many times longer plain torch
+    takes, median of each round's ratio.
+    """
 
     material: str
     camera: str
@@ -74,7 +76,9 @@ def scene(material, perspective):
 
 
 def engine_task(scene, backward):
-    """What the engine does once: everything from the layer's arguments to its gradients, compaction and tables included."""
+    """What the engine does once: everything from the layer's arguments to its gradients, compaction
+    and tables included.
+    """
     leaves = [a.clone().requires_grad_(backward) for a in (scene.n, scene.m, scene.light)]
     view = None if scene.view is None else scene.view.clone().requires_grad_(backward)
 
@@ -126,10 +130,22 @@ def row(settings, material, perspective, backward, threads, progress):
             rounds[name].append(clocked(run) * factor)
         progress.update()
     seconds = {name: np.array(times).T for name, times in rounds.items()}
-    middle = [{name: statistics.median(times[clock]) for name, times in seconds.items()} for clock in (0, 1)]
-    ratios = [{n: statistics.median(t[clock] / seconds["engine"][clock]) for n, t in seconds.items() if n != "engine"} for clock in (0, 1)]
+    middle = [
+        {name: statistics.median(times[clock]) for name, times in seconds.items()}
+        for clock in (0, 1)
+    ]
+    ratios = [
+        {
+            n: statistics.median(t[clock] / seconds["engine"][clock])
+            for n, t in seconds.items()
+            if n != "engine"
+        }
+        for clock in (0, 1)
+    ]
     camera = "view per pixel" if perspective else "orthographic"
-    return Row(material, camera, "forward + backward" if backward else "forward", threads, *middle, *ratios)
+    return Row(
+        material, camera, "forward + backward" if backward else "forward", threads, *middle, *ratios
+    )
 
 
 def measure(settings):

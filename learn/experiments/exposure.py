@@ -1,7 +1,9 @@
-"""How bright was the scene of a photograph? The rule of learn.data.photographs.framed, measured on pictures whose light is known.
+"""How bright was the scene of a photograph? The rule of learn.data.photographs.framed, measured on
+pictures whose light is known.
 
-A rendered picture's light has unit mean luminance. Exposed as a camera would, its object's 99th percentile at the file's white, it becomes
-what a user has: values in [0, 1] of unknown scale. Asked for is the factor X that brings them back, from their mean luminance alone:
+A rendered picture's light has unit mean luminance. Exposed as a camera would, its object's 99th
+percentile at the file's white, it becomes what a user has: values in [0, 1] of unknown scale. Asked
+for is the factor X that brings them back, from their mean luminance alone:
 
 log X = log T − D log Y      T: TYPICAL, D: DEPENDENCE of learn.data.photographs
 Y  mean luminance of the object in the file, linear; P pictures
@@ -21,7 +23,8 @@ FAR = 2.5  # a factor by which a guess misses and an edit is plainly too dark or
 
 
 def seen(radiance, mask):
-    """(Y, X) of a rendered picture: the mean luminance of its object in a file, and the factor back to its radiance.
+    """(Y, X) of a rendered picture: the mean luminance of its object in a file, and the factor back
+    to its radiance.
 
     radiance (H, W, 3), mask (H, W) bool, not empty
     """
@@ -39,7 +42,10 @@ def fitted(Y, X, groups):
     lines = np.concatenate([_lines(x, y, ones), _lines(x, y, bootstrap.draws(groups))])
     low, high = np.percentile(lines[1:], bootstrap.LEVELS, axis=0)
     typical, dependence = ([float(lines[0, k]), float(low[k]), float(high[k])] for k in (0, 1))
-    return {"typical": [float(np.exp(value)) for value in typical], "dependence": [-dependence[0], -dependence[2], -dependence[1]]}
+    return {
+        "typical": [float(np.exp(value)) for value in typical],
+        "dependence": [-dependence[0], -dependence[2], -dependence[1]],
+    }
 
 
 def _lines(x, y, weights):
@@ -51,9 +57,14 @@ def _lines(x, y, weights):
 
 
 def missed(Y, X, typical, dependence):
-    """How far a rule's guesses lie from the truth: root mean square of log (as a factor), share beyond FAR."""
+    """How far a rule's guesses lie from the truth: root mean square of log (as a factor), share
+    beyond FAR.
+    """
     off = np.log(typical * Y**-dependence / X)
-    return {"rms_factor": float(np.exp(np.sqrt((off**2).mean()))), f"share_beyond_{FAR}": float((np.abs(off) > np.log(FAR)).mean())}
+    return {
+        "rms_factor": float(np.exp(np.sqrt((off**2).mean()))),
+        f"share_beyond_{FAR}": float((np.abs(off) > np.log(FAR)).mean()),
+    }
 
 
 def measured(records):
@@ -70,11 +81,16 @@ def measured(records):
 
 
 def fit_and_check(records, others, out):
-    """exposure.json: the line fitted on `records`, and how far it, the rule in use and one factor for all miss on each of `others`."""
+    """exposure.json: the line fitted on `records`, and how far it, the rule in use and one factor
+    for all miss on each of `others`.
+    """
     names = [each.folder.name for each in (records, *others)]
     if len(set(names)) < len(names):
         raise InputError(
-            "--check", "folders of other names than --data, and each once", ", ".join(names), "rename one: rows are named after them"
+            "--check",
+            "folders of other names than --data, and each once",
+            ", ".join(names),
+            "rename one: rows are named after them",
         )
     Y, X, groups = measured(records)
     line = fitted(Y, X, groups)
@@ -84,8 +100,13 @@ def fit_and_check(records, others, out):
         "one factor for all": (float(np.exp(np.log(X).mean())), 0.0),
     }
     result = {"line": line, "pictures": len(X), "rules": rules, "missed": {}}
-    for folder, (y, x, _) in ((records.folder, (Y, X, groups)), *((other.folder, measured(other)) for other in others)):
-        result["missed"][folder.name] = {rule: missed(y, x, *values) for rule, values in rules.items()}
+    for folder, (y, x, _) in (
+        (records.folder, (Y, X, groups)),
+        *((other.folder, measured(other)) for other in others),
+    ):
+        result["missed"][folder.name] = {
+            rule: missed(y, x, *values) for rule, values in rules.items()
+        }
     out.mkdir(parents=True, exist_ok=True)
     files.write_json(out / "exposure.json", {"made_by": provenance()} | result)
     return result

@@ -2,8 +2,9 @@
 
 learn.experiments.cold_start runs it as `python -m learn.experiments.first_use CASE THREADS`.
 
-Prints one line of JSON, seconds by the clock: import (what `learn.layer` adds to torch), picture (the first), derivatives (the first
-picture with them), and both once more. The picture: a sphere over 40 % of 256 × 256, a light of 64 × 128 texels, lobes from matte to sharp.
+Prints one line of JSON, seconds by the clock: import (what `learn.layer` adds to torch), picture
+(the first), derivatives (the first picture with them), and both once more. The picture: a sphere
+over 40 % of 256 × 256, a light of 64 × 128 texels, lobes from matte to sharp.
 """
 
 import json
@@ -17,9 +18,11 @@ SIZE, COVER, LIGHT = 256, 0.4, (64, 128)
 
 
 def scene(view_per_pixel):
-    """render's n (1, SIZE, SIZE, 3), material (1, 108), light (1, *LIGHT, 3) and view, as n, or None.
+    """render's n (1, SIZE, SIZE, 3), material (1, 108), light (1, *LIGHT, 3) and view, as n, or
+    None.
 
-    Made here and not by learn.experiments.chart_cases: what that imports would count as the layer's own.
+    Made here and not by learn.experiments.chart_cases: what that imports would count as the layer's
+    own.
     """
     place = torch.arange(SIZE) - (SIZE - 1) / 2
     y, x = torch.meshgrid(place, place, indexing="ij")
@@ -28,8 +31,15 @@ def scene(view_per_pixel):
     n = torch.where(z[..., None] > 0, torch.stack([x / radius, -y / radius, z], -1), 0)
     m = torch.tensor([[0.3, 0.5], [0.2, 30.0], [1.0, 1000.0]])[:, :, None].expand(3, 3, 2, 6)
     light = 0.2 + torch.rand(1, *LIGHT, 3, generator=torch.Generator().manual_seed(0))
-    view = torch.stack([0.0005 * x, -0.0005 * y, torch.ones_like(x)], -1) if view_per_pixel else None
-    return n[None], m.reshape(1, 108), light, None if view is None else torch.nn.functional.normalize(view, dim=-1)[None]
+    view = (
+        torch.stack([0.0005 * x, -0.0005 * y, torch.ones_like(x)], -1) if view_per_pixel else None
+    )
+    return (
+        n[None],
+        m.reshape(1, 108),
+        light,
+        None if view is None else torch.nn.functional.normalize(view, dim=-1)[None],
+    )
 
 
 def main(case, threads):
@@ -48,7 +58,12 @@ def main(case, threads):
         leaves = [a.clone().requires_grad_() for a in (n, material, light)]
         torch.autograd.grad(render(*leaves, view, method=method).sum(), leaves)
 
-    for name, work in (("picture", picture), ("derivatives", derivatives), ("later picture", picture), ("later derivatives", derivatives)):
+    for name, work in (
+        ("picture", picture),
+        ("derivatives", derivatives),
+        ("later picture", picture),
+        ("later derivatives", derivatives),
+    ):
         start = time.perf_counter()
         work()
         result[name] = time.perf_counter() - start

@@ -1,4 +1,5 @@
-"""The page that goes with weights: what they learned from, what they do on pictures never seen, and what they do not.
+"""The page that goes with weights: what they learned from, what they do on pictures never seen, and
+what they do not.
 
 Made from the run's own files, and measured again: `python -m learn evaluate-network`.
 """
@@ -36,31 +37,56 @@ WORDS = {
 
 
 def make(weights, data_splits, out, batches, note="", seeds=(), device="cpu"):
-    """Measure weights on the test side, on relit pictures and, where the pool has an album, on all of its rendered ones.
+    """Measure weights on the test side, on relit pictures and, where the pool has an album, on all
+    of its rendered ones.
 
     pools  learn.data.sources.pools
-    seeds  weights of the same run with other seeds, measured on the same pictures for a table of all
-    device  where networks and the layer compute
-    Writes card.md, card.json, sheet.jpg, and sheet-cycles.jpg, to `out`. Returns {"figures", "cycles"}, {figure: [mean, low, high]} each
+    seeds  weights of the same run with other seeds, measured on the same pictures for a table of
+    all device  where networks and the layer compute Writes card.md, card.json, sheet.jpg, and
+    sheet-cycles.jpg, to `out`. Returns {"figures", "cycles"}, {figure: [mean, low, high]} each
     Raises InputError where one of the seeds is of another run, or a seed is there twice
     """
     network, metadata = checkpoint.load_network(weights, device)
-    run, out, test = decode_run(json.dumps(metadata["run"]).encode(), weights), Path(out), data_splits["test"]
+    run, out, test = (
+        decode_run(json.dumps(metadata["run"]).encode(), weights),
+        Path(out),
+        data_splits["test"],
+    )
     others = [_same_run(path, weights, run, device) for path in seeds]
     _all_different([weights, *seeds], [run, *(other for _, _, other in others)])
     out.mkdir(parents=True, exist_ok=True)
     constant = validation.mean_albedo(data_splits["train"])
-    report = {"run": metadata["run"], "step": metadata.get("step"), "sizes": _sizes(network, data_splits), "note": note}
+    report = {
+        "run": metadata["run"],
+        "step": metadata.get("step"),
+        "sizes": _sizes(network, data_splits),
+        "note": note,
+    }
     if others:
-        report["seeds"] = [[run.seed, report["step"]], *([other.seed, step] for _, step, other in others)]
+        report["seeds"] = [
+            [run.seed, report["step"]],
+            *([other.seed, step] for _, step, other in others),
+        ]
     relit = RelitDataset(test, run.data, BATCH, run.size, SEED)
     places = [("", relit, batches, "sheet.jpg")]
     if test.rendered_split:
-        places.append(("cycles", RenderedDataset(test, run.data, 1, run.size, SEED), len(test.rendered_split), "sheet-cycles.jpg"))
+        places.append(
+            (
+                "cycles",
+                RenderedDataset(test, run.data, 1, run.size, SEED),
+                len(test.rendered_split),
+                "sheet-cycles.jpg",
+            )
+        )
         report["cycles_about"] = _of_split(test.rendered_split)
     for where, source, count, sheet_name in places:
-        results = [measured(network, run, (source[k] for k in range(count)), constant, out / sheet_name)]
-        results += [measured(other, run, (source[k] for k in range(count)), constant) for other, _, _ in others]
+        results = [
+            measured(network, run, (source[k] for k in range(count)), constant, out / sheet_name)
+        ]
+        results += [
+            measured(other, run, (source[k] for k in range(count)), constant)
+            for other, _, _ in others
+        ]
         report |= _under(where, results)
     with files.transaction():
         files.write_json(out / "card.json", report)
@@ -73,23 +99,36 @@ def _same_run(path, first, run, device="cpu"):
     network, metadata = checkpoint.load_network(path, device)
     other = decode_run(json.dumps(metadata["run"]).encode(), path)
     if msgspec.structs.replace(other, seed=run.seed, name=run.name, about=run.about) != run:
-        raise InputError(path, f"weights of the run of {first} with another seed", "other settings", "measure them by a card of their own")
+        raise InputError(
+            path,
+            f"weights of the run of {first} with another seed",
+            "other settings",
+            "measure them by a card of their own",
+        )
     return network, metadata.get("step"), other
 
 
 def _all_different(paths, runs):
     for path, run in zip(paths, runs, strict=True):
         if sum(other.seed == run.seed for other in runs) > 1:
-            raise InputError(path, "a seed that no other of these weights has", f"seed {run.seed} twice", "leave one of them out")
+            raise InputError(
+                path,
+                "a seed that no other of these weights has",
+                f"seed {run.seed} twice",
+                "leave one of them out",
+            )
 
 
 def _under(where, found):
-    """What card.json says of one kind of pictures: of the first network, and of all if there are several.
+    """What card.json says of one kind of pictures: of the first network, and of all if there are
+    several.
 
     found  (values {figure: (P,)}, names (P,)) of each network, on the same pictures
     """
     (values, names), *_ = found
-    resampled = bootstrap.draws(bootstrap.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1))))
+    resampled = bootstrap.draws(
+        bootstrap.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1)))
+    )
     report = {
         where or "figures": {key: _interval(value, resampled) for key, value in values.items()},
         f"{where}_pictures" if where else "pictures": len(names),
@@ -106,20 +145,26 @@ def _under(where, found):
 
 
 def measured(network, run, batches, constant_albedo, sheet_path=None):
-    """({figure: (P,)}, names (P,)) over batches. The first ones go on a sheet, if there is a path for it."""
+    """({figure: (P,)}, names (P,)) over batches. The first ones go on a sheet, if there is a path
+    for it.
+    """
     rows, names, shown = [], [], []
     device = devices.of(network)
     for batch in batches:
         batch = batch.to(device)
         with torch.no_grad():
             segments = batch.segments if run.data.regions > 1 else None
-            prediction = network(batch.image, batch.mask, segments, run.parts, regions=run.data.regions)
+            prediction = network(
+                batch.image, batch.mask, segments, run.parts, regions=run.data.regions
+            )
         rows.append(validation.of(prediction, batch, constant_albedo))
         names += batch.names
         if sum(len(each.names) for each, _ in shown) < training_sheet.ROWS:
             shown.append((batch, prediction))
     if sheet_path:
-        cells = np.concatenate([training_sheet.cells(*each) for each in shown])[: training_sheet.ROWS * run.size]
+        cells = np.concatenate([training_sheet.cells(*each) for each in shown])[
+            : training_sheet.ROWS * run.size
+        ]
         files.write_image(sheet_path, cells, "JPEG", quality=90)
     return {key: np.concatenate([row[key] for row in rows]) for key in rows[0]}, names
 
@@ -138,8 +183,13 @@ def _of_split(rendered_split):
         return sorted({get(record) for record in rendered_split.chosen})
 
     counts = [len(of(get)) for get in (lambda r: r.shape, lambda r: r.materials, lambda r: r.light)]
-    how = [", ".join(map(str, of(get))) for get in (lambda r: r.tier, lambda r: r.samples, lambda r: r.camera.pixel)]
-    return "{} shapes, {} materials, {} lights; tier {}, {} samples, pixels: {}".format(*counts, *how)
+    how = [
+        ", ".join(map(str, of(get)))
+        for get in (lambda r: r.tier, lambda r: r.samples, lambda r: r.camera.pixel)
+    ]
+    return "{} shapes, {} materials, {} lights; tier {}, {} samples, pixels: {}".format(
+        *counts, *how
+    )
 
 
 def _sizes(network, data_splits):
@@ -157,19 +207,26 @@ def _page(report):
     run, sizes = report["run"], report["sizes"]
     lines = [f"# {run['name']}: {run.get('about', '')}", ""]
     lines += [
-        f"{sizes['parameters'] / 1e6:.1f} M parameters, {run['size']} × {run['size']} pixels, {_steps(report)} of "
-        f"{run['schedule']['batch']} relit pictures.",
+        (
+            f"{sizes['parameters'] / 1e6:.1f} M parameters, {run['size']} × {run['size']} pixels,"
+            f" {_steps(report)} of {run['schedule']['batch']} relit pictures."
+        ),
         "",
         "| side | shapes | views | materials | light maps |",
         "|---|---|---|---|---|",
     ]
     for side in ("train", "validation", "test"):
         s = sizes[side]
-        lines.append(f"| {side} | {s['shapes']} | {s['views']} | {s['materials']} | {s['lights']} |")
+        lines.append(
+            f"| {side} | {s['shapes']} | {s['views']} | {s['materials']} | {s['lights']} |"
+        )
     lines += [
         "",
-        f"On {report['pictures']} pictures of the test side (shapes, materials and lights never seen; relit by the layer, so without "
-        "shadows, interreflection or a camera's faults), mean and 95 % interval over shapes and materials:",
+        (
+            f"On {report['pictures']} pictures of the test side (shapes, materials and lights never"
+            " seen; relit by the layer, so without shadows, interreflection or a camera's faults),"
+            " mean and 95 % interval over shapes and materials:"
+        ),
         "",
         "| | mean | 95 % |",
         "|---|---|---|",
@@ -179,9 +236,11 @@ def _page(report):
     if "cycles" in report:
         lines += [
             "",
-            f"On {report['cycles_pictures']} pictures that Cycles rendered ({report['cycles_about']}), "
-            "where I and O are Cycles' pictures, O "
-            "the same shape, view and light in another material:",
+            (
+                f"On {report['cycles_pictures']} pictures that Cycles rendered"
+                f" ({report['cycles_about']}), where I and O are Cycles' pictures, O the same"
+                " shape, view and light in another material:"
+            ),
             "",
             "| | mean | 95 % |",
             "|---|---|---|",
@@ -192,18 +251,28 @@ def _page(report):
         "",
         report["note"],
         "",
-        "Rows of sheet.jpg: picture, predicted and true normals, predicted and true light, true and predicted material, I′, O′, true O.",
+        (
+            "Rows of sheet.jpg: picture, predicted and true normals, predicted and true light, true"
+            " and predicted material, I′, O′, true O."
+        ),
     ]
     return "\n".join(lines) + "\n"
 
 
 def _words(key):
     name, _, region = key.rpartition("_")
-    return f"{WORDS[name]}, region {region}" if region.isdigit() and name in WORDS else WORDS.get(key, key)
+    return (
+        f"{WORDS[name]}, region {region}"
+        if region.isdigit() and name in WORDS
+        else WORDS.get(key, key)
+    )
 
 
 def _rows(figures):
-    return [f"| {_words(key)} | {mean:.4g} | {low:.4g} – {high:.4g} |" for key, (mean, low, high) in figures.items()]
+    return [
+        f"| {_words(key)} | {mean:.4g} | {low:.4g} – {high:.4g} |"
+        for key, (mean, low, high) in figures.items()
+    ]
 
 
 def _rows_of_seeds(report, key):
@@ -211,9 +280,23 @@ def _rows_of_seeds(report, key):
     if key not in report:
         return []
     seeds = [f"seed {seed}" + (f", {step} steps" if step else "") for seed, step in report["seeds"]]
-    lines = ["", f"The same of {len(seeds)} seeds: the mean over them with its 95 % interval over shapes and materials, and each.", ""]
-    lines += [f"| | mean of {len(seeds)} | 95 % | {' | '.join(seeds)} |", "|" + "---|" * (3 + len(seeds))]
+    lines = [
+        "",
+        (
+            f"The same of {len(seeds)} seeds: the mean over them with its 95 % interval over shapes"
+            " and materials, and each."
+        ),
+        "",
+    ]
+    lines += [
+        f"| | mean of {len(seeds)} | 95 % | {' | '.join(seeds)} |",
+        "|" + "---|" * (3 + len(seeds)),
+    ]
     for name, of in report[key].items():
         mean, low, high = of["mean"]
-        lines.append(f"| {_words(name)} | {mean:.4g} | {low:.4g} – {high:.4g} | " + " | ".join(f"{each:.4g}" for each in of["each"]) + " |")
+        lines.append(
+            f"| {_words(name)} | {mean:.4g} | {low:.4g} – {high:.4g} | "
+            + " | ".join(f"{each:.4g}" for each in of["each"])
+            + " |"
+        )
     return lines

@@ -1,7 +1,9 @@
-"""Which setting reaches an error in the least time, over all cases at once: the Pareto front, and who is on it.
+"""Which setting reaches an error in the least time, over all cases at once: the Pareto front, and
+who is on it.
 
-A setting (method, knob) is chosen before the case is known, so it is judged by all of its cases: by its median time, and by the median of
-its errors or by the worst of them. An error is relative, as in learn.experiments.chart_measurement.
+A setting (method, knob) is chosen before the case is known, so it is judged by all of its cases: by
+its median time, and by the median of its errors or by the worst of them. An error is relative, as
+in learn.experiments.chart_measurement.
 """
 
 import statistics
@@ -12,25 +14,36 @@ OURS = "auto"
 
 
 def points(rows, camera, error, judge, clock="seconds"):
-    """{method: [(seconds, error, knob)]} of a camera: median time; judge(errors), statistics.median or max."""
+    """{method: [(seconds, error, knob)]} of a camera: median time; judge(errors), statistics.median
+    or max.
+    """
     grouped = defaultdict(list)
     for row in rows:
         if row["camera"] == camera:
             grouped[row["method"], row["knob"]].append(row)
     result = defaultdict(list)
     for (method, knob), same in grouped.items():
-        result[method].append((statistics.median(r[clock] for r in same), judge([r[error] for r in same]), knob))
+        result[method].append(
+            (statistics.median(r[clock] for r in same), judge([r[error] for r in same]), knob)
+        )
     return dict(result)
 
 
 def cheapest(found, level):
-    """{method: (seconds, error, knob)}: each method's fastest setting whose error is at most `level`."""
-    best = {method: min((p for p in settings if p[1] <= level), default=None) for method, settings in found.items()}
+    """{method: (seconds, error, knob)}: each method's fastest setting whose error is at most
+    `level`.
+    """
+    best = {
+        method: min((p for p in settings if p[1] <= level), default=None)
+        for method, settings in found.items()
+    }
     return {method: point for method, point in best.items() if point}
 
 
 def front(rows, camera, error, judge, clock="seconds"):
-    """[(level, fastest method, its seconds, seconds of OURS or None)] of LEVELS that any setting reaches."""
+    """[(level, fastest method, its seconds, seconds of OURS or None)] of LEVELS that any setting
+    reaches.
+    """
     result, lines = points(rows, camera, error, judge, clock), []
     for level in LEVELS:
         best = cheapest(result, level)

@@ -2,9 +2,11 @@
 
 rows.jsonl  a line for each picture and setting: a study is continued by what it holds
 settings.json  what those lines depend on: a folder made with others is not gone on with
-study.json  medians and means over pictures against a, b, c, how many passes and how many pixels (0: all), one at a time about the defaults
+study.json  medians and means over pictures against a, b, c, how many passes and how many pixels (0:
+all), one at a time about the defaults
 
-Display L2 over the mask, exposure from the truth; edit: the mean over the other materials that the dataset has of the same scene.
+Display L2 over the mask, exposure from the truth; edit: the mean over the other materials that the
+dataset has of the same scene.
 """
 
 import contextlib
@@ -46,12 +48,17 @@ def settings_of(name):
     moved, _, value = name.partition("=")
     try:
         if moved == "pixels":
-            return replace(Settings(), levels=tuple(replace(level, pixels=int(value)) for level in Settings().levels))
+            return replace(
+                Settings(),
+                levels=tuple(replace(level, pixels=int(value)) for level in Settings().levels),
+            )
         if moved not in SWEEPS:
             raise ValueError(moved)
         return replace(Settings(), **{moved: int(value) if moved == "passes" else float(value)})
     except ValueError:
-        raise InputError(f"--only {name}", "a setting", "none of that name", f"one of {', '.join(names())}") from None
+        raise InputError(
+            f"--only {name}", "a setting", "none of that name", f"one of {', '.join(names())}"
+        ) from None
 
 
 def value_of(moved, settings=Settings()):  # noqa: B008 -- frozen
@@ -61,12 +68,17 @@ def value_of(moved, settings=Settings()):  # noqa: B008 -- frozen
 
 def names():
     """All settings' names: those of NAMED, and each of SWEEPS moved alone."""
-    return [*NAMED, *(f"{letter}={value:g}" for letter, values in SWEEPS.items() for value in values)]
+    return [
+        *NAMED,
+        *(f"{letter}={value:g}" for letter, values in SWEEPS.items() for value in values),
+    ]
 
 
 @dataclass(frozen=True)
 class Case:
-    """A picture whose edits are known. id: of its record; batch: of one; truths: [(label (S, 108), picture (H, W, 3))]."""
+    """A picture whose edits are known. id: of its record; batch: of one; truths: [(label (S, 108),
+    picture (H, W, 3))].
+    """
 
     id: str
     batch: Batch
@@ -74,7 +86,9 @@ class Case:
 
 
 def cases(records, count, seed):
-    """The first `count` Cases of an order that the seed determines. Raises InputError where the dataset has no edits."""
+    """The first `count` Cases of an order that the seed determines. Raises InputError where the
+    dataset has no edits.
+    """
     results = []
     for edits in pairs.by_picture(records.records, seed)[:count]:
         truths = [(pairs.target_label(records, edit), records.image(edit.truth)) for edit in edits]
@@ -83,7 +97,9 @@ def cases(records, count, seed):
 
 
 def picture(parts, label, batch):
-    """(H, W, 3) numpy radiance by the layer of a Prediction's normals and light in a label (S, 108)."""
+    """(H, W, 3) numpy radiance by the layer of a Prediction's normals and light in a label (S,
+    108).
+    """
     several = len(label) > 1
     with torch.no_grad():
         return render(
@@ -110,7 +126,9 @@ def figures(parts, batch, truths):
     lit, truth = irradiance(parts.light), irradiance(batch.light)
     return {
         "image": error(picture(parts, parts.label[0], batch), seen),
-        "edit": float(np.mean([error(picture(parts, label, batch), truth) for label, truth in truths])),
+        "edit": float(
+            np.mean([error(picture(parts, label, batch), truth) for label, truth in truths])
+        ),
         "angle_deg": float(cosine.arccos().rad2deg().mean()),
         "light": float(((lit - truth) ** 2).mean().sqrt() / (truth**2).mean().sqrt()),
     }
@@ -130,8 +148,16 @@ def weights(predict, known, out, requested=None):
         for name, case in tqdm(todo, unit="refinement"):
             start = predict(case.batch)
             report = refine(case.batch, start, meant[name])
-            row = {"setting": name, "picture": case.id, "seconds": report.seconds, "before": figures(start, case.batch, case.truths)}
-            row |= {"after": figures(report.prediction, case.batch, case.truths), "energy": [report.before["total"], report.after["total"]]}
+            row = {
+                "setting": name,
+                "picture": case.id,
+                "seconds": report.seconds,
+                "before": figures(start, case.batch, case.truths),
+            }
+            row |= {
+                "after": figures(report.prediction, case.batch, case.truths),
+                "energy": [report.before["total"], report.after["total"]],
+            }
             lines.append(row)
             done[name, case.id] = row
     report = summary([done[name, case.id] for name in requested for case in known])
@@ -148,17 +174,26 @@ def pin_settings(out, about):
 
 
 def summary(rows):
-    """{setting: {figure: [median before, median after, mean before, mean after]}, the edits' ratio of means, pictures, seconds}."""
+    """{setting: {figure: [median before, median after, mean before, mean after]}, the edits' ratio
+    of means, pictures, seconds}.
+    """
     by_setting = defaultdict(list)
     for row in rows:
         by_setting[row["setting"]].append(row)
     result = {}
     for name, mine in by_setting.items():
-        values = {f: np.array([[row["before"][f], row["after"][f]] for row in mine]) for f in FIGURES}
-        result[name] = {f: [*np.median(v, 0).tolist(), *v.mean(0).tolist()] for f, v in values.items()}
+        values = {
+            f: np.array([[row["before"][f], row["after"][f]] for row in mine]) for f in FIGURES
+        }
+        result[name] = {
+            f: [*np.median(v, 0).tolist(), *v.mean(0).tolist()] for f, v in values.items()
+        }
         edit = values["edit"]
         result[name] |= {"edit_ratio": float(edit[:, 1].mean() / edit[:, 0].mean())}
-        result[name] |= {"pictures": len(mine), "seconds": float(np.median([row["seconds"] for row in mine]))}
+        result[name] |= {
+            "pictures": len(mine),
+            "seconds": float(np.median([row["seconds"] for row in mine])),
+        }
     return result
 
 
@@ -179,7 +214,9 @@ def doubled(batch):
     def larger(x):
         return x.repeat_interleave(2, -1).repeat_interleave(2, -2)
 
-    return replace(batch, **{name: larger(getattr(batch, name)) for name in ("image", "mask", "n", "segments")})
+    return replace(
+        batch, **{name: larger(getattr(batch, name)) for name in ("image", "mask", "n", "segments")}
+    )
 
 
 def write(path, report):

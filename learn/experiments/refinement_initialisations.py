@@ -1,7 +1,8 @@
 """Refinement from starts as bad as they come: none may end above itself, none may leave the finite.
 
 starts.jsonl  a line a start: the same command goes on from them
-starts.json   how many ended above their start, how many were not finite, how the re-rendering changed, by kind of start
+starts.json   how many ended above their start, how many were not finite, how the re-rendering
+changed, by kind of start
 """
 
 import math
@@ -51,9 +52,20 @@ def measured(predict, known, count, out, labels, settings=Settings()):  # noqa: 
         seen = batch.image[0].movedim(0, -1).numpy()
         mask = (batch.segments[0] > 0).numpy()
         level = tone.auto_exposure(seen, mask)
-        image = [float(tone.display_l2(picture(p, p.label[0], batch), seen, level, mask)) for p in (start, report.prediction)]
-        finite = all(bool(torch.isfinite(part).all()) for part in parts) and math.isfinite(report.after["total"])
-        done[i] = {"start": i, "kind": kind, "energy": [report.before["total"], report.after["total"]], "finite": finite, "image": image}
+        image = [
+            float(tone.display_l2(picture(p, p.label[0], batch), seen, level, mask))
+            for p in (start, report.prediction)
+        ]
+        finite = all(bool(torch.isfinite(part).all()) for part in parts) and math.isfinite(
+            report.after["total"]
+        )
+        done[i] = {
+            "start": i,
+            "kind": kind,
+            "energy": [report.before["total"], report.after["total"]],
+            "finite": finite,
+            "image": image,
+        }
         done[i]["seconds"] = report.seconds
         lines.append(done[i])
     lines.close()
@@ -61,11 +73,16 @@ def measured(predict, known, count, out, labels, settings=Settings()):  # noqa: 
     images = np.array([row["image"] for row in rows], float)  # null, read again, is NaN
     report = {
         "starts": len(rows),
-        "above_their_start": sum(row["finite"] and row["energy"][1] > row["energy"][0] for row in rows),
+        "above_their_start": sum(
+            row["finite"] and row["energy"][1] > row["energy"][0] for row in rows
+        ),
         "not_finite": sum(not row["finite"] for row in rows),
         "image_median": np.median(images, 0).tolist(),
         "median_change": float(np.median(images[:, 1]) / np.median(images[:, 0]) - 1),
-        "by_kind": {kind: np.median([row["image"] for row in rows if row["kind"] == kind], 0).tolist() for kind in STARTS[: len(rows)]},
+        "by_kind": {
+            kind: np.median([row["image"] for row in rows if row["kind"] == kind], 0).tolist()
+            for kind in STARTS[: len(rows)]
+        },
         "seconds_median": float(np.median([row["seconds"] for row in rows])),
         "rows": rows,
     }
@@ -74,7 +91,8 @@ def measured(predict, known, count, out, labels, settings=Settings()):  # noqa: 
 
 
 def perturbed(start, kind, rng, labels):
-    """A Prediction with one property replaced by what knows nothing of the picture; "untrained": all three.
+    """A Prediction with one property replaced by what knows nothing of the picture; "untrained":
+    all three.
 
     labels  (M, 108): a random material is one of these
     """

@@ -1,13 +1,15 @@
-"""What second derivatives of the exact sum cost beside first ones: `python -m learn.experiments.second_derivatives OUT.json`.
+"""What second derivatives of the exact sum cost beside first ones: `python -m
+learn.experiments.second_derivatives OUT.json`.
 
-The picture: a sphere of 3,680 pixels under a light of 64 × 128 texels, lobes from matte to sharp; derivatives by n, material, light and
-view. Both cameras, in float32 (the kernels) and float64 (plain torch), one thread, each in a process of its own. Processor
-seconds, medians:
+The picture: a sphere of 3,680 pixels under a light of 64 × 128 texels, lobes from matte to sharp;
+derivatives by n, material, light and view. Both cameras, in float32 (the kernels) and float64
+(plain torch), one thread, each in a process of its own. Processor seconds, medians:
 
 forward, backward   of the picture, and of a weighted sum of it without a graph
 kept                the backward pass with its graph kept
 second              the backward pass of a weighted sum of those first derivatives
-memory              MiB that the process grew by, beyond one pixel: with first derivatives, and from these to second ones
+memory              MiB that the process grew by, beyond one pixel: with first derivatives, and from
+these to second ones
 """
 
 import itertools
@@ -105,12 +107,18 @@ def main(out):
                 str(int(perspective)),
                 str(rounds),
             ]
-            result = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+            result = json.loads(
+                subprocess.run(command, capture_output=True, text=True, check=True).stdout
+            )
             name = f"{dtype}, {'view per pixel' if perspective else 'orthographic'}"
             cases[name] = result | {"second ÷ backward": result["second"] / result["backward"]}
             print(f"{name}: second ÷ backward {cases[name]['second ÷ backward']:.2f}", result)
-    made = provenance() | {"command": f"python -m learn.experiments.second_derivatives {Path(out).name}"}
-    files.write_json(Path(out), {"lights": math.prod(LIGHT), "threads": 1, "cases": cases, "about": made})
+    made = provenance() | {
+        "command": f"python -m learn.experiments.second_derivatives {Path(out).name}"
+    }
+    files.write_json(
+        Path(out), {"lights": math.prod(LIGHT), "threads": 1, "cases": cases, "about": made}
+    )
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
-"""Where a training step's time goes, and how fast pictures are relit: what `learn.experiments step-profile` measures.
+"""Where a training step's time goes, and how fast pictures are relit: what `learn.experiments
+step-profile` measures.
 
-All in processor time of one thread, medians over steps; data are timed in this process too, though training has them made beside it.
+All in processor time of one thread, medians over steps; data are timed in this process too, though
+training has them made beside it.
 
 data         a batch of relit pictures
 network      forward, and its own share of backward
@@ -30,11 +32,21 @@ def measure(run, data_splits, out, scratch, steps, images):
     """{"step": {part: ms}, "relit": {…}, "about"}; step-time.json and step-time.md in `out`.
 
     run     learn.data.settings.Run, whose parts and losses are timed; steps: how many
-    images  how many pictures to relight for the speed of that; scratch: a folder for the run's files
+    images  how many pictures to relight for the speed of that; scratch: a folder for the run's
+    files
     """
     out = Path(out)
-    result = {"step": of_step(run, data_splits, scratch, steps), "relit": of_relighting(run, data_splits, images)}
-    result["about"] = provenance() | {"run": run.name, "size": run.size, "batch": run.schedule.batch, "steps": steps, "threads": 1}
+    result = {
+        "step": of_step(run, data_splits, scratch, steps),
+        "relit": of_relighting(run, data_splits, images),
+    }
+    result["about"] = provenance() | {
+        "run": run.name,
+        "size": run.size,
+        "batch": run.schedule.batch,
+        "steps": steps,
+        "threads": 1,
+    }
     with files.transaction():
         files.write_json(out / "step-time.json", result)
         files.write_text(out / "step-time.md", page(result))
@@ -42,7 +54,9 @@ def measure(run, data_splits, out, scratch, steps, images):
 
 
 def of_step(run, data_splits, folder, steps):
-    """{part: median ms} of a step, and "total". What backward takes of each part is found by leaving the others' graph out."""
+    """{part: median ms} of a step, and "total". What backward takes of each part is found by
+    leaving the others' graph out.
+    """
     training = Training(run, data_splits, folder, sheet_every=0, workers=0)
     source = RelitDataset(data_splits["train"], run.data, run.schedule.batch, run.size, run.seed)
     times = {}
@@ -59,14 +73,22 @@ def of_step(run, data_splits, folder, steps):
 
 
 def _one_step(training, batch, run, clock, k):
-    """A step as learn.training.loop makes it, but term by term: each one's gradient by the prediction, and then the network's."""
+    """A step as learn.training.loop makes it, but term by term: each one's gradient by the
+    prediction, and then the network's.
+    """
     training.model.train()
     rng = torch.Generator().manual_seed(k)
     prediction = training.predict(training.model, batch)
     clock.note("network")
     leaves = [t for t in (prediction.n, prediction.code, prediction.light) if t is not None]
     cut = [t.detach().requires_grad_() for t in leaves]
-    given = dict(zip([name for name in ("n", "code", "light") if getattr(prediction, name) is not None], cut, strict=True))
+    given = dict(
+        zip(
+            [name for name in ("n", "code", "light") if getattr(prediction, name) is not None],
+            cut,
+            strict=True,
+        )
+    )
     seen = prediction._replace(**given)
     if seen.code is not None:
         seen = seen._replace(label=training.network.ranges.label(seen.code))
@@ -87,19 +109,35 @@ def _one_step(training, batch, run, clock, k):
 
 
 def groups(requested):
-    """{part: Losses with that part's terms alone}. Features cannot be told from the layer that renders for them."""
+    """{part: Losses with that part's terms alone}. Features cannot be told from the layer that
+    renders for them.
+    """
     terms = {
         "normals and material terms": ("normals", "material", "albedo"),
         "light terms": ("light_log", "light_rendered"),
-        "layer and features" if losses.by_features(requested) else "layer": ("image", "target", "image_features", "target_features"),
+        "layer and features" if losses.by_features(requested) else "layer": (
+            "image",
+            "target",
+            "image_features",
+            "target_features",
+        ),
     }
     every = [name for names in terms.values() for name in names]
-    return {part: msgspec.structs.replace(requested, **{name: 0.0 for name in every if name not in names}) for part, names in terms.items()}
+    return {
+        part: msgspec.structs.replace(
+            requested, **{name: 0.0 for name in every if name not in names}
+        )
+        for part, names in terms.items()
+    }
 
 
 def of_relighting(run, data_splits, images):
-    """Pictures a second of one thread's processor time, as training has them relit; and the shares of it."""
-    source = RelitDataset(data_splits["train"], run.data, run.schedule.batch, run.size, run.seed + 1)
+    """Pictures a second of one thread's processor time, as training has them relit; and the shares
+    of it.
+    """
+    source = RelitDataset(
+        data_splits["train"], run.data, run.schedule.batch, run.size, run.seed + 1
+    )
     source[0]
     batches = max(1, images // run.schedule.batch)
     begun, began = time.process_time(), time.perf_counter()
@@ -132,16 +170,29 @@ def page(found):
     about, step, relit = found["about"], found["step"], found["relit"]
     own = step["total"] - step["data"]
     lines = [f"# Where a step of {about['run']} goes", ""]
-    lines += [f"{about['batch']} pictures of {about['size']}² pixels, one thread's processor time, median of {about['steps']} steps.", ""]
+    lines += [
+        (
+            f"{about['batch']} pictures of {about['size']}² pixels, one thread's processor time,"
+            f" median of {about['steps']} steps."
+        ),
+        "",
+    ]
     lines += ["| part | ms | share of the step |", "|---|---|---|"]
     for name, value in step.items():
         if name not in ("data", "total"):
             lines.append(f"| {name} | {value:.0f} | {100 * value / own:.0f} % |")
-    lines += [f"| **a step** | {own:.0f} | |", f"| data, made by a process beside it | {step['data']:.0f} | |", ""]
     lines += [
-        f"Relighting: {relit['images_per_second_of_one_thread']:.0f} pictures of {relit['size']}² a second of one thread's processor time "
-        f"({relit['images']} pictures, materials, lights and augmentation included; by the clock, on this machine as loaded as it was: "
-        f"{relit['images_per_second_by_the_clock']:.0f}).",
+        f"| **a step** | {own:.0f} | |",
+        f"| data, made by a process beside it | {step['data']:.0f} | |",
+        "",
+    ]
+    lines += [
+        (
+            f"Relighting: {relit['images_per_second_of_one_thread']:.0f} pictures of"
+            f" {relit['size']}² a second of one thread's processor time ({relit['images']}"
+            " pictures, materials, lights and augmentation included; by the clock, on this machine"
+            f" as loaded as it was: {relit['images_per_second_by_the_clock']:.0f})."
+        ),
         "",
         " · ".join(f"{key}: {value}" for key, value in about.items()),
     ]

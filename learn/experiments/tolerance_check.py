@@ -1,4 +1,6 @@
-"""Whether `auto` keeps its tolerance: random materials, lights and cameras, each rendered exactly and by auto."""
+"""Whether `auto` keeps its tolerance: random materials, lights and cameras, each rendered exactly
+and by auto.
+"""
 
 import numpy as np
 import torch
@@ -12,12 +14,16 @@ TOLERANCES = (5e-2, 1e-2, 1e-3, 1e-4)
 
 
 def random_light(rng):
-    """(64, 128, 3): a smooth base, zero to six lamps from one texel to a quarter of the sky, sometimes a sun; unit mean."""
+    """(64, 128, 3): a smooth base, zero to six lamps from one texel to a quarter of the sky,
+    sometimes a sun; unit mean.
+    """
     w, solid_angle = envmap.directions(*chart_cases.SIZE)
     L = rng.uniform(0.02, 1.0) * (1 + 0.9 * (w @ unit(rng)))[..., None] * rng.uniform(0.5, 1.0, 3)
     for _ in range(rng.integers(0, 7)):
         width = 10 ** rng.uniform(0.5, 4)
-        L = L + 10 ** rng.uniform(-0.5, 2) * np.exp(width * ((w @ unit(rng)) - 1))[..., None] * rng.uniform(0.5, 1.0, 3)
+        L = L + 10 ** rng.uniform(-0.5, 2) * np.exp(width * ((w @ unit(rng)) - 1))[
+            ..., None
+        ] * rng.uniform(0.5, 1.0, 3)
     if rng.random() < 0.3:
         place = rng.integers(4, 60), rng.integers(0, 128)
         L[place] += 10 ** rng.uniform(1, 4) * 0.01 / solid_angle[place]
@@ -32,9 +38,13 @@ def unit(rng):
 
 
 def random_label(rng, labels):
-    """A catalogue material, two thirds of the time with all its lobes stretched and scaled, or one drawn from nothing."""
+    """A catalogue material, two thirds of the time with all its lobes stretched and scaled, or one
+    drawn from nothing.
+    """
     if rng.random() < 0.25:
-        m = np.log(np.stack([10 ** rng.uniform(-3, 1, (3, 3)), 10 ** rng.uniform(-2, 4.5, (3, 3))], -1))[..., None]
+        m = np.log(
+            np.stack([10 ** rng.uniform(-3, 1, (3, 3)), 10 ** rng.uniform(-2, 4.5, (3, 3))], -1)
+        )[..., None]
         return m + 0.2 * rng.normal(size=(3, 3, 2, 6))
     label = np.asarray(labels[rng.integers(len(labels))]).reshape(3, 3, 2, 6).copy()
     if rng.random() < 0.67:
@@ -44,7 +54,9 @@ def random_label(rng, labels):
 
 
 def measure(labels, count, size, seed):
-    """Rows of case, camera, tolerance, error, kept; count cases, a quarter of them in perspective."""
+    """Rows of case, camera, tolerance, error, kept; count cases, a quarter of them in
+    perspective.
+    """
     rows = []
     for case in tqdm(range(count), desc="promise", unit="case", mininterval=2):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(case,)))
@@ -54,6 +66,16 @@ def measure(labels, count, size, seed):
         with torch.no_grad():
             truth = load("exact").radiance(batch, 1e-2)
             for tolerance in TOLERANCES:
-                error = ((load("auto").radiance(batch, tolerance) - truth).abs().mean() / truth.mean()).item()
-                rows.append({"case": case, "camera": camera, "tolerance": tolerance, "error": error, "kept": error <= tolerance})
+                error = (
+                    (load("auto").radiance(batch, tolerance) - truth).abs().mean() / truth.mean()
+                ).item()
+                rows.append(
+                    {
+                        "case": case,
+                        "camera": camera,
+                        "tolerance": tolerance,
+                        "error": error,
+                        "kept": error <= tolerance,
+                    }
+                )
     return rows

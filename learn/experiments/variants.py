@@ -1,7 +1,8 @@
-"""Variants of a run, each trained for the same processor time and measured on the same pictures of what none of them saw.
+"""Variants of a run, each trained for the same processor time and measured on the same pictures of
+what none of them saw.
 
-What a variant does not predict is given true, so that each part stands alone. Data come from a process beside it: only networks, losses
-and layer are on the clock.
+What a variant does not predict is given true, so that each part stands alone. Data come from a
+process beside it: only networks, losses and layer are on the clock.
 """
 
 import json
@@ -32,9 +33,11 @@ def held_out(data_splits, data, size, batches):
 
 
 def trained(run, data_splits, tests, folder, workers=1):
-    """Train a run by its clock, unless it is there already, and measure it: {"steps", "seconds", "run", "rows": [{figure: value}]}.
+    """Train a run by its clock, unless it is there already, and measure it: {"steps", "seconds",
+    "run", "rows": [{figure: value}]}.
 
-    folder  for the run's files; result.json is written last, and then the checkpoint, which nobody needs any more, goes
+    folder  for the run's files; result.json is written last, and then the checkpoint, which nobody
+    needs any more, goes
     """
     folder = Path(folder)
     if (folder / "result.json").exists():
@@ -42,10 +45,17 @@ def trained(run, data_splits, tests, folder, workers=1):
     with loop.only_writer(folder):
         training = loop.Training(run, data_splits, folder, sheet_every=0, workers=workers)
         training.train()
-    weights.save_weights(folder / "weights.safetensors", training.network, training.average, "{}", run.size)
+    weights.save_weights(
+        folder / "weights.safetensors", training.network, training.average, "{}", run.size
+    )
     network = training.averaged()
     rows = [row for batch in tests for row in _rows(training, network, batch)]
-    result = {"steps": training.step, "seconds": training.used, "run": msgspec.to_builtins(run), "rows": rows}
+    result = {
+        "steps": training.step,
+        "seconds": training.used,
+        "run": msgspec.to_builtins(run),
+        "rows": rows,
+    }
     text = json.dumps(result)
     write_text(folder / "result.json", text)
     (folder / "checkpoint.safetensors").unlink(missing_ok=True)
@@ -61,14 +71,26 @@ def _rows(training, network, batch):
         figures["cosine"] = validation.means(cosine, inside)
         figures["angle_deg"] = validation.means(cosine.arccos().rad2deg(), inside)
     if prediction.code is not None:
-        figures["code_l2"] = ((prediction.code - network.ranges.code(batch.label)) ** 2).mean((1, 2)).double().numpy()
+        figures["code_l2"] = (
+            ((prediction.code - network.ranges.code(batch.label)) ** 2)
+            .mean((1, 2))
+            .double()
+            .numpy()
+        )
     n = batch.n if prediction.n is None else prediction.n
     label = batch.label if prediction.label is None else prediction.label
-    mine, truth = validation.picture(n, label, batch.light, batch), batch.picture.movedim(1, -1).numpy()
+    mine, truth = (
+        validation.picture(n, label, batch.light, batch),
+        batch.picture.movedim(1, -1).numpy(),
+    )
     for i, name in enumerate(batch.names):
         shape, *_, material = name.split(" ")
         own = {key: float(value[i]) for key, value in figures.items()}
-        yield {"shape": shape, "material": material} | _compared(mine[i], truth[i], (batch.segments[i] > 0).numpy()) | own
+        yield (
+            {"shape": shape, "material": material}
+            | _compared(mine[i], truth[i], (batch.segments[i] > 0).numpy())
+            | own
+        )
 
 
 def _compared(mine, truth, mask):
@@ -76,11 +98,17 @@ def _compared(mine, truth, mask):
     exposure = tone.auto_exposure(truth, mask)
     mine, truth = tone.display(mine, exposure), tone.display(truth, exposure)
     error = squared(mine, truth)
-    return {"l2": float(error[mask].mean()), "l2_frame": float(error.mean()), "ssim": similarity(mine, truth, mask)}
+    return {
+        "l2": float(error[mask].mean()),
+        "l2_frame": float(error.mean()),
+        "ssim": similarity(mine, truth, mask),
+    }
 
 
 def figures(results):
-    """{figure: [mean, low, high]} of one variant's results, a seed each; 95 % over shapes, materials and seeds."""
+    """{figure: [mean, low, high]} of one variant's results, a seed each; 95 % over shapes,
+    materials and seeds.
+    """
     ones = np.ones_like(_values(results, "l2"))
     keys = [key for key, value in results[0]["rows"][0].items() if not isinstance(value, str)]
     return {key: bootstrap.ratio(ones, _values(results, key), _groups(results)) for key in keys}

@@ -1,6 +1,8 @@
-"""What an edit looks like beside what it was made from: labelled tiles, balls of materials, and the reflectance map as in Figure 14.
+"""What an edit looks like beside what it was made from: labelled tiles, balls of materials, and the
+reflectance map as in Figure 14.
 
-Tiles are (size, size, 3) display values in [0, 255]; a reflectance map is the picture of a sphere: radiance by normal.
+Tiles are (size, size, 3) display values in [0, 255]; a reflectance map is the picture of a sphere:
+radiance by normal.
 """
 
 import numpy as np
@@ -21,7 +23,9 @@ def tile(display, size):
     """A display picture (H, W, 3) fitted into a square."""
     H, W = display.shape[:2]
     height, width = max(1, round(size * H / max(H, W))), max(1, round(size * W / max(H, W)))
-    small = Image.fromarray(np.clip(display, 0, 255).astype(np.uint8)).resize((width, height), Image.Resampling.LANCZOS)
+    small = Image.fromarray(np.clip(display, 0, 255).astype(np.uint8)).resize(
+        (width, height), Image.Resampling.LANCZOS
+    )
     out = np.full((size, size, 3), GROUND)
     top, left = (size - height) // 2, (size - width) // 2
     out[top : top + height, left : left + width] = small
@@ -32,7 +36,9 @@ def rows(lines, size):
     """One picture of lines of (caption, display picture or None) pairs."""
     columns = max(len(line) for line in lines)
     step_y, step_x = size + CAPTION + BORDER, size + BORDER
-    canvas = Image.new("RGB", (columns * step_x + BORDER, len(lines) * step_y + BORDER), (int(GROUND) // 2,) * 3)
+    canvas = Image.new(
+        "RGB", (columns * step_x + BORDER, len(lines) * step_y + BORDER), (int(GROUND) // 2,) * 3
+    )
     draw = ImageDraw.Draw(canvas)
     for i, line in enumerate(lines):
         for j, (caption, picture) in enumerate(line):
@@ -40,14 +46,19 @@ def rows(lines, size):
                 continue
             x, y = BORDER + j * step_x, BORDER + i * step_y
             draw.text((x, y), fitting(caption, size // 6), fill=(230, 230, 230))
-            canvas.paste(Image.fromarray(np.clip(tile(picture, size), 0, 255).astype(np.uint8)), (x, y + CAPTION))
+            canvas.paste(
+                Image.fromarray(np.clip(tile(picture, size), 0, 255).astype(np.uint8)),
+                (x, y + CAPTION),
+            )
     return np.asarray(canvas)
 
 
 def fitting(caption, length):
     """A caption of at most `length` letters: of a longer one its beginning and its end."""
     half = (length - 1) // 2
-    return caption if len(caption) <= length else f"{caption[:half]}…{caption[len(caption) - half :]}"
+    return (
+        caption if len(caption) <= length else f"{caption[:half]}…{caption[len(caption) - half :]}"
+    )
 
 
 def normals(n, mask):
@@ -69,12 +80,19 @@ def sphere(size):
 
 
 def material_sphere(label, L, size, elevation, exposure):
-    """Display picture of a ball of a material, label (108,), under a light map (Hl, Wl, 3); rendered where the label is."""
+    """Display picture of a ball of a material, label (108,), under a light map (Hl, Wl, 3);
+    rendered where the label is.
+    """
     label = torch.as_tensor(label, dtype=torch.float32)
-    n, light = torch.from_numpy(sphere(size))[None].to(label.device), torch.as_tensor(L, dtype=torch.float32)[None]
+    n, light = (
+        torch.from_numpy(sphere(size))[None].to(label.device),
+        torch.as_tensor(L, dtype=torch.float32)[None],
+    )
     light = light.to(label.device).contiguous()
     with torch.no_grad():
-        radiance = render(n, label.exp()[None], light, method=method_for(label), elevation=elevation)
+        radiance = render(
+            n, label.exp()[None], light, method=method_for(label), elevation=elevation
+        )
     return tone.display(array(radiance[0]), exposure)
 
 
@@ -87,7 +105,8 @@ def preview_lighting():
 
 
 def observed(radiance, n, mask, size, exposure):
-    """The reflectance map that a picture shows: its pixels averaged at their normals' place on the sphere; grey where none lies.
+    """The reflectance map that a picture shows: its pixels averaged at their normals' place on the
+    sphere; grey where none lies.
 
     radiance, n  (H, W, 3); mask (H, W)
     """

@@ -1,6 +1,8 @@
-"""What the rendering layer accepts: checked at the border, then compacted to the pixels that are seen.
+"""What the rendering layer accepts: checked at the border, then compacted to the pixels that are
+seen.
 
-Each rule raises a ValueError that names the argument, the rule and what was found. Letters as in learn/layer/rendering.py.
+Each rule raises a ValueError that names the argument, the rule and what was found. Letters as in
+learn/layer/rendering.py.
 """
 
 import math
@@ -15,16 +17,28 @@ from learn.methods import HORIZON, Batch
 from shaders.dsbrdf import SHAPE, SIZE
 from shaders.frames import camera_from_light
 
-LENGTH_TOLERANCE = 1e-2  # of unit vectors: half-float files are within 1e-3; an unnormalised network output is far outside
+# of unit vectors: half-float files are within 1e-3; an unnormalised network output is far outside
+LENGTH_TOLERANCE = 1e-2
 FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
-INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64, torch.uint16, torch.uint32, torch.uint64)
+INTEGERS = (
+    torch.uint8,
+    torch.int8,
+    torch.int16,
+    torch.int32,
+    torch.int64,
+    torch.uint16,
+    torch.uint32,
+    torch.uint64,
+)
 LEAST_TOLERANCE = 1e-12  # what is asked beyond float64's digits is treated as this
-MOST_PIXELS, MOST_TEXELS = 2**28, 2**25  # of one call: each pixel takes 12 bytes and more, each texel some 200
+# of one call: each pixel takes 12 bytes and more, each texel some 200
+MOST_PIXELS, MOST_TEXELS = 2**28, 2**25
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """The layer's arguments in the dtype they are summed in: m (B, S, 108), mask (B, H, W) bool, segments (B, H, W) or None.
+    """The layer's arguments in the dtype they are summed in: m (B, S, 108), mask (B, H, W) bool,
+    segments (B, H, W) or None.
 
     tolerance  as it is given to the methods
     seen       (B, H, W) bool: inside the mask and facing the viewer; None: not known yet
@@ -65,7 +79,15 @@ def require_alike(tensors):
     for argument, tensor in tensors.items():
         require_dense(argument, tensor)
         if tensor.dtype not in FLOATS:
-            refuse(argument, "a floating dtype of at least 16 bits" if tensor.is_floating_point() else "a floating dtype", tensor.dtype)
+            refuse(
+                argument,
+                (
+                    "a floating dtype of at least 16 bits"
+                    if tensor.is_floating_point()
+                    else "a floating dtype"
+                ),
+                tensor.dtype,
+            )
         for what in ("dtype", "device"):
             first = getattr(tensors["n"], what)
             if getattr(tensor, what) != first:
@@ -82,11 +104,19 @@ def require_beside(argument, tensor, n):
 
 
 def number(argument, value, rule, right):
-    """The value as a float, if it is one real number that keeps the rule; a tensor of one element is none, and neither is a bool."""
+    """The value as a float, if it is one real number that keeps the rule; a tensor of one element
+    is none, and neither is a bool.
+    """
     # to the compiler numpy's numbers are tensors
-    is_real = isinstance(value, numbers.Real) or (torch.compiler.is_compiling() and hasattr(value, "dtype"))
+    is_real = isinstance(value, numbers.Real) or (
+        torch.compiler.is_compiling() and hasattr(value, "dtype")
+    )
     if not is_real or isinstance(value, bool):
-        refuse(argument, rule, repr(value) if isinstance(value, str | bool | None) else type(value).__name__)
+        refuse(
+            argument,
+            rule,
+            repr(value) if isinstance(value, str | bool | None) else type(value).__name__,
+        )
     try:
         converted = float(value)
     except OverflowError:  # an integer or a fraction beyond 1e308
@@ -97,7 +127,9 @@ def number(argument, value, rule, right):
 
 
 def readable(tensor):
-    """The tensor as kernels can read it: without a pending negation, and not from inference mode where a graph is recorded."""
+    """The tensor as kernels can read it: without a pending negation, and not from inference mode
+    where a graph is recorded.
+    """
     if torch.compiler.is_compiling():  # which knows neither
         return tensor
     tensor = tensor.resolve_neg()
@@ -105,7 +137,9 @@ def readable(tensor):
 
 
 def require_values(argument, values, rule, right):
-    """`right` marks the values (any shape) that keep the rule; NaN keeps none. The message shows the worst one's value."""
+    """`right` marks the values (any shape) that keep the rule; NaN keeps none. The message shows
+    the worst one's value.
+    """
     if not bool(right.all()):
         wrong = values.detach()[~right]
         refuse(argument, rule, f"{wrong[0].item():g} ({wrong.numel()} of {values.numel()} values)")
@@ -114,24 +148,46 @@ def require_values(argument, values, rule, right):
 def checked_settings(tolerance, elevation):
     """The tolerance, LEAST_TOLERANCE at least, and the elevation as floats."""
     tolerance = number("tolerance", tolerance, "a positive number", lambda x: 0 < x < math.inf)
-    return max(tolerance, LEAST_TOLERANCE), number("elevation", elevation, "radians in [-π/2, π/2]", lambda x: abs(x) <= math.pi / 2)
+    return max(tolerance, LEAST_TOLERANCE), number(
+        "elevation", elevation, "radians in [-π/2, π/2]", lambda x: abs(x) <= math.pi / 2
+    )
 
 
 def checked(n, material, light, view, segments, mask, tolerance, elevation):
     """The arguments of `render` as `Inputs`, or a ValueError."""
     tolerance, elevation = checked_settings(tolerance, elevation)
-    require_alike({"n": n, "material": material, "light": light} | ({} if view is None else {"view": view}))
+    require_alike(
+        {"n": n, "material": material, "light": light} | ({} if view is None else {"view": view})
+    )
     require_shape("n", n, "shape (B, H, W, 3)", n.ndim == 4 and n.shape[3] == 3)
     images, picture = n.shape[0], n.shape[:3]
     if picture.numel() > MOST_PIXELS:
-        refuse("n", f"at most {MOST_PIXELS} pixels in one call", f"{tuple(n.shape)}; render the batch in parts")
+        refuse(
+            "n",
+            f"at most {MOST_PIXELS} pixels in one call",
+            f"{tuple(n.shape)}; render the batch in parts",
+        )
     layers = material.ndim - 1
     rule = f"shape ({images}, {SIZE}), or ({images}, S, {SIZE}) with segments"
-    require_shape("material", material, rule, layers in (1, 2) and material.shape[0] == images and material.shape[-1] == SIZE)
-    right = light.ndim == 4 and light.shape[0] == images and light.shape[3] == 3 and min(light.shape[1:3]) > 0
+    require_shape(
+        "material",
+        material,
+        rule,
+        layers in (1, 2) and material.shape[0] == images and material.shape[-1] == SIZE,
+    )
+    right = (
+        light.ndim == 4
+        and light.shape[0] == images
+        and light.shape[3] == 3
+        and min(light.shape[1:3]) > 0
+    )
     require_shape("light", light, f"shape ({images}, Hl, Wl, 3)", right)
     if light.shape[1] * light.shape[2] > MOST_TEXELS:
-        refuse("light", f"at most {MOST_TEXELS} texels", f"{tuple(light.shape)}; resize it (shaders.envmap.resize)")
+        refuse(
+            "light",
+            f"at most {MOST_TEXELS} texels",
+            f"{tuple(light.shape)}; resize it (shaders.envmap.resize)",
+        )
     if view is not None:
         require_shape("view", view, f"the shape of n, {tuple(n.shape)}", view.shape == n.shape)
     if mask is not None:
@@ -140,11 +196,15 @@ def checked(n, material, light, view, segments, mask, tolerance, elevation):
         if mask.dtype != torch.bool:
             refuse("mask", "dtype torch.bool", mask.dtype)
     if layers == 2 and material.shape[1] != 1 and segments is None:
-        refuse("segments", f"ids (B, H, W) for the {material.shape[1]} materials of each image", None)
+        refuse(
+            "segments", f"ids (B, H, W) for the {material.shape[1]} materials of each image", None
+        )
     if segments is not None:
         require_beside("segments", segments, n)
         segments = checked_segments(segments, picture, material.shape[1] if layers == 2 else 1)
-    n, material, light, view = (None if x is None else readable(x) for x in (n, material, light, view))
+    n, material, light, view = (
+        None if x is None else readable(x) for x in (n, material, light, view)
+    )
     if segments is not None:
         mask = ((n.detach() != 0).any(-1) if mask is None else mask) & (segments > 0)
     dtype = torch.promote_types(n.dtype, torch.float32)
@@ -159,7 +219,9 @@ def checked(n, material, light, view, segments, mask, tolerance, elevation):
 
 
 def read_by_kernel(n, view, mask):
-    """mask (as given, or where n is not 0) and seen (B, H, W) bool; seen is None if a length inside the mask is wrong."""
+    """mask (as given, or where n is not 0) and seen (B, H, W) bool; seen is None if a length inside
+    the mask is wrong.
+    """
     states = pixel_selection.states(n, view, mask, LENGTH_TOLERANCE, HORIZON).reshape(n.shape[:3])
     if states.size and states.max() == pixel_selection.WRONG:
         return mask, None
@@ -172,11 +234,16 @@ def checked_segments(segments, picture, materials):
     require_shape("segments", segments, f"shape {tuple(picture)}", segments.shape == picture)
     if segments.dtype not in INTEGERS:
         refuse("segments", "an integer dtype", segments.dtype)
-    segments = segments.to(torch.int64)  # torch has no minimum and no comparison of most unsigned ones
+    # torch has no minimum and no comparison of most unsigned ones
+    segments = segments.to(torch.int64)
     if segments.numel():
         low, high = segments.min().item(), segments.max().item()
         if low < 0 or high > materials:
-            refuse("segments", f"ids 0 (background) … {materials} (the materials given)", f"{low} … {high}")
+            refuse(
+                "segments",
+                f"ids 0 (background) … {materials} (the materials given)",
+                f"{low} … {high}",
+            )
     return segments
 
 
@@ -196,8 +263,18 @@ def check_values(material, light):
     if within(light) and within(kappa) and within(gamma, above=True):
         return
     require_values("light", light, "finite radiance ≥ 0", (light >= 0) & light.isfinite())
-    require_values("material", kappa, "finite κ ≥ 0 (control values, not logarithms)", (kappa >= 0) & kappa.isfinite())
-    require_values("material", gamma, "finite γ > 0 (control values, not logarithms)", (gamma > 0) & gamma.isfinite())
+    require_values(
+        "material",
+        kappa,
+        "finite κ ≥ 0 (control values, not logarithms)",
+        (kappa >= 0) & kappa.isfinite(),
+    )
+    require_values(
+        "material",
+        gamma,
+        "finite γ > 0 (control values, not logarithms)",
+        (gamma > 0) & gamma.isfinite(),
+    )
 
 
 def within(values, above=False):
@@ -220,7 +297,8 @@ def compact(inputs):
 
     Returns  a learn.methods.Batch of P pixels; index (P,) of each among the B·H·W pixels
     """
-    if inputs.seen is None:  # who faces the viewer is found first, so that the graph holds one selection only
+    # who faces the viewer is found first, so that the graph holds one selection only
+    if inputs.seen is None:
         index = inputs.mask.reshape(-1).nonzero().squeeze(-1)
         with torch.no_grad():
             n, view = unit(inputs.n, index), unit(inputs.view, index)

@@ -1,8 +1,10 @@
-"""The rendering layer under torch.func: vmap, grad, vjp and jacrev, each alone or one inside another, for first derivatives.
+"""The rendering layer under torch.func: vmap, grad, vjp and jacrev, each alone or one inside
+another, for first derivatives.
 
-torch.func hands a function tensors that stand for many (vmap) or that are watched (grad). The layer looks at its arguments' values and
-sums with kernels, which such tensors do not allow; so it is one step for torch.func, which hands that step plain tensors. A batch by vmap
-becomes a longer batch of pictures. Forward mode and derivatives of derivatives are refused.
+torch.func hands a function tensors that stand for many (vmap) or that are watched (grad). The layer
+looks at its arguments' values and sums with kernels, which such tensors do not allow; so it is one
+step for torch.func, which hands that step plain tensors. A batch by vmap becomes a longer batch of
+pictures. Forward mode and derivatives of derivatives are refused.
 """
 
 import contextlib
@@ -14,28 +16,38 @@ from learn.engines import derivatives
 from learn.layer.inputs import require_dense
 
 FORWARD_MODE = (
-    "derivatives: expected reverse mode (torch.func.grad, vjp, jacrev), found forward mode (jvp, jacfwd, hessian), which the layer has not"
+    "derivatives: expected reverse mode (torch.func.grad, vjp, jacrev), found forward mode (jvp,"
+    " jacfwd, hessian), which the layer has not"
 )
-SECOND = 'derivatives: expected first ones under torch.func, found second ones (torch.autograd gives them with method="exact")'
+SECOND = (
+    "derivatives: expected first ones under torch.func, found second ones (torch.autograd gives"
+    ' them with method="exact")'
+)
 TRACED = (
-    "the layer cannot be recorded by {}, because its kernels read the tensors' values; torch.compile leaves it as one call, "
-    "and torch.func.vmap, grad, vjp and jacrev work"
+    "the layer cannot be recorded by {}, because its kernels read the tensors' values;"
+    " torch.compile leaves it as one call, and torch.func.vmap, grad, vjp and jacrev work"
 )
 NAMES = ("n", "material", "light", "view", "segments", "mask")
 KINDS = torch._C._TorchDispatchModeKey
 
 
 def are_active():
-    """Whether the caller is inside of a transform of torch.func. Raises NotImplementedError where calls are recorded instead."""
+    """Whether the caller is inside of a transform of torch.func. Raises NotImplementedError where
+    calls are recorded instead.
+    """
     if torch.jit.is_tracing():
         raise NotImplementedError(TRACED.format("torch.jit.trace"))
     if any(torch._C._get_dispatch_mode(kind) is not None for kind in (KINDS.FAKE, KINDS.PROXY)):
-        raise NotImplementedError(TRACED.format("a tracer (make_fx, torch.func.linearize, FakeTensorMode)"))
+        raise NotImplementedError(
+            TRACED.format("a tracer (make_fx, torch.func.linearize, FakeTensorMode)")
+        )
     return torch._C._are_functorch_transforms_active()
 
 
 def render(tensors, settings):
-    """`learn.layer.render` of n, material, light, view, segments and mask, and of method, tolerance and elevation."""
+    """`learn.layer.render` of n, material, light, view, segments and mask, and of method, tolerance
+    and elevation.
+    """
     for name, x in zip(NAMES, tensors, strict=True):
         if isinstance(x, torch.Tensor):
             if torch._is_functional_tensor(x):
@@ -46,7 +58,9 @@ def render(tensors, settings):
 
 @contextlib.contextmanager
 def hooks_allowed():
-    """Within it saved tensors may have hooks, which torch.func forbids within grad; a step's own inner graph is not torch.func's."""
+    """Within it saved tensors may have hooks, which torch.func forbids within grad; a step's own
+    inner graph is not torch.func's.
+    """
     message = torch._C._autograd._saved_tensors_hooks_get_disabled_error_message()
     torch._C._autograd._saved_tensors_hooks_enable()
     try:
@@ -57,20 +71,31 @@ def hooks_allowed():
 
 
 def refuse_batch(g):
-    """A hook on the picture's gradient: kernels cannot take many gradients as one tensor that stands for them."""
+    """A hook on the picture's gradient: kernels cannot take many gradients as one tensor that
+    stands for them.
+    """
     derivatives.require_one_gradient(g)
 
 
 def leaf(x):
-    """The tensor without its graph; a copy of one that was made in inference mode, which cannot be in any graph."""
+    """The tensor without its graph; a copy of one that was made in inference mode, which cannot be
+    in any graph.
+    """
     return x.detach().clone() if x.is_inference() else x.detach()
 
 
 def folded(count, dimensions, tensors):
-    """Tensors whose dimension of `count`, given or to be added, has become part of the first one, the batch of pictures."""
+    """Tensors whose dimension of `count`, given or to be added, has become part of the first one,
+    the batch of pictures.
+    """
 
     def fold(dimension, x):
-        if not isinstance(x, torch.Tensor) or x.ndim == 0 or x.is_nested or x.layout != torch.strided:
+        if (
+            not isinstance(x, torch.Tensor)
+            or x.ndim == 0
+            or x.is_nested
+            or x.layout != torch.strided
+        ):
             return x  # refused by the layer, with the argument's name
         stacked = x.expand(count, *x.shape) if dimension is None else x.movedim(dimension, 0)
         return stacked.flatten(0, 1) if stacked.ndim > 1 else stacked
@@ -84,7 +109,9 @@ def parted(count, x):
 
 
 class Picture(torch.autograd.Function):
-    """n, material, light, view, segments, mask (the last three may be None), settings → the picture."""
+    """n, material, light, view, segments, mask (the last three may be None), settings → the
+    picture.
+    """
 
     @staticmethod
     def forward(*inputs):
@@ -106,7 +133,13 @@ class Picture(torch.autograd.Function):
     @staticmethod
     def vmap(info, dimensions, *inputs):
         *tensors, settings = inputs
-        return parted(info.batch_size, Picture.apply(*folded(info.batch_size, dimensions[:6], tensors), settings)), 0
+        return (
+            parted(
+                info.batch_size,
+                Picture.apply(*folded(info.batch_size, dimensions[:6], tensors), settings),
+            ),
+            0,
+        )
 
     @staticmethod
     def jvp(ctx, *tangents):
@@ -114,15 +147,22 @@ class Picture(torch.autograd.Function):
 
 
 class Gradients(torch.autograd.Function):
-    """g, the six tensors, settings, which derivatives are asked for, by the first four → derivatives of Σ g·picture by those."""
+    """g, the six tensors, settings, which derivatives are asked for, by the first four →
+    derivatives of Σ g·picture by those.
+    """
 
     @staticmethod
     def forward(g, *inputs):
         *tensors, settings, requested = inputs
         with hooks_allowed(), torch.enable_grad():
-            leaves = [None if x is None else leaf(x).requires_grad_(each) for x, each in zip(tensors[:4], requested, strict=True)]
+            leaves = [
+                None if x is None else leaf(x).requires_grad_(each)
+                for x, each in zip(tensors[:4], requested, strict=True)
+            ]
             picture = layer.render(*leaves, *tensors[4:], *settings)
-            return torch.autograd.grad(picture, [x for x, each in zip(leaves, requested, strict=True) if each], g)
+            return torch.autograd.grad(
+                picture, [x for x, each in zip(leaves, requested, strict=True) if each], g
+            )
 
     @staticmethod
     def setup_context(ctx, inputs, output):
@@ -135,7 +175,9 @@ class Gradients(torch.autograd.Function):
     @staticmethod
     def vmap(info, dimensions, *inputs):
         *tensors, settings, requested = inputs
-        result = Gradients.apply(*folded(info.batch_size, dimensions[:7], tensors), settings, requested)
+        result = Gradients.apply(
+            *folded(info.batch_size, dimensions[:7], tensors), settings, requested
+        )
         return tuple(parted(info.batch_size, x) for x in result), (0,) * len(result)
 
     @staticmethod

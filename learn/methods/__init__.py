@@ -3,7 +3,8 @@
 A method is a module of this folder with two names:
 
     CARD                         a `Card`: what it approximates, its error, cost, memory and needs
-    radiance(batch, tolerance)   (P, 3) outgoing radiance of a `Batch`'s pixels, differentiable in its tensors
+    radiance(batch, tolerance)   (P, 3) outgoing radiance of a `Batch`'s pixels, differentiable in
+    its tensors
 
 P pixels, G groups (one image and segment each; pixels lie sorted by group), B images.
 """
@@ -31,10 +32,13 @@ NAMES = (  # modules of this folder; what they need is imported when they are fi
     "monte_carlo_light",
     "monte_carlo_brdf",
 )
-COMPILED = "whose compiled sums have first derivatives only"  # why there is no second one: reasons for `first_only`
+# why there is no second one: reasons for `first_only`
+COMPILED = "whose compiled sums have first derivatives only"
 HELD_LIGHTS = "which holds the directions of its lights where the light changes"
 HELD_SAMPLES = "which holds its samples where the scene changes"
-HORIZON = 1e-4  # pixels with n·v below it are not rendered: c = h·n then stays above half of it (facts: slope of c^γ at 0)
+# pixels with n·v below it are not rendered: c = h·n then stays above half of it (facts: slope of
+# c^γ at 0)
+HORIZON = 1e-4
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,8 @@ class Card:
 
     name          the module's name, and the value of render's `method`
     approximates  in words: what is replaced by what
-    error         the claim: largest relative error (mean absolute over mean) against the paper's sum at tolerance 1e-2, or None: no bound
+    error         the claim: largest relative error (mean absolute over mean) against the paper's
+    sum at tolerance 1e-2, or None: no bound
     cost          in words: how time grows with pixels, lights and materials
     memory        in words: beyond inputs and outputs
     needs         names among {"orthographic", "numba", "triton", "cuda"}
@@ -61,10 +66,12 @@ class Card:
 
 @dataclass(frozen=True)
 class Batch:
-    """Pixels to render, checked and compacted: what a method is given. There is at least one pixel, and no empty group.
+    """Pixels to render, checked and compacted: what a method is given. There is at least one pixel,
+    and no empty group.
 
     n                  (P, 3) unit normals, camera frame, n·v > HORIZON
-    view               (P, 3) unit vectors to the viewer, camera frame, or None: (0, 0, 1) for every pixel
+    view               (P, 3) unit vectors to the viewer, camera frame, or None: (0, 0, 1) for every
+    pixel
     m                  (G, 3, 3, 2, 6) κ and γ control values of each group
     light              (B, Hl, Wl, 3) linear radiance, light frame
     counts             pixels of each group; they lie one group after the other and sum to P
@@ -87,13 +94,21 @@ def load(name):
     if not isinstance(name, str):
         raise ValueError(f"method: expected one of {', '.join(NAMES)}, found {type(name).__name__}")
     if name not in NAMES:
-        raise ValueError(f"method: expected one of {', '.join(NAMES)}, found {name[:60]!r} ({closest(name[:60], NAMES)})")
+        raise ValueError(
+            f"method: expected one of {', '.join(NAMES)}, found {name[:60]!r}"
+            f" ({closest(name[:60], NAMES)})"
+        )
     return importlib.import_module(f"learn.methods.{name}")
 
 
 def refusal(name, why=COMPILED):
-    """What is said where a method's derivatives are differentiated again and cannot be, by reason of `why`."""
-    return f'method: expected "exact" where derivatives are differentiated again, found "{name}", {why} (render with method="exact")'
+    """What is said where a method's derivatives are differentiated again and cannot be, by reason
+    of `why`.
+    """
+    return (
+        f'method: expected "exact" where derivatives are differentiated again, found "{name}",'
+        f' {why} (render with method="exact")'
+    )
 
 
 def wants_gradient(*tensors):
@@ -102,28 +117,41 @@ def wants_gradient(*tensors):
 
 
 def first_only(batch, name, why):
-    """The batch for a method that has first derivatives only, which costs it 0.1 ms: `derivatives.first_only`."""
-    n, view, m, light = derivatives.first_only(refusal(name, why), batch.n, batch.view, batch.m, batch.light)
+    """The batch for a method that has first derivatives only, which costs it 0.1 ms:
+    `derivatives.first_only`.
+    """
+    n, view, m, light = derivatives.first_only(
+        refusal(name, why), batch.n, batch.view, batch.m, batch.light
+    )
     return replace(batch, n=n, view=view, m=m, light=light)
 
 
 def by_group(batch, function):
-    """Radiance (P, 3) by a function of one group: function(n (p, 3), view (p, 3) or None, m (3, 3, 2, 6), light (Hl, Wl, 3)) → (p, 3)."""
+    """Radiance (P, 3) by a function of one group: function(n (p, 3), view (p, 3) or None, m (3, 3,
+    2, 6), light (Hl, Wl, 3)) → (p, 3).
+    """
     return per_group(batch, lambda _, *arguments: function(*arguments))
 
 
 def per_group(batch, function):
     """As `by_group`, with the group's number as the first argument."""
-    if len(batch.counts) == 1:  # without a copy, for which torch would wake its threads (learn/engines/pixel_selection.py)
+    # without a copy, for which torch would wake its threads (learn/engines/pixel_selection.py)
+    if len(batch.counts) == 1:
         return function(0, batch.n, batch.view, batch.m[0], batch.light[batch.light_of[0]])
     n = batch.n.split(batch.counts)
     view = batch.view.split(batch.counts) if batch.view is not None else [None] * len(n)
-    return torch.cat([function(g, n[g], view[g], batch.m[g], batch.light[batch.light_of[g]]) for g in range(len(n))])
+    return torch.cat(
+        [
+            function(g, n[g], view[g], batch.m[g], batch.light[batch.light_of[g]])
+            for g in range(len(n))
+        ]
+    )
 
 
 def merged(batch):
-    """The batch with neighbouring groups made one where they are given one material and one light: one tensor expanded over the batch
-    (stride 0 in memory), as its pictures' shared scene. What is merely equal is kept apart: then no picture's bits depend on its company.
+    """The batch with neighbouring groups made one where they are given one material and one light:
+    one tensor expanded over the batch (stride 0 in memory), as its pictures' shared scene. What is
+    merely equal is kept apart: then no picture's bits depend on its company.
     """
     one_light = batch.light.stride(0) == 0
     counts, first = [batch.counts[0]], [0]
@@ -135,4 +163,9 @@ def merged(batch):
             first.append(g)
     if len(counts) == len(batch.counts):
         return batch
-    return replace(batch, m=batch.m[first], counts=tuple(counts), light_of=tuple(batch.light_of[g] for g in first))
+    return replace(
+        batch,
+        m=batch.m[first],
+        counts=tuple(counts),
+        light_of=tuple(batch.light_of[g] for g in first),
+    )

@@ -1,18 +1,23 @@
-"""The cheapest way that keeps the tolerance: planned from a few numbers about lobes and light, then checked on sample pixels.
+"""The cheapest way that keeps the tolerance: planned from a few numbers about lobes and light, then
+checked on sample pixels.
 
-Distant viewer: f is a sum over lobes, and each lobe goes its own way, the one of less predicted time: through a reflectance map, the
-smallest whose predicted error is within MAP_SHARE × tolerance, or through the culled sum at the pixels; broad lobes see the light through
-larger texels (learn/methods/coarse.py), whose derivative is as good as their value. The whole is then compared with the exact sum on SAMPLE
-pixels, the same every time; where the mean error there, with its uncertainty, exceeds CHECK × tolerance, the part that errs most is done
-again: with more lights, a larger map, or the sum at the pixels where a map no longer pays, and culling held to less. Where the compiled
-kernels do not serve (float64, numba missing, CUDA) the sum is exact.
+Distant viewer: f is a sum over lobes, and each lobe goes its own way, the one of less predicted
+time: through a reflectance map, the smallest whose predicted error is within MAP_SHARE × tolerance,
+or through the culled sum at the pixels; broad lobes see the light through larger texels
+(learn/methods/coarse.py), whose derivative is as good as their value. The whole is then compared
+with the exact sum on SAMPLE pixels, the same every time; where the mean error there, with its
+uncertainty, exceeds CHECK × tolerance, the part that errs most is done again: with more lights, a
+larger map, or the sum at the pixels where a map no longer pays, and culling held to less. Where the
+compiled kernels do not serve (float64, numba missing, CUDA) the sum is exact.
 
-View per pixel: the light is cut in the same way, for all lobes or for the broad ones (learn/methods/hybrid.py); if the light's
-derivative is wanted too, which a cut light gives coarsely, the sum is exact.
+View per pixel: the light is cut in the same way, for all lobes or for the broad ones
+(learn/methods/hybrid.py); if the light's derivative is wanted too, which a cut light gives
+coarsely, the sum is exact.
 
-The error is the mean absolute difference over the mean radiance, both over pixels and channels, of each material and light.
-The constants in calibration.json beside this file were measured on 2026-11-21 and trimmed by hand on six materials, where they beat the
-first fit; `python -m learn.experiments calibrate-auto` fits them for another machine.
+The error is the mean absolute difference over the mean radiance, both over pixels and channels, of
+each material and light. The constants in calibration.json beside this file were measured on
+2026-11-21 and trimmed by hand on six materials, where they beat the first fit; `python -m
+learn.experiments calibrate-auto` fits them for another machine.
 """
 
 import functools
@@ -44,7 +49,10 @@ from learn.methods import (
 
 CARD = Card(
     name="auto",
-    approximates="whatever the tolerance allows: reflectance maps, culled sum, coarser lights, or the exact sum",
+    approximates=(
+        "whatever the tolerance allows: reflectance maps, culled sum, coarser lights, or the"
+        " exact sum"
+    ),
     error=1e-2,
     cost="the least that its model predicts, plus a check of 64 pixels",
     memory="as the method chosen",
@@ -53,12 +61,16 @@ CARD = Card(
 MAP_SHARE, LIGHT_SHARE, CHECK = 0.5, 0.15, 0.8  # of the tolerance
 COARSEST = 2  # level of the light: coarser ones save nothing that shows
 SOFT = 0.8  # standard deviation of what texels of a size can follow, in texels
-CULL_NODES, CULL_PIXELS, GUARANTEED = 8.0, 20.0, 0.5  # times the tolerance: culling's bound is far above what it leaves out in the mean
+# times the tolerance: culling's bound is far above what it leaves out in the mean
+CULL_NODES, CULL_PIXELS, GUARANTEED = 8.0, 20.0, 0.5
 SAMPLE = 64
-SAMPLE_PAIRS = 2**17  # of a pixel and a light that the check may cost: a small map shows single dots, which 64 pixels miss
+# of a pixel and a light that the check may cost: a small map shows single dots, which 64 pixels
+# miss
+SAMPLE_PAIRS = 2**17
 GROWTH = 1.4  # of the map's size where the check fails
 CUTS = (64, 256, 1024)
-SIZES = np.unique(np.geomspace(reflectance_map.SMALLEST, reflectance_map.LARGEST, 66).astype(int))  # of maps, 6 % apart
+# of maps, 6 % apart
+SIZES = np.unique(np.geomspace(reflectance_map.SMALLEST, reflectance_map.LARGEST, 66).astype(int))
 ALONE = 24  # size of the largest map below which all maps take it
 CHEAP = 24  # pixels below which nothing is worth planning
 
@@ -83,15 +95,31 @@ def radiance(batch: Batch, tolerance):
 
 def part(batch, g):
     """The batch of one group alone."""
-    n, view = batch.n.split(batch.counts)[g], None if batch.view is None else batch.view.split(batch.counts)[g]
-    return replace(batch, n=n, view=view, m=batch.m[g : g + 1], counts=batch.counts[g : g + 1], light_of=batch.light_of[g : g + 1])
+    n, view = (
+        batch.n.split(batch.counts)[g],
+        (None if batch.view is None else batch.view.split(batch.counts)[g]),
+    )
+    return replace(
+        batch,
+        n=n,
+        view=view,
+        m=batch.m[g : g + 1],
+        counts=batch.counts[g : g + 1],
+        light_of=batch.light_of[g : g + 1],
+    )
 
 
 def planned_sums(n, m, light, gradients, rotation, tolerance):
-    """`planned.Sums` of one group for a distant viewer, arguments as there, that keep the tolerance on the sample."""
+    """`planned.Sums` of one group for a distant viewer, arguments as there, that keep the tolerance
+    on the sample.
+    """
     _, material_gradient, light_gradient = gradients
     scene = planned.Scene(n, m, light, rotation, light_gradient, material_gradient)
-    lobes = directional.ALL_LOBES if material_gradient else tuple(np.flatnonzero(lobe_shapes.sharpness(m) > 0).tolist())
+    lobes = (
+        directional.ALL_LOBES
+        if material_gradient
+        else tuple(np.flatnonzero(lobe_shapes.sharpness(m) > 0).tolist())
+    )
     texels = light.shape[0] * light.shape[1]
     if len(n) < CHEAP or directional.is_small(len(n), texels, any(gradients)) or not lobes:
         return planned.Sums(scene, [planned.Strategy(lobes, 0, 0, 0.0)] if lobes else [], {})
@@ -104,23 +132,35 @@ def planned_sums(n, m, light, gradients, rotation, tolerance):
             strategies = best_plan(scene, lobes, tolerance)
             sums = planned.Sums(scene, strategies, known)
         while not good(np.abs(sums.at_sample(pick) - truth), level, tolerance):
-            open_to_change = [part for part in sums.parts() if better(part.strategy, len(n)) != part.strategy]
+            open_to_change = [
+                part for part in sums.parts() if better(part.strategy, len(n)) != part.strategy
+            ]
             if not open_to_change:
                 break
-            worst = max(open_to_change, key=lambda part: part.error(pick, scene.at(n[pick], part.strategy.lobes).radiance))
+            worst = max(
+                open_to_change,
+                key=lambda part: part.error(pick, scene.at(n[pick], part.strategy.lobes).radiance),
+            )
             strategies[strategies.index(worst.strategy)] = better(worst.strategy, len(n))
             sums = planned.Sums(scene, strategies, known)
     return sums
 
 
 def samples(pixels, texels):
-    """Pixels to plan by and to check on (S,), then more of them to check on where the map is so small that they cost little."""
-    few, many = (directional.spread_over(pixels, count) for count in (SAMPLE, max(SAMPLE, SAMPLE_PAIRS // texels)))
+    """Pixels to plan by and to check on (S,), then more of them to check on where the map is so
+    small that they cost little.
+    """
+    few, many = (
+        directional.spread_over(pixels, count)
+        for count in (SAMPLE, max(SAMPLE, SAMPLE_PAIRS // texels))
+    )
     return [few] if len(many) == len(few) else [few, many]
 
 
 def better(strategy, pixels):
-    """A way that errs less: more lights, a larger map where there is one, less left out; the same if there is none."""
+    """A way that errs less: more lights, a larger map where there is one, less left out; the same
+    if there is none.
+    """
     culled = max(strategy.culled / 2.5, GUARANTEED)
     if strategy.size:
         strategy = replace(strategy, size=grown(strategy.size, pixels))
@@ -134,14 +174,21 @@ def grown(size, pixels):
 
 
 def good(error, level, tolerance):
-    """Whether errors (S, 3) on a sample keep the tolerance with room for what the sample did not see: the more, the more they differ."""
+    """Whether errors (S, 3) on a sample keep the tolerance with room for what the sample did not
+    see: the more, the more they differ.
+    """
     by_pixel = error.mean(-1)
     doubt = float(by_pixel.std()) / math.sqrt(len(by_pixel))
-    return float(by_pixel.mean()) + doubt <= CHECK * tolerance * level and float(error.max()) <= 30 * tolerance * level
+    return (
+        float(by_pixel.mean()) + doubt <= CHECK * tolerance * level
+        and float(error.max()) <= 30 * tolerance * level
+    )
 
 
 def best_plan(scene, lobes, tolerance):
-    """The `planned.Strategy` of each group of a scene's lobes; lobes that reflect nothing count only for derivatives by the material."""
+    """The `planned.Strategy` of each group of a scene's lobes; lobes that reflect nothing count
+    only for derivatives by the material.
+    """
     sharp, strength = lobe_shapes.sharpness(scene.m), lobe_shapes.strength(scene.m)
     sharp = np.where(sharp > 0, sharp, lobe_shapes.sharpness(scene.m, dark=True))
     share = np.clip(3 * strength / max(strength.sum(), 1e-300), 0.1, 1.0)
@@ -152,28 +199,43 @@ def best_plan(scene, lobes, tolerance):
         lights = scene.light.size[0] * scene.light.size[1] >> 2 * levels[s]
         sizes[s] = map_size(sharp[s], MAP_SHARE * tolerance / share[s], detail, scene.light.size[0])
         by_map = sum_seconds(sharp[s], node_count(sizes[s]), lights, tolerance)
-        if sizes[s] > reflectance_map.LARGEST or by_map > sum_seconds(sharp[s], pixels, lights, tolerance):
+        if sizes[s] > reflectance_map.LARGEST or by_map > sum_seconds(
+            sharp[s], pixels, lights, tolerance
+        ):
             sizes[s] = 0
-    if (mapped := sizes > 0).sum() > 1:  # lobes of like width share a map's geometry; a map is not resampled at a small one's nodes
+    # lobes of like width share a map's geometry; a map is not resampled at a small one's nodes
+    if (mapped := sizes > 0).sum() > 1:
         sizes[mapped & ((1.3 * sizes > sizes.max()) | (sizes.max() < ALONE))] = sizes.max()
     groups = {}
     for s in lobes:
         groups.setdefault((int(sizes[s]), int(levels[s])), []).append(s)
-    return [planned.Strategy(tuple(lobes), size, level, CULL_NODES if size else CULL_PIXELS) for (size, level), lobes in groups.items()]
+    return [
+        planned.Strategy(tuple(lobes), size, level, CULL_NODES if size else CULL_PIXELS)
+        for (size, level), lobes in groups.items()
+    ]
 
 
 def coarsest(sharp, error, light_size):
     """The coarsest level of the light whose predicted error for a lobe is within `error`."""
     level = 0
-    while level < COARSEST and coarse.has_level(*light_size, level + 1) and light_error(light_size[0] >> level + 1, sharp) <= error:
+    while (
+        level < COARSEST
+        and coarse.has_level(*light_size, level + 1)
+        and light_error(light_size[0] >> level + 1, sharp) <= error
+    ):
         level += 1
     return level
 
 
 def light_error(rows, sharp):
-    """Predicted relative error of a light interpolated between so many rows: by the lobe's width, and by the horizon's edge."""
+    """Predicted relative error of a light interpolated between so many rows: by the lobe's width,
+    and by the horizon's edge.
+    """
     fit, spacing = calibration()["light_error"], math.pi / (2 * rows)
-    return fit["of_lobe"] * (spacing * math.sqrt(sharp)) ** fit["power"] + fit["of_horizon"] * spacing**2
+    return (
+        fit["of_lobe"] * (spacing * math.sqrt(sharp)) ** fit["power"]
+        + fit["of_horizon"] * spacing**2
+    )
 
 
 def map_size(sharp, error, detail=(1.0,), rows=64):
@@ -183,10 +245,13 @@ def map_size(sharp, error, detail=(1.0,), rows=64):
 
 
 def map_error(size, sharp, detail=(1.0,), rows=64):
-    """Predicted relative error of maps of some sizes for a lobe, by bicubic interpolation of what the lobe makes of the light.
+    """Predicted relative error of maps of some sizes for a lobe, by bicubic interpolation of what
+    the lobe makes of the light.
 
-    detail, rows  parts of the light by how fast they vary (coarse.Light.detail), and rows of its map. What varies slowly makes a highlight
-                  that is wider than the lobe, unless the lobe is so narrow that the sum over texels shows them one by one
+    detail, rows  parts of the light by how fast they vary (coarse.Light.detail), and rows of its
+    map. What varies slowly makes a highlight
+                  that is wider than the lobe, unless the lobe is so narrow that the sum over texels
+                  shows them one by one
     """
     fit = calibration()["map_error"]
     spacing, texel = 2 * math.sqrt(2) / (size - 5), math.pi / (2 * rows)
@@ -196,7 +261,11 @@ def map_error(size, sharp, detail=(1.0,), rows=64):
         softness = SOFT * texel * 2**k if k else 0.0
         for share, wide in ((part * (1 - alone), softness), (part * alone, 0.0)):
             seen = 1 / (1 / max(sharp, 1e-9) + wide**2)
-            error += share * fit["of_lobe"] * (spacing * math.sqrt(max(seen, fit["least_sharpness"]))) ** fit["power"]
+            error += (
+                share
+                * fit["of_lobe"]
+                * (spacing * math.sqrt(max(seen, fit["least_sharpness"]))) ** fit["power"]
+            )
     return error
 
 
@@ -206,10 +275,16 @@ def node_count(size):
 
 
 def sum_seconds(sharp, pixels, lights, tolerance):
-    """Predicted time of the culled sum of one lobe, forward and backward: the lights in its cone for each pixel (or node)."""
+    """Predicted time of the culled sum of one lobe, forward and backward: the lights in its cone
+    for each pixel (or node).
+    """
     fit = calibration()["seconds"]
     tile = math.sqrt(2 * 16 / max(pixels, 1))  # radius of a tile of normals on the hemisphere
-    cone = fit["cone"] * (1 + 0.1 * math.log10(1 / tolerance)) / math.sqrt(max(sharp, 1e-9)) + fit["block"] + 2 * tile
+    cone = (
+        fit["cone"] * (1 + 0.1 * math.log10(1 / tolerance)) / math.sqrt(max(sharp, 1e-9))
+        + fit["block"]
+        + 2 * tile
+    )
     share = 0.5 * (1 - math.cos(min(cone, math.pi / 2)))
     return pixels * (lights * share * fit["pair"] + fit["pixel"]) + fit["call"]
 
@@ -217,7 +292,9 @@ def sum_seconds(sharp, pixels, lights, tolerance):
 def few_lights(batch, tolerance):
     """Radiance (P, 3) of one group seen from a view per pixel."""
     exact, (height, width) = load("exact").radiance, batch.light.shape[1:3]
-    if len(batch.n) < CHEAP or directional.is_small(len(batch.n), height * width, wants_gradient(batch.n, batch.view, batch.m)):
+    if len(batch.n) < CHEAP or directional.is_small(
+        len(batch.n), height * width, wants_gradient(batch.n, batch.view, batch.m)
+    ):
         return exact(batch, tolerance)
     if wants_gradient(batch.light):
         return exact(batch, tolerance)
@@ -231,18 +308,32 @@ def few_lights(batch, tolerance):
                 functools.partial(hybrid.with_lights, count=count, left_out=0.25 * tolerance),
             )
         ]
-        chosen = next((strategy for strategy in strategies if all(check.passes(strategy) for check in checks)), None)
+        chosen = next(
+            (
+                strategy
+                for strategy in strategies
+                if all(check.passes(strategy) for check in checks)
+            ),
+            None,
+        )
     if not chosen:
         return exact(batch, tolerance)
-    return chosen(first_only(batch, CARD.name, COMPILED) if directional.has_kernels(batch.n) else batch)
+    return chosen(
+        first_only(batch, CARD.name, COMPILED) if directional.has_kernels(batch.n) else batch
+    )
 
 
 class Check:
-    """Pixels `pick` of a batch of one group with a view per pixel, and their exact radiance, which is summed when first needed."""
+    """Pixels `pick` of a batch of one group with a view per pixel, and their exact radiance, which
+    is summed when first needed.
+    """
 
     def __init__(self, batch, pick, tolerance):
         pick = torch.from_numpy(pick)
-        self.batch, self.tolerance = replace(batch, n=batch.n[pick], view=batch.view[pick], counts=(len(pick),)), tolerance
+        self.batch, self.tolerance = (
+            replace(batch, n=batch.n[pick], view=batch.view[pick], counts=(len(pick),)),
+            tolerance,
+        )
 
     @functools.cached_property
     def truth(self):
@@ -250,4 +341,8 @@ class Check:
 
     def passes(self, strategy):
         """Whether way(batch) keeps the tolerance there."""
-        return good((strategy(self.batch) - self.truth).abs().numpy(), self.truth.mean().item(), self.tolerance)
+        return good(
+            (strategy(self.batch) - self.truth).abs().numpy(),
+            self.truth.mean().item(),
+            self.tolerance,
+        )

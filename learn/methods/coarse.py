@@ -1,10 +1,13 @@
-"""A light of fewer, larger texels that serves broad lobes: the sum over texels with what is summed interpolated between coarser ones.
+"""A light of fewer, larger texels that serves broad lobes: the sum over texels with what is summed
+interpolated between coarser ones.
 
     Σ_t F(w_t) E_t ≈ Σ_t Σ_j φ_j(w_t) F(w_j) E_t = Σ_j F(w_j) (Σ_t φ_j(w_t) E_t)
 
-φ_j are the Catmull–Rom weights of a grid of texels 2^level times as large, along rows and columns; they go on across the poles. The
-coarse energies are linear in the light, so that its derivative comes back through the same weights, to the accuracy of the values: a
-texel is not given its region's mean. Some coarse energies are negative. The error is that of bicubic interpolation of F = f max(0, n·w).
+φ_j are the Catmull–Rom weights of a grid of texels 2^level times as large, along rows and columns;
+they go on across the poles. The coarse energies are linear in the light, so that its derivative
+comes back through the same weights, to the accuracy of the values: a texel is not given its
+region's mean. Some coarse energies are negative. The error is that of bicubic interpolation of F =
+f max(0, n·w).
 """
 
 import functools
@@ -17,14 +20,18 @@ from shaders.envmap import LUMINANCE, directions
 
 
 def has_level(height, width, level):
-    """Whether a map parts evenly into texels 2^level times as large, with enough of them to interpolate between."""
+    """Whether a map parts evenly into texels 2^level times as large, with enough of them to
+    interpolate between.
+    """
     step = 2**level
     return height % step == 0 and width % (2 * step) == 0 and height // step >= 8
 
 
 @functools.lru_cache(maxsize=8)
 def stencil(level):
-    """Weights (4 · 2^level,) float32 of the fine places from 3/2 · 2^level before a coarse one's first on: the same for each."""
+    """Weights (4 · 2^level,) float32 of the fine places from 3/2 · 2^level before a coarse one's
+    first on: the same for each.
+    """
     step = 2**level
     x = np.abs((np.arange(4 * step) + 0.5) / step - 2.0)
     near, far = (1.5 * x - 2.5) * x * x + 1.0, ((2.5 - 0.5 * x) * x - 4.0) * x + 2.0
@@ -32,23 +39,44 @@ def stencil(level):
 
 
 def energy(E, level):
-    """Coarse energies (planes, coarse height, coarse width) of E (planes, height, width), float32."""
+    """Coarse energies (planes, coarse height, coarse width) of E (planes, height, width),
+    float32.
+    """
     planes, height, width = E.shape
-    result, along = np.empty((planes, height >> level, width >> level), np.float32), np.empty(width, np.float32)
-    machine_code.call("coarsening.gather", 0, planes, height, width, 2**level, stencil(level), E, along, result)
+    result, along = (
+        np.empty((planes, height >> level, width >> level), np.float32),
+        np.empty(width, np.float32),
+    )
+    machine_code.call(
+        "coarsening.gather", 0, planes, height, width, 2**level, stencil(level), E, along, result
+    )
     return result
 
 
 def gradient(by_coarse, level):
-    """Derivative (planes, height, width) by E, from the one (planes, coarse height, coarse width) by the coarse energies."""
+    """Derivative (planes, height, width) by E, from the one (planes, coarse height, coarse width)
+    by the coarse energies.
+    """
     planes, height, width = len(by_coarse), by_coarse.shape[1] << level, by_coarse.shape[2] << level
     result, along = np.empty((planes, height, width), np.float32), np.empty(width, np.float32)
-    machine_code.call("coarsening.scatter", 0, planes, height, width, 2**level, stencil(level), by_coarse, along, result)
+    machine_code.call(
+        "coarsening.scatter",
+        0,
+        planes,
+        height,
+        width,
+        2**level,
+        stencil(level),
+        by_coarse,
+        along,
+        result,
+    )
     return result
 
 
 class Light:
-    """A light map at several levels of detail, level 0 its own texels: `Lights`, energy in blocks, and the way back from them.
+    """A light map at several levels of detail, level 0 its own texels: `Lights`, energy in blocks,
+    and the way back from them.
 
     light  (height, width, 3) float32 numpy;  rotation  nine numbers, camera_from_light
     E      (3, height, width) radiance × solid angle
@@ -65,14 +93,18 @@ class Light:
         if level not in self.known:
             lights, order = self.places(level)
             E = energy(self.E, level) if level else self.E
-            self.known[level] = lights, directional.energy_blocks(E.reshape(3, -1)[:, order], lights)
+            self.known[level] = (
+                lights,
+                directional.energy_blocks(E.reshape(3, -1)[:, order], lights),
+            )
         return self.known[level]
 
     def detail(self):
-        """How much of the light varies how fast: parts (levels + 1,) of it that each level loses to the next, and what remains; sum 1.
+        """How much of the light varies how fast: parts (levels + 1,) of it that each level loses to
+        the next, and what remains; sum 1.
 
-        Part k lives on texels of level k, finer than those of level k + 1 can follow. One lit texel loses twice its energy: it is half
-        of what is lost that counts.
+        Part k lives on texels of level k, finer than those of level k + 1 can follow. One lit texel
+        loses twice its energy: it is half of what is lost that counts.
         """
         weights = LUMINANCE.astype(np.float32)[:, None, None]
         brightness = (weights * self.E).sum(
@@ -82,7 +114,10 @@ class Light:
         for level in range(1, 4):
             if not has_level(*self.size, level):
                 break
-            smooth = gradient(energy(brightness, level) / shares(*self.size, level), level) * self.solid_angle
+            smooth = (
+                gradient(energy(brightness, level) / shares(*self.size, level), level)
+                * self.solid_angle
+            )
             parts.append(min(0.5 * float(np.abs(seen - smooth).sum()) / total, 1.0 - sum(parts)))
             seen = smooth
         return [*parts, 1.0 - sum(parts)]
@@ -107,4 +142,7 @@ def solid_angles(height, width):
 @functools.lru_cache(maxsize=8)
 def shares(height, width, level):
     """Solid angle (1, coarse height, coarse width) that each coarse place stands for."""
-    return energy(np.ascontiguousarray(np.broadcast_to(solid_angles(height, width), (1, height, width))), level)
+    return energy(
+        np.ascontiguousarray(np.broadcast_to(solid_angles(height, width), (1, height, width))),
+        level,
+    )

@@ -1,10 +1,13 @@
-"""The paper's sum without the blocks of texels that cannot matter: those below the horizon, and those outside a lobe's cone.
+"""The paper's sum without the blocks of texels that cannot matter: those below the horizon, and
+those outside a lobe's cone.
 
-For each tile of like normals, a bound on what each 4×4 block of texels can add through each lobe is computed from cones about the block's
-directions and half vectors; blocks are left out from the smallest bound on until `share × tolerance` of the picture's mean radiance would
-be missing from some pixel. The mean is estimated from 32 pixels first. What comes out is nowhere brighter than the whole sum, so that its
-own mean bounds the true one from below: where that says that more than the tolerance may be missing, the sum is made again with less left
-out. So the error is bounded, not estimated. Derivatives leave out the same blocks, except those by a lobe that is dim beside another.
+For each tile of like normals, a bound on what each 4×4 block of texels can add through each lobe is
+computed from cones about the block's directions and half vectors; blocks are left out from the
+smallest bound on until `share × tolerance` of the picture's mean radiance would be missing from
+some pixel. The mean is estimated from 32 pixels first. What comes out is nowhere brighter than the
+whole sum, so that its own mean bounds the true one from below: where that says that more than the
+tolerance may be missing, the sum is made again with less left out. So the error is bounded, not
+estimated. Derivatives leave out the same blocks, except those by a lobe that is dim beside another.
 """
 
 from learn.methods import Batch, Card, by_group, directional
@@ -14,7 +17,9 @@ CARD = Card(
     approximates="the paper's sum, without texels whose lobes are negligible at the pixel",
     error=5e-3,
     cost="pixels × texels near a lobe: falls with the square of the lobes' width",
-    memory="lists of blocks: 16 bytes × pixels / 64 × blocks of 16 texels, for 65,536 pixels at a time",
+    memory=(
+        "lists of blocks: 16 bytes × pixels / 64 × blocks of 16 texels, for 65,536 pixels at a time"
+    ),
     gradient=2e-2,
 )
 
@@ -28,7 +33,9 @@ def radiance(batch: Batch, tolerance):
         seen = directional.radiance(n, view, m, E, lights, left_out, method=CARD.name)
         least = seen.detach().mean().item()
         if left_out > tolerance * least:
-            return directional.radiance(n, view, m, E, lights, SHARE * tolerance * least, method=CARD.name)
+            return directional.radiance(
+                n, view, m, E, lights, SHARE * tolerance * least, method=CARD.name
+            )
         return seen
 
     return by_group(batch, one_group)

@@ -1,12 +1,15 @@
-"""The paper's sum itself, every texel for every pixel: the reference that all other methods are measured against.
+"""The paper's sum itself, every texel for every pixel: the reference that all other methods are
+measured against.
 
     I_k(p) = Σ_t f_k(p, t) E_tk μ_pt        E = L Ω, μ = max(0, n·w)        supplement, Eq. 8
     f_k    = Σ_s expm1(x_ks),   x = min(κ c^γ, MAX_EXPONENT),   c = h·n
 
-p pixel, t texel, k channel, s lobe, b spline control value. Arrays of one chunk are (p, t, k, s); what depends on the texel alone
-(h, θ_d, κ and γ, when the viewer is distant) has a leading 1 in place of p, so that both cameras run through the same lines.
+p pixel, t texel, k channel, s lobe, b spline control value. Arrays of one chunk are (p, t, k, s);
+what depends on the texel alone (h, θ_d, κ and γ, when the viewer is distant) has a leading 1 in
+place of p, so that both cameras run through the same lines.
 
-The backward pass is derived by hand and computes each chunk again instead of storing it, so that memory stays bounded. With g = ∂loss/∂I:
+The backward pass is derived by hand and computes each chunk again instead of storing it, so that
+memory stays bounded. With g = ∂loss/∂I:
 
     ∂E_tk = Σ_p g f μ              ∂μ_pt = Σ_k g E f             A = g E μ exp(x)
     ∂κ = A c^γ                     ∂γ = A x ln c                 ∂ln c = Σ_ks A x γ,   ∂c/∂n = h
@@ -14,7 +17,8 @@ The backward pass is derived by hand and computes each chunk again instead of st
 
 It is a step of its own, which learn/methods/exact_second.py differentiates.
 
-The factor h of ∂c/∂n is missing in print, and ln c is needed only where c > 0 (tests/test_misprints.py).
+The factor h of ∂c/∂n is missing in print, and ln c is needed only where c > 0
+(tests/test_misprints.py).
 """
 
 import math
@@ -33,14 +37,20 @@ CARD = Card(
     approximates="nothing: the paper's sum, texel by texel",
     error=0.0,
     cost="pixels × texels",
-    memory="below 64 MiB at any size: chunks of 32,768 pixel–texel pairs, computed again in the backward pass",
+    memory=(
+        "below 64 MiB at any size: chunks of 32,768 pixel–texel pairs, computed again in the"
+        " backward pass"
+    ),
 )
 LEAST_COSINE = 1e-12
-TEXELS, PAIRS = 2048, 32768  # of one chunk; the largest temporary is 9 × PAIRS numbers, 2.4 MB in float64
+# of one chunk; the largest temporary is 9 × PAIRS numbers, 2.4 MB in float64
+TEXELS, PAIRS = 2048, 32768
 
 
 def texels(light, camera_from_light):
-    """w (T, 3) unit, camera frame, and E (T, 3) = radiance × solid angle of each texel of light (Hl, Wl, 3)."""
+    """w (T, 3) unit, camera frame, and E (T, 3) = radiance × solid angle of each texel of light
+    (Hl, Wl, 3).
+    """
     w, solid_angle = directions(*light.shape[:2])
     w = (torch.as_tensor(w).reshape(-1, 3) @ camera_from_light.T).to(light)
     solid_angle = torch.as_tensor(solid_angle, dtype=light.dtype, device=light.device)
@@ -62,7 +72,9 @@ def radiance(batch: Batch, tolerance):
 
 
 class Half(NamedTuple):
-    """What the half vector decides: h, s = w + v and d = w − v (p|1, t, 3), B (p|1, t, 6), θ_d (p|1, t), κ and γ (p|1, t, 3, 3)."""
+    """What the half vector decides: h, s = w + v and d = w − v (p|1, t, 3), B (p|1, t, 6), θ_d
+    (p|1, t), κ and γ (p|1, t, 3, 3).
+    """
 
     h: torch.Tensor
     s: torch.Tensor
@@ -82,7 +94,9 @@ def half(v, w, m):
 
 
 class Lobes(NamedTuple):
-    """f's parts: μ, c, ln c (p, t); power c^γ, exponent κ c^γ before its bound (p, t, 3, 3); f (p, t, 3)."""
+    """f's parts: μ, c, ln c (p, t); power c^γ, exponent κ c^γ before its bound (p, t, 3, 3); f (p,
+    t, 3).
+    """
 
     mu: torch.Tensor
     c: torch.Tensor
@@ -93,18 +107,21 @@ class Lobes(NamedTuple):
 
 
 def lobes(n, w, at):
-    """The BRDF of each pixel and texel; where the texel lies below the horizon, μ is 0 and c is set to 1.
+    """The BRDF of each pixel and texel; where the texel lies below the horizon, μ is 0 and c is set
+    to 1.
 
     n (p, 3), w (t, 3), at: Half
     """
     mu = (n @ w.T).clamp(min=0)
-    # a map's node may look away from the viewer (learn/methods/reflectance_map.py): c is held above 0 there
+    # a map's node may look away from the viewer (learn/methods/reflectance_map.py): c is held above
+    # 0 there
     c = torch.where(mu > 0, (at.h * n[:, None]).sum(-1).clamp(min=LEAST_COSINE), 1.0)
     # at a sharp lobe's peak 1 − c cancels: take it from |h − n|² there
     gap = 0.5 * ((at.h - n[:, None]) ** 2).sum(-1)
     near = torch.where((mu > 0) & (c > 0.5), gap, 0.0)
     log_c = torch.where(c > 0.5, torch.log1p(-near), torch.log(c))
-    power = torch.exp2(at.gamma * (log_c / math.log(2))[..., None, None])  # torch.exp is slow where it underflows
+    # torch.exp is slow where it underflows
+    power = torch.exp2(at.gamma * (log_c / math.log(2))[..., None, None])
     exponent = at.kappa * power
     f = torch.expm1(exponent.clamp(max=MAX_EXPONENT)).sum(-1)
     return Lobes(mu, c, log_c, power, exponent, f)
@@ -119,7 +136,9 @@ def chunks(pixels, total, pairs=PAIRS):
 
 
 class ExactSum(Step):
-    """n (P, 3), view (P, 3) or None, m (3, 3, 2, 6), E (T, 3), w (T, 3) constant → radiance (P, 3)."""
+    """n (P, 3), view (P, 3) or None, m (3, 3, 2, 6), E (T, 3), w (T, 3) constant → radiance (P,
+    3).
+    """
 
     @staticmethod
     def forward(ctx, n, view, m, E, w):
@@ -137,7 +156,9 @@ class ExactSum(Step):
 
 
 class ExactGradients(Step):
-    """g (P, 3), and what ExactSum was given → derivatives of Σ g·radiance by n, view (None without one), m and E."""
+    """g (P, 3), and what ExactSum was given → derivatives of Σ g·radiance by n, view (None without
+    one), m and E.
+    """
 
     @staticmethod
     def forward(ctx, g, n, view, m, E, w):
@@ -149,7 +170,9 @@ class ExactGradients(Step):
             grad_E[t] += torch.einsum("pk,ptk,pt->tk", g[p], part.f, part.mu)
             by_mu = torch.einsum("pk,tk,ptk->pt", g[p], E[t], part.f) * (part.mu > 0)
             bounded = part.exponent < MAX_EXPONENT
-            A = (g[p][:, None] * E[t] * part.mu[..., None])[..., None] * torch.where(bounded, torch.exp(part.exponent), 0.0)
+            A = (g[p][:, None] * E[t] * part.mu[..., None])[..., None] * torch.where(
+                bounded, torch.exp(part.exponent), 0.0
+            )
             by_c = (A * part.exponent * at.gamma).sum((-1, -2)) / part.c
             by_kappa = A * part.power
             by_gamma = A * part.exponent * part.log_c[..., None, None]
@@ -157,7 +180,9 @@ class ExactGradients(Step):
             if view is not None:
                 by_theta = slopes(by_kappa, by_gamma, at, m)
                 grad_view[p] += view_gradient(by_c, by_theta, n[p], part.c, at)
-            curves = torch.stack([by_kappa.sum_to_size(at.kappa.shape), by_gamma.sum_to_size(at.gamma.shape)])
+            curves = torch.stack(
+                [by_kappa.sum_to_size(at.kappa.shape), by_gamma.sum_to_size(at.gamma.shape)]
+            )
             grad_m += torch.einsum("jptks,ptb->ksjb", curves, at.B)
         return grad_n, grad_view, grad_m, grad_E
 
@@ -168,7 +193,9 @@ class ExactGradients(Step):
 
 
 class Second(Step):
-    """Derivatives of a loss by the results of ExactGradients, and what that was given → derivatives by g, n, view (or None), m and E."""
+    """Derivatives of a loss by the results of ExactGradients, and what that was given → derivatives
+    by g, n, view (or None), m and E.
+    """
 
     @staticmethod
     def forward(ctx, by_n, by_view, by_m, by_E, *given):
@@ -182,7 +209,9 @@ class Second(Step):
 
 
 def walk(view, m, w, pixels):
-    """Each chunk's texels, pixels and Half; a distant viewer's Half is computed once for all pixels."""
+    """Each chunk's texels, pixels and Half; a distant viewer's Half is computed once for all
+    pixels.
+    """
     distant = w.new_tensor([[[0.0, 0.0, 1.0]]])
     seen, at = None, None
     for t, p in chunks(pixels, len(w)):
@@ -202,10 +231,13 @@ def slopes(by_kappa, by_gamma, at, m):
 def view_gradient(by_c, by_theta, n, c, at):
     """∂loss/∂v (p, 3) of a chunk, through h and θ_d.
 
-    Where w = v the direction of d is undefined and θ_d has a corner: 0 is taken. Where w = −v nothing is lit.
+    Where w = v the direction of d is undefined and θ_d has a corner: 0 is taken. Where w = −v
+    nothing is lit.
     """
     length_s, length_d = at.s.norm(dim=-1), at.d.norm(dim=-1)
     unit_d = at.d / length_d.clamp(min=1e-12)[..., None]
     through_h = (n[:, None] - c[..., None] * at.h) * (by_c / length_s.clamp(min=1e-6))[..., None]
-    through_theta = (length_s[..., None] * unit_d + length_d[..., None] * at.h) * (-0.25 * by_theta)[..., None]
+    through_theta = (length_s[..., None] * unit_d + length_d[..., None] * at.h) * (
+        -0.25 * by_theta
+    )[..., None]
     return (through_h + through_theta).sum(1)

@@ -1,13 +1,16 @@
-"""The exact sum as a torch operator: one for the CPU kernels and the CUDA kernels, with a backward of its own.
+"""The exact sum as a torch operator: one for the CPU kernels and the CUDA kernels, with a backward
+of its own.
 
-    exact_sum(n, view, m, light, rotation, counts, light_of) → radiance (P, 3)        arguments as in learn.engines.cpu
+    exact_sum(n, view, m, light, rotation, counts, light_of) → radiance (P, 3)        arguments as
+    in learn.engines.cpu
 
-float32 only. torch.compile and opcheck see an opaque operator with known shapes; autograd calls `exact_sum_backward`, which
-computes the pass again from the same inputs; and, where the graph of that pass is kept, `Second` to differentiate it. The number of
-threads is torch's own (torch.set_num_threads): a DataLoader worker has one.
+float32 only. torch.compile and opcheck see an opaque operator with known shapes; autograd calls
+`exact_sum_backward`, which computes the pass again from the same inputs; and, where the graph of
+that pass is kept, `Second` to differentiate it. The number of threads is torch's own
+(torch.set_num_threads): a DataLoader worker has one.
 
-Defined by torch.library.define rather than the custom_op decorator: the same operator, but the decorator's first call imports
-the whole of torch._dynamo, one second.
+Defined by torch.library.define rather than the custom_op decorator: the same operator, but the
+decorator's first call imports the whole of torch._dynamo, one second.
 """
 
 import importlib.util
@@ -22,11 +25,16 @@ NAME = "brdfactory::exact_sum"
 
 
 def serves(batch):
-    """Whether an engine computes this `learn.methods.Batch`; the reference (learn.methods.exact) takes the others.
+    """Whether an engine computes this `learn.methods.Batch`; the reference (learn.methods.exact)
+    takes the others.
 
     Engines hold exponents below MAX_EXPONENT by requiring it of κ: c^γ ≤ 1.
     """
-    if batch.n.dtype != torch.float32 or batch.m.numel() == 0 or batch.m.detach()[..., 0, :].amax() > MAX_EXPONENT:
+    if (
+        batch.n.dtype != torch.float32
+        or batch.m.numel() == 0
+        or batch.m.detach()[..., 0, :].amax() > MAX_EXPONENT
+    ):
         return False
     if batch.n.device.type == "cuda":
         return importlib.util.find_spec("triton") is not None
@@ -36,16 +44,28 @@ def serves(batch):
 def radiance(batch):
     """(P, 3) outgoing radiance of a `learn.methods.Batch` that `serves` accepts."""
     if not torch.compiler.is_compiling():
-        require_reverse_mode(batch.n, batch.view, batch.m, batch.light)  # torch drops a tangent that an operator knows nothing of
+        # torch drops a tangent that an operator knows nothing of
+        require_reverse_mode(batch.n, batch.view, batch.m, batch.light)
     rotation = batch.camera_from_light.double().flatten().tolist()
-    return torch.ops.brdfactory.exact_sum(batch.n, batch.view, batch.m, batch.light, rotation, list(batch.counts), list(batch.light_of))
+    return torch.ops.brdfactory.exact_sum(
+        batch.n,
+        batch.view,
+        batch.m,
+        batch.light,
+        rotation,
+        list(batch.counts),
+        list(batch.light_of),
+    )
 
 
 CONSTANTS = "float[] rotation, int[] counts, int[] light_of"
-torch.library.define(NAME, f"(Tensor n, Tensor? view, Tensor m, Tensor light, {CONSTANTS}) -> Tensor")
+torch.library.define(
+    NAME, f"(Tensor n, Tensor? view, Tensor m, Tensor light, {CONSTANTS}) -> Tensor"
+)
 torch.library.define(
     f"{NAME}_backward",
-    f"(Tensor g, Tensor n, Tensor? view, Tensor m, Tensor light, {CONSTANTS}, bool with_view) -> (Tensor, Tensor, Tensor, Tensor)",
+    f"(Tensor g, Tensor n, Tensor? view, Tensor m, Tensor light, {CONSTANTS}, bool with_view) ->"
+    " (Tensor, Tensor, Tensor, Tensor)",
 )
 
 
@@ -56,14 +76,18 @@ def _numpy(tensor):
 @torch.library.impl(NAME, "CPU")
 def _sum_on_cpu(n, view, m, light, rotation, counts, light_of):
     arrays = (_numpy(a) for a in (n, view, m, light))
-    return torch.from_numpy(cpu.radiance(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads()))
+    return torch.from_numpy(
+        cpu.radiance(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads())
+    )
 
 
 @torch.library.impl(f"{NAME}_backward", "CPU")
 def _backward_on_cpu(g, n, view, m, light, rotation, counts, light_of, with_view):
     """Derivatives by n, view (empty unless with_view), m, light."""
     arrays = (_numpy(a) for a in (g, n, view, m, light))
-    result = cpu.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads(), with_view)
+    result = cpu.gradients(
+        *arrays, tuple(rotation), counts, light_of, torch.get_num_threads(), with_view
+    )
     return tuple(n.new_empty(0) if a is None else torch.from_numpy(a) for a in result)
 
 
@@ -80,7 +104,9 @@ def _backward_on_cuda(g, n, view, m, light, rotation, counts, light_of, with_vie
     from learn.engines import cuda
 
     g, n, view, m, light = (None if a is None else a.contiguous() for a in (g, n, view, m, light))
-    by_n, by_view, by_m, by_light = cuda.gradients(g, n, view, m, light, tuple(rotation), tuple(counts), light_of)
+    by_n, by_view, by_m, by_light = cuda.gradients(
+        g, n, view, m, light, tuple(rotation), tuple(counts), light_of
+    )
     return by_n, by_view if with_view else n.new_empty(0), by_m, by_light
 
 
@@ -128,23 +154,32 @@ class Gradients(Step):
         view = ctx.saved_tensors[2]
         if not ctx.with_view:
             by_view = None if view is None else torch.zeros_like(view)
-        return *Second.apply(by_n, by_view, by_m, by_light, *ctx.saved_tensors, *ctx.constants), None
+        return (
+            *Second.apply(by_n, by_view, by_m, by_light, *ctx.saved_tensors, *ctx.constants),
+            None,
+        )
 
 
 class Second(Step):
-    """Derivatives of a loss by the results of the backward pass, and what that pass was given → derivatives by g, n, view, m and light.
+    """Derivatives of a loss by the results of the backward pass, and what that pass was given →
+    derivatives by g, n, view, m and light.
 
-    No operator: torch.compile takes no second derivatives, and within an operator learn.methods.exact_second could not use autograd.
+    No operator: torch.compile takes no second derivatives, and within an operator
+    learn.methods.exact_second could not use autograd.
     """
 
     @staticmethod
-    def forward(ctx, by_n, by_view, by_m, by_light, g, n, view, m, light, rotation, counts, light_of):
+    def forward(
+        ctx, by_n, by_view, by_m, by_light, g, n, view, m, light, rotation, counts, light_of
+    ):
         direction, given = (by_n, by_view, by_m, by_light), (g, n, view, m, light)
         if n.device.type == "cpu":
             from learn.engines import second
 
             arrays = [_numpy(x) for x in direction], *(_numpy(x) for x in given)
-            result = second.gradients(*arrays, tuple(rotation), counts, light_of, torch.get_num_threads())
+            result = second.gradients(
+                *arrays, tuple(rotation), counts, light_of, torch.get_num_threads()
+            )
             result = (None if x is None else torch.from_numpy(x) for x in result)
         else:
             from learn.methods.exact_second import of_groups

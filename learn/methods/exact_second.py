@@ -1,18 +1,24 @@
-"""Second derivatives of the exact sum: the gradient of its derivative along a direction, in plain torch, chunk by chunk.
+"""Second derivatives of the exact sum: the gradient of its derivative along a direction, in plain
+torch, chunk by chunk.
 
-Letters as in learn/methods/exact.py. A second backward pass is handed the derivatives n', view', m', E' of some loss by the results of
-the first pass, which was given g. It differentiates what they pair to,
+Letters as in learn/methods/exact.py. A second backward pass is handed the derivatives n', view',
+m', E' of some loss by the results of the first pass, which was given g. It differentiates what they
+pair to,
 
-    S = n'·∂n + view'·∂view + m'·∂m + E'·∂E = Σ_pk g_pk I'_pk,    I' the derivative of I along (n', view', m', E'),
+    S = n'·∂n + view'·∂view + m'·∂m + E'·∂E = Σ_pk g_pk I'_pk,    I' the derivative of I along (n',
+    view', m', E'),
 
-    I'_k = Σ_t (f'_k μ + f_k μ') E_k + f_k μ E'_k       x' = c^γ κ' + x (γ' ln c + γ c'/c)      c' = h·n' + h'·n
-    h' = (v' − h (h·v'))/|w + v|                        θ_d' = −(|w + v| d + |w − v| h)·v'/4    κ' = Σ_b B_b m'_b + θ_d' Σ_b Ḃ_b m_b
+    I'_k = Σ_t (f'_k μ + f_k μ') E_k + f_k μ E'_k       x' = c^γ κ' + x (γ' ln c + γ c'/c)      c' =
+    h·n' + h'·n
+    h' = (v' − h (h·v'))/|w + v|                        θ_d' = −(|w + v| d + |w − v| h)·v'/4    κ' =
+    Σ_b B_b m'_b + θ_d' Σ_b Ḃ_b m_b
 
-by g, n, view, m and E: I' is written out, its gradient is autograd's. Everything is summed in float64, since second derivatives of a lobe
-grow as γ², and so does what rounding does to them.
+by g, n, view, m and E: I' is written out, its gradient is autograd's. Everything is summed in
+float64, since second derivatives of a lobe grow as γ², and so does what rounding does to them.
 
-The spline has a second derivative but at its knots, max(0, n·w) but on the horizon, min(κ c^γ, MAX_EXPONENT) but where they meet: there
-one side's is taken. Where w = v, θ_d has a corner and its second derivative no bound: it is left out within CORNER.
+The spline has a second derivative but at its knots, max(0, n·w) but on the horizon, min(κ c^γ,
+MAX_EXPONENT) but where they meet: there one side's is taken. Where w = v, θ_d has a corner and its
+second derivative no bound: it is left out within CORNER.
 """
 
 import math
@@ -28,23 +34,32 @@ CORNER = 1e-6  # length of w − v: radians between light and view
 
 
 def second(direction, g, n, view, m, E, w, radial):
-    """Gradients of S by g, n, view (None without one), m and E, in their shapes and dtypes; no graph is kept.
+    """Gradients of S by g, n, view (None without one), m and E, in their shapes and dtypes; no
+    graph is kept.
 
     direction  n' (P, 3), view' (P, 3) or None, m' (3, 3, 2, 6), E' (T, 3)
-    radial     whether the first pass took ∂c/∂n = h, or else h − n. Both are right on the sphere, and their difference, along n, does not
+    radial     whether the first pass took ∂c/∂n = h, or else h − n. Both are right on the sphere,
+    and their difference, along n, does not
                pass the scaling to unit length; but that step's second derivative counts on it
     """
     dtypes = [None if x is None else x.dtype for x in (g, n, view, m, E)]
-    g, n, view, m, E, w, *direction = (None if x is None else x.detach().double() for x in (g, n, view, m, E, w, *direction))
+    g, n, view, m, E, w, *direction = (
+        None if x is None else x.detach().double() for x in (g, n, view, m, E, w, *direction)
+    )
     along_n, along_view, along_m, along_E = direction
-    by_g, by_n, by_view, by_m, by_E = results = [None if x is None else torch.zeros_like(x) for x in (g, n, view, m, E)]
+    by_g, by_n, by_view, by_m, by_E = results = [
+        None if x is None else torch.zeros_like(x) for x in (g, n, view, m, E)
+    ]
     for t, p in chunks(len(n), len(w), PAIRS):
         lit = (n[p] @ w[t].T > 0).any(0).nonzero().squeeze(-1)
         if not len(lit):
             continue
         lights = w[t][lit]
         with torch.enable_grad():
-            leaves = [x.clone().requires_grad_() for x in (g[p], n[p], m, E[t][lit], *(() if view is None else (view[p],)))]
+            leaves = [
+                x.clone().requires_grad_()
+                for x in (g[p], n[p], m, E[t][lit], *(() if view is None else (view[p],)))
+            ]
             g_leaf, n_leaf, m_leaf, E_leaf, *view_leaf = leaves
             if view is None:
                 half = distant_half(lights, m_leaf, along_m)
@@ -58,16 +73,25 @@ def second(direction, g, n, view, m, E, w, radial):
         by_E[t].index_add_(0, lit, by[3])
         if view is not None:
             by_view[p] += by[4]
-    return tuple(None if x is None else x.to(dtype) for x, dtype in zip(results, dtypes, strict=True))
+    return tuple(
+        None if x is None else x.to(dtype) for x, dtype in zip(results, dtypes, strict=True)
+    )
 
 
 def of_groups(direction, g, n, view, m, light, rotation, counts, light_of):
-    """The same for the groups of a batch, as learn.engines.cpu has them, with radial=False: by g, n, view, m (G, …) and light (B, …)."""
+    """The same for the groups of a batch, as learn.engines.cpu has them, with radial=False: by g,
+    n, view, m (G, …) and light (B, …).
+    """
     by_n, by_view, by_m, by_light = direction
-    parts = [[None] * len(counts) if x is None else x.split(list(counts)) for x in (by_n, by_view, g, n, view)]
+    parts = [
+        [None] * len(counts) if x is None else x.split(list(counts))
+        for x in (by_n, by_view, g, n, view)
+    ]
     result, over_light = [], torch.zeros_like(light, dtype=torch.float64)
     camera_from_light = torch.tensor(rotation, dtype=torch.float64).reshape(3, 3)
-    for k, (part_by_n, part_by_view, part_g, part_n, part_view) in enumerate(zip(*parts, strict=True)):
+    for k, (part_by_n, part_by_view, part_g, part_n, part_view) in enumerate(
+        zip(*parts, strict=True)
+    ):
         w, E = texels(light[light_of[k]].double(), camera_from_light)
         along_E = texels(by_light[light_of[k]].double(), camera_from_light)[1]
         *by, by_E = second(
@@ -81,7 +105,9 @@ def of_groups(direction, g, n, view, m, light, rotation, counts, light_of):
             radial=False,
         )
         result.append(by)
-        over_light[light_of[k]] += texels(by_E.reshape(light.shape[1:]), camera_from_light)[1].reshape(light.shape[1:])
+        over_light[light_of[k]] += texels(by_E.reshape(light.shape[1:]), camera_from_light)[
+            1
+        ].reshape(light.shape[1:])
     by_g, by_n, by_view, by_m = zip(*result, strict=True)
     return (
         torch.cat(by_g),
@@ -93,7 +119,9 @@ def of_groups(direction, g, n, view, m, light, rotation, counts, light_of):
 
 
 def distant_half(w, m, along_m):
-    """h (1, t, 3) and its change h', κ and γ (2, 1, t, 3, 3) and their change, for a distant viewer."""
+    """h (1, t, 3) and its change h', κ and γ (2, 1, t, 3, 3) and their change, for a distant
+    viewer.
+    """
     h, theta_d = half_angles(w[None], w.new_tensor([0.0, 0.0, 1.0]))
     B = basis(theta_d)
     return h, torch.zeros_like(h), curves(B, m), curves(B, along_m)
@@ -133,9 +161,12 @@ def derivative(n, E, w, half, along_n, along_E, radial):
     lit = cosine > 0
     mu, along_mu = torch.where(lit, cosine, 0.0), torch.where(lit, along_n @ w.T, 0.0)
     offset = h - n[:, None]
-    gap = torch.where(lit, 0.5 * offset.square().sum(-1), 0.0).clamp(max=1 - 1e-12)  # 1 − c, which is what a sharp lobe's peak needs
+    # 1 − c, which is what a sharp lobe's peak needs
+    gap = torch.where(lit, 0.5 * offset.square().sum(-1), 0.0).clamp(max=1 - 1e-12)
     c, log_c = (1 - gap)[..., None, None], torch.log1p(-gap)[..., None, None]
-    along_c = ((h if radial else offset) * along_n[:, None] + along_h * n[:, None]).sum(-1)[..., None, None]
+    along_c = ((h if radial else offset) * along_n[:, None] + along_h * n[:, None]).sum(-1)[
+        ..., None, None
+    ]
     power = torch.exp2(gamma * (log_c / math.log(2)))  # torch.exp is slow where it underflows
     x = kappa * power
     along_x = power * along_kappa + x * (log_c * along_gamma + gamma * (along_c / c))
@@ -143,4 +174,6 @@ def derivative(n, E, w, half, along_n, along_E, radial):
     f = torch.expm1(x.clamp(max=MAX_EXPONENT))
     along_f = torch.where(bounded, (f + 1) * along_x, 0.0).sum(-1)
     f = f.sum(-1)
-    return torch.einsum("ptk,tk->pk", along_f * mu[..., None] + f * along_mu[..., None], E) + torch.einsum("ptk,pt,tk->pk", f, mu, along_E)
+    return torch.einsum(
+        "ptk,tk->pk", along_f * mu[..., None] + f * along_mu[..., None], E
+    ) + torch.einsum("ptk,pt,tk->pk", f, mu, along_E)

@@ -1,7 +1,9 @@
-"""Broad lobes from a few lights, sharp lobes from the texels near them: f is a sum over lobes, so each goes the way that suits it.
+"""Broad lobes from a few lights, sharp lobes from the texels near them: f is a sum over lobes, so
+each goes the way that suits it.
 
-Broad lobes (sharpness ≤ BROAD, learn/methods/lobe_shapes.py) see the light cut into regions of equal energy (learn/methods/median_cut.py);
-sharp ones see every texel that can matter to them (learn/methods/culled.py).
+Broad lobes (sharpness ≤ BROAD, learn/methods/lobe_shapes.py) see the light cut into regions of
+equal energy (learn/methods/median_cut.py); sharp ones see every texel that can matter to them
+(learn/methods/culled.py).
 """
 
 import numpy as np
@@ -20,7 +22,9 @@ BROAD = 60.0
 
 
 def radiance(batch: Batch, tolerance):
-    return with_lights(median_cut.held(batch, CARD.name), median_cut.count(tolerance), 0.25 * tolerance)
+    return with_lights(
+        median_cut.held(batch, CARD.name), median_cut.count(tolerance), 0.25 * tolerance
+    )
 
 
 def with_lights(batch, count, left_out):
@@ -34,7 +38,8 @@ def with_lights(batch, count, left_out):
             out = directional.radiance(n, view, m, E, lights, lobes=numbers(broad))
         if not broad.all():
             lights, E = directional.of_map(light, batch.camera_from_light)
-            allowed = left_out * directional.scale(n, view, m, E, lights)  # relative to all lobes, not to the sharp ones
+            # relative to all lobes, not to the sharp ones
+            allowed = left_out * directional.scale(n, view, m, E, lights)
             out = out + directional.radiance(n, view, m, E, lights, allowed, numbers(~broad))
         return out
 

@@ -1,10 +1,13 @@
-"""A few lights instead of thousands: the map cut into regions of equal energy, each of them one light at its energy's centre.
+"""A few lights instead of thousands: the map cut into regions of equal energy, each of them one
+light at its energy's centre.
 
-The map is halved again and again where its energy (luminance × solid angle) is halved, across the longer side of each region, so that
-after k rounds there are 2^k lights. Regions of one texel stay. A light has its region's whole energy, a channel at a time, so nothing of
-the light is lost; its direction is the energy's mean direction and is held constant in the backward pass.
+The map is halved again and again where its energy (luminance × solid angle) is halved, across the
+longer side of each region, so that after k rounds there are 2^k lights. Regions of one texel stay.
+A light has its region's whole energy, a channel at a time, so nothing of the light is lost; its
+direction is the energy's mean direction and is held constant in the backward pass.
 
-Source: Debevec, A Median Cut Algorithm for Light Probe Sampling, 2005. Rectangles are (top, bottom, left, right), half open, in texels.
+Source: Debevec, A Median Cut Algorithm for Light Probe Sampling, 2005. Rectangles are (top, bottom,
+left, right), half open, in texels.
 """
 
 import math
@@ -27,7 +30,9 @@ LEAST, MOST = 64, 4096
 
 
 def count(tolerance):
-    """Lights for a tolerance on materials without sharp lobes: the error falls about as 1 / lights."""
+    """Lights for a tolerance on materials without sharp lobes: the error falls about as 1 /
+    lights.
+    """
     return int(np.clip(2 ** math.ceil(math.log2(4.0 / tolerance)), LEAST, MOST))
 
 
@@ -36,7 +41,9 @@ def radiance(batch: Batch, tolerance):
 
 
 def held(batch, name):
-    """The batch for a method that cuts the light: with a second derivative only in torch's own sums, while the light is a constant."""
+    """The batch for a method that cuts the light: with a second derivative only in torch's own
+    sums, while the light is a constant.
+    """
     if directional.has_kernels(batch.n):
         return first_only(batch, name, COMPILED)
     return first_only(batch, name, HELD_LIGHTS) if batch.light.requires_grad else batch
@@ -51,50 +58,69 @@ def with_lights(batch, lights):
 
 
 def cut(light, camera_from_light, count):
-    """`Lights` of at most `count` regions, and their E (T, 3), differentiable in light (height, width, 3).
+    """`Lights` of at most `count` regions, and their E (T, 3), differentiable in light (height,
+    width, 3).
 
-    A map of no more texels is not cut: halving by energy would leave dark texels together beside a bright one.
+    A map of no more texels is not cut: halving by energy would leave dark texels together beside a
+    bright one.
     """
     height, width = light.shape[:2]
     if height * width <= count:
         return directional.of_map(light, camera_from_light)
     w, solid_angle = directions(height, width)
     brightness = light.detach().double().cpu().numpy() @ LUMINANCE
-    energy = (brightness + 1e-6 * max(brightness.mean(), 1e-30)) * solid_angle  # dark regions have a centre too
+    # dark regions have a centre too
+    energy = (brightness + 1e-6 * max(brightness.mean(), 1e-30)) * solid_angle
     region = regions(energy, count)
     total = region.max() + 1
     flat = region.reshape(-1)
-    centre = np.stack([np.bincount(flat, (energy * w[..., i]).reshape(-1), total) for i in range(3)], -1)
+    centre = np.stack(
+        [np.bincount(flat, (energy * w[..., i]).reshape(-1), total) for i in range(3)], -1
+    )
     length = np.linalg.norm(centre, axis=-1, keepdims=True)
     first = np.zeros(total, int)
     first[flat[::-1]] = np.arange(len(flat))[::-1]
-    centre = np.where(length > 1e-12 * energy.sum(), centre / np.maximum(length, 1e-300), w.reshape(-1, 3)[first])
+    centre = np.where(
+        length > 1e-12 * energy.sum(), centre / np.maximum(length, 1e-300), w.reshape(-1, 3)[first]
+    )
     E = light.new_zeros(total, 3).index_add(
         0,
         torch.as_tensor(flat, device=light.device),
-        (light * torch.as_tensor(solid_angle, dtype=light.dtype, device=light.device)[..., None]).reshape(-1, 3),
+        (
+            light * torch.as_tensor(solid_angle, dtype=light.dtype, device=light.device)[..., None]
+        ).reshape(-1, 3),
     )
     return directional.lights_at(centre @ camera_from_light.double().cpu().numpy().T), E
 
 
 def regions(energy, count):
-    """The region's number of each texel (height, width), 0 … R − 1 with R ≤ count; neighbours in number are neighbours in the map."""
+    """The region's number of each texel (height, width), 0 … R − 1 with R ≤ count; neighbours in
+    number are neighbours in the map.
+    """
     height, width = energy.shape
     table = np.pad(energy.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     boxes = np.array([[0, height, 0, width]])
     for _ in range(int(math.log2(count))):
         boxes = halved(boxes, table)
     number = np.zeros((height + 1, width + 1), int)
-    # Paint by differences: +k at a box's corners, so that two cumulative sums fill all boxes at once.
+    # Paint by differences: +k at a box's corners, so that two cumulative sums fill all boxes at
+    # once.
     top, bottom, left, right = boxes.T
     k = np.arange(len(boxes))
-    for rows, columns, sign in ((top, left, 1), (top, right, -1), (bottom, left, -1), (bottom, right, 1)):
+    for rows, columns, sign in (
+        (top, left, 1),
+        (top, right, -1),
+        (bottom, left, -1),
+        (bottom, right, 1),
+    ):
         np.add.at(number, (rows, columns), sign * k)
     return number.cumsum(0).cumsum(1)[:height, :width]
 
 
 def halved(boxes, table):
-    """Each box (R, 4) replaced by its two halves of equal energy, or by itself if it is one texel."""
+    """Each box (R, 4) replaced by its two halves of equal energy, or by itself if it is one
+    texel.
+    """
     height = table.shape[0] - 1
     top, bottom, left, right = boxes.T
     tall, wide = bottom - top, (right - left) * np.sin(np.pi * (top + bottom) / (2 * height))
@@ -102,13 +128,17 @@ def halved(boxes, table):
     low, high = np.where(by_rows, top, left), np.where(by_rows, bottom, right)
     below = energy_up_to(boxes, table, by_rows, low)
     half = 0.5 * (below + energy_up_to(boxes, table, by_rows, high))
-    # The last place whose energy is still at most half, then whichever of it and the next is nearer.
+    # The last place whose energy is still at most half, then whichever of it and the next is
+    # nearer.
     first, last = low.copy(), high.copy()
     while (last - first > 1).any():
         middle = (first + last) // 2
         under = energy_up_to(boxes, table, by_rows, middle) <= half
         first, last = np.where(under, middle, first), np.where(under, last, middle)
-    nearer = half - energy_up_to(boxes, table, by_rows, first) <= energy_up_to(boxes, table, by_rows, last) - half
+    nearer = (
+        half - energy_up_to(boxes, table, by_rows, first)
+        <= energy_up_to(boxes, table, by_rows, last) - half
+    )
     place = np.clip(np.where(nearer, first, last), low + 1, np.maximum(high - 1, low + 1))
     one, other = boxes.copy(), boxes.copy()
     one[:, 1], other[:, 0] = np.where(by_rows, place, bottom), np.where(by_rows, place, top)

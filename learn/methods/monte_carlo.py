@@ -1,10 +1,14 @@
-"""Monte Carlo with multiple importance sampling: half the samples by the light, half by the BRDF (learn/methods/sampling.py)."""
+"""Monte Carlo with multiple importance sampling: half the samples by the light, half by the BRDF
+(learn/methods/sampling.py).
+"""
 
 from learn.methods import HELD_SAMPLES, Card, first_only, sampling
 
 CARD = Card(
     name="monte_carlo",
-    approximates="the integral by random samples of light and BRDF, weighed by the balance heuristic",
+    approximates=(
+        "the integral by random samples of light and BRDF, weighed by the balance heuristic"
+    ),
     error=None,  # noise has no bound
     cost="pixels × samples; the error falls as 1/√samples",
     memory="below 64 MiB: chunks of pixels",

@@ -1,4 +1,6 @@
-"""Monte Carlo with samples drawn by the BRDF alone: noisy under a small sun (learn/methods/sampling.py)."""
+"""Monte Carlo with samples drawn by the BRDF alone: noisy under a small sun
+(learn/methods/sampling.py).
+"""
 
 from learn.methods import HELD_SAMPLES, Card, first_only, sampling
 
@@ -12,4 +14,6 @@ CARD = Card(
 
 
 def radiance(batch, tolerance):
-    return sampling.sampled(first_only(batch, CARD.name, HELD_SAMPLES), 0, sampling.count(tolerance))
+    return sampling.sampled(
+        first_only(batch, CARD.name, HELD_SAMPLES), 0, sampling.count(tolerance)
+    )

@@ -1,4 +1,6 @@
-"""Monte Carlo with samples drawn by the light's energy alone: noisy for sharp lobes (learn/methods/sampling.py)."""
+"""Monte Carlo with samples drawn by the light's energy alone: noisy for sharp lobes
+(learn/methods/sampling.py).
+"""
 
 from learn.methods import HELD_SAMPLES, Card, first_only, sampling
 

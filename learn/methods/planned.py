@@ -1,9 +1,11 @@
-"""Radiance for a distant viewer as `auto` plans it: groups of lobes, each by a map or at the pixels, under as many lights as it needs.
+"""Radiance for a distant viewer as `auto` plans it: groups of lobes, each by a map or at the
+pixels, under as many lights as it needs.
 
-A `Strategy` says how a group of lobes goes: lobes; size of its map, 0 where it is summed at the pixels; level of the light's detail
-(learn/methods/coarse.py); culled, what a pixel's list may leave out, in tolerances. All maps are resampled at the nodes of the largest, so
-that there is one look-up for each pixel. Everything between the tensors handed in and the radiance is numpy and kernels, one step for
-autograd: `sums` holds what the backward pass needs.
+A `Strategy` says how a group of lobes goes: lobes; size of its map, 0 where it is summed at the
+pixels; level of the light's detail (learn/methods/coarse.py); culled, what a pixel's list may leave
+out, in tolerances. All maps are resampled at the nodes of the largest, so that there is one look-up
+for each pixel. Everything between the tensors handed in and the radiance is numpy and kernels, one
+step for autograd: `sums` holds what the backward pass needs.
 
 n (P, 3), m (3, 3, 2, 6), light (height, width, 3), all float32 on the CPU with kernels at hand.
 """
@@ -40,7 +42,9 @@ class Scene:
         """The `Listing` of some lobes at normals (N, 3)."""
         if (lobes, level) not in self.tables:
             lights, energy = self.light.at(level)
-            self.tables[lobes, level] = Tables(self.m, energy, lights, self.light_gradient, lobes, self.material_gradient)
+            self.tables[lobes, level] = Tables(
+                self.m, energy, lights, self.light_gradient, lobes, self.material_gradient
+            )
         listing = Listing(normals, self.tables[lobes, level], left_out, self.kept)
         self.kept += listing.kept
         return listing
@@ -50,11 +54,19 @@ class Sum:
     """One way's radiance: at the nodes of its map, or at the pixels."""
 
     def __init__(self, scene, strategy, within):
-        """within: (N, 3) normals that the map must serve; the pixels themselves where there is none."""
+        """within: (N, 3) normals that the map must serve; the pixels themselves where there is
+        none.
+        """
         self.scene, self.strategy = scene, strategy
         self.nodes = reflectance_map.nodes_for(within, strategy.size) if strategy.size else None
-        self.normals = reflectance_map.normals(self.nodes, strategy.size).astype(np.float32) if strategy.size else scene.n
-        self.listing = scene.at(self.normals, strategy.lobes, strategy.level, strategy.culled * scene.budget)
+        self.normals = (
+            reflectance_map.normals(self.nodes, strategy.size).astype(np.float32)
+            if strategy.size
+            else scene.n
+        )
+        self.listing = scene.at(
+            self.normals, strategy.lobes, strategy.level, strategy.culled * scene.budget
+        )
         self.values = self.listing.radiance
 
     def table(self):
@@ -77,18 +89,30 @@ class Sums:
     def __init__(self, scene, strategies, known):
         """known: {way: Sum} of sums that have been made before, added to."""
         self.scene = scene
-        mapped = sorted((strategy for strategy in strategies if strategy.size), key=lambda strategy: -strategy.size)
+        mapped = sorted(
+            (strategy for strategy in strategies if strategy.size),
+            key=lambda strategy: -strategy.size,
+        )
         for strategy in [strategy for strategy in strategies if not strategy.size] + mapped[:1]:
             if strategy not in known:
                 known[strategy] = Sum(scene, strategy, scene.n)
         self.at_pixels = [known[strategy] for strategy in strategies if not strategy.size]
         self.largest = known[mapped[0]] if mapped else None
-        self.smaller = [Sum(scene, strategy, scene.n if strategy.size == self.size else self.largest.normals) for strategy in mapped[1:]]
+        self.smaller = [
+            Sum(scene, strategy, scene.n if strategy.size == self.size else self.largest.normals)
+            for strategy in mapped[1:]
+        ]
         if mapped:
             total = self.largest.values
             for part in self.smaller:
                 same = part.strategy.size == self.size
-                total = total + (part.values if same else reflectance_map.read(self.largest.normals, part.table(), part.strategy.size))
+                total = total + (
+                    part.values
+                    if same
+                    else reflectance_map.read(
+                        self.largest.normals, part.table(), part.strategy.size
+                    )
+                )
             self.table = reflectance_map.table(total, self.largest.nodes, self.size)
 
     @property
@@ -101,7 +125,14 @@ class Sums:
     def at_sample(self, pick):
         """(S, 3) at pixels pick (S,)."""
         results = [part.values[pick] for part in self.at_pixels]
-        return sum(results + ([reflectance_map.read(self.scene.n[pick], self.table, self.size)] if self.largest else []))
+        return sum(
+            results
+            + (
+                [reflectance_map.read(self.scene.n[pick], self.table, self.size)]
+                if self.largest
+                else []
+            )
+        )
 
     def radiance(self):
         """(P, 3)."""
@@ -114,12 +145,20 @@ class Sums:
         by_n, by_m, by_light = None, np.zeros((3, 3, 2, 6)), np.zeros_like(self.scene.light.E)
         given = [(part, g, with_n) for part in self.at_pixels]
         if self.largest:
-            by_n, by_values = reflectance_map.read_backward(self.scene.n, self.table, self.size, g, self.largest.nodes)
+            by_n, by_values = reflectance_map.read_backward(
+                self.scene.n, self.table, self.size, g, self.largest.nodes
+            )
             given.append((self.largest, by_values, False))
             for part in self.smaller:
                 below = by_values
                 if part.strategy.size != self.size:
-                    _, below = reflectance_map.read_backward(self.largest.normals, part.table(), part.strategy.size, by_values, part.nodes)
+                    _, below = reflectance_map.read_backward(
+                        self.largest.normals,
+                        part.table(),
+                        part.strategy.size,
+                        by_values,
+                        part.nodes,
+                    )
                 given.append((part, below, False))
         for part, by_values, requested in given:
             by_part_n, by_part_m, by_E = part.listing.backward(by_values, requested)
@@ -130,7 +169,8 @@ class Sums:
 
 
 class Planned(Step):
-    """n (P, 3), m (3, 3, 2, 6), light → radiance (P, 3); plan(n, m, light, gradients), of arrays, gives `Sums`.
+    """n (P, 3), m (3, 3, 2, 6), light → radiance (P, 3); plan(n, m, light, gradients), of arrays,
+    gives `Sums`.
 
     gradients  which derivatives are wanted: by n, m and light
     """
@@ -139,16 +179,28 @@ class Planned(Step):
     def forward(ctx, n, m, light, plan):
         ctx.refusal = refusal("auto")
         ctx.save_for_backward(n, m, light)
-        ctx.sums = plan(np.ascontiguousarray(n.numpy()), m.double().numpy(), light.numpy(), ctx.needs_input_grad[:3])
+        ctx.sums = plan(
+            np.ascontiguousarray(n.numpy()),
+            m.double().numpy(),
+            light.numpy(),
+            ctx.needs_input_grad[:3],
+        )
         return torch.from_numpy(ctx.sums.radiance())
 
     @staticmethod
     @last
     def backward(ctx, g):
-        by_n, by_m, by_light = ctx.sums.backward(np.ascontiguousarray(g.numpy()), ctx.needs_input_grad[0])
+        by_n, by_m, by_light = ctx.sums.backward(
+            np.ascontiguousarray(g.numpy()), ctx.needs_input_grad[0]
+        )
         if by_n is None:
             by_n = np.zeros_like(ctx.sums.scene.n)
-        return torch.from_numpy(by_n), torch.from_numpy(by_m).float(), torch.from_numpy(by_light), None
+        return (
+            torch.from_numpy(by_n),
+            torch.from_numpy(by_m).float(),
+            torch.from_numpy(by_light),
+            None,
+        )
 
 
 def radiance(n, m, light, plan):

@@ -1,21 +1,27 @@
-"""Half-vector quadrature: the converged integral over the piecewise-constant map, right for lobes narrower than a texel.
+"""Half-vector quadrature: the converged integral over the piecewise-constant map, right for lobes
+narrower than a texel.
 
-The paper's sum evaluates a lobe once a texel, and is wrong by a factor where the lobe is narrower. Here each lobe goes its own way, by its
-exponent: broad ones through the exact sum over texels, narrow ones through samples about the pixel's normal in half-vector space,
+The paper's sum evaluates a lobe once a texel, and is wrong by a factor where the lobe is narrower.
+Here each lobe goes its own way, by its exponent: broad ones through the exact sum over texels,
+narrow ones through samples about the pixel's normal in half-vector space,
 
-    h_i = cos θ_i n + sin θ_i (cos φ_i t₁ + sin φ_i t₂),   w_i = 2 (v·h) h − v,   dω_i = 4 (v·h) dω_h
+    h_i = cos θ_i n + sin θ_i (cos φ_i t₁ + sin φ_i t₂),   w_i = 2 (v·h) h − v,   dω_i = 4 (v·h)
+    dω_h
 
-on a spiral φ_i = i · golden angle whose radii θ_i follow the lobes' roots (equal shares of √f's energy: a lobe's tail then has samples too,
-and midpoints are right to second order), so that no lobe is too narrow. L is the mean over a tap's footprint, the square of its solid
-angle: the sum then does not jump where a tap crosses a texel's border, and the error falls as 1/N instead of N^−¾.
+on a spiral φ_i = i · golden angle whose radii θ_i follow the lobes' roots (equal shares of √f's
+energy: a lobe's tail then has samples too, and midpoints are right to second order), so that no
+lobe is too narrow. L is the mean over a tap's footprint, the square of its solid angle: the sum
+then does not jump where a tap crosses a texel's border, and the error falls as 1/N instead of N^−¾.
 
-Lobes down to half a texel's width take texels split into 2 × 2 of the same radiance: a measured lobe of that width is often broad at
-another θ_d, where samples are too far apart to see a lamp of one texel. Narrower ones may take texels split into 4 × 4, which have a
-fast backward pass.
-Maps of few texels are no sum for any lobe, because the horizon cuts through texels: there all lobes take split texels or taps.
+Lobes down to half a texel's width take texels split into 2 × 2 of the same radiance: a measured
+lobe of that width is often broad at another θ_d, where samples are too far apart to see a lamp of
+one texel. Narrower ones may take texels split into 4 × 4, which have a fast backward pass. Maps of
+few texels are no sum for any lobe, because the horizon cuts through texels: there all lobes take
+split texels or taps.
 
-Taps are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is differentiated with w_i and dω_i held, which
-estimates the true derivative ∫ ∂(f μ) L dω; moving the samples with n instead would lose the jumps of L between texels.
+Taps are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is
+differentiated with w_i and dω_i held, which estimates the true derivative ∫ ∂(f μ) L dω; moving the
+samples with n instead would lose the jumps of L between texels.
 
 N samples, p pixel, i tap, k channel, s lobe; shapes (p, i, k, s).
 """
@@ -37,30 +43,52 @@ from shaders.spline import basis
 
 CARD = Card(
     name="quadrature",
-    approximates="the integral: narrow lobes by samples that follow them, broad ones by the exact sum over texels",
-    error=None,  # no claim against the paper's sum, which is itself wrong there; 1e-2 against the integral
-    cost="pixels × (texels if a lobe is broad + 256 to 1,024 samples if one is narrow), at tolerance 1e-2",
+    approximates=(
+        "the integral: narrow lobes by samples that follow them, broad ones by the exact sum over"
+        " texels"
+    ),
+    # no claim against the paper's sum, which is itself wrong there; 1e-2 against the integral
+    error=None,
+    cost=(
+        "pixels × (texels if a lobe is broad + 256 to 1,024 samples if one is narrow), at tolerance"
+        " 1e-2"
+    ),
     memory="below 64 MiB at any size: chunks of pixels, computed again in the backward pass",
 )
-BROAD = 300.0  # exponent up to which the sum over 64 rows of texels is right to about 3e-3; twice the rows serve four times as much
+# exponent up to which the sum over 64 rows of texels is right to about 3e-3; twice the rows serve
+# four times as much
+BROAD = 300.0
 SPLITS = (1, 2, 4)  # parts of a texel's side; beyond, samples
-ALWAYS_SPLIT = 2  # parts of a texel's side up to which texels are split at any tolerance: samples that err as little take longer there
-WIDER = {4: 2, math.inf: 1}  # times as many samples for lobes of each split's band, which hold more texels
-LOOSE = 5e-3  # tolerance from which samples serve the band of the finest split too; below, they would need more time than split texels
+# parts of a texel's side up to which texels are split at any tolerance: samples that err as little
+# take longer there
+ALWAYS_SPLIT = 2
+# times as many samples for lobes of each split's band, which hold more texels
+WIDER = {4: 2, math.inf: 1}
+# tolerance from which samples serve the band of the finest split too; below, they would need more
+# time than split texels
+LOOSE = 5e-3
 LEAST, MOST = 256, 16384  # samples
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
-LARGEST_IN_KERNEL = 1e7  # κ and γ: beyond, the rounding of the kernel's spline is negative exponents. The sharpest material has γ 1.2e6
-RADII = np.concatenate([[0.0], np.geomspace(1e-5, np.pi / 2, 1024)])  # θ_h grid on which the lobes' energy is added up
+# κ and γ: beyond, the rounding of the kernel's spline is negative exponents. The sharpest material
+# has γ 1.2e6
+LARGEST_IN_KERNEL = 1e7
+# θ_h grid on which the lobes' energy is added up
+RADII = np.concatenate([[0.0], np.geomspace(1e-5, np.pi / 2, 1024)])
 THETA_D = np.linspace(0, np.pi / 2, 13)
 
 
 def radiance(batch: Batch, tolerance):
-    exponent, rows = exponents(batch.m.detach()), min(batch.light.shape[1], batch.light.shape[2] / 2)
+    exponent, rows = (
+        exponents(batch.m.detach()),
+        min(batch.light.shape[1], batch.light.shape[2] / 2),
+    )
     if not wants_gradient(batch.m):
-        exponent = torch.where(batch.m[..., 0, :].amax(-1) > 0, exponent, -1.0)  # what reflects nothing is passed by
+        # what reflects nothing is passed by
+        exponent = torch.where(batch.m[..., 0, :].amax(-1) > 0, exponent, -1.0)
     out = 0 * batch.n
     low, samples = -1.0, sample_count_for(tolerance)
-    # The engine's samples have no backward pass: where derivatives are wanted, split texels are faster as far as they reach.
+    # The engine's samples have no backward pass: where derivatives are wanted, split texels are
+    # faster as far as they reach.
     by_texels = tolerance < LOOSE or wants_gradient(batch.n, batch.view, batch.m, batch.light)
     for split in (*SPLITS, math.inf):
         high = BROAD * (split * rows / 64) ** 2 if split * rows >= least_rows(tolerance) else low
@@ -70,42 +98,63 @@ def radiance(batch: Batch, tolerance):
             continue
         band = replace(batch, m=keep(batch.m, lobes))
         if split <= ALWAYS_SPLIT or (by_texels and split < math.inf):
-            light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2) if split > 1 else batch.light
+            light = (
+                batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
+                if split > 1
+                else batch.light
+            )
             out = out + load("exact").radiance(replace(band, light=light), tolerance)
         else:
-            band, count = first_only(band, CARD.name, HELD_SAMPLES), min(samples * WIDER[split], MOST)
-            out = out + by_group(band, functools.partial(over_samples, camera_from_light=batch.camera_from_light, samples=count))
+            band, count = (
+                first_only(band, CARD.name, HELD_SAMPLES),
+                min(samples * WIDER[split], MOST),
+            )
+            out = out + by_group(
+                band,
+                functools.partial(
+                    over_samples, camera_from_light=batch.camera_from_light, samples=count
+                ),
+            )
     return out
 
 
 def least_rows(tolerance):
-    """Rows of a map (half its columns, if fewer) from which its sum is near enough to the integral for a lobe of any width.
+    """Rows of a map (half its columns, if fewer) from which its sum is near enough to the integral
+    for a lobe of any width.
 
-    The cosine has an edge at the horizon, and however broad the lobe, the sum is wrong there by 0.5 / rows² of the mean under random
-    maps of 3 to 16 rows. Beyond tolerance 1e-3 nothing is promised.
+    The cosine has an edge at the horizon, and however broad the lobe, the sum is wrong there by 0.5
+    / rows² of the mean under random maps of 3 to 16 rows. Beyond tolerance 1e-3 nothing is
+    promised.
     """
     return math.sqrt(0.55 / max(tolerance, 1e-3))
 
 
 def sample_count_for(tolerance):
-    """The error falls about as 1 / samples (2.5 is half of what the worst of the trials needed); a power of two in [LEAST, MOST]."""
+    """The error falls about as 1 / samples (2.5 is half of what the worst of the trials needed); a
+    power of two in [LEAST, MOST].
+    """
     return int(np.clip(2 ** math.ceil(math.log2(2.5 / tolerance)), LEAST, MOST))
 
 
 def exponents(m):
-    """How narrow each lobe is at its narrowest (G, 3, 3): γ, times κ where the lobe is high, for e^(κ c^γ) falls as c^(κ γ)."""
+    """How narrow each lobe is at its narrowest (G, 3, 3): γ, times κ where the lobe is high, for
+    e^(κ c^γ) falls as c^(κ γ).
+    """
     kappa, gamma = m[..., 0, :].amax(-1), m[..., 1, :].amax(-1)
     return gamma * kappa.clamp(min=1)
 
 
 def keep(m, lobes):
-    """m with no reflection (κ = 0) in all lobes but those marked (G, 3, 3); the others' γ is set high, so that engines pass them by."""
+    """m with no reflection (κ = 0) in all lobes but those marked (G, 3, 3); the others' γ is set
+    high, so that engines pass them by.
+    """
     nothing = torch.tensor([0.0, 1e5], dtype=m.dtype, device=m.device)[:, None]
     return torch.where(lobes[..., None, None], m, nothing)
 
 
 def sample_radii(m, samples):
-    """Radii of the samples about the normal, and the solid angle of half vectors that each stands for.
+    """Radii of the samples about the normal, and the solid angle of half vectors that each stands
+    for.
 
     m        (3, 3, 2, 6) with κ = 0 in lobes that do not count
     Returns  θ (N,) radians; dω_h (N,) sr, sums to 2π
@@ -114,20 +163,30 @@ def sample_radii(m, samples):
     kappa, gamma = curves[:, curves[0, :, 0] > 0]
     with np.errstate(divide="ignore", under="ignore"):
         log_c = np.log(np.maximum(np.cos(RADII), 1e-30))
-        profile = np.sqrt(np.expm1(np.minimum(kappa * np.exp(gamma * log_c), MAX_EXPONENT))) * np.sin(RADII) * np.cos(RADII)
+        profile = (
+            np.sqrt(np.expm1(np.minimum(kappa * np.exp(gamma * log_c), MAX_EXPONENT)))
+            * np.sin(RADII)
+            * np.cos(RADII)
+        )
     step = np.diff(RADII) * 0.5
     energy = np.cumsum(np.pad((profile[:, 1:] + profile[:, :-1]) * step, ((0, 0), (1, 0))), axis=1)
-    share = (energy / np.maximum(energy[:, -1:], 1e-300)).mean(0)  # each lobe counts alike, however little it reflects
+    # each lobe counts alike, however little it reflects
+    share = (energy / np.maximum(energy[:, -1:], 1e-300)).mean(0)
     share = 0.95 * share / share[-1] + 0.05 * np.sin(RADII) ** 2  # and the whole hemisphere is seen
     edges = np.interp(np.arange(2 * samples + 1) / (2 * samples), share, RADII)
     return edges[1::2], 2 * np.pi * np.diff(-np.cos(edges[::2]))
 
 
 def spiral(m, samples):
-    """Half vectors (N, 3) about the z axis that follow the lobes of m (3, 3, 2, 6), and the solid angle (N,) that each stands for."""
+    """Half vectors (N, 3) about the z axis that follow the lobes of m (3, 3, 2, 6), and the solid
+    angle (N,) that each stands for.
+    """
     theta, solid_angle = sample_radii(m, samples)
     phi = GOLDEN_ANGLE * np.arange(samples)
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1), solid_angle
+    return (
+        np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1),
+        solid_angle,
+    )
 
 
 def over_samples(n, view, m, light, camera_from_light, samples):
@@ -136,26 +195,52 @@ def over_samples(n, view, m, light, camera_from_light, samples):
     if not used.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
     around, solid_angle = spiral(m.detach()[:, used], samples)
-    plain = not wants_gradient(n, view, m, light) and n.dtype == torch.float32 and n.device.type == "cpu"
+    plain = (
+        not wants_gradient(n, view, m, light)
+        and n.dtype == torch.float32
+        and n.device.type == "cpu"
+    )
     if plain and machine_code.is_available() and m.detach().max() <= LARGEST_IN_KERNEL:
         return by_kernel(n, view, m, light, camera_from_light, around, solid_angle)
     m = m[:, used]
-    around, solid_angle = (torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in (around, solid_angle))
+    around, solid_angle = (
+        torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in (around, solid_angle)
+    )
     step = max(1, PAIRS // samples)
-    views = view.split(step) if view is not None else [n.new_tensor([[0.0, 0.0, 1.0]])] * math.ceil(len(n) / step)
+    views = (
+        view.split(step)
+        if view is not None
+        else [n.new_tensor([[0.0, 0.0, 1.0]])] * math.ceil(len(n) / step)
+    )
     parts = zip(n.split(step), views, strict=True)
     constants = around, solid_angle, camera_from_light
-    return torch.cat([checkpoint(chunk, a, b, m, light, *constants, use_reentrant=False, preserve_rng_state=False) for a, b in parts])
+    return torch.cat(
+        [
+            checkpoint(
+                chunk, a, b, m, light, *constants, use_reentrant=False, preserve_rng_state=False
+            )
+            for a, b in parts
+        ]
+    )
 
 
 def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
     """The same without derivatives, by the CPU engine (learn.engines.taps)."""
     require_reverse_mode(n, view, m, light)
-    arrays = [np.ascontiguousarray(x.detach().numpy(), np.float32) for x in (n, n * 0 + n.new_tensor([0, 0, 1]) if view is None else view)]
+    arrays = [
+        np.ascontiguousarray(x.detach().numpy(), np.float32)
+        for x in (n, n * 0 + n.new_tensor([0, 0, 1]) if view is None else view)
+    ]
     rows = np.stack([*around.T, np.log2(np.maximum(around[:, 2], 1e-30)), solid_angle])
     values, _, _ = lights.general_tables(m.detach().double().numpy())
     gamma = m.detach()[..., 1, :].amin(-1)
-    least = torch.where(m.detach()[..., 0, :].amax(-1) > 0, gamma, torch.inf).amin(0).clamp(max=1e9).float().numpy()
+    least = (
+        torch.where(m.detach()[..., 0, :].amax(-1) > 0, gamma, torch.inf)
+        .amin(0)
+        .clamp(max=1e9)
+        .float()
+        .numpy()
+    )
     light = np.ascontiguousarray(light.detach().numpy(), np.float32)
     rotation = camera_from_light.numpy().astype(np.float32).reshape(9)
     arrays += [lights.blocked(rows), values, np.ascontiguousarray(least), rotation, light]
@@ -163,7 +248,9 @@ def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
     sizes = len(n), len(around) // lights.LANES, *light.shape[:2]
 
     def run(first, last):
-        machine_code.call("taps.forward", first, last, *sizes, *arrays, np.empty(112, np.float32), out)
+        machine_code.call(
+            "taps.forward", first, last, *sizes, *arrays, np.empty(112, np.float32), out
+        )
 
     workers = torch.get_num_threads()
     threads.run(run, threads.split(-(-len(n) // 16), 8 * workers), workers)
@@ -171,9 +258,11 @@ def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
 
 
 def place(n, view, around, solid_angle, camera_from_light, size):
-    """The samples of each pixel: w (p, N, 3) directions, weight (p, N) = dω_i in sr, texel (p, N) flat index into the light.
+    """The samples of each pixel: w (p, N, 3) directions, weight (p, N) = dω_i in sr, texel (p, N)
+    flat index into the light.
 
-    n (p, 3), view (p | 1, 3), around (N, 3) samples about the z axis, solid_angle (N,) of half vectors, size (Hl, Wl).
+    n (p, 3), view (p | 1, 3), around (N, 3) samples about the z axis, solid_angle (N,) of half
+    vectors, size (Hl, Wl).
     Below the horizon the weight is 0 and w is n: any direction that keeps c and θ_d harmless.
     """
     h = torch.einsum("pab,ib->pia", frame_about(n), around)
@@ -181,7 +270,11 @@ def place(n, view, around, solid_angle, camera_from_light, size):
     w = torch.nn.functional.normalize(2 * cos_d[..., None] * h - view[:, None], dim=-1)
     seen = (cos_d > 0) & ((w * n[:, None]).sum(-1) > 0)
     weight = torch.where(seen, 4 * cos_d * solid_angle, 0.0)
-    return torch.where(seen[..., None], w, n[:, None]), weight, texel_of(w @ camera_from_light.to(w), *size)
+    return (
+        torch.where(seen[..., None], w, n[:, None]),
+        weight,
+        texel_of(w @ camera_from_light.to(w), *size),
+    )
 
 
 def chunk(n, view, m, light, around, solid_angle, camera_from_light):
@@ -194,19 +287,24 @@ def chunk(n, view, m, light, around, solid_angle, camera_from_light):
     h, theta_d = half_angles(w, view[:, None])
     log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
     kappa, gamma = torch.einsum("pib,ksjb->jpiks", basis(theta_d), m)
-    f = torch.expm1((kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)).sum(-1)
+    f = torch.expm1(
+        (kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)
+    ).sum(-1)
     return torch.einsum("pik,pi,pik->pk", f, mu, seen)
 
 
 def half_angles(w, v):
-    """h and θ_d as shaders.dsbrdf.half_angles, with derivatives that stay finite where w = v: a corner of θ_d, slope 0 taken."""
+    """h and θ_d as shaders.dsbrdf.half_angles, with derivatives that stay finite where w = v: a
+    corner of θ_d, slope 0 taken.
+    """
     s, d = w + v, w - v
     length_s, length_d = (x.square().sum(-1).clamp(min=1e-24).sqrt() for x in (s, d))
     return s / length_s[..., None], torch.atan2(length_d, length_s)
 
 
 def footprint(w, solid_angle, height, width):
-    """The texels under each tap's square of solid angle, at most a texel wide each way, and the part of it in each.
+    """The texels under each tap's square of solid angle, at most a texel wide each way, and the
+    part of it in each.
 
     w (…, 3) light frame, solid_angle (…) sr
     Returns  texel (…, 4) flat indices; share (…, 4), sums to 1
@@ -215,21 +313,30 @@ def footprint(w, solid_angle, height, width):
     sine = torch.hypot(w[..., 0], w[..., 2])
     theta, phi = torch.atan2(sine, w[..., 1]), torch.atan2(w[..., 2], w[..., 0])
     row, below = border(theta * (height / math.pi), side * (height / math.pi))
-    column, right = border(phi * (width / (2 * math.pi)), side * (width / (2 * math.pi)) / sine.clamp(min=1e-15))
-    rows = torch.stack([row - 1, row - 1, row, row], -1).clamp(0, height - 1)  # they end at the poles
+    column, right = border(
+        phi * (width / (2 * math.pi)), side * (width / (2 * math.pi)) / sine.clamp(min=1e-15)
+    )
+    # they end at the poles
+    rows = torch.stack([row - 1, row - 1, row, row], -1).clamp(0, height - 1)
     columns = torch.stack([column - 1, column, column - 1, column], -1) % width
-    share = torch.stack([(1 - below) * (1 - right), (1 - below) * right, below * (1 - right), below * right], -1)
+    share = torch.stack(
+        [(1 - below) * (1 - right), (1 - below) * right, below * (1 - right), below * right], -1
+    )
     return (rows * width + columns).long(), share
 
 
 def border(x, width):
-    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it; texel k begins at x = k."""
+    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it;
+    texel k begins at x = k.
+    """
     k = x.round()
     return k, ((x - k) / width.clamp(1e-15, 1.0) + 0.5).clamp(0, 1)
 
 
 def frame_about(n):
-    """Rotations (p, 3, 3) that take z to n; their other axes turn smoothly with n (Duff et al. 2017)."""
+    """Rotations (p, 3, 3) that take z to n; their other axes turn smoothly with n (Duff et al.
+    2017).
+    """
     x, y, z = n.unbind(-1)
     sign = torch.where(z < 0, -1.0, 1.0).to(n.dtype)
     a = -1 / (sign + z)
@@ -240,7 +347,13 @@ def frame_about(n):
 
 
 def texel_of(w, height, width):
-    """Flat index of the texel that holds each direction w (..., 3), light frame; as shaders.envmap.texel, for tensors."""
-    row = (torch.atan2(torch.hypot(w[..., 0], w[..., 2]), w[..., 1]) * (height / math.pi)).floor().clamp(0, height - 1)
+    """Flat index of the texel that holds each direction w (..., 3), light frame; as
+    shaders.envmap.texel, for tensors.
+    """
+    row = (
+        (torch.atan2(torch.hypot(w[..., 0], w[..., 2]), w[..., 1]) * (height / math.pi))
+        .floor()
+        .clamp(0, height - 1)
+    )
     column = (torch.atan2(w[..., 2], w[..., 0]) * (width / (2 * math.pi))).floor() % width
     return (row * width + column).long()

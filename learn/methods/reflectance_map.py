@@ -1,13 +1,18 @@
-"""Under a distant viewer radiance depends on the normal alone: computed at the nodes of a map over normals, looked up for each pixel.
+"""Under a distant viewer radiance depends on the normal alone: computed at the nodes of a map over
+normals, looked up for each pixel.
 
-n       unit normal, camera frame; p = (n_x, n_y) / √(1 + n_z), the equal-area disk: |p| ≤ 1 where the viewer sees the surface
-size    nodes along a side; node (i, j) stands at p = ((j − 2) h − 1, (i − 2) h − 1), h = 2 / (size − 5): two rows lie outside the disk,
+n       unit normal, camera frame; p = (n_x, n_y) / √(1 + n_z), the equal-area disk: |p| ≤ 1 where
+the viewer sees the surface
+size    nodes along a side; node (i, j) stands at p = ((j − 2) h − 1, (i − 2) h − 1), h = 2 / (size
+− 5): two rows lie outside the disk,
         where n looks away from the viewer and radiance goes on smoothly
-values  (N, 3) radiance at the nodes that some pixel needs, whose flat indices are nodes (N,); others are never read
+values  (N, 3) radiance at the nodes that some pixel needs, whose flat indices are nodes (N,);
+others are never read
 
-Between nodes Catmull–Rom weights: exact for quadratics, error h³ and, near a lobe of standard deviation σ, small once h < σ/2.
-Gradients in n pass through the weights, those in m and L through the nodes' sum. Pictures that are given one material and one light, each
-one tensor expanded over the batch, share a map.
+Between nodes Catmull–Rom weights: exact for quadratics, error h³ and, near a lobe of standard
+deviation σ, small once h < σ/2. Gradients in n pass through the weights, those in m and L through
+the nodes' sum. Pictures that are given one material and one light, each one tensor expanded over
+the batch, share a map.
 """
 
 import math
@@ -17,11 +22,23 @@ import torch
 
 from learn.engines import interpolation, machine_code, threads
 from learn.engines.derivatives import Step, last
-from learn.methods import Batch, Card, directional, lobe_shapes, merged, per_group, refusal, wants_gradient
+from learn.methods import (
+    Batch,
+    Card,
+    directional,
+    lobe_shapes,
+    merged,
+    per_group,
+    refusal,
+    wants_gradient,
+)
 
 CARD = Card(
     name="reflectance_map",
-    approximates="radiance between normals by bicubic interpolation; all lights at the nodes. Small sums are made whole",
+    approximates=(
+        "radiance between normals by bicubic interpolation; all lights at the nodes. Small sums are"
+        " made whole"
+    ),
     error=1e-2,
     cost="nodes × texels + 16 × pixels; nodes grow with the sharpest lobe",
     memory="size² × 16 bytes, size ≤ 512, and 4 copies of it in the backward pass",
@@ -35,7 +52,10 @@ TOUCH, READ, READ_BACKWARD = 7e-9, 2.3e-8, 6e-8  # seconds of a kernel for each 
 
 def radiance(batch: Batch, tolerance):
     if batch.view is not None:
-        raise ValueError('method: "reflectance_map" needs an orthographic camera (view omitted), found a view per pixel; try "auto"')
+        raise ValueError(
+            'method: "reflectance_map" needs an orthographic camera (view omitted), found a view'
+            ' per pixel; try "auto"'
+        )
     batch = merged(batch)
 
     def one_group(g, n, view, m, light):
@@ -43,7 +63,11 @@ def radiance(batch: Batch, tolerance):
         lights, E = directional.of_map(light, batch.camera_from_light)
         if directional.is_small(len(n), len(lights.w), wants_gradient(n, m, light)):
             return directional.radiance(n, None, m, E, lights, method=CARD.name)
-        return with_nodes(n, size, lambda nodes: directional.near(nodes, None, m, E, lights, 0.1 * tolerance, CARD.name))
+        return with_nodes(
+            n,
+            size,
+            lambda nodes: directional.near(nodes, None, m, E, lights, 0.1 * tolerance, CARD.name),
+        )
 
     return per_group(batch, one_group)
 
@@ -69,9 +93,13 @@ def size_for(sharpness, tolerance):
 
 
 def with_nodes(n, size, at_nodes):
-    """Radiance looked up in a map whose nodes have radiance at_nodes(normals (N, 3)) → (N, 3); differentiable through both."""
+    """Radiance looked up in a map whose nodes have radiance at_nodes(normals (N, 3)) → (N, 3);
+    differentiable through both.
+    """
     needed = needed_nodes(n.detach(), size)
-    return look_up(n, at_nodes(torch.from_numpy(normals(needed.cpu().numpy(), size)).to(n)), needed, size)
+    return look_up(
+        n, at_nodes(torch.from_numpy(normals(needed.cpu().numpy(), size)).to(n)), needed, size
+    )
 
 
 def has_kernel(n):
@@ -97,12 +125,18 @@ def needed_nodes(n, size):
 def nodes_for(n, size):
     """The same by learn.engines.interpolation, in numpy."""
     touched = np.zeros((size, size), np.float32)
-    sliced(len(n), TOUCH, lambda first, last: machine_code.call("interpolation.touch", first, last, size, n, touched))
+    sliced(
+        len(n),
+        TOUCH,
+        lambda first, last: machine_code.call("interpolation.touch", first, last, size, n, touched),
+    )
     return weighted(touched > 0)
 
 
 def weighted(touched):
-    """Flat indices (N,) of the nodes that have a weight, where touched (size, size) marks the node before some pixel's place."""
+    """Flat indices (N,) of the nodes that have a weight, where touched (size, size) marks the node
+    before some pixel's place.
+    """
     for _ in range(2):  # along columns, then along rows: one before that node, two after
         near = touched.copy()
         near[:-1] |= touched[1:]
@@ -113,7 +147,9 @@ def weighted(touched):
 
 
 def normals(nodes, size):
-    """Unit normals (N, 3) of flat node indices, float64 numpy; outside the disk |p| < √2 they look away from the viewer."""
+    """Unit normals (N, 3) of flat node indices, float64 numpy; outside the disk |p| < √2 they look
+    away from the viewer.
+    """
     line = (np.arange(size) - MARGIN) * (2.0 / (size - 1 - 2 * MARGIN)) - 1.0
     row, column = np.divmod(nodes, size)
     x, y, result = line[column], line[row], np.empty((len(nodes), 3))
@@ -124,14 +160,24 @@ def normals(nodes, size):
 
 
 def look_up(n, values, nodes, size):
-    """(P, 3) at normals n (P, 3) in the map that has values (N, 3) at flat indices nodes (N,), which hold all that n needs."""
+    """(P, 3) at normals n (P, 3) in the map that has values (N, 3) at flat indices nodes (N,),
+    which hold all that n needs.
+    """
     if has_kernel(n):
         return LookUp.apply(n, values, nodes, size)
     place = places(n, size)
     table = n.new_zeros(size * size, 3).index_copy(0, nodes, values)
     corner = place.detach().floor().clamp(1, size - 3)
     t = (place - corner)[..., None]
-    weights = 0.5 * torch.cat([((2 - t) * t - 1) * t, (3 * t - 5) * t * t + 2, ((4 - 3 * t) * t + 1) * t, (t - 1) * t * t], -1)
+    weights = 0.5 * torch.cat(
+        [
+            ((2 - t) * t - 1) * t,
+            (3 * t - 5) * t * t + 2,
+            ((4 - 3 * t) * t + 1) * t,
+            (t - 1) * t * t,
+        ],
+        -1,
+    )
     step = torch.arange(-1, 3, device=place.device)
     corner = corner.long()
     index = (corner[:, :1] + step)[:, :, None] * size + (corner[:, 1:] + step)[:, None]
@@ -139,7 +185,9 @@ def look_up(n, values, nodes, size):
 
 
 def sliced(pixels, seconds, kernel):
-    """kernel(first, last) over all pixels of so many seconds each, on as many threads as torch may use."""
+    """kernel(first, last) over all pixels of so many seconds each, on as many threads as torch may
+    use.
+    """
     workers = threads.worth(torch.get_num_threads(), pixels * seconds)
     threads.run(kernel, threads.split(pixels, workers), workers)
 
@@ -154,7 +202,13 @@ def table(values, nodes, size):
 def read(n, table, size):
     """(P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
     out = np.empty((len(n), 3), np.float32)
-    sliced(len(n), READ, lambda first, last: machine_code.call("interpolation.forward", first, last, size, n, table, out))
+    sliced(
+        len(n),
+        READ,
+        lambda first, last: machine_code.call(
+            "interpolation.forward", first, last, size, n, table, out
+        ),
+    )
     return out
 
 
@@ -164,7 +218,9 @@ def read_backward(n, table, size, g, nodes):
     by_table = np.zeros((interpolation.CHUNKS, *table.shape), np.float32)
 
     def kernel(first, last):
-        machine_code.call("interpolation.backward", first, last, len(n), size, n, table, g, by_n, by_table)
+        machine_code.call(
+            "interpolation.backward", first, last, len(n), size, n, table, g, by_n, by_table
+        )
 
     workers = threads.worth(torch.get_num_threads(), len(n) * READ_BACKWARD)
     threads.run(kernel, threads.split(interpolation.CHUNKS, workers), workers)

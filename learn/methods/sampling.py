@@ -1,11 +1,14 @@
-"""Monte Carlo estimates of the integral over the piecewise-constant map: light sampling, BRDF sampling, or both (balance heuristic).
+"""Monte Carlo estimates of the integral over the piecewise-constant map: light sampling, BRDF
+sampling, or both (balance heuristic).
 
-N samples a pixel, p pixel, i sample. A light sample is a texel drawn by its energy and a point within it; a BRDF sample is a half
-vector drawn about the normal by a mixture of the three lobes' cosine powers and a broad one, reflected.
+N samples a pixel, p pixel, i sample. A light sample is a texel drawn by its energy and a point
+within it; a BRDF sample is a half vector drawn about the normal by a mixture of the three lobes'
+cosine powers and a broad one, reflected.
 
     I ≈ Σ_i f(w_i) μ(w_i) L(w_i) / (N_light p_light(w_i) + N_brdf p_brdf(w_i))
 
-Samples are held in the backward pass. They are the same every time: a fixed stratified pattern shifted by a hash of the pixel's number.
+Samples are held in the backward pass. They are the same every time: a fixed stratified pattern
+shifted by a hash of the pixel's number.
 """
 
 import math
@@ -35,27 +38,46 @@ def sampled(batch, by_light, by_brdf):
         lobes = Lobes(m)
         table = Texels(light, batch.camera_from_light)
         step = max(1, PAIRS // (by_light + by_brdf))
-        views = [n.new_tensor([[0.0, 0.0, 1.0]])] * math.ceil(len(n) / step) if view is None else view.split(step)
+        views = (
+            [n.new_tensor([[0.0, 0.0, 1.0]])] * math.ceil(len(n) / step)
+            if view is None
+            else view.split(step)
+        )
         starts = range(0, len(n), step)
         parts = zip(n.split(step), views, starts, strict=True)
-        return torch.cat([checkpoint(chunk, a, b, m, light, lobes, table, by_light, by_brdf, s, use_reentrant=False) for a, b, s in parts])
+        return torch.cat(
+            [
+                checkpoint(
+                    chunk, a, b, m, light, lobes, table, by_light, by_brdf, s, use_reentrant=False
+                )
+                for a, b, s in parts
+            ]
+        )
 
     return by_group(batch, one_group)
 
 
 class Lobes:
-    """Cosine powers (4,) of h about n, and their shares (4,): the three lobes' sharpness by strength, and 1 for what they miss."""
+    """Cosine powers (4,) of h about n, and their shares (4,): the three lobes' sharpness by
+    strength, and 1 for what they miss.
+    """
 
     def __init__(self, m):
         strength = lobe_shapes.strength(m)
         self.power = np.append(np.clip(lobe_shapes.sharpness(m), 0.0, 1e6), 1.0)
-        self.share = np.append(0.9 * strength / strength.sum(), 0.1) if strength.sum() > 0 else np.array([0.0, 0.0, 0.0, 1.0])
+        self.share = (
+            np.append(0.9 * strength / strength.sum(), 0.1)
+            if strength.sum() > 0
+            else np.array([0.0, 0.0, 0.0, 1.0])
+        )
 
     def draw(self, u):
         """cos θ_h and sin θ_h of u (…,) in [0, 1), numpy; which lobe is part of u."""
         edges = np.cumsum(self.share) / self.share.sum()
         lobe = np.minimum(np.searchsorted(edges, u, side="right"), 3)
-        within = (u - np.where(lobe > 0, edges[lobe - 1], 0.0)) / np.maximum(self.share[lobe] / self.share.sum(), 1e-12)
+        within = (u - np.where(lobe > 0, edges[lobe - 1], 0.0)) / np.maximum(
+            self.share[lobe] / self.share.sum(), 1e-12
+        )
         log_cosine = np.log1p(-np.clip(within, 0.0, 1 - 1e-9)) / (self.power[lobe] + 1)
         return np.exp(log_cosine), np.sqrt(-np.expm1(2 * log_cosine))
 
@@ -68,33 +90,56 @@ class Lobes:
 
 
 class Texels:
-    """The map as a distribution: cumulative energy over texels, density per sr of each, and where a texel's corners are."""
+    """The map as a distribution: cumulative energy over texels, density per sr of each, and where a
+    texel's corners are.
+    """
 
     def __init__(self, light, camera_from_light):
         self.height, self.width = light.shape[:2]
-        energy = (light.detach().double().cpu().numpy() @ LUMINANCE) * (solid_angle := directions(*light.shape[:2])[1])
-        energy = (energy / max(energy.sum(), 1e-300) if energy.sum() > 0 else solid_angle / (4 * np.pi)).reshape(-1)
+        energy = (light.detach().double().cpu().numpy() @ LUMINANCE) * (
+            solid_angle := directions(*light.shape[:2])[1]
+        )
+        energy = (
+            energy / max(energy.sum(), 1e-300) if energy.sum() > 0 else solid_angle / (4 * np.pi)
+        ).reshape(-1)
         self.cumulative = np.cumsum(energy) / energy.sum()
-        self.density = torch.as_tensor(energy / energy.sum() / solid_angle.reshape(-1), dtype=light.dtype, device=light.device)
+        self.density = torch.as_tensor(
+            energy / energy.sum() / solid_angle.reshape(-1), dtype=light.dtype, device=light.device
+        )
         self.camera_from_light = camera_from_light.double().cpu().numpy()
 
     def draw(self, u, a, b):
-        """Directions (…, 3), camera frame: the texel by u, the place within by a (across) and b (down, by solid angle); numpy."""
-        texel = np.minimum(np.searchsorted(self.cumulative, u, side="right"), len(self.cumulative) - 1)
+        """Directions (…, 3), camera frame: the texel by u, the place within by a (across) and b
+        (down, by solid angle); numpy.
+        """
+        texel = np.minimum(
+            np.searchsorted(self.cumulative, u, side="right"), len(self.cumulative) - 1
+        )
         row, column = np.divmod(texel, self.width)
         top, bottom = np.cos(np.pi * row / self.height), np.cos(np.pi * (row + 1) / self.height)
         cosine = top + (bottom - top) * b
         sine, phi = np.sqrt(np.maximum(1 - cosine**2, 0.0)), 2 * np.pi * (column + a) / self.width
-        return np.stack([np.cos(phi) * sine, cosine, np.sin(phi) * sine], -1) @ self.camera_from_light.T
+        return (
+            np.stack([np.cos(phi) * sine, cosine, np.sin(phi) * sine], -1)
+            @ self.camera_from_light.T
+        )
 
 
 def pattern(first, pixels, samples):
-    """Numbers (pixels, samples, 3) in [0, 1): a Kronecker sequence, turned by a hash of the pixel's number."""
-    steps = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])  # powers of the root of x⁴ = x + 1 (Roberts 2018)
+    """Numbers (pixels, samples, 3) in [0, 1): a Kronecker sequence, turned by a hash of the pixel's
+    number.
+    """
+    # powers of the root of x⁴ = x + 1 (Roberts 2018)
+    steps = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
     i = np.arange(samples)[None, :, None]
-    pixel = np.arange(first, first + pixels, dtype=np.uint64)[:, None] * np.uint64(3) + np.arange(3, dtype=np.uint64)
-    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):  # splitmix64
-        pixel = (pixel ^ (pixel >> np.uint64(shift))) * np.uint64(factor) + np.uint64(0x9E3779B97F4A7C15)
+    pixel = np.arange(first, first + pixels, dtype=np.uint64)[:, None] * np.uint64(3) + np.arange(
+        3, dtype=np.uint64
+    )
+    # splitmix64
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
+        pixel = (pixel ^ (pixel >> np.uint64(shift))) * np.uint64(factor) + np.uint64(
+            0x9E3779B97F4A7C15
+        )
     turn = (pixel >> np.uint64(11)).astype(np.float64) * 2.0**-53
     return (turn[:, None] + i * steps) % 1.0
 
@@ -103,20 +148,36 @@ def chunk(n, view, m, light, lobes, table, by_light, by_brdf, first):
     """Radiance (p, 3) of the pixels numbered from `first`."""
     with torch.no_grad():
         w = torch.cat(
-            [part for part in (from_light(n, table, by_light, first), from_brdf(n, view, lobes, by_brdf, first)) if part is not None], 1
+            [
+                part
+                for part in (
+                    from_light(n, table, by_light, first),
+                    from_brdf(n, view, lobes, by_brdf, first),
+                )
+                if part is not None
+            ],
+            1,
         )
         h, _ = half_angles(w, view[:, None])
         cos_d, cos_h = (h * view[:, None]).sum(-1), (h * n[:, None]).sum(-1)
         seen = ((w * n[:, None]).sum(-1) > 0) & (cos_d > 1e-6) & (cos_h > 0)
-        texel = texel_of(w @ torch.as_tensor(table.camera_from_light, dtype=w.dtype, device=w.device), table.height, table.width)
-        density = by_light * table.density[texel] + by_brdf * lobes.density(cos_h) / (4 * cos_d.clamp(min=1e-6))
+        texel = texel_of(
+            w @ torch.as_tensor(table.camera_from_light, dtype=w.dtype, device=w.device),
+            table.height,
+            table.width,
+        )
+        density = by_light * table.density[texel] + by_brdf * lobes.density(cos_h) / (
+            4 * cos_d.clamp(min=1e-6)
+        )
         weight = torch.where(seen & (density > 0), 1 / density.clamp(min=1e-30), 0.0)
         w = torch.where(seen[..., None], w, n[:, None])
     mu = (w * n[:, None]).sum(-1) * weight
     h, theta_d = half_angles(w, view[:, None])
     log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
     kappa, gamma = torch.einsum("pib,ksjb->jpiks", basis(theta_d), m)
-    f = torch.expm1((kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)).sum(-1)
+    f = torch.expm1(
+        (kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)
+    ).sum(-1)
     return torch.einsum("pik,pi,pik->pk", f, mu, light.reshape(-1, 3)[texel])
 
 
@@ -124,7 +185,9 @@ def from_light(n, table, samples, first):
     if samples == 0:
         return None
     u = pattern(first, len(n), samples)
-    return torch.as_tensor(table.draw(u[..., 0], u[..., 1], u[..., 2]), dtype=n.dtype, device=n.device)
+    return torch.as_tensor(
+        table.draw(u[..., 0], u[..., 1], u[..., 2]), dtype=n.dtype, device=n.device
+    )
 
 
 def from_brdf(n, view, lobes, samples, first):
@@ -132,6 +195,12 @@ def from_brdf(n, view, lobes, samples, first):
         return None
     u = pattern(first, len(n), samples)
     cosine, sine = lobes.draw(u[..., 0])
-    around = np.stack([sine * np.cos(2 * np.pi * u[..., 1]), sine * np.sin(2 * np.pi * u[..., 1]), cosine], -1)
-    h = torch.einsum("pab,pib->pia", frame_about(n), torch.as_tensor(around, dtype=n.dtype, device=n.device))
-    return torch.nn.functional.normalize(2 * (h * view[:, None]).sum(-1, keepdim=True) * h - view[:, None], dim=-1)
+    around = np.stack(
+        [sine * np.cos(2 * np.pi * u[..., 1]), sine * np.sin(2 * np.pi * u[..., 1]), cosine], -1
+    )
+    h = torch.einsum(
+        "pab,pib->pia", frame_about(n), torch.as_tensor(around, dtype=n.dtype, device=n.device)
+    )
+    return torch.nn.functional.normalize(
+        2 * (h * view[:, None]).sum(-1, keepdim=True) * h - view[:, None], dim=-1
+    )

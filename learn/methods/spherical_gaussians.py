@@ -1,13 +1,17 @@
-"""Light and lobes as spherical Gaussians G(w) = a e^{λ (μ·w − 1)}, whose products and integrals are closed forms.
+"""Light and lobes as spherical Gaussians G(w) = a e^{λ (μ·w − 1)}, whose products and integrals are
+closed forms.
 
-light   the regions of a median cut, each a Gaussian with its energy about its centre, as wide as the region
-lobe    expm1(κ c^γ) ≈ expm1(κ) e^{g (h·n − 1)}, g the sharpness (learn/methods/lobe_shapes.py); over w it is a Gaussian about the mirror
+light   the regions of a median cut, each a Gaussian with its energy about its centre, as wide as
+the region
+lobe    expm1(κ c^γ) ≈ expm1(κ) e^{g (h·n − 1)}, g the sharpness (learn/methods/lobe_shapes.py);
+over w it is a Gaussian about the mirror
         direction r with λ = g / (4 n·v), at θ_d of the mirror direction
 cosine  max(0, n·w) at the product's axis
 
     ∫ G_a G_b dw = a b 2π (e^{d − λ_a − λ_b} − e^{−d − λ_a − λ_b}) / d,   d = |λ_a μ_a + λ_b μ_b|
 
-Source: Wang, Ren, Gong, Snyder and Guo, All-Frequency Rendering of Dynamic, Spatially-Varying Reflectance, 2009.
+Source: Wang, Ren, Gong, Snyder and Guo, All-Frequency Rendering of Dynamic, Spatially-Varying
+Reflectance, 2009.
 """
 
 import math
@@ -21,7 +25,10 @@ from shaders.spline import basis
 
 CARD = Card(
     name="spherical_gaussians",
-    approximates="light by 64 spherical Gaussians, each lobe by one, the cosine by its value at their product's axis",
+    approximates=(
+        "light by 64 spherical Gaussians, each lobe by one, the cosine by its value at their"
+        " product's axis"
+    ),
     error=0.2,
     cost="9 lobes × 64 lights × pixels, without a texel in sight",
     memory="below 64 MiB: chunks of pixels",
@@ -30,7 +37,9 @@ LIGHTS, CHUNK, WIDEST = 64, 2048, 0.25  # WIDEST: least λ of a lobe; a constant
 
 
 def radiance(batch: Batch, tolerance):
-    return with_lights(first_only(batch, CARD.name, HELD_LIGHTS) if batch.light.requires_grad else batch, LIGHTS)
+    return with_lights(
+        first_only(batch, CARD.name, HELD_LIGHTS) if batch.light.requires_grad else batch, LIGHTS
+    )
 
 
 def with_lights(batch, count):
@@ -41,7 +50,9 @@ def with_lights(batch, count):
         sharpness = n.new_full((len(mu),), 0.5 * count)
         views = [None] * math.ceil(len(n) / CHUNK) if view is None else view.split(CHUNK)
         parts = zip(n.split(CHUNK), views, strict=True)
-        return torch.cat([checkpoint(chunk, a, b, m, mu, E, sharpness, use_reentrant=False) for a, b in parts])
+        return torch.cat(
+            [checkpoint(chunk, a, b, m, mu, E, sharpness, use_reentrant=False) for a, b in parts]
+        )
 
     return by_group(batch, one_group)
 
@@ -55,7 +66,10 @@ def chunk(n, view, m, mu, E, light_sharpness):
     kappa, gamma = torch.einsum("pb,ksjb->jpks", basis(theta_d), m)
     kappa = kappa.clamp(1e-6, MAX_EXPONENT)
     sharp = (gamma * kappa / -torch.expm1(-kappa) / (4 * cosine[:, None, None])).clamp(min=WIDEST)
-    axes = sharp[:, None, ..., None] * mirror[:, None, None, None] + (light_sharpness[:, None] * mu)[None, :, None, None]
+    axes = (
+        sharp[:, None, ..., None] * mirror[:, None, None, None]
+        + (light_sharpness[:, None] * mu)[None, :, None, None]
+    )
     both = sharp[:, None] * light_sharpness[:, None, None]
     total = sharp[:, None] + light_sharpness[:, None, None]
     apart = ((mirror[:, None] - mu) ** 2).sum(-1)[..., None, None]
@@ -63,5 +77,7 @@ def chunk(n, view, m, mu, E, light_sharpness):
     below = both * apart / (d + total)  # λ_a + λ_b − d without its cancellation
     overlap = 2 * math.pi * torch.exp(-below) * -torch.expm1(-2 * d) / d
     at_axis = ((axes * n[:, None, None, None]).sum(-1) / d).clamp(min=0)
-    light = (E * (light_sharpness / (2 * math.pi * -torch.expm1(-2 * light_sharpness)))[:, None])[None, :, :, None]
+    light = (E * (light_sharpness / (2 * math.pi * -torch.expm1(-2 * light_sharpness)))[:, None])[
+        None, :, :, None
+    ]
     return (torch.expm1(kappa)[:, None] * overlap * at_axis * light).sum((1, 3))

@@ -1,11 +1,15 @@
-"""Irradiance by nine spherical harmonics, the oldest way to light a matte surface: right for Lambert, blind to everything sharper.
+"""Irradiance by nine spherical harmonics, the oldest way to light a matte surface: right for
+Lambert, blind to everything sharper.
 
     I_k(n) = Σ_l A_kl Σ_m L_klm Y_lm(n),   l ≤ 2          L_klm = Σ_t L_tk Y_lm(w_t) Ω_t
-    A_kl   = 2π ∫ f_k(θ) max(0, cos θ) P_l(cos θ) sin θ dθ  the lobe seen straight on (v = n, so θ_h = θ_d = θ/2), as if it were round
+    A_kl   = 2π ∫ f_k(θ) max(0, cos θ) P_l(cos θ) sin θ dθ  the lobe seen straight on (v = n, so θ_h
+    = θ_d = θ/2), as if it were round
 
-A is a differentiable Gauss–Legendre sum over f, so gradients in m exist; the view's place plays no part.
+A is a differentiable Gauss–Legendre sum over f, so gradients in m exist; the view's place plays no
+part.
 
-Source: Ramamoorthi and Hanrahan, An Efficient Representation for Irradiance Environment Maps, 2001, Eq. 13 with f in place of 1/π.
+Source: Ramamoorthi and Hanrahan, An Efficient Representation for Irradiance Environment Maps, 2001,
+Eq. 13 with f in place of 1/π.
 """
 
 import math
@@ -19,7 +23,10 @@ from shaders.dsbrdf import evaluate
 
 CARD = Card(
     name="spherical_harmonics",
-    approximates="the light by its spherical harmonics up to order 2, every lobe by a round one about the normal",
+    approximates=(
+        "the light by its spherical harmonics up to order 2, every lobe by a round one about the"
+        " normal"
+    ),
     error=1.6,
     cost="9 × (pixels + texels): nothing is cheaper",
     memory="pixels and texels only",
@@ -30,7 +37,9 @@ def radiance(batch: Batch, tolerance):
     def one_group(n, view, m, light):
         w, E = texels(light, batch.camera_from_light)
         of_light = harmonics(w).T @ E
-        return torch.einsum("pj,jk,jk->pk", harmonics(n), of_light, round_lobe(m)[:, [0, 1, 1, 1, 2, 2, 2, 2, 2]].T) + unused(view)
+        return torch.einsum(
+            "pj,jk,jk->pk", harmonics(n), of_light, round_lobe(m)[:, [0, 1, 1, 1, 2, 2, 2, 2, 2]].T
+        ) + unused(view)
 
     return by_group(batch, one_group)
 
@@ -41,11 +50,19 @@ def unused(view):
 
 
 def harmonics(d):
-    """Real orthonormal spherical harmonics (…, 9) of unit vectors d (…, 3): orders 0, 1 (y z x), 2."""
+    """Real orthonormal spherical harmonics (…, 9) of unit vectors d (…, 3): orders 0, 1 (y z x),
+    2.
+    """
     x, y, z = d.unbind(-1)
     constant = torch.full_like(x, math.sqrt(1 / (4 * math.pi)))
     a, b = math.sqrt(3 / (4 * math.pi)), math.sqrt(15 / (4 * math.pi))
-    second = (b * x * y, b * y * z, math.sqrt(5 / (16 * math.pi)) * (3 * z * z - 1), b * x * z, 0.5 * b * (x * x - y * y))
+    second = (
+        b * x * y,
+        b * y * z,
+        math.sqrt(5 / (16 * math.pi)) * (3 * z * z - 1),
+        b * x * z,
+        0.5 * b * (x * x - y * y),
+    )
     return torch.stack([constant, a * y, a * z, a * x, *second], -1)
 
 
@@ -58,5 +75,7 @@ def round_lobe(m, points=96):
     cosine = np.cos(theta)
     legendre = np.stack([np.ones_like(cosine), cosine, 1.5 * cosine**2 - 0.5], -1)
     weights = 2 * np.pi * (weights * np.sin(theta) * cosine)[:, None] * legendre
-    half, weights = (torch.as_tensor(a, dtype=m.dtype, device=m.device) for a in (0.5 * theta, weights))
+    half, weights = (
+        torch.as_tensor(a, dtype=m.dtype, device=m.device) for a in (0.5 * theta, weights)
+    )
     return evaluate(m, half.cos(), half).T @ weights

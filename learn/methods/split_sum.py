@@ -1,8 +1,10 @@
-"""The game engines' split: light blurred by the lobe as if seen straight on, times the surface's reflectance under white light.
+"""The game engines' split: light blurred by the lobe as if seen straight on, times the surface's
+reflectance under white light.
 
     I(n, v) ≈ P(r) A(n·v) / A(1),   r = 2 (n·v) n − v
     P(d)    radiance for n = v = d: a map of ROWS × 2 ROWS directions, looked up bilinearly
-    A(x)    radiance under a light of 1 everywhere at n·v = x: a table of ANGLES values, looked up linearly
+    A(x)    radiance under a light of 1 everywhere at n·v = x: a table of ANGLES values, looked up
+    linearly
 
 Source: Karis, Real Shading in Unreal Engine 4, 2013, with the DSBRDF in place of GGX.
 """
@@ -16,14 +18,19 @@ from shaders.envmap import directions
 
 CARD = Card(
     name="split_sum",
-    approximates="the integral of f·L by a product: light blurred about the mirror direction, times reflectance under white light",
+    approximates=(
+        "the integral of f·L by a product: light blurred about the mirror direction, times"
+        " reflectance under white light"
+    ),
     error=0.5,
     cost="2048 directions × texels, then a look-up a pixel",
     memory="below 1 MiB beyond the pixels",
 )
 ROWS, ANGLES, LEAST_COSINE = 32, 48, 1e-3
-WHITE = (16, 32)  # least texels of white light: a smaller map's may all lie where a lobe does not look
-DARKEST = 1e-9  # reflectance below which a channel fades to black: the derivative of its inverse would overflow
+# least texels of white light: a smaller map's may all lie where a lobe does not look
+WHITE = (16, 32)
+# reflectance below which a channel fades to black: the derivative of its inverse would overflow
+DARKEST = 1e-9
 
 
 def radiance(batch: Batch, tolerance):
@@ -35,17 +42,32 @@ def radiance(batch: Batch, tolerance):
         view = n.new_tensor([[0.0, 0.0, 1.0]]) if view is None else view
         cosine = (n * view).sum(-1)
         mirror = 2 * cosine[:, None] * n - view
-        height, width = (max(size, least) for size, least in zip(light.shape[:2], WHITE, strict=True))
-        albedo = seen_at_angles(m, *directional.of_map(light.new_ones(height, width, 3), batch.camera_from_light))
-        d = torch.as_tensor(directions(ROWS, 2 * ROWS)[0], dtype=n.dtype, device=n.device).reshape(-1, 3) @ batch.camera_from_light.to(n).T
+        height, width = (
+            max(size, least) for size, least in zip(light.shape[:2], WHITE, strict=True)
+        )
+        albedo = seen_at_angles(
+            m, *directional.of_map(light.new_ones(height, width, 3), batch.camera_from_light)
+        )
+        d = (
+            torch.as_tensor(directions(ROWS, 2 * ROWS)[0], dtype=n.dtype, device=n.device).reshape(
+                -1, 3
+            )
+            @ batch.camera_from_light.to(n).T
+        )
         blurred = directional.radiance(d, d, m, E, lights).reshape(ROWS, 2 * ROWS, 3)
-        return look_up_map(blurred, mirror @ batch.camera_from_light.to(n)) * look_up_angle(albedo, cosine) / albedo[-1].clamp(min=DARKEST)
+        return (
+            look_up_map(blurred, mirror @ batch.camera_from_light.to(n))
+            * look_up_angle(albedo, cosine)
+            / albedo[-1].clamp(min=DARKEST)
+        )
 
     return by_group(batch, one_group)
 
 
 def seen_at_angles(m, lights, white):
-    """A (ANGLES, 3) at n·v from LEAST_COSINE to 1 in equal steps; the view is fixed and the normal turns."""
+    """A (ANGLES, 3) at n·v from LEAST_COSINE to 1 in equal steps; the view is fixed and the normal
+    turns.
+    """
     x = torch.linspace(LEAST_COSINE, 1.0, ANGLES, dtype=m.dtype, device=m.device)
     n = torch.stack([(1 - x * x).clamp(min=0).sqrt(), torch.zeros_like(x), x], -1)
     return directional.radiance(n, None, m, white, lights)
@@ -60,9 +82,12 @@ def look_up_angle(table, cosine):
 
 
 def look_up_map(table, d):
-    """(P, 3) from table (height, width, 3) over directions d (P, 3), light frame: bilinear, closed around the vertical."""
+    """(P, 3) from table (height, width, 3) over directions d (P, 3), light frame: bilinear, closed
+    around the vertical.
+    """
     height, width = table.shape[:2]
-    across = (d[:, 0] ** 2 + d[:, 2] ** 2).clamp(min=1e-12).sqrt()  # straight up and down the azimuth has no slope
+    # straight up and down the azimuth has no slope
+    across = (d[:, 0] ** 2 + d[:, 2] ** 2).clamp(min=1e-12).sqrt()
     row = (torch.atan2(across, d[:, 1]) * (height / math.pi) - 0.5).clamp(0, height - 1)
     upright = across > 2e-6
     azimuth = torch.atan2(torch.where(upright, d[:, 2], 0.0), torch.where(upright, d[:, 0], 1.0))

@@ -1,7 +1,9 @@
-"""95 % intervals of means over pictures whose shapes and materials were drawn, both, from many more: a two-way bootstrap.
+"""95 % intervals of means over pictures whose shapes and materials were drawn, both, from many
+more: a two-way bootstrap.
 
-Pictures of one shape, or of one material, err together. So whole shapes and whole materials are drawn with replacement, and a picture
-weighs as often as its shape times as often as its material came up. Intervals over single pictures would be several times too narrow.
+Pictures of one shape, or of one material, err together. So whole shapes and whole materials are
+drawn with replacement, and a picture weighs as often as its shape times as often as its material
+came up. Intervals over single pictures would be several times too narrow.
 
 P pictures; groups: arrays (P,) of integers 0 … G − 1, one array a way of grouping
 """
@@ -48,7 +50,9 @@ def relative(a, b, weights):
 
 
 def ratio(a, b, groups, count=DRAWS, seed=0):
-    """[mean b / mean a, low, high] of values (P,), or (R, P) of R runs, which are then drawn too."""
+    """[mean b / mean a, low, high] of values (P,), or (R, P) of R runs, which are then drawn
+    too.
+    """
     rng = np.random.default_rng(seed)
     A, B = np.atleast_2d(a), np.atleast_2d(b)
     results = []

@@ -1,10 +1,16 @@
-"""How far predicted normals, materials and lights stand from the true ones, each in units that mean something by themselves.
+"""How far predicted normals, materials and lights stand from the true ones, each in units that mean
+something by themselves.
 
-normals    angles over the mask in degrees: mean, median, and the shares below 11.25°, 22.5° and 30°; mean cosine (the paper's Table 2)
-material   brdf_log: root mean square of log((f' + ε)/(f + ε)) over half and difference angles, weighted by the light's cosine;
-           log_l2: mean squared difference of the 108 logarithms; code_l2: of the codes that networks predict. Regions count alike
-light      direction_deg: between the brightest directions, seen through a lobe of 10°; irradiance: relative root mean square error over 96
-           directions; spheres_l2: display L2 of three spheres, matte, glossy, sharp, as this viewer sees them; both maps as they come
+normals    angles over the mask in degrees: mean, median, and the shares below 11.25°, 22.5° and
+30°; mean cosine (the paper's Table 2)
+material   brdf_log: root mean square of log((f' + ε)/(f + ε)) over half and difference angles,
+weighted by the light's cosine;
+           log_l2: mean squared difference of the 108 logarithms; code_l2: of the codes that
+           networks predict. Regions count alike
+light      direction_deg: between the brightest directions, seen through a lobe of 10°; irradiance:
+relative root mean square error over 96
+           directions; spheres_l2: display L2 of three spheres, matte, glossy, sharp, as this viewer
+           sees them; both maps as they come
 """
 
 from functools import cache
@@ -23,14 +29,19 @@ GRID = (90, 45, 36)  # θ_h, θ_d, φ_d; MERL's, every second angle
 LOBE = 45.0  # of exp(LOBE (cos − 1)): half its peak at 10°
 COARSE = (32, 64)
 SPHERE = 32  # pixels
-SPHERES = {"matte": (1e-6, 0.8), "glossy": (30.0, 0.8), "sharp": (300.0, 0.8)}  # exponent, albedo about the normal
+# exponent, albedo about the normal
+SPHERES = {"matte": (1e-6, 0.8), "glossy": (30.0, 0.8), "sharp": (300.0, 0.8)}
 
 
 def normals(n, true, inside):
     """{figure: value} of unit normals (3, H, W) tensors over inside (H, W) bool."""
     cosine = (n * true).sum(0)[inside].double().clamp(-1, 1)
     degrees = array(cosine.arccos().rad2deg())
-    result = {"mean_deg": float(degrees.mean()), "median_deg": float(np.median(degrees)), "cosine": float(cosine.mean())}
+    result = {
+        "mean_deg": float(degrees.mean()),
+        "median_deg": float(np.median(degrees)),
+        "cosine": float(cosine.mean()),
+    }
     return result | {f"below_{limit:g}": float((degrees < limit).mean()) for limit in LIMITS_DEG}
 
 
@@ -54,9 +65,11 @@ def brdf_log_error(label, true):
 
 @cache
 def _grid():
-    """cos θ_h and θ_d (P,) of the grid's points, and the mean over φ_d of the light's cosine where light and view are above the surface.
+    """cos θ_h and θ_d (P,) of the grid's points, and the mean over φ_d of the light's cosine where
+    light and view are above the surface.
 
-    θ_h = (π/2) u²: points crowd at the highlight, as MERL's do. cos_i, cos_o = cos_h cos_d ∓ sin_h sin_d cos φ_d.
+    θ_h = (π/2) u²: points crowd at the highlight, as MERL's do. cos_i, cos_o = cos_h cos_d ∓ sin_h
+    sin_d cos φ_d.
     """
     half = np.pi / 2 * ((np.arange(GRID[0]) + 0.5) / GRID[0]) ** 2
     difference = np.pi / 2 * (np.arange(GRID[1]) + 0.5) / GRID[1]
@@ -84,9 +97,13 @@ def light(L, true, elevation):
 
 
 def brightest(L):
-    """Unit direction (3,), light frame, from where most luminance comes through a lobe of 10°; L (3, H, W)."""
+    """Unit direction (3,), light frame, from where most luminance comes through a lobe of 10°; L
+    (3, H, W).
+    """
     w, lobes = _lobes()
-    luminance = envmap.resize(array(L.movedim(0, -1).double()), *COARSE).reshape(-1, 3) @ envmap.LUMINANCE
+    luminance = (
+        envmap.resize(array(L.movedim(0, -1).double()), *COARSE).reshape(-1, 3) @ envmap.LUMINANCE
+    )
     top = int((lobes @ luminance).argmax())
     centre = (lobes[top] * luminance) @ w  # between texels: where the light within the lobe lies
     return centre / max(np.linalg.norm(centre), 1e-12)
@@ -100,7 +117,9 @@ def _lobes():
 
 
 def sphere_material(name):
-    """Label (108,) float32: one lobe of f = expm1(κ c^γ), κ such that the albedo seen from the normal is as SPHERES says."""
+    """Label (108,) float32: one lobe of f = expm1(κ c^γ), κ such that the albedo seen from the
+    normal is as SPHERES says.
+    """
     gamma, albedo = SPHERES[name]
     theta = (np.arange(2000) + 0.5) / 2000 * np.pi / 2
     weight = 2 * np.pi * np.sin(theta) * np.cos(theta) * (np.pi / 2) / 2000
@@ -108,7 +127,9 @@ def sphere_material(name):
     low, high = 0.0, 20.0
     for _ in range(60):
         kappa = 0.5 * (low + high)
-        low, high = (kappa, high) if (np.expm1(kappa * power) * weight).sum() < albedo else (low, kappa)
+        low, high = (
+            (kappa, high) if (np.expm1(kappa * power) * weight).sum() < albedo else (low, kappa)
+        )
     m = np.full(dsbrdf.SHAPE, 1e-9)
     m[:, 0, 0], m[:, 0, 1] = kappa, gamma
     return np.log(m).reshape(-1).astype(np.float32)
@@ -121,7 +142,11 @@ def _sphere(name):
     inside = z > 0.1
     n = np.where(inside[..., None], np.stack([x, y, z], -1), 0)
     n /= np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-9)
-    return torch.from_numpy(n.astype(np.float32))[None], inside, torch.from_numpy(np.exp(sphere_material(name)))[None]
+    return (
+        torch.from_numpy(n.astype(np.float32))[None],
+        inside,
+        torch.from_numpy(np.exp(sphere_material(name)))[None],
+    )
 
 
 def _sphere_l2(L, true, name, elevation):

@@ -1,7 +1,8 @@
 """LPIPS (Zhang et al. 2018), where a user has its weights; nothing is downloaded.
 
-Weights are one .safetensors file of AlexNet's five convolutions and LPIPS' five linear layers: `features.K.weight`, `features.K.bias`
-(K = 0, 3, 6, 8, 10, as torchvision numbers them) and `lin0.weight` … `lin4.weight`. Its checksum is told beside the figures.
+Weights are one .safetensors file of AlexNet's five convolutions and LPIPS' five linear layers:
+`features.K.weight`, `features.K.bias` (K = 0, 3, 6, 8, 10, as torchvision numbers them) and
+`lin0.weight` … `lin4.weight`. Its checksum is told beside the figures.
 """
 
 import torch
@@ -10,13 +11,17 @@ from torch.nn import functional as F
 from learn.networks import tensor_file
 from manifests.errors import InputError
 
-SHAPES = ((64, 3, 11, 11), (192, 64, 5, 5), (384, 192, 3, 3), (256, 384, 3, 3), (256, 256, 3, 3))  # of AlexNet's kernels
-LAYERS = ((0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False))  # number, stride, padding, pooled before
+# of AlexNet's kernels
+SHAPES = ((64, 3, 11, 11), (192, 64, 5, 5), (384, 192, 3, 3), (256, 384, 3, 3), (256, 256, 3, 3))
+# number, stride, padding, pooled before
+LAYERS = ((0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False))
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
 
 def of_file(path):
-    """(display values, display values) (H, W, 3) in [0, 255] → float, 0 alike; or None for no file. Raises InputError."""
+    """(display values, display values) (H, W, 3) in [0, 255] → float, 0 alike; or None for no file.
+    Raises InputError.
+    """
     if path is None:
         return None
     requested = {}
@@ -28,7 +33,9 @@ def of_file(path):
         missing = [name for name in requested if name not in stored.shapes]
         if missing:
             names = list(requested)
-            raise InputError(path, f"tensors {', '.join(names[:2])} … {names[-1]}", f"no {missing[0]}", remedy)
+            raise InputError(
+                path, f"tensors {', '.join(names[:2])} … {names[-1]}", f"no {missing[0]}", remedy
+            )
         stored.require(requested, "LPIPS' AlexNet", alone=False)
         tensors = {name: stored.tensor(name) for name in requested}
     return lambda shown, right: distance(tensors, shown, right)
@@ -56,7 +63,15 @@ def stages(tensors, x):
     results = []
     for number, stride, padding, pooled in LAYERS:
         x = F.max_pool2d(x, 3, 2) if pooled else x
-        x = F.relu(F.conv2d(x, tensors[f"features.{number}.weight"].float(), tensors[f"features.{number}.bias"].float(), stride, padding))
+        x = F.relu(
+            F.conv2d(
+                x,
+                tensors[f"features.{number}.weight"].float(),
+                tensors[f"features.{number}.bias"].float(),
+                stride,
+                padding,
+            )
+        )
         results.append(x)
     return results
 

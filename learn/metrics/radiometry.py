@@ -1,4 +1,6 @@
-"""What a light and a material amount to: radiance under a few broad lobes, and albedo along the normal. Tensors in, tensors out."""
+"""What a light and a material amount to: radiance under a few broad lobes, and albedo along the
+normal. Tensors in, tensors out.
+"""
 
 import numpy as np
 import torch
@@ -20,13 +22,17 @@ _LOBES = {}
 
 
 def log_rendered(light):
-    """(B, 3, 3 · DIRECTIONS) log(0.05 + mean of L under normalised lobes cos^g) around directions spread over the sphere."""
+    """(B, 3, 3 · DIRECTIONS) log(0.05 + mean of L under normalised lobes cos^g) around directions
+    spread over the sphere.
+    """
     H, W = light.shape[-2:]
     if (key := (H, W, light.device)) not in _LOBES:
         w, omega = envmap.directions(H, W)
         k = np.arange(DIRECTIONS) + 0.5
         y, turn = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k
-        centre = np.stack([np.sqrt(1 - y * y) * np.cos(turn), y, np.sqrt(1 - y * y) * np.sin(turn)], -1)
+        centre = np.stack(
+            [np.sqrt(1 - y * y) * np.cos(turn), y, np.sqrt(1 - y * y) * np.sin(turn)], -1
+        )
         cosine = np.clip(w.reshape(-1, 3) @ centre.T, 0, None)
         lobes = np.concatenate([cosine**g * omega.reshape(-1, 1) for g in GLOSS], 1)
         _LOBES[key] = torch.as_tensor(lobes / lobes.sum(0), dtype=torch.float32).to(light.device)
@@ -37,7 +43,9 @@ _NODES = 48
 
 
 def log_albedo(label):
-    """(…, 3) log of ∫ f cos dw, lit and seen along the normal: then θ_h = θ_d = θ_i/2. label (…, 108)."""
+    """(…, 3) log of ∫ f cos dw, lit and seen along the normal: then θ_h = θ_d = θ_i/2. label (…,
+    108).
+    """
     kappa_gamma = label.reshape(*label.shape[:-1], *SHAPE).exp()
     t = (np.arange(_NODES) + 0.5) / _NODES
     half = t**2 * np.pi / 4  # θ_i/2, dense about the highlight
@@ -45,7 +53,9 @@ def log_albedo(label):
     B = torch.as_tensor(np.asarray(basis(half)), dtype=label.dtype).to(label.device)
     values = torch.einsum("tj,...nskj->...nskt", B, kappa_gamma)
     log_cos = torch.as_tensor(np.log(np.cos(half)), dtype=label.dtype).to(label.device)
-    lobes = torch.expm1((values[..., 0, :] * torch.exp(values[..., 1, :] * log_cos)).clamp(max=KAPPA_CEILING)).sum(-2)
+    lobes = torch.expm1(
+        (values[..., 0, :] * torch.exp(values[..., 1, :] * log_cos)).clamp(max=KAPPA_CEILING)
+    ).sum(-2)
     weight = torch.as_tensor(weight, dtype=label.dtype).to(label.device)
     return torch.log((lobes * weight).sum(-1) + 1e-3)
 

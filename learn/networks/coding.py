@@ -1,7 +1,9 @@
 """How pictures, materials and light are written for a network, and read back.
 
-image   (B, 3, H, W) linear radiance I  →  log(1 + 8 I)/log 9 − ½ inside the mask, 0 outside: half of the range is below I = ¼
-label   (B, S, 108) natural logarithms  →  code in (−1, 1): ±REACH at the ends of the training materials' range, so that tanh reaches them
+image   (B, 3, H, W) linear radiance I  →  log(1 + 8 I)/log 9 − ½ inside the mask, 0 outside: half
+of the range is below I = ¼
+label   (B, S, 108) natural logarithms  →  code in (−1, 1): ±REACH at the ends of the training
+materials' range, so that tanh reaches them
 light   (B, 3, Hl, Wl) linear radiance L ≥ 0  →  log(1 + L)
 """
 
@@ -39,7 +41,9 @@ class Ranges:
 
     @classmethod
     def of(cls, labels, margin=0.05):
-        """Ranges of labels (M, 108), widened by `margin` at each end; the same for the three channels, which augmentation permutes."""
+        """Ranges of labels (M, 108), widened by `margin` at each end; the same for the three
+        channels, which augmentation permutes.
+        """
         by_channel = labels.reshape(-1, 3, SIZE // 3)
         low, high = by_channel.amin((0, 1)), by_channel.amax((0, 1))
         half = ((high - low) * (0.5 + margin)).clamp(min=NARROWEST)
@@ -60,10 +64,13 @@ def light_of(code):
 
 
 def unit_mean(light, solid_angle):
-    """Maps (B, 3, Hl, Wl) scaled to a mean luminance of 1 over the sphere: what settles light's scale against the material's.
+    """Maps (B, 3, Hl, Wl) scaled to a mean luminance of 1 over the sphere: what settles light's
+    scale against the material's.
 
     solid_angle  (Hl,) of a texel of each row
     """
     weight = solid_angle / (solid_angle.sum() * light.shape[-1])
-    luminance = torch.einsum("bchw,c,h->b", light, light.new_tensor([0.2126, 0.7152, 0.0722]), weight.to(light))
+    luminance = torch.einsum(
+        "bchw,c,h->b", light, light.new_tensor([0.2126, 0.7152, 0.0722]), weight.to(light)
+    )
     return light / luminance.clamp(min=1e-6)[:, None, None, None]

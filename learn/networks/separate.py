@@ -1,10 +1,13 @@
-"""Baseline 2 of Section 4.5: three networks that share nothing and never see the layer, each trained by its own L2 loss.
+"""Baseline 2 of Section 4.5: three networks that share nothing and never see the layer, each
+trained by its own L2 loss.
 
-Each has its own encoder, of the compact network's family, and reads the masked picture alone: no reflectance map, which would hand the
-normals' answer to the other two. They stand in one module because they see the same batches; no weight and no gradient passes between them.
+Each has its own encoder, of the compact network's family, and reads the masked picture alone: no
+reflectance map, which would hand the normals' answer to the other two. They stand in one module
+because they see the same batches; no weight and no gradient passes between them.
 
-B pictures, S segments; features of widths WIDTHS at H/2, H/4, H/8, H/16. Material and light begin at H/4, their pixels laid into channels,
-for they need no edge to the pixel: that takes two thirds off their cost.
+B pictures, S segments; features of widths WIDTHS at H/2, H/4, H/8, H/16. Material and light begin
+at H/4, their pixels laid into channels, for they need no edge to the pixel: that takes two thirds
+off their cost.
 """
 
 from itertools import pairwise
@@ -22,13 +25,17 @@ HIDDEN = 256
 
 
 class Encoder(nn.Module):
-    """Features of a picture code (B, 4, H, W) at H/first, H/(2 first), …, one size for each width."""
+    """Features of a picture code (B, 4, H, W) at H/first, H/(2 first), …, one size for each
+    width.
+    """
 
     def __init__(self, widths=WIDTHS, first=2):
         super().__init__()
         self.first = first
         before = (4 * first**2, *widths)
-        self.down = nn.ModuleList(convolution(a, b, 1 if i == 0 else 2) for i, (a, b) in enumerate(pairwise(before)))
+        self.down = nn.ModuleList(
+            convolution(a, b, 1 if i == 0 else 2) for i, (a, b) in enumerate(pairwise(before))
+        )
         self.deepen = nn.ModuleList(Residual(width) for width in widths)
 
     def forward(self, x):
@@ -55,7 +62,9 @@ class Decoder(nn.Module):
 
 
 def read_off(outputs):
-    """Layers from the deepest features to `outputs` numbers: one more halving, CELLS² cells, two fully connected layers with dropout."""
+    """Layers from the deepest features to `outputs` numbers: one more halving, CELLS² cells, two
+    fully connected layers with dropout.
+    """
     return nn.Sequential(
         convolution(WIDTHS[-1], 128, 2),
         nn.AdaptiveAvgPool2d(CELLS),

@@ -1,12 +1,17 @@
-"""A .safetensors file: written whole or not at all, and judged by its header before memory is taken to read it.
+"""A .safetensors file: written whole or not at all, and judged by its header before memory is taken
+to read it.
 
-The format: eight bytes that say how long the header is, little-endian; the header, JSON padded with spaces to a multiple
-of eight, which names each tensor's type, shape and place; the tensors' bytes. Nothing is ever unpickled.
+The format: eight bytes that say how long the header is, little-endian; the header, JSON padded with
+spaces to a multiple of eight, which names each tensor's type, shape and place; the tensors' bytes.
+Nothing is ever unpickled.
 
-Reading   What a reader expects is compared with the header first, then the tensors that are wanted are read, and numbers
+Reading   What a reader expects is compared with the header first, then the tensors that are wanted
+are read, and numbers
           that are not finite are refused.
-Writing   Tensor by tensor: the library either writes to a path, where the error of a full disk may come too late, or
-          first makes all bytes in memory. Names and order are those of the library, and so are the bytes.
+Writing   Tensor by tensor: the library either writes to a path, where the error of a full disk may
+come too late, or
+          first makes all bytes in memory. Names and order are those of the library, and so are the
+          bytes.
 """
 
 import json
@@ -58,11 +63,23 @@ class Stored:
         for name, shape in shapes.items():
             if self.shapes.get(name) != tuple(shape):
                 result = str(self.shapes[name]) if name in self.shapes else "none"
-                raise InputError(f"{self.path}: {name}", f"a tensor of shape {tuple(shape)}", result, remedy)
+                raise InputError(
+                    f"{self.path}: {name}", f"a tensor of shape {tuple(shape)}", result, remedy
+                )
             if self.kinds[name] not in NUMBERS:
-                raise InputError(f"{self.path}: {name}", f"numbers as {', '.join(NUMBERS)}", self.kinds[name], remedy)
+                raise InputError(
+                    f"{self.path}: {name}",
+                    f"numbers as {', '.join(NUMBERS)}",
+                    self.kinds[name],
+                    remedy,
+                )
         for name in sorted(self.shapes.keys() - shapes.keys()) if alone else ():
-            raise InputError(f"{self.path}: {name}", f"only tensors of {whose}", "this one", closest(name, shapes))
+            raise InputError(
+                f"{self.path}: {name}",
+                f"only tensors of {whose}",
+                "this one",
+                closest(name, shapes),
+            )
 
     def tensor(self, name: str) -> torch.Tensor:
         """The tensor of that name. Raises InputError if it holds NaN or infinity."""
@@ -94,7 +111,9 @@ def opened(
         with open(path, "rb") as file:
             length = file.read(8)
         if len(length) == 8 and struct.unpack("<Q", length)[0] > LARGEST_HEADER:
-            raise InputError(path, expected, f"no header of at most {LARGEST_HEADER >> 20} MiB", other)
+            raise InputError(
+                path, expected, f"no header of at most {LARGEST_HEADER >> 20} MiB", other
+            )
         stored = safe_open(path, "pt")
     except SafetensorError as error:
         raise InputError(path, expected, str(error), other) from None
@@ -119,17 +138,18 @@ _TYPES = {  # in the library's order of tensors, names within a type by the alph
 
 
 def write(
-    path: str | os.PathLike,
-    tensors: Mapping[str, torch.Tensor],
-    metadata: Mapping[str, str],
+    path: str | os.PathLike, tensors: Mapping[str, torch.Tensor], metadata: Mapping[str, str]
 ) -> None:
     """Write tensors and text. One tensor at a time is copied, at most.
 
-    Raises  OSError with the earlier file still there; ValueError for a type of numbers that the format lacks
+    Raises  OSError with the earlier file still there; ValueError for a type of numbers that the
+    format lacks
     """
     for name, tensor in tensors.items():
         if tensor.dtype not in _TYPES:
-            raise ValueError(f"{name}: expected a type of numbers of safetensors, found {tensor.dtype}")
+            raise ValueError(
+                f"{name}: expected a type of numbers of safetensors, found {tensor.dtype}"
+            )
     order = list(_TYPES)
     names = sorted(tensors, key=lambda name: (order.index(tensors[name].dtype), name))
     header, end = {"__metadata__": dict(sorted(metadata.items()))} if metadata else {}, 0

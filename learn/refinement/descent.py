@@ -1,11 +1,13 @@
 """The way down: coarse to fine, and only what lowers the whole energy is kept.
 
-Each round moves the material, then the light, then the normals by L-BFGS (scipy's, whose line search keeps the strong
-Wolfe conditions). Material first: normals that were freed first moved from 9° to 50° off. Once each fits the others a level may go on in
-all three at once. A step that does not lower the energy is taken back.
+Each round moves the material, then the light, then the normals by L-BFGS (scipy's, whose line
+search keeps the strong Wolfe conditions). Material first: normals that were freed first moved from
+9° to 50° off. Once each fits the others a level may go on in all three at once. A step that does
+not lower the energy is taken back.
 
-A further pass is held to what the one before it reached (a proximal step): the prediction holds the first, the picture wins in the end. It
-counts only if the energy about the prediction itself is still below the start's.
+A further pass is held to what the one before it reached (a proximal step): the prediction holds the
+first, the picture wins in the end. It counts only if the energy about the prediction itself is
+still below the start's.
 """
 
 import math
@@ -29,8 +31,10 @@ NOWHERE = 1e30  # energy of what is not finite or cannot be drawn: a line search
 
 @dataclass(frozen=True)
 class Refined:
-    """prediction  Prediction, refined; before, after: {term: float} of learn.refinement.energy with "total", at the finest level
-    history        [{"pass", "level", "round", "property", "total", "accepted"}, …]; total: about the start of its pass
+    """prediction  Prediction, refined; before, after: {term: float} of learn.refinement.energy with
+    "total", at the finest level
+    history        [{"pass", "level", "round", "property", "total", "accepted"}, …]; total: about
+    the start of its pass
     """
 
     prediction: Prediction
@@ -41,23 +45,29 @@ class Refined:
 
 
 def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
-    """The prediction moved to where it explains its picture better. Its energy never ends above the start's.
+    """The prediction moved to where it explains its picture better. Its energy never ends above the
+    start's.
 
-    batch       learn.data.batch.Batch of one: image, mask, segments and elevation are used, the truth is not
+    batch       learn.data.batch.Batch of one: image, mask, segments and elevation are used, the
+    truth is not
     prediction  Prediction of one: n, label and light
-    Raises      ValueError for a batch of more than one, or a prediction that lacks a property or is not finite
+    Raises      ValueError for a batch of more than one, or a prediction that lacks a property or is
+    not finite
     """
     began = time.perf_counter()
-    if len(batch.image) != 1 or any(part is None for part in (prediction.n, prediction.label, prediction.light)):
+    if len(batch.image) != 1 or any(
+        part is None for part in (prediction.n, prediction.label, prediction.light)
+    ):
         raise ValueError(
-            "refine: expected one picture with normals, material and light, found others (predict all three, and refine one by one)"
+            "refine: expected one picture with normals, material and light, found others (predict"
+            " all three, and refine one by one)"
         )
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
     reached = at_rest(coordinates(prediction, inside, settings))
     if not reached.drawable:
         raise ValueError(
-            "refine: expected finite normals and light, and a label whose exp is finite and above 0, found others "
-            "(check the network's weights)"
+            "refine: expected finite normals and light, and a label whose exp is finite and above"
+            " 0, found others (check the network's weights)"
         )
     energy = Energy(batch, reached, settings)
     before = after = energy.finest(reached)
@@ -71,12 +81,16 @@ def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
         reached, after = state, terms
         history += [{"pass": number} | line for line in report]
     n = torch.where(inside[:, None], reached.n, prediction.n)
-    refined = Prediction(n, None, reached.label.to(prediction.label.dtype), torch.log1p(reached.light), reached.light)
+    refined = Prediction(
+        n, None, reached.label.to(prediction.label.dtype), torch.log1p(reached.light), reached.light
+    )
     return Refined(refined, before, after, history, time.perf_counter() - began)
 
 
 def passed(batch, start, inside, settings):
-    """(State, history) after all levels, held to `start`, a Prediction or a State: whatever lowers the energy about it."""
+    """(State, history) after all levels, held to `start`, a Prediction or a State: whatever lowers
+    the energy about it.
+    """
     maps = coordinates(start, inside, settings)
     z = {name: array(m.predicted).flatten() for name, m in maps.items()}
     energy = Energy(batch, at_rest(maps), settings)
@@ -89,7 +103,12 @@ def passed(batch, start, inside, settings):
             accepted = math.isfinite(result["total"]) and result["total"] < best["total"]
             if accepted:
                 z, best = tried, result
-            report = {"level": number, "round": turn, "property": "+".join(names), "accepted": accepted}
+            report = {
+                "level": number,
+                "round": turn,
+                "property": "+".join(names),
+                "accepted": accepted,
+            }
             history.append(report | {"total": result["total"]})
     return state_of(maps, z), history
 
@@ -106,7 +125,9 @@ def coordinates(prediction, inside, settings):
 def steps(level, order):
     """(round, properties, iterations) of a level, in turn."""
     results = [(turn, (name,), level.iterations) for turn in range(level.rounds) for name in order]
-    return results + ([(level.rounds, tuple(order), level.together)] if level.together and order else [])
+    return results + (
+        [(level.rounds, tuple(order), level.together)] if level.together and order else []
+    )
 
 
 def at_rest(maps):
@@ -115,15 +136,23 @@ def at_rest(maps):
 
 
 def state_of(maps, z, known=None):
-    """State of vectors {name: (Z,) numpy or tensor}; what `z` does not name is taken from the State `known`."""
-    moved = {name: torch.as_tensor(z[name]).to(m.predicted.device).reshape(m.shape) for name, m in maps.items() if name in z}
+    """State of vectors {name: (Z,) numpy or tensor}; what `z` does not name is taken from the State
+    `known`.
+    """
+    moved = {
+        name: torch.as_tensor(z[name]).to(m.predicted.device).reshape(m.shape)
+        for name, m in maps.items()
+        if name in z
+    }
     fields = {FIELDS[name]: maps[name](value) for name, value in moved.items()}
     fields["z"] = ({} if known is None else known.z) | moved
     return State(**fields) if known is None else replace(known, **fields)
 
 
 def descended(energy, maps, z, names, level, where, iterations):
-    """{name: vector} of the named properties after L-BFGS at one level; where it meets no finite energy it stays."""
+    """{name: vector} of the named properties after L-BFGS at one level; where it meets no finite
+    energy it stays.
+    """
     sizes = [len(z[name]) for name in names]
     still = state_of(maps, z)
     device = still.n.device
@@ -132,7 +161,10 @@ def descended(energy, maps, z, names, level, where, iterations):
         return dict(zip(names, np.split(x, np.cumsum(sizes)[:-1]), strict=True))
 
     def value_and_slope(x):
-        moved = {name: torch.from_numpy(v.copy()).to(device).requires_grad_() for name, v in parts(x).items()}
+        moved = {
+            name: torch.from_numpy(v.copy()).to(device).requires_grad_()
+            for name, v in parts(x).items()
+        }
         state = state_of(maps, moved, still)
         if not state.drawable:
             return NOWHERE, np.zeros_like(x)

@@ -1,4 +1,5 @@
-"""What refinement lowers: the picture's difference from what was seen, and how far each property is from the prediction.
+"""What refinement lowers: the picture's difference from what was seen, and how far each property is
+from the prediction.
 
     E = image + a · normals + b · light + c · material
 
@@ -6,11 +7,12 @@ Eq. 6, each term a mean, so that a weight means the same at any size of picture 
 image     mean over pixels and channels of (C(I*) − C(I))²
 normals   mean over pixels of |n* − n'|²
 light     mean over the sphere (solid angle) and channels of (log(1 + L*) − log(1 + L'))²
-material  mean over regions of |z|²/K: distance from the prediction in units of the training materials' spread; not in Eq. 6, c = 0 there
+material  mean over regions of |z|²/K: distance from the prediction in units of the training
+materials' spread; not in Eq. 6, c = 0 there
 
-C(I) = log(1 + 8 e I)/log 9 with the exposure e that brings the object's 99th percentile to 1: as the display's curve, but a highlight
-beyond white still counts
-Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the terms by the picture's size
+C(I) = log(1 + 8 e I)/log 9 with the exposure e that brings the object's 99th percentile to 1: as
+the display's curve, but a highlight beyond white still counts Deviates  Eq. 6 names neither curve
+nor normalisation; sums over pixels and texels would weigh the terms by the picture's size
 """
 
 import math
@@ -28,7 +30,9 @@ from shaders import tone
 
 @dataclass(frozen=True)
 class State:
-    """label (1, S, 108) float64, light (1, 3, 64, 128), n (1, 3, H, W), and z {name: vector} of learn.refinement.coordinates."""
+    """label (1, S, 108) float64, light (1, 3, 64, 128), n (1, 3, H, W), and z {name: vector} of
+    learn.refinement.coordinates.
+    """
 
     label: torch.Tensor
     light: torch.Tensor
@@ -37,9 +41,15 @@ class State:
 
     @property
     def drawable(self):
-        """Whether the layer takes it: the first stride of a line search may end at a material of e^100, or at none."""
+        """Whether the layer takes it: the first stride of a line search may end at a material of
+        e^100, or at none.
+        """
         material = self.label.detach().exp().to(self.n.dtype)
-        return bool(((material > 0) & material.isfinite()).all() and self.light.isfinite().all() and self.n.isfinite().all())
+        return bool(
+            ((material > 0) & material.isfinite()).all()
+            and self.light.isfinite().all()
+            and self.n.isfinite().all()
+        )
 
 
 class Energy:
@@ -65,14 +75,21 @@ class Energy:
         """Indices of `count` pixels of the object, evenly spread over it; all of them for 0."""
         if not count or count >= len(self.inside):
             return self.inside
-        at = (torch.arange(count) * 0.6180339887498949) % 1  # golden section: any count is even, and no row is preferred
+        # golden section: any count is even, and no row is preferred
+        at = (torch.arange(count) * 0.6180339887498949) % 1
         return self.inside[(at * len(self.inside)).long().unique().to(self.inside.device)]
 
     def image(self, state, where, light, method, tolerance):
-        """Mean square over pixels `where` and channels; all pixels go to the layer as a frame, whose neighbours' normals are alike."""
+        """Mean square over pixels `where` and channels; all pixels go to the layer as a frame,
+        whose neighbours' normals are alike.
+        """
         n = state.n.movedim(1, -1)
         whole = len(where) == len(self.inside)
-        mask, segments = (self.frame, self.segments) if whole else (None, self.segments.flatten()[where][None, None])
+        mask, segments = (
+            (self.frame, self.segments)
+            if whole
+            else (None, self.segments.flatten()[where][None, None])
+        )
         material = state.label.exp().to(n.dtype)
         picture = render(
             n.contiguous() if whole else n.flatten(1, 2)[:, where][:, None],
@@ -89,7 +106,9 @@ class Energy:
 
     def terms(self, state, where, light=(64, 128), method="auto", tolerance=None):
         """{name: scalar}, not yet weighed; tolerance None: the settings'."""
-        image = self.image(state, where, light, method, self.settings.tolerance if tolerance is None else tolerance)
+        image = self.image(
+            state, where, light, method, self.settings.tolerance if tolerance is None else tolerance
+        )
         moved = (state.n - self.start.n).flatten(2)[0].index_select(1, where)
         relit = (torch.log1p(state.light) - self.log_light) ** 2 * self.share
         return {
@@ -102,12 +121,18 @@ class Energy:
     def total(self, terms):
         """The weighted sum."""
         s = self.settings
-        return terms["image"] + s.a * terms["normals"] + s.b * terms["light"] + s.c * terms["material"]
+        return (
+            terms["image"] + s.a * terms["normals"] + s.b * terms["light"] + s.c * terms["material"]
+        )
 
     def finest(self, state):
-        """{name: float} of all pixels under the whole map, and "total": what accepts or rejects a step; inf for what cannot be drawn."""
+        """{name: float} of all pixels under the whole map, and "total": what accepts or rejects a
+        step; inf for what cannot be drawn.
+        """
         if not state.drawable:
             return dict.fromkeys(("image", "normals", "light", "material", "total"), math.inf)
         with torch.no_grad():
             terms = self.terms(state, self.inside)
-            return {name: float(value) for name, value in terms.items()} | {"total": float(self.total(terms))}
+            return {name: float(value) for name, value in terms.items()} | {
+                "total": float(self.total(terms))
+            }

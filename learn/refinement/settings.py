@@ -9,14 +9,18 @@ PROPERTIES = ("material", "light", "normals")
 class Level:
     """One step of coarse to fine.
 
-    pixels      of the object, evenly spread, that the picture is compared at; 0: all. Some hundreds leave normals between them to the
-                grids' fancy: with 600 edits of eight development pictures are at 924, with all at 741 (study.json)
-    light       (height, width) of the map that is summed, reduced from the refined one by solid angle
+    pixels      of the object, evenly spread, that the picture is compared at; 0: all. Some hundreds
+    leave normals between them to the
+                grids' fancy: with 600 edits of eight development pictures are at 924, with all at
+                741 (study.json)
+    light       (height, width) of the map that is summed, reduced from the refined one by solid
+    angle
     method      of learn.layer.render
     rounds      through the properties
     iterations  of L-BFGS, each time for each property
     tolerance   of the layer
-    together    iterations of L-BFGS in all properties at once, after the rounds: one at a time creeps along valleys between two of them
+    together    iterations of L-BFGS in all properties at once, after the rounds: one at a time
+    creeps along valleys between two of them
     """
 
     pixels: int
@@ -35,7 +39,8 @@ class Settings:
     a, b, c     of normals, light and material; Eq. 6 has no c
     order       one property after another in each round; what is not named stays where it starts
     degree      of the spherical harmonics that the light's logarithm is changed by
-    reach       the most that a normal may be moved in one pass, along either axis of the disk of learn.refinement.coordinates
+    reach       the most that a normal may be moved in one pass, along either axis of the disk of
+    learn.refinement.coordinates
     tolerance   of the layer in the finest energy, which decides what is kept
     passes      how often all levels are gone through, each time held to what was reached before
     """

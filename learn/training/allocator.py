@@ -1,8 +1,9 @@
 """Freed memory kept for the next step instead of handed back to the system.
 
-By default glibc returns each block above 32 MB at once, and the system clears every page of the next one. A compact network's step at
-256² (sixteen pictures) meets up to 130,000 such pages, a sixth of its time in a virtual machine where they are dear; at 128² its blocks
-are smaller and nothing changes (docs/log.md, 2026-11-21).
+By default glibc returns each block above 32 MB at once, and the system clears every page of the
+next one. A compact network's step at 256² (sixteen pictures) meets up to 130,000 such pages, a
+sixth of its time in a virtual machine where they are dear; at 128² its blocks are smaller and
+nothing changes (docs/log.md, 2026-11-21).
 """
 
 import ctypes
@@ -13,8 +14,14 @@ LARGEST_INT = 2**31 - 1
 
 
 def keep_freed():
-    """Ask glibc to keep what this process frees, large blocks too; True if it will. Elsewhere nothing changes."""
+    """Ask glibc to keep what this process frees, large blocks too; True if it will. Elsewhere
+    nothing changes.
+    """
     if not sys.platform.startswith("linux"):
         return False
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none
-    return mallopt is not None and bool(mallopt(M_MMAP_MAX, 0)) and bool(mallopt(M_TRIM_THRESHOLD, LARGEST_INT))
+    return (
+        mallopt is not None
+        and bool(mallopt(M_MMAP_MAX, 0))
+        and bool(mallopt(M_TRIM_THRESHOLD, LARGEST_INT))
+    )

@@ -1,6 +1,8 @@
-"""What a run writes about itself: log.jsonl step by step, TensorBoard's events when asked, and made.json in the end.
+"""What a run writes about itself: log.jsonl step by step, TensorBoard's events when asked, and
+made.json in the end.
 
-A run that was killed may have logged steps beyond its last checkpoint; it makes them again, so those lines are dropped first.
+A run that was killed may have logged steps beyond its last checkpoint; it makes them again, so
+those lines are dropped first.
 """
 
 import json
@@ -13,7 +15,9 @@ from manifests.store import Lines
 
 
 class Journal:
-    """Figures of one run. step: where it goes on; tensorboard: write events as well. Raises InputError if TensorBoard is not installed."""
+    """Figures of one run. step: where it goes on; tensorboard: write events as well. Raises
+    InputError if TensorBoard is not installed.
+    """
 
     def __init__(self, out, step, tensorboard=False):
         self.path, self.events = Path(out) / "log.jsonl", None
@@ -39,8 +43,16 @@ class Journal:
             self.events.add_image("sheet", picture, step, dataformats="HWC")
 
     def made(self, by, sizes, left_out, step, figures):
-        """made.json: the command that ran last, its commit and machine, what it learned from, and the last validation's figures."""
-        report = {"made_by": by, "sides": sizes, "left_out": left_out, "step": step, "validation": figures}
+        """made.json: the command that ran last, its commit and machine, what it learned from, and
+        the last validation's figures.
+        """
+        report = {
+            "made_by": by,
+            "sides": sizes,
+            "left_out": left_out,
+            "step": step,
+            "validation": figures,
+        }
         write_json(self.path.with_name("made.json"), report)
 
     def close(self):
@@ -56,7 +68,12 @@ def _writer():
         import tensorboard  # noqa: F401 -- torch's own message takes a page
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
-        raise InputError("--tensorboard", "the package tensorboard", "none", "pip install tensorboard, or leave the option out") from None
+        raise InputError(
+            "--tensorboard",
+            "the package tensorboard",
+            "none",
+            "pip install tensorboard, or leave the option out",
+        ) from None
     return SummaryWriter
 
 
@@ -68,7 +85,8 @@ def _forget(path, step):
     kept, whole = [], path.read_bytes()
     for line in whole.splitlines(keepends=True):
         try:
-            if line.endswith(b"\n") and json.loads(line.decode())["step"] < step:  # of bytes it would take a byte-order mark
+            # of bytes it would take a byte-order mark
+            if line.endswith(b"\n") and json.loads(line.decode())["step"] < step:
                 kept.append(line)
         except (ValueError, KeyError, TypeError, RecursionError):
             continue

@@ -1,6 +1,8 @@
-"""A sheet of pictures that shows how a run is doing, one example a row: people look before they read.
+"""A sheet of pictures that shows how a run is doing, one example a row: people look before they
+read.
 
-Columns: picture as seen, predicted and true normals, predicted and true light, true and predicted material on a ball, I', O', true O.
+Columns: picture as seen, predicted and true normals, predicted and true light, true and predicted
+material on a ball, I', O', true O.
 """
 
 import numpy as np
@@ -24,19 +26,28 @@ def write(path, batch, prediction):
 
 
 def cells(batch, prediction):
-    """(rows H, columns W, 3) uint8 of the first rows of a batch. Parts that were not predicted are shown as true."""
+    """(rows H, columns W, 3) uint8 of the first rows of a batch. Parts that were not predicted are
+    shown as true.
+    """
     n = batch.n if prediction.n is None else prediction.n
     label = batch.label if prediction.label is None else prediction.label
     light = batch.light if prediction.light is None else prediction.light
     mine, target = picture(n, label, light, batch), picture(n, batch.target_label, light, batch)
     true_target, true_image = (
-        picture(batch.n, truth, batch.light, batch) if rendered is None else array(rendered.movedim(1, -1))
+        (
+            picture(batch.n, truth, batch.light, batch)
+            if rendered is None
+            else array(rendered.movedim(1, -1))
+        )
         for truth, rendered in ((batch.target_label, batch.target), (batch.label, batch.picture))
     )
     rows = []
     for i in range(min(ROWS, len(n))):
         mask = array(batch.segments[i] > 0)
-        exposure, other = tone.auto_exposure(true_image[i], mask), tone.auto_exposure(true_target[i], mask)
+        exposure, other = (
+            tone.auto_exposure(true_image[i], mask),
+            tone.auto_exposure(true_target[i], mask),
+        )
         seen = tone.display(array(batch.image[i].movedim(0, -1)), exposure)
         size = len(mask)
         row = [
@@ -56,7 +67,9 @@ def cells(batch, prediction):
 
 
 def parts(batch, prediction, again, exposure):
-    """{name: display picture} of one picture taken apart; again: (H, W, 3) radiance of the re-rendering."""
+    """{name: display picture} of one picture taken apart; again: (H, W, 3) radiance of the
+    re-rendering.
+    """
     mask = array(batch.mask[0, 0]) > 0
     return {
         "picture": tone.display(array(batch.image[0].movedim(0, -1)), exposure),

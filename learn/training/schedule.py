@@ -1,6 +1,8 @@
-"""What a run trains, and how fast, at each step: stage after stage, then the run's own parts and losses.
+"""What a run trains, and how fast, at each step: stage after stage, then the run's own parts and
+losses.
 
-The rate starts anew with each stage. compact: AdamW, warm-up, cosine to 0; paper: Adam at rate, 1e-2 rate, 1e-4 rate over thirds.
+The rate starts anew with each stage. compact: AdamW, warm-up, cosine to 0; paper: Adam at rate,
+1e-2 rate, 1e-4 rate over thirds.
 """
 
 import math
@@ -54,11 +56,15 @@ def optimiser(network, schedule):
     """Adam or AdamW, at a rate that is set anew before each step."""
     if schedule.style == "paper":
         return torch.optim.Adam(network.parameters(), schedule.learning_rate)
-    return torch.optim.AdamW(network.parameters(), schedule.learning_rate, weight_decay=schedule.weight_decay)
+    return torch.optim.AdamW(
+        network.parameters(), schedule.learning_rate, weight_decay=schedule.weight_decay
+    )
 
 
 def follow(average, network, step, memory):
-    """The moving average {name: tensor} takes a step towards the weights; it hurries at first, so that the start is soon forgotten."""
+    """The moving average {name: tensor} takes a step towards the weights; it hurries at first, so
+    that the start is soon forgotten.
+    """
     share = 1 - min(memory, (1 + step) / (10 + step))
     with torch.no_grad():
         for name, tensor in network.state_dict().items():

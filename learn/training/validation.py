@@ -1,12 +1,17 @@
 """How good a prediction is, in figures that mean something outside the loss.
 
 angle_deg, cosine     between predicted and true normals, means over mask pixels
-irradiance            relative root mean square error over directions, mean over pictures; constant_irradiance: of a constant light
-image_l2, target_l2   the paper's display L2 over the mask, of I' against I and of O' against O; exposure from the truth's 99th percentile;
-                      truth is a rendered picture where the batch has one, else what the layer makes of the true parts
+irradiance            relative root mean square error over directions, mean over pictures;
+constant_irradiance: of a constant light
+image_l2, target_l2   the paper's display L2 over the mask, of I' against I and of O' against O;
+exposure from the truth's 99th percentile;
+                      truth is a rendered picture where the batch has one, else what the layer makes
+                      of the true parts
 control_l2            of O' from predicted normals under a constant light
-albedo                root mean square over channels of the log albedo's difference (learn.training.losses.log_albedo); of several regions
-                      albedo_1, albedo_2 …, over pictures that show them; constant_albedo: of the mean log albedo of a pool's materials
+albedo                root mean square over channels of the log albedo's difference
+(learn.training.losses.log_albedo); of several regions
+                      albedo_1, albedo_2 …, over pictures that show them; constant_albedo: of the
+                      mean log albedo of a pool's materials
 """
 
 import math
@@ -27,7 +32,10 @@ LEAST_PIXELS = 16  # of a region, to count as shown
 def over(predict, data_split, run, batches, seed=20, device="cpu"):
     """Means over the first batches of a pool. predict: Batch → Prediction, both on the device."""
     source, constant = source_of(data_split, run, run.schedule.batch, seed), mean_albedo(data_split)
-    results = [of(predict(batch), batch, constant) for batch in (source[k].to(device) for k in range(batches))]
+    results = [
+        of(predict(batch), batch, constant)
+        for batch in (source[k].to(device) for k in range(batches))
+    ]
     return {name: _mean(np.concatenate([f[name] for f in results])) for name in results[0]}
 
 
@@ -43,7 +51,9 @@ def mean_albedo(data_split):
 
 
 def of(prediction, batch, constant_albedo=None):
-    """{name: (B,) float64} of one batch; NaN where a picture does not show what is measured. constant_albedo (3,): the control's."""
+    """{name: (B,) float64} of one batch; NaN where a picture does not show what is measured.
+    constant_albedo (3,): the control's.
+    """
     result = {}
     n = batch.n if prediction.n is None else prediction.n
     light = batch.light if prediction.light is None else prediction.light
@@ -56,36 +66,54 @@ def of(prediction, batch, constant_albedo=None):
     if prediction.light is not None:
         truth = irradiance(batch.light)
         for name, value in (("irradiance", light), ("constant_irradiance", constant)):
-            error = ((irradiance(value) - truth) ** 2).mean((1, 2)).sqrt() / (truth**2).mean((1, 2)).sqrt()
+            error = ((irradiance(value) - truth) ** 2).mean((1, 2)).sqrt() / (truth**2).mean(
+                (1, 2)
+            ).sqrt()
             result[name] = array(error.double())
     if prediction.label is not None:
         result |= albedos(prediction.label, batch, constant_albedo)
         result["image_l2"] = compared(n, prediction.label, light, batch.label, batch, batch.picture)
-    result["target_l2"] = compared(n, batch.target_label, light, batch.target_label, batch, batch.target)
+    result["target_l2"] = compared(
+        n, batch.target_label, light, batch.target_label, batch, batch.target
+    )
     if prediction.light is not None:
-        result["control_l2"] = compared(n, batch.target_label, constant, batch.target_label, batch, batch.target)
+        result["control_l2"] = compared(
+            n, batch.target_label, constant, batch.target_label, batch, batch.target
+        )
     return result
 
 
 def albedos(label, batch, constant=None):
-    """{name: (B,)} of albedo's errors, and of the control's where there is one; label (B, S, 108)."""
+    """{name: (B,)} of albedo's errors, and of the control's where there is one; label (B, S,
+    108).
+    """
     result, regions = {}, label.shape[1]
     true = log_albedo(batch.label[:, :regions])
-    guesses = {"albedo": log_albedo(label)} | ({} if constant is None else {"constant_albedo": constant.to(true.device).expand_as(true)})
+    guesses = {"albedo": log_albedo(label)} | (
+        {} if constant is None else {"constant_albedo": constant.to(true.device).expand_as(true)}
+    )
     for s in range(regions):
         shown = (batch.segments == s + 1).sum((1, 2)) >= LEAST_PIXELS
         for name, guess in guesses.items():
             error = ((guess - true)[:, s] ** 2).mean(-1).sqrt()
-            result[f"{name}_{s + 1}" if regions > 1 else name] = array(error.where(shown, math.nan).double())
+            result[f"{name}_{s + 1}" if regions > 1 else name] = array(
+                error.where(shown, math.nan).double()
+            )
     return result
 
 
 class DeadUnits:
-    """While entered, watches which channels of a network's activations are ever above 0; one that never is learns no more."""
+    """While entered, watches which channels of a network's activations are ever above 0; one that
+    never is learns no more.
+    """
 
     def __init__(self, network):
         self.alive, self.hooks = {}, []
-        self.layers = [(name, layer) for name, layer in network.named_modules() if isinstance(layer, torch.nn.ReLU)]
+        self.layers = [
+            (name, layer)
+            for name, layer in network.named_modules()
+            if isinstance(layer, torch.nn.ReLU)
+        ]
 
     def __enter__(self):
         self.hooks = [layer.register_forward_hook(self._watch(name)) for name, layer in self.layers]
@@ -109,13 +137,18 @@ class DeadUnits:
 
 
 def compared(n, label, light, true_label, batch, rendered=None):
-    """(B,) display L2 over the mask between the layer's picture of what was predicted and the truth.
+    """(B,) display L2 over the mask between the layer's picture of what was predicted and the
+    truth.
 
     rendered  (B, 3, H, W) the true pictures; None: what the layer makes of the true parts
     """
     inside = batch.segments > 0
     mine = picture(n, label, light, batch)
-    truth = picture(batch.n, true_label, batch.light, batch) if rendered is None else array(rendered.movedim(1, -1))
+    truth = (
+        picture(batch.n, true_label, batch.light, batch)
+        if rendered is None
+        else array(rendered.movedim(1, -1))
+    )
     out = []
     for a, b, mask in zip(mine, truth, array(inside), strict=True):
         out.append(tone.display_l2(a, b, tone.auto_exposure(b, mask), mask))

@@ -1,7 +1,9 @@
-"""Is a data set's folder whole, and is it what its own ids say? Faults come as lines; a good folder gives none.
+"""Is a data set's folder whole, and is it what its own ids say? Faults come as lines; a good folder
+gives none.
 
-Two readings: of the lines alone (`in_records`: seconds for 720,000), then of every file (`in_files`: a few milliseconds a
-picture). Nothing that is found ends a reading: what cannot be read becomes a fault, and the reading goes on behind it.
+Two readings: of the lines alone (`in_records`: seconds for 720,000), then of every file
+(`in_files`: a few milliseconds a picture). Nothing that is found ends a reading: what cannot be
+read becomes a fault, and the reading goes on behind it.
 
 entries   dataset.json and materials.json against each other and the rules of the split
 lines     records and views against their ids and the entries
@@ -10,8 +12,8 @@ files     pictures, geometry and light maps against their hashes, and their cont
 strays    what lies in the folder and does not belong there
 repair    what is broken goes, so that the same `render` makes it again
 
-What a forger who recomputes every hash and id can put into a folder, no reading of that folder can tell from another
-data set; docs/rendering.md says what that leaves.
+What a forger who recomputes every hash and id can put into a folder, no reading of that folder can
+tell from another data set; docs/rendering.md says what that leaves.
 """
 
 from collections.abc import Callable, Iterator
@@ -34,11 +36,13 @@ __all__ = ["Fault", "Verification", "faults_of", "repair", "shared_between", "su
 
 
 class Verification:
-    """One look at a data set. Take all of `in_records` first; then, if the files are to be read, all of `in_files`.
+    """One look at a data set. Take all of `in_records` first; then, if the files are to be read,
+    all of `in_files`.
 
     store      its Store
     render     fingerprint of the render settings that the program has in force now, None: unknown
-    reference  (name, hash) → (L, scale) of a light as the program makes it itself, None where it cannot
+    reference  (name, hash) → (L, scale) of a light as the program makes it itself, None where it
+    cannot
     count      records and views seen; 0 before `in_records`
     Raises     InputError if there is no dataset.json, or none that can be read
     """
@@ -51,7 +55,9 @@ class Verification:
         self._damaged: set[tuple[str, str]] = set()
 
     def in_records(self) -> Iterator[Fault]:
-        """Faults that dataset.json, materials.json and the lines of records and views show by themselves."""
+        """Faults that dataset.json, materials.json and the lines of records and views show by
+        themselves.
+        """
         for fault in self._in_records():
             if fault.line:
                 self._condemned.add(fault.line)
@@ -72,7 +78,11 @@ class Verification:
                     continue
                 self.count += 1
                 if line.id in seen:
-                    yield Fault(f"{kind[:-1]} {line.id}: expected once, found again", line.id, (path, number))
+                    yield Fault(
+                        f"{kind[:-1]} {line.id}: expected once, found again",
+                        line.id,
+                        (path, number),
+                    )
                     continue
                 seen.add(line.id)
                 if faults := faults_of(line, (path, number)):
@@ -95,11 +105,15 @@ class Verification:
             self._labels[entry.name] = entry
 
     def in_files(self, watch: Callable[[], Any] | None = None) -> Iterator[Fault]:
-        """Faults that the files show: missing, altered, not what a picture can be, named by nobody; and lines nobody asked for.
+        """Faults that the files show: missing, altered, not what a picture can be, named by nobody;
+        and lines nobody asked for.
 
         watch  called once for each record and view
         """
-        files, orders = Files(self.store.folder, self.dataset, self._labels or {}, self._reference), Orders(self.dataset)
+        files, orders = (
+            Files(self.store.folder, self.dataset, self._labels or {}, self._reference),
+            Orders(self.dataset),
+        )
         yield from files.light_faults()
         for kind in LINES:
             for path, number, line in read_lines(self.store, kind):
@@ -107,10 +121,14 @@ class Verification:
                     continue
                 files.name(line)
                 if (path, number) not in self._condemned:
-                    if self._damaged.isdisjoint(("materials", name) for name in getattr(line, "materials", ())):
+                    if self._damaged.isdisjoint(
+                        ("materials", name) for name in getattr(line, "materials", ())
+                    ):
                         orders.look(line, (path, number))
                     for text, broken in files.of(line):
-                        yield Fault(f"{kind[:-1]} {line.id}: {text}", line.id, (path, number), broken)
+                        yield Fault(
+                            f"{kind[:-1]} {line.id}: {text}", line.id, (path, number), broken
+                        )
                 if watch:
                     watch()
         yield from orders.faults()
@@ -118,21 +136,30 @@ class Verification:
         yield from stray_faults(self.store.folder, files.named)
 
 
-def faults_of(store: Store, render: str | None = None, reference: Reference | None = None) -> list[Fault]:
-    """All faults of a data set, of its lines and of its files; arguments as Verification takes them."""
+def faults_of(
+    store: Store, render: str | None = None, reference: Reference | None = None
+) -> list[Fault]:
+    """All faults of a data set, of its lines and of its files; arguments as Verification takes
+    them.
+    """
     verification = Verification(store, render, reference)
     return [*verification.in_records(), *verification.in_files()]
 
 
 def shared_between(datasets: dict[str, Dataset]) -> list[tuple[str, str, str, str, str]]:
-    """Shapes, materials and lights that are for training in one data set and for testing in another.
+    """Shapes, materials and lights that are for training in one data set and for testing in
+    another.
 
     datasets  {folder: Dataset}
     Returns   [(kind, name, folder, name, folder)]
     """
     result, sides = [], {}
     for folder, dataset in datasets.items():
-        for kind, entries in (("shape", dataset.shapes), ("material", dataset.materials), ("light", dataset.lights)):
+        for kind, entries in (
+            ("shape", dataset.shapes),
+            ("material", dataset.materials),
+            ("light", dataset.lights),
+        ):
             for name, entry in entries.items():
                 ours = entry.side or light_side(entry.hash)
                 side, other, where = sides.setdefault((kind, entry.hash), (ours, name, folder))

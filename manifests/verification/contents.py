@@ -1,9 +1,12 @@
-"""What the arrays of a data set must show: properties that every true picture, geometry file and light map has.
+"""What the arrays of a data set must show: properties that every true picture, geometry file and
+light map has.
 
-They are properties of the physics and of the format, not of one program's output: whatever a writer of hashes puts into
-a file, these can be asked of the numbers. Each function returns lines that say what was expected and what was found.
+They are properties of the physics and of the format, not of one program's output: whatever a writer
+of hashes puts into a file, these can be asked of the numbers. Each function returns lines that say
+what was expected and what was found.
 
-radiance (height, width, 3), mask (height, width) bool, normals (height, width, 3) in the camera frame
+radiance (height, width, 3), mask (height, width) bool, normals (height, width, 3) in the camera
+frame
 """
 
 from collections.abc import Iterable
@@ -17,19 +20,26 @@ from shaders.envmap import LUMINANCE, row_solid_angles
 
 LENGTH = 1e-3  # of |n|; rounding to 2^-15 moves it by 3e-5
 RADIUS = 1.001  # objects lie in the unit sphere; the largest of 250 views of 36 shapes is 1.00007
-ROUNDED = 1e-6  # of figures that records keep to six places: half a place, and float64's own rounding
+# of figures that records keep to six places: half a place, and float64's own rounding
+ROUNDED = 1e-6
 HALF = 2.0**-11  # relative rounding of half precision
 SUBNORMAL = 2.0**-25  # absolute, of values that half precision rounds to 0 or near it
 SMOOTH = np.cos(np.radians(20.0))  # neighbouring normals that bend less lie on one piece of surface
-AGAINST = -0.1  # least correlation of normals and slopes: 0.75 or more in 340 views of 36 shapes, 0.17 of a slab shaded as a ball
-LEAN = 0.1  # root mean square of the part of normals that is correlated, below which there is nothing to see
+# least correlation of normals and slopes: 0.75 or more in 340 views of 36 shapes, 0.17 of a slab
+# shaded as a ball
+AGAINST = -0.1
+# root mean square of the part of normals that is correlated, below which there is nothing to see
+LEAN = 0.1
 JUDGED = 60  # pixels on smooth pieces below which slopes of depth say nothing
-LIT = {"centre": 0.5, "square": 4.0}  # lit pixels beside the object, in units of a frame's edge: see `beside`
+# lit pixels beside the object, in units of a frame's edge: see `beside`
+LIT = {"centre": 0.5, "square": 4.0}
 LEAST_LIT_SHARE = {"centre": 0.0, "square": 0.25}
 
 
 def statistics_faults(radiance: np.ndarray, mask: np.ndarray, said: Statistics) -> list[str]:
-    """Whether a picture has the coverage, mean and maximum that its record says, within the rounding of both."""
+    """Whether a picture has the coverage, mean and maximum that its record says, within the
+    rounding of both.
+    """
     results = []
     coverage = float(mask.mean())
     if abs(coverage - said.coverage) > ROUNDED:
@@ -41,8 +51,13 @@ def statistics_faults(radiance: np.ndarray, mask: np.ndarray, said: Statistics) 
     if not abs(min(said.max, LARGEST_HALF) - largest) <= HALF * largest + SUBNORMAL + ROUNDED:
         results.append(f"expected a largest value of {said.max:g}, found {largest:g}")
     mean = float(inside.mean(axis=0, dtype=np.float64) @ LUMINANCE)
-    cut = float((inside >= LARGEST_HALF).mean()) * max(said.max - LARGEST_HALF, 0.0)  # half precision holds no more
-    if not -HALF * mean - SUBNORMAL - ROUNDED <= said.mean - mean <= HALF * mean + SUBNORMAL + ROUNDED + cut:
+    # half precision holds no more
+    cut = float((inside >= LARGEST_HALF).mean()) * max(said.max - LARGEST_HALF, 0.0)
+    if (
+        not -HALF * mean - SUBNORMAL - ROUNDED
+        <= said.mean - mean
+        <= HALF * mean + SUBNORMAL + ROUNDED + cut
+    ):
         results.append(f"expected a mean of {said.mean:g} over the object, found {mean:g}")
     return results
 
@@ -50,8 +65,8 @@ def statistics_faults(radiance: np.ndarray, mask: np.ndarray, said: Statistics) 
 def support_faults(radiance: np.ndarray, mask: np.ndarray, pixel: str) -> list[str]:
     """Whether light lies where the object is: behind it pictures are black.
 
-    A pixel's square may hold a part of the object that its centre misses: a silhouette, or a wire thinner than a pixel.
-    pixel  "centre" or "square", as manifests.schema.Camera has it
+    A pixel's square may hold a part of the object that its centre misses: a silhouette, or a wire
+    thinner than a pixel. pixel  "centre" or "square", as manifests.schema.Camera has it
     """
     near = mask.copy()
     padded = np.pad(mask, 1)
@@ -61,24 +76,34 @@ def support_faults(radiance: np.ndarray, mask: np.ndarray, pixel: str) -> list[s
             near |= padded[i : i + height, j : j + width]
     share = float((radiance.any(-1) & ~near).mean())
     allowed = max(LIT[pixel] / min(mask.shape), LEAST_LIT_SHARE[pixel])
-    return [f"expected a black background, found {share:.1%} of the frame lit beside the object"] if share > allowed else []
+    return (
+        [f"expected a black background, found {share:.1%} of the frame lit beside the object"]
+        if share > allowed
+        else []
+    )
 
 
 def black_faults(radiance: np.ndarray, mask: np.ndarray, lit: bool) -> list[str]:
-    """Whether a picture shows something; lit: its light shines from most directions, and its materials reflect."""
+    """Whether a picture shows something; lit: its light shines from most directions, and its
+    materials reflect.
+    """
     if lit and mask.any() and not radiance[mask].any():
         return ["expected some light on the object, found a black picture"]
     return []
 
 
 def shines_around(L: np.ndarray) -> bool:
-    """Whether a map (height, width, 3) is brighter than 0 over three quarters of the sphere: then it lights any surface."""
+    """Whether a map (height, width, 3) is brighter than 0 over three quarters of the sphere: then
+    it lights any surface.
+    """
     weight = np.broadcast_to(row_solid_angles(*L.shape[:2])[:, None], L.shape[:2])
     return float(weight[L.max(-1) > 0].sum() / weight.sum()) > 0.75
 
 
 def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
-    """Whether normals are unit, face the viewer and fit the depth, the object lies in the unit sphere, and nothing is behind it."""
+    """Whether normals are unit, face the viewer and fit the depth, the object lies in the unit
+    sphere, and nothing is behind it.
+    """
     normals, mask = geometry.normals.astype(np.float64), geometry.mask
     if not mask.any():
         return ["expected an object in the frame, found an empty mask"]
@@ -86,20 +111,29 @@ def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
     if geometry.normals[~mask].any() or geometry.depth[~mask].any():
         results.append("expected normals and depth 0 in the background, found others")
     for what, values in (("normals", geometry.normals), ("depth", geometry.depth)):
-        steps = values.astype(np.float64) * STEPS_PER_UNIT  # a damaged value times 2^15 may be beyond float32
+        # a damaged value times 2^15 may be beyond float32
+        steps = values.astype(np.float64) * STEPS_PER_UNIT
         if (steps != np.rint(steps)).any():
-            results.append(f"expected {what} in steps of 2^-{int(np.log2(STEPS_PER_UNIT))}, found others")
+            results.append(
+                f"expected {what} in steps of 2^-{int(np.log2(STEPS_PER_UNIT))}, found others"
+            )
     lengths = np.sqrt(_dots(normals, normals)[mask])
     if np.abs(lengths - 1).max() > LENGTH:
-        results.append(f"expected unit normals, found lengths {lengths.min():.4f}–{lengths.max():.4f}")
+        results.append(
+            f"expected unit normals, found lengths {lengths.min():.4f}–{lengths.max():.4f}"
+        )
     if away := turned_away(geometry, camera):
         results.append(f"expected normals that face the viewer, found {away} turned away")
     places = positions(geometry.depth, camera)
     radius = float(np.sqrt(_dots(places, places)[mask].max()))
     if radius > RADIUS:
-        results.append(f"expected an object inside the unit sphere, found depths that put it at {radius:.4f}")
+        results.append(
+            f"expected an object inside the unit sphere, found depths that put it at {radius:.4f}"
+        )
     if (likeness := likeness_of_slopes(places, normals, mask)) < AGAINST:
-        results.append(f"expected normals that lean as the depth slopes, found a correlation of {likeness:.2f}")
+        results.append(
+            f"expected normals that lean as the depth slopes, found a correlation of {likeness:.2f}"
+        )
     return results
 
 
@@ -112,17 +146,21 @@ def turned_away(geometry: Geometry, camera: Camera) -> int:
 
 
 def positions(depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """Where each pixel's surface lies: (height, width, 3), camera frame, the object's centre at 0."""
+    """Where each pixel's surface lies: (height, width, 3), camera frame, the object's centre at
+    0.
+    """
     x, y = frames.pixel_grid(*depth.shape)
     depth = depth.astype(np.float64)
     spread = np.full_like(depth, camera.half_extent)
     if camera.fov_deg is not None:
-        spread += np.tan(np.radians(camera.fov_deg) / 2) * depth  # the frame spans 2 half_extent at the centre's depth
+        # the frame spans 2 half_extent at the centre's depth
+        spread += np.tan(np.radians(camera.fov_deg) / 2) * depth
     return np.stack([x * spread, y * spread, -depth], axis=-1)
 
 
 def likeness_of_slopes(places: np.ndarray, normals: np.ndarray, mask: np.ndarray) -> float:
-    """How far normals lean the way in which the depth slopes, sideways or upwards, whichever is less: from -1 to 1.
+    """How far normals lean the way in which the depth slopes, sideways or upwards, whichever is
+    less: from -1 to 1.
 
     places  (height, width, 3), of `positions`
     Returns 1 where the object shows few pixels on smooth pieces, or none that lean
@@ -150,8 +188,11 @@ def likeness_of_slopes(places: np.ndarray, normals: np.ndarray, mask: np.ndarray
     return min(results, default=1.0)
 
 
-def light_faults(L: np.ndarray, scale: float, reference: tuple[np.ndarray, float] | None, said_scale: float) -> list[str]:
-    """Whether a stored light is the one that its name and hash mean, where the program knows that one.
+def light_faults(
+    L: np.ndarray, scale: float, reference: tuple[np.ndarray, float] | None, said_scale: float
+) -> list[str]:
+    """Whether a stored light is the one that its name and hash mean, where the program knows that
+    one.
 
     reference  (L, scale) as the program makes them itself, None: it does not know the light
     """
@@ -161,7 +202,9 @@ def light_faults(L: np.ndarray, scale: float, reference: tuple[np.ndarray, float
     if reference is not None:
         true, true_scale = reference
         # the same sums on another machine end in other last digits
-        if not np.allclose(L, true, rtol=1e-4, atol=1e-6) or not np.isclose(scale, true_scale, rtol=1e-4):
+        if not np.allclose(L, true, rtol=1e-4, atol=1e-6) or not np.isclose(
+            scale, true_scale, rtol=1e-4
+        ):
             results.append("expected the map of this name and hash, found another")
     return results
 

@@ -1,7 +1,9 @@
-"""What dataset.json and materials.json say, checked against each other and against the rules that they follow from.
+"""What dataset.json and materials.json say, checked against each other and against the rules that
+they follow from.
 
 label  an entry of materials.json; its hash is recomputed from its numbers
-side   of a shape by its role, of a light by its hash, of a material by its label's split (manifests.splits)
+side   of a shape by its role, of a light by its hash, of a material by its label's split
+(manifests.splits)
 """
 
 import re
@@ -16,13 +18,16 @@ from manifests.schema import Dataset, Draw, Job
 from manifests.store import light_path
 from manifests.verification.faults import Fault
 
-FAMILIES = frozenset(splits.rules()["paper"]["shapes"])  # of shapes that go by number: "chair:17" is a chair
+# of shapes that go by number: "chair:17" is a chair
+FAMILIES = frozenset(splits.rules()["paper"]["shapes"])
 RANGE = re.compile(r"^\w+:(\d{1,9})-(\d{1,9})$")
 SETS = {"merl": BUILT_IN[0], "rgl": BUILT_IN[1]}
 
 
 def entry_faults(dataset: Dataset, labels: dict[str, Entry] | None) -> Iterator[Fault]:
-    """Faults of dataset.json and materials.json by themselves; labels: None where materials.json cannot be read."""
+    """Faults of dataset.json and materials.json by themselves; labels: None where materials.json
+    cannot be read.
+    """
     if not dataset.orders:
         yield Fault("dataset.json: expected an order, the job that was rendered, found none")
     for name in dataset.materials if labels is not None else ():
@@ -37,20 +42,28 @@ def entry_faults(dataset: Dataset, labels: dict[str, Entry] | None) -> Iterator[
             yield fault(f"side {side} by its hash", entry.side)
         if entry.file != (path := light_path(name, entry.hash)):
             yield fault(f"its map at {path}", entry.file)
-        if dataset.orders and not any(_names_light(term, name) for order in dataset.orders for term in order.job.lights):
+        if dataset.orders and not any(
+            _names_light(term, name) for order in dataset.orders for term in order.job.lights
+        ):
             yield fault("a light that an order names", "one that none does")
     for name in dataset.shapes:
         yield from _shape_faults(name, dataset)
     for number, order in enumerate(dataset.orders, 1):
         if (most := most_shots(order.job, dataset)) is not None and order.shots > most:
-            yield Fault(f"dataset.json: order {number}: expected at most {most} shots of its job, found {order.shots}")
+            yield Fault(
+                f"dataset.json: order {number}: expected at most {most} shots of its job, found"
+                f" {order.shots}"
+            )
 
 
 def _fault_of(kind, name):
     """A function (expected, found) that gives the Fault of an entry of dataset.json."""
 
     def fault(expected, found):
-        return Fault(f"dataset.json: {kind[:-1]} '{name}': expected {expected}, found {found}", entry=(kind, name))
+        return Fault(
+            f"dataset.json: {kind[:-1]} '{name}': expected {expected}, found {found}",
+            entry=(kind, name),
+        )
 
     return fault
 
@@ -58,14 +71,21 @@ def _fault_of(kind, name):
 def _material_faults(name, dataset, labels):
     entry, label = dataset.materials[name], labels.get(name)
     if label is None:
-        yield Fault(f"materials.json: expected a label of '{name}', which dataset.json names, found none")
+        yield Fault(
+            f"materials.json: expected a label of '{name}', which dataset.json names, found none"
+        )
         return
     own = material_hash(label.label, label.mixture)
     if own != label.hash:
-        text = f"materials.json: '{name}': expected hash {own}, of its label and mixture, found {label.hash}"
+        text = (
+            f"materials.json: '{name}': expected hash {own}, of its label and mixture, found"
+            f" {label.hash}"
+        )
         yield Fault(text, entry=("labels", name))
     elif own != entry.hash:
-        text = f"materials.json: '{name}': expected hash {entry.hash}, as in dataset.json, found {own}"
+        text = (
+            f"materials.json: '{name}': expected hash {entry.hash}, as in dataset.json, found {own}"
+        )
         yield Fault(text, entry=("labels", name))
     else:
         try:
@@ -77,18 +97,28 @@ def _material_faults(name, dataset, labels):
     if entry.side != side:
         yield fault(f"side {side}", entry.side)
     if label.split != side:
-        yield Fault(f"materials.json: '{name}': expected split {side}, found {label.split}", entry=("labels", name))
+        yield Fault(
+            f"materials.json: '{name}': expected split {side}, found {label.split}",
+            entry=("labels", name),
+        )
     for key in ("licence", "source"):
         if (there := getattr(label, key)) != getattr(entry, key):
             yield fault(f"{key} '{there}', as in materials.json", f"'{getattr(entry, key)}'")
-    if dataset.orders and not any(_may_name_material(term, name) for order in dataset.orders for term in order.job.materials):
+    if dataset.orders and not any(
+        _may_name_material(term, name) for order in dataset.orders for term in order.job.materials
+    ):
         yield fault("a material that an order names", "one that none does")
 
 
 @cache
 def built_in_splits() -> dict[tuple[str, str], str]:
     """{(name, hash): split} of the materials that come with the program."""
-    return {(entry.name, entry.hash): entry.split for path in BUILT_IN if path.exists() for entry in read_catalogue(path).materials}
+    return {
+        (entry.name, entry.hash): entry.split
+        for path in BUILT_IN
+        if path.exists()
+        for entry in read_catalogue(path).materials
+    }
 
 
 @cache
@@ -97,10 +127,18 @@ def _built_in_names(path):
 
 
 def _may_name_material(term, name):
-    """Whether a job's term may mean a material: what a set of the user's own holds is not known here."""
+    """Whether a job's term may mean a material: what a set of the user's own holds is not known
+    here.
+    """
     first, slash, rest = term.partition("/")
     if first in SETS:
-        return name in _built_in_names(SETS[first]) and rest in ("", "train", "test", "paper-train", name)
+        return name in _built_in_names(SETS[first]) and rest in (
+            "",
+            "train",
+            "test",
+            "paper-train",
+            name,
+        )
     if slash:
         return rest in ("train", "test", "paper-train", name)
     return term == name or term not in _built_in_names(SETS["merl"]) | _built_in_names(SETS["rgl"])
@@ -124,7 +162,9 @@ def _shape_faults(name, dataset):
     roles = {splits.role_of(name, entry.category, entry.hash, rule) for rule in rules}
     if not roles or None in roles:
         return
-    if files:  # a twin that was left out may have lifted it: twins take the first role in this order that one of them has
+    # a twin that was left out may have lifted it: twins take the first role in this order that one
+    # of them has
+    if files:
         first = max(splits.PRECEDENCE.index(role) for role in roles)
         roles = set(splits.PRECEDENCE[: first + 1])
     if entry.role not in roles:
@@ -137,7 +177,9 @@ def is_mesh_file(term: str) -> bool:
 
 
 def most_shots(job: Job, dataset: Dataset) -> int | None:
-    """How many shots a job can mean; None where it names files or sets of the user's, whose numbers are not known here."""
+    """How many shots a job can mean; None where it names files or sets of the user's, whose numbers
+    are not known here.
+    """
     if any(is_mesh_file(term) for term in job.shapes):
         return None
     shapes = sum(_count(term) for term in job.shapes)
@@ -151,7 +193,16 @@ def most_shots(job: Job, dataset: Dataset) -> int | None:
             return None
         choices = sum(names)
     rotations = job.rotations.random if isinstance(job.rotations, Draw) else len(job.rotations)
-    return shapes * choices * len(job.lights) * views * rotations * len(job.tiers) * len(job.light_resolutions) * job.repeats
+    return (
+        shapes
+        * choices
+        * len(job.lights)
+        * views
+        * rotations
+        * len(job.tiers)
+        * len(job.light_resolutions)
+        * job.repeats
+    )
 
 
 def _count(term):
@@ -164,5 +215,7 @@ def _set_size(term, dataset):
     """How many materials a term means at most, None if that is not known."""
     first, _, rest = term.partition("/")
     if first in SETS:
-        return len(_built_in_names(SETS[first])) if rest in ("", "train", "test", "paper-train") else 1
+        return (
+            len(_built_in_names(SETS[first])) if rest in ("", "train", "test", "paper-train") else 1
+        )
     return 1 if term in dataset.materials else None

@@ -1,4 +1,6 @@
-"""Pictures, geometry and light maps of a data set: whole, the ones that the manifest means, and possible as what they are."""
+"""Pictures, geometry and light maps of a data set: whole, the ones that the manifest means, and
+possible as what they are.
+"""
 
 import json
 from collections import OrderedDict
@@ -18,7 +20,8 @@ from manifests.verification import contents
 from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of
 
-MASK_BYTES = 64 << 20  # of masks that are kept, a bit a pixel: records of one shape follow each other
+# of masks that are kept, a bit a pixel: records of one shape follow each other
+MASK_BYTES = 64 << 20
 PACKED = (*arrays.PACKED_TYPES, "views.json", "skipped.json")
 
 Reference = Callable[[str, str], tuple[np.ndarray, float] | None]
@@ -37,10 +40,13 @@ class Files:
 
     labels     {name: Entry} of materials.json
     reference  see Verification; None: no light is known
-    named      {"images": paths, "geometry": paths, "lights": paths} that lines and dataset.json have named so far
+    named      {"images": paths, "geometry": paths, "lights": paths} that lines and dataset.json
+    have named so far
     """
 
-    def __init__(self, folder: Path, dataset: Dataset, labels: dict[str, Entry], reference: Reference | None):
+    def __init__(
+        self, folder: Path, dataset: Dataset, labels: dict[str, Entry], reference: Reference | None
+    ):
         self.folder, self.dataset, self._reference = folder, dataset, reference
         self.named: dict[str, set[str]] = {"images": set(), "geometry": set(), "lights": set()}
         self._shines: dict[str, bool] = {}
@@ -54,7 +60,8 @@ class Files:
     def light_faults(self) -> Iterator[Fault]:
         """Faults of the light maps."""
         for name, entry in self.dataset.lights.items():
-            if entry.file != light_path(name, entry.hash):  # entry_faults says so; it may be anybody's file
+            # entry_faults says so; it may be anybody's file
+            if entry.file != light_path(name, entry.hash):
                 continue
             self.named["lights"].add(entry.file)
             path = self.folder / entry.file
@@ -85,9 +92,18 @@ class Files:
         if seen.texts:
             return
         if abs(seen.coverage - line.coverage) > contents.ROUNDED:
-            yield f"{line.geometry}: expected coverage {line.coverage:.6f}, found {seen.coverage:.6f}", None
+            yield (
+                (
+                    f"{line.geometry}: expected coverage {line.coverage:.6f}, found"
+                    f" {seen.coverage:.6f}"
+                ),
+                None,
+            )
         if seen.segments > line.segments:
-            yield f"{line.geometry}: expected segments up to {line.segments}, found {seen.segments}", where
+            yield (
+                f"{line.geometry}: expected segments up to {line.segments}, found {seen.segments}",
+                where,
+            )
         if isinstance(line, Record):
             for text in self._picture_faults(line):
                 yield text, self.folder / line.image
@@ -96,11 +112,15 @@ class Files:
         """What is wrong with a record's picture."""
         try:
             self._require_own(record.image)
-            radiance = arrays.read_picture(self.folder / record.image, record.camera.size, record.image_hash, exact=True)
+            radiance = arrays.read_picture(
+                self.folder / record.image, record.camera.size, record.image_hash, exact=True
+            )
         except (InputError, OSError) as problem:
             return [_said(record.image, problem)]
         mask = self._mask(record)
-        lit = self._shines.get(record.light, False) and all(self._reflects.get(name) for name in record.materials)
+        lit = self._shines.get(record.light, False) and all(
+            self._reflects.get(name) for name in record.materials
+        )
         texts = [
             *contents.statistics_faults(radiance, mask, record.statistics),
             *contents.support_faults(radiance, mask, record.camera.pixel),
@@ -122,7 +142,9 @@ class Files:
             geometry = arrays.read_geometry(path, line.camera.size, line.geometry_hash, exact=True)
         except (InputError, OSError) as problem:
             return _Seen([_said(line.geometry, problem)])
-        texts = [f"{line.geometry}: {text}" for text in contents.geometry_faults(geometry, line.camera)]
+        texts = [
+            f"{line.geometry}: {text}" for text in contents.geometry_faults(geometry, line.camera)
+        ]
         mask = geometry.mask
         self._keep(line.geometry, mask)
         if not texts:
@@ -140,22 +162,31 @@ class Files:
     def _mask(self, record: Record) -> np.ndarray:
         """The mask (height, width) bool of a record whose geometry was found good."""
         if record.geometry not in self._masks:
-            self._keep(record.geometry, arrays.read_geometry(self.folder / record.geometry, record.camera.size).mask)
+            self._keep(
+                record.geometry,
+                arrays.read_geometry(self.folder / record.geometry, record.camera.size).mask,
+            )
         self._masks.move_to_end(record.geometry)
         bits, (height, width) = self._masks[record.geometry]
         return np.unpackbits(bits, count=height * width).reshape(height, width).astype(bool)
 
     def _require_own(self, relative: str) -> None:
-        """Raises InputError unless an ordinary file lies there, by way of folders that are no links."""
+        """Raises InputError unless an ordinary file lies there, by way of folders that are no
+        links.
+        """
         *parents, _ = relative.split("/")
         for depth in range(1, len(parents) + 1):
             part = "/".join(parents[:depth])
             if part not in self._folders:
                 self._folders[part] = kind_of(self.folder / part) == "a folder"
             if not self._folders[part] and (result := kind_of(self.folder / part)):
-                raise InputError(self.folder / part, "a folder", result, "verify --repair takes it away")
+                raise InputError(
+                    self.folder / part, "a folder", result, "verify --repair takes it away"
+                )
         if (result := kind_of(self.folder / relative)) not in ("a file", None):
-            raise InputError(self.folder / relative, "a file of its own", result, "verify --repair takes it away")
+            raise InputError(
+                self.folder / relative, "a file of its own", result, "verify --repair takes it away"
+            )
 
     def packed_faults(self) -> Iterator[Fault]:
         """Faults of the cache that training keeps beside the data set."""
@@ -175,36 +206,55 @@ def _reflects(entry: Entry) -> bool:
 
 
 class _Packed:
-    """The cache of packed geometry (learn.data.geometry): each row is compared with the file that it was made from."""
+    """The cache of packed geometry (learn.data.geometry): each row is compared with the file that
+    it was made from.
+    """
 
     def __init__(self, folder: Path):
         self.folder, self._rows, self._left_out, self._texts = folder, {}, set(), []
         if kind_of(folder) != "a folder" or kind_of(folder / "views.json") is None:
             return
         try:
-            sums = [name for name in ("sums.json",) if kind_of(folder / name) is not None]  # earlier caches have none
+            # earlier caches have none
+            sums = [name for name in ("sums.json",) if kind_of(folder / name) is not None]
             for name in (*PACKED, *sums):
                 require_file(folder / name, "a cache's file")
-            hashes, left_out = (json.loads((folder / name).read_text("utf-8")) for name in ("views.json", "skipped.json"))
+            hashes, left_out = (
+                json.loads((folder / name).read_text("utf-8"))
+                for name in ("views.json", "skipped.json")
+            )
             self._normals, self._segments = (
-                np.load(folder / name, mmap_mode="r", allow_pickle=False) for name in (arrays.PACKED_NORMALS, arrays.PACKED_SEGMENTS)
+                np.load(folder / name, mmap_mode="r", allow_pickle=False)
+                for name in (arrays.PACKED_NORMALS, arrays.PACKED_SEGMENTS)
             )
             if not len(hashes) == len(self._normals) == len(self._segments):
-                raise ValueError(f"{len(hashes)} views, {len(self._normals)} and {len(self._segments)} rows")
-            self._rows, self._left_out = {hash_: row for row, hash_ in enumerate(hashes)}, set(left_out)
+                raise ValueError(
+                    f"{len(hashes)} views, {len(self._normals)} and {len(self._segments)} rows"
+                )
+            self._rows, self._left_out = (
+                {hash_: row for row, hash_ in enumerate(hashes)},
+                set(left_out),
+            )
         except (OSError, ValueError, EOFError, *archives.NO_HEADER) as error:
-            self._texts.append(f"expected a whole cache of geometry, found {error or type(error).__name__}")
+            self._texts.append(
+                f"expected a whole cache of geometry, found {error or type(error).__name__}"
+            )
 
     def compare(self, hash_: str, geometry: arrays.Geometry) -> None:
         """Looks whether a good geometry file's row, if it has one, is what the file holds."""
         if hash_ in self._left_out:
-            self._texts.append(f"expected good geometry, as that with hash {hash_[:12]}, found it left out")
+            self._texts.append(
+                f"expected good geometry, as that with hash {hash_[:12]}, found it left out"
+            )
         row = self._rows.pop(hash_, None)
         if row is None:
             return
         same = np.array_equal(self._normals[row], arrays.pack_normals(geometry.normals))
         if not (same and np.array_equal(self._segments[row], geometry.segments)):
-            self._texts.append(f"expected the geometry with hash {hash_[:12]} in row {row}, found other normals or segments")
+            self._texts.append(
+                f"expected the geometry with hash {hash_[:12]} in row {row}, found other normals or"
+                " segments"
+            )
 
     def faults(self) -> Iterator[Fault]:
         """What is wrong; all of the cache goes then, since training makes it again."""

@@ -1,8 +1,9 @@
 """Records and views against their ids and the entries of dataset.json.
 
-An id is a hash of everything that determines a picture. So a line vouches for itself; and where a line and an entry of
-dataset.json differ, the other lines tell which of the two was altered: a line whose id fits, and which does not differ
-from an entry, confirms it. An entry that no line confirms is the one that goes.
+An id is a hash of everything that determines a picture. So a line vouches for itself; and where a
+line and an entry of dataset.json differ, the other lines tell which of the two was altered: a line
+whose id fits, and which does not differ from an entry, confirms it. An entry that no line confirms
+is the one that goes.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +27,9 @@ GROUPS = 20_000  # combinations whose hashes are kept; the records of one follow
 
 
 def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | View | Fault]]:
-    """(file, number, line) of each Record or View, and a Fault in place of a line, a file or a folder that is none."""
+    """(file, number, line) of each Record or View, and a Fault in place of a line, a file or a
+    folder that is none.
+    """
     folder = store.folder / kind
     if kind_of(folder) != "a folder":  # there is none, or folder_faults says what there is instead
         return
@@ -43,14 +46,22 @@ def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | Vi
             continue
         try:
             for number, text in lines_of(path):
-                yield path, number, _decoded(decoder, f"{where}:{number}", kind[:-1], text, (path, number))
+                yield (
+                    path,
+                    number,
+                    _decoded(decoder, f"{where}:{number}", kind[:-1], text, (path, number)),
+                )
         except (InputError, OSError) as problem:
             yield path, 0, Fault(f"{where}: {problem}")
 
 
 def _decoded(decoder, where, what, text, line):
     if not text.endswith(b"\n"):
-        return Fault(f"{where}: expected a whole line, found one cut short (the next run over it removes it)", line=line)
+        return Fault(
+            f"{where}: expected a whole line, found one cut short (the next run over it"
+            " removes it)",
+            line=line,
+        )
     try:
         return decoder.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -73,7 +84,9 @@ def failure_faults(store: Store) -> Iterator[Fault]:
 
 
 class _Difference(NamedTuple):
-    """Where a line and an entry differ. entry: (kind, name); what: None where there is no such entry."""
+    """Where a line and an entry differ. entry: (kind, name); what: None where there is no such
+    entry.
+    """
 
     entry: tuple[str, str]
     what: str | None
@@ -86,7 +99,8 @@ class _Group:
     """What the records of one combination share.
 
     materials  their hashes by dataset.json, None where it lacks one
-    hashings   (render, materials' hashes, digest to go on from) of each way in which their ids may be hashed
+    hashings   (render, materials' hashes, digest to go on from) of each way in which their ids may
+    be hashed
     """
 
     camera: str
@@ -101,10 +115,13 @@ class Judge:
 
     dataset  Dataset; labels: {name: Entry} of materials.json
     damaged  (kind, name) of entries that are known to be wrong
-    render   fingerprint of the program's render settings, which ids may be hashed with besides those in dataset.json
+    render   fingerprint of the program's render settings, which ids may be hashed with besides
+    those in dataset.json
     """
 
-    def __init__(self, dataset: Dataset, labels: dict[str, Entry], damaged: set, render: str | None):
+    def __init__(
+        self, dataset: Dataset, labels: dict[str, Entry], damaged: set, render: str | None
+    ):
         self.dataset, self._labels, self._damaged, self._render = dataset, labels, damaged, render
         known = list(dataset.settings)
         self._renders = known if render is None or render in known else [*known, render]
@@ -116,37 +133,71 @@ class Judge:
         self._fit = 0
 
     def of_kind(self, kind: str) -> Callable[[Any, Line], list[Fault]]:
-        """The method that judges lines of a kind: (line, place) → what is wrong with it; some is said by `verdicts` only."""
+        """The method that judges lines of a kind: (line, place) → what is wrong with it; some is
+        said by `verdicts` only.
+        """
         return {"records": self.record, "views": self.view}[kind]
 
     def record(self, record: Record, line: Line) -> list[Fault]:
         """Faults of one record. Written for the good one: 720,000 of them must take seconds."""
-        key = (record.shape, record.shape_hash, record.category, record.materials, record.light, record.light_hash)
+        key = (
+            record.shape,
+            record.shape_hash,
+            record.category,
+            record.materials,
+            record.light,
+            record.light_hash,
+        )
         key = (*key, record.camera, record.samples, record.split)
         group = self._groups.get(key) or self._new_group(key, record)
-        place = (record.viewpoint, record.rotation_texels, record.tier, record.light_resolution, record.seed)
+        place = (
+            record.viewpoint,
+            record.rotation_texels,
+            record.tier,
+            record.light_resolution,
+            record.seed,
+        )
         for render, hashes, digest in group.hashings:  # noqa: B007 -- the fitting one is used below
             if ids.shot_id(digest, *place) == record.id:
                 break
         else:
             fitting = [ids.shot_id(digest, *place) for _, _, digest in group.hashings]
-            self._unfitting("record", record, line, fitting, "materials and render settings that dataset.json names")
+            self._unfitting(
+                "record",
+                record,
+                line,
+                fitting,
+                "materials and render settings that dataset.json names",
+            )
             return []
         self._fit += 1
         if group.differences or hashes is not group.materials:
-            self._differs("record", record, line, [*group.differences, *self._hashes_differ(record, hashes)])
+            self._differs(
+                "record", record, line, [*group.differences, *self._hashes_differ(record, hashes)]
+            )
         if not group.confirms:
             self._confirm(group, record, hashes)
-        geometry = geometry_path(ids.geometry_id(record.shape_hash, group.camera, record.viewpoint, render))
+        geometry = geometry_path(
+            ids.geometry_id(record.shape_hash, group.camera, record.viewpoint, render)
+        )
         faults = _misplaced("record", record, line, geometry)
         if record.image != (image := image_path(record.id)):
-            faults.append(Fault(f"record {record.id}: expected image at {image}, found {record.image}", record.id, line))
+            faults.append(
+                Fault(
+                    f"record {record.id}: expected image at {image}, found {record.image}",
+                    record.id,
+                    line,
+                )
+            )
         return faults
 
     def view(self, view: View, line: Line) -> list[Fault]:
         """Faults of one view."""
         camera = ids.camera_words(view.camera)
-        fitting = [ids.geometry_id(view.shape_hash, camera, view.viewpoint, render) for render in self._renders]
+        fitting = [
+            ids.geometry_id(view.shape_hash, camera, view.viewpoint, render)
+            for render in self._renders
+        ]
         if view.id not in fitting:
             self._unfitting("view", view, line, fitting, "render settings in dataset.json")
             return []
@@ -164,7 +215,13 @@ class Judge:
         entries = [self.dataset.materials.get(name) for name in record.materials]
         materials = tuple(entry.hash for entry in entries) if all(entries) else None
         hashings = [
-            (render, hashes, ids.shots_digest(render, record.shape_hash, hashes, record.light_hash, camera, record.samples))
+            (
+                render,
+                hashes,
+                ids.shots_digest(
+                    render, record.shape_hash, hashes, record.light_hash, camera, record.samples
+                ),
+            )
             for hashes in (materials, self._label_hashes(record.materials, materials))
             for render in self._renders
             if hashes is not None
@@ -174,7 +231,11 @@ class Judge:
         if light is None:
             differences.append(self._no_entry("lights", record.light, record.light_hash))
         elif light.hash != record.light_hash:
-            differences.append(_Difference(("lights", record.light), "hash", light.hash[:12], record.light_hash[:12]))
+            differences.append(
+                _Difference(
+                    ("lights", record.light), "hash", light.hash[:12], record.light_hash[:12]
+                )
+            )
         if len(self._groups) >= GROUPS:
             self._groups.clear()
         self._groups[key] = group = _Group(camera, materials, hashings, differences)
@@ -196,18 +257,30 @@ class Judge:
             materials = [self.dataset.materials.get(name) for name in line.materials]
             damaged = self._damaged & {here, *(("materials", name) for name in line.materials)}
             if all(materials) and not damaged:
-                pairs.append(("split", split_of(shape.side, [entry.side for entry in materials]), line.split))
-        return [_Difference(here, what, str(ours), str(theirs)) for what, ours, theirs in pairs if ours != theirs]
+                pairs.append(
+                    ("split", split_of(shape.side, [entry.side for entry in materials]), line.split)
+                )
+        return [
+            _Difference(here, what, str(ours), str(theirs))
+            for what, ours, theirs in pairs
+            if ours != theirs
+        ]
 
     def _no_entry(self, kind, name, hash_):
-        """The difference of a line that names what dataset.json does not: its own, if that knows the thing by another name."""
+        """The difference of a line that names what dataset.json does not: its own, if that knows
+        the thing by another name.
+        """
         for other, entry in getattr(self.dataset, kind).items():
             if entry.hash == hash_:
                 return _Difference((kind, other), "name", other, name)
         return _Difference((kind, name), None, "", "")
 
-    def _label_hashes(self, names: Sequence[str], known: tuple[str, ...] | None) -> tuple[str, ...] | None:
-        """Hashes of materials by their labels; None where one has none, or where these are the known ones."""
+    def _label_hashes(
+        self, names: Sequence[str], known: tuple[str, ...] | None
+    ) -> tuple[str, ...] | None:
+        """Hashes of materials by their labels; None where one has none, or where these are the
+        known ones.
+        """
         labels = [self._labels.get(name) for name in names]
         if not all(labels):
             return None
@@ -235,13 +308,25 @@ class Judge:
             (of, name), what, by_entry, by_line = difference
             text = f"{kind} {line.id}: expected {of[:-1]} '{name}' in dataset.json, found none"
             if what:
-                text = f"{kind} {line.id}: expected {of[:-1]} '{name}' with {what} {by_entry}, found {by_line}"
-            self._differing.setdefault(difference.entry, []).append((Fault(text, line.id, place), difference))
+                text = (
+                    f"{kind} {line.id}: expected {of[:-1]} '{name}' with {what} {by_entry}, found"
+                    f" {by_line}"
+                )
+            self._differing.setdefault(difference.entry, []).append(
+                (Fault(text, line.id, place), difference)
+            )
 
     def _confirm(self, group, record, hashes):
         """A record whose id fits confirms the entries from which it does not differ."""
-        named = {("shapes", record.shape), ("lights", record.light), *(("materials", name) for name in record.materials)}
-        differing = {difference.entry for difference in (*group.differences, *self._hashes_differ(record, hashes))}
+        named = {
+            ("shapes", record.shape),
+            ("lights", record.light),
+            *(("materials", name) for name in record.materials),
+        }
+        differing = {
+            difference.entry
+            for difference in (*group.differences, *self._hashes_differ(record, hashes))
+        }
         self._confirmed |= named - differing
         group.confirms = True
 
@@ -249,15 +334,24 @@ class Judge:
         """Remembers a line whose id is not that of what it says."""
         text = f"{kind} {line.id}: expected {needed}, found none"
         if fitting:
-            text = f"{kind} {line.id}: expected id {fitting[0]}, the hash of what it says, found {line.id}"
+            text = (
+                f"{kind} {line.id}: expected id {fitting[0]}, the hash of what it says, found"
+                f" {line.id}"
+            )
         self._unfit.append((Fault(text, line.id, place), line))
 
     def verdicts(self) -> Iterator[Fault]:
         """Faults for which it has to be known whether a line or an entry was altered."""
         doubted = {}
         if self._unfit and not self._fit and self._render not in self.dataset.settings:
-            result = f"none that gives the ids of its {len(self._unfit)} lines, {self._unfit[0][0].record} first"
-            yield Fault(f"dataset.json: expected settings of the render version that made its pictures, found {result}")
+            result = (
+                f"none that gives the ids of its {len(self._unfit)} lines,"
+                f" {self._unfit[0][0].record} first"
+            )
+            yield Fault(
+                "dataset.json: expected settings of the render version that made its pictures,"
+                f" found {result}"
+            )
         else:
             for fault, line in self._unfit:
                 yield fault
@@ -271,23 +365,36 @@ class Judge:
                 yield self._altered(entry, result)
         for (kind, name), many in doubted.items():
             if (kind, name) not in self._confirmed:
-                text = f"dataset.json: expected {kind[:-1]} '{name}' that an id confirms, found {many} lines whose ids do not fit"
+                text = (
+                    f"dataset.json: expected {kind[:-1]} '{name}' that an id confirms, found {many}"
+                    " lines whose ids do not fit"
+                )
                 yield Fault(text, entry=(kind, name))
 
     def _entries_of(self, line):
         """The entries that a line names, as far as they are there."""
         named = [("shapes", line.shape)]
         if isinstance(line, Record):
-            named += [("lights", line.light), *(("materials", name) for name in dict.fromkeys(line.materials))]
+            named += [
+                ("lights", line.light),
+                *(("materials", name) for name in dict.fromkeys(line.materials)),
+            ]
         return [(kind, name) for kind, name in named if name in getattr(self.dataset, kind)]
 
     def _altered(self, entry, found):
         """The Fault of an entry that no line confirms."""
         (kind, name), (_, what, by_entry, by_line) = entry, found[0][1]
-        lines = "a line whose id fits says" if len(found) == 1 else f"{len(found)} lines whose ids fit say"
+        lines = (
+            "a line whose id fits says"
+            if len(found) == 1
+            else f"{len(found)} lines whose ids fit say"
+        )
         if what is None:
             return Fault(f"dataset.json: {kind[:-1]} '{name}' expected, as {lines}, found none")
-        text = f"dataset.json: {kind[:-1]} '{name}': {what} {by_line} expected, as {lines}, found {by_entry}"
+        text = (
+            f"dataset.json: {kind[:-1]} '{name}': {what} {by_line} expected, as {lines}, found"
+            f" {by_entry}"
+        )
         return Fault(text, entry=entry)
 
 
@@ -295,8 +402,17 @@ def _misplaced(kind, line, place, geometry):
     """Faults of where a line's geometry lies and of the azimuth that it states."""
     results = []
     if line.geometry != geometry:
-        results.append(Fault(f"{kind} {line.id}: expected geometry at {geometry}, found {line.geometry}", line.id, place))
+        results.append(
+            Fault(
+                f"{kind} {line.id}: expected geometry at {geometry}, found {line.geometry}",
+                line.id,
+                place,
+            )
+        )
     if line.azimuth_deg != (azimuth := azimuths_deg()[line.viewpoint]):
-        text = f"{kind} {line.id}: expected azimuth {azimuth:g} of viewpoint {line.viewpoint}, found {line.azimuth_deg:g}"
+        text = (
+            f"{kind} {line.id}: expected azimuth {azimuth:g} of viewpoint {line.viewpoint}, found"
+            f" {line.azimuth_deg:g}"
+        )
         results.append(Fault(text, line.id, place))
     return results

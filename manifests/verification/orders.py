@@ -1,7 +1,10 @@
-"""Which records and views the jobs in dataset.json ask for: their seeds, views and rotations follow from the job.
+"""Which records and views the jobs in dataset.json ask for: their seeds, views and rotations follow
+from the job.
 
-combination  one shape, its materials and a light; what a job leaves to chance is drawn once for each
-             (manifests.ids.draws), and each record's seed is a hash of its combination's word and its place
+combination  one shape, its materials and a light; what a job leaves to chance is drawn once for
+each
+             (manifests.ids.draws), and each record's seed is a hash of its combination's word and
+             its place
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,12 +13,15 @@ from manifests import ids
 from manifests.schema import Dataset, Draw, Job, Record, View
 from manifests.verification.faults import Fault, Line
 
-MOST_CHOICES = 16  # draws of materials whose seeds are tried; of more, seeds are not looked at (each try takes 20 µs)
+# draws of materials whose seeds are tried; of more, seeds are not looked at (each try takes 20 µs)
+MOST_CHOICES = 16
 COMBINATIONS = 20_000  # that are kept; the records of one follow each other
 
 
 class Orders:
-    """The orders of a data set, against which its lines are held one by one; what none asks for is said at the end."""
+    """The orders of a data set, against which its lines are held one by one; what none asks for is
+    said at the end.
+    """
 
     def __init__(self, dataset: Dataset):
         self._dataset = dataset
@@ -48,7 +54,13 @@ class Orders:
 
     def _combinations_of(self, record):
         """The jobs that may have asked for records like this one, drawn for its combination."""
-        key = (record.shape_hash, record.materials, record.light_hash, record.camera, record.samples)
+        key = (
+            record.shape_hash,
+            record.materials,
+            record.light_hash,
+            record.camera,
+            record.samples,
+        )
         if key not in self._combinations:
             if len(self._combinations) >= COMBINATIONS:
                 self._combinations.clear()
@@ -62,19 +74,28 @@ class Orders:
         return self._combinations[key]
 
     def faults(self) -> Iterator[Fault]:
-        """Lines that no order asks for are at fault, unless an order is without lines: then its job may have been altered."""
+        """Lines that no order asks for are at fault, unless an order is without lines: then its job
+        may have been altered.
+        """
         if self._unasked and self._jobs and len(self._met) == len(self._jobs):
             yield from self._unasked
         elif self._unasked:
             many, first = len(self._unasked), self._unasked[0].record
             remedy = "the same `render` writes its order down again"
-            yield Fault(f"dataset.json: expected orders that ask for all lines, found none for {many}, {first} first ({remedy})")
+            yield Fault(
+                f"dataset.json: expected orders that ask for all lines, found none for {many},"
+                f" {first} first ({remedy})"
+            )
 
 
 class Combination:
-    """What a job draws for one combination: words of its seeds with their views, drawn when they are first needed."""
+    """What a job draws for one combination: words of its seeds with their views, drawn when they
+    are first needed.
+    """
 
-    def __init__(self, index: int, job: Job, shape_hash: str, materials: Sequence[str], light_hash: str):
+    def __init__(
+        self, index: int, job: Job, shape_hash: str, materials: Sequence[str], light_hash: str
+    ):
         self.index, self.job = index, job
         self._tiers, self._resolutions = set(job.tiers), set(job.light_resolutions)
         self._drawn: list[tuple[int, dict[int, frozenset[int]]]] = []
@@ -91,7 +112,11 @@ class Combination:
             return in_views and (isinstance(job.rotations, Draw) or turn in job.rotations)
         place = (view, turn, record.tier, record.light_resolution)
         return any(
-            turn in turns.get(view, ()) and any(ids.shot_seed(word, ids.shot_place(*place, k)) == record.seed for k in range(job.repeats))
+            turn in turns.get(view, ())
+            and any(
+                ids.shot_seed(word, ids.shot_place(*place, k)) == record.seed
+                for k in range(job.repeats)
+            )
             for word, turns in self._every()
         )
 
@@ -103,8 +128,14 @@ class Combination:
             yield drawn
 
     def _draws(self, shape_hash, materials, light_hash):
-        """(word, {view: rotations}) of each time that the job names the light, and of each draw of materials."""
-        choices = (None,) if self.job.segment_materials is None else range(min(self.job.segment_materials, MOST_CHOICES))
+        """(word, {view: rotations}) of each time that the job names the light, and of each draw of
+        materials.
+        """
+        choices = (
+            (None,)
+            if self.job.segment_materials is None
+            else range(min(self.job.segment_materials, MOST_CHOICES))
+        )
         for occurrence in range(len(self.job.lights)):
             for choice in choices:
                 key = ids.combination_key(shape_hash, materials, light_hash, occurrence, choice)

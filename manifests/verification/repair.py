@@ -1,4 +1,6 @@
-"""What is broken goes, so that the same `render` makes it again. Nothing outside the folder is touched, no link followed."""
+"""What is broken goes, so that the same `render` makes it again. Nothing outside the folder is
+touched, no link followed.
+"""
 
 import os
 import shutil
@@ -16,9 +18,11 @@ from manifests.verification.strays import kind_of
 
 
 def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
-    """Takes condemned lines, damaged and stray files and wrong entries away; returns how many (lines, files) went.
+    """Takes condemned lines, damaged and stray files and wrong entries away; returns how many
+    (lines, files) went.
 
-    A picture or geometry file goes with the last line that names it. Call it with the folder locked.
+    A picture or geometry file goes with the last line that names it. Call it with the folder
+    locked.
     """
     faults = list(faults)
     going = {fault.file for fault in faults if fault.file and not fault.record}
@@ -39,7 +43,9 @@ def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
 
 
 def _drop_lines(partial, path, numbers):
-    """Writes a file without some of its lines; returns how many went, and the files that these have named."""
+    """Writes a file without some of its lines; returns how many went, and the files that these have
+    named.
+    """
     kept, count, named, type_ = [], 0, set(), LINES.get(path.parent.name)
     try:
         for number, line in lines_of(path):
@@ -52,7 +58,8 @@ def _drop_lines(partial, path, numbers):
     except InputError:  # a line beyond all measure: nothing behind it is known to be one
         count += 1
     partial.mkdir(exist_ok=True)
-    write_lines(path, kept, draft=partial / f"repair-{path.parent.name}-{path.name}")  # where a killed run's drafts are swept
+    # where a killed run's drafts are swept
+    write_lines(path, kept, draft=partial / f"repair-{path.parent.name}-{path.name}")
     return count, named
 
 
@@ -78,14 +85,25 @@ def _named(store):
 
 
 def _drop_entries(store, entries):
-    """Takes entries out of dataset.json and materials.json; returns the maps of lights that go with theirs."""
+    """Takes entries out of dataset.json and materials.json; returns the maps of lights that go with
+    theirs.
+    """
     if not entries:
         return set()
     dataset = store.dataset()
-    names = {kind: {name for of, name in entries if of == kind} for kind in ("shapes", "materials", "lights", "labels")}
-    maps = {store.folder / light_path(n, dataset.lights[n].hash) for n in names["lights"] if n in dataset.lights}
+    names = {
+        kind: {name for of, name in entries if of == kind}
+        for kind in ("shapes", "materials", "lights", "labels")
+    }
+    maps = {
+        store.folder / light_path(n, dataset.lights[n].hash)
+        for n in names["lights"]
+        if n in dataset.lights
+    }
     changed = {
-        kind: {name: entry for name, entry in getattr(dataset, kind).items() if name not in names[kind]}
+        kind: {
+            name: entry for name, entry in getattr(dataset, kind).items() if name not in names[kind]
+        }
         for kind in ("shapes", "materials", "lights")
     }
     store.write_json("dataset.json", msgspec.structs.replace(dataset, **changed))
@@ -96,14 +114,22 @@ def _drop_entries(store, entries):
         except InputError:  # not there, or it goes itself
             return maps
         kept = tuple(entry for entry in catalogue.materials if entry.name not in gone)
-        store.place("materials.json", materials.encode(msgspec.structs.replace(catalogue, materials=kept)), "main")
+        store.place(
+            "materials.json",
+            materials.encode(msgspec.structs.replace(catalogue, materials=kept)),
+            "main",
+        )
     return maps
 
 
 def _remove(folder, path):
-    """Removes a file, a link itself, or a folder that lies where a file should; True if something went."""
+    """Removes a file, a link itself, or a folder that lies where a file should; True if something
+    went.
+    """
     kind = kind_of(path)
-    if kind is None or not Path(os.path.realpath(path.parent)).is_relative_to(os.path.realpath(folder)):
+    if kind is None or not Path(os.path.realpath(path.parent)).is_relative_to(
+        os.path.realpath(folder)
+    ):
         return False
     if kind == "a folder":
         shutil.rmtree(path)

@@ -1,7 +1,9 @@
-"""What lies in a data set's folder and does not belong there: files that nothing names, drafts, links, pipes, devices.
+"""What lies in a data set's folder and does not belong there: files that nothing names, drafts,
+links, pipes, devices.
 
-Links are not followed and none belongs: a file that lies elsewhere may change or go, and what is removed here must not
-be there. Folders that cannot be read are faults, too; the listing goes on behind them.
+Links are not followed and none belongs: a file that lies elsewhere may change or go, and what is
+removed here must not be there. Folders that cannot be read are faults, too; the listing goes on
+behind them.
 """
 
 import os
@@ -25,7 +27,9 @@ _KINDS = {
 
 
 def kind_of(path: str | os.PathLike) -> str | None:
-    """What lies at a path, links not followed: "a file", "a folder", "a link", …; None for nothing."""
+    """What lies at a path, links not followed: "a file", "a folder", "a link", …; None for
+    nothing.
+    """
     try:
         return _KINDS.get(stat.S_IFMT(os.lstat(path).st_mode), "something else")
     except OSError:
@@ -33,7 +37,9 @@ def kind_of(path: str | os.PathLike) -> str | None:
 
 
 def folder_faults(folder: Path) -> Iterator[Fault]:
-    """Faults of the top of a data set's folder: its own folders that are none, and links, pipes and devices beside them."""
+    """Faults of the top of a data set's folder: its own folders that are none, and links, pipes and
+    devices beside them.
+    """
     for path in _listed(folder):
         kind = kind_of(path)
         if path.name in KNOWN:
@@ -41,7 +47,9 @@ def folder_faults(folder: Path) -> Iterator[Fault]:
                 yield Fault(f"{path.name}: expected a folder, found {kind}", file=path)
         elif kind not in ("a file", "a folder") and not (kind == "a link" and path.exists()):
             result = "a link that leads nowhere" if kind == "a link" else kind
-            yield Fault(f"{path.name}: expected a file or a folder, found {result}", file=path, stray=True)
+            yield Fault(
+                f"{path.name}: expected a file or a folder, found {result}", file=path, stray=True
+            )
 
 
 def stray_faults(folder: Path, named: Mapping[str, Collection[str]]) -> Iterator[Fault]:
@@ -54,9 +62,16 @@ def stray_faults(folder: Path, named: Mapping[str, Collection[str]]) -> Iterator
     for kind in LINES:
         for path in _listed(folder / kind):
             if not path.name.endswith(".jsonl") and kind_of(path) is not None:
-                yield Fault(f"{kind}/{path.name}: expected files *.jsonl, found {kind_of(path)}", file=path, stray=True)
+                yield Fault(
+                    f"{kind}/{path.name}: expected files *.jsonl, found {kind_of(path)}",
+                    file=path,
+                    stray=True,
+                )
     for path in _listed(folder / "partial"):
-        text = f"partial/{path.name}: expected nothing, found a file half-written by a run that was killed"
+        text = (
+            f"partial/{path.name}: expected nothing, found a file half-written by a run that was"
+            " killed"
+        )
         yield Fault(text, file=path, stray=True)
 
 
@@ -67,7 +82,9 @@ def _strays(folder, top, known):
     try:
         entries = sorted(os.scandir(top), key=lambda entry: entry.name)
     except OSError as error:
-        yield Fault(f"{top.relative_to(folder)}: expected a folder that can be read, found {error.strerror}")
+        yield Fault(
+            f"{top.relative_to(folder)}: expected a folder that can be read, found {error.strerror}"
+        )
         return
     for entry in entries:
         path = Path(entry.path)
@@ -79,7 +96,10 @@ def _strays(folder, top, known):
             if kind != "a file":
                 yield Fault(f"{relative}: expected a file of its own, found {kind}", file=path)
         elif kind is not None:
-            text = f"{relative}: expected a record that names it, found {'none' if kind == 'a file' else kind}"
+            text = (
+                f"{relative}: expected a record that names it, found"
+                f" {'none' if kind == 'a file' else kind}"
+            )
             yield Fault(text, file=path, stray=True)
 
 

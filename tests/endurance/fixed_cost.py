@@ -1,11 +1,13 @@
-"""What a picture costs besides its samples: 24 views at 1 sample, 256², records written, against a bare bpy loop in the same run.
+"""What a picture costs besides its samples: 24 views at 1 sample, 256², records written, against a
+bare bpy loop in the same run.
 
     PYTHONPATH=. python tests/endurance/fixed_cost.py --catalogue FILE --material NAME [--rounds 3]
 
-Each round runs both, one after the other, each in a process of its own: a bare loop (the same mesh, material, light and settings,
-persistent data on, each view written as EXR by Blender), and the factory's pipeline, first with geometry still to be made, then relit
-with another light, which is what all but the first of a shape's pictures cost. Rates in pictures a second; ratios are what counts on a
-shared machine.
+Each round runs both, one after the other, each in a process of its own: a bare loop (the same mesh,
+material, light and settings, persistent data on, each view written as EXR by Blender), and the
+factory's pipeline, first with geometry still to be made, then relit with another light, which is
+what all but the first of a shape's pictures cost. Rates in pictures a second; ratios are what
+counts on a shared machine.
 """
 
 import argparse
@@ -49,7 +51,10 @@ def bare(options, folder):
     scene.collection.objects.link(scene.camera)
     camera.place(scene, Camera())
     light.build(scene, light.as_seen(load("city").L64, 0), True)
-    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "16"
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = (
+        "OPEN_EXR",
+        "16",
+    )
     start = None
     for view in (0, *VIEWS):
         each.rotation_euler = (0.0, 0.0, -np.radians(15.0 * view))
@@ -60,7 +65,9 @@ def bare(options, folder):
 
 
 def ours(options, folder):
-    """Seconds for 24 views by the pipeline: geometry still to be made, then relit; after one picture to warm up."""
+    """Seconds for 24 views by the pipeline: geometry still to be made, then relit; after one
+    picture to warm up.
+    """
     from factory.execution.pipeline import Pipeline
     from factory.execution.run import assign, planned, register
     from factory.planning.assets import resolve
@@ -70,7 +77,12 @@ def ours(options, folder):
     from manifests.store import Lines, Store
 
     job = Job(
-        shapes=(options.shape,), materials=(options.material,), lights=("city", "interior"), views=VIEWS, tiers=("direct",), samples=1
+        shapes=(options.shape,),
+        materials=(options.material,),
+        lights=("city", "interior"),
+        views=VIEWS,
+        tiers=("direct",),
+        samples=1,
     )
     catalogues = [options.catalogue] if options.catalogue else []
     plan = planned(job, resolve(job, catalogues=catalogues))
@@ -78,7 +90,9 @@ def ours(options, folder):
     register(store, plan)
     mixtures = {name: m.mixture for name, m in load_catalogue(folder / "materials.json").items()}
     lines = Lines(folder / "records" / "worker-00.jsonl")
-    pipeline = Pipeline(Studio("cpu", None), assign(plan), store, "worker-00", lines.append, mixtures)
+    pipeline = Pipeline(
+        Studio("cpu", None), assign(plan), store, "worker-00", lines.append, mixtures
+    )
     shots, seconds = list(plan), []
     pipeline.make(shots[0])
     (folder / "geometry").rename(folder / "warm")
@@ -96,7 +110,9 @@ def ours(options, folder):
 
 def main():
     """Run the rounds and print the rates."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--shape", default="chair:0")
     parser.add_argument("--material", default="white-diffuse-bball")
     parser.add_argument("--catalogue")
@@ -105,15 +121,27 @@ def main():
     options = parser.parse_args()
     if options.part:
         with tempfile.TemporaryDirectory() as folder:
-            print(json.dumps({"seconds": {"bare": bare, "ours": ours}[options.part](options, Path(folder))}))
+            print(
+                json.dumps(
+                    {"seconds": {"bare": bare, "ours": ours}[options.part](options, Path(folder))}
+                )
+            )
         return 0
     rounds = []
     for _ in range(options.rounds):
         found = {}
         for part in ("bare", "ours"):
-            done = subprocess.run([sys.executable, *sys.argv, "--part", part], capture_output=True, text=True)
-            found[part] = json.loads(next(line for line in done.stdout.splitlines() if line.startswith('{"seconds"')))["seconds"]
-        rates = {"bare": 24 / found["bare"][0], "with geometry": 24 / found["ours"][0], "relit": 24 / found["ours"][1]}
+            done = subprocess.run(
+                [sys.executable, *sys.argv, "--part", part], capture_output=True, text=True
+            )
+            found[part] = json.loads(
+                next(line for line in done.stdout.splitlines() if line.startswith('{"seconds"'))
+            )["seconds"]
+        rates = {
+            "bare": 24 / found["bare"][0],
+            "with geometry": 24 / found["ours"][0],
+            "relit": 24 / found["ours"][1],
+        }
         rounds.append(rates)
         print({name: round(rate, 2) for name, rate in rates.items()}, flush=True)
     for name in ("with geometry", "relit"):

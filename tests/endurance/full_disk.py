@@ -1,19 +1,26 @@
-"""A disk that runs out: is anything lost or damaged, and does the same command succeed once there is room?
+"""A disk that runs out: is anything lost or damaged, and does the same command succeed once there
+is room?
 
-    PYTHONPATH=. python tests/endurance/full_disk.py records  --out DIR [--sizes 32] [--disks tmpfs ext4]
-    PYTHONPATH=. python tests/endurance/full_disk.py commands --out DIR [--only NAME ...] [--disks tmpfs ext4]
+    PYTHONPATH=. python tests/endurance/full_disk.py records  --out DIR [--sizes 32] [--disks tmpfs
+    ext4] PYTHONPATH=. python tests/endurance/full_disk.py commands --out DIR [--only NAME ...]
+    [--disks tmpfs ext4]
     PYTHONPATH=. python tests/endurance/full_disk.py slow     --out DIR [--kills 6]
     PYTHONPATH=. python tests/endurance/full_disk.py pace     --out DIR [--rounds 5]
 
-records    renders 24 small pictures with Cycles onto disks of as many sizes, so that each runs out at another moment; then
-           room is made and the same command repeated. Each record's files must be whole, `verify` clean, and the pixels
-           those of an undisturbed run.
-commands   every command that writes, on a disk that runs out after each of several shares of what it writes: it must end
-           with status 1 and one line, leave no draft and every earlier result as it was, and succeed when there is room.
-slow       the same job on a disk on which every write and every sync takes a while, killed in the midst of them.
+records    renders 24 small pictures with Cycles onto disks of as many sizes, so that each runs out
+at another moment; then
+           room is made and the same command repeated. Each record's files must be whole, `verify`
+           clean, and the pixels those of an undisturbed run.
+commands   every command that writes, on a disk that runs out after each of several shares of what
+it writes: it must end
+           with status 1 and one line, leave no draft and every earlier result as it was, and
+           succeed when there is room.
+slow       the same job on a disk on which every write and every sync takes a while, killed in the
+midst of them.
 pace       what syncing each file costs: the same job with and without it, in turn.
 
-The first two mount small file systems and need root. Each writes a report, DIR/NAME.json, and prints a table.
+The first two mount small file systems and need root. Each writes a report, DIR/NAME.json, and
+prints a table.
 """
 
 import argparse
@@ -50,24 +57,35 @@ ROOM = 64 << 20  # bytes of a disk with room for everything
 
 
 class Disk:
-    """A file system that can be filled and emptied. kind: "tmpfs" or "ext4"; folder: where it is mounted."""
+    """A file system that can be filled and emptied. kind: "tmpfs" or "ext4"; folder: where it is
+    mounted.
+    """
 
     def __init__(self, kind, out):
-        self.kind, self.folder, self._image = kind, Path(out) / f"disk-{kind}", Path(out) / f"{kind}.image"
+        self.kind, self.folder, self._image = (
+            kind,
+            Path(out) / f"disk-{kind}",
+            Path(out) / f"{kind}.image",
+        )
 
     def __enter__(self):
         self.folder.mkdir(parents=True, exist_ok=True)
-        subprocess.run(["umount", str(self.folder)], capture_output=True)  # of a run that was killed
+        # of a run that was killed
+        subprocess.run(["umount", str(self.folder)], capture_output=True)
         if self.kind == "tmpfs":
             command = ["mount", "-t", "tmpfs", "-o", f"size={ROOM}", "tmpfs", str(self.folder)]
         else:
             with open(self._image, "wb") as file:
                 file.truncate(ROOM)
-            subprocess.run(["mkfs.ext4", "-q", "-F", "-m", "0", "-b", "1024", str(self._image)], check=True)
+            subprocess.run(
+                ["mkfs.ext4", "-q", "-F", "-m", "0", "-b", "1024", str(self._image)], check=True
+            )
             command = ["mount", "-o", "loop", str(self._image), str(self.folder)]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
-            sys.exit(f"full_disk.py: needs root, to mount small file systems: {done.stderr.strip()}")
+            sys.exit(
+                f"full_disk.py: needs root, to mount small file systems: {done.stderr.strip()}"
+            )
         return self
 
     def __exit__(self, *_):
@@ -144,7 +162,11 @@ def drafts(folder):
         path
         for path in Path(folder).rglob("*")
         if path.is_file()
-        and (path.suffix in (".part", ".partial", ".writing", ".new", ".whole") or path.parent.name == "partial" or ".part" in path.name)
+        and (
+            path.suffix in (".part", ".partial", ".writing", ".new", ".whole")
+            or path.parent.name == "partial"
+            or ".part" in path.name
+        )
     ]
 
 
@@ -153,7 +175,9 @@ def contents(folder):
     return {
         path.relative_to(folder).as_posix(): readable_hash(path)
         for path in sorted(Path(folder).rglob("*"))
-        if path.is_file() and not path.name.startswith((".lock", ".filler")) and "lost+found" not in path.parts
+        if path.is_file()
+        and not path.name.startswith((".lock", ".filler"))
+        and "lost+found" not in path.parts
     }
 
 
@@ -161,7 +185,10 @@ def bad_records(folder):
     """Records of which a file is missing, empty, or another than the record says."""
     bad = 0
     for record in Store(folder).records() if Path(folder).exists() else ():
-        for relative, digest in ((record.image, record.image_hash), (record.geometry, record.geometry_hash)):
+        for relative, digest in (
+            (record.image, record.image_hash),
+            (record.geometry, record.geometry_hash),
+        ):
             path = Path(folder) / relative
             if not path.is_file() or not path.stat().st_size or readable_hash(path) != digest:
                 bad += 1
@@ -187,7 +214,10 @@ def records(options):
             os.sync()
             needed = before - disk.room()
             disk.empty()
-            sizes = [round(needed * (k + 1) / (options.sizes + 1) / 1024) * 1024 for k in range(options.sizes)]
+            sizes = [
+                round(needed * (k + 1) / (options.sizes + 1) / 1024) * 1024
+                for k in range(options.sizes)
+            ]
             for size in sizes:
                 rows.append(one_size(disk, size, job, whole))
                 print(line_of(rows[-1]), flush=True)
@@ -198,7 +228,10 @@ def records(options):
         mine = [row for row in rows if row["disk"] == kind]
         bad = sum(bool(row["bad"] or row["bad_after"] or row["different"]) for row in mine)
         others = sum(bool(row["faults"]) for row in mine)
-        print(f"{kind}: {bad} of {len(mine)} sizes after which a record names a bad file; {others} other faults")
+        print(
+            f"{kind}: {bad} of {len(mine)} sizes after which a record names a bad file; {others}"
+            " other faults"
+        )
     return 1 if wrong else 0
 
 
@@ -222,7 +255,9 @@ def one_size(disk, size, job, whole):
     faults += [] if verified.status == 0 else [f"verify: {verified.stderr[-300:]}"]
     faults += [f"draft {path}" for path in drafts(folder)]
     different = compared(whole, folder) if not second.status else ["not comparable"]
-    named = re.search(rf"{re.escape(str(folder))}/([^':]+)", first.words[0]) if first.words else None
+    named = (
+        re.search(rf"{re.escape(str(folder))}/([^':]+)", first.words[0]) if first.words else None
+    )
     where = named[1] if named else "it had room"
     return {
         "disk": disk.kind,
@@ -242,13 +277,39 @@ def one_size(disk, size, job, whole):
 def same_bits(whole, folder):
     """How many pictures and geometry files have the very bits of the undisturbed run's."""
     ours, theirs = contents(folder), contents(whole)
-    return sum(ours.get(path) == digest for path, digest in theirs.items() if path.startswith(("images/", "geometry/")))
+    return sum(
+        ours.get(path) == digest
+        for path, digest in theirs.items()
+        if path.startswith(("images/", "geometry/"))
+    )
 
 
 def line_of(row):
     """A row as a line of a Markdown table."""
-    cells = (row["disk"], row["left_kib"], row["stopped_at"], row["records"], row["bad"], row["records_after"], row["bad_after"])
-    return "| " + " | ".join(map(str, (*cells, len(row["different"]), row["same_bits"], "; ".join(row["faults"]) or "none"))) + " |"
+    cells = (
+        row["disk"],
+        row["left_kib"],
+        row["stopped_at"],
+        row["records"],
+        row["bad"],
+        row["records_after"],
+        row["bad_after"],
+    )
+    return (
+        "| "
+        + " | ".join(
+            map(
+                str,
+                (
+                    *cells,
+                    len(row["different"]),
+                    row["same_bits"],
+                    "; ".join(row["faults"]) or "none",
+                ),
+            )
+        )
+        + " |"
+    )
 
 
 # commands
@@ -280,15 +341,22 @@ def commands(options):
                 disk.empty()
                 mine = results[-1]
                 end = "; ".join(mine.faults) or "none"
-                told = f"| {mine.name} | {kind} | {mine.written} | {mine.full} | {mine.tolerated} | {end} |"
+                told = (
+                    f"| {mine.name} | {kind} | {mine.written} | {mine.full} | {mine.tolerated} |"
+                    f" {end} |"
+                )
                 print(told, flush=True)
     told = [{**vars(result), "said": sorted(result.said)} for result in results]
-    (options.out / f"commands-{'-'.join(options.disks)}.json").write_text(json.dumps(told, indent=1) + "\n")
+    (options.out / f"commands-{'-'.join(options.disks)}.json").write_text(
+        json.dumps(told, indent=1) + "\n"
+    )
     return 1 if any(result.faults for result in results) else 0
 
 
 def one_command(disk, command, room, shares):
-    """A command on disks that run out after several shares of what it writes, first into nothing, then over an earlier result."""
+    """A command on disks that run out after several shares of what it writes, first into nothing,
+    then over an earlier result.
+    """
     result = Result(command.name, disk.kind)
 
     def again(over=False):
@@ -317,7 +385,9 @@ def one_command(disk, command, room, shares):
         disk.make_room()
         second = again()
         if second.status not in (0, *command.statuses):
-            result.faults.append(f"{share}: repeated: status {second.status}: {second.stderr[-300:]}")
+            result.faults.append(
+                f"{share}: repeated: status {second.status}: {second.stderr[-300:]}"
+            )
         if not command.overwrites:
             continue
         disk.fill(int(result.written * share) // 1024 * 1024)
@@ -326,7 +396,9 @@ def one_command(disk, command, room, shares):
         disk.make_room()
         second = again(over=True)
         if second.status not in (0, *command.statuses):
-            result.faults.append(f"{share}: repeated over it: status {second.status}: {second.stderr[-300:]}")
+            result.faults.append(
+                f"{share}: repeated over it: status {second.status}: {second.stderr[-300:]}"
+            )
     return result
 
 
@@ -341,10 +413,16 @@ def judge(result, command, share, ended, disk, earlier):
         result.full += 1
         result.said.add(ended.words[0][-160:])
     result.faults += [f"{share}: draft {path}" for path in drafts(disk.folder)]
-    lost = [path for path, digest in earlier.items() if left.get(path) != digest and not command.may_change(path)]
+    lost = [
+        path
+        for path, digest in earlier.items()
+        if left.get(path) != digest and not command.may_change(path)
+    ]
     result.faults += [f"{share}: {path} lost or changed" for path in lost]
     result.faults += [
-        f"{share}: {path} is empty" for path in left if not (disk.folder / path).stat().st_size and not command.may_be_empty(path)
+        f"{share}: {path} is empty"
+        for path in left
+        if not (disk.folder / path).stat().st_size and not command.may_be_empty(path)
     ]
 
 
@@ -377,7 +455,12 @@ def slow(options):
     subprocess.run([*command, str(whole)], check=True, capture_output=True)
     moments, hit, bad = random.Random(options.seed), 0, 0
     start = time.monotonic()
-    subprocess.run([*command, str(options.out / "slow")], check=True, env=os.environ | {"PYTHONPATH": paths}, capture_output=True)
+    subprocess.run(
+        [*command, str(options.out / "slow")],
+        check=True,
+        env=os.environ | {"PYTHONPATH": paths},
+        capture_output=True,
+    )
     taken = time.monotonic() - start
     for number in range(options.kills):
         process = subprocess.Popen(
@@ -387,13 +470,18 @@ def slow(options):
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        enough = round((number + 0.5) * 24 / options.kills)  # pictures, so that each kill finds the run at work
+        # pictures, so that each kill finds the run at work
+        enough = round((number + 0.5) * 24 / options.kills)
         while process.poll() is None and sum(1 for _ in Store(killed).records()) < enough:
             time.sleep(0.02)
         time.sleep(moments.uniform(0.0, 0.15))
         if process.poll() is None:
             hit += 1
-            os.kill(process.pid, signal.SIGKILL) if number % 2 else os.killpg(process.pid, signal.SIGKILL)
+            (
+                os.kill(process.pid, signal.SIGKILL)
+                if number % 2
+                else os.killpg(process.pid, signal.SIGKILL)
+            )
         process.wait()
         bad += bad_records(killed)
     last = run(["factory", "render", job, "--device", "cpu", "--out", killed])
@@ -409,7 +497,16 @@ def slow(options):
     }
     (options.out / "slow.json").write_text(json.dumps(report, indent=1) + "\n")
     print(json.dumps(report, indent=1))
-    return 1 if bad or report["different"] or report["drafts"] or last.status or verified.status or not hit else 0
+    return (
+        1
+        if bad
+        or report["different"]
+        or report["drafts"]
+        or last.status
+        or verified.status
+        or not hit
+        else 0
+    )
 
 
 # pace
@@ -423,7 +520,9 @@ def pace(options):
     site.mkdir(exist_ok=True)
     (site / "sitecustomize.py").write_text(UNSYNCED)
     job = options.out / "pace-job.json"
-    job.write_text(json.dumps(JOB | {"materials": ["merl/test"], "camera": {"size": [128, 128]}, "samples": 4}))
+    job.write_text(
+        json.dumps(JOB | {"materials": ["merl/test"], "camera": {"size": [128, 128]}, "samples": 4})
+    )
     plain = os.environ.get("PYTHONPATH", "")
     seconds = {"synced": [], "not synced": []}
     for number in range(options.rounds):
@@ -435,7 +534,11 @@ def pace(options):
                 sys.exit(f"full_disk.py: {ended.stderr[-300:]}")
             found = [record.seconds for record in Store(folder).records()]
             seconds[name].append(sum(found) / len(found))
-            print(f"round {number}, {name}: {1e3 * seconds[name][-1]:.2f} ms a record of {len(found)}", flush=True)
+            print(
+                f"round {number}, {name}: {1e3 * seconds[name][-1]:.2f} ms a record of"
+                f" {len(found)}",
+                flush=True,
+            )
     ratios = sorted(a / b for a, b in zip(seconds["synced"], seconds["not synced"], strict=True))
     report = {
         "ms": {name: [round(1e3 * s, 3) for s in found] for name, found in seconds.items()},
@@ -448,13 +551,32 @@ def pace(options):
 
 def main():
     """Run one part and write its report."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("part", choices=("records", "commands", "slow", "pace"))
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="where reports go, and what is made on the way")
-    parser.add_argument("--sizes", type=int, default=32, metavar="N", help="disk sizes of `records` (default 32)")
+    parser.add_argument(
+        "--out",
+        required=True,
+        type=Path,
+        metavar="DIR",
+        help="where reports go, and what is made on the way",
+    )
+    parser.add_argument(
+        "--sizes", type=int, default=32, metavar="N", help="disk sizes of `records` (default 32)"
+    )
     parser.add_argument("--disks", nargs="+", default=("tmpfs", "ext4"), choices=("tmpfs", "ext4"))
-    parser.add_argument("--only", nargs="+", default=(), metavar="NAME", help="of `commands`: these alone")
-    parser.add_argument("--shares", type=float, nargs="+", default=STEPS, metavar="X", help=f"of `commands` (default {STEPS})")
+    parser.add_argument(
+        "--only", nargs="+", default=(), metavar="NAME", help="of `commands`: these alone"
+    )
+    parser.add_argument(
+        "--shares",
+        type=float,
+        nargs="+",
+        default=STEPS,
+        metavar="X",
+        help=f"of `commands` (default {STEPS})",
+    )
     parser.add_argument("--kills", type=int, default=6, metavar="N", help="of `slow` (default 6)")
     parser.add_argument("--rounds", type=int, default=5, metavar="N", help="of `pace` (default 5)")
     parser.add_argument("--seed", type=int, default=0)
@@ -463,7 +585,9 @@ def main():
     if options.part in ("records", "commands") and os.geteuid():
         sys.exit("full_disk.py: needs root, to mount small file systems")
     options.out.mkdir(parents=True, exist_ok=True)
-    return {"records": records, "commands": commands, "slow": slow, "pace": pace}[options.part](options)
+    return {"records": records, "commands": commands, "slow": slow, "pace": pace}[options.part](
+        options
+    )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,12 @@
-"""kill -9 at random moments, then resume: is anything lost, anything twice, and is the end the same as of an undisturbed run?
+"""kill -9 at random moments, then resume: is anything lost, anything twice, and is the end the same
+as of an undisturbed run?
 
-    PYTHONPATH=. python tests/endurance/kill_and_resume.py JOB --kills 20 --out DIR [--workers 2] [--window 2 12]
+    PYTHONPATH=. python tests/endurance/kill_and_resume.py JOB --kills 20 --out DIR [--workers 2]
+    [--window 2 12]
 
-renders JOB into DIR/whole undisturbed and into DIR/killed with kills, compares the two, verifies both, and writes DIR/report.json.
-Every other kill hits the parent alone, whose workers must then stop by themselves; the rest hit the whole process group.
+renders JOB into DIR/whole undisturbed and into DIR/killed with kills, compares the two, verifies
+both, and writes DIR/report.json. Every other kill hits the parent alone, whose workers must then
+stop by themselves; the rest hit the whole process group.
 """
 
 import argparse
@@ -22,22 +25,30 @@ import numpy as np
 from manifests.arrays import read_picture
 from manifests.store import Store
 
-SAME_PICTURE = 2e-3  # relative to the picture's largest value: two steps of a half, where Cycles' 2e-6 tips a rounding
-VARYING = {"image_hash", "geometry_hash", "seconds", "statistics"}  # of a record: what Cycles' repeatability leaves open
+# relative to the picture's largest value: two steps of a half, where Cycles' 2e-6 tips a rounding
+SAME_PICTURE = 2e-3
+# of a record: what Cycles' repeatability leaves open
+VARYING = {"image_hash", "geometry_hash", "seconds", "statistics"}
 
 
 def disturbed(command, folder, kills, window, seed, environment=None, working=False):
-    """Start the command again and again, kill it at random moments, let the last one end; returns how many kills hit a living run.
+    """Start the command again and again, kill it at random moments, let the last one end; returns
+    how many kills hit a living run.
 
     window   seconds within which a kill comes, counted from the start
-    working  count them from the moment at which the run has written a record of its own: no kill then falls into its imports
+    working  count them from the moment at which the run has written a record of its own: no kill
+    then falls into its imports
     """
     moments = random.Random(seed)
     hit = 0
     for number in range(kills):
         before = _written(folder)
         process = subprocess.Popen(
-            command, start_new_session=True, env={**os.environ, **(environment or {})}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            command,
+            start_new_session=True,
+            env={**os.environ, **(environment or {})},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
         )
         while working and process.poll() is None and _written(folder) <= before:
             time.sleep(0.01)
@@ -49,7 +60,9 @@ def disturbed(command, folder, kills, window, seed, environment=None, working=Fa
             else:
                 os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-    subprocess.run(command, check=True, env={**os.environ, **(environment or {})}, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        command, check=True, env={**os.environ, **(environment or {})}, stdout=subprocess.DEVNULL
+    )
     return hit
 
 
@@ -59,7 +72,9 @@ def _written(folder):
 
 
 def compared(whole, killed):
-    """What differs between two datasets of one job, a line each: ids, inputs, pixels beyond Cycles' repeatability."""
+    """What differs between two datasets of one job, a line each: ids, inputs, pixels beyond Cycles'
+    repeatability.
+    """
     ours, theirs = ({r.id: r for r in Store(folder).records()} for folder in (whole, killed))
     lines = [f"{id_}: in one dataset only" for id_ in ours.keys() ^ theirs.keys()]
     count = sum(1 for _ in Store(killed).records())
@@ -67,8 +82,13 @@ def compared(whole, killed):
         lines.append(f"{count - len(theirs)} records twice")
     for id_ in ours.keys() & theirs.keys():
         a, b = (msgspec.to_builtins(r[id_]) for r in (ours, theirs))
-        lines += [f"{id_}: {key} {a[key]} and {b[key]}" for key in a.keys() - VARYING if a[key] != b[key]]
-        first, second = read_picture(Path(whole) / a["image"]), read_picture(Path(killed) / b["image"])
+        lines += [
+            f"{id_}: {key} {a[key]} and {b[key]}" for key in a.keys() - VARYING if a[key] != b[key]
+        ]
+        first, second = (
+            read_picture(Path(whole) / a["image"]),
+            read_picture(Path(killed) / b["image"]),
+        )
         apart = np.abs(first - second).max() / max(first.max(), 1e-9)
         if not apart <= SAME_PICTURE:
             lines.append(f"{id_}: pixels {apart:.2g} of the largest apart")
@@ -76,8 +96,12 @@ def compared(whole, killed):
 
 
 def main():
-    """Run it and write the report; 0 if nothing was lost, nothing twice and both folders are clean."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Run it and write the report; 0 if nothing was lost, nothing twice and both folders are
+    clean.
+    """
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("job")
     parser.add_argument("--out", required=True, type=Path)
     parser.add_argument("--kills", type=int, default=20)
@@ -89,14 +113,34 @@ def main():
     extra = [word for path in options.catalogue for word in ("--catalogue", path)]
 
     def render(folder):
-        return [sys.executable, "-m", "factory", "render", options.job, "--out", str(folder), "--workers", str(options.workers), *extra]
+        return [
+            sys.executable,
+            "-m",
+            "factory",
+            "render",
+            options.job,
+            "--out",
+            str(folder),
+            "--workers",
+            str(options.workers),
+            *extra,
+        ]
 
     start = time.monotonic()
-    hit = disturbed(render(options.out / "killed"), options.out / "killed", options.kills, options.window, options.seed)
+    hit = disturbed(
+        render(options.out / "killed"),
+        options.out / "killed",
+        options.kills,
+        options.window,
+        options.seed,
+    )
     subprocess.run(render(options.out / "whole"), check=True)
     differences = compared(options.out / "whole", options.out / "killed")
     verified = [
-        subprocess.run([sys.executable, "-m", "factory", "verify", str(options.out / name)]).returncode for name in ("whole", "killed")
+        subprocess.run(
+            [sys.executable, "-m", "factory", "verify", str(options.out / name)]
+        ).returncode
+        for name in ("whole", "killed")
     ]
     report = {
         "kills": hit,

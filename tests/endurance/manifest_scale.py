@@ -2,8 +2,9 @@
 
     PYTHONPATH=. python tests/endurance/manifest_scale.py --out DIR
 
-The records of a job of 150 shapes, 60 materials, eight lights and ten views are written into DIR as if they had been
-rendered: ids, seeds and views are true, the files that they name are not there. Only the lines are read.
+The records of a job of 150 shapes, 60 materials, eight lights and ten views are written into DIR as
+if they had been rendered: ids, seeds and views are true, the files that they name are not there.
+Only the lines are read.
 """
 
 import argparse
@@ -60,7 +61,13 @@ def planned():
     shapes = []
     for name in (f"chair:{k}" for k in range(SHAPES)):
         role = role_of(name, "chair", hash_of(name), JOB.split)
-        words = {"name": name, "category": "chair", "hash": hash_of(name), "role": role, "side": SIDES[role]}
+        words = {
+            "name": name,
+            "category": "chair",
+            "hash": hash_of(name),
+            "role": role,
+            "side": SIDES[role],
+        }
         shapes.append(Shape(**words, source=Source(name), segments=1, licence="", report=""))
     lights = {name: Light(name, name, hash_of(name), 1.0, "CC0", "", None) for name in JOB.lights}
     return Plan(JOB, Assets(shapes, resolve(sphere).materials, lights), "render")
@@ -73,9 +80,15 @@ def described(plan):
         orders=(Order(job=plan.job, shots=len(plan), begun=""),),
         settings={plan.render: {}},
         shapes={
-            s.name: ShapeEntry(hash=s.hash, category=s.category, side=s.side, role=s.role, segments=1, licence="") for s in assets.shapes
+            s.name: ShapeEntry(
+                hash=s.hash, category=s.category, side=s.side, role=s.role, segments=1, licence=""
+            )
+            for s in assets.shapes
         },
-        materials={m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source) for m in assets.materials},
+        materials={
+            m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source)
+            for m in assets.materials
+        },
         lights={
             name: LightEntry(
                 hash=light.hash,
@@ -141,18 +154,25 @@ def timed(name, work):
     found = work()
     megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     wall, processor = time.perf_counter() - wall, time.process_time() - processor
-    print(f"{name}: {wall:.1f} s, {processor:.1f} s CPU, peak {megabytes:.0f} MB ({found})", flush=True)
+    print(
+        f"{name}: {wall:.1f} s, {processor:.1f} s CPU, peak {megabytes:.0f} MB ({found})",
+        flush=True,
+    )
 
 
 def main():
     """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", required=True, type=Path)
     options = parser.parse_args()
     store = Store(options.out) if (options.out / "records").is_dir() else grown(options.out)
     print(f"{sum(p.stat().st_size for p in store.record_files()) / 1e6:.0f} MB of records")
     timed("list", lambda: sum(1 for _ in store.records()))
-    timed("filter", lambda: sum(1 for _ in store.records(lambda record: record.id.startswith("ab"))))
+    timed(
+        "filter", lambda: sum(1 for _ in store.records(lambda record: record.id.startswith("ab")))
+    )
     timed("resume (ids)", lambda: len(store.ids()))
     timed("verify --quick", lambda: list(deque(Verification(store).in_records(), maxlen=3)))
     return 0

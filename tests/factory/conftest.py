@@ -25,7 +25,9 @@ def light_file(tmp_path_factory):
 
     path = tmp_path_factory.mktemp("light") / "lamp.exr"
     ramp = np.linspace(0.1, 2.0, 16 * 32, dtype=np.float32).reshape(16, 32)
-    with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, {c: ramp * (k + 1) for k, c in enumerate("RGB")}) as file:
+    with OpenEXR.File(
+        {"compression": OpenEXR.ZIP_COMPRESSION}, {c: ramp * (k + 1) for k, c in enumerate("RGB")}
+    ) as file:
         file.write(str(path))
     return path
 
@@ -34,7 +36,12 @@ def light_file(tmp_path_factory):
 def small_job(light_file):
     """Two shapes, three materials, one light, two views: 12 shots of 16 × 16."""
     return Job(
-        shapes=("cube", "disc"), materials=("small",), lights=(str(light_file),), views=(0, 6), samples=1, camera=Camera(size=(16, 16))
+        shapes=("cube", "disc"),
+        materials=("small",),
+        lights=(str(light_file),),
+        views=(0, 6),
+        samples=1,
+        camera=Camera(size=(16, 16)),
     )
 
 

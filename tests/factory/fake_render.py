@@ -1,4 +1,6 @@
-"""`python fake_render.py JOB OUT CATALOGUE`: carry a job out with the fake studio, as a process that can be killed."""
+"""`python fake_render.py JOB OUT CATALOGUE`: carry a job out with the fake studio, as a process
+that can be killed.
+"""
 
 import sys
 

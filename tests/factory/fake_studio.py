@@ -1,7 +1,9 @@
-"""A studio without Blender, for what surrounds rendering: a shaded sphere in no time, and misbehaviour on demand.
+"""A studio without Blender, for what surrounds rendering: a shaded sphere in no time, and
+misbehaviour on demand.
 
-What it does wrong stands in the environment variable FAKE_STUDIO, comma-separated, each for one shape: `nan:NAME` pixels, `crash:NAME`,
-`once:NAME` crashes only while the file named by FAKE_STUDIO_MARK is not there, `slow` takes 20 ms a picture.
+What it does wrong stands in the environment variable FAKE_STUDIO, comma-separated, each for one
+shape: `nan:NAME` pixels, `crash:NAME`, `once:NAME` crashes only while the file named by
+FAKE_STUDIO_MARK is not there, `slow` takes 20 ms a picture.
 """
 
 import os
@@ -27,7 +29,9 @@ class Studio:
         x, y = frames.pixel_grid(*camera.size)
         z2 = 1 - (x**2 + y**2) * camera.half_extent**2
         self._mask = z2 > 0
-        normals = np.stack([x * camera.half_extent, y * camera.half_extent, np.sqrt(np.maximum(z2, 0))], axis=-1)
+        normals = np.stack(
+            [x * camera.half_extent, y * camera.half_extent, np.sqrt(np.maximum(z2, 0))], axis=-1
+        )
         self._normals = np.where(self._mask[..., None], normals, 0).astype(np.float32)
 
     def set_shape(self, mesh):
@@ -44,7 +48,9 @@ class Studio:
 
     def geometry(self):
         segments = self._mask.astype(np.uint8)
-        return SimpleNamespace(normals=self._normals, mask=self._mask, depth=-self._normals[..., 2], segments=segments)
+        return SimpleNamespace(
+            normals=self._normals, mask=self._mask, depth=-self._normals[..., 2], segments=segments
+        )
 
     def picture(self, samples, seed, tier="direct"):
         name = self._mesh.name
@@ -54,11 +60,16 @@ class Studio:
             time.sleep(0.02)
         if f"crash:{name}" in self._wrong:
             os.kill(os.getpid(), 11)
-        if f"once:{name}" in self._wrong and not (mark := Path(os.environ["FAKE_STUDIO_MARK"])).exists():
+        if (
+            f"once:{name}" in self._wrong
+            and not (mark := Path(os.environ["FAKE_STUDIO_MARK"])).exists()
+        ):
             mark.touch()
             os.kill(os.getpid(), 11)
         rng = np.random.default_rng(seed)
-        radiance = (self._normals[..., 2:] * self._colour * (1 + 0.1 * rng.random())).astype(np.float32)
+        radiance = (self._normals[..., 2:] * self._colour * (1 + 0.1 * rng.random())).astype(
+            np.float32
+        )
         if f"nan:{name}" in self._wrong:
             radiance[0, 0] = np.nan
         return radiance, self._mask.astype(np.float32)

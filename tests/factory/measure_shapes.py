@@ -1,4 +1,6 @@
-"""The table of docs/shapes.md: time, triangles, distinctness. Run it: PYTHONPATH=. python tests/factory/measure_shapes.py"""
+"""The table of docs/shapes.md: time, triangles, distinctness. Run it: PYTHONPATH=. python
+tests/factory/measure_shapes.py
+"""
 
 import time
 
@@ -11,8 +13,16 @@ SIDES = ((0.0, 0.1), (1.571, 0.1), (0.7, 0.35), (2.5, 0.35))  # azimuth and elev
 
 
 def overlaps(meshes, size=48):
-    """Intersection over union (N, N) of the meshes' silhouettes from four sides; 0 on the diagonal."""
-    masks = np.array([np.concatenate([silhouette(mesh, *side, size).ravel() for side in SIDES]) for mesh in meshes], float)
+    """Intersection over union (N, N) of the meshes' silhouettes from four sides; 0 on the
+    diagonal.
+    """
+    masks = np.array(
+        [
+            np.concatenate([silhouette(mesh, *side, size).ravel() for side in SIDES])
+            for mesh in meshes
+        ],
+        float,
+    )
     both, each = masks @ masks.T, masks.sum(1)
     iou = both / (each[:, None] + each - both)
     np.fill_diagonal(iou, 0)
@@ -27,9 +37,22 @@ def row(family):
         meshes.append(load(spec))
         seconds.append(time.process_time() - start)
     iou, triangles = overlaps(meshes), [mesh.report.triangles for mesh in meshes]
-    hashes, tight = len({mesh.hash for mesh in meshes}), sum(mesh.report.watertight for mesh in meshes)
-    cells = [family, len(meshes), hashes, tight, f"{min(triangles):,} / {np.median(triangles):,.0f} / {max(triangles):,}"]
-    cells += [f"{np.mean(seconds):.2f} / {max(seconds):.2f}", f"{iou.max():.3f}", f"{np.median(iou.max(1)):.3f}"]
+    hashes, tight = (
+        len({mesh.hash for mesh in meshes}),
+        sum(mesh.report.watertight for mesh in meshes),
+    )
+    cells = [
+        family,
+        len(meshes),
+        hashes,
+        tight,
+        f"{min(triangles):,} / {np.median(triangles):,.0f} / {max(triangles):,}",
+    ]
+    cells += [
+        f"{np.mean(seconds):.2f} / {max(seconds):.2f}",
+        f"{iou.max():.3f}",
+        f"{np.median(iou.max(1)):.3f}",
+    ]
     return "| " + " | ".join(map(str, cells)) + " |"
 
 

@@ -1,4 +1,6 @@
-"""Whatever is wrong with a job, a manifest or the disk: one line, exit 1 or 2, and nothing that was written is lost."""
+"""Whatever is wrong with a job, a manifest or the disk: one line, exit 1 or 2, and nothing that was
+written is lost.
+"""
 
 import json
 import subprocess
@@ -30,7 +32,11 @@ def command(capsys):
 
 
 def one_line(text):
-    lines = [line for line in text.splitlines() if line.strip() and "it/s" not in line and "shape" not in line.split(":")[0]]
+    lines = [
+        line
+        for line in text.splitlines()
+        if line.strip() and "it/s" not in line and "shape" not in line.split(":")[0]
+    ]
     return len(lines) == 1 and "Traceback" not in text
 
 
@@ -47,10 +53,22 @@ def a_job(tmp_path, small_job, light_file):
     ("text", "says"),
     [
         ('{"shapes": ["cube"', "expected JSON"),
-        ('{"shapes": ["cube"], "materials": ["small"], "lights": ["lamp.exr"], "sampels": 3}', "did you mean samples"),
-        ('{"shapes": ["cube"], "materials": ["small"], "lights": ["lamp.exr"], "samples": "3"}', "samples: expected int"),
-        ('{"shapes": ["../cube.obj"], "materials": ["small"], "lights": ["lamp.exr"]}', "a path inside"),
-        ('{"shapes": ["cube"], "materials": ["small"], "lights": ["../lamp.exr"]}', "a path inside"),
+        (
+            '{"shapes": ["cube"], "materials": ["small"], "lights": ["lamp.exr"], "sampels": 3}',
+            "did you mean samples",
+        ),
+        (
+            '{"shapes": ["cube"], "materials": ["small"], "lights": ["lamp.exr"], "samples": "3"}',
+            "samples: expected int",
+        ),
+        (
+            '{"shapes": ["../cube.obj"], "materials": ["small"], "lights": ["lamp.exr"]}',
+            "a path inside",
+        ),
+        (
+            '{"shapes": ["cube"], "materials": ["small"], "lights": ["../lamp.exr"]}',
+            "a path inside",
+        ),
         ('{"shapes": ["cube"], "materials": ["small"], "lights": ["/lamp.exr"]}', "a path inside"),
         ('{"shapes": ["cube"], "materials": ["small"], "lights": ["lmap.exr"]}', "lmap.exr"),
         ('{"shapes": ["cube.obj"], "materials": ["small"], "lights": ["lamp.exr"]}', "cube.obj"),
@@ -60,7 +78,9 @@ def a_job(tmp_path, small_job, light_file):
     ],
 )
 @pytest.mark.parametrize("verb", ["plan", "render"])
-def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(command, a_job, catalogue, tmp_path, verb, text, says):
+def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(
+    command, a_job, catalogue, tmp_path, verb, text, says
+):
     path, _ = a_job
     path.write_text(text)
     words = ["--out", tmp_path / "data"] if verb == "render" else ["--no-probe"]
@@ -80,13 +100,81 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(comman
         (["render", "demo", "--out", "X", "--shard", "9/8"], "1 ≤ I ≤ N", 1),
         (["render", "demo", "--out", "X", "--shard", "²/3"], "1 ≤ I ≤ N, found '²/3'", 1),
         (["render", "demo", "--out", "X", "--shard", "1/" + "9" * 5000], "1 ≤ I ≤ N", 1),
-        (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "9" * 5000, "--out", "X"], "pixels from 4 to 8192", 1),
-        (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "9" * 5000, "--out", "X"], "numbers from 0 to 23", 1),
+        (
+            [
+                "render",
+                "--mesh",
+                "cube",
+                "--material",
+                "m",
+                "--light",
+                "l",
+                "--size",
+                "9" * 5000,
+                "--out",
+                "X",
+            ],
+            "pixels from 4 to 8192",
+            1,
+        ),
+        (
+            [
+                "render",
+                "--mesh",
+                "cube",
+                "--material",
+                "m",
+                "--light",
+                "l",
+                "--views",
+                "9" * 5000,
+                "--out",
+                "X",
+            ],
+            "numbers from 0 to 23",
+            1,
+        ),
         (["render", "demo", "--out", "X", "--device", "abacus"], "--device", 2),
-        (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--views", "24", "--out", "X"], "numbers from 0 to 23", 1),
-        (["render", "--mesh", "cube", "--material", "m", "--light", "l", "--size", "0", "--out", "X"], "pixels from 4 to 8192", 1),
+        (
+            [
+                "render",
+                "--mesh",
+                "cube",
+                "--material",
+                "m",
+                "--light",
+                "l",
+                "--views",
+                "24",
+                "--out",
+                "X",
+            ],
+            "numbers from 0 to 23",
+            1,
+        ),
+        (
+            [
+                "render",
+                "--mesh",
+                "cube",
+                "--material",
+                "m",
+                "--light",
+                "l",
+                "--size",
+                "0",
+                "--out",
+                "X",
+            ],
+            "pixels from 4 to 8192",
+            1,
+        ),
         (["plan"], "expected a job", 1),
-        (["plan", "nowhere.json"], "nowhere.json: expected a JSON file, found no such file (check the path", 1),
+        (
+            ["plan", "nowhere.json"],
+            "nowhere.json: expected a JSON file, found no such file (check the path",
+            1,
+        ),
         (["status", "nowhere"], "a dataset", 1),
         (["verify", "nowhere"], "a dataset", 1),
         (["preview", "nowhere"], "a dataset", 1),
@@ -109,7 +197,11 @@ def test_wrong_usage_is_told_with_the_remedy(command, tmp_path, monkeypatch, wor
         ("--fov", "nan", "--fov: expected degrees from 1 to 120, found nan"),
         ("--fov", "inf", "--fov: expected degrees from 1 to 120, found inf"),
         ("--samples", "2000000", "--samples: expected int <= 1048576, found 2000000"),
-        ("--seed", "99999999999999999999", "--seed: expected int <= 9223372036854775807, found 99999999999999999999"),
+        (
+            "--seed",
+            "99999999999999999999",
+            "--seed: expected int <= 9223372036854775807, found 99999999999999999999",
+        ),
         ("--seed", "-4", "--seed: expected int >= 0, found -4"),
     ],
 )
@@ -118,7 +210,18 @@ def test_a_number_that_no_job_file_may_hold_leaves_the_dataset_as_it_is(
 ):
     render(small_job, tmp_path / "data", limit=1)
     before = (tmp_path / "data" / "dataset.json").read_bytes()
-    words = ("--mesh", "cube", "--material", "small", "--light", light_file, "--catalogue", catalogue, "--out", tmp_path / "data")
+    words = (
+        "--mesh",
+        "cube",
+        "--material",
+        "small",
+        "--light",
+        light_file,
+        "--catalogue",
+        catalogue,
+        "--out",
+        tmp_path / "data",
+    )
     status, said = command("render", *words, f"{option}={value}", "--limit", "1")
     assert status == 1 and says in said and one_line(said)
     assert (tmp_path / "data" / "dataset.json").read_bytes() == before
@@ -135,7 +238,9 @@ def test_the_help_of_render_names_every_preset(capsys):
 
     with pytest.raises(SystemExit):
         main("factory", "", COMMANDS, ["render", "--help"])
-    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("Presets: "))
+    (line,) = (
+        line for line in capsys.readouterr().out.splitlines() if line.startswith("Presets: ")
+    )
     assert line.removeprefix("Presets: ").partition(";")[0].split(", ") == list(jobs.presets())
 
 
@@ -144,12 +249,17 @@ def test_the_help_of_render_names_every_preset(capsys):
     ("damage", "says"),
     [
         (lambda value: b"{", "expected JSON"),
-        (lambda value: json.dumps({**value, "flavour": 1}).encode(), "expected a known key, found 'flavour'"),
+        (
+            lambda value: json.dumps({**value, "flavour": 1}).encode(),
+            "expected a known key, found 'flavour'",
+        ),
         (lambda value: json.dumps({**value, "version": 7}).encode(), "version"),
         (lambda value: json.dumps({**value, "version": "one"}).encode(), "expected"),
     ],
 )
-def test_a_damaged_manifest_is_named_and_left_as_it_is_or_written_again(command, render, small_job, tmp_path, name, damage, says):
+def test_a_damaged_manifest_is_named_and_left_as_it_is_or_written_again(
+    command, render, small_job, tmp_path, name, damage, says
+):
     render(small_job, tmp_path / "data", limit=1)
     path = tmp_path / "data" / name
     path.write_bytes(damage(json.loads(path.read_text())))
@@ -157,7 +267,8 @@ def test_a_damaged_manifest_is_named_and_left_as_it_is_or_written_again(command,
     for verb in ("verify", "preview"):
         status, said = command(verb, tmp_path / "data")
         assert status == 1 and says in said and name in said
-        assert one_line(said) or (verb, name) == ("verify", "materials.json")  # the other faults are listed, too
+        # the other faults are listed, too
+        assert one_line(said) or (verb, name) == ("verify", "materials.json")
     if name == "materials.json":  # all of them are known to the job, which writes them again
         render(small_job, tmp_path / "data")
         assert command("verify", tmp_path / "data")[0] == 0
@@ -176,7 +287,9 @@ def test_a_damaged_manifest_is_named_and_left_as_it_is_or_written_again(command,
         (b'{"id": 7}\n', "str"),
     ],
 )
-def test_a_damaged_record_line_is_found_and_repaired_without_losing_the_others(command, render, small_job, tmp_path, line, says):
+def test_a_damaged_record_line_is_found_and_repaired_without_losing_the_others(
+    command, render, small_job, tmp_path, line, says
+):
     import re
 
     render(small_job, tmp_path / "data")
@@ -192,12 +305,18 @@ def test_a_damaged_record_line_is_found_and_repaired_without_losing_the_others(c
     assert command("verify", tmp_path / "data")[0] == 0
 
 
-def test_a_record_that_points_outside_is_found_and_nothing_outside_is_touched(command, render, small_job, tmp_path):
+def test_a_record_that_points_outside_is_found_and_nothing_outside_is_touched(
+    command, render, small_job, tmp_path
+):
     render(small_job, tmp_path / "data", limit=2)
     (tmp_path / "outside.exr").write_bytes(b"mine")
     path = Store(tmp_path / "data").record_files()[0]
     value = json.loads(path.read_bytes().splitlines()[0])
-    path.write_bytes(json.dumps({**value, "image": "../outside.exr"}).encode() + b"\n" + path.read_bytes().split(b"\n", 1)[1])
+    path.write_bytes(
+        json.dumps({**value, "image": "../outside.exr"}).encode()
+        + b"\n"
+        + path.read_bytes().split(b"\n", 1)[1]
+    )
     status, said = command("verify", tmp_path / "data", "--repair")
     assert ", found ../outside.exr" in said and status == 0
     assert (tmp_path / "outside.exr").read_bytes() == b"mine"
@@ -210,7 +329,9 @@ def test_missing_files_are_named_and_made_again_after_repair(command, render, sm
     records = list(Store(tmp_path / "data").records())
     (tmp_path / "data" / records[0].image).unlink()
     status, said = command("verify", tmp_path / "data")
-    assert status == 1 and f"{records[0].image}: expected an OpenEXR file, found no such file" in said
+    assert (
+        status == 1 and f"{records[0].image}: expected an OpenEXR file, found no such file" in said
+    )
     status, said = command("preview", tmp_path / "data", "--out", tmp_path / "p", "--count", "12")
     assert status == 1 and records[0].id in said
     assert command("verify", tmp_path / "data", "--repair")[0] == 0
@@ -226,7 +347,10 @@ def test_a_preview_replaces_a_page_only_when_told(command, render, small_job, tm
     words = ("preview", tmp_path / "data", "--out", page.parent, "--size", "16")
     status, said = command(*words)
     assert (
-        status == 1 and "index.html: expected no earlier result, found one (give another --out, or --overwrite" in said and one_line(said)
+        status == 1
+        and "index.html: expected no earlier result, found one (give another --out, or --overwrite"
+        in said
+        and one_line(said)
     )
     assert page.read_text() == "mine" and not sheet.exists()
     assert command(*words, "--overwrite")[0] == 0
@@ -247,7 +371,9 @@ def test_a_light_file_that_is_gone_is_named(command, a_job, catalogue, tmp_path,
     assert status == 1 and "lights/lamp-" in said and one_line(said)
 
 
-def test_a_mesh_that_changed_since_the_plan_is_a_failure_with_its_reason(plan_of, small_job, tmp_path, monkeypatch):
+def test_a_mesh_that_changed_since_the_plan_is_a_failure_with_its_reason(
+    plan_of, small_job, tmp_path, monkeypatch
+):
     from tetrahedron import FAKE, HERE, TETRAHEDRON
 
     from factory.execution.run import RunOptions, carry_out
@@ -255,7 +381,11 @@ def test_a_mesh_that_changed_since_the_plan_is_a_failure_with_its_reason(plan_of
     monkeypatch.setenv("PYTHONPATH", str(HERE))
     mesh = tmp_path / "mesh.ply"
     mesh.write_bytes(TETRAHEDRON)
-    plan = plan_of(msgspec.structs.replace(small_job, shapes=(str(mesh),), views=(0,), materials=("small/matte",)))
+    plan = plan_of(
+        msgspec.structs.replace(
+            small_job, shapes=(str(mesh),), views=(0,), materials=("small/matte",)
+        )
+    )
     mesh.write_bytes(TETRAHEDRON.replace(b"0 0 2", b"0 0 3"))
     assert carry_out(plan, tmp_path / "data", RunOptions(studio=FAKE)).failed == 1
     assert "it changed meanwhile" in next(iter(Store(tmp_path / "data").failures())).reason
@@ -266,14 +396,20 @@ def tiny_disk(tmp_path):
     """A file system whose size can be set: a function of a size such as "300k"."""
     folder = tmp_path / "disk"
     folder.mkdir()
-    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=160k", "tmpfs", str(folder)], capture_output=True, text=True)
+    done = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=160k", "tmpfs", str(folder)],
+        capture_output=True,
+        text=True,
+    )
     if done.returncode:
         pytest.skip(f"needs the right to mount a small file system: {done.stderr.strip()}")
     yield folder
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-def test_a_full_disk_stops_the_run_in_one_line_and_the_same_command_goes_on_when_there_is_room(render, small_job, tiny_disk):
+def test_a_full_disk_stops_the_run_in_one_line_and_the_same_command_goes_on_when_there_is_room(
+    render, small_job, tiny_disk
+):
     job = msgspec.structs.replace(small_job, views=tuple(range(12)))
     data = tiny_disk / "data"
     with pytest.raises((InputError, OSError), match="No space left on device") as caught:
@@ -302,5 +438,7 @@ def test_an_export_that_is_refused_has_written_nothing(tmp_path, command, monkey
     monkeypatch.setattr("manifests.export.to_parquet", lambda *_: written.append(1))
     (tmp_path / "tars").mkdir()
     (tmp_path / "tars" / "000000.tar").write_bytes(b"")
-    status, said = command("export", store.folder, "--parquet", tmp_path / "all.parquet", "--tars", tmp_path / "tars")
+    status, said = command(
+        "export", store.folder, "--parquet", tmp_path / "all.parquet", "--tars", tmp_path / "tars"
+    )
     assert status == 1 and "a folder without tars" in said and not written

@@ -1,4 +1,6 @@
-"""Files of a data set that were damaged since they were written: the next run replaces them, or says what to do."""
+"""Files of a data set that were damaged since they were written: the next run replaces them, or
+says what to do.
+"""
 
 import os
 import shutil
@@ -26,7 +28,11 @@ def faults(folder):
 
 def bytes_of(folder, kind):
     """{path: bytes} of all files of a kind."""
-    return {path.relative_to(folder): path.read_bytes() for path in sorted((folder / kind).rglob("*.*")) if path.is_file()}
+    return {
+        path.relative_to(folder): path.read_bytes()
+        for path in sorted((folder / kind).rglob("*.*"))
+        if path.is_file()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -34,18 +40,29 @@ def template(catalogue, light_file, tmp_path_factory):
     """As `begun`: rendered once, copied for each test."""
     views = tuple(range(len(DAMAGES) + 1))
     camera = Camera(size=(16, 16))
-    job = Job(shapes=("cube",), materials=("small",), lights=(str(light_file),), views=views, samples=1, camera=camera)
+    job = Job(
+        shapes=("cube",),
+        materials=("small",),
+        lights=(str(light_file),),
+        views=views,
+        samples=1,
+        camera=camera,
+    )
     folder = tmp_path_factory.mktemp("template")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(HERE))
         first = msgspec.structs.replace(job, materials=("small/matte", "small/metal"))
-        carry_out(planned(first, resolve(first, catalogues=[catalogue])), folder, RunOptions(studio=FAKE))
+        carry_out(
+            planned(first, resolve(first, catalogues=[catalogue])), folder, RunOptions(studio=FAKE)
+        )
     return folder, job
 
 
 @pytest.fixture
 def begun(template, tmp_path):
-    """A data set of which one picture is still owed of each geometry file, and its job with all pictures."""
+    """A data set of which one picture is still owed of each geometry file, and its job with all
+    pictures.
+    """
     folder, job = template
     shutil.copytree(folder, tmp_path / "data")
     return tmp_path / "data", job
@@ -61,13 +78,25 @@ def emptied(path):
 
 def of_another_size(path):
     geometry = read_geometry(path)
-    path.write_bytes(encode_geometry(geometry._replace(**{name: getattr(geometry, name)[:8, :8] for name in geometry._fields})))
+    path.write_bytes(
+        encode_geometry(
+            geometry._replace(
+                **{name: getattr(geometry, name)[:8, :8] for name in geometry._fields}
+            )
+        )
+    )
 
 
 def turned(path):
     """Readable, of the right size, unit normals: but not what was rendered."""
     geometry = read_geometry(path)
-    path.write_bytes(encode_geometry(geometry._replace(normals=geometry.normals[:, ::-1], segments=geometry.segments[:, ::-1])))
+    path.write_bytes(
+        encode_geometry(
+            geometry._replace(
+                normals=geometry.normals[:, ::-1], segments=geometry.segments[:, ::-1]
+            )
+        )
+    )
 
 
 def not_unit(path):
@@ -94,7 +123,16 @@ def a_broken_link(path):
     path.symlink_to("nowhere")
 
 
-DAMAGES = (truncated, emptied, of_another_size, turned, not_unit, not_finite, a_picture, a_broken_link)
+DAMAGES = (
+    truncated,
+    emptied,
+    of_another_size,
+    turned,
+    not_unit,
+    not_finite,
+    a_picture,
+    a_broken_link,
+)
 
 
 def test_damaged_geometry_files_are_rendered_again_by_the_run_that_needs_them(render, begun):
@@ -104,16 +142,26 @@ def test_damaged_geometry_files_are_rendered_again_by_the_run_that_needs_them(re
     for damage, path in zip(DAMAGES, paths, strict=False):
         damage(folder / path)
     notes = []
-    outcome = render(job, folder, lambda event, value: notes.append(value) if event == "note" else None)
+    outcome = render(
+        job, folder, lambda event, value: notes.append(value) if event == "note" else None
+    )
     assert (outcome.made, outcome.failed, outcome.already_there) == (len(paths), 0, 2 * len(paths))
     left = bytes_of(folder, "geometry")
-    assert [damage.__name__ for damage, path in zip(DAMAGES, paths, strict=False) if left.get(path) != whole[path]] == []
+    assert [
+        damage.__name__
+        for damage, path in zip(DAMAGES, paths, strict=False)
+        if left.get(path) != whole[path]
+    ] == []
     assert faults(folder) == []
-    assert sorted(note.split(" ")[0] for note in notes) == [str(path) for path in paths[: len(DAMAGES)]]
+    assert sorted(note.split(" ")[0] for note in notes) == [
+        str(path) for path in paths[: len(DAMAGES)]
+    ]
     assert all("was damaged" in note and "rendered again" in note for note in notes)
 
 
-def test_a_pipe_in_the_place_of_geometry_fails_its_shots_in_a_line_and_holds_nothing_up(render, begun):
+def test_a_pipe_in_the_place_of_geometry_fails_its_shots_in_a_line_and_holds_nothing_up(
+    render, begun
+):
     """Nothing that this program makes is a pipe, so none is taken away."""
     folder, job = begun
     a_pipe(folder / sorted(bytes_of(folder, "geometry"))[1])
@@ -122,7 +170,9 @@ def test_a_pipe_in_the_place_of_geometry_fails_its_shots_in_a_line_and_holds_not
     assert "a pipe" in next(Store(folder).failures()).reason
 
 
-def test_damaged_geometry_whose_records_are_all_there_is_found_and_healed_by_verify_and_render(render, begun):
+def test_damaged_geometry_whose_records_are_all_there_is_found_and_healed_by_verify_and_render(
+    render, begun
+):
     folder, job = begun
     render(job, folder)
     emptied(folder / sorted(bytes_of(folder, "geometry"))[1])
@@ -134,12 +184,17 @@ def test_damaged_geometry_whose_records_are_all_there_is_found_and_healed_by_ver
 
 
 def test_records_that_name_geometry_which_no_render_gives_again_are_told_and_healed(render, begun):
-    """As after a change of machine between the two runs: the earlier records' hash cannot be had any more."""
+    """As after a change of machine between the two runs: the earlier records' hash cannot be had
+    any more.
+    """
     folder, job = begun
     (lines,) = Store(folder).record_files()
     records = list(Store(folder).records())
     altered = records[0].geometry
-    changed = [msgspec.structs.replace(r, geometry_hash="0" * 64) if r.geometry == altered else r for r in records]
+    changed = [
+        msgspec.structs.replace(r, geometry_hash="0" * 64) if r.geometry == altered else r
+        for r in records
+    ]
     lines.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in changed))
     truncated(folder / altered)
     notes = []
@@ -152,7 +207,9 @@ def test_records_that_name_geometry_which_no_render_gives_again_are_told_and_hea
     assert faults(folder) == []
 
 
-def test_two_workers_that_meet_one_damaged_file_agree_on_what_lies_there(render, begun, monkeypatch):
+def test_two_workers_that_meet_one_damaged_file_agree_on_what_lies_there(
+    render, begun, monkeypatch
+):
     folder, job = begun
     for path in bytes_of(folder, "geometry"):
         not_unit(folder / path)
@@ -167,12 +224,16 @@ def test_views_of_geometry_alone_replace_a_damaged_file_too(render, small_job, t
     render(job, tmp_path, limit=2)
     whole = bytes_of(tmp_path, "geometry")
     (lines,) = Store(tmp_path).record_files("views")
-    lines.write_bytes(lines.read_bytes().splitlines(keepends=True)[0])  # the second one's record is gone, its file is there
+    # the second one's record is gone, its file is there
+    lines.write_bytes(lines.read_bytes().splitlines(keepends=True)[0])
     for path in whole:
         emptied(tmp_path / path)
     assert render(job, tmp_path).made == 3
     left = bytes_of(tmp_path, "geometry")
-    assert [path for path in whole if left[path] != whole[path]] == [Path(next(Store(tmp_path).views()).geometry)]  # nobody looked there
+    # nobody looked there
+    assert [path for path in whole if left[path] != whole[path]] == [
+        Path(next(Store(tmp_path).views()).geometry)
+    ]
 
 
 @pytest.mark.parametrize("damage", [emptied, "another"])
@@ -189,8 +250,12 @@ def test_a_damaged_light_map_is_written_again_by_the_next_run(render, begun, dam
     assert faults(folder) == []
 
 
-def test_a_damaged_light_map_is_not_taken_for_the_right_one_where_no_dataset_says_otherwise(render, begun):
-    """dataset.json is written after the maps: a run that was killed between the two left maps that nothing vouches for."""
+def test_a_damaged_light_map_is_not_taken_for_the_right_one_where_no_dataset_says_otherwise(
+    render, begun
+):
+    """dataset.json is written after the maps: a run that was killed between the two left maps that
+    nothing vouches for.
+    """
     folder, job = begun
     (path,) = (folder / "lights").iterdir()
     whole = path.read_bytes()
@@ -204,7 +269,9 @@ def test_a_damaged_light_map_is_not_taken_for_the_right_one_where_no_dataset_say
 def test_a_map_that_another_machine_rounded_otherwise_stays(render, begun):
     folder, job = begun
     (path,) = (folder / "lights").iterdir()
-    np.savez_compressed(path, L=np.nextafter(read_light(path), np.float32(np.inf)), scale=read_scale(path))
+    np.savez_compressed(
+        path, L=np.nextafter(read_light(path), np.float32(np.inf)), scale=read_scale(path)
+    )
     rounded = path.read_bytes()
     (folder / "dataset.json").unlink()
     render(job, folder)
@@ -215,7 +282,10 @@ def test_a_map_that_another_machine_rounded_otherwise_stays(render, begun):
 @pytest.mark.parametrize("damage", [truncated, "label"])
 def test_damaged_materials_that_the_job_knows_are_written_again(render, begun, damage):
     folder, job = begun
-    job, path = msgspec.structs.replace(job, materials=("small/matte", "small/metal")), folder / "materials.json"
+    job, path = (
+        msgspec.structs.replace(job, materials=("small/matte", "small/metal")),
+        folder / "materials.json",
+    )
     whole = path.read_bytes()
     if damage == "label":
         entry = read_catalogue(path).materials[0]
@@ -229,10 +299,15 @@ def test_damaged_materials_that_the_job_knows_are_written_again(render, begun, d
 
 def test_damaged_materials_of_another_job_say_what_to_do_and_so_it_works(render, begun):
     folder, job = begun
-    path, first = folder / "materials.json", msgspec.structs.replace(job, materials=("small/matte",))
+    path, first = (
+        folder / "materials.json",
+        msgspec.structs.replace(job, materials=("small/matte",)),
+    )
     damaged = path.read_bytes()[:-10]
     path.write_bytes(damaged)
-    with pytest.raises(InputError, match=r"delete it and render each of the folder's jobs again: they know .*metal"):
+    with pytest.raises(
+        InputError, match=r"delete it and render each of the folder's jobs again: they know .*metal"
+    ):
         render(first, folder)
     assert path.read_bytes() == damaged
     path.unlink()

@@ -1,6 +1,8 @@
-"""Every command of `factory` that writes, where the disk is full: one line, no draft, nothing lost, and the same command succeeds later.
+"""Every command of `factory` that writes, where the disk is full: one line, no draft, nothing lost,
+and the same command succeeds later.
 
-RLIMIT_FSIZE stands for the full disk: it needs no root. tests/endurance/full_disk.py does the same on real small file systems.
+RLIMIT_FSIZE stands for the full disk: it needs no root. tests/endurance/full_disk.py does the same
+on real small file systems.
 """
 
 import os
@@ -10,7 +12,16 @@ import sys
 
 import msgspec
 import pytest
-from full_disk_case import bad_records, check, check_read_only, contents, done, drafts, mesh, pictures
+from full_disk_case import (
+    bad_records,
+    check,
+    check_read_only,
+    contents,
+    done,
+    drafts,
+    mesh,
+    pictures,
+)
 from PIL import Image
 from tetrahedron import FAKE, HERE
 
@@ -40,17 +51,30 @@ def room(tmp_path_factory, catalogue, light_file):
     room = tmp_path_factory.mktemp("room")
     pictures(room)
     mesh(room)
-    job = Job(shapes=("cube",), materials=("small",), lights=(str(light_file),), views=(0, 6), samples=1, camera=Camera(size=(16, 16)))
+    job = Job(
+        shapes=("cube",),
+        materials=("small",),
+        lights=(str(light_file),),
+        views=(0, 6),
+        samples=1,
+        camera=Camera(size=(16, 16)),
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(HERE))
-        carry_out(planned(job, resolve(job, catalogues=[catalogue])), room / "data", RunOptions(studio=FAKE))
+        carry_out(
+            planned(job, resolve(job, catalogues=[catalogue])),
+            room / "data",
+            RunOptions(studio=FAKE),
+        )
     return room
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """Nothing here looks at the balls of a contact sheet: it is what is written."""
-    monkeypatch.setattr("factory.materials.preview.contact_sheet", lambda *_: Image.new("RGB", (32, 32)))
+    monkeypatch.setattr(
+        "factory.materials.preview.contact_sheet", lambda *_: Image.new("RGB", (32, 32))
+    )
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -61,7 +85,9 @@ def test_a_full_disk_costs_a_line_and_nothing_else(room, tmp_path, small_files, 
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_a_read_only_disk_can_be_read_and_costs_a_line_where_it_was_to_be_written(room, tmp_path, read_only, name):
+def test_a_read_only_disk_can_be_read_and_costs_a_line_where_it_was_to_be_written(
+    room, tmp_path, read_only, name
+):
     if name == "export --parquet":
         pytest.importorskip("pyarrow", reason="needs pyarrow, which is optional")
     check_read_only(name, room, tmp_path, read_only)
@@ -73,7 +99,9 @@ def sizes(folder):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.9])
-def test_a_render_on_a_full_disk_names_no_file_that_is_not_whole_and_goes_on_later(render, small_job, room, tmp_path, small_files, share):
+def test_a_render_on_a_full_disk_names_no_file_that_is_not_whole_and_goes_on_later(
+    render, small_job, room, tmp_path, small_files, share
+):
     job = msgspec.structs.replace(small_job, shapes=("cube",))
     several = sizes(room / "data")
     count = several[int(share * len(several))] - 1
@@ -108,7 +136,9 @@ def test_a_data_set_that_may_only_be_read_is_verified_and_counted(room, read_onl
     assert done(["factory", command, str(room / "data")])[0] == 0
 
 
-def test_nothing_is_rendered_or_repaired_into_a_data_set_that_may_only_be_read(render, small_job, tmp_path, read_only):
+def test_nothing_is_rendered_or_repaired_into_a_data_set_that_may_only_be_read(
+    render, small_job, tmp_path, read_only
+):
     render(small_job, tmp_path, limit=2)
     next(iter((tmp_path / "images").rglob("*.exr"))).unlink()
     read_only(tmp_path)
@@ -132,17 +162,38 @@ os.{call} = dying
 """
 
 
-@pytest.mark.parametrize(("call", "number"), [("write", 2), ("fsync", 1), ("fsync", 5), ("replace", 3), ("replace", 4), ("link", 2)])
-def test_a_kill_in_the_midst_of_writing_loses_nothing_and_leaves_no_draft(small_job, tmp_path, catalogue, light_file, call, number):
-    """By its number the call is one of the run's own, on the lights or the data set's description, or one of its worker's."""
-    (tmp_path / "job.json").write_bytes(msgspec.json.encode(msgspec.structs.replace(small_job, lights=(light_file.name,))))
+@pytest.mark.parametrize(
+    ("call", "number"),
+    [("write", 2), ("fsync", 1), ("fsync", 5), ("replace", 3), ("replace", 4), ("link", 2)],
+)
+def test_a_kill_in_the_midst_of_writing_loses_nothing_and_leaves_no_draft(
+    small_job, tmp_path, catalogue, light_file, call, number
+):
+    """By its number the call is one of the run's own, on the lights or the data set's description,
+    or one of its worker's.
+    """
+    (tmp_path / "job.json").write_bytes(
+        msgspec.json.encode(msgspec.structs.replace(small_job, lights=(light_file.name,)))
+    )
     shutil.copy(light_file, tmp_path)
     (tmp_path / "site").mkdir()
-    (tmp_path / "site" / "sitecustomize.py").write_text(DYING.format(call=call, number=number, mark=tmp_path / "mark"))
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (tmp_path / "site", HERE, HERE.parent.parent)))}
+    (tmp_path / "site" / "sitecustomize.py").write_text(
+        DYING.format(call=call, number=number, mark=tmp_path / "mark")
+    )
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(map(str, (tmp_path / "site", HERE, HERE.parent.parent)))
+    }
     folder = tmp_path / "data"
-    command = [sys.executable, str(HERE / "fake_render.py"), str(tmp_path / "job.json"), str(folder), str(catalogue)]
-    statuses = [subprocess.run(command, env=environment, capture_output=True).returncode for _ in range(2)]
+    command = [
+        sys.executable,
+        str(HERE / "fake_render.py"),
+        str(tmp_path / "job.json"),
+        str(folder),
+        str(catalogue),
+    ]
+    statuses = [
+        subprocess.run(command, env=environment, capture_output=True).returncode for _ in range(2)
+    ]
     assert (tmp_path / "mark").exists() and statuses[1] == 0
     assert bad_records(folder) == 0 and drafts(folder) == []
     assert len(Store(folder).ids()) == sum(1 for _ in Store(folder).records()) == 12

@@ -1,4 +1,6 @@
-"""Light maps that are hostile, damaged or very large: refused in one line, or read in bounded memory, pixel for pixel."""
+"""Light maps that are hostile, damaged or very large: refused in one line, or read in bounded
+memory, pixel for pixel.
+"""
 
 import io
 import os
@@ -27,7 +29,9 @@ def refused(path, *said):
     with pytest.raises(InputError) as problem:
         load(path)
     line = str(problem.value)
-    assert "\n" not in line and line.startswith(str(path)) and all(words in line for words in said), line
+    assert (
+        "\n" not in line and line.startswith(str(path)) and all(words in line for words in said)
+    ), line
 
 
 def exr(path, channels, **header):
@@ -60,7 +64,14 @@ def test_channels_are_read_alike_however_they_are_stored(tmp_path, L):
             {"RGB": L},
             {"RGBA": np.concatenate([L, alpha[..., None]], axis=-1)},
             {"R": R, "G": G, "B": B, "Z": alpha},
-            {"R": R, "G": G, "B": B, "left.R": alpha, "left.G": alpha.astype(np.float16), "left.B": alpha},
+            {
+                "R": R,
+                "G": G,
+                "B": B,
+                "left.R": alpha,
+                "left.G": alpha.astype(np.float16),
+                "left.B": alpha,
+            },
             {"R": R, "G": G, "B": B, "Y": alpha, "V": alpha},
             {"R": R, "G": G, "B": B, "A": alpha.astype(np.float16)},
         )
@@ -68,8 +79,12 @@ def test_channels_are_read_alike_however_they_are_stored(tmp_path, L):
         pixels = files.read(exr(tmp_path / f"{number}.exr", channels))[0]
         np.testing.assert_array_equal(pixels, L)
     mixed = files.read(exr(tmp_path / "mixed.exr", {"R": R, "G": G.astype(np.float16), "B": B}))[0]
-    np.testing.assert_array_equal(mixed, np.stack([R, G.astype(np.float16).astype(np.float32), B], axis=-1))
-    tiled = exr(tmp_path / "tiled.exr", {"RGB": L}, type=OpenEXR.tiledimage, tiles=OpenEXR.TileDescription())
+    np.testing.assert_array_equal(
+        mixed, np.stack([R, G.astype(np.float16).astype(np.float32), B], axis=-1)
+    )
+    tiled = exr(
+        tmp_path / "tiled.exr", {"RGB": L}, type=OpenEXR.tiledimage, tiles=OpenEXR.TileDescription()
+    )
     np.testing.assert_array_equal(files.read(tiled)[0], L)
 
 
@@ -101,8 +116,12 @@ def test_a_data_window_that_lies_is_refused(tmp_path, L, window, says):
 
 
 @pytest.mark.parametrize("side", [(2**20, 2**20), (2**31 - 1, 1), (2**32 - 1, 2**32 - 1), (0, 0)])
-def test_tiles_that_are_larger_than_any_picture_are_refused_before_memory_is_taken(tmp_path, L, side):
-    path = exr(tmp_path / "a.exr", {"RGB": L}, type=OpenEXR.tiledimage, tiles=OpenEXR.TileDescription())
+def test_tiles_that_are_larger_than_any_picture_are_refused_before_memory_is_taken(
+    tmp_path, L, side
+):
+    path = exr(
+        tmp_path / "a.exr", {"RGB": L}, type=OpenEXR.tiledimage, tiles=OpenEXR.TileDescription()
+    )
     data = path.read_bytes()
     place = data.index(b"tiles\0tiledesc\0") + len(b"tiles\0tiledesc\0") + 4
     path.write_bytes(data[:place] + struct.pack("<2I", *side) + data[place + 8 :])
@@ -116,7 +135,12 @@ def test_deep_sub_sampled_and_odd_pictures_are_refused(tmp_path, L):
     for place in np.ndindex(4, 8):
         deep[place] = np.ones(2, np.float32)
     refused(
-        exr(tmp_path / "deep.exr", dict.fromkeys("RGB", deep), type=OpenEXR.deepscanline, compression=OpenEXR.ZIPS_COMPRESSION),
+        exr(
+            tmp_path / "deep.exr",
+            dict.fromkeys("RGB", deep),
+            type=OpenEXR.deepscanline,
+            compression=OpenEXR.ZIPS_COMPRESSION,
+        ),
         "expected a flat picture, found a deep one",
     )
     path = exr(tmp_path / "sampled.exr", {"RGB": L})
@@ -124,12 +148,17 @@ def test_deep_sub_sampled_and_odd_pictures_are_refused(tmp_path, L):
     place = data.index(b"G\0\2\0\0\0") + 10  # name, type, pLinear and three bytes more
     path.write_bytes(data[:place] + struct.pack("<2i", 2, 2) + data[place + 8 :])
     refused(path)
-    refused(exr(tmp_path / "rg.exr", {"R": L[..., 0].copy(), "G": L[..., 1].copy()}), "expected channels R, G, B, found G, R")
+    refused(
+        exr(tmp_path / "rg.exr", {"R": L[..., 0].copy(), "G": L[..., 1].copy()}),
+        "expected channels R, G, B, found G, R",
+    )
 
 
 def test_other_parts_count_before_they_are_read(tmp_path, L, monkeypatch):
     header = {"type": OpenEXR.scanlineimage}
-    parts = [OpenEXR.Part({**header, "name": name}, {"RGB": L}) for name in ("first", "second", "third")]
+    parts = [
+        OpenEXR.Part({**header, "name": name}, {"RGB": L}) for name in ("first", "second", "third")
+    ]
     path = tmp_path / "parts.exr"
     OpenEXR.File(parts).write(str(path))
     np.testing.assert_array_equal(files.read(path)[0], L)
@@ -146,7 +175,9 @@ def test_other_parts_count_before_they_are_read(tmp_path, L, monkeypatch):
 def test_arrays_of_any_float_and_order_are_read_alike(tmp_path, L, dtype, order):
     L = np.tile(L, (5, 5, 1))  # more rows and columns than are read at a time
     np.savez(tmp_path / "a.npz", L=np.asarray(L.astype(dtype), order=order))
-    np.testing.assert_array_equal(files.read(tmp_path / "a.npz")[0], L.astype(dtype).astype(np.float32))
+    np.testing.assert_array_equal(
+        files.read(tmp_path / "a.npz")[0], L.astype(dtype).astype(np.float32)
+    )
 
 
 @pytest.mark.parametrize(
@@ -218,7 +249,10 @@ def test_encrypted_nested_and_unknown_members_are_refused(tmp_path, L):
         data[data.index(signature) + method] = 99
     (tmp_path / "c.npz").write_bytes(data)
     refused(tmp_path / "c.npz", "a whole .npz file")
-    refused(zipped(tmp_path / "d.npz", {"a.npy": npy(L), "b.npy": npy(L)}), "expected one map, found several ('a', 'b', …)")
+    refused(
+        zipped(tmp_path / "d.npz", {"a.npy": npy(L), "b.npy": npy(L)}),
+        "expected one map, found several ('a', 'b', …)",
+    )
     (tmp_path / "e.npz").write_bytes(b"PK\5\6" + b"\0" * 18)
     refused(tmp_path / "e.npz", "begins with")
 
@@ -258,7 +292,16 @@ def test_radiance_beyond_what_float32_can_be_scaled_by_is_refused(tmp_path, L):
     assert np.isfinite(load(tmp_path / "a.npz").L_full).all()
 
 
-@pytest.mark.parametrize("line", ["EXPOSURE=1e29\n" * 9, "EXPOSURE=1e-29\n" * 9, "EXPOSURE=nan\n", "EXPOSURE=-1\n", "EXPOSURE=1e999\n"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "EXPOSURE=1e29\n" * 9,
+        "EXPOSURE=1e-29\n" * 9,
+        "EXPOSURE=nan\n",
+        "EXPOSURE=-1\n",
+        "EXPOSURE=1e999\n",
+    ],
+)
 def test_exposures_that_no_picture_has_are_refused(tmp_path, line):
     head = f"#?RADIANCE\n{line}FORMAT=32-bit_rle_rgbe\n\n-Y 16 +X 32\n".encode()
     (tmp_path / "a.hdr").write_bytes(head + bytes([128, 128, 128, 130]) * 16 * 32)
@@ -267,7 +310,10 @@ def test_exposures_that_no_picture_has_are_refused(tmp_path, line):
 
 def test_the_brightest_exponents_of_radiance_files_are_told_and_not_infinite(tmp_path):
     for exponent in (255, 254, 1):
-        data = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 16 +X 32\n" + bytes([255, 255, 255, exponent]) * 16 * 32
+        data = (
+            b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 16 +X 32\n"
+            + bytes([255, 255, 255, exponent]) * 16 * 32
+        )
         (tmp_path / "a.hdr").write_bytes(data)
         refused(tmp_path / "a.hdr", "a mean radiance from 1e-30 to 1e+30")
 
@@ -276,12 +322,16 @@ def test_scanlines_longer_than_a_piece_of_the_file_are_read_whole(tmp_path, monk
     from factory.lights import rgbe
 
     bytes_ = rng.integers(2, 200, (40, 80, 4)).astype(np.uint8)
-    (tmp_path / "a.hdr").write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 40 +X 80\n" + bytes_.tobytes())
+    (tmp_path / "a.hdr").write_bytes(
+        b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 40 +X 80\n" + bytes_.tobytes()
+    )
     whole = files.read(tmp_path / "a.hdr")[0]
     monkeypatch.setattr(rgbe, "PIECE", 100)
     monkeypatch.setattr(rgbe, "ROWS", 7)
     np.testing.assert_array_equal(files.read(tmp_path / "a.hdr")[0], whole)
-    np.testing.assert_allclose(whole, bytes_[..., :3] * 2.0 ** (bytes_[..., 3:].astype(float) - 136), rtol=1e-7)
+    np.testing.assert_allclose(
+        whole, bytes_[..., :3] * 2.0 ** (bytes_[..., 3:].astype(float) - 136), rtol=1e-7
+    )
 
 
 def test_a_map_of_pictures_levels_is_known_before_all_of_it_is_looked_at(rng):
@@ -318,12 +368,19 @@ for path in sys.argv[2:]:
 """
 
 
-@pytest.mark.skipif(not os.path.exists("/proc/self/clear_refs"), reason="needs Linux's account of a process's memory")
+@pytest.mark.skipif(
+    not os.path.exists("/proc/self/clear_refs"),
+    reason="needs Linux's account of a process's memory",
+)
 def test_large_maps_take_little_more_memory_than_their_pixels(tmp_path, root, rng):
-    """7 times the pixels, 2.8 GB of a map of 8192 × 4096, when masks, means and averages were made of the whole map in float64."""
+    """7 times the pixels, 2.8 GB of a map of 8192 × 4096, when masks, means and averages were made
+    of the whole map in float64.
+    """
     height, width = 1152, 2304  # more rows than are copied whole
     values = rng.random((height, width, 3), dtype=np.float32) * 3
-    flat = np.concatenate([(values * 80).astype(np.uint8) + 2, np.full((height, width, 1), 129, np.uint8)], axis=-1)
+    flat = np.concatenate(
+        [(values * 80).astype(np.uint8) + 2, np.full((height, width, 1), 129, np.uint8)], axis=-1
+    )
     head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
     (tmp_path / "a.hdr").write_bytes(head + flat.tobytes())
     np.savez(tmp_path / "a.npz", L=values)
@@ -334,11 +391,24 @@ def test_large_maps_take_little_more_memory_than_their_pixels(tmp_path, root, rn
         tmp_path / "a.npz": 1.0,
         exr(tmp_path / "float.exr", {"RGB": values}, **plain): 1.0,
         exr(tmp_path / "half.exr", {"RGB": values.astype(np.float16)}, **plain): 1.5,
-        exr(tmp_path / "alpha.exr", {"RGBA": np.concatenate([values, values[..., :1]], axis=-1)}, **plain): 4 / 3,
-        exr(tmp_path / "depth.exr", {**{c: values[..., k].copy() for k, c in enumerate("RGB")}, "Z": values[..., 0].copy()}, **plain): 7
-        / 3,
+        exr(
+            tmp_path / "alpha.exr",
+            {"RGBA": np.concatenate([values, values[..., :1]], axis=-1)},
+            **plain,
+        ): (4 / 3),
+        exr(
+            tmp_path / "depth.exr",
+            {**{c: values[..., k].copy() for k, c in enumerate("RGB")}, "Z": values[..., 0].copy()},
+            **plain,
+        ): (7 / 3),
     }
-    done = subprocess.run([sys.executable, "-c", MEASURED, small, *most], cwd=root, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURED, small, *most],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     for (path, share), peak in zip(most.items(), map(int, done.stdout.split()), strict=True):
         # bands of 64 rows in float64, some at a time: 30 MB
         assert peak < share * 12 * height * width + 30e6, (path.name, peak)
@@ -366,7 +436,16 @@ def test_a_file_far_larger_than_any_map_is_refused_unread(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", [b"{", b"[]", b'{"a": 1}', b'{"a": {"licence": 5}}', b"[" * 100_000, b"\xff\xfe", b'{"a": {"file": null}}']
+    "content",
+    [
+        b"{",
+        b"[]",
+        b'{"a": 1}',
+        b'{"a": {"licence": 5}}',
+        b"[" * 100_000,
+        b"\xff\xfe",
+        b'{"a": {"file": null}}',
+    ],
 )
 def test_a_damaged_list_of_lights_is_refused(tmp_path, L, content):
     exr(tmp_path / "lamp.exr", {"RGB": L})

@@ -33,15 +33,23 @@ def header(height, width, extra=""):
 
 
 def new_style(row):
-    """One scanline (W, 4) run-length coded by component: runs of the same byte as runs, the rest as literals of one."""
+    """One scanline (W, 4) run-length coded by component: runs of the same byte as runs, the rest as
+    literals of one.
+    """
     out = bytearray([2, 2, len(row) >> 8, len(row) & 255])
     for component in row.T:
         column = 0
         while column < len(component):
             end = column
-            while end < len(component) and end - column < 127 and component[end] == component[column]:
+            while (
+                end < len(component) and end - column < 127 and component[end] == component[column]
+            ):
                 end += 1
-            out += bytes([128 + end - column, component[column]]) if end - column > 1 else bytes([1, component[column]])
+            out += (
+                bytes([128 + end - column, component[column]])
+                if end - column > 1
+                else bytes([1, component[column]])
+            )
             column = end
     return bytes(out)
 
@@ -63,7 +71,9 @@ def old_style(row):
 
 
 def write_hdr(path, pixels, scanline=new_style, extra=""):
-    path.write_bytes(header(*pixels.shape[:2], extra) + b"".join(scanline(row) for row in encode(pixels)))
+    path.write_bytes(
+        header(*pixels.shape[:2], extra) + b"".join(scanline(row) for row in encode(pixels))
+    )
     return path
 
 
@@ -75,8 +85,12 @@ def write_exr(path, pixels, dtype=np.float32):
 
 @pytest.fixture
 def drawn(rng):
-    """A map (16, 32, 3) with a wide range and runs of equal texels, exact in RGBE up to its 8 bits."""
-    L = np.repeat(rng.uniform(0.1, 1.0, (16, 4, 3)) * 10.0 ** rng.integers(-3, 4, (16, 4, 1)), 8, axis=1)
+    """A map (16, 32, 3) with a wide range and runs of equal texels, exact in RGBE up to its 8
+    bits.
+    """
+    L = np.repeat(
+        rng.uniform(0.1, 1.0, (16, 4, 3)) * 10.0 ** rng.integers(-3, 4, (16, 4, 1)), 8, axis=1
+    )
     L[3, 5:29] = 0.0
     return L
 
@@ -84,10 +98,13 @@ def drawn(rng):
 # Reading
 
 
-@pytest.mark.parametrize("scanline", [new_style, old_style, lambda row: row.tobytes()], ids=["new", "old", "flat"])
+@pytest.mark.parametrize(
+    "scanline", [new_style, old_style, lambda row: row.tobytes()], ids=["new", "old", "flat"]
+)
 def test_each_scanline_style_of_radiance_files_reads_the_same_pixels(tmp_path, drawn, scanline):
     pixels, _ = files.read(write_hdr(tmp_path / "a.hdr", drawn, scanline))
-    # the mantissa of the brightest component has 8 bits, the first of them 1: a step is at most 1/128 of it
+    # the mantissa of the brightest component has 8 bits, the first of them 1: a step is at most
+    # 1/128 of it
     assert (np.abs(pixels - drawn).max(-1) <= drawn.max(-1) / 128 + 1e-12).all()
     assert (pixels[3, 5:29] == 0).all()
 
@@ -100,7 +117,9 @@ def test_old_style_repeats_longer_than_255_use_shifted_counts(tmp_path):
 
 def test_the_exposure_line_is_divided_out(tmp_path, drawn):
     plain, _ = files.read(write_hdr(tmp_path / "a.hdr", drawn))
-    exposed, _ = files.read(write_hdr(tmp_path / "b.hdr", drawn, extra="EXPOSURE=4\nEXPOSURE=0.5\n"))
+    exposed, _ = files.read(
+        write_hdr(tmp_path / "b.hdr", drawn, extra="EXPOSURE=4\nEXPOSURE=0.5\n")
+    )
     np.testing.assert_allclose(exposed * 2, plain, rtol=1e-6)
 
 
@@ -127,12 +146,18 @@ def test_every_light_has_mean_luminance_one_at_both_sizes():
         for L in (light.L64, light.L_full):
             # float32 texels, summed in float64
             assert envmap.mean_radiance(L) @ envmap.LUMINANCE == pytest.approx(1.0, abs=1e-5), name
-        assert light.L64.shape == (64, 128, 3) and light.L64.dtype == np.float32 and (light.L64 >= 0).all()
+        assert (
+            light.L64.shape == (64, 128, 3)
+            and light.L64.dtype == np.float32
+            and (light.L64 >= 0).all()
+        )
 
 
 def test_the_layers_map_is_the_full_map_averaged_by_solid_angle():
     light = load("softboxes-5")
-    np.testing.assert_allclose(light.L64, envmap.resize(light.L_full, 64, 128), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        light.L64, envmap.resize(light.L_full, 64, 128), rtol=1e-5, atol=1e-6
+    )
 
 
 def test_scale_times_map_gives_back_the_file(tmp_path, drawn):
@@ -142,20 +167,31 @@ def test_scale_times_map_gives_back_the_file(tmp_path, drawn):
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 75.0, 180.0, 285.0])
 def test_a_lit_texel_lies_where_blenders_look_up_puts_it(tmp_path, azimuth_deg):
-    """Blender: u = ½ − atan2(y, x)/2π, v = ½ + atan2(z, hypot)/π from the bottom row, at world rotation 0."""
+    """Blender: u = ½ − atan2(y, x)/2π, v = ½ + atan2(z, hypot)/π from the bottom row, at world
+    rotation 0.
+    """
     height, width, row, column = 64, 128, 20, 37
     pixels = np.zeros((height, width, 3))
     pixels[row, column] = 1.0
     light = load(write_exr(tmp_path / "a.exr", pixels))
     u, latitude = (column + 0.5) / width, np.pi * (0.5 - (row + 0.5) / height)
     longitude = 2 * np.pi * (0.5 - u)
-    w_world = np.array([np.cos(longitude) * np.cos(latitude), np.sin(longitude) * np.cos(latitude), np.sin(latitude)])
+    w_world = np.array(
+        [
+            np.cos(longitude) * np.cos(latitude),
+            np.sin(longitude) * np.cos(latitude),
+            np.sin(latitude),
+        ]
+    )
 
     azimuth = np.radians(azimuth_deg)
-    seen = envmap.roll(light.L64, round(azimuth_deg / 360 * width))  # 75° is no whole texel: the nearest one
+    # 75° is no whole texel: the nearest one
+    seen = envmap.roll(light.L64, round(azimuth_deg / 360 * width))
     w_light = frames.world_from_light(azimuth).T @ w_world
     lit = np.unravel_index(seen[..., 0].argmax(), (height, width))
-    apart = np.degrees(np.arccos(np.clip(envmap.directions(height, width)[0][lit] @ w_light, -1, 1)))
+    apart = np.degrees(
+        np.arccos(np.clip(envmap.directions(height, width)[0][lit] @ w_light, -1, 1))
+    )
     assert apart < (0.01 if azimuth_deg % (360 / width) == 0 else 360 / width / 2)
 
 
@@ -163,15 +199,33 @@ def test_a_width_that_is_no_multiple_of_four_keeps_its_energy(rng):
     pixels = rng.uniform(0.1, 5.0, (9, 18, 3))
     light = from_pixels(pixels, "odd", "0" * 64, "CC0", "test")
     assert light.L_full.shape == (9, 20, 3)
-    np.testing.assert_allclose(envmap.mean_radiance(light.L_full) * light.scale, envmap.mean_radiance(pixels), rtol=1e-6)
+    np.testing.assert_allclose(
+        envmap.mean_radiance(light.L_full) * light.scale, envmap.mean_radiance(pixels), rtol=1e-6
+    )
 
 
 def test_the_wheels_eight_maps_are_found_without_importing_bpy():
     if importlib.util.find_spec("bpy") is None:
         pytest.skip("the bpy wheel, which holds the maps, is not installed")
-    code = "import sys; from factory.lights import names, load; print(*names()[:8], load('city').licence, 'bpy' in sys.modules)"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert found == ["city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset", "CC0", "False"]
+    code = (
+        "import sys; from factory.lights import names, load; print(*names()[:8],"
+        " load('city').licence, 'bpy' in sys.modules)"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert found == [
+        "city",
+        "courtyard",
+        "forest",
+        "interior",
+        "night",
+        "studio",
+        "sunrise",
+        "sunset",
+        "CC0",
+        "False",
+    ]
 
 
 @pytest.mark.blender
@@ -240,11 +294,23 @@ def bad_cases(folder, good):
         "empty": (raw("empty.hdr", b""), "an empty file"),
         "truncated exr": (raw("cut.exr", whole_exr[: len(whole_exr) // 2]), "truncated"),
         "only the exr's first bytes": (raw("first.exr", whole_exr[:8]), "truncated"),
-        "truncated hdr": (raw("cut.hdr", whole_hdr[: len(whole_hdr) * 2 // 3]), "the file ends early"),
+        "truncated hdr": (
+            raw("cut.hdr", whole_hdr[: len(whole_hdr) * 2 // 3]),
+            "the file ends early",
+        ),
         "hdr header alone": (raw("head.hdr", header(16, 32)), "the file ends early"),
-        "hdr without size": (raw("size.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\nhello\n" + b"0" * 99), "-Y height +X width"),
-        "hdr of another colour space": (raw("xyz.hdr", whole_hdr.replace(b"rgbe\n\n", b"xyze\n\n")), "32-bit_rle_xyze"),
-        "hdr run over the line": (raw("run.hdr", header(16, 32) + b"\x02\x02\x00\x20" + b"\xff\x01" * 600), "a run that is longer"),
+        "hdr without size": (
+            raw("size.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\nhello\n" + b"0" * 99),
+            "-Y height +X width",
+        ),
+        "hdr of another colour space": (
+            raw("xyz.hdr", whole_hdr.replace(b"rgbe\n\n", b"xyze\n\n")),
+            "32-bit_rle_xyze",
+        ),
+        "hdr run over the line": (
+            raw("run.hdr", header(16, 32) + b"\x02\x02\x00\x20" + b"\xff\x01" * 600),
+            "a run that is longer",
+        ),
         "huge hdr": (raw("huge.hdr", header(400_000, 800_000)), "800000×400000"),
         "PNG called exr": (raw("png.exr", png.getvalue()), "a PNG picture"),
         "PNG": (raw("plain.png", png.getvalue()), "a PNG picture"),
@@ -265,7 +331,10 @@ def test_each_bad_file_is_told_in_one_line_with_where_found_and_remedy(tmp_path,
             load(path)
         message = str(caught.value)
         assert words in message, (case, message)
-        assert message.startswith(str(path)) and "\n" not in message and caught.value.remedy, (case, message)
+        assert message.startswith(str(path)) and "\n" not in message and caught.value.remedy, (
+            case,
+            message,
+        )
 
 
 def test_a_huge_openexr_header_is_refused_before_its_pixels_are_read(tmp_path, drawn, monkeypatch):
@@ -295,7 +364,11 @@ def test_an_unknown_name_is_answered_with_the_closest_ones():
 
 def test_noise_of_every_kind_never_ends_in_anything_but_a_problem(tmp_path, drawn, rng):
     np.savez_compressed(tmp_path / "a.npz", L=drawn)
-    written = (write_hdr(tmp_path / "a.hdr", drawn), write_exr(tmp_path / "a.exr", drawn), tmp_path / "a.npz")
+    written = (
+        write_hdr(tmp_path / "a.hdr", drawn),
+        write_exr(tmp_path / "a.exr", drawn),
+        tmp_path / "a.npz",
+    )
     for whole in (path.read_bytes() for path in written):
         for trial in range(60):
             damaged = bytearray(whole)
@@ -330,7 +403,9 @@ def test_add_copies_once_lists_the_licence_and_load_finds_it(tmp_path, drawn, ca
     assert "another map called 'my-harbour'" in capsys.readouterr().err
 
 
-def test_add_takes_every_map_of_an_npz_but_those_that_are_there_under_another_name(tmp_path, rng, capsys):
+def test_add_takes_every_map_of_an_npz_but_those_that_are_there_under_another_name(
+    tmp_path, rng, capsys
+):
     fresh = np.exp(rng.standard_normal((64, 128, 3))).astype(np.float32)
     turned = envmap.roll(3 * to_file_columns(load("city").L64), 40)
     np.savez(tmp_path / "maps.npz", Lagoon=fresh, copy=turned, again=fresh * 2)
@@ -345,7 +420,9 @@ def test_add_takes_every_map_of_an_npz_but_those_that_are_there_under_another_na
 
 
 @pytest.mark.parametrize("kind", ["exr", "npz"])
-def test_a_map_that_was_not_listed_when_a_run_was_killed_is_listed_by_the_next(tmp_path, drawn, kind):
+def test_a_map_that_was_not_listed_when_a_run_was_killed_is_listed_by_the_next(
+    tmp_path, drawn, kind
+):
     if kind == "exr":
         path = write_exr(tmp_path / "lamp.exr", drawn)
     else:
@@ -366,7 +443,11 @@ def test_an_npz_is_judged_by_its_headers_and_never_unpickled(tmp_path, drawn, mo
     np.savez(tmp_path / "objects.npz", L=np.array([{"a": 1}], dtype=object))
     np.savez(tmp_path / "two.npz", a=drawn, b=drawn)
     np.savez(tmp_path / "square.npz", a=drawn[:, :16])
-    for name, words in (("objects", "of object"), ("two", r"several \('a', 'b'"), ("square", r"\(16, 16, 3\)")):
+    for name, words in (
+        ("objects", "of object"),
+        ("two", r"several \('a', 'b'"),
+        ("square", r"\(16, 16, 3\)"),
+    ):
         with pytest.raises(InputError, match=words):
             load(tmp_path / f"{name}.npz")
     np.savez(tmp_path / "large.npz", a=drawn)
@@ -382,7 +463,9 @@ def test_a_damaged_list_is_told_in_one_line(tmp_path):
         library.read_list(tmp_path)
 
 
-def test_list_shows_builtin_and_own_maps_and_fails_for_a_bad_one(tmp_path, drawn, capsys, monkeypatch):
+def test_list_shows_builtin_and_own_maps_and_fails_for_a_bad_one(
+    tmp_path, drawn, capsys, monkeypatch
+):
     monkeypatch.setattr("factory.lights.catalogue.wheel_maps", dict)
     write_exr(tmp_path / "mine.exr", drawn)
     assert run("list", tmp_path) == 0
@@ -394,7 +477,9 @@ def test_list_shows_builtin_and_own_maps_and_fails_for_a_bad_one(tmp_path, drawn
 
 
 def test_preview_writes_one_row_a_light(tmp_path, capsys):
-    assert run("preview", "constant", "softboxes-2", "--size", "16", "--out", tmp_path / "p.png") == 0
+    assert (
+        run("preview", "constant", "softboxes-2", "--size", "16", "--out", tmp_path / "p.png") == 0
+    )
     with Image.open(tmp_path / "p.png") as picture:
         assert picture.size == (64, 32)
     assert run("preview", "nonsuch", "--out", tmp_path / "q.png") == 1
@@ -402,5 +487,8 @@ def test_preview_writes_one_row_a_light(tmp_path, capsys):
 
 
 def test_help_needs_no_heavy_import():
-    code = f"import sys; import {command.__name__}; sys.exit(bool({{'numpy', 'PIL', 'OpenEXR', 'bpy'}} & set(sys.modules)))"
+    code = (
+        f"import sys; import {command.__name__}; sys.exit(bool({{'numpy', 'PIL', 'OpenEXR', 'bpy'}}"
+        " & set(sys.modules)))"
+    )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

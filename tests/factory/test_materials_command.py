@@ -1,4 +1,6 @@
-"""Claims of `python -m factory materials`: fits, adds, resumes, lists, draws and reports; refuses in one line."""
+"""Claims of `python -m factory materials`: fits, adds, resumes, lists, draws and reports; refuses
+in one line.
+"""
 
 import json
 import os
@@ -17,12 +19,16 @@ from manifests.errors import InputError
 
 
 def run(*arguments):
-    return main("factory", "test", [c for c in COMMANDS if c == "materials"], [*map(str, arguments)])
+    return main(
+        "factory", "test", [c for c in COMMANDS if c == "materials"], [*map(str, arguments)]
+    )
 
 
 @pytest.fixture(scope="module")
 def own(tmp_path_factory):
-    """A folder with one measured material, fitted into a catalogue with one closure (quick, and none of its tolerances matter here)."""
+    """A folder with one measured material, fitted into a catalogue with one closure (quick, and
+    none of its tolerances matter here).
+    """
     folder = tmp_path_factory.mktemp("own")
     write_binary(folder / "own-wood.binary", lambda h, d: 0.1 * smooth(h, d))
     assert run("materials", "add", folder, "--closures", 1, "--out", folder / "own.json") == 0
@@ -47,13 +53,19 @@ def test_a_second_call_takes_the_fits_that_are_kept(own, capsys):
 
 
 def another_number(data):
-    """The same fit with the first number of its label changed: right JSON, but not what was fitted."""
+    """The same fit with the first number of its label changed: right JSON, but not what was
+    fitted.
+    """
     entry = json.loads(data)
     entry["label"][0] += 0.5
     return json.dumps(entry).encode()
 
 
-DAMAGE = {"empty": lambda data: b"", "cut": lambda data: data[:-10], "another number": another_number}
+DAMAGE = {
+    "empty": lambda data: b"",
+    "cut": lambda data: data[:-10],
+    "another number": another_number,
+}
 
 
 @pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
@@ -67,7 +79,10 @@ def test_a_damaged_fit_is_fitted_again(own, damage):
 
 def test_a_material_cannot_be_added_beside_one_whose_numbers_no_fit_gives(own, tmp_path, capsys):
     catalogue = json.loads((own / "own.json").read_text())
-    catalogue["materials"][0] |= {"name": "earlier", "label": [1e19, *catalogue["materials"][0]["label"][1:]]}
+    catalogue["materials"][0] |= {
+        "name": "earlier",
+        "label": [1e19, *catalogue["materials"][0]["label"][1:]],
+    }
     (tmp_path / "own.json").write_text(json.dumps(catalogue))
     assert run("materials", "add", own, "--closures", 1, "--out", tmp_path / "own.json") == 1
     assert "'earlier': expected natural logarithms up to 14, found 1e+19" in capsys.readouterr().err
@@ -83,7 +98,9 @@ def test_errors_that_no_fit_has_are_refused_where_a_catalogue_is_read(own, tmp_p
 
 
 @pytest.mark.parametrize("command", [("report",), ("preview", "--catalogue")])
-def test_a_catalogue_without_materials_is_refused_where_some_are_needed(own, tmp_path, capsys, command):
+def test_a_catalogue_without_materials_is_refused_where_some_are_needed(
+    own, tmp_path, capsys, command
+):
     catalogue = json.loads((own / "own.json").read_text()) | {"materials": []}
     (tmp_path / "own.json").write_text(json.dumps(catalogue))
     assert run("materials", *command, tmp_path / "own.json", "--out", tmp_path / "out") == 1
@@ -99,7 +116,20 @@ def test_another_recipe_is_another_fit(own):
 
 
 def test_adding_under_other_light_maps_is_refused(own, capsys):
-    assert run("materials", "add", own, "--closures", 1, "--light", "gradient-1", "--out", own / "own.json") == 1
+    assert (
+        run(
+            "materials",
+            "add",
+            own,
+            "--closures",
+            1,
+            "--light",
+            "gradient-1",
+            "--out",
+            own / "own.json",
+        )
+        == 1
+    )
     assert "give no --light, or another --out" in capsys.readouterr().err
 
 
@@ -109,7 +139,16 @@ def test_the_list_shows_every_material(own, capsys):
 
 
 def test_the_contact_sheet_shows_balls_on_a_ground(own):
-    arguments = ("--catalogue", own / "own.json", "--light", "gradient-1", "--size", 24, "--out", own / "sheet.png")
+    arguments = (
+        "--catalogue",
+        own / "own.json",
+        "--light",
+        "gradient-1",
+        "--size",
+        24,
+        "--out",
+        own / "sheet.png",
+    )
     assert run("materials", "preview", *arguments) == 0
     picture = np.asarray(Image.open(own / "sheet.png"))
     assert picture.shape == (36, 24, 3)
@@ -120,23 +159,55 @@ def test_a_report_says_what_made_it_and_whether_limits_are_kept(own):
     assert run("materials", "report", own / "own.json", "--out", own / "report") == 0
     data = json.loads((own / "report" / "report.json").read_text())
     assert {"command", "commit", "machine", "date"} <= set(data)
-    expected = np.mean(materials.load_catalogue(own / "own.json")["own-wood"].errors.nodes_vs_label.l1)
+    expected = np.mean(
+        materials.load_catalogue(own / "own.json")["own-wood"].errors.nodes_vs_label.l1
+    )
     assert data["figures"]["agreement_median"] == pytest.approx(expected, rel=1e-3)
-    assert "| limit |" in (own / "report" / "report.md").read_text() and (own / "report" / "errors.png").stat().st_size > 10_000
+    assert (
+        "| limit |" in (own / "report" / "report.md").read_text()
+        and (own / "report" / "errors.png").stat().st_size > 10_000
+    )
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("fit", "{folder}", "--light", "{folder}/maps.npz:black", "--out", "{folder}/o.json"), "a light map of a mean"),
-        (("fit", "{folder}", "--light", "{folder}/maps.npz:text", "--out", "{folder}/o.json"), "a finite light map"),
-        (("fit", "{folder}", "--light", "{folder}/maps.npz:none", "--out", "{folder}/o.json"), "an array 'none'"),
-        (("fit", "{folder}", "--light", "{folder}/torn.npz:black", "--out", "{folder}/o.json"), "an .npz file of light maps"),
-        (("fit", "{folder}/none.npz", "--out", "{folder}/o.json"), "none.npz: expected an npz of Neural-BRDF weights"),
-        (("fit", "{folder}", "--only", "own-wod", "--out", "{folder}/o.json"), "did you mean own-wood"),
-        (("fit", "{folder}", "--closures", "0", "--out", "{folder}/o.json"), "--closures: expected ascending counts from 1"),
-        (("fit", "{folder}", "--tolerance", "7", "--out", "{folder}/o.json"), "--tolerance: expected 0.0001 to 1, found 7"),
-        (("fit", "{folder}", "--workers", "0", "--out", "{folder}/o.json"), "--workers: expected at least 1"),
+        (
+            ("fit", "{folder}", "--light", "{folder}/maps.npz:black", "--out", "{folder}/o.json"),
+            "a light map of a mean",
+        ),
+        (
+            ("fit", "{folder}", "--light", "{folder}/maps.npz:text", "--out", "{folder}/o.json"),
+            "a finite light map",
+        ),
+        (
+            ("fit", "{folder}", "--light", "{folder}/maps.npz:none", "--out", "{folder}/o.json"),
+            "an array 'none'",
+        ),
+        (
+            ("fit", "{folder}", "--light", "{folder}/torn.npz:black", "--out", "{folder}/o.json"),
+            "an .npz file of light maps",
+        ),
+        (
+            ("fit", "{folder}/none.npz", "--out", "{folder}/o.json"),
+            "none.npz: expected an npz of Neural-BRDF weights",
+        ),
+        (
+            ("fit", "{folder}", "--only", "own-wod", "--out", "{folder}/o.json"),
+            "did you mean own-wood",
+        ),
+        (
+            ("fit", "{folder}", "--closures", "0", "--out", "{folder}/o.json"),
+            "--closures: expected ascending counts from 1",
+        ),
+        (
+            ("fit", "{folder}", "--tolerance", "7", "--out", "{folder}/o.json"),
+            "--tolerance: expected 0.0001 to 1, found 7",
+        ),
+        (
+            ("fit", "{folder}", "--workers", "0", "--out", "{folder}/o.json"),
+            "--workers: expected at least 1",
+        ),
         (("preview", "brazz", "--out", "{folder}/p.png"), "did you mean brass"),
         (("list", "--catalogue", "{folder}/broken.json"), "broken.json"),
     ],
@@ -153,7 +224,10 @@ def test_mistakes_end_in_one_line(own, capsys, arguments, message):
 def test_a_truncated_measurement_ends_the_fit_in_one_line(tmp_path, capsys):
     (tmp_path / "cut.binary").write_bytes(struct.pack("<3i", 90, 90, 180) + b"\0" * 64)
     assert run("materials", "fit", tmp_path, "--out", tmp_path / "o.json") == 1
-    assert "cut.binary: expected 34992012 bytes after such a header, found 76" in capsys.readouterr().err
+    assert (
+        "cut.binary: expected 34992012 bytes after such a header, found 76"
+        in capsys.readouterr().err
+    )
 
 
 # --- the built-in catalogue
@@ -187,7 +261,9 @@ def test_written_errors_are_those_of_the_written_numbers(merl):
     s = samples.held_out()
     for name in ("brass", "blue-rubber", "white-fabric", "specular-black-phenolic"):
         m = merl[name]
-        found = errors.relative_l1(m.mixture.evaluate(*s.cosines), errors.label_values(m.label, s), s)
+        found = errors.relative_l1(
+            m.mixture.evaluate(*s.cosines), errors.label_values(m.label, s), s
+        )
         np.testing.assert_allclose(found, m.errors.nodes_vs_label.l1, rtol=2e-3)
 
 
@@ -196,7 +272,11 @@ def test_the_catalogue_keeps_its_limits(merl):
 
     found = report.figures(list(merl.values()))
     assert {key for _, key, _, _ in report.LIMITS} <= set(found)
-    assert [(text, found[key], limit) for text, key, limit, _ in report.LIMITS if not found[key] <= limit] == []
+    assert [
+        (text, found[key], limit)
+        for text, key, limit, _ in report.LIMITS
+        if not found[key] <= limit
+    ] == []
 
 
 def test_every_test_material_knows_its_nearest_training_one(merl):

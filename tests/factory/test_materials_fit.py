@@ -1,4 +1,6 @@
-"""Claims of factory.materials: solvers right, errors measured right, a known material found again, more closures only when needed."""
+"""Claims of factory.materials: solvers right, errors measured right, a known material found again,
+more closures only when needed.
+"""
 
 from dataclasses import replace
 
@@ -17,7 +19,9 @@ QUICK = recipe.Recipe(closures=(4,), views_deg=QUICK_VIEWS, joint=joint_fit.Sett
 def plastic(cos_h, cos_d):
     """A matte base and one DSBRDF lobe: a material that a label can hold exactly."""
     lobe = np.expm1(1.5 * np.exp(60.0 * np.log(cos_h)))
-    return (np.array([0.1, 0.05, 0.02]) + lobe[..., None]) * np.ones((*np.broadcast_shapes(np.shape(cos_h), np.shape(cos_d)), 1))
+    return (np.array([0.1, 0.05, 0.02]) + lobe[..., None]) * np.ones(
+        (*np.broadcast_shapes(np.shape(cos_h), np.shape(cos_d)), 1)
+    )
 
 
 def test_many_small_nnls_are_solved_as_scipy_solves_them(rng):
@@ -30,7 +34,8 @@ def test_many_small_nnls_are_solved_as_scipy_solves_them(rng):
 
 def test_samples_integrate_the_cosine_over_the_hemisphere():
     s = samples.held_out()
-    np.testing.assert_allclose(s.measure.sum(1), np.pi, rtol=6e-3)  # midpoints: coarsest at the horizon, worst at 75° (0.4 %)
+    # midpoints: coarsest at the horizon, worst at 75° (0.4 %)
+    np.testing.assert_allclose(s.measure.sum(1), np.pi, rtol=6e-3)
 
 
 def test_view_stops_lie_on_the_ramps_table():
@@ -60,15 +65,23 @@ def test_the_labels_slopes_are_its_differences(rng):
     for i in range(36):
         step = np.zeros(36)
         step[i] = 1e-6
-        moved = [label_model.values(label + s * step.reshape(label.shape), basis, log_c)[..., 0] for s in (1, -1)]
-        np.testing.assert_allclose(slope[0, :, i], (moved[0] - moved[1]) / 2e-6, rtol=1e-5, atol=1e-8)  # central differences: error ~ step²
+        moved = [
+            label_model.values(label + s * step.reshape(label.shape), basis, log_c)[..., 0]
+            for s in (1, -1)
+        ]
+        # central differences: error ~ step²
+        np.testing.assert_allclose(
+            slope[0, :, i], (moved[0] - moved[1]) / 2e-6, rtol=1e-5, atol=1e-8
+        )
 
 
 def small_problem(rng, view_count=4):
     s = samples.Samples(np.radians(np.linspace(5, 75, view_count)), 16, 6)
     M = plastic(s.cos_h, s.cos_d)
     prior = label_model.initial_labels(plastic)[0]
-    problem = joint_fit.JointFit(s, M, errors.metric(M, s), joint_fit.Settings(mu=0.2, mu_label=0.3), prior)
+    problem = joint_fit.JointFit(
+        s, M, errors.metric(M, s), joint_fit.Settings(mu=0.2, mu_label=0.3), prior
+    )
     shape = view_count, 2
     log_alpha = np.where(np.arange(2) == 0, 0.0, np.log(0.3) + 0.05 * rng.normal(size=shape))
     return problem, joint_fit.State(prior, ("diffuse", "ggx"), log_alpha, np.full(shape, 0.02))
@@ -76,7 +89,9 @@ def small_problem(rng, view_count=4):
 
 @pytest.mark.parametrize(("part", "tolerance"), [("label", 1e-4), ("nodes", 0.05)])
 def test_the_joint_fits_gradient_is_the_slope_of_its_cost(rng, part, tolerance):
-    """5 % for the nodes: the closures' own slopes are one-sided differences, with steps of .01 in log α and .004 in tilt."""
+    """5 % for the nodes: the closures' own slopes are one-sided differences, with steps of .01 in
+    log α and .004 in tilt.
+    """
     problem, state = small_problem(rng)
     _, projected = problem.cost(state)
     gradient, H = problem._system(state, projected)
@@ -97,7 +112,8 @@ def test_the_joint_fits_gradient_is_the_slope_of_its_cost(rng, part, tolerance):
         return problem.cost(moved)[0]
 
     slope = (cost(1e-5) - cost(-1e-5)) / 2e-5
-    assert 2 * gradient @ direction == pytest.approx(slope, rel=tolerance)  # the gradient is of half the cost
+    # the gradient is of half the cost
+    assert 2 * gradient @ direction == pytest.approx(slope, rel=tolerance)
 
 
 def test_the_joint_fit_never_makes_the_cost_worse(rng):
@@ -114,14 +130,19 @@ def fitted_plastic():
 
 
 def test_a_material_that_a_label_can_hold_is_found_again(fitted_plastic):
-    assert fitted_plastic.label_vs_source.mean() < 0.05  # four closures on ten stops pull it off by this much
+    # four closures on ten stops pull it off by this much
+    assert fitted_plastic.label_vs_source.mean() < 0.05
     assert fitted_plastic.nodes_vs_label.mean() < 0.03
 
 
 def test_errors_are_of_the_numbers_that_are_written(fitted_plastic):
     written = recipe.rounded(fitted_plastic, plastic)
-    assert written.nodes_vs_label.mean() == pytest.approx(fitted_plastic.nodes_vs_label.mean(), abs=2e-4)
-    again = recipe.measure(written.label, Mixture.from_json(written.mixture.to_json(recipe.DIGITS)), plastic)
+    assert written.nodes_vs_label.mean() == pytest.approx(
+        fitted_plastic.nodes_vs_label.mean(), abs=2e-4
+    )
+    again = recipe.measure(
+        written.label, Mixture.from_json(written.mixture.to_json(recipe.DIGITS)), plastic
+    )
     assert np.array_equal(again.nodes_vs_label, written.nodes_vs_label)
 
 
@@ -165,11 +186,15 @@ def direct_sum(L, f, normal, cos_o, finer):
     h = w + np.array([0.0, 0.0, 1.0])
     h /= np.linalg.norm(h, axis=-1, keepdims=True)
     row, column = envmap.texel(w @ frames.camera_from_light(), *L.shape[:2])
-    weight = f(cos_i, np.full_like(cos_i, cos_o), h @ normal, np.clip(h[:, 2], 1e-3, 1)) * cos_i * part
+    weight = (
+        f(cos_i, np.full_like(cos_i, cos_o), h @ normal, np.clip(h[:, 2], 1e-3, 1)) * cos_i * part
+    )
     return weight @ L[row, column]
 
 
-@pytest.mark.parametrize(("alpha", "finer", "tolerance"), [(0.5, 4, 0.02), (0.1, 6, 0.02), (0.02, 24, 0.02)])
+@pytest.mark.parametrize(
+    ("alpha", "finer", "tolerance"), [(0.5, 4, 0.02), (0.1, 6, 0.02), (0.02, 24, 0.02)]
+)
 def test_sphere_pictures_are_the_sum_over_the_light(small_sphere, alpha, finer, tolerance):
     """2 %: f is bilinear between 96 × 13 nodes, which overestimates the bend of a lobe."""
     ball, L = small_sphere
@@ -194,10 +219,14 @@ def test_display_l2_of_a_picture_with_itself_is_nothing(small_sphere):
 
 def test_weighted_percentile_of_equal_weights_is_nearly_numpys(rng):
     values = rng.normal(size=1000)
-    assert sphere.weighted_percentile(values, np.ones(1000), 90) == pytest.approx(np.percentile(values, 90), abs=0.02)
+    assert sphere.weighted_percentile(values, np.ones(1000), 90) == pytest.approx(
+        np.percentile(values, 90), abs=0.02
+    )
 
 
-def test_display_errors_of_a_fit_are_one_a_map_and_small_for_a_good_one(fitted_plastic, small_sphere):
+def test_display_errors_of_a_fit_are_one_a_map_and_small_for_a_good_one(
+    fitted_plastic, small_sphere
+):
     shown = recipe.display(fitted_plastic, plastic, small_sphere[0])
     assert [len(values) for values in shown] == [1, 1, 1]
     assert 0 < shown[0][0] < 25  # five display values of 255: a fit on ten view stops
@@ -207,5 +236,7 @@ def test_noise_on_a_measurement_is_as_large_as_asked_for(rng):
     from factory.materials.conditioning import Noisy
 
     cos_h, cos_d = rng.uniform(0.05, 1, 4000), rng.uniform(0.05, 1, 4000)
-    off = np.concatenate([np.log(Noisy(plastic, 0.01, rng)(cos_h, cos_d) / plastic(cos_h, cos_d)) for _ in range(40)])
+    off = np.concatenate(
+        [np.log(Noisy(plastic, 0.01, rng)(cos_h, cos_d) / plastic(cos_h, cos_d)) for _ in range(40)]
+    )
     assert np.sqrt((off**2).mean()) == pytest.approx(0.01, rel=0.1)  # 40 draws of six waves: 5 %

@@ -1,4 +1,6 @@
-"""Each mesh format read rightly: against trimesh's own readers, and against areas and places known beforehand."""
+"""Each mesh format read rightly: against trimesh's own readers, and against areas and places known
+beforehand.
+"""
 
 import base64
 import io
@@ -15,7 +17,8 @@ from factory.shapes.mesh_import import open_mesh
 from factory.shapes.surfaces import ellipsoid, rounded_box
 from manifests.errors import InputError
 
-L_SHAPE = np.array([(0, 2, 0), (0, 0, 0), (4, 0, 0), (4, 4, 0), (2, 4, 0), (2, 2, 0)], float)  # area 12; its fan covers 16
+# area 12; its fan covers 16
+L_SHAPE = np.array([(0, 2, 0), (0, 0, 0), (4, 0, 0), (4, 4, 0), (2, 4, 0), (2, 2, 0)], float)
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0)], float)
 
 
@@ -25,7 +28,9 @@ def read(data, kind):
 
 
 def soup(raw):
-    """Triangles (F, 3, 3), each from its least corner on, sorted: the mesh, whatever the order of vertices and faces."""
+    """Triangles (F, 3, 3), each from its least corner on, sorted: the mesh, whatever the order of
+    vertices and faces.
+    """
     corners = np.asarray(raw.vertices, float)[raw.faces]
     first = np.lexsort(np.moveaxis(np.round(corners, 9), 2, 0)[::-1], axis=1)[:, :1]
     corners = np.take_along_axis(corners, ((first + np.arange(3)) % 3)[..., None], axis=1)
@@ -39,11 +44,15 @@ def area(raw):
 
 def theirs(data, kind):
     """What trimesh reads."""
-    return trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, skip_materials=True).to_mesh()
+    return trimesh.load_scene(
+        io.BytesIO(data), file_type=kind, process=False, skip_materials=True
+    ).to_mesh()
 
 
 def random_mesh(rng):
-    vertices, faces = rounded_box([1, 2, 0.5], 0.1) if rng.random() < 0.5 else ellipsoid([1, 0.5, 0.3], 8, 12)
+    vertices, faces = (
+        rounded_box([1, 2, 0.5], 0.1) if rng.random() < 0.5 else ellipsoid([1, 0.5, 0.3], 8, 12)
+    )
     chosen = rng.choice(len(faces), int(rng.integers(1, len(faces))), replace=False)
     return np.asarray(vertices, np.float32).astype(float), faces[chosen]
 
@@ -52,7 +61,11 @@ def refused(data, kind, *said):
     with pytest.raises(InputError) as problem:
         read(data, kind)
     line = str(problem.value)
-    assert "\n" not in line and line.startswith(f"test.{kind}") and all(words in line for words in said), line
+    assert (
+        "\n" not in line
+        and line.startswith(f"test.{kind}")
+        and all(words in line for words in said)
+    ), line
 
 
 # Against trimesh
@@ -74,22 +87,40 @@ def test_trees_of_nodes_are_placed_as_trimesh_places_them(rng):
         meshes = []
         for _ in range(3):
             vertices, faces = random_mesh(rng)
-            points = made.accessor(vertices.astype(np.float32), stride=int(rng.choice([0, 12, 16, 40])))
+            points = made.accessor(
+                vertices.astype(np.float32), stride=int(rng.choice([0, 12, 16, 40]))
+            )
             kind = rng.choice([np.uint16, np.uint32])
-            meshes.append(made.mesh({"attributes": {"POSITION": points}, "indices": made.accessor(faces.astype(kind).ravel())}))
+            meshes.append(
+                made.mesh(
+                    {
+                        "attributes": {"POSITION": points},
+                        "indices": made.accessor(faces.astype(kind).ravel()),
+                    }
+                )
+            )
         for _ in range(5):
             keys = {"mesh": int(rng.choice(meshes))}
             if rng.random() < 0.3:
-                keys["matrix"] = np.r_[rng.normal(size=(3, 4)) * [1, 1, 1, 0], [[*rng.normal(size=3), 1]]].ravel().tolist()
+                keys["matrix"] = (
+                    np.r_[rng.normal(size=(3, 4)) * [1, 1, 1, 0], [[*rng.normal(size=3), 1]]]
+                    .ravel()
+                    .tolist()
+                )
             else:
                 quaternion = rng.normal(size=4)
-                keys |= {"translation": rng.normal(size=3).tolist(), "scale": rng.normal(size=3).tolist()}
+                keys |= {
+                    "translation": rng.normal(size=3).tolist(),
+                    "scale": rng.normal(size=3).tolist(),
+                }
                 keys["rotation"] = (quaternion / np.linalg.norm(quaternion)).tolist()
             if roots and rng.random() < 0.5:
                 keys["children"] = [roots.pop()]
             roots.append(made.node(**keys))
         data = made.bytes(roots)
-        np.testing.assert_allclose(soup(read(data, "glb")), soup(theirs(data, "glb")), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            soup(read(data, "glb")), soup(theirs(data, "glb")), rtol=1e-9, atol=1e-9
+        )
 
 
 # Polygons, in every format that has them
@@ -106,7 +137,9 @@ def test_an_l_shaped_polygon_has_its_area_in_every_format(kind, first):
 
 def test_polygons_that_cross_themselves_are_told(tmp_path):
     path = tmp_path / "a.obj"
-    path.write_text(obj_text([(0, 0, 0), (2, 2, 0), (2, 0, 0), (0, 1, 0), (0, 0, 1)], [(0, 1, 2, 3), (0, 1, 4)]))
+    path.write_text(
+        obj_text([(0, 0, 0), (2, 2, 0), (2, 0, 0), (0, 1, 0), (0, 0, 1)], [(0, 1, 2, 3), (0, 1, 4)])
+    )
     assert "1 polygons that cross themselves cut as they come" in open_mesh(path).report.line()
 
 
@@ -117,7 +150,8 @@ def test_polygons_that_cross_themselves_are_told(tmp_path):
     "change",
     [
         lambda text: "\ufeff" + text,
-        lambda text: text.replace("v 1.0 0.0 0.0", "\ufeffv 1.0 0.0 0.0"),  # files put together, each with its mark
+        # files put together, each with its mark
+        lambda text: text.replace("v 1.0 0.0 0.0", "\ufeffv 1.0 0.0 0.0"),
         lambda text: text.replace("\n", "\r\n"),
         lambda text: text.replace("\n", "\r"),
         lambda text: text.removesuffix("\n"),
@@ -125,11 +159,14 @@ def test_polygons_that_cross_themselves_are_told(tmp_path):
         lambda text: text.replace("v 1.0 0.0", "v 1.0 \\\n 0.0").replace("\n", "\r\n"),
         lambda text: text.replace("f 1 2 3", "f 1//7 2/5 3/4/9"),
         lambda text: text.replace("f 1 2 3 4", "f -5 -4 -3 -2"),
-        lambda text: text.replace("f", "g caf\xe9 \\x\nusemtl a \\\nf").replace("v 1.0", "o #1\nv 1e0"),
+        lambda text: text.replace("f", "g caf\xe9 \\x\nusemtl a \\\nf").replace(
+            "v 1.0", "o #1\nv 1e0"
+        ),
         lambda text: text.replace("\nf", " # the last one\nf").replace("3 4\n", "3 4# four\n"),
         lambda text: "# c:\\models\\\n#\n\n  \n" + text,
         lambda text: "f 1 2 3 4\nf 2 5 3\n" + text.partition("f")[0],  # faces before their vertices
-        lambda text: text.replace("v 1.0 0.0 0.0", "v +1.000e+00 .0 0. 0.5 0.5 0.5"),  # with colours
+        # with colours
+        lambda text: text.replace("v 1.0 0.0 0.0", "v +1.000e+00 .0 0. 0.5 0.5 0.5"),
         lambda text: "vn 0 0 1\nvt 0 0\ns off\nl 1 2\np 1\n" + text,
     ],
 )
@@ -180,7 +217,9 @@ def test_text_of_sixteen_bits_is_refused():
 
 def test_lines_without_end_are_refused_before_they_are_held():
     refused(b"v 0 0 0\nf 1 1 1" + b" 1" * (3 << 20), "obj", "lines of at most 4 MiB")
-    refused(b"v 0 0 0\nf 1 1 1" + b" 1 1 1 1 1 1 1 1\\\n" * (1 << 18), "obj", "lines of at most 4 MiB")
+    refused(
+        b"v 0 0 0\nf 1 1 1" + b" 1 1 1 1 1 1 1 1\\\n" * (1 << 18), "obj", "lines of at most 4 MiB"
+    )
 
 
 # PLY
@@ -223,7 +262,10 @@ def test_plys_of_one_length_of_list_are_read_as_those_of_several(rng):
         lambda data: data.replace(b"comment a test", b"comment end_header\nobj_info x\ncomment"),
         lambda data: data.replace(b"3 0 1 2", b"3 0.0 1 2.0"),
         lambda data: data.replace(b"vertex_indices", b"vertex_index"),
-        lambda data: data.replace(b"element face", b"element other 0\nproperty int a\nelement face") + b"\n\n",
+        lambda data: (
+            data.replace(b"element face", b"element other 0\nproperty int a\nelement face")
+            + b"\n\n"
+        ),
     ],
 )
 def test_a_text_ply_is_the_same_however_it_is_written(change):
@@ -246,11 +288,24 @@ def test_a_binary_ply_may_have_a_header_of_windows():
         (lambda data: data.replace(b"uchar int", b"float int"), "a line of a PLY header"),
         (lambda data: data.replace(b"uchar int", b"uchar float"), "whole numbers"),
         (lambda data: data.replace(b"face 2", b"face -2"), "a line of a PLY header"),
-        (lambda data: data.replace(b"face 2", b"face 99999999999999999999"), "a line of a PLY header"),
+        (
+            lambda data: data.replace(b"face 2", b"face 99999999999999999999"),
+            "a line of a PLY header",
+        ),
         (lambda data: data.replace(b"face 2", b"face 3"), "the end of the file"),
         (lambda data: data.replace(b"face 2", b"face 0"), "none"),
-        (lambda data: data.replace(b"format binary_little_endian", b"format binary_middle_endian"), "a line of a PLY header"),
-        (lambda data: data.replace(b"property list uchar int vertex_indices", b"property int vertex_indices"), "a list vertex_indices"),
+        (
+            lambda data: data.replace(
+                b"format binary_little_endian", b"format binary_middle_endian"
+            ),
+            "a line of a PLY header",
+        ),
+        (
+            lambda data: data.replace(
+                b"property list uchar int vertex_indices", b"property int vertex_indices"
+            ),
+            "a list vertex_indices",
+        ),
         (lambda data: data[: data.index(b"end_header")], "a PLY header"),
         (lambda data: data.replace(b"\x03\0\0\0\0", b"\x03\xff\xff\xff\xff"), "vertex 0"),
     ],
@@ -263,7 +318,10 @@ def test_a_ply_that_lies_is_refused(change, says):
 
 def test_a_text_ply_with_commas_is_refused_and_not_cut_short():
     """numpy.fromstring stops at the comma, with a warning at most."""
-    for data in (ply(SQUARE, [(0, 1, 2)], "ascii").replace(b"2.0", b"2,5"), ply(SQUARE, [(0, 1, 2)], "ascii") + b"3 0 1 4\n"):
+    for data in (
+        ply(SQUARE, [(0, 1, 2)], "ascii").replace(b"2.0", b"2,5"),
+        ply(SQUARE, [(0, 1, 2)], "ascii") + b"3 0 1 4\n",
+    ):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             refused(data, "ply", "line")
@@ -281,7 +339,11 @@ def test_a_text_ply_with_commas_is_refused_and_not_cut_short():
         lambda text: text.upper(),
         lambda text: text.replace("solid a", "solid vertex 1 2 3 facet"),
         lambda text: text.replace("\n", "\n\t\n"),
-        lambda text: text.replace("outer loop\n", "outer loop ").replace("\nvertex", " vertex").replace("0\nendloop", "0 endloop"),
+        lambda text: (
+            text.replace("outer loop\n", "outer loop ")
+            .replace("\nvertex", " vertex")
+            .replace("0\nendloop", "0 endloop")
+        ),
         lambda text: text.replace("endfacet\nfacet", "endfacet\nendsolid a\nsolid b\nfacet", 1),
     ],
 )
@@ -309,7 +371,11 @@ def test_a_binary_stl_may_begin_with_solid():
     data = trimesh.Trimesh(SQUARE, [(0, 1, 2), (1, 4, 2)], process=False).export(file_type="stl")
     np.testing.assert_array_equal(soup(read(b"solid" + data[5:], "stl")), soup(theirs(data, "stl")))
     for count in (0, 1, 3, 2**32 - 1):
-        refused(data[:80] + struct.pack("<I", count) + data[84:], "stl", "triangles its header announces")
+        refused(
+            data[:80] + struct.pack("<I", count) + data[84:],
+            "stl",
+            "triangles its header announces",
+        )
 
 
 @pytest.mark.parametrize(
@@ -331,7 +397,10 @@ def test_an_off_is_the_same_however_it_is_written(change):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda text: text.replace("3 0 1 2\n", ""), "expected 5 vertices and 2 faces, found the end after 5 and 1"),
+        (
+            lambda text: text.replace("3 0 1 2\n", ""),
+            "expected 5 vertices and 2 faces, found the end after 5 and 1",
+        ),
         (lambda text: text.replace("3 0 1 2", "9 0 1 2"), "'9 0 1 2'"),
         (lambda text: text.replace("3 0 1 2", "-3 0 1 2"), "'-3 0 1 2'"),
         (lambda text: text.replace("3 0 1 2", "3 0 1 -1"), "vertex 0"),
@@ -351,7 +420,10 @@ def test_an_off_that_lies_is_refused(change, says):
 def one_mesh(made=None, indices=(0, 1, 2, 1, 4, 2), mode=4, **keys):
     """A Glb of the square and a triangle; keys: of the accessor of its vertices."""
     made = made or Glb()
-    primitive = {"attributes": {"POSITION": made.accessor(SQUARE.astype(np.float32), **keys)}, "mode": mode}
+    primitive = {
+        "attributes": {"POSITION": made.accessor(SQUARE.astype(np.float32), **keys)},
+        "mode": mode,
+    }
     if indices is not None:
         primitive["indices"] = made.accessor(np.array(indices, np.uint16))
     return made, made.mesh(primitive)
@@ -391,8 +463,15 @@ def test_quantised_positions_are_read_with_and_without_their_norm(kind):
     values = (SQUARE * 50).astype(kind)
     plain, normal = made.accessor(values), made.accessor(values, normalized=True)
     for accessor, unit in ((plain, 50), (normal, 50 / np.iinfo(kind).max)):
-        mesh = made.mesh({"attributes": {"POSITION": accessor}, "indices": made.accessor(np.array([0, 1, 2, 1, 4, 2], np.uint8))})
-        raw = read(made.bytes([made.node(mesh=mesh)], extensionsRequired=["KHR_mesh_quantization"]), "glb")
+        mesh = made.mesh(
+            {
+                "attributes": {"POSITION": accessor},
+                "indices": made.accessor(np.array([0, 1, 2, 1, 4, 2], np.uint8)),
+            }
+        )
+        raw = read(
+            made.bytes([made.node(mesh=mesh)], extensionsRequired=["KHR_mesh_quantization"]), "glb"
+        )
         np.testing.assert_allclose(soup(raw), EXPECTED * unit, rtol=1e-12)
 
 
@@ -418,9 +497,14 @@ def test_data_may_stand_in_the_scene_itself():
     made, mesh = one_mesh()
     made.node(mesh=mesh)
     inside = "data:application/octet-stream;base64," + base64.b64encode(bytes(made.data)).decode()
-    np.testing.assert_array_equal(soup(read(made.bytes([0], buffers=[{"byteLength": len(made.data), "uri": inside}]), "glb")), EXPECTED)
+    np.testing.assert_array_equal(
+        soup(read(made.bytes([0], buffers=[{"byteLength": len(made.data), "uri": inside}]), "glb")),
+        EXPECTED,
+    )
     for uri in ("file:///etc/passwd", "../a.bin", "http://x/a.bin", ""):
-        refused(made.bytes([0], buffers=[{"byteLength": 3, "uri": uri}]), "glb", "a buffer elsewhere")
+        refused(
+            made.bytes([0], buffers=[{"byteLength": 3, "uri": uri}]), "glb", "a buffer elsewhere"
+        )
     for uri in ("data:,abc", "data:;base64,a*c=", "data:"):
         refused(made.bytes([0], buffers=[{"byteLength": 3, "uri": uri}]), "glb", "base64")
 
@@ -429,7 +513,10 @@ def test_what_is_left_out_of_a_scene_is_told():
     made, mesh = one_mesh()
     made.scene["meshes"][mesh]["primitives"][0]["targets"] = [{"POSITION": 0}]
     made.scene["meshes"][mesh]["primitives"].append({"attributes": {"POSITION": 0}, "mode": 1})
-    raw = read(made.bytes([made.node(mesh=mesh, skin=0, extensions={"EXT_mesh_gpu_instancing": {}})]), "glb")
+    raw = read(
+        made.bytes([made.node(mesh=mesh, skin=0, extensions={"EXT_mesh_gpu_instancing": {}})]),
+        "glb",
+    )
     assert set(raw.notes) == {
         "1 skins left as they are bound",
         "1 instanced copies left out",
@@ -442,7 +529,12 @@ def changed(*steps):
     """A plain GLB whose scene is changed: (path of keys, value), …"""
     made, mesh = one_mesh(sparse=(2, 4))
     made.node(mesh=mesh)
-    scene = {"asset": {"version": "2.0"}, "buffers": [{"byteLength": len(made.data)}], **made.scene, "scenes": [{"nodes": [0]}]}
+    scene = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": len(made.data)}],
+        **made.scene,
+        "scenes": [{"nodes": [0]}],
+    }
     for path, value in steps:
         place = scene
         for key in path[:-1]:
@@ -466,7 +558,11 @@ def changed(*steps):
         (("accessors", 0, "byteOffset"), 2**50, "within a buffer view"),
         (("accessors", 0, "bufferView"), 99, "bufferViews below"),
         (("accessors", 0, "sparse", "indices", "byteOffset"), 2, "within a buffer view"),
-        (("accessors", 0, "sparse", "indices", "componentType"), 5126, "sparse indices as unsigned"),
+        (
+            ("accessors", 0, "sparse", "indices", "componentType"),
+            5126,
+            "sparse indices as unsigned",
+        ),
         (("accessors", 0, "sparse", "values", "bufferView"), 1, "within a buffer view"),
         (("accessors", 0, "sparse", "count"), 2**33, "within a buffer view"),
         (("accessors", 1, "componentType"), 5126, "indices as unsigned"),
@@ -491,7 +587,11 @@ def changed(*steps):
         (("nodes", 0, "scale"), ["a"], "a readable glTF scene"),
         (("scenes", 0, "nodes"), [0, 0], "a node with two parents"),
         (("scene",), 4, "scenes below 1"),
-        (("extensionsRequired",), ["EXT_meshopt_compression"], "the compression EXT_meshopt_compression"),
+        (
+            ("extensionsRequired",),
+            ["EXT_meshopt_compression"],
+            "the compression EXT_meshopt_compression",
+        ),
         (("extensionsRequired",), ["MADE_UP_geometry"], "MADE_UP_geometry"),
         (("meshes",), {}, "a readable glTF scene"),
     ],
@@ -504,7 +604,11 @@ def test_a_glb_that_lies_is_refused(path, value, says):
 def test_indices_beyond_the_vertices_and_positions_without_data_are_refused():
     refused(plain_glb(indices=(0, 1, 9)), "glb", "vertex 10")
     refused(plain_glb(indices=(0, 1, 65535)), "glb", "vertex 65536")
-    refused(changed((("accessors", 0), {"count": 5, "componentType": 5126, "type": "VEC3"})), "glb", "positions with data")
+    refused(
+        changed((("accessors", 0), {"count": 5, "componentType": 5126, "type": "VEC3"})),
+        "glb",
+        "positions with data",
+    )
 
 
 def test_a_glb_cut_short_or_of_another_version_is_refused():
@@ -513,8 +617,18 @@ def test_a_glb_cut_short_or_of_another_version_is_refused():
         refused(data[:cut], "glb")
     refused(data[:4] + struct.pack("<I", 1) + data[8:], "glb", "version 1")
     deep = b"[" * 100_000
-    refused(struct.pack("<4sIII4s", b"glTF", 2, 20 + len(deep), len(deep), b"JSON") + deep, "glb", "a readable glTF scene")
+    refused(
+        struct.pack("<4sIII4s", b"glTF", 2, 20 + len(deep), len(deep), b"JSON") + deep,
+        "glb",
+        "a readable glTF scene",
+    )
 
 
 def test_a_sparse_accessor_without_a_base_takes_no_more_memory_than_triangles_may():
-    refused(changed((("accessors", 1), {"count": 3 * 2_000_001, "componentType": 5125, "type": "SCALAR"})), "glb", "at most 2,000,000")
+    refused(
+        changed(
+            (("accessors", 1), {"count": 3 * 2_000_001, "componentType": 5125, "type": "SCALAR"})
+        ),
+        "glb",
+        "at most 2,000,000",
+    )

@@ -1,4 +1,6 @@
-"""Bad mesh files: one line that says where, what was expected, what was found, and the remedy; before memory is taken."""
+"""Bad mesh files: one line that says where, what was expected, what was found, and the remedy;
+before memory is taken.
+"""
 
 import json
 import struct
@@ -43,12 +45,20 @@ def glb(scene, binary=b""):
 
 def test_missing_file_names_the_nearest(tmp_path):
     written(tmp_path / "kettle.obj", TRIANGLE)
-    refused(tmp_path / "ketle.obj", "expected a mesh file, found no such file", "did you mean kettle.obj?")
+    refused(
+        tmp_path / "ketle.obj",
+        "expected a mesh file, found no such file",
+        "did you mean kettle.obj?",
+    )
     refused(tmp_path, "expected a mesh file, found a folder")
 
 
 def test_wrong_ending(tmp_path):
-    refused(written(tmp_path / "a.step", TRIANGLE), "expected one of .obj, .ply, .glb, .stl, .off, found '.step'", "convert")
+    refused(
+        written(tmp_path / "a.step", TRIANGLE),
+        "expected one of .obj, .ply, .glb, .stl, .off, found '.step'",
+        "convert",
+    )
     refused(written(tmp_path / "a.gltf", "{}"), "binary glTF")
 
 
@@ -73,14 +83,31 @@ def test_no_area(tmp_path):
         written(tmp_path / "line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"),
         "expected a mesh with a surface, found 1 triangles of no area",
     )
-    refused(written(tmp_path / "point.obj", "v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n"), "expected a mesh of some extent, found a size of 0")
-    refused(written(tmp_path / "cloud.obj", "v 1 1 1\n" * 9), "expected a mesh with triangles, found none")
+    refused(
+        written(tmp_path / "point.obj", "v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n"),
+        "expected a mesh of some extent, found a size of 0",
+    )
+    refused(
+        written(tmp_path / "cloud.obj", "v 1 1 1\n" * 9),
+        "expected a mesh with triangles, found none",
+    )
 
 
 def test_faces_beyond_the_vertices(tmp_path):
-    refused(written(tmp_path / "a.obj", TRIANGLE.replace("f 1 2 3", "f 1 2 7")), "expected faces among its 3 vertices, found vertex 7")
-    refused(written(tmp_path / "b.obj", TRIANGLE.replace("f 1 2 3", "f 1 2 -9")), "line 4", "expected a vertex or face")
-    refused(written(tmp_path / "c.obj", TRIANGLE.replace("v 1 0 0", "v 1 zero 0")), "line 2", "'v 1 zero 0'")
+    refused(
+        written(tmp_path / "a.obj", TRIANGLE.replace("f 1 2 3", "f 1 2 7")),
+        "expected faces among its 3 vertices, found vertex 7",
+    )
+    refused(
+        written(tmp_path / "b.obj", TRIANGLE.replace("f 1 2 3", "f 1 2 -9")),
+        "line 4",
+        "expected a vertex or face",
+    )
+    refused(
+        written(tmp_path / "c.obj", TRIANGLE.replace("v 1 0 0", "v 1 zero 0")),
+        "line 2",
+        "'v 1 zero 0'",
+    )
 
 
 def test_non_manifold_is_accepted_with_a_note(tmp_path):
@@ -99,7 +126,9 @@ def memory_while(action):
 
 
 def test_ten_million_triangles_are_refused_before_memory_is_taken(tmp_path):
-    """A sparse STL of 500 MB, a PLY and a GLB that only announce them: none costs more than a megabyte to refuse."""
+    """A sparse STL of 500 MB, a PLY and a GLB that only announce them: none costs more than a
+    megabyte to refuse.
+    """
     count = 10_000_000
     stl = tmp_path / "huge.stl"
     with open(stl, "wb") as file:
@@ -107,22 +136,43 @@ def test_ten_million_triangles_are_refused_before_memory_is_taken(tmp_path):
         file.truncate(84 + 50 * count)
     ply = tmp_path / "huge.ply"
     with open(ply, "wb") as file:
-        header = f"ply\nformat binary_little_endian 1.0\nelement vertex 5000000\nproperty float x\nelement face {count}\n"
+        header = (
+            "ply\nformat binary_little_endian 1.0\nelement vertex 5000000\nproperty float"
+            f" x\nelement face {count}\n"
+        )
         file.write(f"{header}property list uchar int vertex_indices\nend_header\n".encode())
         file.truncate(190_000_000)
     big = tmp_path / "huge.obj"
     with open(big, "wb") as file:
         file.truncate(MAXIMUM_TRIANGLES * 250 + 1)
-    scene = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]}
+    scene = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+    }
     scene |= {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}]}
     scene |= {
-        "accessors": [{"count": 100, "componentType": 5126, "type": "VEC3"}, {"count": 3 * count, "componentType": 5125, "type": "SCALAR"}]
+        "accessors": [
+            {"count": 100, "componentType": 5126, "type": "VEC3"},
+            {"count": 3 * count, "componentType": 5125, "type": "SCALAR"},
+        ]
     }
-    files = {stl: "10,000,000", ply: "10,000,000", big: "500,000,001 bytes", written(tmp_path / "huge.glb", glb(scene)): "10,000,000"}
+    files = {
+        stl: "10,000,000",
+        ply: "10,000,000",
+        big: "500,000,001 bytes",
+        written(tmp_path / "huge.glb", glb(scene)): "10,000,000",
+    }
     remedy = "reduce the mesh", "`factory shapes`: --max-triangles"  # `render` has no such option
     for path, found in files.items():
-        peak = memory_while(lambda path=path, found=found: refused(path, "at most 2,000,000 triangles", found, *remedy))
-        assert peak < 2_000_000, (path, peak)  # a header and a chunk of reading; 10 M triangles would be 360 MB
+        peak = memory_while(
+            lambda path=path, found=found: refused(
+                path, "at most 2,000,000 triangles", found, *remedy
+            )
+        )
+        # a header and a chunk of reading; 10 M triangles would be 360 MB
+        assert peak < 2_000_000, (path, peak)
 
 
 def test_the_bound_can_be_raised_and_lowered(tmp_path):
@@ -144,18 +194,44 @@ def test_headers_that_lie_are_refused(tmp_path):
         "50,084 bytes for the 1,000 triangles",
         "found 184",
     )
-    header = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 100000\n"
-    refused(written(tmp_path / "cut.ply", header + b"property list uchar int vertex_indices\nend_header\n0 0 0\n"), "100,000 faces")
-    refused(written(tmp_path / "cut.off", "OFF\n3 9999 0\n0 0 0\n"), "9,999 faces as its header says")
+    header = (
+        b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty"
+        b" float z\nelement face 100000\n"
+    )
+    refused(
+        written(
+            tmp_path / "cut.ply",
+            header + b"property list uchar int vertex_indices\nend_header\n0 0 0\n",
+        ),
+        "100,000 faces",
+    )
+    refused(
+        written(tmp_path / "cut.off", "OFF\n3 9999 0\n0 0 0\n"), "9,999 faces as its header says"
+    )
 
 
 def test_glb_refuses_compression_outside_files_and_shared_nodes(tmp_path):
-    refused(written(tmp_path / "a.glb", glb({"extensionsRequired": ["KHR_draco_mesh_compression"]})), "the compression KHR_draco")
-    refused(written(tmp_path / "b.glb", glb({"buffers": [{"uri": "../../etc/passwd", "byteLength": 3}]})), "a buffer elsewhere", "one .glb")
-    doubled = {"meshes": [{"primitives": []}], "nodes": [{"children": [2]}, {"children": [2]}, {"mesh": 0}]}
+    refused(
+        written(tmp_path / "a.glb", glb({"extensionsRequired": ["KHR_draco_mesh_compression"]})),
+        "the compression KHR_draco",
+    )
+    refused(
+        written(
+            tmp_path / "b.glb", glb({"buffers": [{"uri": "../../etc/passwd", "byteLength": 3}]})
+        ),
+        "a buffer elsewhere",
+        "one .glb",
+    )
+    doubled = {
+        "meshes": [{"primitives": []}],
+        "nodes": [{"children": [2]}, {"children": [2]}, {"mesh": 0}],
+    }
     refused(written(tmp_path / "c.glb", glb(doubled)), "a node with two parents")
     refused(
-        written(tmp_path / "d.glb", b"glTF" + b"\2\0\0\0\xff\0\0\0" + struct.pack("<I4s", 1 << 31, b"JSON")),
+        written(
+            tmp_path / "d.glb",
+            b"glTF" + b"\2\0\0\0\xff\0\0\0" + struct.pack("<I4s", 1 << 31, b"JSON"),
+        ),
         "a JSON chunk of at most 64 MiB",
     )
 
@@ -165,7 +241,11 @@ def library(path, models, catalogue=True):
         lines = ["license=Public domain"]
         for number, (name, content) in enumerate(models.items(), 1):
             archive.writestr(f"set/{name}/{name}.obj", content)
-            lines += [f"name#{number}={name}", f"model#{number}=/set/{name}/{name}.obj", f"creator#{number}=Ada"]
+            lines += [
+                f"name#{number}={name}",
+                f"model#{number}=/set/{name}/{name}.obj",
+                f"creator#{number}=Ada",
+            ]
         if catalogue:
             archive.writestr(CATALOGUE, "\n".join(lines))
     return path
@@ -185,14 +265,24 @@ def test_a_furniture_library_lists_and_opens_its_meshes(tmp_path):
 
 def test_a_zip_bomb_is_not_unpacked(tmp_path):
     path = library(tmp_path / "bomb.sh3f", {"bomb": b"v 0 0 0\n" * 8_000_000})  # 64 MB from 90 kB
-    peak = memory_while(lambda: refused(f"{path}#bomb", "bytes unpacked", "64,000,000", "`factory shapes`: --max-triangles"))
+    peak = memory_while(
+        lambda: refused(
+            f"{path}#bomb", "bytes unpacked", "64,000,000", "`factory shapes`: --max-triangles"
+        )
+    )
     assert peak < 10_000_000
 
 
 def test_broken_libraries(tmp_path):
     refused(f"{written(tmp_path / 'a.sh3f', b'no zip at all')}#x", "a zip file of meshes")
-    refused(f"{library(tmp_path / 'b.sh3f', {'x': TRIANGLE}, catalogue=False)}#x", f"a library with {CATALOGUE}")
-    refused(f"{tmp_path / 'none.sh3f'}#x", "expected a .sh3f library, a zip file of meshes, found no such file")
+    refused(
+        f"{library(tmp_path / 'b.sh3f', {'x': TRIANGLE}, catalogue=False)}#x",
+        f"a library with {CATALOGUE}",
+    )
+    refused(
+        f"{tmp_path / 'none.sh3f'}#x",
+        "expected a .sh3f library, a zip file of meshes, found no such file",
+    )
 
 
 def test_wrong_options(tmp_path):

@@ -1,4 +1,6 @@
-"""A job as shots: the paper's counts, draws that nobody else's presence alters, splits that share nothing, and no memory."""
+"""A job as shots: the paper's counts, draws that nobody else's presence alters, splits that share
+nothing, and no memory.
+"""
 
 import re
 import time
@@ -40,7 +42,14 @@ def stub(hash_of):
             testing if "merl/test" in job.materials else 0
         )
         materials = [
-            Material(name=f"m{k}-{side}", hash=hash_of(f"m{k}-{side}"), side=side, licence="", source="", entry=None)
+            Material(
+                name=f"m{k}-{side}",
+                hash=hash_of(f"m{k}-{side}"),
+                side=side,
+                licence="",
+                source="",
+                entry=None,
+            )
             for k, side in enumerate(sides or ["train", "test"])
         ]
         lights = {n: Light(n, n, hash_of(n), 1.0, "", "", None) for n in job.lights}
@@ -61,13 +70,18 @@ def job():
     )
 
 
-@pytest.mark.parametrize(("preset", "count"), [("pretrain", 240_000), ("finetune", 480_000), ("test", 40_000), ("multi-material", 20_000)])
+@pytest.mark.parametrize(
+    ("preset", "count"),
+    [("pretrain", 240_000), ("finetune", 480_000), ("test", 40_000), ("multi-material", 20_000)],
+)
 def test_presets_have_the_papers_counts(stub, preset, count):
     assert len(stub(jobs.load(preset)[0])) == count
 
 
 def test_over_the_whole_paper_plan_training_and_test_share_no_shape_and_no_material(stub):
-    """All 760,000 pictures, as (shape, material) pairs: one group under one light has every pair of a shape."""
+    """All 760,000 pictures, as (shape, material) pairs: one group under one light has every pair of
+    a shape.
+    """
     sides = {"shape": {}, "material": {}}
     pictures = 0
     for preset in ("pretrain", "finetune", "test"):
@@ -76,7 +90,10 @@ def test_over_the_whole_paper_plan_training_and_test_share_no_shape_and_no_mater
         for shape in plan.assets.shapes:
             for shot in plan.group(shape, *plan.lights[0])[::5]:
                 assert shot.split == ("test" if preset == "test" else "train")
-                for kind, name in (("shape", shot.shape), *(("material", m) for m in shot.materials)):
+                for kind, name in (
+                    ("shape", shot.shape),
+                    *(("material", m) for m in shot.materials),
+                ):
                     assert sides[kind].setdefault(name, shot.split) == shot.split
     assert pictures == 760_000
     assert len(sides["shape"]) == 280 and len(sides["material"]) == 80
@@ -108,12 +125,22 @@ def test_the_length_is_the_number_of_shots_and_ids_are_unique(stub, job):
 def test_a_plan_is_the_same_every_time_and_sorted_so_that_what_is_dear_changes_least(stub, job):
     fixed = msgspec.structs.replace(job, views=(0, 6), rotations=(0, 64))
     assert list(stub(fixed)) == list(stub(fixed))
-    seen = [(s.shape, s.light, s.light_resolution, s.tier, s.materials, s.rotation_texels) for s in stub(fixed)]
-    assert sum(a != b for a, b in pairwise(seen)) == 4 * 2 * 2 * 2 - 1  # shapes × lights × materials × rotations, once each
+    seen = [
+        (s.shape, s.light, s.light_resolution, s.tier, s.materials, s.rotation_texels)
+        for s in stub(fixed)
+    ]
+    # shapes × lights × materials × rotations, once each
+    assert sum(a != b for a, b in pairwise(seen)) == 4 * 2 * 2 * 2 - 1
 
 
 @pytest.mark.parametrize(
-    "change", [{"shapes": ("chair:0-5", "sofa:1")}, {"lights": ("c", "a", "b")}, {"tiers": ("direct", "full")}, {"repeats": 2}]
+    "change",
+    [
+        {"shapes": ("chair:0-5", "sofa:1")},
+        {"lights": ("c", "a", "b")},
+        {"tiers": ("direct", "full")},
+        {"repeats": 2},
+    ],
 )
 def test_what_is_added_to_a_job_alters_no_other_shot(stub, job, change):
     ours, theirs = stub(job), stub(msgspec.structs.replace(job, **change))
@@ -121,7 +148,9 @@ def test_what_is_added_to_a_job_alters_no_other_shot(stub, job, change):
 
 
 def test_each_input_alters_the_id(stub, job):
-    fixed = msgspec.structs.replace(job, views=(3,), rotations=(7,), shapes=("chair:0",), lights=("a",))
+    fixed = msgspec.structs.replace(
+        job, views=(3,), rotations=(7,), shapes=("chair:0",), lights=("a",)
+    )
     ids = {shot.id for shot in stub(fixed)}
     changes = [
         {"seed": 1}, {"samples": 65}, {"camera": Camera(size=(8, 9))}, {"camera": Camera(size=(8, 8), fov_deg=40.0)}, {"views": (4,)},
@@ -129,8 +158,11 @@ def test_each_input_alters_the_id(stub, job):
         {"rotations": (8,)}, {"tiers": ("shadow",)}, {"light_resolutions": ("full",)}, {"lights": ("b",)}, {"shapes": ("chair:1",)},
     ]  # fmt: skip
     for change in changes:
-        assert not ids & {shot.id for shot in stub(msgspec.structs.replace(fixed, **change))}, change
-    for word in ("view", "turn", "tier", "resolution", "repeat"):  # and the seed, so that no two share their noise
+        assert not ids & {shot.id for shot in stub(msgspec.structs.replace(fixed, **change))}, (
+            change
+        )
+    # and the seed, so that no two share their noise
+    for word in ("view", "turn", "tier", "resolution", "repeat"):
         assert shot_seed(1, word) != shot_seed(1, "") != shot_seed(2, "")
     other = stub(fixed)
     assert not ids & {shot.id for shot in Plan(other.job, other.assets, "other settings")}
@@ -139,7 +171,9 @@ def test_each_input_alters_the_id(stub, job):
 def test_five_different_views_are_drawn_and_all_viewpoints_come_up(stub, job):
     by_combination = {}
     for shot in stub(job):
-        by_combination.setdefault((shot.shape, shot.materials, shot.light), []).append(shot.viewpoint)
+        by_combination.setdefault((shot.shape, shot.materials, shot.light), []).append(
+            shot.viewpoint
+        )
     assert all(len(set(views)) == 5 for views in by_combination.values())
     plan = stub(jobs.load("pretrain")[0])
     counts = [0] * 24
@@ -171,11 +205,14 @@ def test_shots_are_made_lazily_in_little_memory(stub):
 def test_ids_are_quick_to_make(stub):
     start = time.process_time()
     sum(1 for _ in islice(stub(jobs.load("pretrain")[0]), 12_000))
-    assert time.process_time() - start < 2.4  # measured 19 µs a shot on a busy machine, 14 s for 720,000; here room for ten times
+    # measured 19 µs a shot on a busy machine, 14 s for 720,000; here room for ten times
+    assert time.process_time() - start < 2.4
 
 
 def test_cameras_that_are_alike_hash_alike():
-    assert camera_words(Camera(elevation_deg=20, fov_deg=40)) == camera_words(Camera(elevation_deg=20.0, fov_deg=40.0))
+    assert camera_words(Camera(elevation_deg=20, fov_deg=40)) == camera_words(
+        Camera(elevation_deg=20.0, fov_deg=40.0)
+    )
 
 
 def test_the_viewpoints_are_24_steps_of_15_degrees():
@@ -200,7 +237,9 @@ def test_the_viewpoints_are_24_steps_of_15_degrees():
         ({"materials": ("small/brass",)}, "none of that name"),
     ],
 )
-def test_a_job_that_names_what_is_not_there_is_refused_in_one_line(small_job, catalogue, tmp_path, light_file, change, message):
+def test_a_job_that_names_what_is_not_there_is_refused_in_one_line(
+    small_job, catalogue, tmp_path, light_file, change, message
+):
     (tmp_path / "lamp.exr").write_bytes(light_file.read_bytes())
     job = msgspec.structs.replace(small_job, lights=("lamp.exr",))
     with pytest.raises(InputError, match=re.escape(message)) as caught:
@@ -220,24 +259,41 @@ def test_a_path_may_lie_below_the_jobs_folder_but_a_link_may_not_lead_out(tmp_pa
 def test_without_mixed_only_pairs_of_one_side_are_rendered(stub, job):
     shots = list(stub(msgspec.structs.replace(job, mixed=False, shapes=("chair:0-19",))))
     assert {shot.split for shot in shots} == {"train", "test"}
-    assert {shot.split for shot in stub(msgspec.structs.replace(job, shapes=("chair:0-19",)))} == {"train", "test", "mixed"}
+    assert {shot.split for shot in stub(msgspec.structs.replace(job, shapes=("chair:0-19",)))} == {
+        "train",
+        "test",
+        "mixed",
+    }
 
 
 def test_a_twin_is_left_out_with_a_note(small_job, catalogue, tmp_path):
     for name in ("a", "b"):
         (tmp_path / f"{name}.ply").write_bytes(TETRAHEDRON)
-    assets = resolve(msgspec.structs.replace(small_job, shapes=("a.ply", "b.ply"), lights=("city",)), tmp_path, catalogues=[catalogue])
+    assets = resolve(
+        msgspec.structs.replace(small_job, shapes=("a.ply", "b.ply"), lights=("city",)),
+        tmp_path,
+        catalogues=[catalogue],
+    )
     assert [s.name for s in assets.shapes] == ["a"]
     assert assets.notes == ["shape 'b' is 'a' again, left out"]
 
 
-def test_a_folder_of_meshes_is_named_by_where_they_lie_and_two_meshes_never_share_a_name(small_job, catalogue, tmp_path):
+def test_a_folder_of_meshes_is_named_by_where_they_lie_and_two_meshes_never_share_a_name(
+    small_job, catalogue, tmp_path
+):
     for k, folder in enumerate(("chairs/one", "chairs/two")):
         (tmp_path / folder).mkdir(parents=True)
-        (tmp_path / folder / "model.ply").write_bytes(TETRAHEDRON.replace(b"0 0 2", b"0 0 %d" % (2 + k)))
+        (tmp_path / folder / "model.ply").write_bytes(
+            TETRAHEDRON.replace(b"0 0 2", b"0 0 %d" % (2 + k))
+        )
     job = msgspec.structs.replace(small_job, lights=("city",))
-    assets = resolve(msgspec.structs.replace(job, shapes=("./chairs",)), tmp_path, catalogues=[catalogue])
-    assert [(s.name, s.category) for s in assets.shapes] == [("one-model", "chair"), ("two-model", "chair")]
+    assets = resolve(
+        msgspec.structs.replace(job, shapes=("./chairs",)), tmp_path, catalogues=[catalogue]
+    )
+    assert [(s.name, s.category) for s in assets.shapes] == [
+        ("one-model", "chair"),
+        ("two-model", "chair"),
+    ]
     both = msgspec.structs.replace(job, shapes=("chairs/one/model.ply", "chairs/two/model.ply"))
     with pytest.raises(InputError, match="expected one mesh under a name"):
         resolve(both, tmp_path, catalogues=[catalogue])
@@ -245,7 +301,12 @@ def test_a_folder_of_meshes_is_named_by_where_they_lie_and_two_meshes_never_shar
 
 def test_sets_and_names_of_materials_can_be_mixed(small_job, catalogue):
     def chosen(*names):
-        return [m.name for m in resolve(msgspec.structs.replace(small_job, materials=names), catalogues=[catalogue]).materials]
+        return [
+            m.name
+            for m in resolve(
+                msgspec.structs.replace(small_job, materials=names), catalogues=[catalogue]
+            ).materials
+        ]
 
     assert chosen("small") == ["matte", "metal", "grey"]
     assert chosen("small/test", "grey", "small/metal") == ["metal", "grey"]
@@ -262,6 +323,9 @@ def test_a_plan_says_what_it_means(plan_of, small_job):
 @pytest.mark.parametrize("line", [Record, View, Failure])
 def test_a_line_repeats_every_field_of_its_shot_that_it_has_but_the_geometry(stub, job, line):
     shot = next(iter(stub(job)))
-    shared = set(Shot.__struct_fields__) & set(line.__struct_fields__) - {"geometry", "geometry_hash"}
+    shared = set(Shot.__struct_fields__) & set(line.__struct_fields__) - {
+        "geometry",
+        "geometry_hash",
+    }
     assert shot.repeated_in(line) == {name: getattr(shot, name) for name in shared}
     assert {"id", "shape", "viewpoint"} <= shared

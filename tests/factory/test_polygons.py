@@ -1,4 +1,6 @@
-"""Polygons cut into triangles: their area, their edges, nothing twice and no hole, whatever their shape."""
+"""Polygons cut into triangles: their area, their edges, nothing twice and no hole, whatever their
+shape.
+"""
 
 import time
 import tracemalloc
@@ -30,8 +32,12 @@ def tilted(xy, rng):
 
 
 def cut(vertices, first=0):
-    """Triangles of one polygon that begins at any of its corners, and how many polygons cross themselves."""
-    faces, _, crossing = triangulate(vertices, np.roll(np.arange(len(vertices)), -first), np.array([len(vertices)]))
+    """Triangles of one polygon that begins at any of its corners, and how many polygons cross
+    themselves.
+    """
+    faces, _, crossing = triangulate(
+        vertices, np.roll(np.arange(len(vertices)), -first), np.array([len(vertices)])
+    )
     return faces, crossing
 
 
@@ -64,19 +70,24 @@ def comb(teeth):
 
 def spiral(count):
     angle = np.linspace(0, 20 * np.pi, count // 2)
-    inner, outer = ((radius + angle / 6)[:, None] * np.c_[np.cos(angle), np.sin(angle)] for radius in (1.0, 1.4))
+    inner, outer = (
+        (radius + angle / 6)[:, None] * np.c_[np.cos(angle), np.sin(angle)] for radius in (1.0, 1.4)
+    )
     return np.concatenate([outer, inner[::-1]])
 
 
 def polyomino(rng, cells):
-    """The outline of random unit squares that hang together by edges, a corner at each unit of length: many in a line."""
+    """The outline of random unit squares that hang together by edges, a corner at each unit of
+    length: many in a line.
+    """
     squares = [(0, 0)]
     while len(squares) < cells:
         x, y = squares[rng.integers(len(squares))]
         dx, dy = ((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]
         if (x + dx, y + dy) not in squares:
             squares.append((x + dx, y + dy))
-    # A step along each square's side that has no neighbour; where two outlines touch at a corner, keep to the left one
+    # A step along each square's side that has no neighbour; where two outlines touch at a corner,
+    # keep to the left one
     steps = {}
     for x, y in squares:
         for start, end, beyond in (
@@ -92,7 +103,9 @@ def polyomino(rng, cells):
     while not outline or place != first:
         ends = steps[place]
         if ahead is not None:
-            ends.sort(key=lambda end: ahead[0] * (end[1] - place[1]) - ahead[1] * (end[0] - place[0]))
+            ends.sort(
+                key=lambda end: ahead[0] * (end[1] - place[1]) - ahead[1] * (end[0] - place[0])
+            )
         end = ends.pop()
         outline.append(place)
         ahead, place = (end[0] - place[0], end[1] - place[1]), end
@@ -100,24 +113,39 @@ def polyomino(rng, cells):
 
 
 def with_a_hole(outside, inside):
-    """A polygon around a hole: out along a bridge from the outer corner 0 to the hole's corner 0, round it, and back."""
-    return np.concatenate([outside[:1], inside[:1], inside[:0:-1], inside[:1], outside[:1], outside[1:]])
+    """A polygon around a hole: out along a bridge from the outer corner 0 to the hole's corner 0,
+    round it, and back.
+    """
+    return np.concatenate(
+        [outside[:1], inside[:1], inside[:0:-1], inside[:1], outside[:1], outside[1:]]
+    )
 
 
 @pytest.mark.parametrize("first", range(6))
 def test_an_l_has_its_own_area_wherever_it_begins(first):
     faces, crossing = cut(np.c_[L_SHAPE, np.zeros(6)], first)
-    assert areas(np.c_[L_SHAPE, np.zeros(6)], faces).sum() == pytest.approx(12, rel=1e-12) and crossing == 0  # the fan of one of them: 16
+    # the fan of one of them: 16
+    assert (
+        areas(np.c_[L_SHAPE, np.zeros(6)], faces).sum() == pytest.approx(12, rel=1e-12)
+        and crossing == 0
+    )
 
 
 def test_hundreds_of_polygons_keep_their_area_and_their_edges(rng):
-    """Stars, outlines of squares with corners in a line and touching corners; half a second for all."""
+    """Stars, outlines of squares with corners in a line and touching corners; half a second for
+    all.
+    """
     for trial in range(200):
-        xy = polyomino(rng, int(rng.integers(2, 30))) if trial % 2 else star(int(rng.integers(4, 40)), 0.05, rng)
+        xy = (
+            polyomino(rng, int(rng.integers(2, 30)))
+            if trial % 2
+            else star(int(rng.integers(4, 40)), 0.05, rng)
+        )
         vertices, scale = tilted(xy, rng)
         faces, crossing = cut(vertices, int(rng.integers(len(xy))))
         assert len(faces) == len(xy) - 2 and crossing == 0
-        assert areas(vertices, faces).sum() == pytest.approx(scale**2 * shoelace(xy), rel=1e-9)  # 40 sums of rounding at 1e-16
+        # 40 sums of rounding at 1e-16
+        assert areas(vertices, faces).sum() == pytest.approx(scale**2 * shoelace(xy), rel=1e-9)
         assert outer_edges(faces) == (ring(len(xy)), 2 if len(faces) > 1 else 1)
 
 
@@ -129,11 +157,17 @@ def test_a_hole_behind_a_bridge_stays_a_hole(count, rng):
     vertices, scale = tilted(xy, rng)
     faces, crossing = cut(vertices, 1)
     assert crossing == 0
-    assert areas(vertices, faces).sum() == pytest.approx(0.75 * scale**2 * shoelace(ball * 2), rel=1e-9)
+    assert areas(vertices, faces).sum() == pytest.approx(
+        0.75 * scale**2 * shoelace(ball * 2), rel=1e-9
+    )
 
 
 def test_polygons_of_a_mesh_are_cut_together_each_as_it_would_be_alone(rng):
-    several = [star(int(rng.integers(3, 30)), 0.1, rng) for _ in range(60)] + [L_SHAPE, comb(5), spiral(40)]
+    several = [star(int(rng.integers(3, 30)), 0.1, rng) for _ in range(60)] + [
+        L_SHAPE,
+        comb(5),
+        spiral(40),
+    ]
     points = [tilted(xy, rng)[0] for xy in several]
     lengths = np.array([len(p) for p in points])
     faces, owner, _ = triangulate(np.concatenate(points), np.arange(lengths.sum()), lengths)
@@ -148,9 +182,15 @@ def test_convex_polygons_and_quads_stay_the_fans_that_they_were(rng):
     for count in (3, 4, 5, 12, 100):
         angle = np.sort(rng.uniform(0, 2 * np.pi, count))
         points = np.c_[np.cos(angle), np.sin(angle), 0.1 * rng.normal(size=count) * (count < 5)]
-        points = np.insert(points, 1, [points[1], (points[0] + points[1]) / 2], axis=0) if count > 4 else points
+        points = (
+            np.insert(points, 1, [points[1], (points[0] + points[1]) / 2], axis=0)
+            if count > 4
+            else points
+        )
         faces, _ = cut(points)
-        np.testing.assert_array_equal(faces, fans(np.arange(len(points)), np.array([len(points)]))[0])
+        np.testing.assert_array_equal(
+            faces, fans(np.arange(len(points)), np.array([len(points)]))[0]
+        )
 
 
 def test_a_notch_less_deep_than_vertices_are_welded_is_none(rng):
@@ -158,19 +198,39 @@ def test_a_notch_less_deep_than_vertices_are_welded_is_none(rng):
     fan = fans(np.arange(5), np.array([5]))[0]
     np.testing.assert_array_equal(triangulate(square, np.arange(5), np.array([5]), 1e-6)[0], fan)
     square[1, 1] = 1e-5
-    assert areas(square, triangulate(square, np.arange(5), np.array([5]), 1e-6)[0]).sum() == pytest.approx(1 - 0.5e-5, rel=1e-12)
+    assert areas(
+        square, triangulate(square, np.arange(5), np.array([5]), 1e-6)[0]
+    ).sum() == pytest.approx(1 - 0.5e-5, rel=1e-12)
 
 
 def test_corners_in_a_line_are_cut_without_flat_triangles_where_the_fan_is_wrong():
-    corners = [(0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (4, 2), (4, 4), (2, 4), (2, 3), (2, 2), (1, 2), (0, 2), (0, 1)]
+    corners = [
+        (0, 0),
+        (1, 0),
+        (2, 0),
+        (3, 0),
+        (4, 0),
+        (4, 2),
+        (4, 4),
+        (2, 4),
+        (2, 3),
+        (2, 2),
+        (1, 2),
+        (0, 2),
+        (0, 1),
+    ]
     vertices = np.c_[np.array(corners, float), np.zeros(len(corners))]
     for first in range(len(corners)):
         faces, _ = cut(vertices, first)
         fan = fans(np.roll(np.arange(len(corners)), -first), np.array([len(corners)]))[0]
-        if areas(vertices, fan).sum() == 12:  # the corner sees every other: the fan stays, flat triangles and all
+        # the corner sees every other: the fan stays, flat triangles and all
+        if areas(vertices, fan).sum() == 12:
             np.testing.assert_array_equal(faces, fan)
         else:
-            assert areas(vertices, faces).sum() == pytest.approx(12) and areas(vertices, faces).min() > 0.1
+            assert (
+                areas(vertices, faces).sum() == pytest.approx(12)
+                and areas(vertices, faces).min() > 0.1
+            )
 
 
 def test_a_polygon_that_is_not_plane_is_cut_as_its_shadow_is(rng):
@@ -178,7 +238,8 @@ def test_a_polygon_that_is_not_plane_is_cut_as_its_shadow_is(rng):
     for first in range(6):
         faces, crossing = cut(vertices, first)
         assert crossing == 0
-        assert areas(np.c_[L_SHAPE, np.zeros(6)], faces).sum() == pytest.approx(12, rel=0.1)  # seen along its own normal, some degrees off
+        # seen along its own normal, some degrees off
+        assert areas(np.c_[L_SHAPE, np.zeros(6)], faces).sum() == pytest.approx(12, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +269,11 @@ def test_random_points_are_cut_and_counted_as_crossing(rng):
 
 @pytest.mark.parametrize("shape", ["star", "comb", "spiral", "random"])
 def test_four_thousand_corners_take_seconds_and_a_hundred_megabytes(shape, rng):
-    make = {"star": lambda: star(4000, 0.3, rng), "comb": lambda: comb(1000), "spiral": lambda: spiral(4000)}
+    make = {
+        "star": lambda: star(4000, 0.3, rng),
+        "comb": lambda: comb(1000),
+        "spiral": lambda: spiral(4000),
+    }
     xy = make[shape]() if shape in make else rng.random((4000, 2))
     start = time.process_time()
     faces, crossing = cut(np.c_[xy, np.zeros(len(xy))])
@@ -216,7 +281,9 @@ def test_four_thousand_corners_take_seconds_and_a_hundred_megabytes(shape, rng):
     assert spent < 10  # 0.1 to 1.2 s on an idle core; a shared one may take several times as long
     assert crossing == (shape == "random")
     if shape != "random":
-        assert areas(np.c_[xy, np.zeros(len(xy))], faces).sum() == pytest.approx(shoelace(xy), rel=1e-9)
+        assert areas(np.c_[xy, np.zeros(len(xy))], faces).sum() == pytest.approx(
+            shoelace(xy), rel=1e-9
+        )
 
 
 def test_memory_stays_small(rng):
@@ -237,17 +304,37 @@ def test_polygons_beyond_the_bounds_are_refused_before_time_is_spent(monkeypatch
     with pytest.raises(TooLarge):
         cut(np.c_[comb(25), np.zeros(102)])
     path = tmp_path / "comb.obj"
-    path.write_text("".join(f"v {x} {y} 0\n" for x, y in comb(25)) + "f " + " ".join(map(str, range(1, 103))) + "\n")
-    with pytest.raises(ValueError, match=r"expected polygons that are soon cut into triangles, found one of 102 corners \(triangulate"):
+    path.write_text(
+        "".join(f"v {x} {y} 0\n" for x, y in comb(25))
+        + "f "
+        + " ".join(map(str, range(1, 103)))
+        + "\n"
+    )
+    with pytest.raises(
+        ValueError,
+        match=(
+            r"expected polygons that are soon cut into triangles, found one of 102 corners"
+            r" \(triangulate"
+        ),
+    ):
         open_mesh(path)
 
 
 @pytest.mark.parametrize("kind", ["convex", "star"])
-def test_a_mesh_file_with_a_polygon_of_four_thousand_corners_is_read_in_seconds(tmp_path, kind, rng):
-    """Its slivers filled the frame with boxes thousands of times when back faces were counted: 10 s and 6 s of processor."""
+def test_a_mesh_file_with_a_polygon_of_four_thousand_corners_is_read_in_seconds(
+    tmp_path, kind, rng
+):
+    """Its slivers filled the frame with boxes thousands of times when back faces were counted: 10 s
+    and 6 s of processor.
+    """
     xy = star(4000, 1.0 if kind == "convex" else 0.5, rng)
     path = tmp_path / "ngon.obj"
-    path.write_text("".join(f"v {x!r} {y!r} 0\n" for x, y in xy.tolist()) + "f " + " ".join(map(str, range(1, 4001))) + "\n")
+    path.write_text(
+        "".join(f"v {x!r} {y!r} 0\n" for x, y in xy.tolist())
+        + "f "
+        + " ".join(map(str, range(1, 4001)))
+        + "\n"
+    )
     start = time.process_time()
     mesh = open_mesh(path)
     assert time.process_time() - start < 5  # 0.6 s on an idle core

@@ -1,4 +1,6 @@
-"""The z-buffer without Blender: what a test of every pixel against every face finds, in time that slivers do not blow up."""
+"""The z-buffer without Blender: what a test of every pixel against every face finds, in time that
+slivers do not blow up.
+"""
 
 import time
 
@@ -16,14 +18,20 @@ SIDES = [(0.0, 0.0), (0.0, np.pi / 2), (np.pi / 4, 0.6), (1.234, 0.2)]
 def every_pixel_against_every_face(vertices, faces, camera, size):
     """(nearest depth, set of faces that have it) of each pixel that sees one, by brute force."""
     seen = vertices @ camera.T
-    x, y = (seen[:, 0] / HALF_EXTENT + 1) * size / 2 - 0.5, (1 - seen[:, 1] / HALF_EXTENT) * size / 2 - 0.5
+    x, y = (
+        (seen[:, 0] / HALF_EXTENT + 1) * size / 2 - 0.5,
+        (1 - seen[:, 1] / HALF_EXTENT) * size / 2 - 0.5,
+    )
     row, column = np.mgrid[:size, :size]
     found = {}
     for number, (a, b, c) in enumerate(faces):
         area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
         if abs(area) <= 1e-12:
             continue
-        weight = [((x[p] - column) * (y[q] - row) - (y[p] - row) * (x[q] - column)) / area for p, q in ((b, c), (c, a), (a, b))]
+        weight = [
+            ((x[p] - column) * (y[q] - row) - (y[p] - row) * (x[q] - column)) / area
+            for p, q in ((b, c), (c, a), (a, b))
+        ]
         depth = sum(w * seen[k, 2] for w, k in zip(weight, (a, b, c), strict=True))
         for place in zip(*np.nonzero(np.min(weight, axis=0) >= -1e-9), strict=True):
             found.setdefault(place, []).append((depth[place], number))
@@ -53,8 +61,11 @@ def test_each_pixel_sees_a_nearest_face_and_none_is_missed(rng):
             assert set(zip(*np.nonzero(face >= 0), strict=True)) == set(found)
             for place, several in found.items():
                 nearest = max(depth for depth, _ in several)
-                # faces within rounding of the nearest, whose weights of slivers are no better than 1e-16 / 1e-9 of their area
-                assert face[place] in {number for depth, number in several if depth > nearest - 1e-6}
+                # faces within rounding of the nearest, whose weights of slivers are no better than
+                # 1e-16 / 1e-9 of their area
+                assert face[place] in {
+                    number for depth, number in several if depth > nearest - 1e-6
+                }
                 assert weight[place].sum() == pytest.approx(1, abs=1e-5)
 
 
@@ -91,7 +102,9 @@ def test_slivers_across_the_frame_cost_their_pixels_and_not_their_boxes():
 def test_faces_that_fill_the_frame_thousands_of_times_are_looked_at_more_coarsely(monkeypatch):
     vertices, faces = fan_of_slivers(500)
     sizes = []
-    monkeypatch.setattr(raster, "look", lambda v, f, camera, size: sizes.append(size) or look(v, f, camera, size))
+    monkeypatch.setattr(
+        raster, "look", lambda v, f, camera, size: sizes.append(size) or look(v, f, camera, size)
+    )
     back_faces(vertices, faces)
     assert set(sizes) == {96}
     monkeypatch.setattr(raster, "MOST_LOOKED_AT", 500_000)

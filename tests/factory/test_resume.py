@@ -1,4 +1,6 @@
-"""Runs that stop, continue, share their work and meet bad shots; with a studio that needs no Blender."""
+"""Runs that stop, continue, share their work and meet bad shots; with a studio that needs no
+Blender.
+"""
 
 import os
 import signal
@@ -38,12 +40,18 @@ def test_a_run_makes_every_shot_once_and_its_folder_verifies(render, small_job, 
     assert faults(tmp_path) == []
 
 
-def test_a_folder_whose_name_is_no_text_is_refused_before_a_worker_starts(render, small_job, tmp_path):
-    with pytest.raises(InputError, match=r"out\\udcff': expected a name of a file or a folder in UTF-8"):
+def test_a_folder_whose_name_is_no_text_is_refused_before_a_worker_starts(
+    render, small_job, tmp_path
+):
+    with pytest.raises(
+        InputError, match=r"out\\udcff': expected a name of a file or a folder in UTF-8"
+    ):
         render(small_job, tmp_path / "out\udcff")
 
 
-def test_a_second_run_makes_nothing_and_a_larger_job_adds_only_what_is_new(render, small_job, tmp_path):
+def test_a_second_run_makes_nothing_and_a_larger_job_adds_only_what_is_new(
+    render, small_job, tmp_path
+):
     render(small_job, tmp_path)
     assert render(small_job, tmp_path).made == 0
     outcome = render(msgspec.structs.replace(small_job, views=(0, 6, 12)), tmp_path)
@@ -78,7 +86,9 @@ def test_two_workers_write_two_files_and_one_dataset(render, small_job, tmp_path
     assert faults(tmp_path) == []
 
 
-def test_a_shot_that_stays_bad_goes_to_failures_and_the_others_are_made(render, small_job, tmp_path, monkeypatch):
+def test_a_shot_that_stays_bad_goes_to_failures_and_the_others_are_made(
+    render, small_job, tmp_path, monkeypatch
+):
     monkeypatch.setenv("FAKE_STUDIO", "nan:disc")
     outcome = render(small_job, tmp_path)
     assert (outcome.made, outcome.failed) == (6, 6)
@@ -90,7 +100,9 @@ def test_a_shot_that_stays_bad_goes_to_failures_and_the_others_are_made(render, 
     assert faults(tmp_path) == []
 
 
-def test_a_crashing_worker_is_replaced_and_its_shot_tried_again(render, small_job, tmp_path, monkeypatch):
+def test_a_crashing_worker_is_replaced_and_its_shot_tried_again(
+    render, small_job, tmp_path, monkeypatch
+):
     monkeypatch.setenv("FAKE_STUDIO", "once:disc")
     monkeypatch.setenv("FAKE_STUDIO_MARK", str(tmp_path / "mark"))
     outcome = render(small_job, tmp_path / "data")
@@ -98,7 +110,9 @@ def test_a_crashing_worker_is_replaced_and_its_shot_tried_again(render, small_jo
     assert faults(tmp_path / "data") == []
 
 
-def test_a_shot_that_always_crashes_is_given_up_with_the_signal_named(render, small_job, tmp_path, monkeypatch):
+def test_a_shot_that_always_crashes_is_given_up_with_the_signal_named(
+    render, small_job, tmp_path, monkeypatch
+):
     monkeypatch.setenv("FAKE_STUDIO", "crash:disc")
     job = msgspec.structs.replace(small_job, materials=("small/matte",), views=(0,))
     outcome = render(job, tmp_path)
@@ -107,12 +121,22 @@ def test_a_shot_that_always_crashes_is_given_up_with_the_signal_named(render, sm
 
 
 def test_two_runs_into_one_folder_do_not_meet(render, small_job, tmp_path):
-    with lock.writing(tmp_path), pytest.raises(InputError, match="no other run writes to"), lock.writing(tmp_path, patience=0):
+    with (
+        lock.writing(tmp_path),
+        pytest.raises(InputError, match="no other run writes to"),
+        lock.writing(tmp_path, patience=0),
+    ):
         pass
     with lock.writing(tmp_path, (1, 4)), lock.writing(tmp_path, (2, 4)):
-        with pytest.raises(InputError, match="no other run"), lock.writing(tmp_path, (2, 4), patience=0):
+        with (
+            pytest.raises(InputError, match="no other run"),
+            lock.writing(tmp_path, (2, 4), patience=0),
+        ):
             pass
-        with pytest.raises(InputError, match="parts of 3"), lock.writing(tmp_path, (1, 3), patience=0):
+        with (
+            pytest.raises(InputError, match="parts of 3"),
+            lock.writing(tmp_path, (1, 3), patience=0),
+        ):
             pass
         with pytest.raises(InputError, match="no other run"), lock.writing(tmp_path, patience=0):
             pass
@@ -128,31 +152,69 @@ def test_a_name_keeps_meaning_one_thing_in_a_folder(render, plan_of, small_job, 
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_kills_at_random_moments_lose_nothing_and_repeat_nothing(render, small_job, tmp_path, catalogue, seed):
-    """Four kills here, each of a run that has written records; tests/endurance/kill_and_resume.py does twenty with Cycles."""
+def test_kills_at_random_moments_lose_nothing_and_repeat_nothing(
+    render, small_job, tmp_path, catalogue, seed
+):
+    """Four kills here, each of a run that has written records; tests/endurance/kill_and_resume.py
+    does twenty with Cycles.
+    """
     sys.path.insert(0, str(HERE.parent / "endurance"))
     from kill_and_resume import compared, disturbed
 
-    job = msgspec.structs.replace(small_job, views=tuple(range(24)), shapes=("cube", "disc", "torus"))
-    (tmp_path / "job.json").write_bytes(msgspec.json.encode(msgspec.structs.replace(job, lights=("lamp.exr",))))
+    job = msgspec.structs.replace(
+        small_job, views=tuple(range(24)), shapes=("cube", "disc", "torus")
+    )
+    (tmp_path / "job.json").write_bytes(
+        msgspec.json.encode(msgspec.structs.replace(job, lights=("lamp.exr",)))
+    )
     (tmp_path / "lamp.exr").write_bytes(Path(job.lights[0]).read_bytes())
-    command = [sys.executable, str(HERE / "fake_render.py"), str(tmp_path / "job.json"), str(tmp_path / "killed"), str(catalogue)]
-    kills = disturbed(command, tmp_path / "killed", kills=4, window=(0.0, 0.2), seed=seed, environment=SLOW, working=True)
-    assert kills == 4  # 216 pictures take two workers 2.2 s; each kill comes .2 s at most after the run's first record
+    command = [
+        sys.executable,
+        str(HERE / "fake_render.py"),
+        str(tmp_path / "job.json"),
+        str(tmp_path / "killed"),
+        str(catalogue),
+    ]
+    kills = disturbed(
+        command,
+        tmp_path / "killed",
+        kills=4,
+        window=(0.0, 0.2),
+        seed=seed,
+        environment=SLOW,
+        working=True,
+    )
+    # 216 pictures take two workers 2.2 s; each kill comes .2 s at most after the run's first record
+    assert kills == 4
     render(job, tmp_path / "whole")
     assert compared(tmp_path / "whole", tmp_path / "killed") == []
     assert faults(tmp_path / "killed") == []
 
 
-def test_a_worker_whose_run_was_killed_ends_and_nobody_starts_before_it_has(small_job, tmp_path, catalogue, light_file):
+def test_a_worker_whose_run_was_killed_ends_and_nobody_starts_before_it_has(
+    small_job, tmp_path, catalogue, light_file
+):
     (tmp_path / "job.json").write_bytes(
-        msgspec.json.encode(msgspec.structs.replace(small_job, views=tuple(range(24)), lights=("lamp.exr",)))
+        msgspec.json.encode(
+            msgspec.structs.replace(small_job, views=tuple(range(24)), lights=("lamp.exr",))
+        )
     )
     (tmp_path / "lamp.exr").write_bytes(light_file.read_bytes())
-    command = [sys.executable, str(HERE / "fake_render.py"), str(tmp_path / "job.json"), str(tmp_path / "data"), str(catalogue)]
-    process = subprocess.Popen(command, env={**os.environ, **SLOW}, start_new_session=True, stderr=subprocess.DEVNULL)
+    command = [
+        sys.executable,
+        str(HERE / "fake_render.py"),
+        str(tmp_path / "job.json"),
+        str(tmp_path / "data"),
+        str(catalogue),
+    ]
+    process = subprocess.Popen(
+        command, env={**os.environ, **SLOW}, start_new_session=True, stderr=subprocess.DEVNULL
+    )
     deadline = time.monotonic() + 60
-    while not any(path.stat().st_size for path in Store(tmp_path / "data").record_files()) and time.monotonic() < deadline:
+    while (
+        not any(path.stat().st_size for path in Store(tmp_path / "data").record_files())
+        and time.monotonic() < deadline
+    ):
         time.sleep(0.01)
     os.kill(process.pid, signal.SIGKILL)  # the parent alone; its worker lives on
     process.wait()
@@ -165,5 +227,8 @@ def test_a_worker_whose_run_was_killed_ends_and_nobody_starts_before_it_has(smal
 def test_a_forecast_whose_trial_shot_fails_says_so_in_a_line(plan_of, small_job, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(HERE))
     monkeypatch.setenv("FAKE_STUDIO", "nan:cube")
-    with pytest.raises(InputError, match="cube, view 0: expected a shot that can be made, found expected finite radiance"):
+    with pytest.raises(
+        InputError,
+        match="cube, view 0: expected a shot that can be made, found expected finite radiance",
+    ):
         probed(plan_of(small_job), RunOptions(studio=FAKE))

@@ -25,7 +25,10 @@ def kettle(tmp_path):
 def test_list_names_families_and_primitives(capsys):
     assert shapes("list") == 0
     said = capsys.readouterr().out
-    assert all(word in said for word in ("car:0 … car:129", "chair:49", "sofa", "monitor", "sphere", "blob"))
+    assert all(
+        word in said
+        for word in ("car:0 … car:129", "chair:49", "sofa", "monitor", "sphere", "blob")
+    )
 
 
 def test_list_reports_each_mesh_of_a_folder_its_twins_and_what_is_refused(kettle, capsys):
@@ -34,12 +37,31 @@ def test_list_reports_each_mesh_of_a_folder_its_twins_and_what_is_refused(kettle
     assert shapes("list", kettle.parent) == 1
     said = capsys.readouterr().out
     assert "4 triangles, 1 components, watertight" in said and "the same as kettle" in said
-    assert "broken: " in said and "finite coordinates" in said and "3 meshes, 1 refused, 1 twins" in said
+    assert (
+        "broken: " in said
+        and "finite coordinates" in said
+        and "3 meshes, 1 refused, 1 twins" in said
+    )
 
 
 def test_preview_draws_seeds_primitives_and_files(kettle, tmp_path):
     out = tmp_path / "sheet.png"
-    assert shapes("preview", "sphere:3", kettle, "--family", "chair", "--count", 2, "--size", 48, "--out", out) == 0
+    assert (
+        shapes(
+            "preview",
+            "sphere:3",
+            kettle,
+            "--family",
+            "chair",
+            "--count",
+            2,
+            "--size",
+            48,
+            "--out",
+            out,
+        )
+        == 0
+    )
     with Image.open(out) as image:
         colours = {colour for _, colour in image.convert("RGB").getcolors(1 << 20)}
     assert image.width >= 3 * 48 and len(colours) > 20
@@ -60,12 +82,25 @@ def test_preview_of_nothing_says_what_to_name(tmp_path, capsys):
 
 def test_add_copies_a_cleaned_mesh_with_its_licence(kettle, tmp_path, capsys):
     library = tmp_path / "mine"
-    arguments = ("add", kettle, "--library", library, "--licence", "CC-BY-4.0 Ada", "--category", "object")
+    arguments = (
+        "add",
+        kettle,
+        "--library",
+        library,
+        "--licence",
+        "CC-BY-4.0 Ada",
+        "--category",
+        "object",
+    )
     assert shapes(*arguments) == 0
     assert shapes(*arguments) == 0  # a second time changes nothing
     note = json.loads((library / "object" / "kettle.json").read_text())
     mesh = load(str(library / "object" / "kettle.obj"))
-    assert note["hash"] == mesh.hash and note["licence"] == "CC-BY-4.0 Ada" and note["source"] == "kettle.obj"
+    assert (
+        note["hash"] == mesh.hash
+        and note["licence"] == "CC-BY-4.0 Ada"
+        and note["source"] == "kettle.obj"
+    )
     assert sorted(p.name for p in (library / "object").iterdir()) == ["kettle.json", "kettle.obj"]
 
 
@@ -83,15 +118,24 @@ def test_a_mesh_of_the_library_that_was_damaged_since_is_written_again(kettle, t
     assert path.read_bytes() == whole
 
 
-@pytest.mark.parametrize("damaged", [b"", b"{", b"[]", b"\xff", b"[" * 100_000], ids=["empty", "cut", "a list", "no text", "deep"])
-def test_a_damaged_note_of_the_library_says_what_to_do_and_so_it_works(kettle, tmp_path, capsys, damaged):
+@pytest.mark.parametrize(
+    "damaged",
+    [b"", b"{", b"[]", b"\xff", b"[" * 100_000],
+    ids=["empty", "cut", "a list", "no text", "deep"],
+)
+def test_a_damaged_note_of_the_library_says_what_to_do_and_so_it_works(
+    kettle, tmp_path, capsys, damaged
+):
     arguments = ("add", kettle, "--library", tmp_path / "mine", "--category", "object")
     assert shapes(*arguments) == 0
     note = tmp_path / "mine" / "object" / "kettle.json"
     whole = note.read_bytes()
     note.write_bytes(damaged)
     assert shapes(*arguments) == 1
-    assert "kettle.json: expected a mesh's note as JSON" in (said := capsys.readouterr().err) and "delete it" in said
+    assert (
+        "kettle.json: expected a mesh's note as JSON" in (said := capsys.readouterr().err)
+        and "delete it" in said
+    )
     note.unlink()
     assert shapes(*arguments) == 0
     assert note.read_bytes() == whole
@@ -102,7 +146,10 @@ def test_add_refuses_a_broken_file_in_one_line(tmp_path, capsys):
     bad.write_bytes(b"")
     assert shapes("add", bad, "--library", tmp_path / "mine") == 1
     said = capsys.readouterr().err.strip().splitlines()
-    assert any("expected a mesh, found an empty file" in line for line in said) and not (tmp_path / "mine").exists()
+    assert (
+        any("expected a mesh, found an empty file" in line for line in said)
+        and not (tmp_path / "mine").exists()
+    )
 
 
 def test_help_explains_a_shape(capsys):

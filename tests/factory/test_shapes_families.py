@@ -14,7 +14,12 @@ from manifests.errors import InputError
 from shaders.frames import camera_from_world
 
 FIRST = 10
-SEGMENT_OF = {"chair": ("seat", "leg"), "sofa": ("seat cushion", "foot"), "car": ("body", "tyre"), "monitor": ("screen", "casing")}
+SEGMENT_OF = {
+    "chair": ("seat", "leg"),
+    "sofa": ("seat cushion", "foot"),
+    "car": ("body", "tyre"),
+    "monitor": ("screen", "casing"),
+}
 
 
 @pytest.fixture(scope="module", params=FAMILIES)
@@ -47,7 +52,11 @@ def test_every_face_has_a_part_and_one_of_two_segments(meshes, family):
 def test_segments_are_what_the_parts_say(meshes, family):
     one, two = SEGMENT_OF[family]
     for segment, name in ((1, one), (2, two)):
-        found = [mesh.segment[mesh.part == mesh.parts.index(name)] for mesh in meshes if name in mesh.parts]
+        found = [
+            mesh.segment[mesh.part == mesh.parts.index(name)]
+            for mesh in meshes
+            if name in mesh.parts
+        ]
         assert found, f"no {name} among the first {FIRST}"
         assert all((part == segment).all() for part in found)
 
@@ -58,33 +67,47 @@ def test_every_piece_is_watertight_wound_alike_and_looks_outward(meshes):
         assert (counts == 2).all() and not same.any(), mesh.name
         piece = face_components(mesh.faces)
         corners = mesh.vertices[mesh.faces]
-        volume = np.bincount(piece, np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])))
-        assert (volume > 0).all(), f"{mesh.name}: {[mesh.parts[mesh.part[piece == k][0]] for k in np.flatnonzero(volume <= 0)]}"
+        volume = np.bincount(
+            piece, np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+        )
+        assert (volume > 0).all(), (
+            f"{mesh.name}:"
+            f" {[mesh.parts[mesh.part[piece == k][0]] for k in np.flatnonzero(volume <= 0)]}"
+        )
 
 
 def test_no_face_is_seen_from_behind(meshes):
     for mesh in meshes[:4]:
         counts = back_faces(mesh.vertices, mesh.faces).sum(0)
-        assert counts[1] <= 1e-4 * counts.sum(), mesh.name  # a pixel at the rim of two pieces that touch
+        # a pixel at the rim of two pieces that touch
+        assert counts[1] <= 1e-4 * counts.sum(), mesh.name
 
 
 def test_no_triangle_stands_twice(meshes):
     for mesh in meshes:
-        corners = np.sort(np.round(mesh.vertices[mesh.faces] * 1e7).astype(np.int64).view([("", np.int64)] * 3)[..., 0], axis=1)
+        corners = np.sort(
+            np.round(mesh.vertices[mesh.faces] * 1e7)
+            .astype(np.int64)
+            .view([("", np.int64)] * 3)[..., 0],
+            axis=1,
+        )
         assert len(np.unique(corners, axis=0)) == len(corners), mesh.name
 
 
 def test_a_seed_gives_the_same_shape_again_and_another_seed_another(meshes, family):
     again = load(f"{family}:3")
     assert again.hash == meshes[3].hash
-    assert np.array_equal(again.vertices, meshes[3].vertices) and np.array_equal(again.corner_normals, meshes[3].corner_normals)
+    assert np.array_equal(again.vertices, meshes[3].vertices) and np.array_equal(
+        again.corner_normals, meshes[3].corner_normals
+    )
     assert len({mesh.hash for mesh in meshes}) == FIRST
 
 
 def test_any_two_shapes_differ_in_their_silhouettes(meshes):
     masks = [np.stack([silhouette(mesh, a, 0.2, 48) for a in (0.0, 0.7, 1.6)]) for mesh in meshes]
     overlaps = [(one & two).sum() / (one | two).sum() for one, two in combinations(masks, 2)]
-    # One pixel all round a car's outline is 4 % of its 48² picture; the nearest two of 130 cars overlap by 0.968
+    # One pixel all round a car's outline is 4 % of its 48² picture; the nearest two of 130 cars
+    # overlap by 0.968
     assert max(overlaps) < 0.975
 
 
@@ -120,14 +143,24 @@ def test_screens_are_seen_from_the_front_and_not_from_behind():
 
 
 def test_the_papers_counts_are_listed():
-    assert {family: len(specs(family)) for family in FAMILIES} == PAPER_COUNTS == {"car": 130, "chair": 50, "sofa": 50, "monitor": 50}
+    assert (
+        {family: len(specs(family)) for family in FAMILIES}
+        == PAPER_COUNTS
+        == {"car": 130, "chair": 50, "sofa": 50, "monitor": 50}
+    )
 
 
 @pytest.mark.parametrize(
     ("spec", "said"),
     [
         ("chiar:3", "did you mean chair"),
-        ("chair:x", "expected a whole number ≥ 0 of at most 100 digits after the colon, found 'x' (write chair:3"),
+        (
+            "chair:x",
+            (
+                "expected a whole number ≥ 0 of at most 100 digits after the colon, found 'x'"
+                " (write chair:3"
+            ),
+        ),
         ("chair:-1", "found '-1'"),
         ("sphere:9", "a whole number from 0 to 8"),
         ("cube:2", "only sphere (level) and blob (seed) take a number"),
@@ -140,10 +173,17 @@ def test_a_wrong_spec_is_named_in_one_line(spec, said):
 
 
 def test_surfaces_close_and_look_outward():
-    """Each builder's surface: every edge has two faces that run it in opposite ways, and the volume is positive."""
+    """Each builder's surface: every edge has two faces that run it in opposite ways, and the volume
+    is positive.
+    """
     t = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     circle = np.stack([np.cos(t), np.sin(t), 0 * t], 1)
-    cage = np.stack(np.broadcast_arrays(*np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 4), indexing="ij"), 0.0), -1)
+    cage = np.stack(
+        np.broadcast_arrays(
+            *np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 4), indexing="ij"), 0.0
+        ),
+        -1,
+    )
     made = [
         surfaces.tube([[0, 0, 0], [1, 0, 0], [1, 1, 0.5]], 0.1),
         surfaces.tube(circle, 0.2, ring=True),
@@ -165,4 +205,5 @@ def test_surfaces_close_and_look_outward():
 def test_a_sphere_of_revolution_has_a_spheres_volume():
     angle = np.linspace(-np.pi / 2, np.pi / 2, 80)
     ball = surfaces.revolve(np.stack([np.cos(angle), np.sin(angle)], 1), 160)
-    assert abs(surfaces.signed_volume(*ball) / (4 / 3 * np.pi) - 1) < 2e-3  # facets of 2.25°: 1 − sin(x)/x and its like
+    # facets of 2.25°: 1 − sin(x)/x and its like
+    assert abs(surfaces.signed_volume(*ball) / (4 / 3 * np.pi) - 1) < 2e-3

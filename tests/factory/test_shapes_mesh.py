@@ -35,23 +35,32 @@ def test_sphere_normals_are_its_points_to_the_last_bit_of_a_float32():
 
 
 def test_interpolated_sphere_normals_stay_within_a_tenth_of_a_degree_inside_the_silhouette():
-    """What a renderer interpolates across the facets, against the analytic normal at each pixel, up to 80° from the view."""
+    """What a renderer interpolates across the facets, against the analytic normal at each pixel, up
+    to 80° from the view.
+    """
     mesh, camera = load("sphere"), camera_from_world(0.4)
     face, weight = look(mesh.vertices, mesh.faces, camera, 128)
     hit = face >= 0
     found = np.einsum("pc,pci->pi", weight[hit], mesh.corner_normals[face[hit]]) @ camera.T
     found /= np.linalg.norm(found, axis=1, keepdims=True)
     centre = (np.arange(128) + 0.5) / 64 - 1
-    x, y = np.broadcast_to(centre * 1.02, (128, 128))[hit], np.broadcast_to(-centre[:, None] * 1.02, (128, 128))[hit]
+    x, y = (
+        np.broadcast_to(centre * 1.02, (128, 128))[hit],
+        np.broadcast_to(-centre[:, None] * 1.02, (128, 128))[hit],
+    )
     inside = x**2 + y**2 < np.sin(np.radians(80)) ** 2
     truth = np.stack([x, y, np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))], 1)
     angle = np.degrees(2 * np.arcsin(np.linalg.norm(found - truth, axis=1) / 2))
     assert angle[inside].max() < 0.1
 
 
-@pytest.mark.parametrize(("spec", "degrees"), [("cube", 9), ("torus", 0.5), ("blob", 0.5), ("blob:5", 0.5)])
+@pytest.mark.parametrize(
+    ("spec", "degrees"), [("cube", 9), ("torus", 0.5), ("blob", 0.5), ("blob:5", 0.5)]
+)
 def test_analytic_normals_agree_with_the_facets(spec, degrees):
-    """The facets' own mean is off by a share of a facet's turn: 7.5° on the cube's bevels, 5.6° round the tube, 1.5° on the blob."""
+    """The facets' own mean is off by a share of a facet's turn: 7.5° on the cube's bevels, 5.6°
+    round the tube, 1.5° on the blob.
+    """
     mesh = load(spec)
     smooth = corner_normals(mesh.vertices, mesh.faces, 60)
     cosine = (smooth * mesh.corner_normals).sum(2)
@@ -64,7 +73,8 @@ def test_a_cubes_edges_stay_sharp_below_a_right_angle_and_become_smooth_above():
     flat = corner_normals(vertices, faces, 45)
     corners = vertices[faces]
     facet = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert np.abs(flat - facet[:, None]).max() < 1e-6  # each side of the unit cube: cross product of length 1
+    # each side of the unit cube: cross product of length 1
+    assert np.abs(flat - facet[:, None]).max() < 1e-6
     round_ = corner_normals(vertices, faces, 91)
     assert np.abs(round_ - corners / np.linalg.norm(corners, axis=2, keepdims=True)).max() < 1e-6
 
@@ -78,21 +88,29 @@ def test_a_fold_is_smooth_or_sharp_by_its_angle():
 
 
 def test_a_blade_keeps_its_faces_own_normals():
-    """Two faces almost back to back: their mean lies in the blade's plane and would shade neither side."""
+    """Two faces almost back to back: their mean lies in the blade's plane and would shade neither
+    side.
+    """
     vertices = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0.02], [1, 0, -0.02]])
     faces = np.array([[0, 2, 1], [0, 1, 3]])
     corners = vertices[faces]
     facet = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     facet /= np.linalg.norm(facet, axis=1, keepdims=True)
     normals = corner_normals(vertices, faces, 180)
-    assert (normals * facet[:, None]).sum(2).min() > 0.99 and np.abs(np.linalg.norm(normals, axis=2) - 1).max() < 1e-6
+    assert (normals * facet[:, None]).sum(2).min() > 0.99 and np.abs(
+        np.linalg.norm(normals, axis=2) - 1
+    ).max() < 1e-6
 
 
 def test_the_smallest_sphere_is_exact():
     rng = np.random.default_rng(3)
     for points, centre, radius in (
         (np.array([[0, 0, 0], [2, 0, 0], [1, 0.3, 0.0]]), (1, 0, 0), 1.0),
-        (np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float), (0.5, 0.5, 0.5), 3**0.5 / 2),
+        (
+            np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float),
+            (0.5, 0.5, 0.5),
+            3**0.5 / 2,
+        ),
         (icosphere(3)[0] * 2 + 5, (5, 5, 5), 2.0),
     ):
         found = smallest_sphere(points)
@@ -101,7 +119,8 @@ def test_the_smallest_sphere_is_exact():
     centre, radius = smallest_sphere(points)
     assert np.linalg.norm(points - centre, axis=1).max() <= radius * (1 + 1e-12)
     nudges = rng.normal(size=(200, 3)) * 1e-3
-    assert all(np.linalg.norm(points - centre - d, axis=1).max() > radius for d in nudges)  # no other centre does better
+    # no other centre does better
+    assert all(np.linalg.norm(points - centre - d, axis=1).max() > radius for d in nudges)
 
 
 def test_the_hash_knows_neither_names_nor_order():
@@ -142,7 +161,9 @@ def test_edges_of_more_than_two_faces_are_counted():
 
 
 def test_points_of_no_area_are_refused():
-    with pytest.raises(InputError, match="expected a mesh with a surface, found 1 triangles of no area"):
+    with pytest.raises(
+        InputError, match="expected a mesh with a surface, found 1 triangles of no area"
+    ):
         finish("line", "x", np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.array([[0, 1, 2]]))
 
 
@@ -150,5 +171,8 @@ def test_another_crease_angle_is_another_shape():
 
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    hashes = [finish(name, "primitive", vertices, faces, crease_deg=angle).hash for name, angle in (("a", 30), ("b", 30.0), ("c", 60))]
+    hashes = [
+        finish(name, "primitive", vertices, faces, crease_deg=angle).hash
+        for name, angle in (("a", 30), ("b", 30.0), ("c", 60))
+    ]
     assert hashes[0] == hashes[1] != hashes[2]

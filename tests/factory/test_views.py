@@ -1,4 +1,6 @@
-"""Jobs without pictures: geometry of every shape in every view once, with the same guarantees as pictures have."""
+"""Jobs without pictures: geometry of every shape in every view once, with the same guarantees as
+pictures have.
+"""
 
 import msgspec
 import pytest
@@ -29,27 +31,42 @@ def rewrite(store, **changes):
     path.write_bytes(msgspec.json.encode(view) + b"\n" + b"".join(rest))
 
 
-def test_every_shape_is_seen_from_every_view_once_and_nothing_is_pictured(render, views_job, tmp_path):
+def test_every_shape_is_seen_from_every_view_once_and_nothing_is_pictured(
+    render, views_job, tmp_path
+):
     assert render(views_job, tmp_path).made == 4
     views = list(Store(tmp_path).views())
-    assert {(v.shape, v.viewpoint) for v in views} == {(shape, k) for shape in ("cube", "disc") for k in (0, 6)}
+    assert {(v.shape, v.viewpoint) for v in views} == {
+        (shape, k) for shape in ("cube", "disc") for k in (0, 6)
+    }
     assert not (tmp_path / "images").exists() and not list(Store(tmp_path).records())
     for view in views:
         _, _, segments = geometry = read_geometry(tmp_path / view.geometry)
         mask = geometry.mask
-        assert view.coverage == pytest.approx(mask.mean(), abs=1e-6) and segments.max() <= view.segments
+        assert (
+            view.coverage == pytest.approx(mask.mean(), abs=1e-6)
+            and segments.max() <= view.segments
+        )
     assert faults(tmp_path) == []
 
 
 def test_materials_and_lights_come_along_with_their_sides(render, views_job, tmp_path):
     render(views_job, tmp_path)
     dataset = Store(tmp_path).dataset()
-    assert {name: entry.side for name, entry in dataset.materials.items()} == {"matte": "train", "metal": "test", "grey": "train"}
-    (light,) = dataset.lights.values()  # a fifth of all hashes, the least, are for testing: docs/conventions.md
+    assert {name: entry.side for name, entry in dataset.materials.items()} == {
+        "matte": "train",
+        "metal": "test",
+        "grey": "train",
+    }
+    # a fifth of all hashes, the least, are for testing: docs/conventions.md
+    (light,) = dataset.lights.values()
     assert light.side == ("test" if int(light.hash, 16) < 0.2 * 2**256 else "train")
 
 
-@pytest.mark.parametrize(("hash_", "side"), [("3" + "2" * 63, "test"), ("3" + "4" * 63, "train"), ("0" * 64, "test"), ("f" * 64, "train")])
+@pytest.mark.parametrize(
+    ("hash_", "side"),
+    [("3" + "2" * 63, "test"), ("3" + "4" * 63, "train"), ("0" * 64, "test"), ("f" * 64, "train")],
+)
 def test_a_light_in_the_least_fifth_of_all_hashes_is_for_testing(hash_, side):
     assert light_side(hash_) == side  # a fifth of 16⁶⁴ is 3333…
 
@@ -71,7 +88,9 @@ def test_a_torn_line_is_passed_over_and_its_view_made_again(render, views_job, t
     assert faults(tmp_path) == []
 
 
-def test_pictures_of_the_same_views_share_their_geometry_files(render, views_job, small_job, tmp_path):
+def test_pictures_of_the_same_views_share_their_geometry_files(
+    render, views_job, small_job, tmp_path
+):
     render(views_job, tmp_path)
     assert render(small_job, tmp_path).made == 12
     store = Store(tmp_path)
@@ -84,12 +103,17 @@ def test_pictures_of_the_same_views_share_their_geometry_files(render, views_job
 
 def test_drawn_views_are_a_shapes_own_whatever_else_the_job_names(plan_of, views_job):
     job = msgspec.structs.replace(views_job, views=Draw(random=5))
-    both, alone = plan_of(job), plan_of(msgspec.structs.replace(job, shapes=("disc",), lights=job.lights * 2))
+    both, alone = (
+        plan_of(job),
+        plan_of(msgspec.structs.replace(job, shapes=("disc",), lights=job.lights * 2)),
+    )
     assert len(both) == len(list(both)) == 10
     assert {shot.id for shot in alone} == {shot.id for shot in both if shot.shape == "disc"}
 
 
-def test_a_view_that_does_not_fit_is_found_and_repair_lets_it_be_made_again(render, views_job, tmp_path):
+def test_a_view_that_does_not_fit_is_found_and_repair_lets_it_be_made_again(
+    render, views_job, tmp_path
+):
     render(views_job, tmp_path)
     store = Store(tmp_path)
     path, side = store.record_files("views")[0], next(store.views()).side
@@ -118,5 +142,11 @@ def test_a_light_on_the_wrong_side_is_found(render, views_job, tmp_path):
     dataset = store.dataset()
     (name, entry), *_ = dataset.lights.items()
     wrong = "train" if entry.side == "test" else "test"
-    store.write_json("dataset.json", msgspec.structs.replace(dataset, lights={name: msgspec.structs.replace(entry, side=wrong)}))
-    assert f"light '{name}': expected side {entry.side} by its hash, found {wrong}" in faults(tmp_path)[0].text
+    store.write_json(
+        "dataset.json",
+        msgspec.structs.replace(dataset, lights={name: msgspec.structs.replace(entry, side=wrong)}),
+    )
+    assert (
+        f"light '{name}': expected side {entry.side} by its hash, found {wrong}"
+        in faults(tmp_path)[0].text
+    )

@@ -31,11 +31,17 @@ READERS = {
         "factory lights preview {file} --size 16 --out {room}/out.png",
         "factory lights add {file} --library {out} --licence CC0",
         "factory plan {job} --no-probe",
-        "factory materials preview own-brass --catalogue {seeds}/catalogue.json --light {file} --size 16 --out {room}/out.png",
+        (
+            "factory materials preview own-brass --catalogue {seeds}/catalogue.json --light {file}"
+            " --size 16 --out {room}/out.png"
+        ),
     ),
     "maps": (
         "factory lights add {file} --library {out}",
-        "learn train {seeds}/run.json --data {views} --lights {file} --steps 1 --workers 0 --out {out}",
+        (
+            "learn train {seeds}/run.json --data {views} --lights {file} --steps 1 --workers 0"
+            " --out {out}"
+        ),
     ),
     "lights.json": (
         "factory lights list {room}/library",
@@ -52,28 +58,53 @@ READERS = {
         "factory materials report {file} --out {out}",
         "factory plan {seeds}/job.json --no-probe --catalogue {file}",
     ),
-    "source": ("factory materials report {seeds}/catalogue.json --source {file} --abc {seeds}/abc.csv --out {out}",),
-    "merl": ("factory materials report {seeds}/catalogue.json --source {file} --abc {seeds}/abc.csv --out {out}",),
-    "abc": ("factory materials report {seeds}/catalogue.json --source {seeds}/nbrdf.npz --abc {file} --out {out}",),
+    "source": (
+        (
+            "factory materials report {seeds}/catalogue.json --source {file} --abc {seeds}/abc.csv"
+            " --out {out}"
+        ),
+    ),
+    "merl": (
+        (
+            "factory materials report {seeds}/catalogue.json --source {file} --abc {seeds}/abc.csv"
+            " --out {out}"
+        ),
+    ),
+    "abc": (
+        (
+            "factory materials report {seeds}/catalogue.json --source {seeds}/nbrdf.npz --abc"
+            " {file} --out {out}"
+        ),
+    ),
     "photograph": (
-        "learn predict {file} --mask {seeds}/mask.png --weights {seeds}/weights.safetensors --out {out}",
+        (
+            "learn predict {file} --mask {seeds}/mask.png --weights {seeds}/weights.safetensors"
+            " --out {out}"
+        ),
         "learn edit {file} --mask {seeds}/mask.png --material brass " + QUICK_EDIT,
         "learn transfer {file} {seeds}/second.png --mask-dir {room}/masks " + QUICK_EDIT,
         "learn edit {seeds}/second.png --material {file} " + QUICK_EDIT,
     ),
     "mask": (
-        "learn predict {seeds}/photograph.png --mask {file} --weights {seeds}/weights.safetensors --out {out}",
+        (
+            "learn predict {seeds}/photograph.png --mask {file} --weights"
+            " {seeds}/weights.safetensors --out {out}"
+        ),
         "learn edit {seeds}/photograph.png --mask {file} --material brass " + QUICK_EDIT,
     ),
     "regions": (
         "learn edit {seeds}/photograph.png --regions {file} --material brass+keep " + QUICK_EDIT,
-        "learn edit {seeds}/photograph.png --mask {seeds}/mask.png --regions {file} --material brass " + QUICK_EDIT,
+        "learn edit {seeds}/photograph.png --mask {seeds}/mask.png --regions {file} --material"
+        " brass " + QUICK_EDIT,
     ),
     "pictures.txt": ("learn transfer --list {file} --mask-dir {seeds} " + QUICK_EDIT,),
     "material": ("learn edit {seeds}/second.png --material {file} " + QUICK_EDIT,),
     "weights": (
         "learn predict {seeds}/second.png --weights {file} --out {out}",
-        "learn edit {seeds}/second.png --material brass --no-refine --tolerance 0.5 --weights {file} --out {out}",
+        (
+            "learn edit {seeds}/second.png --material brass --no-refine --tolerance 0.5 --weights"
+            " {file} --out {out}"
+        ),
         "learn predict {seeds}/data --weights {file} --out {out}",
     ),
     "run": ("learn train {file} --data {views} --workers 0 --steps 1 --out {out}",),
@@ -82,7 +113,15 @@ READERS = {
 }
 
 FORMATS = {  # format: its seeds, by name in the shared folder
-    "mesh": ("mesh.obj", "mesh.ply", "mesh-binary.ply", "mesh.glb", "mesh.stl", "mesh-binary.stl", "mesh.off"),
+    "mesh": (
+        "mesh.obj",
+        "mesh.ply",
+        "mesh-binary.ply",
+        "mesh.glb",
+        "mesh.stl",
+        "mesh-binary.stl",
+        "mesh.off",
+    ),
     "light": ("light.exr", "light.hdr", "light.npz"),
     "maps": ("maps.npz",),
     "lights.json": ("library/lights.json",),
@@ -104,15 +143,29 @@ FORMATS = {  # format: its seeds, by name in the shared folder
 
 
 def draw_small() -> None:
-    """Let `learn edit` in this process render 32 pixels across instead of 256: what it reads and writes stays the same."""
+    """Let `learn edit` in this process render 32 pixels across instead of 256: what it reads and
+    writes stays the same.
+    """
     from learn.editing import decomposition, edit
 
-    decomposition.COARSEST, edit.BALL, edit.material_sphere.__defaults__ = min(decomposition.COARSEST, 32), min(edit.BALL, 16), (16,)
+    decomposition.COARSEST, edit.BALL, edit.material_sphere.__defaults__ = (
+        min(decomposition.COARSEST, 32),
+        min(edit.BALL, 16),
+        (16,),
+    )
 
 
-def line(template: str, room: Room, file: Path | None = None, data: Path | None = None) -> list[str]:
+def line(
+    template: str, room: Room, file: Path | None = None, data: Path | None = None
+) -> list[str]:
     """A template as a command line; writes the job that it names, if it names one."""
-    words = {"data": data, "out": room.folder / "out", "seeds": seeds.of(room), "room": room.folder, "file": file}
+    words = {
+        "data": data,
+        "out": room.folder / "out",
+        "seeds": seeds.of(room),
+        "room": room.folder,
+        "file": file,
+    }
     if "{job}" in template:
         words["job"] = _job(room, file)
     if "{views}" in template:
@@ -123,7 +176,11 @@ def line(template: str, room: Room, file: Path | None = None, data: Path | None 
 
 def _job(room: Room, file: Path) -> Path:
     job = seeds.job(room.folder)
-    job |= {"lights": [file.name]} if file.suffix in (".exr", ".hdr", ".npz") else {"shapes": [file.name], "lights": ["softboxes-3"]}
+    job |= (
+        {"lights": [file.name]}
+        if file.suffix in (".exr", ".hdr", ".npz")
+        else {"shapes": [file.name], "lights": ["softboxes-3"]}
+    )
     job |= {"shapes": ["cube"]} if "mesh.obj" in job["shapes"] else {}
     path = file.parent / "a-job.json"
     path.write_text(json.dumps(job))

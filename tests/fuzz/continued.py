@@ -1,4 +1,6 @@
-"""Folders that an earlier run left behind, damaged, and the same command again: evaluations, kept fits, libraries of shapes."""
+"""Folders that an earlier run left behind, damaged, and the same command again: evaluations, kept
+fits, libraries of shapes.
+"""
 
 import json
 import shutil
@@ -25,16 +27,31 @@ PLACES = (  # file, its mutation, the command that goes on from it
     ("trained/run.json", ".json", "train"),
 )
 COMMANDS = {
-    "evaluate": "learn evaluate --data {seeds}/data --weights {seeds}/weights.safetensors --no-refine --edits 2 --processes 1"
-    " --out {room}/evaluation",
+    "evaluate": (
+        "learn evaluate --data {seeds}/data --weights {seeds}/weights.safetensors --no-refine"
+        " --edits 2 --processes 1 --out {room}/evaluation"
+    ),
     "fit": "factory materials fit {seeds}/nbrdf.npz --only brass --out {room}/own.json",
     "add": "factory materials add {seeds}/nbrdf.npz --only brass --out {room}/own.json",
-    "shapes": "factory shapes add {seeds}/mesh.obj --category object --licence CC0 --library {room}/shapes",
+    "shapes": (
+        "factory shapes add {seeds}/mesh.obj --category object --licence CC0 --library"
+        " {room}/shapes"
+    ),
     "list": "factory shapes list {room}/furniture.sh3f",
     "one": "factory shapes preview {room}/furniture.sh3f#box --size 16 --out {room}/out.png",
     "train": "learn train {seeds}/run.json --data {views} --workers 0 --out {room}/trained",
 }
-WRITES = ("out", "out.png", "evaluation", "own.json", "own.json.fits", "shapes", "trained", "views/packed", "views/.lock")
+WRITES = (
+    "out",
+    "out.png",
+    "evaluation",
+    "own.json",
+    "own.json.fits",
+    "shapes",
+    "trained",
+    "views/packed",
+    "views/.lock",
+)
 
 
 def prepare(folder: Path) -> None:
@@ -51,7 +68,11 @@ def prepare(folder: Path) -> None:
     if status := main("learn", "", LEARN, words):
         raise RuntimeError(f"{' '.join(words)}: status {status}")
     source = sources.load(shared / "nbrdf.npz", ["brass"])["brass"]
-    entry = next(each for each in read_catalogue(shared / "catalogue.json").materials if each.name == "own-brass")
+    entry = next(
+        each
+        for each in read_catalogue(shared / "catalogue.json").materials
+        if each.name == "own-brass"
+    )
     kept = folder / "own.json.fits" / f"brass.{fitting.key(source, recipe.Recipe(), {})}.json"
     kept.parent.mkdir()
     fitting.write_entry(msgspec.structs.replace(entry, name="brass"), kept)
@@ -59,7 +80,17 @@ def prepare(folder: Path) -> None:
     (folder / "furniture.sh3f").write_bytes(furniture((shared / "mesh.obj").read_bytes()))
     (folder / "shapes" / "object").mkdir(parents=True)
     shutil.copytree(shared / "trained", folder / "trained")
-    words = ["shapes", "add", str(shared / "mesh.obj"), "--category", "object", "--licence", "CC0", "--library", str(folder / "shapes")]
+    words = [
+        "shapes",
+        "add",
+        str(shared / "mesh.obj"),
+        "--category",
+        "object",
+        "--licence",
+        "CC0",
+        "--library",
+        str(folder / "shapes"),
+    ]
     from factory.__main__ import COMMANDS as FACTORY
 
     if status := main("factory", "", FACTORY, words):
@@ -90,7 +121,11 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     path = room.folder / place
     label = "as it is"
     if index >= len(PLACES):
-        label = mutation.put_instead(path, rng) if how == "instead" or rng.random() < 0.15 else damaged(path, how, rng)
+        label = (
+            mutation.put_instead(path, rng)
+            if how == "instead" or rng.random() < 0.15
+            else damaged(path, how, rng)
+        )
     return Case(
         label=f"{place}: {label}",
         command=commands.line(COMMANDS[command], room),
@@ -115,7 +150,9 @@ def damaged(path: Path, how: str, rng: np.random.Generator) -> str:
             lines[k] = json.dumps(row).encode()
             path.write_bytes(b"\n".join(lines) + b"\n")
             return label
-    data, label = files.mutated(path.read_bytes(), {"lines": ".txt", ".sh3f": ".npz"}.get(how, how), rng)
+    data, label = files.mutated(
+        path.read_bytes(), {"lines": ".txt", ".sh3f": ".npz"}.get(how, how), rng
+    )
     path.write_bytes(data)
     return label
 

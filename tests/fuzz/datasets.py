@@ -1,7 +1,8 @@
 """A data set with one thing wrong in it, through each command that reads data sets.
 
-What is wrong: a value, key or line of its JSON; a file's bytes, values, size or place; something else where a file
-should be. Where `verify` calls the folder clean, everything in it must load; after `verify --repair` it must be clean.
+What is wrong: a value, key or line of its JSON; a file's bytes, values, size or place; something
+else where a file should be. Where `verify` calls the folder clean, everything in it must load;
+after `verify --repair` it must be clean.
 """
 
 import contextlib
@@ -35,8 +36,12 @@ READERS = {  # command line: what it may write
     "learn predict {data} --weights {seeds}/weights.safetensors --out {out}": WITHIN,
     "learn edit {data} --material red-fabric " + commands.QUICK_EDIT: WITHIN,
     "learn train {seeds}/run.json --data {data} --steps 1 --workers 0 --out {out}": TRAINING,
-    "learn train {seeds}/run.json --data {data} --steps 1 --workers 0 --skip-bad --out {out}": TRAINING,
-    "learn train {seeds}/pictures.json --data {views} --pictures {data} --steps 1 --workers 0 --out {out}": TRAINING,
+    "learn train {seeds}/run.json --data {data} --steps 1 --workers 0 --skip-bad --out {out}": (
+        TRAINING
+    ),
+    "learn train {seeds}/pictures.json --data {views} --pictures {data} --steps 1 --workers 0 --out {out}": (
+        TRAINING
+    ),
     "learn.experiments exposure --data {data} --out {out}": WITHIN,
 }
 RARE = ("learn edit", "factory render", "learn agree")
@@ -73,12 +78,26 @@ def replacing(template: str):
     return commands.draw_small if template.startswith("learn edit") else None
 
 
-# -------------------------------------------------------------------------------------------------------------- damage
+# --------------------------------------------------------------------------------------------------------------
+# damage
 
 
 def damaged(data: Path, rng: np.random.Generator) -> str:
     """Do one thing to a data set; returns what."""
-    hows = (_json, _json, _json, _line, _line, _line, _line, _lines, _content, _content, _consistent, _consistent)
+    hows = (
+        _json,
+        _json,
+        _json,
+        _line,
+        _line,
+        _line,
+        _line,
+        _lines,
+        _content,
+        _content,
+        _consistent,
+        _consistent,
+    )
     how = mutation.pick(rng, (*hows, _instead, _stray, _packed, _failures))
     return how(data, rng)
 
@@ -107,7 +126,9 @@ def _line(data, rng):
 
 def _lines(data, rng):
     path = lines_of(data)
-    text, label = (mutation.some_text if rng.random() < 0.7 else mutation.some_bytes)(path.read_bytes(), rng)
+    text, label = (mutation.some_text if rng.random() < 0.7 else mutation.some_bytes)(
+        path.read_bytes(), rng
+    )
     path.write_bytes(text)
     return f"{path.name}: {label}"
 
@@ -116,7 +137,11 @@ def some_file(data: Path, rng: np.random.Generator) -> Path:
     """A picture, a geometry file, or a light's map."""
     kind = mutation.pick(rng, ("images", "geometry", "geometry", "lights"))
     found = sorted(path for path in (data / kind).rglob("*") if path.is_file())
-    return mutation.pick(rng, found) if found else mutation.pick(rng, sorted((data / "geometry").rglob("*.exr")))
+    return (
+        mutation.pick(rng, found)
+        if found
+        else mutation.pick(rng, sorted((data / "geometry").rglob("*.exr")))
+    )
 
 
 def _content(data, rng):
@@ -128,7 +153,9 @@ def _content(data, rng):
 
 
 def _consistent(data, rng):
-    """A file with other values, and its hash rewritten wherever it stands: what only a look inside can find."""
+    """A file with other values, and its hash rewritten wherever it stands: what only a look inside
+    can find.
+    """
     path = some_file(data, rng)
     before = hashlib.sha256(path.read_bytes()).hexdigest()
     content, label = files.MUTATIONS[path.suffix](path.read_bytes(), rng)
@@ -142,20 +169,36 @@ def _consistent(data, rng):
 def _instead(data, rng):
     """Something else where a file or a folder should be."""
     places = (some_file(data, rng), lines_of(data), data / "dataset.json", data / "materials.json")
-    places += (data / "geometry", data / "lights", lines_of(data).parent, data / ".lock", data / "partial")
+    places += (
+        data / "geometry",
+        data / "lights",
+        lines_of(data).parent,
+        data / ".lock",
+        data / "partial",
+    )
     path = mutation.pick(rng, places)
     return f"{path.relative_to(data)} {mutation.put_instead(path, rng)}"
 
 
 def _stray(data, rng):
     """Something that belongs to nobody."""
-    names = ("images/zz/stray.exr", "records/worker-99.jsonl", "partial/x.part", "geometry/.x", "é\n.json")
+    names = (
+        "images/zz/stray.exr",
+        "records/worker-99.jsonl",
+        "partial/x.part",
+        "geometry/.x",
+        "é\n.json",
+    )
     name = mutation.pick(rng, (*names, "failures-x.jsonl"))
     path = data / name
     path.parent.mkdir(parents=True, exist_ok=True)
     if rng.random() < 0.5:
         return f"{name!r} {mutation.put_instead(path, rng)}"
-    path.write_bytes(mutation.pick(rng, (b"", b"x", b"\n", b"{}\n", b"\xff\xfe\n", b"null\n", lines_of(data).read_bytes())))
+    path.write_bytes(
+        mutation.pick(
+            rng, (b"", b"x", b"\n", b"{}\n", b"\xff\xfe\n", b"null\n", lines_of(data).read_bytes())
+        )
+    )
     return f"{name!r} added"
 
 
@@ -163,10 +206,28 @@ def _packed(data, rng):
     """The cache that training keeps beside the records, damaged."""
     folder = data / "packed"
     folder.mkdir()
-    name = mutation.pick(rng, ("views.json", "skipped.json", "sums.json", "pictures.json", "normals.npy", "segments.npy"))
+    name = mutation.pick(
+        rng,
+        ("views.json", "skipped.json", "sums.json", "pictures.json", "normals.npy", "segments.npy"),
+    )
     if name.endswith(".json"):
-        hashes = [json.loads(line)["geometry_hash"] for line in lines_of(data).read_bytes().splitlines()]
-        value = mutation.pick(rng, (sorted(set(hashes)), {h: "bad" for h in hashes}, [], {}, None, 1, "x", [[1]], {"a": {}}))
+        hashes = [
+            json.loads(line)["geometry_hash"] for line in lines_of(data).read_bytes().splitlines()
+        ]
+        value = mutation.pick(
+            rng,
+            (
+                sorted(set(hashes)),
+                {h: "bad" for h in hashes},
+                [],
+                {},
+                None,
+                1,
+                "x",
+                [[1]],
+                {"a": {}},
+            ),
+        )
         (folder / name).write_text(json.dumps(value))
         return f"packed/{name}: {str(value)[:30]}"
     _fresh_cache(data, rng)
@@ -174,7 +235,11 @@ def _packed(data, rng):
     if rng.random() < 0.3:
         return f"packed/{name} {mutation.put_instead(path, rng)}"
     array, label = mutation.some_array(np.load(path), rng)
-    path.write_bytes(mutation.npy(array) if rng.random() < 0.7 else mutation.some_bytes(path.read_bytes(), rng)[0])
+    path.write_bytes(
+        mutation.npy(array)
+        if rng.random() < 0.7
+        else mutation.some_bytes(path.read_bytes(), rng)[0]
+    )
     return f"packed/{name}: {label}"
 
 
@@ -187,7 +252,14 @@ def _fresh_cache(data, rng):
 
 def _failures(data, rng):
     """failures.jsonl with odd lines."""
-    failure = {"id": "0" * 24, "shape": "cube", "materials": ["brass"], "light": "light", "viewpoint": 0, "tier": "direct"}
+    failure = {
+        "id": "0" * 24,
+        "shape": "cube",
+        "materials": ["brass"],
+        "light": "light",
+        "viewpoint": 0,
+        "tier": "direct",
+    }
     failure |= {"reason": "no", "when": "2026-01-01T00:00:00+00:00"}
     value, label = mutation.some_value(failure, rng)
     text = json.dumps(value) + mutation.pick(rng, ("\n", "", "\n\n", "\nnull\n", "\n{\n"))
@@ -195,7 +267,8 @@ def _failures(data, rng):
     return f"failures.jsonl: {label}"
 
 
-# ---------------------------------------------------------------------------------------------------------- properties
+# ----------------------------------------------------------------------------------------------------------
+# properties
 
 
 def wrong(template: str, data: Path, room: Room, result: Result) -> str | None:
@@ -208,12 +281,23 @@ def wrong(template: str, data: Path, room: Room, result: Result) -> str | None:
 
 
 def not_mended(data: Path, room: Room) -> str | None:
-    """What --repair and a second run of the same job leave wrong, if the folder's job can be run at all."""
+    """What --repair and a second run of the same job leave wrong, if the folder's job can be run at
+    all.
+    """
     kind = "data" if (data / "records").is_dir() else "views"
     seeds.fake_studio()
-    if status_of(["factory", "render", str(seeds.of(room) / f"job-of-{kind}.json"), "--out", str(data)]) != 0:
+    if (
+        status_of(
+            ["factory", "render", str(seeds.of(room) / f"job-of-{kind}.json"), "--out", str(data)]
+        )
+        != 0
+    ):
         return None
-    return None if status_of(["factory", "verify", str(data)]) == 0 else "not clean after --repair and another run of the job"
+    return (
+        None
+        if status_of(["factory", "verify", str(data)]) == 0
+        else "not clean after --repair and another run of the job"
+    )
 
 
 def unloadable(data: Path) -> str | None:
@@ -224,7 +308,9 @@ def unloadable(data: Path) -> str | None:
     try:
         records = Records(data)
         for sample in (records.load(record) for record in records.records):
-            if not all(t.isfinite().all() for t in (sample.image, sample.n, sample.label, sample.light)):
+            if not all(
+                t.isfinite().all() for t in (sample.image, sample.n, sample.label, sample.light)
+            ):
                 return f"clean, yet record {sample.record.id} is not finite"
         for view in records.store.views():
             records.geometry(view)

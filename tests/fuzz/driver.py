@@ -1,9 +1,10 @@
 """Runs fuzzing cases, each in a forked process of its own, and says which of them are faults.
 
-The parent imports torch, numpy, factory and learn once, with one thread, and never calls them. A child makes its case
-(`case(index, rng, room)`), runs it with its output in files, applies the general rules and the case's `check`, and
-writes its verdict to `verdict.json`. The parent watches time and memory from outside, so that a child that hangs or
-fills memory is seen and ended; a child that dies without a verdict is a fault, too.
+The parent imports torch, numpy, factory and learn once, with one thread, and never calls them. A
+child makes its case (`case(index, rng, room)`), runs it with its output in files, applies the
+general rules and the case's `check`, and writes its verdict to `verdict.json`. The parent watches
+time and memory from outside, so that a child that hangs or fills memory is seen and ended; a child
+that dies without a verdict is a fault, too.
 
     WORK/MODULE-INDEX/room/       what the case sees; the command runs in room/cwd
     WORK/MODULE-INDEX/home, tmp   its HOME and TMPDIR, which must be empty afterwards
@@ -42,7 +43,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = resource.getpagesize()
 FRESH_MB = 600  # what an interpreter that imports torch, scipy and matplotlib takes by itself
 POLL = 0.02  # seconds between looks at a child's memory: at 3 GB/s that is 60 MB past the bound
-LOCKS = re.compile(r"\.lock[\w-]*")  # a data set's locks stay: they are held, not deleted (manifests/lock.py)
+# a data set's locks stay: they are held, not deleted (manifests/lock.py)
+LOCKS = re.compile(r"\.lock[\w-]*")
 TERMINAL = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")  # progress bars move the cursor
 PROGRESS = re.compile(r"\d+%\||\[\d+:\d+<|\d+(\.\d+)?(it|\w+)/s\]|: \d+\w+ \[\d+:\d+")
 WARNING = re.compile(r"\b\w*Warning: ")
@@ -50,38 +52,54 @@ WARNING = re.compile(r"\b\w*Warning: ")
 
 @dataclass(frozen=True)
 class Limits:
-    """Seconds and MiB beyond which a case is a fault. Memory counts above that of the warm process."""
+    """Seconds and MiB beyond which a case is a fault. Memory counts above that of the warm
+    process.
+    """
 
     seconds: float = 60.0
     memory_mb: int = 1024
 
 
-# ---------------------------------------------------------------------------------------------- what there is to run
+# ----------------------------------------------------------------------------------------------
+# what there is to run
 
 
 def generator_names() -> list[str]:
     """Names of the generators of this package: the modules that define `case`. None is imported."""
-    sources = {path.stem: path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))}
+    sources = {
+        path.stem: path.read_text(encoding="utf-8")
+        for path in sorted(Path(__file__).parent.glob("*.py"))
+    }
     return [name for name, text in sources.items() if "\ndef case(" in text]
 
 
 def generators(names: list[str] | None = None) -> dict[str, ModuleType]:
-    """{name: module} of all generators, or of those named. Raises ValueError for an unknown name."""
+    """{name: module} of all generators, or of those named. Raises ValueError for an unknown
+    name.
+    """
     known = generator_names()
-    found = {name: importlib.import_module(f".{name}", __package__) for name in known if not names or name in names}
+    found = {
+        name: importlib.import_module(f".{name}", __package__)
+        for name in known
+        if not names or name in names
+    }
     if unknown := set(names or ()) - set(found):
         raise ValueError(f"unknown generators: {', '.join(sorted(unknown))}")
     return found
 
 
 def warm_up() -> None:
-    """Import what the commands import, so that a forked child needs milliseconds. Blender is left out."""
+    """Import what the commands import, so that a forked child needs milliseconds. Blender is left
+    out.
+    """
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     os.environ.setdefault("MPLBACKEND", "agg")
-    cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")  # a case's HOME is empty
+    # a case's HOME is empty
+    cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     os.environ.setdefault("BRDFACTORY_CACHE", str(Path(cache) / "brdfactory"))
-    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(Path(cache) / "torchinductor"))  # else it is made in TMPDIR
+    # else it is made in TMPDIR
+    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(Path(cache) / "torchinductor"))
     import PIL.Image
     import torch
     import tqdm
@@ -109,7 +127,8 @@ def generator_of_numbers(module: str, seed: int, index: int) -> np.random.Genera
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
-# ------------------------------------------------------------------------------------------------------ in the child
+# ------------------------------------------------------------------------------------------------------
+# in the child
 
 
 def _child(place: Path, make, limits: Limits) -> None:
@@ -121,7 +140,9 @@ def _child(place: Path, make, limits: Limits) -> None:
         _write(place / "verdict.json", verdict)
         status = 0
     except BaseException:
-        _write(place / "verdict.json", {"fault": "the fuzzer itself failed\n" + traceback.format_exc()})
+        _write(
+            place / "verdict.json", {"fault": "the fuzzer itself failed\n" + traceback.format_exc()}
+        )
     finally:
         with contextlib.suppress(Exception):
             sys.stdout.flush()
@@ -156,7 +177,9 @@ def _verdict(place: Path, make, limits: Limits) -> dict:
     if case.before:
         case.before()
     bound = case.memory_mb or limits.memory_mb
-    shown = case.command and [part if isinstance(part, str) else repr(part) for part in case.command]
+    shown = case.command and [
+        part if isinstance(part, str) else repr(part) for part in case.command
+    ]
     told = {"label": case.label, "command": shown, "bound_mb": bound}
     before = _listing(place / "room")
     gc.collect()
@@ -175,7 +198,13 @@ def _verdict(place: Path, make, limits: Limits) -> dict:
     if fault is None and case.check is not None:
         wrong = case.check(result)
         fault = None if wrong is None else f"wrong result: {wrong}"
-    return {**told, "fault": fault, "status": result.status, "seconds": result.seconds, "memory": result.memory}
+    return {
+        **told,
+        "fault": fault,
+        "status": result.status,
+        "seconds": result.seconds,
+        "memory": result.memory,
+    }
 
 
 def _called(case: Case) -> tuple[Result, str | None]:
@@ -208,8 +237,15 @@ def run_command(program: str, *arguments: str) -> int:
 
 def _fresh(case: Case) -> tuple[Result, str | None]:
     """The command in an interpreter of its own."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-    done = subprocess.run([sys.executable, "-m", *case.command], env=environment, stdin=subprocess.DEVNULL, check=False)
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", *case.command],
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        check=False,
+    )
     fault = f"ended by signal {-done.returncode}" if done.returncode < 0 else None
     return Result(status=done.returncode), fault
 
@@ -223,16 +259,28 @@ def _trace(error: BaseException) -> str:
 def _signature(error: BaseException) -> str:
     """The exception and the innermost line of the project that it passed through."""
     frames = traceback.extract_tb(error.__traceback__)
-    ours = [f for f in frames if Path(f.filename).is_relative_to(ROOT) and "/tests/" not in f.filename]
-    place = f"{Path(ours[-1].filename).relative_to(ROOT)}:{ours[-1].lineno}" if ours else "outside of the project"
+    ours = [
+        f for f in frames if Path(f.filename).is_relative_to(ROOT) and "/tests/" not in f.filename
+    ]
+    place = (
+        f"{Path(ours[-1].filename).relative_to(ROOT)}:{ours[-1].lineno}"
+        if ours
+        else "outside of the project"
+    )
     first = (str(error).splitlines() or [""])[0]
     return f"{type(error).__name__} at {place}: {first[:160]}"
 
 
-def _broken_rule(case: Case, result: Result, before: dict, place: Path, bound: int, limits: Limits) -> str | None:
+def _broken_rule(
+    case: Case, result: Result, before: dict, place: Path, bound: int, limits: Limits
+) -> str | None:
     """The first of the general rules that is broken, or None."""
     if "Traceback (most recent call last)" in result.stderr:
-        last = [line for line in result.stderr.splitlines() if re.match(r"\w[\w.]*(Error|Exception|InputError)\b", line)]
+        last = [
+            line
+            for line in result.stderr.splitlines()
+            if re.match(r"\w[\w.]*(Error|Exception|InputError)\b", line)
+        ]
         return f"traceback: {last[-1][:200] if last else 'on stderr'}"
     if case.command is not None and result.status not in case.statuses:
         return f"exit status {result.status}"
@@ -241,7 +289,8 @@ def _broken_rule(case: Case, result: Result, before: dict, place: Path, bound: i
     if result.seconds > limits.seconds:
         return f"time: {result.seconds:.0f} s"
     lines = (line.strip() for line in re.split(r"[\r\n]+", TERMINAL.sub("", result.stderr)))
-    said = [line for line in lines if line and not PROGRESS.search(line[:200])]  # a bar begins there; digits by the thousand take minutes
+    # a bar begins there; digits by the thousand take minutes
+    said = [line for line in lines if line and not PROGRESS.search(line[:200])]
     if warned := [line for line in said if WARNING.search(line)]:
         return f"warning: {warned[0][:200]}"
     if case.command is not None and result.status == 1:
@@ -263,7 +312,9 @@ def _litter(case: Case, before: dict, place: Path) -> str | None:
             return f"draft left behind: {name}"
     after = _listing(room)
     for name in sorted(before.keys() | after.keys()):
-        if name == "cwd" or any(name == each or name.startswith(f"{each}/") for each in case.writes):
+        if name == "cwd" or any(
+            name == each or name.startswith(f"{each}/") for each in case.writes
+        ):
             continue
         if name not in after:
             return f"deleted: {name}"
@@ -338,7 +389,8 @@ def _write(path: Path, value: dict) -> None:
     os.replace(draft, path)
 
 
-# ----------------------------------------------------------------------------------------------------- in the parent
+# -----------------------------------------------------------------------------------------------------
+# in the parent
 
 
 class Running:
@@ -365,7 +417,9 @@ class Running:
         if time.monotonic() - self.started > self.limits.seconds + 1:
             self._end(f"time: more than {self.limits.seconds:g} s")
         bound = self.told["bound_mb"]
-        if (used := _tree_memory(self.pid) - self.told["baseline"]) > bound << 20 and not (self.place / "ended.json").exists():
+        if (used := _tree_memory(self.pid) - self.told["baseline"]) > bound << 20 and not (
+            self.place / "ended.json"
+        ).exists():
             self._end(f"memory: more than {used >> 20} MiB, bound {bound}")
 
     def _end(self, fault: str) -> None:
@@ -387,11 +441,23 @@ class Running:
         verdict = _read(self.place / "verdict.json")
         if verdict is None or self.fault:
             told = _read(self.place / "started.json") or {"label": "(before the case was made)"}
-            how = f"ended by signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else "ended without a verdict"
+            how = (
+                f"ended by signal {os.WTERMSIG(status)}"
+                if os.WIFSIGNALED(status)
+                else "ended without a verdict"
+            )
             verdict = {**told, "fault": self.fault or how}
         seconds = verdict.get("seconds") or time.monotonic() - (self.started or self.begun)
         label, fault = verdict.get("label", "?"), verdict["fault"]
-        return Outcome(self.module, self.index, label, fault, verdict.get("status"), seconds, verdict.get("memory", 0))
+        return Outcome(
+            self.module,
+            self.index,
+            label,
+            fault,
+            verdict.get("status"),
+            seconds,
+            verdict.get("memory", 0),
+        )
 
 
 def _read(path: Path) -> dict | None:
@@ -421,10 +487,13 @@ class Driver:
     keep_all  keep those of every case
     """
 
-    def __init__(self, found: dict[str, ModuleType], seed: int, kept: Path, limits: Limits, jobs: int = 2):
+    def __init__(
+        self, found: dict[str, ModuleType], seed: int, kept: Path, limits: Limits, jobs: int = 2
+    ):
         self.found, self.seed, self.kept, self.jobs = found, seed, kept, jobs
         self.limits = {
-            name: replace(limits, memory_mb=max(limits.memory_mb, getattr(module, "MEMORY_MB", 0))) for name, module in found.items()
+            name: replace(limits, memory_mb=max(limits.memory_mb, getattr(module, "MEMORY_MB", 0)))
+            for name, module in found.items()
         }
         self.work = kept / f"work-{os.getpid()}"
         self.selector = selectors.DefaultSelector()
@@ -458,13 +527,21 @@ class Driver:
                 time.sleep(0.005)
             outcome = running.outcome()
             if outcome.fault:
-                raise RuntimeError(f"{name} could not prepare: {outcome.fault}\n{_text(place / 'stderr')[-2000:]}")
+                raise RuntimeError(
+                    f"{name} could not prepare: {outcome.fault}\n{_text(place / 'stderr')[-2000:]}"
+                )
         self.seeds = _listing(self.work / "seeds")
 
     def changed_seeds(self) -> list[str]:
-        """Names of seeds that some case has changed: later cases then depend on earlier ones, which is a fault of its generator."""
+        """Names of seeds that some case has changed: later cases then depend on earlier ones, which
+        is a fault of its generator.
+        """
         after = _listing(self.work / "seeds")
-        return sorted(name for name in self.seeds.keys() | after.keys() if self.seeds.get(name) != after.get(name))
+        return sorted(
+            name
+            for name in self.seeds.keys() | after.keys()
+            if self.seeds.get(name) != after.get(name)
+        )
 
     def run(self, order: Iterator[tuple[str, int]]) -> Iterator[Outcome]:
         """The outcome of each (module, index), as they end."""
@@ -502,7 +579,12 @@ class Driver:
             return
         target = self.kept / f"{outcome.module}-{self.seed}-{outcome.index}"
         _remove(target)
-        verdict = {**(_read(running.place / "verdict.json") or _read(running.place / "started.json") or {}), **asdict(outcome)}
+        verdict = {
+            **(
+                _read(running.place / "verdict.json") or _read(running.place / "started.json") or {}
+            ),
+            **asdict(outcome),
+        }
         (running.place / "fault.json").write_text(json.dumps(verdict, indent=1))
         os.replace(running.place, target)
 

@@ -1,6 +1,7 @@
 """Damaged files of every format, through each command that reads the format.
 
-Where another generator knows a format better (its meaning, not only its bytes), this one still sees what crashes.
+Where another generator knows a format better (its meaning, not only its bytes), this one still sees
+what crashes.
 """
 
 import shutil
@@ -22,11 +23,15 @@ MUTATIONS = {
     ".obj": mutation.some_text,
     ".off": mutation.some_text,
 }
-FOLDERS = {"lights.json": "library", "checkpoint": "trained", "log": "trained"}  # read with what lies beside them
+# read with what lies beside them
+FOLDERS = {"lights.json": "library", "checkpoint": "trained", "log": "trained"}
 
 
 VALID = [
-    (format_, name, template) for format_, names in commands.FORMATS.items() for template in commands.READERS[format_] for name in names
+    (format_, name, template)
+    for format_, names in commands.FORMATS.items()
+    for template in commands.READERS[format_]
+    for name in names
 ]
 
 
@@ -36,7 +41,9 @@ def prepare(folder: Path) -> None:
 
 
 def case(index: int, rng: np.random.Generator, room: Room) -> Case:
-    """First each valid file through each of its commands, which must end with 0; then damaged ones, formats in turn."""
+    """First each valid file through each of its commands, which must end with 0; then damaged ones,
+    formats in turn.
+    """
     valid = index < len(VALID)
     format_, name, template = VALID[index] if valid else chosen(index, rng)
     data, label = (seeds.of(room) / name).read_bytes(), "as it is"
@@ -59,7 +66,11 @@ def chosen(index: int, rng: np.random.Generator) -> tuple[str, str, str]:
     readers = commands.READERS[format_]
     quick = [template for template in readers if not template.startswith(commands.SLOW)]
     few = quick and rng.random() < 0.85  # the slow ones read files by the same functions
-    return format_, mutation.pick(rng, commands.FORMATS[format_]), mutation.pick(rng, quick if few else readers)
+    return (
+        format_,
+        mutation.pick(rng, commands.FORMATS[format_]),
+        mutation.pick(rng, quick if few else readers),
+    )
 
 
 def mutated(data: bytes, suffix: str, rng: np.random.Generator) -> tuple[bytes, str]:
@@ -97,7 +108,9 @@ def place(room: Room, format_: str, name: str, data: bytes) -> Path:
 
 
 def unreadable(out: Path, result: Result) -> str | None:
-    """What is wrong with the files of a command that ended with 0: none, empty, not readable, not finite."""
+    """What is wrong with the files of a command that ended with 0: none, empty, not readable, not
+    finite.
+    """
     from PIL import Image
 
     if result.status != 0 or not out.is_dir():

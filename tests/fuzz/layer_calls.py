@@ -1,13 +1,15 @@
-"""Calls of the rendering layer with arguments of wrong or unusual type, dtype, shape, value or place.
+"""Calls of the rendering layer with arguments of wrong or unusual type, dtype, shape, value or
+place.
 
     python -m tests.fuzz.layer_calls --calls 2000 --seed 0
 
 A call is right if it ends in one of two ways:
 
-- ValueError, TypeError or (for derivatives that there are not) NotImplementedError whose message begins with the name of an argument that
-  was changed, and is one line;
-- a picture in the shape, dtype and place of n, black outside of the mask, and finite where the same scene in float64 is; where the method
-  promises an error, within it of the exact sum in float64. Gradients that come with it are finite and have their arguments' shapes.
+- ValueError, TypeError or (for derivatives that there are not) NotImplementedError whose message
+  begins with the name of an argument that was changed, and is one line;
+- a picture in the shape, dtype and place of n, black outside of the mask, and finite where the same
+  scene in float64 is; where the method promises an error, within it of the exact sum in float64.
+  Gradients that come with it are finite and have their arguments' shapes.
 
 Each change also says whether the layer must refuse it, must take it, or may do either.
 """
@@ -37,7 +39,17 @@ ARGUMENTS = (*TENSORS, "segments", "mask", "method", "tolerance", "elevation")
 REFUSALS = (ValueError, TypeError, NotImplementedError)
 SECONDS = 60.0
 REFUSE, TAKE, EITHER = "refuse", "take", "either"
-WAYS = ("function", "function", "module", "no_grad", "inference_mode", "backward", "backward", "backward", "twice")
+WAYS = (
+    "function",
+    "function",
+    "module",
+    "no_grad",
+    "inference_mode",
+    "backward",
+    "backward",
+    "backward",
+    "twice",
+)
 TRANSFORMS = ("vmap", "grad", "jacrev", "jvp", "vmap of grad", "batched gradients", "traced")
 
 
@@ -49,21 +61,29 @@ class Call:
     way: str = "function"
     changed: list = field(default_factory=list)
     must: str = TAKE
-    plain: dict | None = None  # the same in plain tensors, for the reference; None: as the arguments are
+    # the same in plain tensors, for the reference; None: as the arguments are
+    plain: dict | None = None
 
     @property
     def label(self):
         """What was done, in a line."""
-        return f"{self.way}, {self.arguments.get('method')!r:.40}: " + ("; ".join(what for _, what in self.changed) or "nothing changed")
+        return f"{self.way}, {self.arguments.get('method')!r:.40}: " + (
+            "; ".join(what for _, what in self.changed) or "nothing changed"
+        )
 
 
-# ------------------------------------------------------------------------------------------------------- valid calls
+# -------------------------------------------------------------------------------------------------------
+# valid calls
 
 
 def valid(rng):
     """Arguments of a small scene, all right."""
     dtype = (torch.float32, torch.float32, torch.float64)[rng.integers(3)]
-    images, height, width = int(rng.integers(1, 3)), int(rng.integers(1, 6)), int(rng.integers(1, 6))
+    images, height, width = (
+        int(rng.integers(1, 3)),
+        int(rng.integers(1, 6)),
+        int(rng.integers(1, 6)),
+    )
     materials = int(rng.choice([0, 0, 1, 2, 3]))
     n = rng.normal(size=(images, height, width, 3))
     n[..., 2] = np.abs(n[..., 2]) + 0.3
@@ -74,11 +94,15 @@ def valid(rng):
     arguments = {
         "n": torch.tensor(n, dtype=dtype),
         "material": torch.tensor(m if materials else m[:, 0], dtype=dtype),
-        "light": torch.tensor(rng.random((images, int(rng.integers(1, 9)), int(rng.integers(1, 9)), 3)), dtype=dtype),
+        "light": torch.tensor(
+            rng.random((images, int(rng.integers(1, 9)), int(rng.integers(1, 9)), 3)), dtype=dtype
+        ),
     }
     if rng.random() < 0.3:
         view = rng.normal(size=n.shape) * 0.1 + [0.0, 0.0, 1.0]
-        arguments["view"] = torch.tensor(view / np.linalg.norm(view, axis=-1, keepdims=True), dtype=dtype)
+        arguments["view"] = torch.tensor(
+            view / np.linalg.norm(view, axis=-1, keepdims=True), dtype=dtype
+        )
     if materials or rng.random() < 0.1:
         arguments["segments"] = torch.tensor(rng.integers(0, max(materials, 1) + 1, n.shape[:3]))
     if rng.random() < 0.3:
@@ -93,8 +117,9 @@ def valid(rng):
     return arguments
 
 
-# ------------------------------------------------------------------------------------------------------------ changes
-# A change takes a value and the generator of numbers, and gives (new value, what was done, what the layer must do).
+# ------------------------------------------------------------------------------------------------------------
+# changes A change takes a value and the generator of numbers, and gives (new value, what was done,
+# what the layer must do).
 
 
 def place(x, rng):
@@ -144,8 +169,18 @@ def enormous(x, rng):
 
 def scattered(x, rng):
     """The same values, strided otherwise."""
-    y = torch.stack([torch.zeros_like(x), x, x + 1], -1)[..., 1] if x.dtype != torch.bool else x.clone().t_copy() if x.ndim == 2 else x
-    return y.transpose(0, -1).contiguous().transpose(0, -1) if rng.random() < 0.5 else y, "other strides", TAKE
+    y = (
+        torch.stack([torch.zeros_like(x), x, x + 1], -1)[..., 1]
+        if x.dtype != torch.bool
+        else x.clone().t_copy()
+        if x.ndim == 2
+        else x
+    )
+    return (
+        y.transpose(0, -1).contiguous().transpose(0, -1) if rng.random() < 0.5 else y,
+        "other strides",
+        TAKE,
+    )
 
 
 def offset(x, rng):
@@ -181,7 +216,11 @@ def sparse(x, rng):
 
 def nested(x, rng):
     """A nested tensor."""
-    return torch.nested.nested_tensor(list(x)) if len(x) else x, "nested", REFUSE if len(x) else TAKE
+    return (
+        torch.nested.nested_tensor(list(x)) if len(x) else x,
+        "nested",
+        REFUSE if len(x) else TAKE,
+    )
 
 
 TYPES = {
@@ -203,12 +242,38 @@ def retyped(x, rng):
     return TYPES[name](x), name, EITHER if name == "None" else REFUSE
 
 
-OF_ANY = [reshaped, reshaped, emptied, enormous, scattered, offset, retyped, retyped, sparse, nested, from_inference]
+OF_ANY = [
+    reshaped,
+    reshaped,
+    emptied,
+    enormous,
+    scattered,
+    offset,
+    retyped,
+    retyped,
+    sparse,
+    nested,
+    from_inference,
+]
 OF_ANY += [lambda x, rng: (x.to("meta"), "device meta", REFUSE)]
 OF_FLOATS = [
     *OF_ANY,
-    *(put(value) for value in (math.nan, math.inf, -math.inf, -1.0, 0.0, -0.0, 1e-40, 1e30, 1e38, -1e-30)),
-    *(to(dtype) for dtype in (torch.float16, torch.bfloat16, torch.float32, torch.float64, torch.int64, torch.bool, torch.complex64)),
+    *(
+        put(value)
+        for value in (math.nan, math.inf, -math.inf, -1.0, 0.0, -0.0, 1e-40, 1e30, 1e38, -1e-30)
+    ),
+    *(
+        to(dtype)
+        for dtype in (
+            torch.float16,
+            torch.bfloat16,
+            torch.float32,
+            torch.float64,
+            torch.int64,
+            torch.bool,
+            torch.complex64,
+        )
+    ),
     to(torch.float8_e4m3fn),
     negated,
     lambda x, rng: (x.as_subclass(Own), "a subclass", TAKE),
@@ -217,7 +282,11 @@ OF_FLOATS = [
     lambda x, rng: (x * 0, "times 0", EITHER),
     lambda x, rng: (x.log(), "its logarithm", EITHER),
     lambda x, rng: (x[:1].expand(x.shape), "the first image, expanded", TAKE),
-    lambda x, rng: (torch.quantize_per_tensor(x.float(), 0.1, 0, torch.quint8), "quantized", REFUSE),
+    lambda x, rng: (
+        torch.quantize_per_tensor(x.float(), 0.1, 0, torch.quint8),
+        "quantized",
+        REFUSE,
+    ),
 ]
 OF_MASKS = [
     *OF_ANY,
@@ -225,7 +294,15 @@ OF_MASKS = [
     lambda x, rng: (x & False, "nothing inside", TAKE),
     lambda x, rng: (x[:1].expand(x.shape), "the first image, expanded", TAKE),
 ]
-WHOLE = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.uint16, torch.uint32, torch.uint64)
+WHOLE = (
+    torch.uint8,
+    torch.int8,
+    torch.int16,
+    torch.int32,
+    torch.uint16,
+    torch.uint32,
+    torch.uint64,
+)
 OF_SEGMENTS = [
     *OF_ANY,
     *((lambda x, rng, dtype=dtype: (x.to(dtype), str(dtype), TAKE)) for dtype in WHOLE),
@@ -235,16 +312,76 @@ OF_SEGMENTS = [
     lambda x, rng: (x.to(torch.uint64) - 1, "uint64, less 1", EITHER),
 ]
 NUMBERS = [  # (value, what a tolerance and what an elevation must do)
-    *((value, REFUSE, REFUSE) for value in (None, "0.1", "", "nan", True, False, math.nan, math.inf, -math.inf, 1j, [], [0.1])),
+    *(
+        (value, REFUSE, REFUSE)
+        for value in (
+            None,
+            "0.1",
+            "",
+            "nan",
+            True,
+            False,
+            math.nan,
+            math.inf,
+            -math.inf,
+            1j,
+            [],
+            [0.1],
+        )
+    ),
     *((value, REFUSE, REFUSE) for value in ({}, object())),
-    *((value, REFUSE, REFUSE) for value in (np.array(0.1), np.array([0.1]), np.bool_(True), np.nan, Decimal("0.1"), b"0.1", 10**400)),
-    *((value, REFUSE, REFUSE) for value in (torch.tensor(0.1), torch.tensor(0.1, requires_grad=True), torch.tensor([0.1, 0.2]))),
+    *(
+        (value, REFUSE, REFUSE)
+        for value in (
+            np.array(0.1),
+            np.array([0.1]),
+            np.bool_(True),
+            np.nan,
+            Decimal("0.1"),
+            b"0.1",
+            10**400,
+        )
+    ),
+    *(
+        (value, REFUSE, REFUSE)
+        for value in (
+            torch.tensor(0.1),
+            torch.tensor(0.1, requires_grad=True),
+            torch.tensor([0.1, 0.2]),
+        )
+    ),
     *((value, REFUSE, TAKE) for value in (0, 0.0, -0.0, -1e-3, -1)),
-    *((value, TAKE, TAKE) for value in (np.float32(0.1), np.float64(0.1), np.float16(0.1), Fraction(1, 10), 1, np.int64(1))),
+    *(
+        (value, TAKE, TAKE)
+        for value in (
+            np.float32(0.1),
+            np.float64(0.1),
+            np.float16(0.1),
+            Fraction(1, 10),
+            1,
+            np.int64(1),
+        )
+    ),
     *((value, TAKE, TAKE) for value in (5e-324, 1e-300, 1e-30, 1e-9, 1e-6)),
     *((value, TAKE, REFUSE) for value in (2.0, 90, 1e10, 1e300, 10**20, 1e38)),
 ]
-NAMES = [None, "", "Auto", "auto ", b"auto", 3, [], ["auto"], ("auto",), {}, "exakt", "é", "x" * 10_000, "__init__", "directional"]
+NAMES = [
+    None,
+    "",
+    "Auto",
+    "auto ",
+    b"auto",
+    3,
+    [],
+    ["auto"],
+    ("auto",),
+    {},
+    "exakt",
+    "é",
+    "x" * 10_000,
+    "__init__",
+    "directional",
+]
 NAMES.append(torch.tensor(1))
 
 
@@ -253,7 +390,11 @@ def change_number(name):
 
     def change(x, rng):
         value, of_tolerance, of_elevation = NUMBERS[rng.integers(len(NUMBERS))]
-        return value, f"{type(value).__name__} {str(value)[:30]}", of_tolerance if name == "tolerance" else of_elevation
+        return (
+            value,
+            f"{type(value).__name__} {str(value)[:30]}",
+            of_tolerance if name == "tolerance" else of_elevation,
+        )
 
     return change
 
@@ -281,18 +422,25 @@ def together(arguments, rng):
     if kind < 3:
         dtype = (torch.float16, torch.bfloat16, torch.float64)[kind]
         return {name: arguments[name].to(dtype) for name in floats}, f"all of {dtype}", TAKE
-    every = floats + [name for name in ("segments", "mask") if isinstance(arguments.get(name), torch.Tensor)]
+    every = floats + [
+        name for name in ("segments", "mask") if isinstance(arguments.get(name), torch.Tensor)
+    ]
     if kind == 3:
         return {name: arguments[name].to("meta") for name in every}, "all on device meta", REFUSE
     axis = int(rng.integers(3))
-    cut = {name: arguments[name].narrow(axis, 0, 0) for name in every if axis == 0 or name not in ("material", "light")}
+    cut = {
+        name: arguments[name].narrow(axis, 0, 0)
+        for name in every
+        if axis == 0 or name not in ("material", "light")
+    }
     return cut, f"nothing along dimension {axis}", TAKE
 
 
 def make(rng):
     """A `Call`."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # torch announces changes of quantized and nested tensors
+        # torch announces changes of quantized and nested tensors
+        warnings.simplefilter("ignore", UserWarning)
         return _made(rng)
 
 
@@ -336,11 +484,14 @@ def fresh(name, arguments):
     if not isinstance(n, torch.Tensor) or n.ndim != 4 or n.numel() > 10**6 or n.is_nested:
         return None
     if name == "view":
-        return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).to(n.dtype).expand(n.shape).clone()
+        return (
+            torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).to(n.dtype).expand(n.shape).clone()
+        )
     return torch.ones(n.shape[:3], dtype=torch.bool if name == "mask" else torch.int64)
 
 
-# -------------------------------------------------------------------------------------------------------------- calls
+# --------------------------------------------------------------------------------------------------------------
+# calls
 
 
 @dataclass
@@ -357,9 +508,23 @@ def perform(call):
     if call.way in TRANSFORMS:
         return transformed(call)
     if call.way == "module":
-        layer = RenderLayer(**{name: arguments[name] for name in ("method", "tolerance", "elevation") if name in arguments})
+        layer = RenderLayer(
+            **{
+                name: arguments[name]
+                for name in ("method", "tolerance", "elevation")
+                if name in arguments
+            }
+        )
         repr(layer)
-        return Answer(layer(**{name: value for name, value in arguments.items() if name in (*TENSORS, "segments", "mask")}))
+        return Answer(
+            layer(
+                **{
+                    name: value
+                    for name, value in arguments.items()
+                    if name in (*TENSORS, "segments", "mask")
+                }
+            )
+        )
     if call.way in ("no_grad", "inference_mode"):
         with getattr(torch, call.way)():
             return Answer(render(**arguments))
@@ -367,18 +532,31 @@ def perform(call):
         return Answer(render(**arguments))
     leaves = leaves_of(arguments)
     picture = render(**arguments | leaves)
-    total = picture.double().sum() if call.way == "backward" else (picture.double() + render(**arguments | leaves).double()).sum()
-    by = torch.autograd.grad(total, list(leaves.values()), allow_unused=True) if leaves and total.requires_grad else ()
+    total = (
+        picture.double().sum()
+        if call.way == "backward"
+        else (picture.double() + render(**arguments | leaves).double()).sum()
+    )
+    by = (
+        torch.autograd.grad(total, list(leaves.values()), allow_unused=True)
+        if leaves and total.requires_grad
+        else ()
+    )
     return Answer(picture, dict(zip(leaves, by, strict=True)) if by else None)
 
 
 def leaves_of(arguments):
-    """Leaves with gradients in place of those tensors that can have them; strides and storage stay."""
+    """Leaves with gradients in place of those tensors that can have them; strides and storage
+    stay.
+    """
     given = {name: arguments.get(name) for name in TENSORS}
     return {
         name: x.detach().requires_grad_()
         for name, x in given.items()
-        if isinstance(x, torch.Tensor) and (x.is_floating_point() or x.is_complex()) and not x.is_inference() and not x.is_quantized
+        if isinstance(x, torch.Tensor)
+        and (x.is_floating_point() or x.is_complex())
+        and not x.is_inference()
+        and not x.is_quantized
     }
 
 
@@ -393,8 +571,13 @@ def transformed(call):
     def total(m):
         return picture(m).sum()
 
-    # torch itself refuses these two ways where a tensor can have no derivative, before the layer is called
-    underivable = call.way in ("batched gradients", "jvp") and isinstance(m, torch.Tensor) and not m.is_floating_point()
+    # torch itself refuses these two ways where a tensor can have no derivative, before the layer is
+    # called
+    underivable = (
+        call.way in ("batched gradients", "jvp")
+        and isinstance(m, torch.Tensor)
+        and not m.is_floating_point()
+    )
     if not isinstance(m, torch.Tensor) or m.is_quantized or underivable:
         return Answer(picture(m))
     if call.way == "vmap":
@@ -415,7 +598,8 @@ def transformed(call):
     return Answer(seen)
 
 
-# ------------------------------------------------------------------------------------------------------------ verdict
+# ------------------------------------------------------------------------------------------------------------
+# verdict
 
 
 def refusal_fault(call, error):
@@ -426,7 +610,11 @@ def refusal_fault(call, error):
     named = {name for names, _ in call.changed for name in names}
     if isinstance(error, NotImplementedError):
         told = message.startswith("derivatives:") and call.way in ("jvp", "batched gradients")
-        return None if told or (call.way == "traced" and "torch.jit.trace" in message) else f"NotImplementedError: {message[:200]}"
+        return (
+            None
+            if told or (call.way == "traced" and "torch.jit.trace" in message)
+            else f"NotImplementedError: {message[:200]}"
+        )
     # where two arguments must be alike, the message names the one that is not as n is
     alike = {*TENSORS, "segments", "mask"} if "n" in named or len(call.changed) > 1 else named
     alike = alike | ({"view", "segments", "mask"} if "material" in named else set())
@@ -444,8 +632,16 @@ def answer_fault(call, answer):
         return "taken, where a refusal was due"
     given, picture = call.arguments, answer.picture
     n = given["n"]
-    if not isinstance(picture, torch.Tensor) or picture.shape != n.shape or picture.dtype != n.dtype or picture.device != n.device:
-        return f"{getattr(picture, 'shape', type(picture))} {getattr(picture, 'dtype', '')} for n {tuple(n.shape)} {n.dtype}"
+    if (
+        not isinstance(picture, torch.Tensor)
+        or picture.shape != n.shape
+        or picture.dtype != n.dtype
+        or picture.device != n.device
+    ):
+        return (
+            f"{getattr(picture, 'shape', type(picture))} {getattr(picture, 'dtype', '')} for n"
+            f" {tuple(n.shape)} {n.dtype}"
+        )
     for name, by in (answer.gradients or {}).items():
         if by is None or by.shape != given[name].shape:
             return f"gradient by {name}: {None if by is None else tuple(by.shape)}"
@@ -464,9 +660,16 @@ def answer_fault(call, answer):
 
 
 def moderate(given):
-    """Whether material and light are within what the methods' derivatives promise to be finite for."""
+    """Whether material and light are within what the methods' derivatives promise to be finite
+    for.
+    """
     m = given["material"].detach().double().reshape(-1, 2, 6)
-    return bool(m[:, 0].max() <= 30 and m[:, 1].max() <= 1e5 and m[:, 1].min() >= 1e-3 and given["light"].max() <= 1e6)
+    return bool(
+        m[:, 0].max() <= 30
+        and m[:, 1].max() <= 1e5
+        and m[:, 1].min() >= 1e-3
+        and given["light"].max() <= 1e6
+    )
 
 
 def error_fault(given, picture, right):
@@ -475,12 +678,20 @@ def error_fault(given, picture, right):
     if (picture[outside(given)] != 0).any():
         return "light outside of the mask"
     # what 16 bits take off the picture; what float32 does of the whole
-    digits = {torch.float16: 1e-3, torch.bfloat16: 8e-3}.get(given["n"].dtype, 0.0) * right.mean().item() + 3e-5 * right.max().item() + 1e-7
+    digits = (
+        {torch.float16: 1e-3, torch.bfloat16: 8e-3}.get(given["n"].dtype, 0.0) * right.mean().item()
+        + 3e-5 * right.max().item()
+        + 1e-7
+    )
     if method not in ("auto", "culled", "exact") or not moderate(given):
         return None
     error = (picture - right).abs().mean().item()
     allowed = 0.0 if method == "exact" else min(float(tolerance), 1e30) * largest_mean(given, right)
-    return None if error <= allowed + digits else f"error {error:.3g}, mean {right.mean():.3g}, tolerance {float(tolerance):g}"
+    return (
+        None
+        if error <= allowed + digits
+        else f"error {error:.3g}, mean {right.mean():.3g}, tolerance {float(tolerance):g}"
+    )
 
 
 def outside(given):
@@ -491,22 +702,37 @@ def outside(given):
 
 
 def largest_mean(given, right):
-    """The mean radiance by which a tolerance counts: of the brightest image, for each has its own."""
-    return right.flatten(1).mean(1).max().item() * max(1, right[0, ..., 0].numel() / max(1, int((right.sum(-1) > 0).sum())))
+    """The mean radiance by which a tolerance counts: of the brightest image, for each has its
+    own.
+    """
+    return right.flatten(1).mean(1).max().item() * max(
+        1, right[0, ..., 0].numel() / max(1, int((right.sum(-1) > 0).sum()))
+    )
 
 
 def truth(given):
     """The exact sum in float64, of plain copies of the arguments."""
     present = [name for name in TENSORS if given.get(name) is not None]
-    plain = {name: given[name].detach().double().resolve_neg().clone().as_subclass(torch.Tensor) for name in present}
-    plain["segments"] = None if given.get("segments") is None else given["segments"].to(torch.int64).clone()
+    plain = {
+        name: given[name].detach().double().resolve_neg().clone().as_subclass(torch.Tensor)
+        for name in present
+    }
+    plain["segments"] = (
+        None if given.get("segments") is None else given["segments"].to(torch.int64).clone()
+    )
     plain["mask"] = None if given.get("mask") is None else given["mask"].clone()
     with torch.no_grad():
-        return render(**plain, method="exact", **{name: float(given[name]) for name in ("elevation",) if name in given})
+        return render(
+            **plain,
+            method="exact",
+            **{name: float(given[name]) for name in ("elevation",) if name in given},
+        )
 
 
 class Hang(BaseException):
-    """A call took longer than SECONDS; no `Exception`, so that nothing in between takes it for a refusal."""
+    """A call took longer than SECONDS; no `Exception`, so that nothing in between takes it for a
+    refusal.
+    """
 
 
 def _alarm(signum, frame):
@@ -520,7 +746,8 @@ def judged(call) -> str | None:
     try:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
-            warnings.simplefilter("ignore", DeprecationWarning)  # of torch's own parts, which nobody is shown
+            # of torch's own parts, which nobody is shown
+            warnings.simplefilter("ignore", DeprecationWarning)
             answer = perform(call)
     except REFUSALS as error:
         return refusal_fault(call, error)
@@ -530,10 +757,15 @@ def judged(call) -> str | None:
         return f"{type(error).__name__}: {str(error).splitlines()[0][:200] if str(error) else ''}"
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-    return f"warning: {warned[0].message}".splitlines()[0][:200] if warned else answer_fault(call, answer)
+    return (
+        f"warning: {warned[0].message}".splitlines()[0][:200]
+        if warned
+        else answer_fault(call, answer)
+    )
 
 
-# ------------------------------------------------------------------------------------------------------------- running
+# -------------------------------------------------------------------------------------------------------------
+# running
 
 
 def numbered(seed, number):
@@ -541,8 +773,15 @@ def numbered(seed, number):
     return make(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,))))
 
 
-def run(seed: int, count: int, first: int = 0, each: Callable[[int, Call, str | None], None] | None = None) -> list[str]:
-    """Faults of calls first … first + count − 1 of a seed, one line each; each(number, call, fault) is told of all."""
+def run(
+    seed: int,
+    count: int,
+    first: int = 0,
+    each: Callable[[int, Call, str | None], None] | None = None,
+) -> list[str]:
+    """Faults of calls first … first + count − 1 of a seed, one line each; each(number, call, fault)
+    is told of all.
+    """
     faults = []
     for number in range(first, first + count):
         call = numbered(seed, number)
@@ -564,24 +803,42 @@ def case(index, rng, room):
 
 def main(arguments=None):
     """Exit status 1 if any call ended in a way that is wrong."""
-    parser = argparse.ArgumentParser(prog="python -m tests.fuzz.layer_calls", description="Calls of the layer with unusual arguments.")
-    parser.add_argument("--calls", type=int, default=2000, metavar="N", help="how many (default 2,000)")
-    parser.add_argument("--first", type=int, default=0, metavar="I", help="number of the first (default 0)")
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="of everything left to chance (default 0)")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.fuzz.layer_calls",
+        description="Calls of the layer with unusual arguments.",
+    )
+    parser.add_argument(
+        "--calls", type=int, default=2000, metavar="N", help="how many (default 2,000)"
+    )
+    parser.add_argument(
+        "--first", type=int, default=0, metavar="I", help="number of the first (default 0)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="S", help="of everything left to chance (default 0)"
+    )
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     ends, begun = Counter(), time.monotonic()
     with tqdm(total=options.calls, desc="calls", mininterval=10.0) as bar:
 
         def count(number, call, fault):
-            ends["faults" if fault else f"{call.must}, {'changed' if call.changed else 'not changed'}"] += 1
+            ends[
+                (
+                    "faults"
+                    if fault
+                    else f"{call.must}, {'changed' if call.changed else 'not changed'}"
+                )
+            ] += 1
             bar.update()
             if fault:
                 tqdm.write(f"call {number} ({call.label}): {fault}", file=sys.stdout)
 
         faults = run(options.seed, options.calls, options.first, count)
     print(", ".join(f"{end} {number}" for end, number in sorted(ends.items())))
-    print(f"{options.calls} calls, seed {options.seed}, {time.monotonic() - begun:.0f} s: {len(faults)} faults")
+    print(
+        f"{options.calls} calls, seed {options.seed}, {time.monotonic() - begun:.0f} s:"
+        f" {len(faults)} faults"
+    )
     return 1 if faults else 0
 
 

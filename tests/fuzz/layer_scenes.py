@@ -2,17 +2,21 @@
 
     python -m tests.fuzz.layer_scenes --scenes 10000 --seed 0
 
-It prints a table by method and by size of the map and ends with exit status 1 if anything is beyond its bound. A scene follows
-from the seed and its number alone, so that `--first 4321 --scenes 1` repeats scene 4321.
+It prints a table by method and by size of the map and ends with exit status 1 if anything is beyond
+its bound. A scene follows from the seed and its number alone, so that `--first 4321 --scenes 1`
+repeats scene 4321.
 
-The reference is the paper's sum in plain float64 torch, differentiated by autograd. It shares with the methods only the spline, the
-directions of texels and the rotation of the light, which have closed-form tests of their own. Errors are means of absolute differences:
-of a picture over its mean radiance, for each material and light on its own (as auto defines its tolerance); of a gradient over the
-gradient's mean, over a whole scene.
+The reference is the paper's sum in plain float64 torch, differentiated by autograd. It shares with
+the methods only the spline, the directions of texels and the rotation of the light, which have
+closed-form tests of their own. Errors are means of absolute differences: of a picture over its mean
+radiance, for each material and light on its own (as auto defines its tolerance); of a gradient over
+the gradient's mean, over a whole scene.
 
-Bounds. Pictures: the tolerance for auto and culled; what the card says for others, at tolerance 1e-2 or below; ROUNDING for exact.
-Gradients: what the card says, at tolerance 1e-2 or below. Allowed besides: ROUNDING of float32, and 2^-40 of the height a picture or
-gradient would have if all light met each lobe's peak, below which the kernels take a lobe for black (learn/engines/lights.py).
+Bounds. Pictures: the tolerance for auto and culled; what the card says for others, at tolerance
+1e-2 or below; ROUNDING for exact. Gradients: what the card says, at tolerance 1e-2 or below.
+Allowed besides: ROUNDING of float32, and 2^-40 of the height a picture or gradient would have if
+all light met each lobe's peak, below which the kernels take a lobe for black
+(learn/engines/lights.py).
 """
 
 import argparse
@@ -40,22 +44,28 @@ SIDES = (4, 4, 5, 8, 8, 12, 16, 24, 32)  # of pictures, pixels
 TOLERANCES = (5e-2, 1e-2, 1e-2, 1e-3, 1e-4)
 METHODS = ("auto", "culled", "exact", "hybrid", "median_cut", "reflectance_map")
 BROAD = 40.0  # sharpest lobe of the scenes for the methods that are meant for broad ones
-ROUNDING = 2e-5  # float32: 1e-5 is the engines' claim (docs/engines.md), normals and views are rounded besides
+# float32: 1e-5 is the engines' claim (docs/engines.md), normals and views are rounded besides
+ROUNDING = 2e-5
 BLACK = 2.0**-40
-KINK = 1e-5  # cosine of a texel's angle with a horizon, or radians from a view, within which derivatives jump and pixels are left out
+# cosine of a texel's angle with a horizon, or radians from a view, within which derivatives jump
+# and pixels are left out
+KINK = 1e-5
 PAIRS = 2**16  # of a pixel and a texel that the reference works on at a time
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Arguments of `render` (`given`), names of those whose gradients are wanted, and a tolerance."""
+    """Arguments of `render` (`given`), names of those whose gradients are wanted, and a
+    tolerance.
+    """
 
     given: dict
     wanted: tuple
     tolerance: float
 
 
-# ------------------------------------------------------------------------------------------------------------ scenes
+# ------------------------------------------------------------------------------------------------------------
+# scenes
 
 
 def scene(seed, number, sides=SIDES):
@@ -71,39 +81,58 @@ def scene(seed, number, sides=SIDES):
     mask = rng.random(n.shape[:3]) < (0.7 if rng.random() < 0.3 else 2.0)
     mask &= without_kinks(n, np.array([0.0, 0.0, 1.0]) if view is None else view, size, elevation)
     arrays = {"n": n, "material": m if materials > 1 else m[:, 0], "light": light, "view": view}
-    given = {name: None if a is None else torch.tensor(a, dtype=torch.float32) for name, a in arrays.items()}
+    given = {
+        name: None if a is None else torch.tensor(a, dtype=torch.float32)
+        for name, a in arrays.items()
+    }
     given |= {"mask": torch.as_tensor(mask), "segments": None, "elevation": elevation}
     if materials > 1:
-        given["segments"] = torch.as_tensor(rng.integers(rng.integers(2), materials + 1, n.shape[:3]))
+        given["segments"] = torch.as_tensor(
+            rng.integers(rng.integers(2), materials + 1, n.shape[:3])
+        )
     wanted = (("n", "material", "light", "view"), ("n", "material", "view"), ())[rng.integers(3)]
     return Scene(given, wanted, float(rng.choice(TOLERANCES)))
 
 
 def normals(rng, images, side):
-    """Unit normals (images, side, side, 3) that face the viewer, or 0: a sphere, some of everywhere, or all about one direction."""
+    """Unit normals (images, side, side, 3) that face the viewer, or 0: a sphere, some of
+    everywhere, or all about one direction.
+    """
     kind = rng.integers(4)
     if kind < 2:
         x = (np.arange(side) + 0.5) / side * 2 - 1
         y, x = np.meshgrid(-x, x, indexing="ij")
         height = 1 - (x * x + y * y) / rng.uniform(0.8, 2.2)
-        n = np.where(height[..., None] > 0, np.stack([x, y, np.sqrt(np.maximum(height, 0))], -1), 0.0)[None].repeat(images, 0)
+        n = np.where(
+            height[..., None] > 0, np.stack([x, y, np.sqrt(np.maximum(height, 0))], -1), 0.0
+        )[None].repeat(images, 0)
     elif kind == 2:
         n = rng.normal(size=(images, side, side, 3))
         n[..., 2] = np.abs(n[..., 2]) * 10 ** rng.uniform(-3, 0)
     else:
-        n = rng.normal(size=(images, 1, 1, 3)) + 10 ** rng.uniform(-4, -0.5) * rng.normal(size=(images, side, side, 3))
+        n = rng.normal(size=(images, 1, 1, 3)) + 10 ** rng.uniform(-4, -0.5) * rng.normal(
+            size=(images, side, side, 3)
+        )
         n[..., 2] = np.abs(n[..., 2])
     n = n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-9)
     return np.where(n[..., 2:] > 1e-3, n, 0.0)
 
 
 def material(rng, images, materials):
-    """(images, materials, 108): κ from 1e-6 to 30 and γ from 0.1 to 1e5, half of each from the middle of that."""
+    """(images, materials, 108): κ from 1e-6 to 30 and γ from 0.1 to 1e5, half of each from the
+    middle of that.
+    """
     shape = (materials, 1, 3, 1)
-    kappa = 10 ** (rng.uniform(-2, 0.3, shape) if rng.random() < 0.5 else rng.uniform(-6, math.log10(30), shape))
+    kappa = 10 ** (
+        rng.uniform(-2, 0.3, shape)
+        if rng.random() < 0.5
+        else rng.uniform(-6, math.log10(30), shape)
+    )
     gamma = 10 ** (rng.uniform(-1, 2.3, shape) if rng.random() < 0.5 else rng.uniform(-1, 5, shape))
     uneven = rng.choice([0.0, 0.05, 0.3, 1.0])
-    kappa, gamma = (value * 10 ** (uneven * rng.normal(size=(materials, 3, 3, 6))) for value in (kappa, gamma))
+    kappa, gamma = (
+        value * 10 ** (uneven * rng.normal(size=(materials, 3, 3, 6))) for value in (kappa, gamma)
+    )
     m = np.stack([kappa.clip(0, 30), gamma.clip(0.1, 1e5)], -2).reshape(1, materials, 108)
     return m.repeat(images, 0)
 
@@ -118,30 +147,44 @@ def lights(rng, images, size):
         light = light * (rng.random((images, *size, 1)) < 0.3) + 1e-3
     elif kind == 3:
         light = np.full_like(light, 1e-2)
-        light[np.arange(images), rng.integers(size[0], size=images), rng.integers(size[1], size=images)] = 10 ** rng.uniform(0, 4)
+        light[
+            np.arange(images),
+            rng.integers(size[0], size=images),
+            rng.integers(size[1], size=images),
+        ] = 10 ** rng.uniform(0, 4)
     return light * 10 ** rng.uniform(-3, 3)
 
 
 def without_kinks(n, view, size, elevation):
-    """(images, side, side) bool: pixels that face the viewer, with no texel on their horizon or where the viewer stands."""
+    """(images, side, side) bool: pixels that face the viewer, with no texel on their horizon or
+    where the viewer stands.
+    """
     w = directions(*size)[0].reshape(-1, 3) @ camera_from_light(elevation).T
     facing = (n * view).sum(-1) > 1e-3
     return facing & (np.abs(n @ w.T) > KINK).all(-1) & (view @ w.T < math.cos(KINK * 100)).all(-1)
 
 
-# --------------------------------------------------------------------------------------------------------- reference
+# ---------------------------------------------------------------------------------------------------------
+# reference
 
 
 def radiance(n, view, m, light, elevation):
-    """The paper's sum (P, 3) of n, view (P, 3), m (3, 3, 2, 6) and light (height, width, 3), all float64, for any lengths of n and view."""
+    """The paper's sum (P, 3) of n, view (P, 3), m (3, 3, 2, 6) and light (height, width, 3), all
+    float64, for any lengths of n and view.
+    """
     n, view = (torch.nn.functional.normalize(x, dim=-1)[:, None] for x in (n, view))
     w, solid_angle = directions(*light.shape[:2])
     w = torch.as_tensor(w.reshape(1, -1, 3) @ camera_from_light(elevation).T)
     E = (light * torch.as_tensor(solid_angle)[..., None]).reshape(-1, 3)
     s, d = w + view, w - view
     length_s, length_d = (x.square().sum(-1).clamp(min=1e-24).sqrt() for x in (s, d))
-    mu, h, theta_d = (n * w).sum(-1).clamp(min=0), s / length_s[..., None], torch.atan2(length_d, length_s)
-    gap = torch.where(mu > 0, 0.5 * (h - n).square().sum(-1), 0.0)  # 1 − c, without its cancellation at a lobe's peak
+    mu, h, theta_d = (
+        (n * w).sum(-1).clamp(min=0),
+        s / length_s[..., None],
+        torch.atan2(length_d, length_s),
+    )
+    # 1 − c, without its cancellation at a lobe's peak
+    gap = torch.where(mu > 0, 0.5 * (h - n).square().sum(-1), 0.0)
     kappa, gamma = torch.einsum("ptb,ksjb->jptks", basis(theta_d), m)
     exponent = kappa * torch.exp(gamma * torch.log1p(-gap.clamp(max=1 - 1e-12))[..., None, None])
     f = torch.expm1(exponent.clamp(max=MAX_EXPONENT)).sum(-1)
@@ -168,26 +211,41 @@ def reference(given, weights):
     names = [name for name in ("n", "material", "light", "view") if given[name] is not None]
     leaves = {name: given[name].double().clone().requires_grad_() for name in names}
     n, out = leaves["n"], torch.zeros_like(given["n"], dtype=torch.float64)
-    view = leaves["view"] if "view" in leaves else torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).expand_as(n)
+    view = (
+        leaves["view"]
+        if "view" in leaves
+        else torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).expand_as(n)
+    )
     for image, segment, pixels in groups(given):
         light = leaves["light"][image]
         for part in pixels.split(max(1, PAIRS // (light.shape[0] * light.shape[1]))):
             vectors = (x[image].reshape(-1, 3)[part] for x in (n, view))
-            seen = radiance(*vectors, parted(leaves["material"])[image, segment], light, given["elevation"])
+            seen = radiance(
+                *vectors, parted(leaves["material"])[image, segment], light, given["elevation"]
+            )
             (seen * weights[image].reshape(-1, 3)[part]).sum().backward()
             out[image].view(-1, 3)[part] = seen.detach()
-    return out, {name: torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for name, leaf in leaves.items()}
+    return out, {
+        name: torch.zeros_like(leaf) if leaf.grad is None else leaf.grad
+        for name, leaf in leaves.items()
+    }
 
 
 def peak(given, image, segment):
     """Radiance if all light of an image met the peak of each lobe: what BLACK is a part of."""
     light = given["light"][image].double()
-    energy = (light * torch.as_tensor(directions(*light.shape[:2])[1])[..., None]).sum((0, 1)).max().item()
+    energy = (
+        (light * torch.as_tensor(directions(*light.shape[:2])[1])[..., None])
+        .sum((0, 1))
+        .max()
+        .item()
+    )
     kappa = parted(given["material"])[image, segment, :, :, 0].double().amax(-1)
     return energy * torch.expm1(kappa.clamp(max=MAX_EXPONENT)).sum(-1).max().item()
 
 
-# ------------------------------------------------------------------------------------------------------- measurement
+# -------------------------------------------------------------------------------------------------------
+# measurement
 
 
 def suits(method, given):
@@ -207,7 +265,11 @@ def weights_of(picture):
 
 def rendered(scene, method):
     """The picture, and gradients {name: …} of the same sum, as the layer gives them."""
-    leaves = {name: scene.given[name].clone().requires_grad_() for name in scene.wanted if scene.given[name] is not None}
+    leaves = {
+        name: scene.given[name].clone().requires_grad_()
+        for name in scene.wanted
+        if scene.given[name] is not None
+    }
     picture = render(**scene.given | leaves, method=method, tolerance=scene.tolerance)
     if leaves:
         (picture * weights_of(picture)).sum().backward()
@@ -225,7 +287,9 @@ def bound_of(method, tolerance):
 
 @dataclass(frozen=True)
 class Finding:
-    """What was compared (value, or an argument's name), its error, and the part of its bound that it takes (beyond 1: wrong)."""
+    """What was compared (value, or an argument's name), its error, and the part of its bound that
+    it takes (beyond 1: wrong).
+    """
 
     what: str
     error: float
@@ -241,16 +305,26 @@ def measured(scene, method, truth):
         seen, true = (x[image].reshape(-1, 3)[pixels].double() for x in (picture, right))
         mean, error = true.mean().item(), (seen - true).abs().mean().item()
         bound = bound_of(method, scene.tolerance)
-        allowed = (bound + ROUNDING) * mean + BLACK * peak(given, image, segment) + 1e-37 if bound < math.inf else math.inf
+        allowed = (
+            (bound + ROUNDING) * mean + BLACK * peak(given, image, segment) + 1e-37
+            if bound < math.inf
+            else math.inf
+        )
         found.append(Finding("value", error / max(mean, 1e-300), part_of(error, allowed)))
-    outside = picture[~given["mask"]] if given["segments"] is None else picture[~given["mask"] | (given["segments"] == 0)]
+    outside = (
+        picture[~given["mask"]]
+        if given["segments"] is None
+        else picture[~given["mask"] | (given["segments"] == 0)]
+    )
     if outside.abs().sum() != 0:
         found.append(Finding("value outside of the mask", math.inf, math.inf))
     claim = 1e-4 if method == "exact" else methods.load(method).CARD.gradient
     for name, slope in by.items():
         true = right_by[name]
         mean, error = true.abs().mean().item(), (slope.double() - true).abs().mean().item()
-        allowed = claim * mean + slope_of_black(given, name) if scene.tolerance <= 1e-2 else math.inf
+        allowed = (
+            claim * mean + slope_of_black(given, name) if scene.tolerance <= 1e-2 else math.inf
+        )
         found.append(Finding(name, error / max(mean, 1e-300), part_of(error, allowed)))
     return found
 
@@ -263,14 +337,23 @@ def part_of(error, allowed):
 
 
 def slope_of_black(given, name):
-    """What BLACK means for a gradient: by the light per its size, by κ per 1, by n and by the view per radian of a lobe's width."""
-    total = sum(len(pixels) * peak(given, image, segment) for image, segment, pixels in groups(given))
+    """What BLACK means for a gradient: by the light per its size, by κ per 1, by n and by the view
+    per radian of a lobe's width.
+    """
+    total = sum(
+        len(pixels) * peak(given, image, segment) for image, segment, pixels in groups(given)
+    )
     steepest = parted(given["material"])[..., 1, :].max().item()
     if name in ("n", "view"):
         return BLACK * total * steepest / given["n"].numel()
     if name == "light":
         return BLACK * total / max(given["light"].double().sum().item(), 1e-30)
-    return BLACK * total * (1 + 1 / max(parted(given["material"])[..., 0, :].max().item(), 1e-6)) / given["material"].numel()
+    return (
+        BLACK
+        * total
+        * (1 + 1 / max(parted(given["material"])[..., 0, :].max().item(), 1e-6))
+        / given["material"].numel()
+    )
 
 
 def survey(numbers, seed, names=METHODS, sides=SIDES, progress=False):
@@ -293,8 +376,12 @@ def band(size):
 
 
 def table(rows):
-    """Lines of text; rows {(method, band or quantity): [compared, beyond, largest part of the bound]}."""
-    lines = [f"{'method':16} {'of':22} {'compared':>9} {'beyond':>7} {'largest part of its bound':>26}"]
+    """Lines of text; rows {(method, band or quantity): [compared, beyond, largest part of the
+    bound]}.
+    """
+    lines = [
+        f"{'method':16} {'of':22} {'compared':>9} {'beyond':>7} {'largest part of its bound':>26}"
+    ]
     for (method, what), (compared, beyond, largest) in sorted(rows.items()):
         lines.append(f"{method:16} {what:22} {compared:9} {beyond:7} {largest:26.3g}")
     return "\n".join(lines)
@@ -302,26 +389,59 @@ def table(rows):
 
 def main(arguments=None):
     """Exit status 1 if anything was beyond its bound."""
-    parser = argparse.ArgumentParser(prog="python -m tests.fuzz.layer_scenes", description="Random scenes under small light maps.")
-    parser.add_argument("--scenes", type=int, default=10_000, metavar="N", help="how many (default 10,000)")
-    parser.add_argument("--first", type=int, default=0, metavar="I", help="number of the first (default 0)")
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="of everything left to chance (default 0)")
-    parser.add_argument("--method", nargs="+", default=METHODS, choices=METHODS, help="all of these if none is given")
-    parser.add_argument("--sides", nargs="+", type=int, default=SIDES, metavar="S", help="of the pictures, pixels (default 4 to 32)")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.fuzz.layer_scenes",
+        description="Random scenes under small light maps.",
+    )
+    parser.add_argument(
+        "--scenes", type=int, default=10_000, metavar="N", help="how many (default 10,000)"
+    )
+    parser.add_argument(
+        "--first", type=int, default=0, metavar="I", help="number of the first (default 0)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="S", help="of everything left to chance (default 0)"
+    )
+    parser.add_argument(
+        "--method",
+        nargs="+",
+        default=METHODS,
+        choices=METHODS,
+        help="all of these if none is given",
+    )
+    parser.add_argument(
+        "--sides",
+        nargs="+",
+        type=int,
+        default=SIDES,
+        metavar="S",
+        help="of the pictures, pixels (default 4 to 32)",
+    )
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     rows, wrong, begun = defaultdict(lambda: [0, 0, 0.0]), set(), time.monotonic()
     numbers = range(options.first, options.first + options.scenes)
-    for number, method, size, finding in survey(numbers, options.seed, options.method, options.sides, progress=True):
+    for number, method, size, finding in survey(
+        numbers, options.seed, options.method, options.sides, progress=True
+    ):
         what = band(size) if finding.what.startswith("value") else f"gradient by {finding.what}"
         row = rows[method, what]
-        row[0], row[1], row[2] = row[0] + 1, row[1] + (not finding.part <= 1), max(row[2], finding.part)
+        row[0], row[1], row[2] = (
+            row[0] + 1,
+            row[1] + (not finding.part <= 1),
+            max(row[2], finding.part),
+        )
         if not finding.part <= 1:
             wrong.add(number)
             much = f"error {finding.error:.3g}, {finding.part:.3g} of its bound"
-            tqdm.write(f"scene {number}, map {size}, {method}: {finding.what}: {much}", file=sys.stdout)
+            tqdm.write(
+                f"scene {number}, map {size}, {method}: {finding.what}: {much}", file=sys.stdout
+            )
     print(table(rows))
-    print(f"{options.scenes} scenes, seed {options.seed}, {time.monotonic() - begun:.0f} s: {len(wrong)} beyond a bound")
+    print(
+        f"{options.scenes} scenes, seed {options.seed}, {time.monotonic() - begun:.0f} s:"
+        f" {len(wrong)} beyond a bound"
+    )
     return 1 if wrong else 0
 
 

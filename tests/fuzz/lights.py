@@ -1,8 +1,10 @@
-"""Light maps written in every legal way must be read pixel for pixel; headers, run lengths and directories that lie, refused.
+"""Light maps written in every legal way must be read pixel for pixel; headers, run lengths and
+directories that lie, refused.
 
-A map is random radiance over a wide range. It is written as Radiance .hdr (flat, old and new run lengths), OpenEXR (types,
-compressions, tiles, windows, further channels, parts) or .npz (types, orders, compressions, headers), then read by
-`factory.lights`: the pixels as they stand in the file, and the Light made of them.
+A map is random radiance over a wide range. It is written as Radiance .hdr (flat, old and new run
+lengths), OpenEXR (types, compressions, tiles, windows, further channels, parts) or .npz (types,
+orders, compressions, headers), then read by `factory.lights`: the pixels as they stand in the file,
+and the Light made of them.
 """
 
 import io
@@ -30,13 +32,16 @@ def radiance(rng: np.random.Generator) -> np.ndarray:
     return L.astype(np.float32)
 
 
-# ------------------------------------------------------------------------------------------------------------- legal ways
+# -------------------------------------------------------------------------------------------------------------
+# legal ways
 
 
 def as_hdr(L: np.ndarray, rng: np.random.Generator) -> tuple[bytes, np.ndarray, str]:
     """Radiance bytes, the pixels that they stand for, and what was done."""
     brightest = L.max(-1)
-    exponent = np.where(brightest > 0, np.floor(np.log2(np.maximum(brightest, 1e-30))) + 1, -128).astype(int)
+    exponent = np.where(
+        brightest > 0, np.floor(np.log2(np.maximum(brightest, 1e-30))) + 1, -128
+    ).astype(int)
     mantissa = np.floor(L / 2.0 ** exponent[..., None] * 256).clip(0, 255)
     bytes_ = np.concatenate([mantissa, exponent[..., None] + 128], axis=-1).astype(np.uint8)
     bytes_[brightest <= 0] = 0
@@ -46,13 +51,29 @@ def as_hdr(L: np.ndarray, rng: np.random.Generator) -> tuple[bytes, np.ndarray, 
     if style == "flat":  # two twos and a small number would announce the new style
         bytes_[:, 0][(bytes_[:, 0, :2] == 2).all(-1), 0] = 3
     exposures = [float(x) for x in rng.choice([0.5, 2.0, 4.0], int(rng.integers(3)))]
-    lines = ["#?RADIANCE", "# made by a test", "FORMAT=32-bit_rle_rgbe", "GAMMA=1.0", "PRIMARIES=0.64 0.33 0.3 0.6 0.15 0.06 0.3 0.3"]
+    lines = [
+        "#?RADIANCE",
+        "# made by a test",
+        "FORMAT=32-bit_rle_rgbe",
+        "GAMMA=1.0",
+        "PRIMARIES=0.64 0.33 0.3 0.6 0.15 0.06 0.3 0.3",
+    ]
     lines = lines[:3] + [f"EXPOSURE={x}" for x in exposures] + lines[3 : 3 + int(rng.integers(3))]
     head = "\n".join([*lines, "", f"-Y {L.shape[0]} +X {L.shape[1]}", ""]).encode()
-    rows = {"flat": lambda row: row.tobytes(), "old": _old_row, "new": lambda row: _new_row(row, rng)}[style]
+    rows = {
+        "flat": lambda row: row.tobytes(),
+        "old": _old_row,
+        "new": lambda row: _new_row(row, rng),
+    }[style]
     mantissas, exponents = bytes_[..., :3].astype(float), bytes_[..., 3:].astype(int)
-    pixels = np.where(exponents > 0, mantissas * 2.0 ** (exponents - 136), 0) / np.prod(exposures or [1.0])
-    return head + b"".join(rows(row) for row in bytes_), pixels.astype(np.float32), f"{style}, {len(exposures)} exposures"
+    pixels = np.where(exponents > 0, mantissas * 2.0 ** (exponents - 136), 0) / np.prod(
+        exposures or [1.0]
+    )
+    return (
+        head + b"".join(rows(row) for row in bytes_),
+        pixels.astype(np.float32),
+        f"{style}, {len(exposures)} exposures",
+    )
 
 
 def _old_row(row):
@@ -77,7 +98,9 @@ def _new_row(row, rng):
         column = 0
         while column < len(component):
             end = column + 1
-            while end < len(component) and end - column < 127 and component[end] == component[column]:
+            while (
+                end < len(component) and end - column < 127 and component[end] == component[column]
+            ):
                 end += 1
             if end - column > 1:
                 out += bytes([128 + end - column, component[column]])
@@ -93,7 +116,14 @@ def as_exr(L: np.ndarray, rng: np.random.Generator) -> tuple[bytes, np.ndarray, 
     import OpenEXR
 
     compression = mutation.pick(
-        rng, (OpenEXR.NO_COMPRESSION, OpenEXR.RLE_COMPRESSION, OpenEXR.ZIPS_COMPRESSION, OpenEXR.ZIP_COMPRESSION, OpenEXR.PIZ_COMPRESSION)
+        rng,
+        (
+            OpenEXR.NO_COMPRESSION,
+            OpenEXR.RLE_COMPRESSION,
+            OpenEXR.ZIPS_COMPRESSION,
+            OpenEXR.ZIP_COMPRESSION,
+            OpenEXR.PIZ_COMPRESSION,
+        ),
     )
     header = {"type": OpenEXR.scanlineimage, "compression": compression}
     if rng.random() < 0.3:
@@ -112,14 +142,20 @@ def as_exr(L: np.ndarray, rng: np.random.Generator) -> tuple[bytes, np.ndarray, 
     elif style == "RGBA":
         channels = {"RGBA": np.concatenate([L, np.ones_like(L[..., :1])], axis=-1)}
     elif style == "mixed":
-        channels = {**planes, "R": planes["R"].astype(np.float32), "A": planes["B"].astype(np.float16)}
+        channels = {
+            **planes,
+            "R": planes["R"].astype(np.float32),
+            "A": planes["B"].astype(np.float16),
+        }
     else:
         more = {
             "Z": planes["R"].astype(np.float32),
             "left.R": planes["B"],
             "id": np.arange(planes["R"].size, dtype=np.uint32).reshape(planes["R"].shape),
         }
-        channels = {"RGB": L} if style == "RGB" else planes if style == "planes" else {**planes, **more}
+        channels = (
+            {"RGB": L} if style == "RGB" else planes if style == "planes" else {**planes, **more}
+        )
     stream = io.BytesIO()
     with OpenEXR.File(header, channels) as file:
         file.write(stream)
@@ -134,18 +170,25 @@ def as_npz(L: np.ndarray, rng: np.random.Generator) -> tuple[bytes, np.ndarray, 
     stream = io.BytesIO()
     version = mutation.pick(rng, ((1, 0), (2, 0), (3, 0)))
     np.lib.format.write_array(stream, values, version=version)
-    compression = mutation.pick(rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA))
+    compression = mutation.pick(
+        rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
+    )
     out = io.BytesIO()
     name = mutation.pick(rng, ("L.npy", "arr_0.npy", "\u00e9.npy", "folder/L.npy", "L"))
     with zipfile.ZipFile(out, "w", compression) as archive:
         archive.writestr(name, stream.getvalue())
-    return out.getvalue(), values.astype(np.float32), f"{type_}, version {version}, compression {compression}, {name}"
+    return (
+        out.getvalue(),
+        values.astype(np.float32),
+        f"{type_}, version {version}, compression {compression}, {name}",
+    )
 
 
 WAYS = {".hdr": as_hdr, ".exr": as_exr, ".npz": as_npz}
 
 
-# ------------------------------------------------------------------------------------------------------------------ cases
+# ------------------------------------------------------------------------------------------------------------------
+# cases
 
 
 def case(index: int, rng: np.random.Generator, room: Room) -> Case:
@@ -156,7 +199,9 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     path = room.folder / f"map{kind}"
     if index % 3 == 0:
         path.write_bytes(data)
-        return Case(label=label, run=lambda: opened(path), check=lambda result: wrong(pixels, result))
+        return Case(
+            label=label, run=lambda: opened(path), check=lambda result: wrong(pixels, result)
+        )
     if index % 3 == 1:
         data, lie = LIES[kind](data, rng)
         path.write_bytes(data)
@@ -197,7 +242,11 @@ def sound(result: Result) -> str | None:
         mean = float(envmap.mean_radiance(L) @ envmap.LUMINANCE)
         if abs(mean - 1) > 1e-4:  # float32 texels, one of them far above the others
             return f"{name} has a mean of {mean}"
-    return None if light.L64.shape == (64, 128, 3) and light.L_full.shape[1] % 4 == 0 else f"sizes {light.L64.shape}, {light.L_full.shape}"
+    return (
+        None
+        if light.L64.shape == (64, 128, 3) and light.L_full.shape[1] % 4 == 0
+        else f"sizes {light.L64.shape}, {light.L_full.shape}"
+    )
 
 
 def listed(rng, room, path, data, label) -> Case:
@@ -205,17 +254,54 @@ def listed(rng, room, path, data, label) -> Case:
     folder = room.folder / "library"
     folder.mkdir()
     (folder / path.name).write_bytes(data)
-    words = ("CC0", "", None, 5, [], "x" * 5000, "a\nb", "\ud800", "\x1b[31m", {"licence": "CC0"}, True)
-    entry = {key: mutation.pick(rng, words) for key in ("file", "hash", "licence", "source", "more") if rng.random() < 0.5}
-    tree = mutation.pick(rng, ({"map": entry}, {"map": entry, "other": {}}, {"map": mutation.pick(rng, words)}, [entry]))
+    words = (
+        "CC0",
+        "",
+        None,
+        5,
+        [],
+        "x" * 5000,
+        "a\nb",
+        "\ud800",
+        "\x1b[31m",
+        {"licence": "CC0"},
+        True,
+    )
+    entry = {
+        key: mutation.pick(rng, words)
+        for key in ("file", "hash", "licence", "source", "more")
+        if rng.random() < 0.5
+    }
+    tree = mutation.pick(
+        rng,
+        ({"map": entry}, {"map": entry, "other": {}}, {"map": mutation.pick(rng, words)}, [entry]),
+    )
     (folder / "lights.json").write_text(json.dumps(tree))
     action = mutation.pick(
-        rng, (["list", str(folder)], ["preview", "map", "--library", str(folder), "--size", "16", "--out", str(room.folder / "out.png")])
+        rng,
+        (
+            ["list", str(folder)],
+            [
+                "preview",
+                "map",
+                "--library",
+                str(folder),
+                "--size",
+                "16",
+                "--out",
+                str(room.folder / "out.png"),
+            ],
+        ),
     )
-    return Case(label=f"{label}, listed as {json.dumps(tree)[:60]}", command=["factory", "lights", *action], writes=("out.png",))
+    return Case(
+        label=f"{label}, listed as {json.dumps(tree)[:60]}",
+        command=["factory", "lights", *action],
+        writes=("out.png",),
+    )
 
 
-# ------------------------------------------------------------------------------------------------------------------- lies
+# -------------------------------------------------------------------------------------------------------------------
+# lies
 
 
 def hdr_lie(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
@@ -224,10 +310,31 @@ def hdr_lie(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     size, _, pixels = rest.partition(b"\n")
     kind = int(rng.integers(5))
     if kind == 0:
-        numbers = [str(mutation.pick(rng, (0, 1, 4, 8, 4096, 8192, 4097, 10**6, 10**9, 10**12, -1, "08", "1e3", ""))) for _ in range(2)]
-        return head + mark + f"-Y {numbers[0]} +X {numbers[1]}\n".encode() + pixels, f"size {numbers}"
+        numbers = [
+            str(
+                mutation.pick(
+                    rng, (0, 1, 4, 8, 4096, 8192, 4097, 10**6, 10**9, 10**12, -1, "08", "1e3", "")
+                )
+            )
+            for _ in range(2)
+        ]
+        return (
+            head + mark + f"-Y {numbers[0]} +X {numbers[1]}\n".encode() + pixels,
+            f"size {numbers}",
+        )
     if kind == 1:
-        line = mutation.pick(rng, ("EXPOSURE=0", "EXPOSURE=1e38", "EXPOSURE=nan", "EXPOSURE=", "FORMAT=32-bit_rle_xyze", "\0", "\xff" * 9))
+        line = mutation.pick(
+            rng,
+            (
+                "EXPOSURE=0",
+                "EXPOSURE=1e38",
+                "EXPOSURE=nan",
+                "EXPOSURE=",
+                "FORMAT=32-bit_rle_xyze",
+                "\0",
+                "\xff" * 9,
+            ),
+        )
         return head + b"\n" + line.encode("latin-1") + mark + rest, f"a line {line!r}"
     if kind == 2:
         turned = mutation.pick(rng, (b"+Y", b"-X", b"Y", b"-Y 4 -Y"))
@@ -237,7 +344,9 @@ def hdr_lie(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
 
 
 def exr_lie(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
-    """An attribute of the header changed: windows, channels, compression, type, tiles; or the table of offsets."""
+    """An attribute of the header changed: windows, channels, compression, type, tiles; or the table
+    of offsets.
+    """
     attributes = _attributes(data)
     kind = rng.random()
     if kind < 0.35 and b"dataWindow" in attributes:
@@ -279,17 +388,49 @@ def npz_lie(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
             name = archive.namelist()[0]
             array = archive.read(name)
         shape = mutation.pick(
-            rng, ("(4096, 8192, 3)", "(16, 32, 3)", "()", "(-4, -8, 3)", "(4, 8, 3, 1)", "(4, 8, 4)", "(10**9, 2, 3)", "x", "(4.0, 8.0, 3)")
+            rng,
+            (
+                "(4096, 8192, 3)",
+                "(16, 32, 3)",
+                "()",
+                "(-4, -8, 3)",
+                "(4, 8, 3, 1)",
+                "(4, 8, 4)",
+                "(10**9, 2, 3)",
+                "x",
+                "(4.0, 8.0, 3)",
+            ),
         )
         descr = mutation.pick(
-            rng, ("'<f4'", "'<f8'", "'|O'", "'<c8'", "'<i4'", "'<U9'", "'|V12'", "'<f16'", "[('a','<f4')]", "'<f4', 'x': 1", "None")
+            rng,
+            (
+                "'<f4'",
+                "'<f8'",
+                "'|O'",
+                "'<c8'",
+                "'<i4'",
+                "'<U9'",
+                "'|V12'",
+                "'<f16'",
+                "[('a','<f4')]",
+                "'<f4', 'x': 1",
+                "None",
+            ),
         )
-        head = f"{{'descr': {descr}, 'fortran_order': {mutation.pick(rng, ('False', 'True', '7', 'None'))}, 'shape': {shape}, }}".encode()
+        head = (
+            f"{{'descr': {descr}, 'fortran_order':"
+            f" {mutation.pick(rng, ('False', 'True', '7', 'None'))}, 'shape': {shape}, }}".encode()
+        )
         head += b" " * (-(len(head) + 11) % 64) + b"\n"
         out = io.BytesIO()
-        with zipfile.ZipFile(out, "w", mutation.pick(rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
+        with zipfile.ZipFile(
+            out, "w", mutation.pick(rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
+        ) as archive:
             for k in range(int(rng.choice([1, 1, 2]))):
-                archive.writestr(f"{k}{name}", b"\x93NUMPY\1\0" + struct.pack("<H", len(head)) + head + array[128:])
+                archive.writestr(
+                    f"{k}{name}",
+                    b"\x93NUMPY\1\0" + struct.pack("<H", len(head)) + head + array[128:],
+                )
         return out.getvalue(), f"{shape} of {descr}"
     if kind < 0.8:
         signature, offset = mutation.pick(
@@ -309,7 +450,10 @@ def npz_lie(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
         )
         place = data.rindex(signature) + offset
         value = mutation.pick(rng, (0, 1, 8, 9, 12, 14, 99, 2**15, 2**16 - 1))
-        return data[:place] + struct.pack("<H", value) + data[place + 2 :], f"{value} at {signature!r} + {offset}"
+        return (
+            data[:place] + struct.pack("<H", value) + data[place + 2 :],
+            f"{value} at {signature!r} + {offset}",
+        )
     return mutation.some_bytes(data, rng)
 
 

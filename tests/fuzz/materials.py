@@ -1,4 +1,5 @@
-"""material.json and names of materials: numbers, shapes and texts at the ends of what JSON and a label allow, and beyond.
+"""material.json and names of materials: numbers, shapes and texts at the ends of what JSON and a
+label allow, and beyond.
 
 A label that is accepted is rendered on a ball: the picture must be finite.
 """
@@ -12,7 +13,22 @@ import numpy as np
 from . import Case, Result, Room, commands, mutation, seeds
 
 NUMBERS = (
-    *("0", "-80", "-80.001", "-79.999", "4.4", "4.401", "14", "14.001", "-1e308", "1e308", "1e309", "-1e400", "1e-400", "-0.0"),
+    *(
+        "0",
+        "-80",
+        "-80.001",
+        "-79.999",
+        "4.4",
+        "4.401",
+        "14",
+        "14.001",
+        "-1e308",
+        "1e308",
+        "1e309",
+        "-1e400",
+        "1e-400",
+        "-0.0",
+    ),
     *(
         "1" + "0" * 400,
         "-1" + "0" * 400,
@@ -30,12 +46,58 @@ NUMBERS = (
     ),
 )
 TEXTS = (
-    *("", " ", "null", "[]", "{}", "5", '"label"', "[1]", '{"label": null}', '{"labels": null}', '{"labels": []}', '{"labels": [[]]}'),
-    *('{"labels": {}}', '{"label": {}}', '{"label": "brass"}', '{"label": [[0]]}', "{", "[" * 100_000, '{"a":' * 50_000, "\ufeff{}", "\0"),
-    *('{"label": [], "label": []}', "NaN", '{"label": 1' + "0" * 400 + "}", '{"labels": [null]}', '{"labels": "' + "x" * 500_000 + '"}'),
+    *(
+        "",
+        " ",
+        "null",
+        "[]",
+        "{}",
+        "5",
+        '"label"',
+        "[1]",
+        '{"label": null}',
+        '{"labels": null}',
+        '{"labels": []}',
+        '{"labels": [[]]}',
+    ),
+    *(
+        '{"labels": {}}',
+        '{"label": {}}',
+        '{"label": "brass"}',
+        '{"label": [[0]]}',
+        "{",
+        "[" * 100_000,
+        '{"a":' * 50_000,
+        "\ufeff{}",
+        "\0",
+    ),
+    *(
+        '{"label": [], "label": []}',
+        "NaN",
+        '{"label": 1' + "0" * 400 + "}",
+        '{"labels": [null]}',
+        '{"labels": "' + "x" * 500_000 + '"}',
+    ),
 )
 WORDS = (
-    *("keep", "brass", "Brass", "brass ", "brass+keep", "+", "++", "brass+", "+brass", "keep+keep+keep", "", " ", ".", "..", "/", "-"),
+    *(
+        "keep",
+        "brass",
+        "Brass",
+        "brass ",
+        "brass+keep",
+        "+",
+        "++",
+        "brass+",
+        "+brass",
+        "keep+keep+keep",
+        "",
+        " ",
+        ".",
+        "..",
+        "/",
+        "-",
+    ),
     *(
         "x.json",
         "x.png",
@@ -50,9 +112,26 @@ WORDS = (
         "\0",
         "material.json\0",
     ),
-    *("brass+brass+brass+brass+brass+brass+brass+brass+brass", "*", "$(touch x)", "brass;", "%s", "example:espresso-cup", "con", "~"),
+    *(
+        "brass+brass+brass+brass+brass+brass+brass+brass+brass",
+        "*",
+        "$(touch x)",
+        "brass;",
+        "%s",
+        "example:espresso-cup",
+        "con",
+        "~",
+    ),
 )
-KINDS = ("a pipe", "a folder", "a device", "a circle of links", "2 MB of nothing", "missing", "no permission")
+KINDS = (
+    "a pipe",
+    "a folder",
+    "a device",
+    "a circle of links",
+    "2 MB of nothing",
+    "missing",
+    "no permission",
+)
 
 
 def prepare(folder: Path) -> None:
@@ -66,7 +145,9 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     label = json.loads((seeds.of(room) / "material.json").read_text())["label"]
     plan = [("number", value) for value in NUMBERS] + [("text", value) for value in TEXTS]
     plan += [("word", value) for value in WORDS] + [("kind", value) for value in KINDS]
-    plan += [("length", value) for value in (0, 1, 107, 109, 216, 108 * 1000)] + [("regions", value) for value in (1, 2, 8, 9, 1000)]
+    plan += [("length", value) for value in (0, 1, 107, 109, 216, 108 * 1000)] + [
+        ("regions", value) for value in (1, 2, 8, 9, 1000)
+    ]
     what, value = plan[index] if index < len(plan) else ("chance", None)
     asked = str(path)
     if what == "number":
@@ -92,33 +173,54 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     text = f"{what}: {value if isinstance(value, int) else value[:50]!r}"
     if index % 8 == 0:
         there = seeds.of(room)
-        words = ["edit", there / "second.png", "--no-refine", "--weights", there / "weights.safetensors"]
+        words = [
+            "edit",
+            there / "second.png",
+            "--no-refine",
+            "--weights",
+            there / "weights.safetensors",
+        ]
         words += [f"--material={asked}", "--out", room.folder / "out"]
         return Case(label=text, command=["learn", *map(str, words)], before=commands.draw_small)
     return Case(label=text, run=lambda: shown(asked), check=not_finite)
 
 
 def shown(asked):
-    """Balls of the material that is asked for, one for each region; a picture's material is not predicted."""
+    """Balls of the material that is asked for, one for each region; a picture's material is not
+    predicted.
+    """
     from learn.editing import edit
     from learn.figures import montage
 
-    labels = edit.choices(asked, 2, lambda path: np.zeros((1, 108), np.float32), {"own": np.zeros(108, np.float32)})
-    return [montage.material_sphere(label, montage.preview_lighting(), 16, 0.35, 1.0) for label in labels if label is not None]
+    labels = edit.choices(
+        asked, 2, lambda path: np.zeros((1, 108), np.float32), {"own": np.zeros(108, np.float32)}
+    )
+    return [
+        montage.material_sphere(label, montage.preview_lighting(), 16, 0.35, 1.0)
+        for label in labels
+        if label is not None
+    ]
 
 
 def not_finite(result: Result) -> str | None:
     """What is wrong with the balls."""
     if result.error is not None:
         return None
-    return None if all(np.isfinite(ball).all() for ball in result.value) else "a ball of the material is not finite"
+    return (
+        None
+        if all(np.isfinite(ball).all() for ball in result.value)
+        else "a ball of the material is not finite"
+    )
 
 
 def _extreme(rng, label):
     """A label whose values are as before or at the ends of their ranges."""
     values = np.array(label).reshape(3, 3, 2, 6)
     ends = np.where(np.arange(2)[:, None] == 0, [[-80.0, 4.4]], [[-80.0, 14.0]])
-    spot, high = rng.random(values.shape) < mutation.pick(rng, (0.02, 0.3, 1.0)), rng.random(values.shape) < 0.5
+    spot, high = (
+        rng.random(values.shape) < mutation.pick(rng, (0.02, 0.3, 1.0)),
+        rng.random(values.shape) < 0.5,
+    )
     extreme = np.where(high, ends[:, 1][:, None], ends[:, 0][:, None])
     return np.where(spot, extreme, values).reshape(-1).tolist()
 

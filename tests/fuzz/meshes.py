@@ -1,8 +1,10 @@
-"""Meshes: bodies of known area and volume, written in every legal way, must be read as they are; lies in their headers, refused.
+"""Meshes: bodies of known area and volume, written in every legal way, must be read as they are;
+lies in their headers, refused.
 
-A body is a prism over a random polygon (concave, with corners in a line, or convex), turned and moved: its area and its
-volume follow from the polygon's. It is written as OBJ, OFF, PLY, STL or GLB with all the freedom that the format leaves,
-and read by `factory.shapes`: the triangles must have its area, close it, and enclose its volume.
+A body is a prism over a random polygon (concave, with corners in a line, or convex), turned and
+moved: its area and its volume follow from the polygon's. It is written as OBJ, OFF, PLY, STL or GLB
+with all the freedom that the format leaves, and read by `factory.shapes`: the triangles must have
+its area, close it, and enclose its volume.
 """
 
 import json
@@ -17,14 +19,50 @@ from ..factory.mesh_files import Glb, ply, stl_text
 from . import Case, Result, Room, mutation
 
 TEXT_LIES = (
-    *("nan", "inf", "-inf", "1e999", "-1e999", "1e-400", "1,5", "1_0", "0x1", "--1", "1e", "", "\0", "\ufeff", "\\", "#", "/", "//"),
-    *("0", "-0", "-1", "00", "99999999", "-99999999", "4294967296", "9" * 40, "9" * 5000, "1.5", "\u0661", "nan(0)", "+", "a b"),
+    *(
+        "nan",
+        "inf",
+        "-inf",
+        "1e999",
+        "-1e999",
+        "1e-400",
+        "1,5",
+        "1_0",
+        "0x1",
+        "--1",
+        "1e",
+        "",
+        "\0",
+        "\ufeff",
+        "\\",
+        "#",
+        "/",
+        "//",
+    ),
+    *(
+        "0",
+        "-0",
+        "-1",
+        "00",
+        "99999999",
+        "-99999999",
+        "4294967296",
+        "9" * 40,
+        "9" * 5000,
+        "1.5",
+        "\u0661",
+        "nan(0)",
+        "+",
+        "a b",
+    ),
 )
 
 
 @dataclass(frozen=True)
 class Body:
-    """A closed mesh: vertices (V, 3), polygons as lists of indices counter-clockwise from outside, and what it measures."""
+    """A closed mesh: vertices (V, 3), polygons as lists of indices counter-clockwise from outside,
+    and what it measures.
+    """
 
     vertices: np.ndarray
     polygons: list[list[int]]
@@ -41,7 +79,9 @@ class Body:
 
 
 def outline(rng: np.random.Generator) -> np.ndarray:
-    """A simple polygon (C, 2), counter-clockwise: convex, a star, or with steps, and now and then corners in a line."""
+    """A simple polygon (C, 2), counter-clockwise: convex, a star, or with steps, and now and then
+    corners in a line.
+    """
     count = int(rng.integers(3, 30))
     kind = rng.integers(3)
     if kind == 2:
@@ -49,8 +89,11 @@ def outline(rng: np.random.Generator) -> np.ndarray:
         edges = np.concatenate([[0], np.cumsum(width)])
         heights = rng.choice([1.0, 1.5, 2.0, 3.0], count)
         top = np.stack([np.repeat(edges, 2)[1:-1], np.repeat(heights, 2)], axis=1)
-        return np.concatenate([[(0, 0), (edges[-1], 0)], top[::-1]])  # equal neighbours leave corners in a line
-    angle = np.sort(rng.uniform(0, 2 * np.pi, count)) if kind else 2 * np.pi * np.arange(count) / count
+        # equal neighbours leave corners in a line
+        return np.concatenate([[(0, 0), (edges[-1], 0)], top[::-1]])
+    angle = (
+        np.sort(rng.uniform(0, 2 * np.pi, count)) if kind else 2 * np.pi * np.arange(count) / count
+    )
     if count < 4 or np.diff(np.append(angle, angle[0] + 2 * np.pi)).max() > 3:
         angle = 2 * np.pi * np.arange(count) / count
     radius = rng.uniform(0.2, 1, count) if kind else np.ones(count)
@@ -78,33 +121,58 @@ def body(rng: np.random.Generator) -> Body:
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     rotation *= np.sign(np.linalg.det(rotation))
     scale = 10.0 ** rng.integers(-2, 3)
-    vertices = np.float32(scale * (vertices @ rotation.T + rng.normal(size=3))).astype(float)  # as binary files hold them
-    return Body(vertices, [polygons[k] for k in order], scale**2 * (2 * size + around * height), scale**3 * size * height)
+    # as binary files hold them
+    vertices = np.float32(scale * (vertices @ rotation.T + rng.normal(size=3))).astype(float)
+    return Body(
+        vertices,
+        [polygons[k] for k in order],
+        scale**2 * (2 * size + around * height),
+        scale**3 * size * height,
+    )
 
 
-# -------------------------------------------------------------------------------------------- legal ways to write a body
+# -------------------------------------------------------------------------------------------- legal
+# ways to write a body
 
 
 def as_obj(shape: Body, rng: np.random.Generator) -> tuple[bytes, str]:
     """OBJ text with any line ends, indices, comments, names and numbers."""
     newline = mutation.pick(rng, ("\n", "\r\n", "\r"))
     style = mutation.pick(rng, ("{0}", "{0}/{0}", "{0}//{0}", "{0}/{0}/{0}", "{0}/"))
-    backwards, early, number = rng.random() < 0.3, rng.random() < 0.2, mutation.pick(rng, ("{!r}", "{:.17g}", "{:+.16e}"))
+    backwards, early, number = (
+        rng.random() < 0.3,
+        rng.random() < 0.2,
+        mutation.pick(rng, ("{!r}", "{:.17g}", "{:+.16e}")),
+    )
     words = ["# a body \\", "mtllib nothing.mtl", "o \u00e9 f v #1"]
-    vertices = ["v " + " ".join(number.format(x) for x in point) for point in shape.vertices.tolist()]
+    vertices = [
+        "v " + " ".join(number.format(x) for x in point) for point in shape.vertices.tolist()
+    ]
     faces = []
     for k, polygon in enumerate(shape.polygons):
-        indices = [index - len(shape.vertices) if backwards and not early else index + 1 for index in polygon]
+        indices = [
+            index - len(shape.vertices) if backwards and not early else index + 1
+            for index in polygon
+        ]
         line = "f " + " ".join(style.format(index) for index in indices)
         if rng.random() < 0.2:
-            line = line.replace(" ", " \\" + newline, 1) if rng.random() < 0.5 else line.replace(" ", "\t ")
+            line = (
+                line.replace(" ", " \\" + newline, 1)
+                if rng.random() < 0.5
+                else line.replace(" ", "\t ")
+            )
         faces.append(line + (" # a face" if rng.random() < 0.2 else ""))
         if rng.random() < 0.1:
-            faces += [f"usemtl stuff {k} \\", f"g a b {k}", "s off", "vn 0 0 1", "vt 0 0 0"][: int(rng.integers(1, 6))]
+            faces += [f"usemtl stuff {k} \\", f"g a b {k}", "s off", "vn 0 0 1", "vt 0 0 0"][
+                : int(rng.integers(1, 6))
+            ]
     words += [*faces, *vertices] if early else [*vertices, *faces]
     text = newline.join(words) + (newline if rng.random() < 0.8 else "")
     mark = rng.random() < 0.3
-    return text.encode("utf-8-sig" if mark else "utf-8"), f"OBJ, {style}, {newline!r}{', a mark' * mark}{', faces first' * early}"
+    return (
+        text.encode("utf-8-sig" if mark else "utf-8"),
+        f"OBJ, {style}, {newline!r}{', a mark' * mark}{', faces first' * early}",
+    )
 
 
 def as_off(shape: Body, rng: np.random.Generator) -> tuple[bytes, str]:
@@ -114,7 +182,10 @@ def as_off(shape: Body, rng: np.random.Generator) -> tuple[bytes, str]:
     more = "" if kind == "OFF" else " 0.5 0.5 1" + " 1" * (kind == "COFF")
     between = " " if rng.random() < 0.3 else newline
     lines = [" ".join(map(repr, point)) + more for point in shape.vertices.tolist()]
-    lines += [" ".join(map(str, (len(polygon), *polygon))) + " 255 0 0" * int(rng.integers(2)) for polygon in shape.polygons]
+    lines += [
+        " ".join(map(str, (len(polygon), *polygon))) + " 255 0 0" * int(rng.integers(2))
+        for polygon in shape.polygons
+    ]
     head = f"{kind}{between}{len(shape.vertices)} {len(shape.polygons)} 0"
     lines = [line + " # so" * int(rng.integers(2)) for line in lines]
     return newline.join([head, *lines, ""]).encode(), f"{kind}, {newline!r}"
@@ -129,7 +200,14 @@ def as_ply(shape: Body, rng: np.random.Generator) -> tuple[bytes, str]:
         "scalar": mutation.pick(rng, ("float", "double")),
         "faces_first": bool(rng.integers(2)),
         "more": mutation.pick(
-            rng, ((), ("uchar",), ("float", "short"), (("list", "uchar", "float"),), ("int", ("list", "uint", "double")))
+            rng,
+            (
+                (),
+                ("uchar",),
+                ("float", "short"),
+                (("list", "uchar", "float"),),
+                ("int", ("list", "uint", "double")),
+            ),
         ),
     }
     return ply(shape.vertices, shape.polygons, **keys), f"PLY, {keys}"
@@ -142,17 +220,26 @@ def as_stl(shape: Body, rng: np.random.Generator) -> tuple[bytes, str]:
     lengths = np.array([len(polygon) for polygon in shape.polygons])
     faces, _, _ = triangulate(shape.vertices, np.concatenate(shape.polygons), lengths)
     if rng.random() < 0.5:
-        text = stl_text(shape.vertices, faces, mutation.pick(rng, ("a", "vertex 1 2 3", "", "facet loop")))
+        text = stl_text(
+            shape.vertices, faces, mutation.pick(rng, ("a", "vertex 1 2 3", "", "facet loop"))
+        )
         text = text.upper() if rng.random() < 0.3 else text
-        return text.replace("\n", mutation.pick(rng, ("\n", "\r\n", "\n  \t", "\r"))).encode(), "STL text"
-    rows = np.zeros(len(faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+        return (
+            text.replace("\n", mutation.pick(rng, ("\n", "\r\n", "\n  \t", "\r"))).encode(),
+            "STL text",
+        )
+    rows = np.zeros(
+        len(faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    )
     rows["corners"] = shape.vertices[faces]
     head = mutation.pick(rng, (b"solid a", b"", b"\0", rng.bytes(80))).ljust(80, b" ")[:80]
     return head + struct.pack("<I", len(faces)) + rows.tobytes(), "STL binary"
 
 
 def as_glb(shape: Body, rng: np.random.Generator) -> tuple[bytes, str]:
-    """GLB with strides, sparse values, any index type, strips, a tree of nodes and mirrors that cancel."""
+    """GLB with strides, sparse values, any index type, strips, a tree of nodes and mirrors that
+    cancel.
+    """
     from factory.shapes.polygons import triangulate
 
     lengths = np.array([len(polygon) for polygon in shape.polygons])
@@ -164,26 +251,45 @@ def as_glb(shape: Body, rng: np.random.Generator) -> tuple[bytes, str]:
         quaternion = rng.normal(size=4)
         quaternion /= np.linalg.norm(quaternion)
         scale = rng.choice([-1.0, 1.0], 3) * (2.0 ** rng.integers(-2, 3))
-        keys = {"translation": rng.normal(size=3).tolist(), "rotation": quaternion.tolist(), "scale": scale.tolist()}
+        keys = {
+            "translation": rng.normal(size=3).tolist(),
+            "rotation": quaternion.tolist(),
+            "scale": scale.tolist(),
+        }
         steps.append({name: value for name, value in keys.items() if rng.random() < 0.7})
         matrix = matrix @ _matrix(steps[-1])
     local = np.linalg.solve(matrix, np.c_[shape.vertices, np.ones(len(shape.vertices))].T).T[:, :3]
     if np.linalg.det(matrix) < 0:
         faces = faces[:, ::-1]
-    sparse = rng.choice(len(local), int(rng.integers(len(local) + 1)), replace=False) if rng.random() < 0.4 else ()
-    points = made.accessor(local.astype(np.float32), stride=int(rng.choice([0, 12, 16, 24])), sparse=np.sort(sparse))
+    sparse = (
+        rng.choice(len(local), int(rng.integers(len(local) + 1)), replace=False)
+        if rng.random() < 0.4
+        else ()
+    )
+    points = made.accessor(
+        local.astype(np.float32), stride=int(rng.choice([0, 12, 16, 24])), sparse=np.sort(sparse)
+    )
     primitives = []
     for part in np.array_split(rng.permutation(len(faces)), int(rng.integers(1, 4))):
         if not len(part):
             continue
         kind = mutation.pick(rng, (np.uint8, np.uint16, np.uint32))
         mode, corners = (5, faces[part[:1]]) if len(part) == 1 else (4, faces[part])
-        primitives.append({"attributes": {"POSITION": points}, "indices": made.accessor(corners.astype(kind).ravel()), "mode": mode})
+        primitives.append(
+            {
+                "attributes": {"POSITION": points},
+                "indices": made.accessor(corners.astype(kind).ravel()),
+                "mode": mode,
+            }
+        )
     child = made.node(mesh=made.mesh(*primitives), **steps[-1])
     for step in reversed(steps[:-1]):
         child = made.node(children=[child], **step)
     scenes = None if rng.random() < 0.3 else [child]
-    return made.bytes(scenes), f"GLB, {nodes} nodes, {len(primitives)} primitives, {len(sparse)} sparse"
+    return (
+        made.bytes(scenes),
+        f"GLB, {nodes} nodes, {len(primitives)} primitives, {len(sparse)} sparse",
+    )
 
 
 def _matrix(step):
@@ -202,7 +308,8 @@ def _matrix(step):
 WAYS = {".obj": as_obj, ".off": as_off, ".ply": as_ply, ".stl": as_stl, ".glb": as_glb}
 
 
-# ------------------------------------------------------------------------------------------------------------------ cases
+# ------------------------------------------------------------------------------------------------------------------
+# cases
 
 
 def case(index: int, rng: np.random.Generator, room: Room) -> Case:
@@ -213,7 +320,9 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     path = room.folder / f"mesh{kind if rng.random() < 0.9 else kind.upper()}"
     if index % 3 < 2:
         path.write_bytes(data)
-        return Case(label=label, run=lambda: opened(path), check=lambda result: wrong(shape, result))
+        return Case(
+            label=label, run=lambda: opened(path), check=lambda result: wrong(shape, result)
+        )
     data, lie = LIES[kind](data, rng)
     path.write_bytes(data)
     return Case(label=f"{label}: {lie}", run=lambda: opened(path), check=sound)
@@ -238,12 +347,14 @@ def wrong(shape: Body, result: Result) -> str | None:
     volume = float(np.einsum("fi,fi->f", a - centre, np.cross(b - centre, c - centre)).sum() / 6)
     if len(raw.faces) != shape.triangles:
         return f"expected {shape.triangles} triangles, found {len(raw.faces)}"
-    if not math.isclose(area, shape.area, rel_tol=1e-4):  # float32 files; thin outlines amplify their rounding
+    # float32 files; thin outlines amplify their rounding
+    if not math.isclose(area, shape.area, rel_tol=1e-4):
         return f"expected an area of {shape.area:.9g}, found {area:.9g}"
     if not math.isclose(volume, shape.volume, rel_tol=1e-4):
         return f"expected a volume of {shape.volume:.9g}, found {volume:.9g}"
     report = mesh.report
-    flat = any("of no area" in note for note in report.cleaned)  # corners in a line: their triangles are dropped
+    # corners in a line: their triangles are dropped
+    flat = any("of no area" in note for note in report.cleaned)
     if report.components != 1 or not (report.watertight or flat):
         return f"expected one closed piece, found {report.line()}"
     if any("cross themselves" in note or "passed over" in note for note in report.cleaned):
@@ -269,7 +380,8 @@ def sound(result: Result) -> str | None:
     return None
 
 
-# ------------------------------------------------------------------------------------------------------------------- lies
+# -------------------------------------------------------------------------------------------------------------------
+# lies
 
 
 def text_lie(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
@@ -333,32 +445,80 @@ def glb_lie(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     scene = json.loads(data[20 : 20 + length])
     label = "nothing"
     for _ in range(int(rng.choice([1, 1, 2]))):
-        scene, label = mutation.some_value(scene, rng) if rng.random() < 0.5 else _scene_lie(scene, rng)
+        scene, label = (
+            mutation.some_value(scene, rng) if rng.random() < 0.5 else _scene_lie(scene, rng)
+        )
         if not isinstance(scene, dict):
             break
     text = json.dumps(scene).encode()
     text += b" " * (-len(text) % 4)
-    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(data) - 20 - length, len(text), b"JSON") + text + data[
-        20 + length :
-    ], label
+    return (
+        struct.pack(
+            "<4sIII4s", b"glTF", 2, 20 + len(text) + len(data) - 20 - length, len(text), b"JSON"
+        )
+        + text
+        + data[20 + length :],
+        label,
+    )
 
 
 def _scene_lie(scene, rng):
     """A number of a scene that leads elsewhere: offsets, counts, indices, types."""
-    places = [place for place in mutation.places(scene) if place and isinstance(_at(scene, place), int | str | list)]
+    places = [
+        place
+        for place in mutation.places(scene)
+        if place and isinstance(_at(scene, place), int | str | list)
+    ]
     if not places:
         return scene, "nothing"
     place = mutation.pick(rng, places)
     old = _at(scene, place)
     if isinstance(old, list):
-        new = mutation.pick(rng, ([], old * 2, [0], [-1], [1e308] * 4, [float("nan")] * 3, {}, None))
+        new = mutation.pick(
+            rng, ([], old * 2, [0], [-1], [1e308] * 4, [float("nan")] * 3, {}, None)
+        )
     elif isinstance(old, str):
         new = mutation.pick(
-            rng, ("VEC2", "VEC3", "VEC4", "SCALAR", "MAT4", "", "data:;base64,AAAA", "../x.bin", "KHR_draco_mesh_compression")
+            rng,
+            (
+                "VEC2",
+                "VEC3",
+                "VEC4",
+                "SCALAR",
+                "MAT4",
+                "",
+                "data:;base64,AAAA",
+                "../x.bin",
+                "KHR_draco_mesh_compression",
+            ),
         )
     else:
         new = mutation.pick(
-            rng, (0, 1, 2, 3, 4, 5, 6, 7, -1, old + 1, old - 1, 2 * old, 2**31, 2**32, 2**53, 2**63, 5120, 5121, 5123, 5125, 5126, 12)
+            rng,
+            (
+                0,
+                1,
+                2,
+                3,
+                4,
+                5,
+                6,
+                7,
+                -1,
+                old + 1,
+                old - 1,
+                2 * old,
+                2**31,
+                2**32,
+                2**53,
+                2**63,
+                5120,
+                5121,
+                5123,
+                5125,
+                5126,
+                12,
+            ),
         )
     parent = _at(scene, place[:-1])
     parent[place[-1]] = new

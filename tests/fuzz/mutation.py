@@ -1,6 +1,8 @@
-"""Mutations of bytes, text, JSON, and of the containers npz, safetensors, EXR and PNG: what went wrong on the way, or was meant to.
+"""Mutations of bytes, text, JSON, and of the containers npz, safetensors, EXR and PNG: what went
+wrong on the way, or was meant to.
 
-Every function takes what is valid and a generator of random numbers, and returns (what it became, what was done in a few words).
+Every function takes what is valid and a generator of random numbers, and returns (what it became,
+what was done in a few words).
 """
 
 import io
@@ -17,10 +19,47 @@ from typing import Any
 
 import numpy as np
 
-INTEGERS = (0, 1, -1, 2, 127, 128, 255, 256, 257, 32767, 65535, 65536, 2**31 - 1, -(2**31), 2**32 - 1, 2**53 + 1, 2**63 - 1, 2**64)
+INTEGERS = (
+    0,
+    1,
+    -1,
+    2,
+    127,
+    128,
+    255,
+    256,
+    257,
+    32767,
+    65535,
+    65536,
+    2**31 - 1,
+    -(2**31),
+    2**32 - 1,
+    2**53 + 1,
+    2**63 - 1,
+    2**64,
+)
 FLOATS = (0.0, -0.0, -1.0, 1e-300, 5e-324, 1e37, 1e38, 3.4e38, 1e300, math.inf, -math.inf, math.nan)
 WORDS = (
-    *("nan", "-inf", "inf", "1e400", "-1e400", "0x10", "1_000", "٣", "1e5", "1,5", "", " ", "-", "+", "true", "null", "None"),
+    *(
+        "nan",
+        "-inf",
+        "inf",
+        "1e400",
+        "-1e400",
+        "0x10",
+        "1_000",
+        "٣",
+        "1e5",
+        "1,5",
+        "",
+        " ",
+        "-",
+        "+",
+        "true",
+        "null",
+        "None",
+    ),
     *(
         "../../escaped",
         "/etc/passwd",
@@ -42,13 +81,30 @@ def pick(rng: np.random.Generator, choices) -> Any:
     return choices[int(rng.integers(len(choices)))]
 
 
-# ---------------------------------------------------------------------------------------------------------------- bytes
+# ----------------------------------------------------------------------------------------------------------------
+# bytes
 
 
 def some_bytes(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     """Bytes damaged in one of the ways in which files are."""
     how: Callable = pick(
-        rng, (_flip, _flip, _overwrite, _overwrite, _integer, _integer, _cut, _behead, _drop, _repeat, _swap, _insert, _double, _blank)
+        rng,
+        (
+            _flip,
+            _flip,
+            _overwrite,
+            _overwrite,
+            _integer,
+            _integer,
+            _cut,
+            _behead,
+            _drop,
+            _repeat,
+            _swap,
+            _insert,
+            _double,
+            _blank,
+        ),
     )
     return how(data or b"\0", rng)
 
@@ -128,12 +184,18 @@ def _blank(data, rng):
     return fill * len(data), f"all bytes {fill!r}"
 
 
-# ----------------------------------------------------------------------------------------------------------------- text
+# -----------------------------------------------------------------------------------------------------------------
+# text
 
 
 def some_text(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
-    """Lines and words of a text changed: numbers beyond measure, lines missing, repeated or swapped, other line ends."""
-    how = pick(rng, (_word, _word, _word, _word, _number, _number, _number, _lines, _lines, _ends, _encoding))
+    """Lines and words of a text changed: numbers beyond measure, lines missing, repeated or
+    swapped, other line ends.
+    """
+    how = pick(
+        rng,
+        (_word, _word, _word, _word, _number, _number, _number, _lines, _lines, _ends, _encoding),
+    )
     return how(data or b"\n", rng)
 
 
@@ -147,14 +209,22 @@ def _tokens(data):
 def _word(data, rng):
     first, end = pick(rng, _tokens(data))
     word = pick(rng, WORDS)
-    return data[:first] + word.encode(errors="replace") + data[end:], f"{data[first:end][:20]!r} at {first} → {word[:20]!r}"
+    return (
+        data[:first] + word.encode(errors="replace") + data[end:],
+        f"{data[first:end][:20]!r} at {first} → {word[:20]!r}",
+    )
 
 
 def _number(data, rng):
     numbers = [(a, b) for a, b in _tokens(data) if data[b - 1 : b].isdigit()] or _tokens(data)
     first, end = pick(rng, numbers)
-    value = pick(rng, (*INTEGERS, *FLOATS, 10**400, "1e400", "1e-400", "00", "1.", ".5", "1e", "--1"))
-    return data[:first] + str(value).encode() + data[end:], f"{data[first:end][:20]!r} at {first} → {str(value)[:20]}"
+    value = pick(
+        rng, (*INTEGERS, *FLOATS, 10**400, "1e400", "1e-400", "00", "1.", ".5", "1e", "--1")
+    )
+    return (
+        data[:first] + str(value).encode() + data[end:],
+        f"{data[first:end][:20]!r} at {first} → {str(value)[:20]}",
+    )
 
 
 def _lines(data, rng):
@@ -169,8 +239,14 @@ def _lines(data, rng):
         lines[k], lines[j] = lines[j], lines[k]
         return b"".join(lines), f"lines {k + 1} and {j + 1} swapped"
     if kind == 3:
-        return b"".join(lines[:k]) + lines[k].rstrip() * 2 + b"\n" + b"".join(lines[k + 1 :]), f"line {k + 1} doubled in itself"
-    return b"".join(lines[:k]) + rng.bytes(40).replace(b"\n", b"") + b"\n" + b"".join(lines[k:]), f"noise before line {k + 1}"
+        return (
+            b"".join(lines[:k]) + lines[k].rstrip() * 2 + b"\n" + b"".join(lines[k + 1 :]),
+            f"line {k + 1} doubled in itself",
+        )
+    return (
+        b"".join(lines[:k]) + rng.bytes(40).replace(b"\n", b"") + b"\n" + b"".join(lines[k:]),
+        f"noise before line {k + 1}",
+    )
 
 
 def _ends(data, rng):
@@ -196,7 +272,8 @@ def _encoding(data, rng):
     return data.replace(b" ", b"\0", 3), "NUL for spaces"
 
 
-# ----------------------------------------------------------------------------------------------------------------- JSON
+# -----------------------------------------------------------------------------------------------------------------
+# JSON
 
 
 def some_json(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
@@ -214,7 +291,9 @@ def some_json(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
 
 
 def some_value(tree: Any, rng: np.random.Generator) -> tuple[Any, str]:
-    """One value inside a tree of dictionaries and lists replaced, removed, renamed, repeated or swapped."""
+    """One value inside a tree of dictionaries and lists replaced, removed, renamed, repeated or
+    swapped.
+    """
     place = pick(rng, places(tree))
     if not place:
         return odd_value(tree, rng), "everything replaced"
@@ -222,9 +301,17 @@ def some_value(tree: Any, rng: np.random.Generator) -> tuple[Any, str]:
 
 
 def places(tree: Any, prefix: tuple = ()) -> list[tuple]:
-    """Where values stand, as tuples of keys and indices; of long lists only the first few, so that numbers do not drown keys."""
+    """Where values stand, as tuples of keys and indices; of long lists only the first few, so that
+    numbers do not drown keys.
+    """
     found = [prefix]
-    items = list(tree.items()) if isinstance(tree, dict) else list(enumerate(tree))[:4] if isinstance(tree, list) else []
+    items = (
+        list(tree.items())
+        if isinstance(tree, dict)
+        else list(enumerate(tree))[:4]
+        if isinstance(tree, list)
+        else []
+    )
     for key, value in items:
         found += places(value, (*prefix, key))
     return found
@@ -246,7 +333,9 @@ def changed(tree: Any, place: tuple, rng: np.random.Generator) -> tuple[Any, str
         del parent[last]
         return tree, f"{name} removed"
     if kind < 0.84 and isinstance(parent, dict):
-        parent[pick(rng, (f"{last}s", last.upper(), last[:-1], "", "unknown", f" {last}"))] = parent.pop(last)
+        parent[pick(rng, (f"{last}s", last.upper(), last[:-1], "", "unknown", f" {last}"))] = (
+            parent.pop(last)
+        )
         return tree, f"{name} renamed"
     if kind < 0.92 and isinstance(parent, list):
         parent[last:last] = [old] * int(pick(rng, (1, 2, 1000)))
@@ -260,19 +349,73 @@ def changed(tree: Any, place: tuple, rng: np.random.Generator) -> tuple[Any, str
 def odd_value(old: Any, rng: np.random.Generator) -> Any:
     """Something else in a value's place: often of the same type, sometimes not."""
     if rng.random() < 0.25:
-        return pick(rng, (None, True, False, 0, -1, 1.5, "", "x", [], {}, [None], {"a": 1}, 10**400, 1e300, math.nan))
+        return pick(
+            rng,
+            (
+                None,
+                True,
+                False,
+                0,
+                -1,
+                1.5,
+                "",
+                "x",
+                [],
+                {},
+                [None],
+                {"a": 1},
+                10**400,
+                1e300,
+                math.nan,
+            ),
+        )
     if isinstance(old, bool):
         return not old
     if isinstance(old, int):
         return pick(rng, (*INTEGERS, old + 1, old - 1, -old, float(old), str(old), 10**30))
     if isinstance(old, float):
-        return pick(rng, (*FLOATS, -old, 2 * old, int(old) if math.isfinite(old) else 0, old * (1 + 1e-12), str(old)))
+        return pick(
+            rng,
+            (
+                *FLOATS,
+                -old,
+                2 * old,
+                int(old) if math.isfinite(old) else 0,
+                old * (1 + 1e-12),
+                str(old),
+            ),
+        )
     if isinstance(old, str):
-        return pick(rng, (*WORDS, old[:-1], old + "x", old.upper(), old[::-1], f"../{old}", f"/{old}", old + "\0"))
+        return pick(
+            rng,
+            (
+                *WORDS,
+                old[:-1],
+                old + "x",
+                old.upper(),
+                old[::-1],
+                f"../{old}",
+                f"/{old}",
+                old + "\0",
+            ),
+        )
     if isinstance(old, list):
-        return pick(rng, ([], old[:-1], old + old, old[::-1], [old], old * 500, dict(enumerate(map(str, old)))))
+        return pick(
+            rng,
+            ([], old[:-1], old + old, old[::-1], [old], old * 500, dict(enumerate(map(str, old)))),
+        )
     if isinstance(old, dict):
-        return pick(rng, ({}, list(old.items()), [old], None, {**old, "unknown": 1}, dict(list(old.items())[:-1])))
+        return pick(
+            rng,
+            (
+                {},
+                list(old.items()),
+                [old],
+                None,
+                {**old, "unknown": 1},
+                dict(list(old.items())[:-1]),
+            ),
+        )
     return pick(rng, (0, "", [], {}))
 
 
@@ -292,7 +435,8 @@ def _short(value):
     return text if len(text) < 40 else text[:37] + "…"
 
 
-# --------------------------------------------------------------------------------------------------------------- arrays
+# ---------------------------------------------------------------------------------------------------------------
+# arrays
 
 
 def some_array(array: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, str]:
@@ -308,9 +452,26 @@ def some_array(array: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray,
             out[spot] = value
         return out, f"{int(spot.sum())} values {value}"
     if kind == 3:
-        return _recast(array, pick(rng, ("f2", "f4", "f8", ">f4", "i1", "u1", "i8", "u8", "?", "c8", "S4", "U4", "M8[s]")))
+        return _recast(
+            array,
+            pick(
+                rng,
+                ("f2", "f4", "f8", ">f4", "i1", "u1", "i8", "u8", "?", "c8", "S4", "U4", "M8[s]"),
+            ),
+        )
     if kind == 4:
-        shape = pick(rng, ((), (0,), (1,), array.shape[1:], (1, *array.shape), array.shape[::-1], (0, *array.shape[1:])))
+        shape = pick(
+            rng,
+            (
+                (),
+                (0,),
+                (1,),
+                array.shape[1:],
+                (1, *array.shape),
+                array.shape[::-1],
+                (0, *array.shape[1:]),
+            ),
+        )
         return np.resize(array, shape).astype(array.dtype), f"shape {shape}"
     if kind == 5:
         return array[: max(1, len(array) // 2)] if array.ndim else array, "half of it"
@@ -327,7 +488,8 @@ def _recast(array, dtype):
             return np.zeros(array.shape, dtype), f"zeros as {dtype}"
 
 
-# ------------------------------------------------------------------------------------------------------------------ npz
+# ------------------------------------------------------------------------------------------------------------------
+# npz
 
 
 def some_npz(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
@@ -347,13 +509,31 @@ def some_npz(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
         members.pop(name)
         label += "removed"
     elif kind == 4:
-        new = pick(rng, ("../../escaped.npy", "/tmp/escaped.npy", "x.npy", name.removesuffix(".npy"), f"{name}/", "ß\n.npy"))
+        new = pick(
+            rng,
+            (
+                "../../escaped.npy",
+                "/tmp/escaped.npy",
+                "x.npy",
+                name.removesuffix(".npy"),
+                f"{name}/",
+                "ß\n.npy",
+            ),
+        )
         members[new] = members.pop(name)
         label += f"renamed to {new!r}"
     elif kind == 5:
         members[name] = pick(
             rng,
-            (b"", members[name][:60], data, b"\x80\x04N.", object_header(), bomb_header((1 << 40,)), bomb_header((1 << 20, 1 << 20, 3))),
+            (
+                b"",
+                members[name][:60],
+                data,
+                b"\x80\x04N.",
+                object_header(),
+                bomb_header((1 << 40,)),
+                bomb_header((1 << 20, 1 << 20, 3)),
+            ),
         )
         label += "another content"
     elif kind == 6:
@@ -365,7 +545,9 @@ def some_npz(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
         members |= {f"more-{k}.npy": members[name] for k in range(int(pick(rng, (1, 300))))}
         label = "more members"
     out = io.BytesIO()
-    method = pick(rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA))
+    method = pick(
+        rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
+    )
     with zipfile.ZipFile(out, "w", method) as archive:
         for each, content in members.items():
             archive.writestr(each, content)
@@ -398,7 +580,11 @@ def _npy_header(descr, shape):
 def directory_lies(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     """A zip whose central directory says other sizes, flags, methods or places than there are."""
     at = data.find(b"PK\x01\x02")
-    fields = (("flags: encrypted", 8, "<H", (1, 0x0800, 0xFFFF)), ("method", 10, "<H", (0, 8, 12, 14, 99)), ("checksum", 16, "<I", (0, 1)))
+    fields = (
+        ("flags: encrypted", 8, "<H", (1, 0x0800, 0xFFFF)),
+        ("method", 10, "<H", (0, 8, 12, 14, 99)),
+        ("checksum", 16, "<I", (0, 1)),
+    )
     fields += (
         ("compressed size", 20, "<I", (0, 1, 2**31, 2**32 - 1)),
         ("size", 24, "<I", (0, 1, 2**31, 2**32 - 1)),
@@ -411,7 +597,8 @@ def directory_lies(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     return bytes(out), f"directory: {name} {value}"
 
 
-# ---------------------------------------------------------------------------------------------------------- safetensors
+# ----------------------------------------------------------------------------------------------------------
+# safetensors
 
 
 def some_safetensors(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
@@ -420,7 +607,10 @@ def some_safetensors(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]
         return some_bytes(data, rng)
     length = struct.unpack("<Q", data[:8])[0]
     header, body = json.loads(data[8 : 8 + length]), data[8 + length :]
-    metadata, names = header.get("__metadata__", {}), [name for name in header if name != "__metadata__"]
+    metadata, names = (
+        header.get("__metadata__", {}),
+        [name for name in header if name != "__metadata__"],
+    )
     kind = rng.random()
     if kind < 0.3 and metadata:
         key = pick(rng, list(metadata))
@@ -429,11 +619,15 @@ def some_safetensors(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]
             tree, label = some_value(json.loads(old), rng)
             metadata[key] = json.dumps(tree)
         else:
-            metadata[key] = pick(rng, (*map(str, INTEGERS), *WORDS[:20], "{}", "[]", "null", "{", old + old))
+            metadata[key] = pick(
+                rng, (*map(str, INTEGERS), *WORDS[:20], "{}", "[]", "null", "{", old + old)
+            )
             label = _short(metadata[key])
         return _safetensors(header, body), f"metadata {key}: {label}"
     if kind < 0.4 and metadata:
-        header["__metadata__"] = {k: v for k, v in metadata.items() if k != (gone := pick(rng, list(metadata)))}
+        header["__metadata__"] = {
+            k: v for k, v in metadata.items() if k != (gone := pick(rng, list(metadata)))
+        }
         return _safetensors(header, body), f"metadata {gone} removed"
     if kind < 0.7:
         name = pick(rng, names)
@@ -441,8 +635,14 @@ def some_safetensors(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]
         size = {"F16": 2, "BF16": 2, "F32": 4, "F64": 8, "I64": 8}.get(header[name]["dtype"], 1)
         value = pick(rng, FLOATS)
         with np.errstate(over="ignore"):
-            packed = {2: np.float16, 4: np.float32, 8: np.float64}.get(size, np.uint8)(value if size > 1 else 255).tobytes()
-        filled = packed * ((end - first) // size) if rng.random() < 0.5 else packed + body[first + size : end]
+            packed = {2: np.float16, 4: np.float32, 8: np.float64}.get(size, np.uint8)(
+                value if size > 1 else 255
+            ).tobytes()
+        filled = (
+            packed * ((end - first) // size)
+            if rng.random() < 0.5
+            else packed + body[first + size : end]
+        )
         return _safetensors(header, body[:first] + filled + body[end:]), f"{name}: {value}"
     if kind < 0.78:
         header.pop(name := pick(rng, names))
@@ -460,11 +660,14 @@ def _safetensors(header, body):
     return struct.pack("<Q", len(text)) + text + body
 
 
-# ------------------------------------------------------------------------------------------------------------------ EXR
+# ------------------------------------------------------------------------------------------------------------------
+# EXR
 
 
 def some_exr(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
-    """An EXR with other channels, types, values or size; or with damaged bytes, its header above all."""
+    """An EXR with other channels, types, values or size; or with damaged bytes, its header above
+    all.
+    """
     import OpenEXR
 
     kind = rng.random()
@@ -491,13 +694,21 @@ def some_exr(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     elif kind < 0.9:
         dtype = pick(rng, (np.float16, np.float32, np.uint32))
         with np.errstate(all="ignore"):
-            channels = {each: np.nan_to_num(values).astype(dtype) for each, values in channels.items()}
+            channels = {
+                each: np.nan_to_num(values).astype(dtype) for each, values in channels.items()
+            }
         label = f"as {np.dtype(dtype).name}"
     else:
         size = pick(rng, ((1, 1), (1, 7), (3, 2), (17, 5), (64, 128), (300, 2)))
         channels = {each: np.resize(values, size) for each, values in channels.items()}
         label = f"{size[0]}×{size[1]}"
-    return exr(channels, pick(rng, (OpenEXR.ZIP_COMPRESSION, OpenEXR.NO_COMPRESSION, OpenEXR.PIZ_COMPRESSION))), label
+    return (
+        exr(
+            channels,
+            pick(rng, (OpenEXR.ZIP_COMPRESSION, OpenEXR.NO_COMPRESSION, OpenEXR.PIZ_COMPRESSION)),
+        ),
+        label,
+    )
 
 
 def some_values_like(array: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -506,7 +717,11 @@ def some_values_like(array: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     spot = rng.random(out.shape) < pick(rng, (0.02, 0.3, 1.0))
     spot.reshape(-1)[int(rng.integers(out.size))] = True
     with np.errstate(all="ignore"):
-        out[spot] = pick(rng, (0, 1, 255, 256, 257, 2**31)) if out.dtype.kind == "u" else np.asarray(pick(rng, FLOATS)).astype(out.dtype)
+        out[spot] = (
+            pick(rng, (0, 1, 255, 256, 257, 2**31))
+            if out.dtype.kind == "u"
+            else np.asarray(pick(rng, FLOATS)).astype(out.dtype)
+        )
     return out
 
 
@@ -518,9 +733,14 @@ def exr(channels: dict[str, np.ndarray], compression: Any = None) -> bytes:
 
     handle, path = tempfile.mkstemp(suffix=".exr")
     os.close(handle)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION if compression is None else compression, "type": OpenEXR.scanlineimage}
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION if compression is None else compression,
+        "type": OpenEXR.scanlineimage,
+    }
     try:
-        with OpenEXR.File(header, {name: np.ascontiguousarray(array) for name, array in channels.items()}) as file:
+        with OpenEXR.File(
+            header, {name: np.ascontiguousarray(array) for name, array in channels.items()}
+        ) as file:
             file.write(path)
         with open(path, "rb") as file:
             return file.read()
@@ -544,14 +764,17 @@ def exr_channels(data: bytes) -> dict[str, np.ndarray]:
         os.unlink(path)
 
 
-# ------------------------------------------------------------------------------------------------------------------ PNG
+# ------------------------------------------------------------------------------------------------------------------
+# PNG
 
 
 PNG_HOWS = ("damaged", "removed", "twice", "with a stranger", "IHDR made up")
 
 
 def some_png(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
-    """A PNG with other chunks (checksums right), another header, mode or size; or a picture of another kind under its name."""
+    """A PNG with other chunks (checksums right), another header, mode or size; or a picture of
+    another kind under its name.
+    """
     kind = rng.random()
     if kind < 0.25:
         return some_bytes(data, rng)
@@ -567,10 +790,24 @@ def some_png(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
         elif how == 2:
             chunks.insert(k, chunks[k])
         elif how == 3:
-            chunks.insert(1, (pick(rng, (b"tEXt", b"zTXt", b"iCCP", b"gAMA", b"eXIf", b"PLTE", b"tRNS", b"acTL")), rng.bytes(30)))
+            chunks.insert(
+                1,
+                (
+                    pick(
+                        rng,
+                        (b"tEXt", b"zTXt", b"iCCP", b"gAMA", b"eXIf", b"PLTE", b"tRNS", b"acTL"),
+                    ),
+                    rng.bytes(30),
+                ),
+            )
         else:
-            width, height = (int(pick(rng, (0, 1, 7, 20_000, 2**31 - 1, 2**32 - 1))) for _ in range(2))
-            chunks[0] = (b"IHDR", struct.pack(">II", width, height) + bytes(int(x) for x in rng.integers(0, 17, 5)))
+            width, height = (
+                int(pick(rng, (0, 1, 7, 20_000, 2**31 - 1, 2**32 - 1))) for _ in range(2)
+            )
+            chunks[0] = (
+                b"IHDR",
+                struct.pack(">II", width, height) + bytes(int(x) for x in rng.integers(0, 17, 5)),
+            )
         return png(chunks), f"chunk {name.decode('latin1')} at {k}, {PNG_HOWS[how]}"
     from PIL import Image
 
@@ -580,9 +817,17 @@ def some_png(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     picture = picture.resize(size).convert("L" if mode == "I;16" else mode if mode != "F" else "F")
     if mode == "I;16":
         picture = Image.fromarray(np.asarray(picture).astype(np.uint16) * 257)
-    out, format_ = io.BytesIO(), {"CMYK": "JPEG", "YCbCr": "JPEG", "F": "TIFF"}.get(mode) or pick(rng, ("PNG", "PNG", "TIFF"))
+    out, format_ = (
+        io.BytesIO(),
+        {"CMYK": "JPEG", "YCbCr": "JPEG", "F": "TIFF"}.get(mode)
+        or pick(rng, ("PNG", "PNG", "TIFF")),
+    )
     if mode in ("1", "L", "P", "RGB") and rng.random() < 0.3:
-        format_ = pick(rng, ("GIF", "BMP", "PPM", "WEBP", "ICO", "EPS", "PDF", "JPEG2000")) if mode != "1" else "TIFF"
+        format_ = (
+            pick(rng, ("GIF", "BMP", "PPM", "WEBP", "ICO", "EPS", "PDF", "JPEG2000"))
+            if mode != "1"
+            else "TIFF"
+        )
         picture = picture.convert("RGB")
     picture.save(out, format=format_)
     return out.getvalue(), f"{format_} of mode {mode}, {size[0]}×{size[1]}"
@@ -600,18 +845,36 @@ def png_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
 
 def png(chunks: list[tuple[bytes, bytes]]) -> bytes:
     """A PNG of chunks, with the checksums they should have."""
-    parts = (struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body)) for name, body in chunks)
+    parts = (
+        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+        for name, body in chunks
+    )
     return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
 
 
-# ------------------------------------------------------------------------------------------------------------ file system
+# ------------------------------------------------------------------------------------------------------------
+# file system
 
 
 def put_instead(path: Path, rng: np.random.Generator) -> str:
     """Put something else where a file or a folder is; returns what."""
     was_folder = path.is_dir()
     shutil.rmtree(path) if was_folder else path.unlink(missing_ok=True)
-    kind = pick(rng, ("gone", "empty", "folder", "pipe", "loop", "dangling", "device", "outside", "sparse", "locked"))
+    kind = pick(
+        rng,
+        (
+            "gone",
+            "empty",
+            "folder",
+            "pipe",
+            "loop",
+            "dangling",
+            "device",
+            "outside",
+            "sparse",
+            "locked",
+        ),
+    )
     if kind == "empty":
         path.write_bytes(b"")
     elif kind == "folder":
@@ -632,5 +895,10 @@ def put_instead(path: Path, rng: np.random.Generator) -> str:
     elif kind == "locked":
         path.write_bytes(b"{}")
         path.chmod(0)
-    words = {"pipe": "is a pipe", "loop": "is a link to itself", "device": "is a link to /dev/zero", "sparse": "has 8 GiB of zeros"}
+    words = {
+        "pipe": "is a pipe",
+        "loop": "is a link to itself",
+        "device": "is a link to /dev/zero",
+        "sparse": "has 8 GiB of zeros",
+    }
     return words.get(kind, f"is {kind}")

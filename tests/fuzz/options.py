@@ -1,4 +1,6 @@
-"""Odd values for every option of every command: the options are read from the commands' own parsers."""
+"""Odd values for every option of every command: the options are read from the commands' own
+parsers.
+"""
 
 import argparse
 import functools
@@ -9,10 +11,46 @@ import numpy as np
 
 from . import STATUSES, Case, Room, commands, mutation, seeds
 
-NO_NUMBERS = ("x", "1,5", "0x10", "--", "1e", "½", "1 2", "None", "True")  # wherever a number is asked for, none of these is one
-NUMBERS = ("0", "1", "2", "3", "-1", "1.5", "nan", "inf", "-inf", "1e999", "1e-320", "1e5", " 3", "+3", "1_0", "0.999999", "-0")
-GIANTS = ("9" * 30, "-" + "9" * 30, str(2**31), str(2**63), str(2**64), "9" * 5000)  # which no count of work can be
-TEXTS = ("x", "a,b", "0,6", "1/2", "2/1", "0/0", "1/999999999", "random:5", "random:999", "brass", "city", "../x", "/", "-1", "é\udcff")
+# wherever a number is asked for, none of these is one
+NO_NUMBERS = ("x", "1,5", "0x10", "--", "1e", "½", "1 2", "None", "True")
+NUMBERS = (
+    "0",
+    "1",
+    "2",
+    "3",
+    "-1",
+    "1.5",
+    "nan",
+    "inf",
+    "-inf",
+    "1e999",
+    "1e-320",
+    "1e5",
+    " 3",
+    "+3",
+    "1_0",
+    "0.999999",
+    "-0",
+)
+# which no count of work can be
+GIANTS = ("9" * 30, "-" + "9" * 30, str(2**31), str(2**63), str(2**64), "9" * 5000)
+TEXTS = (
+    "x",
+    "a,b",
+    "0,6",
+    "1/2",
+    "2/1",
+    "0/0",
+    "1/999999999",
+    "random:5",
+    "random:999",
+    "brass",
+    "city",
+    "../x",
+    "/",
+    "-1",
+    "é\udcff",
+)
 TEXTS += (
     "a\nb",
     "x" * 5000,
@@ -41,7 +79,10 @@ BASES = {
     "factory preview": "{seeds}/data --count 1 --size 16 --out {out}",
     "factory export": "{seeds}/data --tars {out}",
     "factory materials list": "",
-    "factory materials preview": "own-brass --catalogue {seeds}/catalogue.json --light {seeds}/light.exr --size 16 --out {room}/out.png",
+    "factory materials preview": (
+        "own-brass --catalogue {seeds}/catalogue.json --light {seeds}/light.exr --size 16 --out"
+        " {room}/out.png"
+    ),
     "factory materials report": "{seeds}/catalogue.json --out {out}",
     "factory materials condition": "{seeds}/nothing.npz --only brass",
     "factory materials fit": "{seeds}/nothing.npz --out {room}/out.json",
@@ -58,9 +99,14 @@ BASES = {
     "learn train": "{seeds}/run.json --data {views} --steps 1 --workers 0 --out {out}",
     "learn.experiments exposure": "--data {seeds}/data --out {out}",
     "learn evaluate-network": "{seeds}/weights.safetensors --data {views} --batches 1 --out {out}",
-    "learn.experiments step-profile": "{seeds}/run.json --data {views} --steps 1 --images 2 --out {out}",
+    "learn.experiments step-profile": (
+        "{seeds}/run.json --data {views} --steps 1 --images 2 --out {out}"
+    ),
     "learn.experiments refinement-ablation": "--data {seeds}/nothing --out {out}",
-    "learn evaluate": "--data {seeds}/data --weights {seeds}/weights.safetensors --no-refine --edits 1 --processes 1 --out {out}",
+    "learn evaluate": (
+        "--data {seeds}/data --weights {seeds}/weights.safetensors --no-refine --edits 1"
+        " --processes 1 --out {out}"
+    ),
     "learn.experiments upsampling": "--data {seeds}/nothing --out {out}",
     "learn train-baselines": "--data {seeds}/nothing --out {out}",
     "learn.experiments layer-ablation": "--data {seeds}/nothing --out {out}",
@@ -81,7 +127,18 @@ LONG = (  # minutes, if not refused
     "learn.experiments quadrature-accuracy",
 )
 WORK = (  # larger numbers are more work, and right
-    *("--steps", "--edits", "--count", "--workers", "--threads", "--processes", "--rounds", "--cases", "--pictures", "--starts"),
+    *(
+        "--steps",
+        "--edits",
+        "--count",
+        "--workers",
+        "--threads",
+        "--processes",
+        "--rounds",
+        "--cases",
+        "--pictures",
+        "--starts",
+    ),
     *(
         "--batches",
         "--images",
@@ -104,7 +161,9 @@ def prepare(folder: Path) -> None:
 
 
 def case(index: int, rng: np.random.Generator, room: Room) -> Case:
-    """First each command as it is, or its help where it takes long; then commands in turn, one or two options odd."""
+    """First each command as it is, or its help where it takes long; then commands in turn, one or
+    two options odd.
+    """
     name = list(BASES)[index % len(BASES)]
     words, statuses = chosen(name, rng)
     if index < len(BASES):
@@ -148,17 +207,27 @@ def parser_of(name: str) -> argparse.ArgumentParser:
     importlib.import_module(f"{program}.commands.{command.replace('-', '_')}").register(subparsers)
     parser = subparsers.choices[command]
     for each in action:
-        parser = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction)).choices[each]
+        parser = next(
+            a for a in parser._actions if isinstance(a, argparse._SubParsersAction)
+        ).choices[each]
     return parser
 
 
-def odd_values(action: argparse.Action, rng: np.random.Generator, only_wrong: bool) -> tuple[list[str], bool]:
+def odd_values(
+    action: argparse.Action, rng: np.random.Generator, only_wrong: bool
+) -> tuple[list[str], bool]:
     """Values for an option, and whether they must be refused."""
     if action.nargs == 0:
         return [], False
     if action.choices is not None:
         wrong = only_wrong or rng.random() < 0.5
-        return [mutation.pick(rng, ("x", "Full", " full")) if wrong else str(mutation.pick(rng, list(action.choices)))], wrong
+        return [
+            (
+                mutation.pick(rng, ("x", "Full", " full"))
+                if wrong
+                else str(mutation.pick(rng, list(action.choices)))
+            )
+        ], wrong
     count = int(rng.integers(0, 4)) if action.nargs in ("+", "*") else 1
     if action.type in (None, Path, str):
         return [mutation.pick(rng, TEXTS) for _ in range(count)], False

@@ -1,8 +1,10 @@
-"""Photographs, masks and regions as people, programs and attackers make them: the domain of radiance, formats, bombs, names.
+"""Photographs, masks and regions as people, programs and attackers make them: the domain of
+radiance, formats, bombs, names.
 
-First the list TRIALS in turn, each a pair of a name and what writes it; then damaged files of every format that Pillow
-or OpenEXR writes, in every role, under options at the ends of their ranges. Most are only opened and brought to the
-network's size; each EIGHTH is a whole command, whose results must be finite.
+First the list TRIALS in turn, each a pair of a name and what writes it; then damaged files of every
+format that Pillow or OpenEXR writes, in every role, under options at the ends of their ranges. Most
+are only opened and brought to the network's size; each EIGHTH is a whole command, whose results
+must be finite.
 """
 
 import io
@@ -26,7 +28,9 @@ BOUND_MB = 1024
 
 
 def prepare(folder: Path) -> None:
-    """The shared seeds, and a program under Ghostscript's name that leaves a trace where it is started."""
+    """The shared seeds, and a program under Ghostscript's name that leaves a trace where it is
+    started.
+    """
     seeds.shared(folder)
     program = folder / "bin" / "gs"
     program.parent.mkdir()
@@ -40,7 +44,11 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
         name, write = TRIALS[index]
         path, label = write(room.folder), name
         role = "mask" if "mask" in name else "regions" if "regions" in name else "photograph"
-        exposure = {"tiny exposure": 1e-38, "huge exposure": 1e38, "NaN exposure": float("nan")}.get(name)
+        exposure = {
+            "tiny exposure": 1e-38,
+            "huge exposure": 1e38,
+            "NaN exposure": float("nan"),
+        }.get(name)
         balance, whole = "grey" if "grey" in name else "none", index % 2 == 0
     else:
         path, label = damaged(room, rng)
@@ -55,8 +63,18 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     label = f"{label} as {role}, exposure {exposure}, white balance {balance}"
     if whole:
         words = command(role, path, room, exposure, balance, rng)
-        return Case(label=label, command=words, check=lambda result: unsound(room, result, path, role), environment=trace)
-    return Case(label=label, run=lambda: opened(role, path, room, exposure, balance), check=not_finite, environment=trace)
+        return Case(
+            label=label,
+            command=words,
+            check=lambda result: unsound(room, result, path, role),
+            environment=trace,
+        )
+    return Case(
+        label=label,
+        run=lambda: opened(role, path, room, exposure, balance),
+        check=not_finite,
+        environment=trace,
+    )
 
 
 def command(role, path, room, exposure, balance, rng):
@@ -96,13 +114,17 @@ def not_finite(result: Result) -> str | None:
     if result.error is not None:
         return None
     framed = result.value
-    if not (np.isfinite(framed.radiance).all() and np.isfinite(framed.exposure) and framed.exposure > 0):
+    if not (
+        np.isfinite(framed.radiance).all() and np.isfinite(framed.exposure) and framed.exposure > 0
+    ):
         return "what the network is shown is not finite"
     return None if framed.mask.any() else "the network is shown no object"
 
 
 def unsound(room, result: Result, path: Path, role: str) -> str | None:
-    """What is wrong with the files of a command: not readable, not finite, not of the photograph's size, or some after a refusal."""
+    """What is wrong with the files of a command: not readable, not finite, not of the photograph's
+    size, or some after a refusal.
+    """
     out = room.folder / "out"
     if result.status != 0:
         return f"{result.status} and files in out" if out.is_dir() and any(out.iterdir()) else None
@@ -117,7 +139,8 @@ def unsound(room, result: Result, path: Path, role: str) -> str | None:
     return None
 
 
-# ---------------------------------------------------------------------------------------------------------------- files
+# ----------------------------------------------------------------------------------------------------------------
+# files
 
 
 def damaged(room, rng):
@@ -128,7 +151,13 @@ def damaged(room, rng):
         known = mutation.some_exr
     else:
         data, label = WRITERS[format_](), "whole"
-        known = mutation.some_png if format_ == "PNG" else tiff_entry if format_.startswith("TIFF") else mutation.some_bytes
+        known = (
+            mutation.some_png
+            if format_ == "PNG"
+            else tiff_entry
+            if format_.startswith("TIFF")
+            else mutation.some_bytes
+        )
     for _ in range(int(rng.choice([0, 1, 1, 1, 1, 2, 2, 3]))):
         try:
             data, label = (known if rng.random() < 0.8 else mutation.some_bytes)(data, rng)
@@ -148,14 +177,44 @@ def tiff_entry(data, rng):
     tag, kind, length, value = struct.unpack("<HHII", data[at : at + 12])
     which = int(rng.integers(4))
     if which == 0:
-        tag = int(mutation.pick(rng, (254, 256, 257, 258, 259, 262, 266, 274, 277, 278, 284, 317, 322, 323, 324, 330, 338, 339, 34665)))
+        tag = int(
+            mutation.pick(
+                rng,
+                (
+                    254,
+                    256,
+                    257,
+                    258,
+                    259,
+                    262,
+                    266,
+                    274,
+                    277,
+                    278,
+                    284,
+                    317,
+                    322,
+                    323,
+                    324,
+                    330,
+                    338,
+                    339,
+                    34665,
+                ),
+            )
+        )
     elif which == 1:
         kind = int(rng.integers(20))
     elif which == 2:
         length = int(mutation.pick(rng, mutation.INTEGERS)) % 2**32
     else:
-        value = int(mutation.pick(rng, (*mutation.INTEGERS, 3, 5, 6, 7, 8, 9, 50_000, 100_000))) % 2**32
-    return data[:at] + struct.pack("<HHII", tag, kind, length, value) + data[at + 12 :], f"entry {tag}: {kind} × {length}, {value}"
+        value = (
+            int(mutation.pick(rng, (*mutation.INTEGERS, 3, 5, 6, 7, 8, 9, 50_000, 100_000))) % 2**32
+        )
+    return (
+        data[:at] + struct.pack("<HHII", tag, kind, length, value) + data[at + 12 :],
+        f"entry {tag}: {kind} × {length}, {value}",
+    )
 
 
 def shade() -> np.ndarray:
@@ -217,10 +276,28 @@ WRITERS = {
     "BMP": written("BMP"),
     "BMP with palette": written("BMP", "P"),
 }
-REFUSED = ("EPS", "PDF", "ICO", "ICNS", "DDS", "PCX", "PPM", "TGA", "JPEG2000", "SGI", "IM", "MSP", "XBM", "SPIDER", "BLP", "QOI")
+REFUSED = (
+    "EPS",
+    "PDF",
+    "ICO",
+    "ICNS",
+    "DDS",
+    "PCX",
+    "PPM",
+    "TGA",
+    "JPEG2000",
+    "SGI",
+    "IM",
+    "MSP",
+    "XBM",
+    "SPIDER",
+    "BLP",
+    "QOI",
+)
 
 
-# --------------------------------------------------------------------------------------------------------------- trials
+# ---------------------------------------------------------------------------------------------------------------
+# trials
 
 
 def _file(name: str, data: bytes | Callable[[], bytes]) -> Callable[[Path], Path]:
@@ -244,12 +321,16 @@ def _refused(format_: str) -> Callable[[Path], Path]:
     return _file("picture.png", data)
 
 
-def _exr(change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]], name: str = "picture.exr") -> Callable[[Path], Path]:
+def _exr(
+    change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]], name: str = "picture.exr"
+) -> Callable[[Path], Path]:
     """An EXR of the ball's radiance, changed."""
 
     def data():
         radiance = (shade() / np.float32(255)) ** 2.2
-        channels = {key: np.ascontiguousarray(radiance[..., k], np.float32) for k, key in enumerate("RGB")}
+        channels = {
+            key: np.ascontiguousarray(radiance[..., k], np.float32) for k, key in enumerate("RGB")
+        }
         with np.errstate(all="ignore"):
             return mutation.exr(change(channels))
 
@@ -257,7 +338,12 @@ def _exr(change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]], name:
 
 
 def _times(factor: float) -> Callable[[Path], Path]:
-    return _exr(lambda channels: {name: (values.astype(np.float64) * factor).astype(np.float32) for name, values in channels.items()})
+    return _exr(
+        lambda channels: {
+            name: (values.astype(np.float64) * factor).astype(np.float32)
+            for name, values in channels.items()
+        }
+    )
 
 
 def _one(value: float, where: tuple = (24, 32)) -> Callable[[Path], Path]:
@@ -273,7 +359,11 @@ def _alpha(value: float) -> Callable[[Path], Path]:
 
 
 def _shaped(height: int, width: int) -> Callable[[Path], Path]:
-    return _exr(lambda channels: {name: np.resize(values, (height, width)) for name, values in channels.items()})
+    return _exr(
+        lambda channels: {
+            name: np.resize(values, (height, width)) for name, values in channels.items()
+        }
+    )
 
 
 def _constant(level: int) -> Callable[[Path], Path]:
@@ -297,7 +387,9 @@ def _with_chunk(name: bytes, body: bytes, times: int = 1) -> Callable[[], bytes]
 def _header(width: int, height: int, depth: int = 8, colour: int = 2) -> Callable[[], bytes]:
     """A PNG whose header promises another size, with a little data."""
     body = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
-    return lambda: mutation.png([(b"IHDR", body), (b"IDAT", zlib.compress(bytes(1000))), (b"IEND", b"")])
+    return lambda: mutation.png(
+        [(b"IHDR", body), (b"IDAT", zlib.compress(bytes(1000))), (b"IEND", b"")]
+    )
 
 
 def _turned(orientation: int, format_: str = "JPEG") -> Callable[[], bytes]:
@@ -334,9 +426,20 @@ def _tiled(side: int) -> Callable[[], bytes]:
     """A TIFF of 48 × 64 pixels that says it has one tile of side × side."""
 
     def data():
-        entries = [(256, 3, 1, 64), (257, 3, 1, 48), (258, 3, 1, 8), (259, 3, 1, 8), (262, 3, 1, 1), (277, 3, 1, 1)]
+        entries = [
+            (256, 3, 1, 64),
+            (257, 3, 1, 48),
+            (258, 3, 1, 8),
+            (259, 3, 1, 8),
+            (262, 3, 1, 1),
+            (277, 3, 1, 1),
+        ]
         entries += [(322, 4, 1, side), (323, 4, 1, side), (324, 4, 1, 200), (325, 4, 1, 100)]
-        directory = struct.pack("<H", len(entries)) + b"".join(struct.pack("<HHII", *each) for each in entries) + bytes(4)
+        directory = (
+            struct.pack("<H", len(entries))
+            + b"".join(struct.pack("<HHII", *each) for each in entries)
+            + bytes(4)
+        )
         whole = b"II*\0" + struct.pack("<I", 8) + directory
         return whole + bytes(200 - len(whole)) + zlib.compress(bytes(64 * 48))
 
@@ -358,7 +461,9 @@ def _scans(count: int) -> Callable[[], bytes]:
 
 def _mask(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], Path]:
     y, x = np.mgrid[: SIZE[0], : SIZE[1]]
-    return _file("mask.png", lambda: _png(change(np.uint8(255 * ((x - 32) ** 2 + (y - 24) ** 2 < 300)))))
+    return _file(
+        "mask.png", lambda: _png(change(np.uint8(255 * ((x - 32) ** 2 + (y - 24) ** 2 < 300))))
+    )
 
 
 def _pixels(count: int) -> Callable[[np.ndarray], np.ndarray]:

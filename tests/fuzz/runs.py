@@ -1,8 +1,10 @@
-"""Training: run files, light maps, options, the caches beside a data set, and what an earlier run left in the folder.
+"""Training: run files, light maps, options, the caches beside a data set, and what an earlier run
+left in the folder.
 
-Every other case walks through a plan: what an earlier run left is damaged, then OPTIONS are tried, then each key of a run file gets each
-of VALUES. The cases between are by chance, as is what comes after the plan. An accepted run trains for two steps of two
-pictures of 32 × 32 pixels. A refused run leaves the checkpoint that was there as it was.
+Every other case walks through a plan: what an earlier run left is damaged, then OPTIONS are tried,
+then each key of a run file gets each of VALUES. The cases between are by chance, as is what comes
+after the plan. An accepted run trains for two steps of two pictures of 32 × 32 pixels. A refused
+run leaves the checkpoint that was there as it was.
 """
 
 import json
@@ -15,16 +17,106 @@ import numpy as np
 from . import Case, Room, mutation, seeds
 
 VALUES = (
-    *(None, True, "", "x", [], {}, 0, -1, 1, 2, 0.5, 7, 33, 1e30, -1e30, 1e-30, 10**12, 2**63, 10**400, float("nan"), float("inf")),
-    *(["normals"], ["light"], ["normals", "normals"], ["sound"], [7, 9], [64, 128], [0, 0], [128, 256]),
+    *(
+        None,
+        True,
+        "",
+        "x",
+        [],
+        {},
+        0,
+        -1,
+        1,
+        2,
+        0.5,
+        7,
+        33,
+        1e30,
+        -1e30,
+        1e-30,
+        10**12,
+        2**63,
+        10**400,
+        float("nan"),
+        float("inf"),
+    ),
+    *(
+        ["normals"],
+        ["light"],
+        ["normals", "normals"],
+        ["sound"],
+        [7, 9],
+        [64, 128],
+        [0, 0],
+        [128, 256],
+    ),
 )
 KEYS = (
-    *("version", "name", "about", "network", "size", "parts", "mixed_precision", "start", "stages", "seed", "skipped_steps"),
-    *(f"data.{key}" for key in ("source", "pictures_share", "sharing", "tolerance", "regions", "real_lights", "photograph")),
+    *(
+        "version",
+        "name",
+        "about",
+        "network",
+        "size",
+        "parts",
+        "mixed_precision",
+        "start",
+        "stages",
+        "seed",
+        "skipped_steps",
+    ),
+    *(
+        f"data.{key}"
+        for key in (
+            "source",
+            "pictures_share",
+            "sharing",
+            "tolerance",
+            "regions",
+            "real_lights",
+            "photograph",
+        )
+    ),
     *(f"data.{key}" for key in ("matte_first", "validation_lights", "test_lights")),
-    *(f"losses.{key}" for key in ("normals", "material", "albedo", "light_log", "light_rendered", "image", "target", "pixels", "pull")),
-    *(f"losses.{key}" for key in ("layer_light", "rendered", "image_features", "target_features", "features", "features_sha256")),
-    *(f"schedule.{key}" for key in ("steps", "batch", "rate", "style", "warm_up", "decay", "clip", "average", "seconds")),
+    *(
+        f"losses.{key}"
+        for key in (
+            "normals",
+            "material",
+            "albedo",
+            "light_log",
+            "light_rendered",
+            "image",
+            "target",
+            "pixels",
+            "pull",
+        )
+    ),
+    *(
+        f"losses.{key}"
+        for key in (
+            "layer_light",
+            "rendered",
+            "image_features",
+            "target_features",
+            "features",
+            "features_sha256",
+        )
+    ),
+    *(
+        f"schedule.{key}"
+        for key in (
+            "steps",
+            "batch",
+            "rate",
+            "style",
+            "warm_up",
+            "decay",
+            "clip",
+            "average",
+            "seconds",
+        )
+    ),
 )
 OPTIONS = (
     *(("--steps", value) for value in ("0", "-1", "1", "x", "1e3", "100000001")),
@@ -36,18 +128,43 @@ OPTIONS = (
 )
 LEFT = ("checkpoint.safetensors", "log.jsonl", "run.json", "weights.safetensors", "made.json")
 CACHE = ("views.json", "normals.npy", "segments.npy", "skipped.json", "sums.json")
-DAMAGE = ("empty", "cut", "noise", "a pipe", "a folder", "a circle of links", "text", "lists", "NaN", "removed", "of another")
-PLANNED = [("left", name, how) for name in LEFT for how in DAMAGE] + [("cache", name, how) for name in CACHE for how in DAMAGE]
-PLANNED += [("option", *each) for each in OPTIONS] + [("run", key, value) for key in KEYS for value in VALUES]
+DAMAGE = (
+    "empty",
+    "cut",
+    "noise",
+    "a pipe",
+    "a folder",
+    "a circle of links",
+    "text",
+    "lists",
+    "NaN",
+    "removed",
+    "of another",
+)
+PLANNED = [("left", name, how) for name in LEFT for how in DAMAGE] + [
+    ("cache", name, how) for name in CACHE for how in DAMAGE
+]
+PLANNED += [("option", *each) for each in OPTIONS] + [
+    ("run", key, value) for key in KEYS for value in VALUES
+]
 RUN = {
     "name": "fuzzed",
     "size": 32,
     "parts": ["normals", "material", "light"],
     "data": {"sharing": 1},
-    "losses": {"normals": 1, "material": 1, "light_log": 1, "image": 1, "target": 1, "pixels": 8, "layer_light": [8, 16]},
+    "losses": {
+        "normals": 1,
+        "material": 1,
+        "light_log": 1,
+        "image": 1,
+        "target": 1,
+        "pixels": 8,
+        "layer_light": [8, 16],
+    },
     "schedule": {"steps": 2, "batch": 2, "warm_up": 1},
 }
-MEMORY_MB = 2048  # networks are made before their settings can be seen to be too many for this machine
+# networks are made before their settings can be seen to be too many for this machine
+MEMORY_MB = 2048
 
 
 def prepare(folder: Path) -> None:
@@ -61,7 +178,8 @@ def prepare(folder: Path) -> None:
 def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     """See the module."""
     there, out, more = seeds.of(room), room.folder / "out", []
-    data = room.folder / "views"  # a copy of its own: training writes the cache anew where it is damaged
+    # a copy of its own: training writes the cache anew where it is damaged
+    data = room.folder / "views"
     shutil.copytree(room.seeds / "views", data)
     run, text = json.loads(json.dumps(RUN)), None
     if index % 2 or index // 2 >= len(PLANNED):
@@ -85,9 +203,24 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
             more = [first, second]
     path = room.folder / "run.json"
     path.write_bytes(text if text is not None else json.dumps(run).encode())
-    words = ["learn", "train", path, "--data", data, "--out", out, *([] if "--workers" in more else ["--workers", "0"]), *more]
+    words = [
+        "learn",
+        "train",
+        path,
+        "--data",
+        data,
+        "--out",
+        out,
+        *([] if "--workers" in more else ["--workers", "0"]),
+        *more,
+    ]
     kept = content(out / "checkpoint.safetensors")
-    return Case(label=label, command=list(map(str, words)), writes=("out", "views"), check=lambda result: lost(result, out, kept))
+    return Case(
+        label=label,
+        command=list(map(str, words)),
+        writes=("out", "views"),
+        check=lambda result: lost(result, out, kept),
+    )
 
 
 def by_chance(rng, room, run, out):
@@ -122,8 +255,17 @@ def damage(path: Path, how: str, rng: np.random.Generator) -> None:
     elif how == "a circle of links":
         path.symlink_to(path)
     elif how != "removed":
-        text = {"empty": b"", "cut": data[: len(data) // 2], "text": b"hello\n", "lists": b"[" * 50_000, "NaN": b"NaN\n"}
-        text |= {"noise": rng.bytes(len(data)), "of another": b'{"step": "one"}\n[1]\n{"step": null}\n5\n'}
+        text = {
+            "empty": b"",
+            "cut": data[: len(data) // 2],
+            "text": b"hello\n",
+            "lists": b"[" * 50_000,
+            "NaN": b"NaN\n",
+        }
+        text |= {
+            "noise": rng.bytes(len(data)),
+            "of another": b'{"step": "one"}\n[1]\n{"step": null}\n5\n',
+        }
         path.write_bytes(text[how])
 
 
@@ -133,14 +275,19 @@ def content(path: Path) -> bytes | None:
 
 
 def lost(result, out: Path, kept: bytes | None) -> str | None:
-    """What is wrong after a run: a checkpoint that went or changed though the run was refused, weights that are not finite."""
+    """What is wrong after a run: a checkpoint that went or changed though the run was refused,
+    weights that are not finite.
+    """
     if result.status == 1 and kept is not None and content(out / "checkpoint.safetensors") != kept:
         return "the checkpoint that was there is another, or gone"
     if result.status == 0:
         from learn.networks import weights
 
         weights.load_network(out / "weights.safetensors")
-        steps = [json.loads(line)["step"] for line in (out / "log.jsonl").read_text(encoding="utf-8").splitlines()]
+        steps = [
+            json.loads(line)["step"]
+            for line in (out / "log.jsonl").read_text(encoding="utf-8").splitlines()
+        ]
         if steps != sorted(set(steps)):
             return f"the log has steps {steps}"
     return None

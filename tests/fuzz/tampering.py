@@ -1,18 +1,24 @@
-"""Tampering with data sets: each field of each line and entry, each file, and what `verify` says of it.
+"""Tampering with data sets: each field of each line and entry, each file, and what `verify` says of
+it.
 
-    python -m tests.fuzz.tampering --out DIR            data sets rendered by Cycles into DIR/bases, made once
+    python -m tests.fuzz.tampering --out DIR            data sets rendered by Cycles into DIR/bases,
+    made once
     python -m tests.fuzz.tampering --out DIR --synthetic    data sets computed here, in a second
-    python -m tests.fuzz tampering                      the synthetic ones, as one of the fuzzing generators
+    python -m tests.fuzz tampering                      the synthetic ones, as one of the fuzzing
+    generators
 
 Three kinds of forgers tamper:
 
 - one who changes a field or a file and nothing else;
-- one who writes the hashes of files again, wherever they stand, and the figures that follow from pixels;
-- one who knows how ids are made, and gives altered lines new ids, new names of pictures, seeds and orders that fit.
+- one who writes the hashes of files again, wherever they stand, and the figures that follow from
+  pixels;
+- one who knows how ids are made, and gives altered lines new ids, new names of pictures, seeds and
+  orders that fit.
 
-`learned` is everything that a reader could learn from a folder, read without any check: a tampering counts as harmful
-if that changes. Harm that `verify` does not find makes this program end with status 1, unless the forger left nothing in
-the folder that contradicts him: such tamperings carry their reason in `principle`, and are listed.
+`learned` is everything that a reader could learn from a folder, read without any check: a tampering
+counts as harmful if that changes. Harm that `verify` does not find makes this program end with
+status 1, unless the forger left nothing in the folder that contradicts him: such tamperings carry
+their reason in `principle`, and are listed.
 """
 
 import argparse
@@ -42,9 +48,17 @@ from . import Case, Result, Room
 
 PEOPLE = "it is for people; nothing is computed from it"
 SAME = "it says the same as before"
-CONSISTENT = "nothing in the folder contradicts it: every hash, figure, id, seed and order was made to fit"
-UNFINISHED = "it is what a run that was stopped earlier would have left; verify and status say how many pictures are owed"
-MEASURED = "it was measured against data that the folder does not hold; reports show it, nothing is learned from it"
+CONSISTENT = (
+    "nothing in the folder contradicts it: every hash, figure, id, seed and order was made to fit"
+)
+UNFINISHED = (
+    "it is what a run that was stopped earlier would have left; verify and status say how many"
+    " pictures are owed"
+)
+MEASURED = (
+    "it was measured against data that the folder does not hold; reports show it, nothing is"
+    " learned from it"
+)
 
 
 @dataclass(frozen=True)
@@ -65,7 +79,9 @@ class Tampering:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a tampering: harmful, whether verify found it, whether its readers refused it, its first line."""
+    """What became of a tampering: harmful, whether verify found it, whether its readers refused it,
+    its first line.
+    """
 
     tampering: Tampering
     harmful: bool
@@ -74,7 +90,8 @@ class Verdict:
     said: str
 
 
-# ------------------------------------------------------------------------------------------- the folder under the knife
+# ------------------------------------------------------------------------------------------- the
+# folder under the knife
 
 
 class Folder:
@@ -114,7 +131,9 @@ class Folder:
         """A line's geometry, unchecked."""
         channels = exr.read(self.path / line["geometry"])
         normals = np.stack([channels[name] for name in arrays.NORMAL_CHANNELS], -1)
-        return arrays.Geometry(normals, channels[arrays.DEPTH_CHANNEL], channels[arrays.SEGMENT_CHANNEL])
+        return arrays.Geometry(
+            normals, channels[arrays.DEPTH_CHANNEL], channels[arrays.SEGMENT_CHANNEL]
+        )
 
     def picture_of(self, line: dict) -> np.ndarray:
         """A record's picture, unchecked, float32."""
@@ -122,7 +141,9 @@ class Folder:
         return np.stack([channels[name] for name in "RGB"], -1).astype(np.float32)
 
     def figures(self, lines: list[dict], geometry: str | None = None) -> None:
-        """Writes coverage, mean and maximum of lines again, of all or those of one geometry file."""
+        """Writes coverage, mean and maximum of lines again, of all or those of one geometry
+        file.
+        """
         for line in lines:
             if geometry in (None, line["geometry"]):
                 mask = self.geometry_of(line).segments > 0
@@ -130,7 +151,9 @@ class Folder:
                 where["coverage"] = round(float(mask.mean()), 6)
                 if self.kind == "records" and mask.any():
                     inside = self.picture_of(line)[mask]
-                    where["mean"] = round(float(inside.mean(axis=0, dtype=np.float64) @ LUMINANCE), 6)
+                    where["mean"] = round(
+                        float(inside.mean(axis=0, dtype=np.float64) @ LUMINANCE), 6
+                    )
                     where["max"] = round(float(inside.max()), 6)
         self.write(lines)
 
@@ -139,26 +162,48 @@ class Folder:
         return next(iter(self.json("dataset.json")["settings"]))
 
     def reidentify(self, line: dict, seed: bool = False) -> dict:
-        """The line with the id, the files' names and the azimuth that follow from it, its files under those names.
+        """The line with the id, the files' names and the azimuth that follow from it, its files
+        under those names.
 
         seed  give it the seed that its job gives it, too
         """
         dataset, new = self.json("dataset.json"), dict(line)
         camera = ids.camera_words(msgspec.convert(line["camera"], Camera))
-        id_ = geometry = ids.geometry_id(line["shape_hash"], camera, line["viewpoint"], self.render())
+        id_ = geometry = ids.geometry_id(
+            line["shape_hash"], camera, line["viewpoint"], self.render()
+        )
         if self.kind == "records":
             hashes = tuple(dataset["materials"][name]["hash"] for name in line["materials"])
-            place = (line["viewpoint"], line["rotation_texels"], line["tier"], line["light_resolution"])
+            place = (
+                line["viewpoint"],
+                line["rotation_texels"],
+                line["tier"],
+                line["light_resolution"],
+            )
             if seed:
                 job = msgspec.convert(dataset["orders"][0]["job"], Job)
                 choice = None if job.segment_materials is None else 0
-                word, _, _ = ids.draws(job, ids.combination_key(line["shape_hash"], hashes, line["light_hash"], 0, choice))
+                word, _, _ = ids.draws(
+                    job,
+                    ids.combination_key(line["shape_hash"], hashes, line["light_hash"], 0, choice),
+                )
                 new["seed"] = ids.shot_seed(word, ids.shot_place(*place, 0))
-            digest = ids.shots_digest(self.render(), line["shape_hash"], hashes, line["light_hash"], camera, line["samples"])
+            digest = ids.shots_digest(
+                self.render(),
+                line["shape_hash"],
+                hashes,
+                line["light_hash"],
+                camera,
+                line["samples"],
+            )
             id_ = ids.shot_id(digest, *place, new["seed"])
             new["image"] = image_path(id_)
             self._move(line["image"], new["image"])
-        new |= {"id": id_, "geometry": geometry_path(geometry), "azimuth_deg": 15.0 * line["viewpoint"]}
+        new |= {
+            "id": id_,
+            "geometry": geometry_path(geometry),
+            "azimuth_deg": 15.0 * line["viewpoint"],
+        }
         self._copy(line["geometry"], new["geometry"])
         return new
 
@@ -188,15 +233,23 @@ def content(path: Path) -> bytes:
 
 
 def learned(folder: Path) -> object:
-    """Everything that could be learned from a folder, read without a check; a text that says so if it cannot be read."""
+    """Everything that could be learned from a folder, read without a check; a text that says so if
+    it cannot be read.
+    """
     with _without_pipes(folder):
         return _learned(folder)
 
 
 @contextlib.contextmanager
 def _without_pipes(folder):
-    """Within it no pipe lies in the folder: reading one without a check would wait for ever, and nothing can be learned from it."""
-    moved = [(pipe, folder.parent / f"pipe-{number}") for number, pipe in enumerate(folder.rglob("*")) if pipe.is_fifo()]
+    """Within it no pipe lies in the folder: reading one without a check would wait for ever, and
+    nothing can be learned from it.
+    """
+    moved = [
+        (pipe, folder.parent / f"pipe-{number}")
+        for number, pipe in enumerate(folder.rglob("*"))
+        if pipe.is_fifo()
+    ]
     for pipe, place in moved:
         pipe.rename(place)
     try:
@@ -215,35 +268,70 @@ def _learned(folder):
         for line in there.lines():
             shape = dataset["shapes"][line["shape"]]
             own = [line[key] for key in ("shape", "category", "viewpoint", "camera")]
-            own += [shape["side"], line.get("split"), line.get("side"), line.get("segments"), line.get("materials")]
-            own += [line.get(key) for key in ("rotation_texels", "tier", "light_resolution", "samples", "seed", "light")]
+            own += [
+                shape["side"],
+                line.get("split"),
+                line.get("side"),
+                line.get("segments"),
+                line.get("materials"),
+            ]
+            own += [
+                line.get(key)
+                for key in (
+                    "rotation_texels",
+                    "tier",
+                    "light_resolution",
+                    "samples",
+                    "seed",
+                    "light",
+                )
+            ]
             own += [line["statistics"]["coverage"] if "statistics" in line else line["coverage"]]
             own += [labels[name] for name in line.get("materials", ())]
             own += [dataset["materials"][name]["side"] for name in line.get("materials", ())]
             geometry = there.geometry_of(line)
             pixels = [np.ascontiguousarray(array).tobytes() for array in geometry]
             if there.kind == "records":
-                pixels += [there.picture_of(line).tobytes(), _map(folder, dataset["lights"][line["light"]]["file"])]
+                pixels += [
+                    there.picture_of(line).tobytes(),
+                    _map(folder, dataset["lights"][line["light"]]["file"]),
+                ]
             found.append((json.dumps(own), *(hashlib.sha256(each).hexdigest() for each in pixels)))
-        lights = {name: (entry["side"], _map(folder, entry["file"])) for name, entry in dataset["lights"].items()}
-        return sorted(found), lights, labels if there.kind == "views" else None, _packed_geometry(folder)
+        lights = {
+            name: (entry["side"], _map(folder, entry["file"]))
+            for name, entry in dataset["lights"].items()
+        }
+        return (
+            sorted(found),
+            lights,
+            labels if there.kind == "views" else None,
+            _packed_geometry(folder),
+        )
     except Exception as error:  # whatever it is, nothing can be learned
         return f"unreadable: {type(error).__name__}"
 
 
 def is_harmed(data: Path, base: Path) -> bool:
-    """Whether something else is learned from a copy than from its base. A cache that training makes again does no harm."""
+    """Whether something else is learned from a copy than from its base. A cache that training makes
+    again does no harm.
+    """
     return learned(data) != learned(base)
 
 
 def _packed_geometry(folder):
-    """Digest of the geometry that training reads, through the cache of a folder that has one; None for one without."""
+    """Digest of the geometry that training reads, through the cache of a folder that has one; None
+    for one without.
+    """
     from learn.data.geometry import Geometry
 
     if not (folder / "packed").exists():
         return None
     geometry = Geometry(folder, progress=False)
-    arrays_ = [np.ascontiguousarray(array) for k in range(len(geometry)) for array in (geometry.normals(k), geometry.segments(k))]
+    arrays_ = [
+        np.ascontiguousarray(array)
+        for k in range(len(geometry))
+        for array in (geometry.normals(k), geometry.segments(k))
+    ]
     return hashlib.sha256(b"".join(array.tobytes() for array in arrays_)).hexdigest()
 
 
@@ -252,12 +340,17 @@ def _map(folder, file):
         return stored["L"].astype(np.float32).tobytes()
 
 
-# --------------------------------------------------------------------------------------------- what is altered, and how
+# --------------------------------------------------------------------------------------------- what
+# is altered, and how
 
 RECORD_FIELDS = {
     "id": ("0" * 24, lambda v, _: v.upper(), "../../../../tmp/x", lambda v, other: other["id"]),
     "shape": ("cube-2", lambda v, other: other["shape"]),
-    "shape_hash": ("5" * 64, lambda v, other: other["shape_hash"], lambda v, _: v[:-1] + ("0" if v[-1] != "0" else "1")),
+    "shape_hash": (
+        "5" * 64,
+        lambda v, other: other["shape_hash"],
+        lambda v, _: v[:-1] + ("0" if v[-1] != "0" else "1"),
+    ),
     "category": ("chair", "sofa", ""),
     "viewpoint": (lambda v, _: (v + 1) % 24, lambda v, other: other["viewpoint"], 24, -1),
     "azimuth_deg": (lambda v, _: v + 15, lambda v, _: v + 1e-9, 370.0),
@@ -282,7 +375,13 @@ RECORD_FIELDS = {
     "statistics.mean": (lambda v, _: v * 1.002, 0.0),
     "statistics.max": (lambda v, _: v * 1.002, 0.0),
     "seconds": (9.9, 0.0),
-    "materials": (lambda v, other: other["materials"], lambda v, _: v[::-1], lambda v, _: [*v, v[0]], lambda v, _: v[1:], ["felt"]),
+    "materials": (
+        lambda v, other: other["materials"],
+        lambda v, _: v[::-1],
+        lambda v, _: [*v, v[0]],
+        lambda v, _: v[1:],
+        ["felt"],
+    ),
 }
 VIEW_FIELDS = {
     "coverage": (0.01, lambda v, _: v + 1e-4, 1.0),
@@ -324,7 +423,9 @@ def at(value: dict, path: str) -> tuple[dict, str]:
 
 
 def altered(value: object, change: object, other: dict) -> object:
-    """The value that a change puts in place: a constant, or a function of value and of another line."""
+    """The value that a change puts in place: a constant, or a function of value and of another
+    line.
+    """
     return change(value, other) if callable(change) else change
 
 
@@ -338,7 +439,9 @@ def fields(base: Path) -> Iterator[Tampering]:
                 places = {"first": [0], "last": [len(lines) - 1], "every": range(len(lines))}[which]
                 others = {k: _unlike(lines, k, path) for k in places}
                 holders = {k: at(lines[k], path) for k in places}
-                if all(altered(h[key], change, others[k]) == h[key] for k, (h, key) in holders.items()):
+                if all(
+                    altered(h[key], change, others[k]) == h[key] for k, (h, key) in holders.items()
+                ):
                     continue
 
                 def forge(folder, rng, path=path, change=change, places=places, others=others):
@@ -359,7 +462,9 @@ def _unlike(lines, k, path):
 
 
 def with_ids(base: Path) -> Iterator[Tampering]:
-    """Each field that determines a picture, with the id and the files' names that follow from it."""
+    """Each field that determines a picture, with the id and the files' names that follow from
+    it.
+    """
     folder = Folder(base)
     lines = folder.lines()
     chosen = IN_ID if folder.kind == "records" else [key for key in IN_ID if key in VIEW_FIELDS]
@@ -368,7 +473,11 @@ def with_ids(base: Path) -> Iterator[Tampering]:
             other = _unlike(lines, 0, path)
             holder, key = at(lines[0], path)
             new = altered(holder[key], change, other)
-            if new == holder[key] or new in (24, -1, 128, ["felt"]) or (key == "materials" and len(new) != len(holder[key])):
+            if (
+                new == holder[key]
+                or new in (24, -1, 128, ["felt"])
+                or (key == "materials" and len(new) != len(holder[key]))
+            ):
                 continue
 
             def forge(folder, rng, path=path, new=new):
@@ -380,7 +489,9 @@ def with_ids(base: Path) -> Iterator[Tampering]:
                 folder.write(now)
                 folder.without_unnamed_geometry()
 
-            yield Tampering(f"first line, its id and names as well: {path}, change {number + 1}", forge)
+            yield Tampering(
+                f"first line, its id and names as well: {path}, change {number + 1}", forge
+            )
 
 
 def entries(base: Path) -> Iterator[Tampering]:
@@ -400,7 +511,11 @@ def entries(base: Path) -> Iterator[Tampering]:
         },
     }  # fmt: skip
     for kind, keys in changes.items():
-        for name in (next(iter(dataset[kind])), list(dataset[kind])[-1]) if len(dataset[kind]) > 1 else dataset[kind]:
+        for name in (
+            (next(iter(dataset[kind])), list(dataset[kind])[-1])
+            if len(dataset[kind]) > 1
+            else dataset[kind]
+        ):
             for key, change in keys.items():
 
                 def forge(folder, rng, kind=kind, name=name, key=key, change=change):
@@ -431,7 +546,9 @@ def entries(base: Path) -> Iterator[Tampering]:
                 folder.write_json("dataset.json", value)
 
             if kind != "shapes":
-                yield Tampering(f"dataset.json: {kind} '{name}': once more under another name", double)
+                yield Tampering(
+                    f"dataset.json: {kind} '{name}': once more under another name", double
+                )
     for path, new in {
         "samples": 999, "seed": 999, "repeats": 7, "tiers": ["shadow"], "light_resolutions": ["full"], "views": [5], "rotations": [99],
         "camera": {"size": [4, 4]}, "shapes": ["cube"], "materials": ["gold-paint"], "lights": ["night"], "split": "paper",
@@ -445,7 +562,9 @@ def entries(base: Path) -> Iterator[Tampering]:
             folder.write_json("dataset.json", value)
 
         yield Tampering(
-            f"dataset.json: order: {path}", order, harmless="what was rendered is what its ids say; the next run writes its order"
+            f"dataset.json: order: {path}",
+            order,
+            harmless="what was rendered is what its ids say; the next run writes its order",
         )
     for what, change in {
         "shots more": lambda v: v["orders"][0].update(shots=10**6),
@@ -453,8 +572,12 @@ def entries(base: Path) -> Iterator[Tampering]:
         "begun": lambda v: v["orders"][0].update(begun="1999-01-01T00:00:00+00:00"),
         "orders dropped": lambda v: v.update(orders=[]),
         "settings dropped": lambda v: v.update(settings={}),
-        "settings renamed": lambda v: v.update(settings={"f" * 16: next(iter(v["settings"].values()))}),
-        "settings' values": lambda v: v.update(settings={key_0: {"cycles.samples": 1} for key_0 in v["settings"]}),
+        "settings renamed": lambda v: v.update(
+            settings={"f" * 16: next(iter(v["settings"].values()))}
+        ),
+        "settings' values": lambda v: v.update(
+            settings={key_0: {"cycles.samples": 1} for key_0 in v["settings"]}
+        ),
         "versions": lambda v: v.update(versions={"blender": "9.9"}),
         "version": lambda v: v.update(version=2),
     }.items():
@@ -478,7 +601,13 @@ def _labels(labels, in_no_id):
         for key, change, reason in (
             ("label", lambda e: e["label"].__setitem__(0, e["label"][0] + 1e-6), None),
             ("label", lambda e: e.update(label=[*e["label"][36:], *e["label"][:36]]), None),
-            ("mixture", lambda e: e["mixture"]["weights"][0][0].__setitem__(0, e["mixture"]["weights"][0][0][0] * 1.001), None),
+            (
+                "mixture",
+                lambda e: e["mixture"]["weights"][0][0].__setitem__(
+                    0, e["mixture"]["weights"][0][0][0] * 1.001
+                ),
+                None,
+            ),
             ("hash", lambda e: e.update(hash="5" * 16), None),
             ("split", lambda e: e.update(split="test" if e["split"] == "train" else "train"), None),
             ("licence", lambda e: e.update(licence="mine"), None),
@@ -503,7 +632,12 @@ def _labels(labels, in_no_id):
                     folder.write_json("materials.json", value)
 
                 fits = CONSISTENT if "both" in level and in_no_id else None
-                yield Tampering(f"materials.json: '{name}': {key}{level}", forge, fits, harmless=reason or PEOPLE)
+                yield Tampering(
+                    f"materials.json: '{name}': {key}{level}",
+                    forge,
+                    fits,
+                    harmless=reason or PEOPLE,
+                )
 
     def drop(folder, rng):
         value = folder.json("materials.json")
@@ -538,7 +672,9 @@ def _labels(labels, in_no_id):
 def _own_hash(entry):
     from manifests.materials import MixtureData, material_hash
 
-    return material_hash(tuple(map(float, entry["label"])), msgspec.convert(entry["mixture"], MixtureData))
+    return material_hash(
+        tuple(map(float, entry["label"])), msgspec.convert(entry["mixture"], MixtureData)
+    )
 
 
 def _half(picture):
@@ -546,13 +682,16 @@ def _half(picture):
 
 
 def _flipped(picture, mask):
-    """The picture with the brightness of the object turned upside down within the mask: figures stay as they are."""
+    """The picture with the brightness of the object turned upside down within the mask: figures
+    stay as they are.
+    """
     out = picture.copy()
     out[mask] = picture[mask][::-1]
     return out
 
 
-PICTURES = {  # name: (function of picture and mask, what may make it undetectable once figures are written again)
+# name: (function of picture and mask, what may make it undetectable once figures are written again)
+PICTURES = {
     "half as bright": lambda p, m: 0.5 * p,
     "brighter by a per cent": lambda p, m: 1.01 * p,
     "one pixel set to 1": lambda p, m: np.where(_one(m)[..., None], 1.0, p),
@@ -596,7 +735,11 @@ GEOMETRIES = {  # name: function of normals, depth, segments → the same, as fl
     "smaller": lambda n, d, s: (n[::2, ::2], d[::2, ::2], s[::2, ::2]),
 }
 PLAUSIBLE = {  # they are what another shape, or the same one in other places, could look like
-    "normals a little off": lambda n, d, s: (_unit(n + 0.2 * (s[..., None] > 0) * np.array([0.0, 0.0, 1.0])), d, s),
+    "normals a little off": lambda n, d, s: (
+        _unit(n + 0.2 * (s[..., None] > 0) * np.array([0.0, 0.0, 1.0])),
+        d,
+        s,
+    ),
     "segments exchanged": lambda n, d, s: (n, d, np.where(s > 0, s.max() + 1 - s, 0)),
     "depth flatter": lambda n, d, s: (n, 0.5 * d, s),
 }
@@ -616,12 +759,22 @@ def _encoded(normals, depth, segments, rounded):
     if rounded:
         steps = float(arrays.STEPS_PER_UNIT)
         normals, depth = np.rint(normals * steps) / steps, np.rint(depth * steps) / steps
-    channels = {name: normals[..., k].astype(np.float32) for k, name in enumerate(arrays.NORMAL_CHANNELS)}
-    return exr.encode(channels | {arrays.DEPTH_CHANNEL: depth.astype(np.float32), arrays.SEGMENT_CHANNEL: segments.astype(np.uint32)})
+    channels = {
+        name: normals[..., k].astype(np.float32) for k, name in enumerate(arrays.NORMAL_CHANNELS)
+    }
+    return exr.encode(
+        channels
+        | {
+            arrays.DEPTH_CHANNEL: depth.astype(np.float32),
+            arrays.SEGMENT_CHANNEL: segments.astype(np.uint32),
+        }
+    )
 
 
 def contents(base: Path) -> Iterator[Tampering]:
-    """Files with other contents: hashes as they were, written again, and figures written again as well."""
+    """Files with other contents: hashes as they were, written again, and figures written again as
+    well.
+    """
     folder = Folder(base)
     if folder.kind == "records":
         for name, change in PICTURES.items():
@@ -638,20 +791,30 @@ def contents(base: Path) -> Iterator[Tampering]:
                     folder.rehash(line["image"], content)
                     if "figures" in level:
                         lines = folder.lines()
-                        folder.figures(lines, None if "smaller" in change.__name__ else lines[0]["geometry"])
+                        folder.figures(
+                            lines, None if "smaller" in change.__name__ else lines[0]["geometry"]
+                        )
 
                 keeps = name in ("pixels of the object in another order",)
                 fits = "figures" in level or (keeps and level)
                 reason = CONSISTENT if fits and name not in IMPOSSIBLE else None
                 if not (name == "smaller" and "figures" in level):
                     yield Tampering(f"picture: {name}{level}", forge, reason)
-        for name, channels in (("float32", "RGB"), ("named XYZ", "XYZ"), ("with alpha", "RGBA"), ("grey alone", "R")):
+        for name, channels in (
+            ("float32", "RGB"),
+            ("named XYZ", "XYZ"),
+            ("with alpha", "RGBA"),
+            ("grey alone", "R"),
+        ):
 
             def rename(folder, rng, channels=channels, name=name):
                 line = folder.lines()[0]
                 p = folder.picture_of(line)
                 type_ = np.float32 if name == "float32" else np.float16
-                folder.rehash(line["image"], exr.encode({c: p[..., k % 3].astype(type_) for k, c in enumerate(channels)}))
+                folder.rehash(
+                    line["image"],
+                    exr.encode({c: p[..., k % 3].astype(type_) for k, c in enumerate(channels)}),
+                )
 
             yield Tampering(f"picture: {name}, hash as well", rename, harmless=SAME)
     for name, change in (GEOMETRIES | PLAUSIBLE).items():
@@ -670,7 +833,14 @@ def contents(base: Path) -> Iterator[Tampering]:
                 if "figures" in level:
                     folder.figures(folder.lines(), path)
 
-            reason = CONSISTENT if level and (name in PLAUSIBLE or (name == "half of the object gone" and "figures" in level)) else None
+            reason = (
+                CONSISTENT
+                if level
+                and (
+                    name in PLAUSIBLE or (name == "half of the object gone" and "figures" in level)
+                )
+                else None
+            )
             if not (name == "smaller" and "figures" in level):
                 yield Tampering(f"geometry: {name}{level}", forge, reason)
     for name, change, reason in (
@@ -684,7 +854,11 @@ def contents(base: Path) -> Iterator[Tampering]:
         ("without scale", lambda L, s: {"L": L}, None),
         ("turned by a texel", lambda L, s: {"L": np.roll(L, 1, 1), "scale": s}, CONSISTENT),
         ("upside down", lambda L, s: {"L": np.ascontiguousarray(L[::-1]), "scale": s}, CONSISTENT),
-        ("grey", lambda L, s: {"L": unit_mean(np.repeat(L @ LUMINANCE[:, None], 3, -1))[0], "scale": s}, CONSISTENT),
+        (
+            "grey",
+            lambda L, s: {"L": unit_mean(np.repeat(L @ LUMINANCE[:, None], 3, -1))[0], "scale": s},
+            CONSISTENT,
+        ),
     ):
         for level in ("", ", hash as well"):
 
@@ -698,7 +872,9 @@ def contents(base: Path) -> Iterator[Tampering]:
                     (folder.path / entry["file"]).write_bytes(content)
 
             known = _is_known_light(folder)
-            yield Tampering(f"light: {name}{level}", forge, reason if level and not known else None, SAME)
+            yield Tampering(
+                f"light: {name}{level}", forge, reason if level and not known else None, SAME
+            )
 
 
 def _is_known_light(folder):
@@ -713,9 +889,18 @@ def _files_of(folder: Folder) -> list[str]:
     """A file of each kind."""
     line = folder.lines()[0]
     light = next(iter(folder.json("dataset.json")["lights"].values()))["file"]
-    names = [line["geometry"], light, folder.lines_file.relative_to(folder.path).as_posix(), "dataset.json", "materials.json"]
+    names = [
+        line["geometry"],
+        light,
+        folder.lines_file.relative_to(folder.path).as_posix(),
+        "dataset.json",
+        "materials.json",
+    ]
     names += [line["image"]] if "image" in line else []
-    return names + [path.relative_to(folder.path).as_posix() for path in sorted((folder.path / "packed").glob("*.*"))]
+    return names + [
+        path.relative_to(folder.path).as_posix()
+        for path in sorted((folder.path / "packed").glob("*.*"))
+    ]
 
 
 def files(base: Path) -> Iterator[Tampering]:
@@ -728,7 +913,11 @@ def files(base: Path) -> Iterator[Tampering]:
         path.write_bytes(data)
 
     def other(path, rng):
-        same = [p for p in sorted(path.parent.parent.rglob(f"*{path.suffix}")) if p != path and p.read_bytes() != path.read_bytes()]
+        same = [
+            p
+            for p in sorted(path.parent.parent.rglob(f"*{path.suffix}"))
+            if p != path and p.read_bytes() != path.read_bytes()
+        ]
         path.write_bytes(same[0].read_bytes() if same else b"other")
 
     def instead(put):
@@ -740,7 +929,9 @@ def files(base: Path) -> Iterator[Tampering]:
 
     changes = {
         "a bit flipped": flip,
-        "cut in half": lambda path, rng: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+        "cut in half": lambda path, rng: path.write_bytes(
+            path.read_bytes()[: path.stat().st_size // 2]
+        ),
         "emptied": lambda path, rng: path.write_bytes(b""),
         "a byte added": lambda path, rng: path.write_bytes(path.read_bytes() + b"\0"),
         "gone": lambda path, rng: path.unlink(),
@@ -768,7 +959,11 @@ def files(base: Path) -> Iterator[Tampering]:
 
 def _shown(name):
     """A file's kind, without the id in its name."""
-    return name if "/" not in name or name.startswith(("packed", "records", "views")) else name.split("/")[0]
+    return (
+        name
+        if "/" not in name or name.startswith(("packed", "records", "views"))
+        else name.split("/")[0]
+    )
 
 
 def lists(base: Path) -> Iterator[Tampering]:
@@ -784,7 +979,9 @@ def lists(base: Path) -> Iterator[Tampering]:
         return forge
 
     def raw(change):
-        return lambda folder, rng: folder.lines_file.write_bytes(change(folder.lines_file.read_bytes()))
+        return lambda folder, rng: folder.lines_file.write_bytes(
+            change(folder.lines_file.read_bytes())
+        )
 
     def dropped(folder, rng):
         lines = folder.lines()
@@ -803,42 +1000,105 @@ def lists(base: Path) -> Iterator[Tampering]:
         return forge
 
     yield Tampering("lines: the first one twice", on_lines(lambda lines, _: [lines[0], *lines]))
-    yield Tampering("lines: the first one twice, with other seconds", on_lines(lambda lines, _: [*lines, lines[0] | {"seconds": 7.0}]))
-    yield Tampering("lines: the first one again in a second file", lambda folder, rng: _second(folder, folder.lines()[:1]))
-    yield Tampering("lines: one dropped, its files kept", on_lines(lambda lines, _: [*lines[:1], *lines[2:]]), UNFINISHED)
+    yield Tampering(
+        "lines: the first one twice, with other seconds",
+        on_lines(lambda lines, _: [*lines, lines[0] | {"seconds": 7.0}]),
+    )
+    yield Tampering(
+        "lines: the first one again in a second file",
+        lambda folder, rng: _second(folder, folder.lines()[:1]),
+    )
+    yield Tampering(
+        "lines: one dropped, its files kept",
+        on_lines(lambda lines, _: [*lines[:1], *lines[2:]]),
+        UNFINISHED,
+    )
     yield Tampering("lines: one dropped with its files", dropped, UNFINISHED)
-    yield Tampering("lines: in reverse", on_lines(lambda lines, _: lines[::-1]), harmless="readers sort them by id")
+    yield Tampering(
+        "lines: in reverse",
+        on_lines(lambda lines, _: lines[::-1]),
+        harmless="readers sort them by id",
+    )
     yield Tampering("lines: in two files", _parted, harmless="readers sort them by id")
     yield Tampering("lines: pictures of two exchanged", on_lines(_exchange("image", "image_hash")))
-    yield Tampering("lines: geometry of two exchanged", on_lines(_exchange("geometry", "geometry_hash")))
+    yield Tampering(
+        "lines: geometry of two exchanged", on_lines(_exchange("geometry", "geometry_hash"))
+    )
     yield Tampering("lines: ids of two exchanged", on_lines(_exchange("id")))
-    yield Tampering("lines: all but the ids of two exchanged", on_lines(lambda lines, _: _but_ids(lines)))
+    yield Tampering(
+        "lines: all but the ids of two exchanged", on_lines(lambda lines, _: _but_ids(lines))
+    )
     yield Tampering("lines: the last cut short", raw(lambda data: data[:-20]), UNFINISHED)
-    yield Tampering("lines: garbage between them", raw(lambda data: data.replace(b"\n", b"\nnot json\n", 1)))
-    yield Tampering("lines: an unknown key", on_lines(lambda lines, _: [lines[0] | {"weight": 2}, *lines[1:]]))
-    yield Tampering("lines: a key gone", on_lines(lambda lines, _: [{k: v for k, v in lines[0].items() if k != "camera"}, *lines[1:]]))
+    yield Tampering(
+        "lines: garbage between them", raw(lambda data: data.replace(b"\n", b"\nnot json\n", 1))
+    )
+    yield Tampering(
+        "lines: an unknown key", on_lines(lambda lines, _: [lines[0] | {"weight": 2}, *lines[1:]])
+    )
+    yield Tampering(
+        "lines: a key gone",
+        on_lines(
+            lambda lines, _: [{k: v for k, v in lines[0].items() if k != "camera"}, *lines[1:]]
+        ),
+    )
     yield Tampering("lines: all gone", raw(lambda data: b""), UNFINISHED)
     yield Tampering("lines: a byte-order mark", raw(lambda data: b"\xef\xbb\xbf" + data))
     if count:
         yield Tampering(
-            "files: a picture more", added("images/ab/stray.exr", lambda path: path.write_bytes(b"x")), harmless="nothing names it"
+            "files: a picture more",
+            added("images/ab/stray.exr", lambda path: path.write_bytes(b"x")),
+            harmless="nothing names it",
         )
         yield Tampering(
-            "files: geometry more", added("geometry/ab/stray.exr", lambda path: path.write_bytes(b"x")), harmless="nothing names it"
+            "files: geometry more",
+            added("geometry/ab/stray.exr", lambda path: path.write_bytes(b"x")),
+            harmless="nothing names it",
         )
-        yield Tampering("files: a light more", added("lights/stray.npz", lambda path: path.write_bytes(b"x")), harmless="nothing names it")
-        yield Tampering("files: a draft left", added("partial/x.exr", lambda path: path.write_bytes(b"x")), harmless="nothing names it")
-        yield Tampering("files: a note in the folder", added("notes.txt", lambda path: path.write_bytes(b"x")), harmless="it is the user's")
-        yield Tampering("files: a note beside the lines", added(f"{folder.kind}/notes.txt", lambda path: path.write_bytes(b"x")))
-        yield Tampering("files: a pipe at the top", added("pipe", os.mkfifo), harmless="nothing names it")
-        yield Tampering("files: a circle of links", added("images/loop", lambda path: path.symlink_to("loop")), harmless="nothing names it")
+        yield Tampering(
+            "files: a light more",
+            added("lights/stray.npz", lambda path: path.write_bytes(b"x")),
+            harmless="nothing names it",
+        )
+        yield Tampering(
+            "files: a draft left",
+            added("partial/x.exr", lambda path: path.write_bytes(b"x")),
+            harmless="nothing names it",
+        )
+        yield Tampering(
+            "files: a note in the folder",
+            added("notes.txt", lambda path: path.write_bytes(b"x")),
+            harmless="it is the user's",
+        )
+        yield Tampering(
+            "files: a note beside the lines",
+            added(f"{folder.kind}/notes.txt", lambda path: path.write_bytes(b"x")),
+        )
+        yield Tampering(
+            "files: a pipe at the top", added("pipe", os.mkfifo), harmless="nothing names it"
+        )
+        yield Tampering(
+            "files: a circle of links",
+            added("images/loop", lambda path: path.symlink_to("loop")),
+            harmless="nothing names it",
+        )
         yield Tampering("files: a pipe among the lines", added(f"{folder.kind}/x.jsonl", os.mkfifo))
-        yield Tampering("files: a failure that is none", added("failures.jsonl", lambda path: path.write_bytes(b"{}\n")), harmless=PEOPLE)
+        yield Tampering(
+            "files: a failure that is none",
+            added("failures.jsonl", lambda path: path.write_bytes(b"{}\n")),
+            harmless=PEOPLE,
+        )
     for name in ("images", "geometry", "lights", folder.kind):
         if (folder.path / name).exists():
-            yield Tampering(f"folder {name}: a link to itself", _instead_of(name, lambda path: path.symlink_to(path.name)))
-            yield Tampering(f"folder {name}: a file", _instead_of(name, lambda path: path.write_bytes(b"")))
-            yield Tampering(f"folder {name}: elsewhere, behind a link", _elsewhere(name), harmless=SAME)
+            yield Tampering(
+                f"folder {name}: a link to itself",
+                _instead_of(name, lambda path: path.symlink_to(path.name)),
+            )
+            yield Tampering(
+                f"folder {name}: a file", _instead_of(name, lambda path: path.write_bytes(b""))
+            )
+            yield Tampering(
+                f"folder {name}: elsewhere, behind a link", _elsewhere(name), harmless=SAME
+            )
 
 
 def _second(folder, lines):
@@ -855,7 +1115,14 @@ def _parted(folder, rng):
 def _exchange(*keys):
     def change(lines, folder):
         first = lines[0]
-        k = next((j for j, line in enumerate(lines) if all(line.get(key) != first.get(key) for key in keys)), 1)
+        k = next(
+            (
+                j
+                for j, line in enumerate(lines)
+                if all(line.get(key) != first.get(key) for key in keys)
+            ),
+            1,
+        )
         for key in keys:
             if key in first:
                 first[key], lines[k][key] = lines[k][key], first[key]
@@ -867,7 +1134,10 @@ def _exchange(*keys):
 def _but_ids(lines):
     first, last = lines[0], lines[-1]
     own = ("id", "image", "image_hash")
-    new = [{**theirs, **{key: ours[key] for key in own if key in ours}} for ours, theirs in ((first, last), (last, first))]
+    new = [
+        {**theirs, **{key: ours[key] for key in own if key in ours}}
+        for ours, theirs in ((first, last), (last, first))
+    ]
     return [new[0], *lines[1:-1], new[1]]
 
 
@@ -890,7 +1160,9 @@ def _elsewhere(name):
 
 
 def masterly(base: Path) -> Iterator[Tampering]:
-    """By a forger who knows the whole program, and makes everything fit: what no reading of the folder can find, and what can."""
+    """By a forger who knows the whole program, and makes everything fit: what no reading of the
+    folder can find, and what can.
+    """
     folder = Folder(base)
     if folder.kind == "records":
 
@@ -900,12 +1172,19 @@ def masterly(base: Path) -> Iterator[Tampering]:
             for order in value["orders"]:
                 order["job"]["samples"] *= 2
             folder.write_json("dataset.json", value)
-            folder.write([folder.reidentify(line | {"samples": 2 * line["samples"]}) for line in folder.lines()])
+            folder.write(
+                [
+                    folder.reidentify(line | {"samples": 2 * line["samples"]})
+                    for line in folder.lines()
+                ]
+            )
 
         def relabelled(folder, rng):
             """The place of one record is given to the picture of another, whose own record goes."""
             lines = folder.lines()
-            k = next(j for j, line in enumerate(lines) if j and line["geometry"] == lines[0]["geometry"])
+            k = next(
+                j for j, line in enumerate(lines) if j and line["geometry"] == lines[0]["geometry"]
+            )
             gone, kept = lines[0], lines.pop(k)
             shutil.copyfile(folder.path / kept["image"], folder.path / gone["image"])
             (folder.path / kept["image"]).unlink()
@@ -920,7 +1199,16 @@ def masterly(base: Path) -> Iterator[Tampering]:
             entry["hash"] = dataset["materials"][entry["name"]]["hash"] = _own_hash(entry)
             folder.write_json("materials.json", value)
             folder.write_json("dataset.json", dataset)
-            folder.write([folder.reidentify(line, seed=True) if entry["name"] in line["materials"] else line for line in folder.lines()])
+            folder.write(
+                [
+                    (
+                        folder.reidentify(line, seed=True)
+                        if entry["name"] in line["materials"]
+                        else line
+                    )
+                    for line in folder.lines()
+                ]
+            )
 
         single = folder.json("dataset.json")["orders"][0]["job"]["segment_materials"] is None
         yield Tampering("forged: samples in orders, lines, ids and names", samples, CONSISTENT)
@@ -934,7 +1222,12 @@ def masterly(base: Path) -> Iterator[Tampering]:
         name = next(iter(value["shapes"]))
         value["shapes"][name]["category"] = "sofa"
         folder.write_json("dataset.json", value)
-        folder.write([line | {"category": "sofa"} if line["shape"] == name else line for line in folder.lines()])
+        folder.write(
+            [
+                line | {"category": "sofa"} if line["shape"] == name else line
+                for line in folder.lines()
+            ]
+        )
 
     def side(folder, rng):
         """The side of a shape, in its entry and in every line."""
@@ -946,14 +1239,20 @@ def masterly(base: Path) -> Iterator[Tampering]:
         for line in lines:
             if line["shape"] == name:
                 materials = [value["materials"][m]["side"] for m in line.get("materials", ())]
-                line.update({"side": entry["side"]} if folder.kind == "views" else {"split": _split(entry["side"], materials)})
+                line.update(
+                    {"side": entry["side"]}
+                    if folder.kind == "views"
+                    else {"split": _split(entry["side"], materials)}
+                )
         folder.write(lines)
 
     def material_side(folder, rng):
         """The side of a material, in both files and in every line."""
         value, labels = folder.json("dataset.json"), folder.json("materials.json")
         entry = labels["materials"][0]
-        entry["split"] = value["materials"][entry["name"]]["side"] = "test" if entry["split"] == "train" else "train"
+        entry["split"] = value["materials"][entry["name"]]["side"] = (
+            "test" if entry["split"] == "train" else "train"
+        )
         folder.write_json("dataset.json", value)
         folder.write_json("materials.json", labels)
         lines = folder.lines()
@@ -975,7 +1274,14 @@ def masterly(base: Path) -> Iterator[Tampering]:
         folder.write_json("dataset.json", value)
         lines = folder.lines()
         if folder.kind == "records":
-            lines = [folder.reidentify(line | {"light_hash": new}, seed=True) if line["light"] == name else line for line in lines]
+            lines = [
+                (
+                    folder.reidentify(line | {"light_hash": new}, seed=True)
+                    if line["light"] == name
+                    else line
+                )
+                for line in lines
+            ]
             folder.write(lines)
 
     dataset, labels = folder.json("dataset.json"), folder.json("materials.json")
@@ -983,11 +1289,15 @@ def masterly(base: Path) -> Iterator[Tampering]:
     numbered = shape.split(":")[0] in ("chair", "car", "sofa", "monitor")
     built_in = labels["materials"][0]["source"] != "computed"
     drawn = dataset["orders"][0]["job"]["segment_materials"] is not None
-    reason = "the folder does not hold the mesh, and its file's folder is what its category came from"
+    reason = (
+        "the folder does not hold the mesh, and its file's folder is what its category came from"
+    )
     yield Tampering("forged: a shape's category everywhere", category, None if numbered else reason)
     yield Tampering("forged: a shape's side everywhere", side)
     own = "the side of a material is its catalogue's word, and the catalogue is the user's own"
-    yield Tampering("forged: a material's side everywhere", material_side, None if built_in else own)
+    yield Tampering(
+        "forged: a material's side everywhere", material_side, None if built_in else own
+    )
     if not drawn:
         yield Tampering("forged: a light's hash everywhere", light_hash, CONSISTENT)
 
@@ -999,14 +1309,21 @@ def _split(shape, materials):
 def tamperings(base: Path) -> list[Tampering]:
     """Everything that is done to one data set."""
     parts = (fields, with_ids, entries, contents, files, lists, masterly)
-    return [replace(each, name=f"{base.name}: {each.name}") for part in parts for each in part(base)]
+    return [
+        replace(each, name=f"{base.name}: {each.name}") for part in parts for each in part(base)
+    ]
 
 
-# ---------------------------------------------------------------------------------------------------------- the judging
+# ----------------------------------------------------------------------------------------------------------
+# the judging
 
 
-def judged(base: Path, tampering: Tampering, room: Path, rng: np.random.Generator, readers: bool = True) -> Verdict:
-    """What becomes of a tampering with a copy of a data set; readers: look, too, whether learn refuses it."""
+def judged(
+    base: Path, tampering: Tampering, room: Path, rng: np.random.Generator, readers: bool = True
+) -> Verdict:
+    """What becomes of a tampering with a copy of a data set; readers: look, too, whether learn
+    refuses it.
+    """
     data = room / "data"
     shutil.copytree(base, data)
     tampering.forge(Folder(data), rng)
@@ -1024,7 +1341,9 @@ def faults_in(data: Path) -> list[str]:
     from manifests.verification import faults_of
 
     try:
-        found = [fault.text for fault in faults_of(Store(data), render_fingerprint(), reference_light)]
+        found = [
+            fault.text for fault in faults_of(Store(data), render_fingerprint(), reference_light)
+        ]
     except InputError as problem:  # no dataset.json that can be read
         found = [str(problem)]
     assert all(line.isprintable() for line in found), found
@@ -1032,7 +1351,9 @@ def faults_in(data: Path) -> list[str]:
 
 
 def refuses(data: Path) -> bool:
-    """Whether a reader of the data ends with an InputError, at the latest when it loads the files."""
+    """Whether a reader of the data ends with an InputError, at the latest when it loads the
+    files.
+    """
     from learn.data.records import Records
     from manifests.errors import InputError
 
@@ -1052,7 +1373,11 @@ def refuses(data: Path) -> bool:
 
 
 def run(
-    bases: list[Path], room: Path, seed: int = 0, only: Callable[[int], bool] = lambda k: True, readers: bool = True
+    bases: list[Path],
+    room: Path,
+    seed: int = 0,
+    only: Callable[[int], bool] = lambda k: True,
+    readers: bool = True,
 ) -> Iterator[Verdict]:
     """The Verdict of each tampering with each data set; only: of which numbers."""
     number = 0
@@ -1071,17 +1396,25 @@ def missed(verdict: Verdict) -> bool:
     return verdict.harmful and not verdict.found and verdict.tampering.principle is None
 
 
-# ------------------------------------------------------------------------------------------------------- what starts it
+# -------------------------------------------------------------------------------------------------------
+# what starts it
 
 
 def synthetic(folder: Path) -> list[Path]:
-    """Data sets that are computed here: pictures, segments in perspective, geometry alone with its cache."""
+    """Data sets that are computed here: pictures, segments in perspective, geometry alone with its
+    cache.
+    """
     from tests.manifests.whole_dataset import JOB, write_dataset
 
     perspective = Camera(size=(12, 16), fov_deg=45.0)
     jobs = {
         "pictures": (JOB, 1),
-        "segments": (msgspec.structs.replace(JOB, camera=perspective, tiers=("direct", "full"), rotations=(3, 40), views=(1,)), 3),
+        "segments": (
+            msgspec.structs.replace(
+                JOB, camera=perspective, tiers=("direct", "full"), rotations=(3, 40), views=(1,)
+            ),
+            3,
+        ),
         "views": (msgspec.structs.replace(JOB, pictures=False, views=(0, 6, 9)), 2),
     }
     for name, (job, segments) in jobs.items():
@@ -1092,7 +1425,9 @@ def synthetic(folder: Path) -> list[Path]:
 
 
 def rendered(folder: Path) -> list[Path]:
-    """Data sets by Cycles, of the smallest size: the same three kinds, one of them under a light file of the user's own."""
+    """Data sets by Cycles, of the smallest size: the same three kinds, one of them under a light
+    file of the user's own.
+    """
     from factory.execution.run import RunOptions, carry_out, planned
     from factory.planning.assets import resolve
 
@@ -1138,23 +1473,37 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     """A tampering, through the command `factory verify`."""
     bases = [room.seeds / name for name in ("pictures", "segments", "views")]
     every = [(base, tampering) for base in bases for tampering in tamperings(base)]
-    base, tampering = every[(index * 7) % len(every)]  # 7 is prime to their number: kinds take turns
+    # 7 is prime to their number: kinds take turns
+    base, tampering = every[(index * 7) % len(every)]
     data = room.folder / "data"
     shutil.copytree(base, data)
     tampering.forge(Folder(data), rng)
 
     def check(result: Result) -> str | None:
-        if result.status == 0 and tampering.principle is None and is_harmed(data, base):  # after verify: this reads as training does
+        # after verify: this reads as training does
+        if result.status == 0 and tampering.principle is None and is_harmed(data, base):
             return "what is learned from was altered, and verify calls it clean"
         return None
 
-    names = ("data/.lock", *(f"data-{name}" for name in ("images", "geometry", "lights", "records", "views")))
-    return Case(label=tampering.name, command=["factory", "verify", str(data)], check=check, writes=names, statuses=(0, 1))
+    names = (
+        "data/.lock",
+        *(f"data-{name}" for name in ("images", "geometry", "lights", "records", "views")),
+    )
+    return Case(
+        label=tampering.name,
+        command=["factory", "verify", str(data)],
+        check=check,
+        writes=names,
+        statuses=(0, 1),
+    )
 
 
 def table(verdicts: list[Verdict]) -> str:
     """The table of all, and the lists of those that were not found."""
-    lines = [f"{'harmful' if v.harmful else 'harmless':<9}{_told(v):<14}{v.tampering.name}" for v in verdicts]
+    lines = [
+        f"{'harmful' if v.harmful else 'harmless':<9}{_told(v):<14}{v.tampering.name}"
+        for v in verdicts
+    ]
     groups = {
         "Not found, and harmful: faults of verify": [v for v in verdicts if missed(v)],
         "Not found, and harmful: what no reading of the folder can find": [
@@ -1164,32 +1513,55 @@ def table(verdicts: list[Verdict]) -> str:
     }
     for title, group in groups.items():
         lines += ["", f"{title}: {len(group)}"]
-        lines += [f"  {v.tampering.name}: {v.tampering.principle or v.tampering.harmless}" for v in group]
+        lines += [
+            f"  {v.tampering.name}: {v.tampering.principle or v.tampering.harmless}" for v in group
+        ]
     harm = [v for v in verdicts if v.harmful]
     findable = [v for v in harm if v.tampering.principle is None]
     lines += [
         "",
         f"{len(verdicts)} tamperings, {sum(v.found for v in verdicts)} found",
-        f"{len(harm)} alter what is learned from: {sum(v.found for v in harm)} found, {len(harm) - sum(v.found for v in harm)} not;"
-        f" of the {len(findable)} that leave a contradiction {sum(v.found for v in findable)} found",
-        f"{sum(v.refused for v in harm)} of these {len(harm)} are refused by the readers of learn, too",
+        (
+            f"{len(harm)} alter what is learned from: {sum(v.found for v in harm)} found,"
+            f" {len(harm) - sum(v.found for v in harm)} not; of the {len(findable)} that leave a"
+            f" contradiction {sum(v.found for v in findable)} found"
+        ),
+        (
+            f"{sum(v.refused for v in harm)} of these {len(harm)} are refused by the readers of"
+            " learn, too"
+        ),
     ]
     return "\n".join(lines)
 
 
 def _told(verdict):
-    return "found" if verdict.found else "in principle" if verdict.tampering.principle else "not found"
+    return (
+        "found" if verdict.found else "in principle" if verdict.tampering.principle else "not found"
+    )
 
 
 def main() -> int:
     """Print the table; 1 if harm was done that verify does not find, and could."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", required=True, type=Path, help="data sets are kept in DIR/bases, the table is DIR/table.txt")
-    parser.add_argument("--synthetic", action="store_true", help="data sets computed here instead of by Cycles")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out",
+        required=True,
+        type=Path,
+        help="data sets are kept in DIR/bases, the table is DIR/table.txt",
+    )
+    parser.add_argument(
+        "--synthetic", action="store_true", help="data sets computed here instead of by Cycles"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", help="tamperings whose name holds this text")
     options = parser.parse_args()
-    bases = synthetic(options.out / "synthetic") if options.synthetic else rendered((options.out / "bases").absolute())
+    bases = (
+        synthetic(options.out / "synthetic")
+        if options.synthetic
+        else rendered((options.out / "bases").absolute())
+    )
     for base in bases:
         if found := faults_in(base):
             print(f"{base}: not clean before anything was done to it: {found[0]}", file=sys.stderr)

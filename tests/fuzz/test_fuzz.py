@@ -1,4 +1,6 @@
-"""The fuzzer sees what it is meant to see, makes a case again from its number, and finds nothing in a small seeded part."""
+"""The fuzzer sees what it is meant to see, makes a case again from its number, and finds nothing in
+a small seeded part.
+"""
 
 import json
 import os
@@ -49,7 +51,8 @@ def print_on_stderr(room):
 
 
 def warn(room):
-    print("library.py:3: RuntimeWarning: overflow", file=sys.stderr)  # as it looks outside of pytest, which keeps warnings to itself
+    # as it looks outside of pytest, which keeps warnings to itself
+    print("library.py:3: RuntimeWarning: overflow", file=sys.stderr)
 
 
 FAULTS = {
@@ -60,7 +63,10 @@ FAULTS = {
     "a loop": (lambda room: time.sleep(30), "time: more than 1 s"),
     "a pipe": (wait_for_a_pipe, "time: more than 1 s"),
     "memory that is taken": (lambda room: np.ones(1 << 25).sum(), "memory: "),
-    "memory that is taken and kept": (lambda room: (np.ones(1 << 25), time.sleep(5)), "memory: more than "),
+    "memory that is taken and kept": (
+        lambda room: (np.ones(1 << 25), time.sleep(5)),
+        "memory: more than ",
+    ),
     "a library's warning": (warn, "warning: library.py:3: RuntimeWarning: overflow"),
     "a draft": (leave_a_draft, "draft left behind: out/.sheet.part"),
     "a file in the current folder": (write_elsewhere, "written outside of the output: cwd/new.txt"),
@@ -92,7 +98,10 @@ def test_the_driver_sees(tmp_path, name):
         (["factory", "plan", "--no-such-option"], None),
         (["toy", "4"], "exit status 4"),
         (["toy", "1"], "status 1 without a word"),
-        (["toy", "1", "half of a message\nand another line"], "status 1 with a last line that is no message"),
+        (
+            ["toy", "1", "half of a message\nand another line"],
+            "status 1 with a last line that is no message",
+        ),
         (["toy", "1", "toy: one line"], None),
     ],
 )
@@ -103,7 +112,9 @@ def test_the_driver_judges_a_commands_end(tmp_path, monkeypatch, words, fault):
 
     monkeypatch.setitem(sys.modules, "toy", SimpleNamespace(__path__=[]))
     monkeypatch.setitem(sys.modules, "toy.__main__", SimpleNamespace(main=main, COMMANDS=()))
-    outcome = run(lambda room: Case(label="a command", command=words), tmp_path, driver.Limits(20.0, 1024))
+    outcome = run(
+        lambda room: Case(label="a command", command=words), tmp_path, driver.Limits(20.0, 1024)
+    )
     assert (outcome.fault or "").startswith(fault or "")
     assert (outcome.fault is None) == (fault is None)
     assert outcome.status in (*STATUSES, 4)
@@ -111,7 +122,11 @@ def test_the_driver_judges_a_commands_end(tmp_path, monkeypatch, words, fault):
 
 def test_a_case_whose_check_finds_a_wrong_result_is_a_fault(tmp_path):
     def case(room):
-        return Case(label="two", run=lambda: 2, check=lambda result: None if result.value == 3 else f"expected 3, found {result.value}")
+        return Case(
+            label="two",
+            run=lambda: 2,
+            check=lambda result: None if result.value == 3 else f"expected 3, found {result.value}",
+        )
 
     assert run(case, tmp_path).fault == "wrong result: expected 3, found 2"
 
@@ -124,14 +139,22 @@ def test_a_case_depends_on_its_number_alone(tmp_path):
         room.folder.mkdir(parents=True)
         case = files.case(index, driver.generator_of_numbers("files", 3, index), room)
         words = [word.replace(str(room.folder), "ROOM") for word in case.command]
-        return case.label, words, {path.name: path.read_bytes() for path in room.folder.rglob("*") if path.is_file()}
+        return (
+            case.label,
+            words,
+            {path.name: path.read_bytes() for path in room.folder.rglob("*") if path.is_file()},
+        )
 
     from . import seeds
 
     shared = tmp_path / "seeds" / "shared"
     shared.mkdir(parents=True)
     seeds.write_small(shared)
-    index = next(k for k in range(len(files.VALID), 10_000) if files.chosen(k, driver.generator_of_numbers("files", 3, k))[0] == "light")
+    index = next(
+        k
+        for k in range(len(files.VALID), 10_000)
+        if files.chosen(k, driver.generator_of_numbers("files", 3, k))[0] == "light"
+    )
     assert made("first", index) == made("second", index)
 
 
@@ -165,10 +188,18 @@ def test_a_mutation_repeats_for_a_seed_and_says_what_it_did(name):
 
 
 def test_a_small_seeded_part_of_the_fuzzing_finds_nothing(root, tmp_path):
-    """What `make fuzz` does for ten minutes: two cases of every generator, past the plans that some begin with."""
+    """What `make fuzz` does for ten minutes: two cases of every generator, past the plans that some
+    begin with.
+    """
     names = driver.generator_names()
     words = ["--first", "200", "--cases", str(2 * len(names)), "--out", str(tmp_path)]
-    done = subprocess.run([sys.executable, "-m", "tests.fuzz", *words], cwd=root, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.fuzz", *words],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout + done.stderr[-2000:]
     assert f"{2 * len(names)} cases of {len(names)} generators, seed 0: 0 faults" in done.stdout
     assert all(re.search(rf"\b{name} 2 in", done.stdout) for name in names)

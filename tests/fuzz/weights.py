@@ -1,7 +1,9 @@
-"""Files of tensors: weights of every network, priors, VGG16 and LPIPS, with metadata, names, shapes, types and numbers changed.
+"""Files of tensors: weights of every network, priors, VGG16 and LPIPS, with metadata, names,
+shapes, types and numbers changed.
 
-First each key of the metadata in turn gets each of VALUES, then each of SURGERY is done to each file, then chance. What
-is accepted must predict finite parts; no file may take more memory than a network does.
+First each key of the metadata in turn gets each of VALUES, then each of SURGERY is done to each
+file, then chance. What is accepted must predict finite parts; no file may take more memory than a
+network does.
 """
 
 import json
@@ -15,10 +17,53 @@ from . import Case, Result, Room, mutation
 KEYS = ("format", "network", "size", "run", "step", "fitted")
 VALUES = (
     None,  # removed
-    *("", "0", "-1", "31", "33", "64", "1024", "1040", "20000", "10" * 200, "1e2", "128.0", "nan", "inf", "null", "[]", "{}", "{", "\0"),
-    *("compact", "paper", "separate", "encoder-decoder", "Compact", "../compact", "brdfactory weights 2", "brdfactory priors 1"),
-    *('{"name": 5}', '{"parts": []}', '{"parts": ["normals"]}', '{"parts": "normals"}', '{"parts": ["light", "sound"]}', '{"parts": null}'),
-    *('{"name": 1e400}', '{"size": 1' + "0" * 400 + "}", "[" * 100_000, '{"name": "' + "x" * 100_000 + '"}', "x" * 200_000, "é\u202e"),
+    *(
+        "",
+        "0",
+        "-1",
+        "31",
+        "33",
+        "64",
+        "1024",
+        "1040",
+        "20000",
+        "10" * 200,
+        "1e2",
+        "128.0",
+        "nan",
+        "inf",
+        "null",
+        "[]",
+        "{}",
+        "{",
+        "\0",
+    ),
+    *(
+        "compact",
+        "paper",
+        "separate",
+        "encoder-decoder",
+        "Compact",
+        "../compact",
+        "brdfactory weights 2",
+        "brdfactory priors 1",
+    ),
+    *(
+        '{"name": 5}',
+        '{"parts": []}',
+        '{"parts": ["normals"]}',
+        '{"parts": "normals"}',
+        '{"parts": ["light", "sound"]}',
+        '{"parts": null}',
+    ),
+    *(
+        '{"name": 1e400}',
+        '{"size": 1' + "0" * 400 + "}",
+        "[" * 100_000,
+        '{"name": "' + "x" * 100_000 + '"}',
+        "x" * 200_000,
+        "é\u202e",
+    ),
 )
 FILES = ("compact", "separate", "encoder-decoder", "priors", "vgg16", "lpips")
 SURGERY = (
@@ -31,11 +76,51 @@ SURGERY = (
         "header no JSON",
         "header of lists",
     ),
-    *("offsets overlap", "offsets backwards", "offsets beyond the file", "offsets of 2^60", "a gap", "bytes behind the end"),
-    *("another type", "a type that is none", "a shape of more", "a shape of 2^60", "a shape of text", "an empty shape", "a negative shape"),
-    *("a tensor more", "a tensor of 1 GB more, which is not there", "a tensor less", "a tensor renamed", "all NaN", "all infinite"),
-    *("one NaN", "one infinite", "all 0", "all 1e30", "all negative", "ranges of 1e30", "ranges of 0", "ranges negative", "ranges of κ"),
-    *("a key twice", "metadata of numbers", "metadata of a list", "10,000 tensors of nothing", "cut in the middle", "empty", "a pickle"),
+    *(
+        "offsets overlap",
+        "offsets backwards",
+        "offsets beyond the file",
+        "offsets of 2^60",
+        "a gap",
+        "bytes behind the end",
+    ),
+    *(
+        "another type",
+        "a type that is none",
+        "a shape of more",
+        "a shape of 2^60",
+        "a shape of text",
+        "an empty shape",
+        "a negative shape",
+    ),
+    *(
+        "a tensor more",
+        "a tensor of 1 GB more, which is not there",
+        "a tensor less",
+        "a tensor renamed",
+        "all NaN",
+        "all infinite",
+    ),
+    *(
+        "one NaN",
+        "one infinite",
+        "all 0",
+        "all 1e30",
+        "all negative",
+        "ranges of 1e30",
+        "ranges of 0",
+        "ranges negative",
+        "ranges of κ",
+    ),
+    *(
+        "a key twice",
+        "metadata of numbers",
+        "metadata of a list",
+        "10,000 tensors of nothing",
+        "cut in the middle",
+        "empty",
+        "a pickle",
+    ),
     *("a zip", "a pipe", "a folder", "a device", "a circle of links", "5 GB of nothing"),
 )
 MEMORY_MB = 1024
@@ -58,20 +143,31 @@ def prepare(folder: Path) -> None:
     for name in FILES[:3]:
         network = weights.NETWORKS[name](ranges)
         run = json.dumps({"name": "fuzzed", "parts": ["normals", "material", "light"]})
-        weights.save_weights(folder / f"{name}.safetensors", network, network.state_dict(), run, 32, 7)
+        weights.save_weights(
+            folder / f"{name}.safetensors", network, network.state_dict(), run, 32, 7
+        )
     rng = np.random.default_rng(0)
     maps = [np.exp(rng.normal(size=(64, 128, 3))) for _ in range(3)]
     priors.save(folder / "priors.safetensors", priors.fitted(labels, maps), {"maps": 3})
     shapes, before = {}, 3
-    for number, width in zip(features.NUMBERS, (w for block in features.WIDTHS for w in block), strict=True):
-        shapes |= {f"features.{number}.weight": (width, before, 3, 3), f"features.{number}.bias": (width,)}
+    for number, width in zip(
+        features.NUMBERS, (w for block in features.WIDTHS for w in block), strict=True
+    ):
+        shapes |= {
+            f"features.{number}.weight": (width, before, 3, 3),
+            f"features.{number}.bias": (width,),
+        }
         before = width
-    (folder / "vgg16.safetensors").write_bytes(save({name: 0.1 * torch.randn(shape) for name, shape in shapes.items()}))
+    (folder / "vgg16.safetensors").write_bytes(
+        save({name: 0.1 * torch.randn(shape) for name, shape in shapes.items()})
+    )
     shapes = {}
     for (k, *_), shape in zip(lpips.LAYERS, lpips.SHAPES, strict=True):
         shapes |= {f"features.{k}.weight": shape, f"features.{k}.bias": shape[:1]}
     shapes |= {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(lpips.SHAPES)}
-    (folder / "lpips.safetensors").write_bytes(save({name: 0.1 * torch.rand(shape) for name, shape in shapes.items()}))
+    (folder / "lpips.safetensors").write_bytes(
+        save({name: 0.1 * torch.rand(shape) for name, shape in shapes.items()})
+    )
 
 
 def case(index: int, rng: np.random.Generator, room: Room) -> Case:
@@ -94,15 +190,27 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
         label = f"{name}: {how}"
     else:
         name = mutation.pick(rng, FILES)
-        data, label = mutation.some_safetensors((room.seeds / f"{name}.safetensors").read_bytes(), rng)
+        data, label = mutation.some_safetensors(
+            (room.seeds / f"{name}.safetensors").read_bytes(), rng
+        )
         path.write_bytes(data)
         label = f"{name}: {label}"
     if name in FILES[:2] and index % 9 == 0:
         shared = room.folder / "photo.png"
         photograph(shared)
-        words = ["learn", "predict", str(shared), "--weights", str(path), "--out", str(room.folder / "out")]
+        words = [
+            "learn",
+            "predict",
+            str(shared),
+            "--weights",
+            str(path),
+            "--out",
+            str(room.folder / "out"),
+        ]
         return Case(label=label, command=words)
-    return Case(label=label, run=lambda: used(name, path), check=lambda result: unsound(result, name))
+    return Case(
+        label=label, run=lambda: used(name, path), check=lambda result: unsound(result, name)
+    )
 
 
 def used(name, path):
@@ -116,14 +224,18 @@ def used(name, path):
 
     if name == "priors":
         known = priors.load(path)
-        return known.label(torch.zeros(len(known.directions)).double()), known.light(torch.zeros_like(known.light_mean), 16, 32)
+        return known.label(torch.zeros(len(known.directions)).double()), known.light(
+            torch.zeros_like(known.light_mean), 16, 32
+        )
     if name == "vgg16":
         return tuple(features.load(path)(torch.rand(1, 3, 32, 32)))
     if name == "lpips":
         picture = 255 * np.random.default_rng(0).random((64, 64, 3))
         return (torch.tensor(lpips.of_file(path)(picture, picture[::-1].copy())),)
     if name == "encoder-decoder":
-        return methods.load("Baseline 1", path).net(torch.rand(1, 3, 32, 32), torch.ones(1, 1, 32, 32), torch.zeros(1, 1, 108))[:4]
+        return methods.load("Baseline 1", path).net(
+            torch.rand(1, 3, 32, 32), torch.ones(1, 1, 32, 32), torch.zeros(1, 1, 108)
+        )[:4]
     network, metadata = weights.load_parts(path)
     size = metadata["size"]
     if not (isinstance(size, int) and 32 <= size <= 1024):
@@ -133,7 +245,9 @@ def used(name, path):
 
 
 def unsound(result: Result, name: str) -> str | None:
-    """What is wrong with what accepted weights predict. Finite but senseless ones may well overflow: commands refuse that."""
+    """What is wrong with what accepted weights predict. Finite but senseless ones may well
+    overflow: commands refuse that.
+    """
     if result.error is not None:
         return None
     parts = [part for part in result.value if part is not None]
@@ -150,7 +264,8 @@ def photograph(path: Path) -> None:
     Image.fromarray(values).save(path)
 
 
-# -------------------------------------------------------------------------------------------------------------- surgery
+# --------------------------------------------------------------------------------------------------------------
+# surgery
 
 
 def parted(path: Path) -> tuple[dict, bytes]:
@@ -183,7 +298,9 @@ def operate(path: Path, seed: Path, how: str, rng: np.random.Generator) -> None:
         _ranges(path, header, body, how)
         return
     if how.startswith(("all", "one")):
-        value = {"NaN": np.nan, "infinite": np.inf, "0": 0, "1e30": 1e30, "negative": -1}[how.split()[1]]
+        value = {"NaN": np.nan, "infinite": np.inf, "0": 0, "1e30": 1e30, "negative": -1}[
+            how.split()[1]
+        ]
         every = how.startswith("all")
         out = bytearray(body)
         for each in names if every else [name]:
@@ -192,7 +309,9 @@ def operate(path: Path, seed: Path, how: str, rng: np.random.Generator) -> None:
             with np.errstate(over="ignore"):
                 packed = {2: np.float16, 4: np.float32, 8: np.float64}[width](value).tobytes()
             if header[each]["dtype"] != "I64":
-                out[a:b] = packed * ((b - a) // width) if every else packed + bytes(out[a + width : b])
+                out[a:b] = (
+                    packed * ((b - a) // width) if every else packed + bytes(out[a + width : b])
+                )
         path.write_bytes(joined(header, bytes(out)))
         return
     length = len(data) - len(body) - 8
@@ -200,12 +319,22 @@ def operate(path: Path, seed: Path, how: str, rng: np.random.Generator) -> None:
         "header of 2^63": struct.pack("<Q", 1 << 63) + data[8:],
         "header beyond the file": struct.pack("<Q", len(data)) + data[8:],
         "header of 0": struct.pack("<Q", 0) + data[8:],
-        "header of 100 MB": struct.pack("<Q", 99_000_000) + b'{"__metadata__":{"a":"' + b"x" * 98_999_975 + b'"}}' + b" ",
-        "header not UTF-8": joined(json.dumps(header).encode().replace(b"dtype", b"dt\xffpe", 1), body),
+        "header of 100 MB": (
+            struct.pack("<Q", 99_000_000)
+            + b'{"__metadata__":{"a":"'
+            + b"x" * 98_999_975
+            + b'"}}'
+            + b" "
+        ),
+        "header not UTF-8": joined(
+            json.dumps(header).encode().replace(b"dtype", b"dt\xffpe", 1), body
+        ),
         "header no JSON": joined(b"{" + bytes(length - 1), body),
         "header of lists": joined(b"[" * 5000 + b"]" * 5000, body),
         "bytes behind the end": data + bytes(100),
-        "a key twice": joined(json.dumps(header).encode().replace(b"{", b'{"__metadata__":{},', 1), body),
+        "a key twice": joined(
+            json.dumps(header).encode().replace(b"{", b'{"__metadata__":{},', 1), body
+        ),
         "metadata of numbers": joined({**header, "__metadata__": {"size": 32, "network": 5}}, body),
         "metadata of a list": joined({**header, "__metadata__": [1]}, body),
         "cut in the middle": data[: len(data) // 2],
@@ -237,7 +366,11 @@ def operate(path: Path, seed: Path, how: str, rng: np.random.Generator) -> None:
         entry["data_offsets"] = [1 << 60, (1 << 60) + end - start]
     elif how == "a gap":
         body = body + bytes(64)
-        header["a-gap"] = {"dtype": "F32", "shape": [8], "data_offsets": [len(body) - 32, len(body)]}
+        header["a-gap"] = {
+            "dtype": "F32",
+            "shape": [8],
+            "data_offsets": [len(body) - 32, len(body)],
+        }
     elif how == "another type":
         entry["dtype"] = {2: "I16", 4: "I32", 8: "U64"}[size]
     elif how == "a type that is none":
@@ -253,26 +386,41 @@ def operate(path: Path, seed: Path, how: str, rng: np.random.Generator) -> None:
     elif how == "a negative shape":
         entry["shape"] = [-1]
     elif how == "a tensor more":
-        header["strange.weight"] = {"dtype": "F32", "shape": [4], "data_offsets": [len(body), len(body) + 16]}
+        header["strange.weight"] = {
+            "dtype": "F32",
+            "shape": [4],
+            "data_offsets": [len(body), len(body) + 16],
+        }
         body += bytes(16)
     elif how == "a tensor of 1 GB more, which is not there":
-        header["strange.weight"] = {"dtype": "F32", "shape": [1 << 28], "data_offsets": [len(body), len(body) + (1 << 30)]}
+        header["strange.weight"] = {
+            "dtype": "F32",
+            "shape": [1 << 28],
+            "data_offsets": [len(body), len(body) + (1 << 30)],
+        }
     elif how == "a tensor less":
         header.pop(names[-1])
         body = body[: min(header[each]["data_offsets"][1] for each in [names[-2]])]
     elif how == "a tensor renamed":
         header[f"{name}x"] = header.pop(name)
     elif how == "10,000 tensors of nothing":
-        header |= {f"nothing.{k}": {"dtype": "F32", "shape": [0], "data_offsets": [0, 0]} for k in range(10_000)}
+        header |= {
+            f"nothing.{k}": {"dtype": "F32", "shape": [0], "data_offsets": [0, 0]}
+            for k in range(10_000)
+        }
     else:
         raise ValueError(how)
     path.write_bytes(joined(header, body))
 
 
 def _ranges(path, header, body, how):
-    """The ranges of labels that the network reads its codes by, replaced; of files without them a tensor."""
+    """The ranges of labels that the network reads its codes by, replaced; of files without them a
+    tensor.
+    """
     out = bytearray(body)
-    names = [name for name in ("label_centre", "label_half") if name in header] or [n for n in header if n != "__metadata__"][:1]
+    names = [name for name in ("label_centre", "label_half") if name in header] or [
+        n for n in header if n != "__metadata__"
+    ][:1]
     for name in names:
         a, b = header[name]["data_offsets"]
         kind = np.float64 if header[name]["dtype"] == "F64" else np.float32

@@ -1,7 +1,9 @@
-"""A device that no machine needs to have: tensors that say they lie on cuda:0, while the CPU holds and computes their values.
+"""A device that no machine needs to have: tensors that say they lie on cuda:0, while the CPU holds
+and computes their values.
 
-What CUDA would refuse is refused: reading such a tensor through numpy, and operations on tensors of both devices. Operators run on
-the values that are held, so results are those of the CPU; what is shown is where each tensor lies, and nothing about a GPU's numbers.
+What CUDA would refuse is refused: reading such a tensor through numpy, and operations on tensors of
+both devices. Operators run on the values that are held, so results are those of the CPU; what is
+shown is where each tensor lies, and nothing about a GPU's numbers.
 
     with fake_device.present():
         x = torch.zeros(3).to(fake_device.DEVICE)
@@ -14,20 +16,37 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._pytree import tree_leaves, tree_map
 
 DEVICE = torch.device("cuda", 0)
-ACROSS = {"aten::copy_", "aten::_to_copy", "aten::_foreach_copy_"}  # operators that move values between devices
+# operators that move values between devices
+ACROSS = {"aten::copy_", "aten::_to_copy", "aten::_foreach_copy_"}
 INDEXING = {
     "aten::index.Tensor",
     "aten::index_put_",
     "aten::index_put",
     "aten::_index_put_impl_",
 }  # indices of a tensor on DEVICE may lie on the CPU
-WHOLE = {"aten::cat", "aten::stack"}  # operators that take not even a single number of another device
+# operators that take not even a single number of another device
+WHOLE = {"aten::cat", "aten::stack"}
 FACTORIES = {
     getattr(torch, name)
-    for name in ("tensor", "as_tensor", "zeros", "ones", "empty", "full", "arange", "linspace", "rand", "randn", "eye", "from_numpy")
+    for name in (
+        "tensor",
+        "as_tensor",
+        "zeros",
+        "ones",
+        "empty",
+        "full",
+        "arange",
+        "linspace",
+        "rand",
+        "randn",
+        "eye",
+        "from_numpy",
+    )
 }
 LIKE = {torch.zeros_like, torch.ones_like, torch.empty_like, torch.rand_like, torch.full_like}
-NEW = {getattr(torch.Tensor, f"new_{name}") for name in ("tensor", "zeros", "ones", "empty", "full")}
+NEW = {
+    getattr(torch.Tensor, f"new_{name}") for name in ("tensor", "zeros", "ones", "empty", "full")
+}
 
 
 class OnDevice(torch.Tensor):
@@ -37,7 +56,12 @@ class OnDevice(torch.Tensor):
 
     @staticmethod
     def __new__(cls, held):
-        layout = {"strides": held.stride(), "storage_offset": held.storage_offset(), "dtype": held.dtype, "device": "cpu"}
+        layout = {
+            "strides": held.stride(),
+            "storage_offset": held.storage_offset(),
+            "dtype": held.dtype,
+            "device": "cpu",
+        }
         return torch.Tensor._make_wrapper_subclass(cls, held.shape, **layout)
 
     def __init__(self, held):
@@ -51,7 +75,9 @@ class OnDevice(torch.Tensor):
     is_cpu = property(lambda self: False)
 
     def numpy(self, **_):
-        raise TypeError(f"can't convert {DEVICE} device type tensor to numpy. Use Tensor.cpu() first.")
+        raise TypeError(
+            f"can't convert {DEVICE} device type tensor to numpy. Use Tensor.cpu() first."
+        )
 
     __array__ = numpy
 
@@ -70,13 +96,20 @@ class OnDevice(torch.Tensor):
     @classmethod
     def __torch_dispatch__(cls, function, types, args=(), kwargs=None):
         kwargs = kwargs or {}
-        name = function._schema.name if function._schema.name != "aten::index" else "aten::index.Tensor"
+        name = (
+            function._schema.name
+            if function._schema.name != "aten::index"
+            else "aten::index.Tensor"
+        )
         require_one_device(name, args, kwargs)
         options = {key: value for key, value in kwargs.items() if key != "device"}
         result = function(*tree_map(held_of, args), **tree_map(held_of, options))
-        if function._schema.is_mutable:  # an operator in place, or one with out=: the tensor that was written to
+        # an operator in place, or one with out=: the tensor that was written to
+        if function._schema.is_mutable:
             return kwargs.get("out", args[0]) if function._schema.returns else None
-        return tree_map(lambda value: OnDevice(value) if isinstance(value, torch.Tensor) else value, result)
+        return tree_map(
+            lambda value: OnDevice(value) if isinstance(value, torch.Tensor) else value, result
+        )
 
 
 def held_of(value):
@@ -86,13 +119,19 @@ def held_of(value):
 
 def require_one_device(name, args, kwargs):
     """Raises RuntimeError, as CUDA does, for an operator on tensors of both devices."""
-    if name in ACROSS or torch._C._current_graph_task_id() != -1:  # autograd makes zeros of its own, which cannot be told from ours
+    # autograd makes zeros of its own, which cannot be told from ours
+    if name in ACROSS or torch._C._current_graph_task_id() != -1:
         return
     checked = (args[0], *args[2:]) if name in INDEXING and isinstance(args[0], OnDevice) else args
     given = [leaf for leaf in tree_leaves((checked, kwargs)) if isinstance(leaf, torch.Tensor)]
-    other = [leaf for leaf in given if not isinstance(leaf, OnDevice) and (leaf.ndim or name in WHOLE)]
+    other = [
+        leaf for leaf in given if not isinstance(leaf, OnDevice) and (leaf.ndim or name in WHOLE)
+    ]
     if other and len(other) < len(given):
-        raise RuntimeError(f"{name}: Expected all tensors to be on the same device, found at least two, {DEVICE} and cpu!")
+        raise RuntimeError(
+            f"{name}: Expected all tensors to be on the same device, found at least two, {DEVICE}"
+            " and cpu!"
+        )
 
 
 class Enter(torch.autograd.Function):
@@ -161,7 +200,8 @@ class Present(TorchFunctionMode):
 def present():
     """A context in which DEVICE can be used."""
     before = torch.__future__.get_overwrite_module_params_on_conversion()
-    torch.__future__.set_overwrite_module_params_on_conversion(True)  # a module's parameters take the type of what they are moved to
+    # a module's parameters take the type of what they are moved to
+    torch.__future__.set_overwrite_module_params_on_conversion(True)
     try:
         with Present():
             yield

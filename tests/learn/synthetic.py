@@ -1,4 +1,6 @@
-"""Small datasets whose pictures are computed here instead of in Cycles: a sphere, known materials, known light, known noise."""
+"""Small datasets whose pictures are computed here instead of in Cycles: a sphere, known materials,
+known light, known noise.
+"""
 
 import hashlib
 
@@ -9,7 +11,16 @@ import torch
 from learn.layer import render
 from manifests import arrays, exr, ids
 from manifests import materials as catalogue
-from manifests.schema import Camera, Dataset, LightEntry, MaterialEntry, Record, ShapeEntry, Statistics, View
+from manifests.schema import (
+    Camera,
+    Dataset,
+    LightEntry,
+    MaterialEntry,
+    Record,
+    ShapeEntry,
+    Statistics,
+    View,
+)
 from manifests.splits import split_of
 from manifests.store import Lines, Store, geometry_path, image_path, light_path
 from manifests.viewpoints import azimuths_deg
@@ -21,7 +32,8 @@ SHAPE, LIGHT, RENDER = "5" * 64, "a" * 64, "synthetic"  # stand-ins of hashes
 
 
 def matte(name="matte", albedo=ALBEDO, split="train", node_fit=0.0):
-    """A material whose label and mixture are the same Lambert surface: c^γ = 1 for γ → 0, f = expm1(κ) = albedo/π.
+    """A material whose label and mixture are the same Lambert surface: c^γ = 1 for γ → 0, f =
+    expm1(κ) = albedo/π.
 
     node_fit  the display L2 between label and nodes that its catalogue entry states
     """
@@ -41,7 +53,9 @@ def entry(name, m, mixture, split="train", node_fit=0.0):
         licence="CC0",
         split=split,
         hash=catalogue.material_hash(label, nodes),
-        errors=catalogue.Errors(nodes_vs_label=distance, nodes_vs_source=distance, label_vs_source=distance),
+        errors=catalogue.Errors(
+            nodes_vs_label=distance, nodes_vs_source=distance, label_vs_source=distance
+        ),
         label=label,
         mixture=nodes,
     )
@@ -73,7 +87,8 @@ def write_dataset(
     category="primitive",
     side="train",
 ):
-    """A dataset in `folder`: every material under one random light at each rotation; pictures by the layer, times noise.
+    """A dataset in `folder`: every material under one random light at each rotation; pictures by
+    the layer, times noise.
 
     noise           relative standard deviation of a pixel's value
     category, side  of the one shape there is
@@ -83,14 +98,30 @@ def write_dataset(
     L, scale = envmap.unit_mean(np.exp(rng.standard_normal((64, 128, 3))))
     stored = light_path("sky", LIGHT)
     digest = store.place(stored, arrays.encode_light(L, scale), "test")
-    shape = ShapeEntry(hash=SHAPE, category=category, side=side, role=side, segments=1, licence="CC0")
-    entries = {e.name: MaterialEntry(hash=e.hash, side=e.split, licence=e.licence, source=e.source) for e in materials}
-    lights = {"sky": LightEntry(hash=LIGHT, file=stored, file_hash=digest, scale=scale, licence="CC0")}
-    dataset = Dataset(settings={RENDER: {}}, shapes={"sphere": shape}, materials=entries, lights=lights)
+    shape = ShapeEntry(
+        hash=SHAPE, category=category, side=side, role=side, segments=1, licence="CC0"
+    )
+    entries = {
+        e.name: MaterialEntry(hash=e.hash, side=e.split, licence=e.licence, source=e.source)
+        for e in materials
+    }
+    lights = {
+        "sky": LightEntry(hash=LIGHT, file=stored, file_hash=digest, scale=scale, licence="CC0")
+    }
+    dataset = Dataset(
+        settings={RENDER: {}}, shapes={"sphere": shape}, materials=entries, lights=lights
+    )
     store.write_json("dataset.json", dataset)
-    catalogue.write(catalogue.Catalogue(title="test", credit="none", materials=tuple(materials)), store.folder / "materials.json")
+    catalogue.write(
+        catalogue.Catalogue(title="test", credit="none", materials=tuple(materials)),
+        store.folder / "materials.json",
+    )
     normals, mask = sphere(camera)
-    view = None if fov_deg is None else frames.view_vectors(size, size, np.radians(fov_deg)).astype(np.float32)
+    view = (
+        None
+        if fov_deg is None
+        else frames.view_vectors(size, size, np.radians(fov_deg)).astype(np.float32)
+    )
     if view is not None:
         mask = mask & ((normals * view).sum(-1) > 1e-3)
         normals = np.where(mask[..., None], normals, 0)
@@ -107,7 +138,20 @@ def write_dataset(
             for tier in tiers:
                 for seed in range(seeds):
                     noisy = picture * (1 + noise * rng.standard_normal(picture.shape))
-                    lines.append(write_record(store, dataset, each.name, turn, tier, seed, noisy, mask, camera, geometry_hash))
+                    lines.append(
+                        write_record(
+                            store,
+                            dataset,
+                            each.name,
+                            turn,
+                            tier,
+                            seed,
+                            noisy,
+                            mask,
+                            camera,
+                            geometry_hash,
+                        )
+                    )
     lines.close()
     return store
 
@@ -140,32 +184,51 @@ def write_record(store, dataset, material, turn, tier, seed, picture, mask, came
         geometry=geometry_file(camera),
         geometry_hash=geometry_hash,
         split=split_of(dataset.shapes["sphere"].side, [dataset.materials[material].side]),
-        statistics=Statistics(coverage=float(mask.mean()), mean=float(picture[mask].mean()), max=float(picture[mask].max())),
+        statistics=Statistics(
+            coverage=float(mask.mean()),
+            mean=float(picture[mask].mean()),
+            max=float(picture[mask].max()),
+        ),
         seconds=0.0,
     )
     return with_picture(store, named(record, dataset), picture)
 
 
 def named(record, dataset):
-    """The record with the id, the geometry and the picture's path that follow from everything else in it."""
+    """The record with the id, the geometry and the picture's path that follow from everything else
+    in it.
+    """
     hashes = tuple(dataset.materials[name].hash for name in record.materials)
     camera = ids.camera_words(record.camera)
-    shared = ids.shots_digest(RENDER, record.shape_hash, hashes, record.light_hash, camera, record.samples)
-    place = (record.viewpoint, record.rotation_texels, record.tier, record.light_resolution, record.seed)
+    shared = ids.shots_digest(
+        RENDER, record.shape_hash, hashes, record.light_hash, camera, record.samples
+    )
+    place = (
+        record.viewpoint,
+        record.rotation_texels,
+        record.tier,
+        record.light_resolution,
+        record.seed,
+    )
     id_ = ids.shot_id(shared, *place)
     geometry = geometry_path(ids.geometry_id(record.shape_hash, camera, record.viewpoint, RENDER))
     azimuth = azimuths_deg()[record.viewpoint]
-    return msgspec.structs.replace(record, id=id_, image=image_path(id_), geometry=geometry, azimuth_deg=azimuth)
+    return msgspec.structs.replace(
+        record, id=id_, image=image_path(id_), geometry=geometry, azimuth_deg=azimuth
+    )
 
 
 def with_picture(store, record, picture):
     """The record with a picture (H, W, 3), which is put in place."""
     channels = {name: picture[..., k].astype(np.float16) for k, name in enumerate("RGB")}
-    return msgspec.structs.replace(record, image_hash=store.place(record.image, exr.encode(channels), "test"))
+    return msgspec.structs.replace(
+        record, image_hash=store.place(record.image, exr.encode(channels), "test")
+    )
 
 
 def rename(store, change):
-    """Writes every record anew as change(record), with the ids that follow, its picture under the new name.
+    """Writes every record anew as change(record), with the ids that follow, its picture under the
+    new name.
 
     dataset.json must hold by now what the records name.
     """
@@ -182,14 +245,20 @@ def rename(store, change):
 
 
 def exchange(store, material, name=None):
-    """Another material in the place of the one of its name, or of `name`, in the catalogue and in every record."""
+    """Another material in the place of the one of its name, or of `name`, in the catalogue and in
+    every record.
+    """
     name, dataset = name or material.name, store.dataset()
     path = store.folder / "materials.json"
     held = catalogue.read_catalogue(path)
     entries = tuple(material if each.name == name else each for each in held.materials)
     path.write_bytes(catalogue.encode(msgspec.structs.replace(held, materials=entries)))
-    entry = MaterialEntry(hash=material.hash, side=material.split, licence=material.licence, source=material.source)
-    known = {key: value for key, value in dataset.materials.items() if key != name} | {material.name: entry}
+    entry = MaterialEntry(
+        hash=material.hash, side=material.split, licence=material.licence, source=material.source
+    )
+    known = {key: value for key, value in dataset.materials.items() if key != name} | {
+        material.name: entry
+    }
     store.write_json("dataset.json", msgspec.structs.replace(dataset, materials=known))
 
     def change(record):
@@ -201,9 +270,16 @@ def exchange(store, material, name=None):
 
 
 def add_shape(store, name, side):
-    """Adds a shape that looks like the first one, with a copy of each of its pictures; returns the new records."""
+    """Adds a shape that looks like the first one, with a copy of each of its pictures; returns the
+    new records.
+    """
     dataset, (path,) = store.dataset(), store.record_files()
-    entry = msgspec.structs.replace(dataset.shapes["sphere"], hash=hashlib.sha256(name.encode()).hexdigest(), side=side, role=side)
+    entry = msgspec.structs.replace(
+        dataset.shapes["sphere"],
+        hash=hashlib.sha256(name.encode()).hexdigest(),
+        side=side,
+        role=side,
+    )
     dataset = msgspec.structs.replace(dataset, shapes={**dataset.shapes, name: entry})
     store.write_json("dataset.json", dataset)
     lines, found = Lines(path), []
@@ -220,7 +296,9 @@ def add_shape(store, name, side):
 
 
 def another_geometry(store, record, path, number):
-    """A geometry file like a record's, with other depths, so that its hash is another; returns that."""
+    """A geometry file like a record's, with other depths, so that its hash is another; returns
+    that.
+    """
     channels = exr.read(store.folder / record.geometry)
     channels["depth.Z"] = channels["depth.Z"] * (1 + 2.0**-8 * number)
     return store.place(path, exr.encode(channels), "test")
@@ -228,11 +306,17 @@ def another_geometry(store, record, path, number):
 
 def view_of(store, record, viewpoint=None):
     """The View of a record's geometry; of another viewpoint, with a file of its own."""
-    shared = {key: getattr(record, key) for key in View.__struct_fields__ if key not in ("side", "id")}
+    shared = {
+        key: getattr(record, key) for key in View.__struct_fields__ if key not in ("side", "id")
+    }
     side = store.dataset().shapes[record.shape].side
     if viewpoint is not None:
         camera = ids.camera_words(record.camera)
         path = geometry_path(ids.geometry_id(record.shape_hash, camera, viewpoint, RENDER))
-        shared |= {"viewpoint": viewpoint, "azimuth_deg": azimuths_deg()[viewpoint], "geometry": path}
+        shared |= {
+            "viewpoint": viewpoint,
+            "azimuth_deg": azimuths_deg()[viewpoint],
+            "geometry": path,
+        }
         shared["geometry_hash"] = another_geometry(store, record, path, 100 + viewpoint)
     return View(**shared, id=shared["geometry"].rpartition("/")[2].removesuffix(".exr"), side=side)

@@ -1,4 +1,6 @@
-"""The methods that Section 4.5 compares with: they train, come back from their files, and keep the tables' protocol."""
+"""The methods that Section 4.5 compares with: they train, come back from their files, and keep the
+tables' protocol.
+"""
 
 from dataclasses import replace
 
@@ -38,15 +40,22 @@ def quick(monkeypatch):
 @pytest.fixture(scope="module")
 def data_splits(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
-    synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere")
+    synthetic.write_dataset(
+        folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere"
+    )
     geometry, rng = Geometry(folder, progress=False), np.random.default_rng(2)
     labels = {f"m{i}": painted(albedo) for i, albedo in enumerate(np.linspace(0.05, 0.9, 12))}
     maps = [lights.computed(rng).astype(np.float32) for _ in range(6)]
-    return {side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
+    return {
+        side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side)
+        for side in ("train", "validation", "test")
+    }
 
 
 def painted(albedo):
-    """label (108,) of a matte material, one albedo in each channel: γ so small that c^γ is 1, two lobes next to nothing."""
+    """label (108,) of a matte material, one albedo in each channel: γ so small that c^γ is 1, two
+    lobes next to nothing.
+    """
     m = np.full((3, 3, 2, 6), 1e-3, np.float32)
     m[:, 0, 0] = np.log1p(albedo * np.array([1.0, 0.8, 0.6]) / np.pi)[:, None]
     return np.log(m).reshape(-1)
@@ -55,7 +64,15 @@ def painted(albedo):
 def run(network, **losses):
     parts = ("material",) if network == "encoder-decoder" else ("normals", "material", "light")
     schedule = Schedule(steps=2, batch=4, warm_up=1)
-    return Run(name="test", network=network, size=SIZE, parts=parts, data=Data(sharing=2), losses=Losses(**losses), schedule=schedule)
+    return Run(
+        name="test",
+        network=network,
+        size=SIZE,
+        parts=parts,
+        data=Data(sharing=2),
+        losses=Losses(**losses),
+        schedule=schedule,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +85,11 @@ def folder(data_splits, known, tmp_path_factory):
     """Weights of two steps, and priors: all that `found` looks for."""
     out = tmp_path_factory.mktemp("baselines")
     for name, kind, settings in (
-        ("baseline-1", material_swap.SwapTraining, run("encoder-decoder", normals=0, material=1, target=20)),
+        (
+            "baseline-1",
+            material_swap.SwapTraining,
+            run("encoder-decoder", normals=0, material=1, target=20),
+        ),
         ("baseline-2", Training, run("separate", normals=1, material=1, light_log=1)),
     ):
         kind(settings, data_splits, out / name, sheet_every=2, workers=0).train()
@@ -107,7 +128,9 @@ def test_what_is_missing_is_named_with_its_remedy(tmp_path):
 
 
 def test_weights_of_another_network_are_refused(folder, tmp_path):
-    (tmp_path / "baseline-2.safetensors").write_bytes((folder / "baseline-1.safetensors").read_bytes())
+    (tmp_path / "baseline-2.safetensors").write_bytes(
+        (folder / "baseline-1.safetensors").read_bytes()
+    )
     with pytest.raises(InputError, match="'separate'"):
         methods.present_and_missing(tmp_path)
 
@@ -119,8 +142,14 @@ def test_the_three_networks_share_nothing():
     for part, output in (("normals", "n"), ("material", "code"), ("light", "light")):
         network.zero_grad(set_to_none=True)
         (getattr(network(image, mask), output) ** 3).sum().backward()
-        moved[part] = {name for name, parameter in network.named_parameters() if parameter.grad is not None}
-    assert not (moved["normals"] & moved["material"] or moved["normals"] & moved["light"] or moved["material"] & moved["light"])
+        moved[part] = {
+            name for name, parameter in network.named_parameters() if parameter.grad is not None
+        }
+    assert not (
+        moved["normals"] & moved["material"]
+        or moved["normals"] & moved["light"]
+        or moved["material"] & moved["light"]
+    )
     assert set().union(*moved.values()) == {name for name, _ in network.named_parameters()}
 
 
@@ -128,7 +157,10 @@ def test_the_true_target_is_the_layers_picture_in_the_target_material(data_split
     pair = material_swap.Paired(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     for i in range(4):
         expected = rendered(
-            pair.n[i : i + 1], pair.target_label[i], pair.light[i : i + 1], replace(pair, segments=pair.segments[i : i + 1])
+            pair.n[i : i + 1],
+            pair.target_label[i],
+            pair.light[i : i + 1],
+            replace(pair, segments=pair.segments[i : i + 1]),
         )
         mine = pair.target[i].movedim(0, -1).numpy()
         assert np.abs(mine - expected).mean() / expected.mean() < 0.03  # two methods, each at 1e-2
@@ -141,8 +173,15 @@ def test_a_true_edit_has_no_loss(data_splits):
     code, embedded = network.ranges.code(pair.label), network.ranges.code(pair.target_label)
     truth = edited._replace(code=code, embedded=embedded, picture=compressed(pair.target))
     weights = Losses(material=1, target=20)
-    assert max(value.item() for value in material_swap.terms(truth, pair, weights, network.ranges).values()) < 1e-10
-    assert material_swap.figures(truth, pair, network.ranges)["target_l2"] < 1e-3  # float32 through logarithm and back
+    assert (
+        max(
+            value.item()
+            for value in material_swap.terms(truth, pair, weights, network.ranges).values()
+        )
+        < 1e-10
+    )
+    # float32 through logarithm and back
+    assert material_swap.figures(truth, pair, network.ranges)["target_l2"] < 1e-3
     assert material_swap.terms(edited, pair, weights, network.ranges)["target"] > 1e-3
 
 
@@ -152,22 +191,33 @@ def test_radiance_inverts_the_compressed_picture():
 
 
 def test_the_wanted_material_changes_the_edit(data_splits, batch):
-    network = EncoderDecoder(Ranges.of(torch.from_numpy(np.stack(list(data_splits["train"].labels.values()))))).eval()
+    network = EncoderDecoder(
+        Ranges.of(torch.from_numpy(np.stack(list(data_splits["train"].labels.values()))))
+    ).eval()
     with torch.no_grad():
-        one, other = (network(batch.image, batch.mask, torch.from_numpy(painted(a))[None, None]).picture for a in (0.1, 0.8))
+        one, other = (
+            network(batch.image, batch.mask, torch.from_numpy(painted(a))[None, None]).picture
+            for a in (0.1, 0.8)
+        )
     assert (one - other).abs().max() > 1e-3
 
 
 def test_an_estimate_ends_below_its_start_and_nearer_to_the_pictures_brightness(batch, known):
     label = torch.from_numpy(painted(0.08))[None, None]
-    shone = {"n": batch.n.movedim(1, -1), "material": label[:, 0].exp(), "light": batch.light.movedim(1, -1)}
+    shone = {
+        "n": batch.n.movedim(1, -1),
+        "material": label[:, 0].exp(),
+        "light": batch.light.movedim(1, -1),
+    }
     picture = render(**shone, elevation=batch.elevation).movedim(-1, 1)
     dark = replace(batch, image=picture, label=label)
     found = posterior.estimate(dark, known)
     assert found.after < 0.2 * found.before
     again = rendered(dark.n, found.label[0], found.light, dark)
     start = posterior.Posterior(dark, known).start()
-    first = rendered(dark.n, known.label(start[0]).float(), known.light(start[1], 64, 128).float(), dark)
+    first = rendered(
+        dark.n, known.label(start[0]).float(), known.light(start[1], 64, 128).float(), dark
+    )
     seen, inside = picture[0].movedim(0, -1).numpy(), dark.mask[0, 0].numpy() > 0
     off = [abs(np.log(p[inside].mean() / seen[inside].mean())) for p in (again, first)]
     assert off[0] < 0.5 * off[1]
@@ -184,9 +234,12 @@ def test_an_estimate_that_went_astray_is_not_taken(batch, known, monkeypatch):
 def test_priors_hold_the_training_materials_and_maps(data_splits, known, tmp_path):
     labels = np.stack(list(data_splits["train"].labels.values()))
     z = (labels - known.mean.numpy()) @ np.linalg.pinv(known.directions.numpy())
-    assert np.abs(known.label(torch.from_numpy(z)).numpy() - labels).max() < 0.5  # 1 % of the variance is left out
+    # 1 % of the variance is left out
+    assert np.abs(known.label(torch.from_numpy(z)).numpy() - labels).max() < 0.5
     assert 0.5 < np.sqrt((z**2).mean()) < 2  # standard normal, but for channel orders
-    spread = torch.randn(known.light_mean.shape, generator=torch.Generator().manual_seed(0)).double()
+    spread = torch.randn(
+        known.light_mean.shape, generator=torch.Generator().manual_seed(0)
+    ).double()
     light = known.light(spread, 64, 128)[0].movedim(0, -1).numpy()
     assert envmap.mean_radiance(light) @ envmap.LUMINANCE == pytest.approx(1, abs=1e-5)
     priors.save(tmp_path / "p.safetensors", known, {})
@@ -202,7 +255,10 @@ def test_a_picture_of_another_size_is_seen_at_the_networks_own(folder, data_spli
     (method,) = (m for m in methods.present_and_missing(folder)[0] if m.name == "Baseline 2")
     net, _ = checkpoint.load_network(folder / "baseline-2.safetensors")
     batch = RelitDataset(data_splits["test"], Data(sharing=1), 1, SIZE, 5)[0]
-    double = {name: getattr(batch, name).repeat_interleave(2, -1).repeat_interleave(2, -2) for name in ("image", "mask", "n", "segments")}
+    double = {
+        name: getattr(batch, name).repeat_interleave(2, -1).repeat_interleave(2, -2)
+        for name in ("image", "mask", "n", "segments")
+    }
     found = methods.predicting(net, SIZE)(replace(batch, **double))
     torch.testing.assert_close(found.light, method.parts(batch).light)
     assert found.n.shape == (1, 3, 2 * SIZE, 2 * SIZE)
@@ -212,4 +268,6 @@ def test_a_picture_of_another_size_is_seen_at_the_networks_own(folder, data_spli
 def test_presets_of_the_baselines_name_their_networks(root):
     for path in (root / "manifests" / "runs").glob("baseline-*.json"):
         settings = msgspec.json.decode(path.read_bytes(), type=Run)
-        assert settings.network == ("separate" if path.stem.startswith("baseline-2") else "encoder-decoder")
+        assert settings.network == (
+            "separate" if path.stem.startswith("baseline-2") else "encoder-decoder"
+        )

@@ -1,4 +1,6 @@
-"""Rendered pictures as a source: sides, partners, order, mixtures; and bad data told, or left out and counted, before training starts."""
+"""Rendered pictures as a source: sides, partners, order, mixtures; and bad data told, or left out
+and counted, before training starts.
+"""
 
 import json
 from dataclasses import replace
@@ -37,7 +39,9 @@ def rendered_split(tmp_path_factory):
 
 def written(folder):
     both = [synthetic.matte("dark", 0.2), synthetic.matte("light", 0.8)]
-    return synthetic.write_dataset(folder, both, np.random.default_rng(3), size=SIZE, seeds=1, noise=0.0, category="sphere")
+    return synthetic.write_dataset(
+        folder, both, np.random.default_rng(3), size=SIZE, seeds=1, noise=0.0, category="sphere"
+    )
 
 
 def album_of(folder):
@@ -47,7 +51,14 @@ def album_of(folder):
 
 def data_split(rendered_split, side="train"):
     labels = {name: rendered_split.records.label(name) for name in ("dark", "light")}
-    return DataSplit(rendered_split.geometry, np.arange(1), labels, [rendered_split.records.light("sky")], side, rendered_split)
+    return DataSplit(
+        rendered_split.geometry,
+        np.arange(1),
+        labels,
+        [rendered_split.records.light("sky")],
+        side,
+        rendered_split,
+    )
 
 
 def test_a_pictures_target_is_the_record_of_the_other_material_under_the_same_light(rendered_split):
@@ -55,18 +66,28 @@ def test_a_pictures_target_is_the_record_of_the_other_material_under_the_same_li
     for i, name in enumerate(batch.names):
         record = next(r for r in rendered_split.records.records if r.id in name)
         other = next(
-            r for r in rendered_split.records.records if r.rotation_texels == record.rotation_texels and r.materials != record.materials
+            r
+            for r in rendered_split.records.records
+            if r.rotation_texels == record.rotation_texels and r.materials != record.materials
         )
         mask = batch.mask[i, 0].numpy()[..., None]
-        assert np.array_equal(batch.image[i].movedim(0, -1).numpy(), rendered_split.records.image(record) * mask)
-        assert np.array_equal(batch.target[i].movedim(0, -1).numpy(), rendered_split.records.image(other) * mask)
-        assert np.array_equal(batch.target_label[i, 0].numpy(), rendered_split.records.label(other.materials[0]))
+        assert np.array_equal(
+            batch.image[i].movedim(0, -1).numpy(), rendered_split.records.image(record) * mask
+        )
+        assert np.array_equal(
+            batch.target[i].movedim(0, -1).numpy(), rendered_split.records.image(other) * mask
+        )
+        assert np.array_equal(
+            batch.target_label[i, 0].numpy(), rendered_split.records.label(other.materials[0])
+        )
         rolled = envmap.roll(rendered_split.records.light("sky"), record.rotation_texels)
         assert np.array_equal(batch.light[i].movedim(0, -1).numpy(), rolled)
 
 
 def test_without_a_partner_the_layer_renders_the_target(rendered_split):
-    lonely = RenderedSplit(rendered_split.records, rendered_split.geometry, rendered_split.records.records[:1])
+    lonely = RenderedSplit(
+        rendered_split.records, rendered_split.geometry, rendered_split.records.records[:1]
+    )
     batch = RenderedDataset(data_split(lonely, "test"), Data(), 1, SIZE, 5)[0]
     mine = validation.picture(batch.n, batch.target_label, batch.light, batch)
     truth = batch.target.movedim(1, -1).numpy()
@@ -76,10 +97,12 @@ def test_without_a_partner_the_layer_renders_the_target(rendered_split):
 def test_an_epoch_shows_each_picture_once_and_parts_make_the_whole(rendered_split):
     source = RenderedDataset(data_split(rendered_split), Data(), 2, SIZE, 5)
     for epoch in (0, 1):
-        assert sorted(name.split(" ")[3] for k in (0, 1) for name in source[2 * epoch + k].names) == sorted(
-            r.id for r in rendered_split.chosen
-        )
-    parts = [RenderedDataset(data_split(rendered_split), Data(), 2, SIZE, 5, (i, 2))[3] for i in (0, 1)]
+        assert sorted(
+            name.split(" ")[3] for k in (0, 1) for name in source[2 * epoch + k].names
+        ) == sorted(r.id for r in rendered_split.chosen)
+    parts = [
+        RenderedDataset(data_split(rendered_split), Data(), 2, SIZE, 5, (i, 2))[3] for i in (0, 1)
+    ]
     assert torch.equal(torch.cat([part.image for part in parts]), source[3].image)
 
 
@@ -88,7 +111,8 @@ def test_augmentation_moves_picture_truth_and_target_together(rendered_split):
     inside = (batch.segments > 0)[:, None]
     assert ((batch.n.norm(dim=1, keepdim=True) > 0.5) == inside).all()
     assert (batch.picture * ~inside).abs().max() == 0
-    mine = validation.picture(batch.n, batch.label, batch.light, batch)  # channels of picture, label and light permuted alike
+    # channels of picture, label and light permuted alike
+    mine = validation.picture(batch.n, batch.label, batch.light, batch)
     truth = batch.picture.movedim(1, -1).numpy()
     assert np.abs(mine - truth).mean() / truth.mean() < 0.03
 
@@ -100,8 +124,15 @@ def test_the_loss_compares_with_the_rendered_picture(rendered_split):
     wanted = Losses(normals=0, material=0, image=1, target=1, pixels=64, layer_light=(64, 128))
     nothing = Prediction(None, None, None, None, None)
     found = losses.terms(nothing, batch, wanted, torch.Generator().manual_seed(0), None)
-    assert max(found.values()) < 1e-6  # the parts are true, and the pictures are the layer's own in half precision
-    brighter = losses.terms(nothing, replace(batch, picture=batch.picture * 2), wanted, torch.Generator().manual_seed(0), None)
+    # the parts are true, and the pictures are the layer's own in half precision
+    assert max(found.values()) < 1e-6
+    brighter = losses.terms(
+        nothing,
+        replace(batch, picture=batch.picture * 2),
+        wanted,
+        torch.Generator().manual_seed(0),
+        None,
+    )
     assert brighter["image"] > 1e-3
 
 
@@ -129,7 +160,9 @@ def test_records_of_more_materials_than_regions_do_not_fit(rendered_split):
 
 
 def test_the_source_is_what_the_run_says(rendered_split):
-    of = lambda **data: sources.source_of(data_split(rendered_split), Run(name="t", size=SIZE, data=Data(sharing=2, **data)), 4, 1)  # noqa: E731
+    of = lambda **data: sources.source_of(
+        data_split(rendered_split), Run(name="t", size=SIZE, data=Data(sharing=2, **data)), 4, 1
+    )  # noqa: E731
     assert isinstance(of(), RelitDataset)
     assert isinstance(of(source="pictures"), RenderedDataset)
     assert isinstance(of(source="mix"), MixedDataset)
@@ -157,7 +190,9 @@ def of_training(store, data, maps=None):
     records = Records(store.folder)
     maps = maps or {"sky": ("train", records.light("sky"))}
     drawn, _ = sources.materials_of(data, records)
-    rendered_splits = sources._rendered_splits(data, store.folder, Geometry(store.folder, progress=False), maps, drawn, False, False)
+    rendered_splits = sources._rendered_splits(
+        data, store.folder, Geometry(store.folder, progress=False), maps, drawn, False, False
+    )
     return {record.materials for record in rendered_splits["train"].chosen}
 
 
@@ -184,7 +219,9 @@ def damage(store, kind):
     elif kind == "not finite":
         image = Records(store.folder).image(record)
         image[SIZE // 2, SIZE // 2] = np.nan
-        synthetic.write_exr(path, {name: image[..., k].astype(np.float16) for k, name in enumerate("RGB")})
+        synthetic.write_exr(
+            path, {name: image[..., k].astype(np.float16) for k, name in enumerate("RGB")}
+        )
     return path
 
 
@@ -195,30 +232,42 @@ def test_a_bad_picture_stops_before_training_or_is_left_out_and_counted(store, k
     with pytest.raises(InputError, match=path.name) as told:
         preflight.checked(records, records.records, geometry, progress=False)
     assert "\n" not in str(told.value)
-    good, skipped = preflight.checked(records, records.records, geometry, skip_bad=True, progress=False)
+    good, skipped = preflight.checked(
+        records, records.records, geometry, skip_bad=True, progress=False
+    )
     assert set(skipped) == {first(store).id}
     assert {r.id for r in good} == {r.id for r in records.records} - set(skipped)
 
 
 @pytest.mark.parametrize("kind", ["light", "label"])
-def test_a_light_or_a_label_out_of_range_stops_before_training_or_its_pictures_are_left_out(store, kind):
+def test_a_light_or_a_label_out_of_range_stops_before_training_or_its_pictures_are_left_out(
+    store, kind
+):
     if kind == "light":
         path = store.folder / store.dataset().lights["sky"].file
         with np.load(path) as arrays:
             L, scale = arrays["L"], arrays["scale"]
         L[3, 3, 1] = np.nan
         np.savez(path, L=L, scale=scale)
-        told, bad = rf"{path.name}: expected finite radiance ≥ 0, found 1 values", {r.id for r in store.records()}
+        told, bad = (
+            rf"{path.name}: expected finite radiance ≥ 0, found 1 values",
+            {r.id for r in store.records()},
+        )
     else:
         dark = materials.read_catalogue(store.folder / "materials.json").materials[0]
         label = (*dark.label[:5], 1e30, *dark.label[6:])
         hash_ = materials.material_hash(label, dark.mixture)
         synthetic.exchange(store, msgspec.structs.replace(dark, label=label, hash=hash_))
-        told, bad = "'dark': expected natural logarithms up to 14", {r.id for r in store.records() if r.materials == ("dark",)}
+        told, bad = (
+            "'dark': expected natural logarithms up to 14",
+            {r.id for r in store.records() if r.materials == ("dark",)},
+        )
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
     with pytest.raises(InputError, match=told):
         preflight.checked(records, records.records, geometry, progress=False)
-    good, skipped = preflight.checked(records, records.records, geometry, skip_bad=True, progress=False)
+    good, skipped = preflight.checked(
+        records, records.records, geometry, skip_bad=True, progress=False
+    )
     assert set(skipped) == bad
     assert {r.id for r in good} == {r.id for r in records.records} - bad
 
@@ -243,7 +292,9 @@ def test_bad_geometry_is_told_or_left_out_and_counted(store, kind):
             normals[SIZE // 2, SIZE // 2] = np.inf
         segments = segments * (kind != "empty")
         channels = {f"normal.{axis}": normals[..., k] for k, axis in enumerate("XYZ")}
-        synthetic.write_exr(path, channels | {"depth.Z": normals[..., 2], "segment": segments.astype(np.uint32)})
+        synthetic.write_exr(
+            path, channels | {"depth.Z": normals[..., 2], "segment": segments.astype(np.uint32)}
+        )
     with pytest.raises(InputError, match=path.name) as told:
         Geometry(store.folder, progress=False)
     assert "\n" not in str(told.value)
@@ -264,7 +315,9 @@ def test_views_that_are_left_out_leave_the_others_as_they_are(store):
     assert again.skipped == found.skipped
     with pytest.raises(InputError, match=gone.name):
         Geometry(store.folder, progress=False)
-    good, skipped = preflight.checked(Records(store.folder), [other], found, skip_bad=True, progress=False)
+    good, skipped = preflight.checked(
+        Records(store.folder), [other], found, skip_bad=True, progress=False
+    )
     assert not good
     assert len(skipped) == 1
 

@@ -1,8 +1,10 @@
-"""From Cycles' pixels to the layer: a data set as the factory writes it, read as training reads it, rendered again and compared.
+"""From Cycles' pixels to the layer: a data set as the factory writes it, read as training reads it,
+rendered again and compared.
 
 C₁, C₂  (H, W, 3) radiance, each the mean over half of the seeds: their noises are independent
 I       (H, W, 3) the layer's picture
-net     mean over pixels and channels of (C₁ − I)(C₂ − I): the noises drop out, what remains is shared by both halves
+net     mean over pixels and channels of (C₁ − I)(C₂ − I): the noises drop out, what remains is
+shared by both halves
 """
 
 import numpy as np
@@ -16,12 +18,15 @@ from manifests.schema import Camera, Job
 
 pytestmark = pytest.mark.blender
 SEEDS, SAMPLES, SIZE = 8, 16, 40
-GLOSSY = "blue-rubber"  # its catalogue entry states the node fit, and its lobes are wide beside a texel
+# its catalogue entry states the node fit, and its lobes are wide beside a texel
+GLOSSY = "blue-rubber"
 
 
 @pytest.fixture(scope="module", params=[None, 40.0], ids=["orthographic", "perspective"])
 def dataset(request, tmp_path_factory):
-    """Records of a sphere in two materials: a matte one whose label and nodes are the same function, and a fitted glossy one."""
+    """Records of a sphere in two materials: a matte one whose label and nodes are the same
+    function, and a fitted glossy one.
+    """
     pytest.importorskip("bpy", reason="needs Blender as a module (pip install .[factory])")
     import synthetic
 
@@ -30,7 +35,9 @@ def dataset(request, tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("cycles")
     own = folder / "own.json"
-    materials.write(materials.Catalogue(title="test", credit="none", materials=(synthetic.matte(),)), own)
+    materials.write(
+        materials.Catalogue(title="test", credit="none", materials=(synthetic.matte(),)), own
+    )
     job = Job(
         shapes=("sphere:6",),
         materials=("own", GLOSSY),
@@ -49,7 +56,9 @@ def dataset(request, tmp_path_factory):
 
 
 def compare(records, name, turn=0):
-    """(relative difference of means, its noise, relative root of net) of a material; turn: texels by which the layer's light is wrong."""
+    """(relative difference of means, its noise, relative root of net) of a material; turn: texels
+    by which the layer's light is wrong.
+    """
     chosen = [record for record in records.records if record.materials == (name,)]
     pictures = np.stack([records.image(record) for record in chosen]).astype(np.float64)
     scene = records.load(chosen[0]).for_layer()
@@ -67,10 +76,15 @@ def compare(records, name, turn=0):
 
 @pytest.mark.parametrize("name", ["matte", GLOSSY])
 def test_the_layer_renders_what_cycles_rendered(dataset, name):
-    """The largest shared difference allowed is .015 of the mean: noise leaves .007 here, the node fit of the glossy one is below .003."""
+    """The largest shared difference allowed is .015 of the mean: noise leaves .007 here, the node
+    fit of the glossy one is below .003.
+    """
     bias, noise, net = compare(dataset, name)
-    assert noise < 1.5e-3  # of the mean over 16,000 samples or more: without this the next line could not fail
-    assert abs(bias) <= 1e-3 + 4 * noise  # 1e-3: the quadrature's tolerance; four standard deviations of Cycles' noise
+    # of the mean over 16,000 samples or more: without this the next line could not fail
+    assert noise < 1.5e-3
+    # 1e-3: the quadrature's tolerance; four standard deviations of Cycles' noise
+    assert abs(bias) <= 1e-3 + 4 * noise
     assert abs(net) <= 0.015
-    turned_bias, _, turned_net = compare(dataset, name, turn=1)  # by 2.8°, the least that a light can be turned
+    # by 2.8°, the least that a light can be turned
+    turned_bias, _, turned_net = compare(dataset, name, turn=1)
     assert turned_net > 2 * 0.015 and abs(turned_bias) > 1e-3 + 4 * noise

@@ -26,7 +26,10 @@ def test_a_record_rendered_by_the_layer_is_its_own_picture(folder):
 
 
 def test_the_light_is_rolled_by_the_records_rotation(folder):
-    straight, turned = Records(folder, lambda r: r.rotation_texels == 0)[0], Records(folder, lambda r: r.rotation_texels == 5)[0]
+    straight, turned = (
+        Records(folder, lambda r: r.rotation_texels == 0)[0],
+        Records(folder, lambda r: r.rotation_texels == 5)[0],
+    )
     torch.testing.assert_close(turned.light[:, 5], straight.light[:, 0], rtol=0, atol=0)
 
 
@@ -35,7 +38,9 @@ def test_a_perspective_record_has_view_vectors(tmp_path, rng):
     sample = Records(tmp_path)[0]
     np.testing.assert_allclose(sample.view.norm(dim=-1), 1, atol=1e-6)
     assert sample.view[12, 0, 0] > 0.1  # left of the axis the viewer lies to the right
-    torch.testing.assert_close(sample.image, render(**sample.for_layer(), method="exact")[0], rtol=6e-4, atol=0)
+    torch.testing.assert_close(
+        sample.image, render(**sample.for_layer(), method="exact")[0], rtol=6e-4, atol=0
+    )
 
 
 def test_records_come_in_the_same_order_whatever_wrote_them(folder):
@@ -55,7 +60,9 @@ def damage(folder, what):
         path = next(folder.glob("lights/*.npz"))
         path.write_bytes(path.read_bytes()[:300])
     elif what == "no materials":
-        (folder / "materials.json").write_text('{"title": "none", "credit": "none", "materials": []}')
+        (folder / "materials.json").write_text(
+            '{"title": "none", "credit": "none", "materials": []}'
+        )
     elif what == "no dataset":
         (folder / "dataset.json").unlink()
 

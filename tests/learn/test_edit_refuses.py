@@ -1,4 +1,6 @@
-"""Bad input to `learn edit` and `learn transfer`: one line with the remedy and exit status 1, or dealt with."""
+"""Bad input to `learn edit` and `learn transfer`: one line with the remedy and exit status 1, or
+dealt with.
+"""
 
 import importlib
 import json
@@ -52,7 +54,17 @@ def told(capsys, *arguments):
 
 def edit(files, *more, photo="photo.png", mask="mask.png", material="brass"):
     masks = ["--mask", files / mask] if mask else []
-    return ["edit", files / photo, *masks, "--material", material, "--no-refine", "--out", files / "out", *more]
+    return [
+        "edit",
+        files / photo,
+        *masks,
+        "--material",
+        material,
+        "--no-refine",
+        "--out",
+        files / "out",
+        *more,
+    ]
 
 
 def test_no_mask_is_refused_with_the_option_to_give(files, capsys):
@@ -87,7 +99,11 @@ def test_an_unknown_material_lists_the_closest_names(files, capsys):
 @pytest.mark.parametrize("word", ["leather", "lether", "Leather"])
 def test_an_everyday_word_is_answered_with_what_looks_like_it(files, capsys, word):
     status, line = told(capsys, *edit(files, material=word))
-    assert status == 1 and "look like leather: natural-209, special-walnut-224" in line and "a picture of it" in line
+    assert (
+        status == 1
+        and "look like leather: natural-209, special-walnut-224" in line
+        and "a picture of it" in line
+    )
 
 
 def test_a_part_of_a_name_lists_names_that_have_it(files, capsys):
@@ -104,7 +120,9 @@ def test_nothing_is_overwritten_unless_asked(files, capsys):
     for name in ("edit.json", "edited.png", "normals.png"):
         (files / "out" / name).write_text("mine")
         status, line = told(capsys, *edit(files))
-        assert status == 1 and "--overwrite" in line and (files / "out" / name).read_text() == "mine"
+        assert (
+            status == 1 and "--overwrite" in line and (files / "out" / name).read_text() == "mine"
+        )
         (files / "out" / name).unlink()
 
 
@@ -122,7 +140,17 @@ def test_numbers_outside_their_range_are_refused(files, capsys):
 
 @pytest.mark.parametrize("value", ["0", "-1", "nan", "inf"])
 def test_predict_refuses_an_exposure_that_is_none(files, capsys, value):
-    status, line = told(capsys, "predict", files / "photo.png", "--mask", files / "mask.png", "--exposure", value, "--out", files / "out")
+    status, line = told(
+        capsys,
+        "predict",
+        files / "photo.png",
+        "--mask",
+        files / "mask.png",
+        "--exposure",
+        value,
+        "--out",
+        files / "out",
+    )
     assert status == 1 and "--exposure" in line and not (files / "out").exists()
 
 
@@ -132,9 +160,23 @@ def test_no_command_writes_over_what_it_reads(files, capsys, command):
     (files / "mask.png").rename(files / "disc.png")
     before = (files / "normals.png").read_bytes()
     more = ["--material", "brass"] if command == "edit" else []
-    words = [command, files / "normals.png", "--mask", files / "disc.png", *more, "--out", files, "--overwrite"]
+    words = [
+        command,
+        files / "normals.png",
+        "--mask",
+        files / "disc.png",
+        *more,
+        "--out",
+        files,
+        "--overwrite",
+    ]
     status, line = told(capsys, *words)
-    assert status == 1 and "normals.png" in line and "another --out" in line and (files / "normals.png").read_bytes() == before
+    assert (
+        status == 1
+        and "normals.png" in line
+        and "another --out" in line
+        and (files / "normals.png").read_bytes() == before
+    )
 
 
 def test_a_file_where_a_folder_is_to_be_is_told_before_any_work(files, capsys):
@@ -169,7 +211,10 @@ def test_coloured_regions_are_told_apart_and_turned_as_the_file_says(files):
     np.testing.assert_array_equal(photographs.read_labels(files / "turned.png", SIZE), found)
 
 
-@pytest.mark.parametrize(("command", "words"), [("edit", "--overwrite replaces it"), ("evaluate-network", "the same command continues")])
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [("edit", "--overwrite replaces it"), ("evaluate-network", "the same command continues")],
+)
 def test_a_command_that_is_stopped_says_how_to_go_on(capsys, monkeypatch, command, words):
     def stopped(options):
         raise KeyboardInterrupt
@@ -189,11 +234,15 @@ def test_a_detail_out_of_range_is_told_the_ends_that_are_allowed(files, capsys):
     assert status == 1 and "from 0 to 1" in line
 
 
-@pytest.mark.parametrize("text", ['{"labels": 5}', '{"label": [-1e4]}', '{"label": -Infinity}', '{"label": [NaN]}'])
+@pytest.mark.parametrize(
+    "text", ['{"labels": 5}', '{"label": [-1e4]}', '{"label": -Infinity}', '{"label": [NaN]}']
+)
 @pytest.mark.parametrize("times", [1, 108])
 def test_a_material_file_out_of_range_or_shape_is_refused(files, capsys, text, times):
     key, value = next(iter(json.loads(text).items()))
-    (files / "m.json").write_text(json.dumps({key: value * times if isinstance(value, list) else value}))
+    (files / "m.json").write_text(
+        json.dumps({key: value * times if isinstance(value, list) else value})
+    )
     status, line = told(capsys, *edit(files, material=files / "m.json"))
     assert status == 1 and "m.json" in line
     if times == 108 and isinstance(value, list):
@@ -204,16 +253,26 @@ def test_weights_of_a_network_that_takes_nothing_apart_are_refused(files, capsys
     network = EncoderDecoder(Ranges(torch.zeros(108), torch.ones(108)))
     save_weights(files / "one.safetensors", network, network.state_dict(), "{}", 128)
     normals = Compact(Ranges(torch.zeros(108), torch.ones(108)))
-    save_weights(files / "part.safetensors", normals, normals.state_dict(), '{"parts": ["normals"]}', 128)
+    save_weights(
+        files / "part.safetensors", normals, normals.state_dict(), '{"parts": ["normals"]}', 128
+    )
     for name in ("one", "part"):
         status, line = told(capsys, *edit(files, "--weights", files / f"{name}.safetensors"))
         assert status == 1 and "predicts normals, material and light" in line
 
 
 def test_what_a_dataset_does_not_need_and_a_photograph_has_not_is_refused(files, capsys, rng):
-    write_dataset(files / "data", [matte("a", 0.2), matte("b", 0.6)], rng, size=32, seeds=1, rotations=(0,))
-    for option, value in (("--mask", files / "mask.png"), ("--regions", files / "mask.png"), ("--white-balance", "grey")):
-        status, line = told(capsys, *edit(files, option, value, photo="data", mask=None, material="a"))
+    write_dataset(
+        files / "data", [matte("a", 0.2), matte("b", 0.6)], rng, size=32, seeds=1, rotations=(0,)
+    )
+    for option, value in (
+        ("--mask", files / "mask.png"),
+        ("--regions", files / "mask.png"),
+        ("--white-balance", "grey"),
+    ):
+        status, line = told(
+            capsys, *edit(files, option, value, photo="data", mask=None, material="a")
+        )
         assert status == 1 and option in line and "dataset" in line
     status, line = told(capsys, *edit(files, "--record", "1"))
     assert status == 1 and "--record" in line and "dataset" in line
@@ -224,7 +283,11 @@ def test_an_exr_edit_of_somebodys_own_is_not_overwritten(files, capsys, disc):
     (files / "out").mkdir()
     (files / "out" / "edited.exr").write_text("mine")
     status, line = told(capsys, *edit(files, photo="photo.exr"))
-    assert status == 1 and "--overwrite" in line and (files / "out" / "edited.exr").read_text() == "mine"
+    assert (
+        status == 1
+        and "--overwrite" in line
+        and (files / "out" / "edited.exr").read_text() == "mine"
+    )
     status, line = told(capsys, *edit(files, "--overwrite", photo="photo.exr"))
     assert (status, line) == (0, "")
     edited, _ = photographs._exr_pixels(files / "out" / "edited.exr")
@@ -233,7 +296,9 @@ def test_an_exr_edit_of_somebodys_own_is_not_overwritten(files, capsys, disc):
 
 def test_transfer_without_masks_names_its_own_options(files, capsys):
     Image.new("RGB", (40, 30)).save(files / "other.png")
-    status, line = told(capsys, "transfer", files / "photo.png", files / "other.png", "--out", files / "swap")
+    status, line = told(
+        capsys, "transfer", files / "photo.png", files / "other.png", "--out", files / "swap"
+    )
     assert status == 1 and "--mask-dir" in line and "NAME.mask.png" in line
 
 
@@ -254,7 +319,11 @@ def test_an_object_of_a_few_pixels_is_refused(files):
 def test_any_mode_is_read(files, mode):
     source = Image.open(files / "photo.png")
     deep = mode == "I;16"
-    picture = Image.fromarray(np.asarray(source)[..., 0].astype(np.uint16) * 257) if deep else source.convert(mode)
+    picture = (
+        Image.fromarray(np.asarray(source)[..., 0].astype(np.uint16) * 257)
+        if deep
+        else source.convert(mode)
+    )
     name = files / f"mode.{'tiff' if mode == 'CMYK' else 'png'}"
     picture.save(name)
     opened = photograph.opened(name, [files / "mask.png"])
@@ -276,7 +345,10 @@ def test_a_photograph_turned_by_its_camera_is_set_upright(files):
     exif = picture.getexif()
     exif[274] = 6  # turn by 90° to see it upright
     picture.save(files / "turned.jpg", exif=exif)
-    assert photograph.opened(files / "turned.jpg", [files / "mask.png"]).radiance.shape == (*SIZE, 3)
+    assert photograph.opened(files / "turned.jpg", [files / "mask.png"]).radiance.shape == (
+        *SIZE,
+        3,
+    )
 
 
 def test_too_many_pixels_are_refused_before_they_are_read(files, monkeypatch):
@@ -318,9 +390,20 @@ def test_a_material_file_without_a_material_is_refused(tmp_path, text, words):
 def test_transfer_needs_two_pictures_of_different_names(files, capsys):
     status, line = told(capsys, "transfer", files / "photo.png", "--out", files / "out")
     assert status == 1 and "two or more" in line
-    status, line = told(capsys, "transfer", files / "photo.png", files / "photo.png", "--out", files / "out")
+    status, line = told(
+        capsys, "transfer", files / "photo.png", files / "photo.png", "--out", files / "out"
+    )
     assert status == 1 and "twice" in line
-    status, line = told(capsys, "transfer", files / "photo.png", files / "mask.png", "--mask-dir", files / "masks", "--out", files / "out")
+    status, line = told(
+        capsys,
+        "transfer",
+        files / "photo.png",
+        files / "mask.png",
+        "--mask-dir",
+        files / "masks",
+        "--out",
+        files / "out",
+    )
     assert status == 1 and "no such file" in line
 
 
@@ -328,8 +411,15 @@ def deep_png(path, values):
     """A 16-bit RGB PNG of (H, W, 3) uint16, which Pillow can read and cannot write."""
     height, width = values.shape[:2]
     lines = b"".join(b"\0" + line.astype(">u2").tobytes() for line in values)
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]
-    told = [struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks]
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)),
+        (b"IDAT", zlib.compress(lines)),
+        (b"IEND", b""),
+    ]
+    told = [
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    ]
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(told))
 
 
@@ -337,7 +427,8 @@ def test_sixteen_bit_colour_keeps_its_upper_eight_bits(files):
     values = np.random.default_rng(0).integers(0, 1 << 16, (*SIZE, 3), dtype=np.uint16)
     deep_png(files / "deep.png", values)
     radiance, _ = photographs.read(files / "deep.png", files / "mask.png")
-    np.testing.assert_allclose(tone.srgb(radiance), values / 65535, atol=1 / 255)  # the lower eight are gone
+    # the lower eight are gone
+    np.testing.assert_allclose(tone.srgb(radiance), values / 65535, atol=1 / 255)
 
 
 def test_a_picture_of_twenty_megapixels_is_cut_to_its_object(files):
@@ -345,6 +436,8 @@ def test_a_picture_of_twenty_megapixels_is_cut_to_its_object(files):
     values[1000:2000, 3000:4500] = (200, 100, 50, 255)
     Image.fromarray(values).save(files / "large.png", compress_level=1)
     framed = photographs.framed(*photographs.read(files / "large.png"), 128, 1.0)
-    assert framed.radiance.shape == (128, 128, 3) and framed.box[2] == pytest.approx(1500 * photographs.MARGIN, rel=0.02)
+    assert framed.radiance.shape == (128, 128, 3) and framed.box[2] == pytest.approx(
+        1500 * photographs.MARGIN, rel=0.02
+    )
     seen = tone.display(framed.radiance[60:68, 60:68], 1.0)
     np.testing.assert_allclose(seen, np.broadcast_to([200, 100, 50], seen.shape), atol=1)

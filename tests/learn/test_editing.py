@@ -1,4 +1,6 @@
-"""Edits: the photograph's own size, its background untouched, regions apart, and with true parts the photograph itself."""
+"""Edits: the photograph's own size, its background untouched, regions apart, and with true parts
+the photograph itself.
+"""
 
 import json
 from dataclasses import replace
@@ -43,11 +45,15 @@ def ball(side, radius):
     inside = x * x + y * y < 1
     z = np.sqrt(np.clip(1 - x * x - y * y, 1e-3, 1))
     n = np.stack([x, y, z], -1)
-    return (n / np.linalg.norm(n, axis=-1, keepdims=True) * inside[..., None]).astype(np.float32), inside
+    return (n / np.linalg.norm(n, axis=-1, keepdims=True) * inside[..., None]).astype(
+        np.float32
+    ), inside
 
 
 class Knowing(torch.nn.Module):
-    """A network that says of every picture: a ball in its mask's square, of the given material, in even light."""
+    """A network that says of every picture: a ball in its mask's square, of the given material, in
+    even light.
+    """
 
     def __init__(self, label):
         super().__init__()
@@ -62,7 +68,11 @@ class Knowing(torch.nn.Module):
         count = 1 if segments is None else regions
         light = torch.ones(1, 3, 64, 128)
         return Prediction(
-            F.normalize(x + torch.tensor([0, 0, 1e-6])[:, None, None], dim=1), None, self.label.repeat(1, count, 1), None, light
+            F.normalize(x + torch.tensor([0, 0, 1e-6])[:, None, None], dim=1),
+            None,
+            self.label.repeat(1, count, 1),
+            None,
+            light,
         )
 
 
@@ -70,14 +80,23 @@ def lit(label, scale):
     """A ball's picture (SIZE, SIZE, 3) in even light before a gradient, and its mask."""
     n, inside = ball(SIZE, 30)
     light = torch.ones(1, 64, 128, 3)
-    radiance = render(torch.from_numpy(n)[None], torch.from_numpy(label).exp(), light, method="exact")[0].numpy() * scale
-    ground = np.linspace(0.1, 0.4, SIZE, dtype=np.float32)[:, None, None] * np.array([1.0, 0.8, 0.6], np.float32)
+    radiance = (
+        render(torch.from_numpy(n)[None], torch.from_numpy(label).exp(), light, method="exact")[
+            0
+        ].numpy()
+        * scale
+    )
+    ground = np.linspace(0.1, 0.4, SIZE, dtype=np.float32)[:, None, None] * np.array(
+        [1.0, 0.8, 0.6], np.float32
+    )
     return np.where(inside[..., None], radiance, ground).astype(np.float32), inside
 
 
 def opened(radiance, regions, exposure=None, balance=(1, 1, 1), cut_out=False):
     coverage = (regions > 0).astype(np.float32)
-    return photograph.Photograph("ball", radiance, coverage, regions, np.array(balance, np.float32), exposure, cut_out)
+    return photograph.Photograph(
+        "ball", radiance, coverage, regions, np.array(balance, np.float32), exposure, cut_out
+    )
 
 
 @pytest.mark.parametrize("balance", [(1, 1, 1), (1.4, 1.0, 0.7)])
@@ -85,11 +104,14 @@ def test_with_true_parts_an_edit_into_its_own_material_is_the_photograph(balance
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     seen = radiance / np.array(balance, np.float32)  # as a camera out of balance would have it
-    found = decomposition.decompose(opened(seen, inside.astype(np.int64), 2.0, balance), Knowing(label), NETWORK)
+    found = decomposition.decompose(
+        opened(seen, inside.astype(np.int64), 2.0, balance), Knowing(label), NETWORK
+    )
     again = Painter(found).edited([label[0]])
     core = ball(SIZE, 30)[0][..., 2] > 0.4  # at the rim 64² normals, enlarged, are a pixel off
     level = tone.auto_exposure(seen, inside)
-    assert tone.display_l2(again, seen, level, core) < 15  # of 65,025; the picture itself has a variance of a thousand
+    # of 65,025; the picture itself has a variance of a thousand
+    assert tone.display_l2(again, seen, level, core) < 15
     assert tone.display_l2(again * 1.25, seen, level, core) > 60  # what a slip of scale would give
 
 
@@ -98,7 +120,9 @@ def test_an_edit_keeps_size_and_background():
     radiance, inside = lit(label, 0.5)
     tall = np.pad(radiance, ((7, 20), (0, 31), (0, 0)), constant_values=0.3)
     regions = np.pad(inside.astype(np.int64), ((7, 20), (0, 31)))
-    edited = Painter(decomposition.decompose(opened(tall, regions), Knowing(label), NETWORK)).edited([label_of("gold-paint")[0]])
+    edited = Painter(
+        decomposition.decompose(opened(tall, regions), Knowing(label), NETWORK)
+    ).edited([label_of("gold-paint")[0]])
     assert edited.shape == tall.shape
     np.testing.assert_array_equal(edited[regions == 0], tall[regions == 0])
     assert abs(edited - tall)[regions > 0].mean() > 0.02
@@ -108,7 +132,9 @@ def test_an_object_that_touches_the_border_is_edited_up_to_it():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     cut, regions = radiance[30:, 40:], inside[30:, 40:].astype(np.int64)
-    edited = Painter(decomposition.decompose(opened(cut, regions), Knowing(label), NETWORK)).edited([label_of("gold-paint")[0]])
+    edited = Painter(decomposition.decompose(opened(cut, regions), Knowing(label), NETWORK)).edited(
+        [label_of("gold-paint")[0]]
+    )
     assert edited.shape == cut.shape and np.isfinite(edited).all()
     assert (abs(edited - cut).max(-1) > 0)[regions > 0].mean() > 0.9
 
@@ -118,11 +144,15 @@ def test_a_soft_edge_mixes_edit_and_background_and_not_the_old_colour():
     ground = np.full((SIZE, SIZE, 3), 0.25, np.float32)
     coverage = np.zeros((SIZE, SIZE), np.float32)
     coverage[20:70, 20:70], coverage[20:70, 70] = 1, 0.5
-    red = np.where(coverage[..., None] > 0, np.array([5.0, 0, 0], np.float32), ground)  # red through and through, edge included
-    found = photograph.Photograph("square", red, coverage, (coverage >= 0.5).astype(np.int64), np.ones(3, np.float32), 1.0)
+    # red through and through, edge included
+    red = np.where(coverage[..., None] > 0, np.array([5.0, 0, 0], np.float32), ground)
+    found = photograph.Photograph(
+        "square", red, coverage, (coverage >= 0.5).astype(np.int64), np.ones(3, np.float32), 1.0
+    )
     edited = Painter(decomposition.decompose(found, Knowing(label), NETWORK)).edited([label[0]])
     edge, within = edited[45, 70], edited[45, 69]
-    np.testing.assert_allclose(edge, 0.5 * within + 0.5 * 0.25, atol=0.05)  # the layer's picture changes a little from pixel to pixel
+    # the layer's picture changes a little from pixel to pixel
+    np.testing.assert_allclose(edge, 0.5 * within + 0.5 * 0.25, atol=0.05)
 
 
 def test_a_region_that_is_kept_stays_and_the_other_changes():
@@ -130,7 +160,9 @@ def test_a_region_that_is_kept_stays_and_the_other_changes():
     radiance, inside = lit(label, 0.5)
     regions = inside.astype(np.int64)
     regions[:, SIZE // 2 :] *= 2
-    edited = Painter(decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK)).edited([None, label_of("gold-paint")[0]])
+    edited = Painter(
+        decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK)
+    ).edited([None, label_of("gold-paint")[0]])
     np.testing.assert_array_equal(edited[regions == 1], radiance[regions == 1])
     assert abs(edited - radiance)[regions == 2].mean() > 0.02
 
@@ -139,11 +171,14 @@ def test_fine_shading_is_carried_over_when_asked():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
-    found = decomposition.decompose(opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK)
+    found = decomposition.decompose(
+        opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
+    )
     middle = (slice(40, 56), slice(40, 56))
     for detail, low, high in ((0.0, 0.0, 0.02), (1.0, 0.2, 0.35)):
         edited = Painter(found, detail=detail).edited([label_of("delrin")[0]])[middle]
-        contrast = abs(np.diff(np.log(edited[..., 1]), axis=0)).mean()  # 2 log 1.15 = 0.28 in the photograph
+        # 2 log 1.15 = 0.28 in the photograph
+        contrast = abs(np.diff(np.log(edited[..., 1]), axis=0)).mean()
         assert low <= contrast <= high
 
 
@@ -151,7 +186,9 @@ def test_fine_shading_is_carried_over_when_asked():
 def test_objects_are_rendered_at_their_own_size_between_two_limits(times, grid):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    radiance, regions = (x.repeat(times, 0).repeat(times, 1) for x in (radiance, inside.astype(np.uint8)))
+    radiance, regions = (
+        x.repeat(times, 0).repeat(times, 1) for x in (radiance, inside.astype(np.uint8))
+    )
     painter = Painter(decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK))
     assert painter.grid == grid  # 567: 1.18 times the object's 480 pixels
     assert painter.n.shape == (grid, grid, 3)
@@ -162,10 +199,15 @@ def test_no_detail_is_stronger_than_its_limit():
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 4.0, 0.25).astype(np.float32)
     painter = Painter(
-        decomposition.decompose(opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK), detail=1.0
+        decomposition.decompose(
+            opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
+        ),
+        detail=1.0,
     )
     ratio = painter.ratio()
-    assert ratio.max() == pytest.approx(decomposition.LARGEST_DETAIL) and ratio.min() == pytest.approx(1 / decomposition.LARGEST_DETAIL)
+    assert ratio.max() == pytest.approx(
+        decomposition.LARGEST_DETAIL
+    ) and ratio.min() == pytest.approx(1 / decomposition.LARGEST_DETAIL)
 
 
 def test_grey_balance_makes_the_background_grey_and_keeps_its_luminance(tmp_path):
@@ -178,7 +220,11 @@ def test_grey_balance_makes_the_background_grey_and_keeps_its_luminance(tmp_path
     found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance="grey")
     mean = found.balanced[:5].mean((0, 1))
     np.testing.assert_allclose(mean, mean[0], rtol=1e-3)
-    np.testing.assert_allclose(mean @ [0.2126, 0.7152, 0.0722], found.radiance[:5].mean((0, 1)) @ [0.2126, 0.7152, 0.0722], rtol=1e-3)
+    np.testing.assert_allclose(
+        mean @ [0.2126, 0.7152, 0.0722],
+        found.radiance[:5].mean((0, 1)) @ [0.2126, 0.7152, 0.0722],
+        rtol=1e-3,
+    )
 
 
 def test_a_white_balance_that_is_given_keeps_luminance(tmp_path):
@@ -186,8 +232,13 @@ def test_a_white_balance_that_is_given_keeps_luminance(tmp_path):
     Image.new("L", (40, 30), 255).save(tmp_path / "m.png")
     for wanted_factors in ((2.0, 2.0, 2.0), (1.4, 1.0, 0.7)):
         found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance=wanted_factors)
-        np.testing.assert_allclose(found.balance @ [0.2126, 0.7152, 0.0722], 1, rtol=1e-5)  # float32
-        np.testing.assert_allclose(found.balance / found.balance[1], np.array(wanted_factors) / wanted_factors[1], rtol=1e-5)
+        # float32
+        np.testing.assert_allclose(found.balance @ [0.2126, 0.7152, 0.0722], 1, rtol=1e-5)
+        np.testing.assert_allclose(
+            found.balance / found.balance[1],
+            np.array(wanted_factors) / wanted_factors[1],
+            rtol=1e-5,
+        )
 
 
 def test_a_black_and_white_mask_is_softened_and_a_grey_one_is_not(tmp_path):
@@ -205,7 +256,9 @@ def test_a_black_and_white_mask_is_softened_and_a_grey_one_is_not(tmp_path):
 
 
 @pytest.mark.parametrize("first_ends", [20, 30])
-def test_several_masks_are_several_regions_and_where_they_overlap_the_later_one_holds(tmp_path, first_ends):
+def test_several_masks_are_several_regions_and_where_they_overlap_the_later_one_holds(
+    tmp_path, first_ends
+):
     Image.new("RGB", (40, 30), (90, 90, 90)).save(tmp_path / "p.png")
     for name, box in (("a", (0, 0, first_ends, 30)), ("b", (20, 0, 40, 30))):
         mask = Image.new("L", (40, 30))
@@ -216,19 +269,32 @@ def test_several_masks_are_several_regions_and_where_they_overlap_the_later_one_
 
 
 def test_a_record_is_seen_by_its_own_camera_at_its_own_exposure(tmp_path, rng):
-    write_dataset(tmp_path, [matte("a", 0.2)], rng, size=32, seeds=1, rotations=(0,), method="quadrature")
+    write_dataset(
+        tmp_path, [matte("a", 0.2)], rng, size=32, seeds=1, rotations=(0,), method="quadrature"
+    )
     found = photograph.opened(tmp_path)
     assert found.exposure == 1 and found.record is not None
     assert photograph.opened(tmp_path, exposure=3.0).exposure == 3
     camera = msgspec.structs.replace(found.record.camera, elevation_deg=50.0)
     label = label_of("blue-rubber")
-    for record, degrees in ((None, 20.0), (msgspec.structs.replace(found.record, camera=camera), 50.0)):
+    for record, degrees in (
+        (None, 20.0),
+        (msgspec.structs.replace(found.record, camera=camera), 50.0),
+    ):
         taken = decomposition.decompose(replace(found, record=record), Knowing(label), NETWORK)
         assert np.degrees(taken.batch.elevation) == pytest.approx(degrees)
 
 
 def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
-    write_dataset(tmp_path, [matte("a", 0.2), matte("b", 0.6)], rng, size=32, seeds=1, rotations=(0, 5), method="quadrature")
+    write_dataset(
+        tmp_path,
+        [matte("a", 0.2), matte("b", 0.6)],
+        rng,
+        size=32,
+        seeds=1,
+        rotations=(0, 5),
+        method="quadrature",
+    )
     records = Records(tmp_path)
     by = {(r.materials, r.rotation_texels): r for r in records.records}
     for turn in (0, 5):
@@ -238,9 +304,20 @@ def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
 
 
 def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was(tmp_path, rng):
-    write_dataset(tmp_path, [matte("a", 0.2), matte("b", 0.6)], rng, size=32, seeds=1, rotations=(0,), method="quadrature")
+    write_dataset(
+        tmp_path,
+        [matte("a", 0.2), matte("b", 0.6)],
+        rng,
+        size=32,
+        seeds=1,
+        rotations=(0,),
+        method="quadrature",
+    )
     found = photograph.opened(tmp_path)
-    of = {key: msgspec.structs.replace(found.record, id=" ".join(key), materials=key) for key in (("a", "b"), ("b", "a"), ("b", "b"))}
+    of = {
+        key: msgspec.structs.replace(found.record, id=" ".join(key), materials=key)
+        for key in (("a", "b"), ("b", "a"), ("b", "b"))
+    }
 
     known = SimpleNamespace(records=list(of.values()), image=lambda record: record.materials)
     two = replace(found, records=known, record=of["b", "a"])
@@ -248,11 +325,24 @@ def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was
     assert edit.truth(two, "b+a") == ("b", "a")
     assert edit.truth(two, "keep+b") == edit.truth(two, "b") == ("b", "b")
     assert edit.truth(two, "a+a") is None
-    assert edit.truth(replace(two, record=msgspec.structs.replace(of["b", "a"], rotation_texels=7)), "a+b") is None
+    assert (
+        edit.truth(
+            replace(two, record=msgspec.structs.replace(of["b", "a"], rotation_texels=7)), "a+b"
+        )
+        is None
+    )
 
 
 def test_a_datasets_own_materials_are_known(tmp_path, rng):
-    write_dataset(tmp_path, [matte("a", 0.2), matte("b", 0.6)], rng, size=32, seeds=1, rotations=(0,), method="quadrature")
+    write_dataset(
+        tmp_path,
+        [matte("a", 0.2), matte("b", 0.6)],
+        rng,
+        size=32,
+        seeds=1,
+        rotations=(0,),
+        method="quadrature",
+    )
     label = Records(tmp_path).label("b")
     np.testing.assert_array_equal(edit.choices("b", 1, None, {"b": label})[0], label)
     with pytest.raises(ValueError, match="none of that name"):
@@ -262,7 +352,9 @@ def test_a_datasets_own_materials_are_known(tmp_path, rng):
 def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    radiance, regions = (np.repeat(np.repeat(x, 4, 0), 4, 1) for x in (radiance, inside.astype(np.uint8)))
+    radiance, regions = (
+        np.repeat(np.repeat(x, 4, 0), 4, 1) for x in (radiance, inside.astype(np.uint8))
+    )
     regions[200:204, 201:205] = 2  # half a pixel of the network's, beside a pixel's middle
     found = decomposition.decompose(opened(radiance, regions), Knowing(label), 32)
     assert found.batch.segments.max() == 1 and found.parts.label.shape[1] == 2
@@ -270,10 +362,10 @@ def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
     np.testing.assert_array_equal(edited[regions == 2], radiance[regions == 2])
     assert abs(edited - radiance)[regions == 1].mean() > 0.02
     swapped = opened(radiance, np.where(regions > 0, 3 - regions, 0).astype(np.uint8))
-    assert [caption for caption, _ in edit.reflectance(decomposition.decompose(swapped, Knowing(label), 32))] == [
-        "reflectance map 1, observed",
-        "reflectance map 1, predicted",
-    ]
+    assert [
+        caption
+        for caption, _ in edit.reflectance(decomposition.decompose(swapped, Knowing(label), 32))
+    ] == ["reflectance map 1, observed", "reflectance map 1, predicted"]
 
 
 def test_a_region_that_no_pixel_shows_has_a_label_in_every_network():
@@ -305,7 +397,10 @@ def test_the_picture_rendered_again_has_none_of_the_photographs_own_detail():
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
     painter = Painter(
-        decomposition.decompose(opened(radiance * stripes, inside.astype(np.uint8), 2.0), Knowing(label), NETWORK), detail=1.0
+        decomposition.decompose(
+            opened(radiance * stripes, inside.astype(np.uint8), 2.0), Knowing(label), NETWORK
+        ),
+        detail=1.0,
     )
     middle = (slice(40, 56), slice(40, 56))
     assert abs(np.diff(np.log(painter.rendered_again()[middle][..., 1]), axis=0)).mean() < 0.02
@@ -315,8 +410,13 @@ def test_the_objects_own_material_is_rendered_once(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     drawn, render_ = [], decomposition.render
-    monkeypatch.setattr(decomposition, "render", lambda *a, **k: drawn.append(1) or render_(*a, **k))
-    painter = Painter(decomposition.decompose(opened(radiance, inside.astype(np.uint8)), Knowing(label), NETWORK), detail=0.25)
+    monkeypatch.setattr(
+        decomposition, "render", lambda *a, **k: drawn.append(1) or render_(*a, **k)
+    )
+    painter = Painter(
+        decomposition.decompose(opened(radiance, inside.astype(np.uint8)), Knowing(label), NETWORK),
+        detail=0.25,
+    )
     painter.edited([label_of("gold-paint")[0]])
     painter.rendered_again()
     assert len(drawn) == 2
@@ -327,7 +427,9 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
     monkeypatch.setattr(
         edit.decomposition,
         "decompose",
-        lambda opened, *_: asked.append(opened) or decomposition.Decomposition(opened, None, None, start(), None),
+        lambda opened, *_: (
+            asked.append(opened) or decomposition.Decomposition(opened, None, None, start(), None)
+        ),
     )
 
     def start():
@@ -336,7 +438,9 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
     Image.new("RGB", (40, 30), (90, 60, 90)).save(tmp_path / "p.png")
     Image.new("L", (40, 30), 255).save(tmp_path / "p.mask.png")
     for balance, factors in (((2.0, 1.0, 1.0), 1), ("none", 1)):
-        edit.material_of(tmp_path / "p.png", None, 64, edit.EditOptions(tmp_path, None, 0.01, 0.0, 3.0, balance))
+        edit.material_of(
+            tmp_path / "p.png", None, 64, edit.EditOptions(tmp_path, None, 0.01, 0.0, 3.0, balance)
+        )
         assert asked[-1].exposure is None
         np.testing.assert_array_equal(asked[-1].balance, factors)
 
@@ -367,7 +471,10 @@ def test_materials_are_given_to_regions_in_their_order():
 
 
 def test_mirrors_are_shown_by_the_integral_and_fabrics_by_the_sum():
-    found = {name: method_for(torch.from_numpy(label_of(name))) for name in ("chrome", "red-fabric", "blue-rubber")}
+    found = {
+        name: method_for(torch.from_numpy(label_of(name)))
+        for name in ("chrome", "red-fabric", "blue-rubber")
+    }
     assert found == {"chrome": "quadrature", "red-fabric": "auto", "blue-rubber": "auto"}
 
 
@@ -383,7 +490,9 @@ def test_the_observed_reflectance_map_of_a_ball_is_its_picture():
 def test_pictures_in_groups_are_all_there_and_none_alone():
     for count in range(2, 20):
         groups = transfer.grouped(list(range(count)), 6)
-        assert sorted(chain(*groups)) == list(range(count)) and all(2 <= len(group) <= 6 for group in groups)
+        assert sorted(chain(*groups)) == list(range(count)) and all(
+            2 <= len(group) <= 6 for group in groups
+        )
 
 
 def test_edit_and_transfer_write_what_they_say(tmp_path, capsys):
@@ -391,30 +500,76 @@ def test_edit_and_transfer_write_what_they_say(tmp_path, capsys):
     gold, _ = lit(label_of("gold-paint"), 1.0)
     for name, seen in (("a", radiance), ("b", gold)):
         picture = tone.display(seen, 1.0)
-        Image.fromarray(np.dstack([picture, 255.0 * inside]).astype(np.uint8)).save(tmp_path / f"{name}.png")
+        Image.fromarray(np.dstack([picture, 255.0 * inside]).astype(np.uint8)).save(
+            tmp_path / f"{name}.png"
+        )
     a, b, out = tmp_path / "a.png", tmp_path / "b.png", tmp_path / "edit"
-    assert main("learn", "t", COMMANDS, ["edit", str(a), "--material", "red-fabric", str(b), "--no-refine", "--out", str(out)]) == 0
+    assert (
+        main(
+            "learn",
+            "t",
+            COMMANDS,
+            ["edit", str(a), "--material", "red-fabric", str(b), "--no-refine", "--out", str(out)],
+        )
+        == 0
+    )
     told = json.loads((out / "edit.json").read_text())
     assert told["refined"] is None and told["materials"] == ["red-fabric", str(b)]
     with Image.open(out / "edited-red-fabric.png") as picture:
         assert (picture.size, picture.mode) == ((SIZE, SIZE), "RGBA")
-    assert {"sheet.png", "normals.exr", "light.exr", "ball.png", "reflectance.png", "material.json"} <= {p.name for p in out.iterdir()}
-    assert main("learn", "t", COMMANDS, ["transfer", str(a), str(b), "--no-refine", "--out", str(tmp_path / "swap")]) == 0
-    assert {p.name for p in (tmp_path / "swap").iterdir()} == {"grid.png", "transfer.json", "a-in-b.png", "b-in-a.png"}
+    assert {
+        "sheet.png",
+        "normals.exr",
+        "light.exr",
+        "ball.png",
+        "reflectance.png",
+        "material.json",
+    } <= {p.name for p in out.iterdir()}
+    assert (
+        main(
+            "learn",
+            "t",
+            COMMANDS,
+            ["transfer", str(a), str(b), "--no-refine", "--out", str(tmp_path / "swap")],
+        )
+        == 0
+    )
+    assert {p.name for p in (tmp_path / "swap").iterdir()} == {
+        "grid.png",
+        "transfer.json",
+        "a-in-b.png",
+        "b-in-a.png",
+    }
     shown = [
-        np.asarray(Image.open(p).convert("RGB")) for p in (tmp_path / "swap" / "a-in-b.png", out / "edited-b.png", out / "rendering.png")
+        np.asarray(Image.open(p).convert("RGB"))
+        for p in (tmp_path / "swap" / "a-in-b.png", out / "edited-b.png", out / "rendering.png")
     ]
     np.testing.assert_array_equal(shown[0], shown[1])  # b's material on a, by either command
     assert abs(shown[0][inside].astype(int) - shown[2][inside]).mean() > 5  # and not a's own
     capsys.readouterr()
 
 
-def test_one_material_is_written_as_edited_and_compared_where_its_truth_is_known(tmp_path, rng, capsys):
+def test_one_material_is_written_as_edited_and_compared_where_its_truth_is_known(
+    tmp_path, rng, capsys
+):
     catalogue = load_catalogue()
-    materials = [entry(name, catalogue[name].m.reshape(3, 3, 2, 6), catalogue[name].mixture) for name in ("red-fabric", "delrin")]
+    materials = [
+        entry(name, catalogue[name].m.reshape(3, 3, 2, 6), catalogue[name].mixture)
+        for name in ("red-fabric", "delrin")
+    ]
     write_dataset(tmp_path / "data", materials, rng, size=32, seeds=1, rotations=(0,))
     record = next(r for r in Records(tmp_path / "data").records if r.materials == ("red-fabric",))
-    words = ["edit", str(tmp_path / "data"), "--record", record.id, "--material", "delrin", "--no-refine", "--out", str(tmp_path / "out")]
+    words = [
+        "edit",
+        str(tmp_path / "data"),
+        "--record",
+        record.id,
+        "--material",
+        "delrin",
+        "--no-refine",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main("learn", "t", COMMANDS, words) == 0
     assert (tmp_path / "out" / "edited.png").exists()
     told = json.loads((tmp_path / "out" / "edit.json").read_text())

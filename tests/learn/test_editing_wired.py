@@ -1,4 +1,6 @@
-"""That the commands hand on what they are asked for: options, masks, refinement, truths; each told apart from its being dropped."""
+"""That the commands hand on what they are asked for: options, masks, refinement, truths; each told
+apart from its being dropped.
+"""
 
 import json
 from dataclasses import replace
@@ -21,12 +23,16 @@ from shaders import tone
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """The sum for mirrors too, and the first steps of refinement alone: nothing here looks at how well they are done."""
+    """The sum for mirrors too, and the first steps of refinement alone: nothing here looks at how
+    well they are done.
+    """
     monkeypatch.setattr(decomposition, "method_for", lambda label: "auto")
     monkeypatch.setattr(
         decomposition,
         "refine",
-        lambda batch, start, settings: refine(batch, start, replace(settings, passes=1, levels=settings.levels[:1])),
+        lambda batch, start, settings: refine(
+            batch, start, replace(settings, passes=1, levels=settings.levels[:1])
+        ),
     )
 
 
@@ -35,8 +41,12 @@ def photo(tmp_path):
     """A shaded disc before a slope, and its mask's two halves."""
     y, x = np.mgrid[-1:1:40j, -1:1:40j]
     inside = x * x + y * y < 0.7
-    shade = np.where(inside, 90 + 80 * np.sqrt(np.clip(0.7 - x * x - y * y, 0, 1)) - 60 * y, 30 + 20 * x)
-    Image.fromarray(np.clip(np.dstack([shade, 0.8 * shade, 0.6 * shade]), 0, 255).astype(np.uint8)).save(tmp_path / "photo.png")
+    shade = np.where(
+        inside, 90 + 80 * np.sqrt(np.clip(0.7 - x * x - y * y, 0, 1)) - 60 * y, 30 + 20 * x
+    )
+    Image.fromarray(
+        np.clip(np.dstack([shade, 0.8 * shade, 0.6 * shade]), 0, 255).astype(np.uint8)
+    ).save(tmp_path / "photo.png")
     for name, mask in (("mask", inside), ("left", inside & (x < 0)), ("right", inside & (x >= 0))):
         Image.fromarray(255 * mask.astype(np.uint8)).save(tmp_path / f"{name}.png")
     return tmp_path
@@ -50,7 +60,9 @@ def edited(photo, name, *more, masks=("mask",), material="red-fabric"):
     """(picture, edit.json) of an edit."""
     given = [word for mask in masks for word in ("--mask", photo / f"{mask}.png")]
     done("edit", photo / "photo.png", *given, "--material", material, "--out", photo / name, *more)
-    return np.asarray(Image.open(photo / name / "edited.png").convert("RGB"), float), json.loads((photo / name / "edit.json").read_text())
+    return np.asarray(Image.open(photo / name / "edited.png").convert("RGB"), float), json.loads(
+        (photo / name / "edit.json").read_text()
+    )
 
 
 @pytest.fixture
@@ -80,7 +92,12 @@ def test_exposure_and_white_balance_reach_the_network(photo):
     plain, told = edited(photo, "plain", "--no-refine")
     for name, words, key, wanted in (
         ("bright", ("--exposure", 3 * told["exposure"]), "exposure", 3 * told["exposure"]),
-        ("balanced", ("--white-balance", "1,1,2"), "white_balance", list(np.array([1, 1, 2]) / (1 + 0.0722))),
+        (
+            "balanced",
+            ("--white-balance", "1,1,2"),
+            "white_balance",
+            list(np.array([1, 1, 2]) / (1 + 0.0722)),
+        ),
     ):
         other, also = edited(photo, name, "--no-refine", *words)
         np.testing.assert_allclose(also[key], wanted, rtol=1e-5)
@@ -88,7 +105,9 @@ def test_exposure_and_white_balance_reach_the_network(photo):
 
 
 def test_every_mask_is_a_region_with_its_own_material(photo):
-    both, told = edited(photo, "both", "--no-refine", masks=("left", "right"), material="gold-paint+keep")
+    both, told = edited(
+        photo, "both", "--no-refine", masks=("left", "right"), material="gold-paint+keep"
+    )
     assert told["regions"] == 2
     before = np.asarray(Image.open(photo / "photo.png"), float)
     right = np.asarray(Image.open(photo / "right.png")) > 0
@@ -96,29 +115,64 @@ def test_every_mask_is_a_region_with_its_own_material(photo):
     assert abs(both - before)[right][:, 0].max() <= 1 < 5 < abs(both - before)[left].mean()
 
 
-def test_an_edit_of_a_record_is_compared_with_its_truth_over_the_object_and_shown_beside_it(tmp_path, rng, drawn):
+def test_an_edit_of_a_record_is_compared_with_its_truth_over_the_object_and_shown_beside_it(
+    tmp_path, rng, drawn
+):
     catalogue = load_catalogue()
-    materials = [entry(name, catalogue[name].m.reshape(3, 3, 2, 6), catalogue[name].mixture) for name in ("red-fabric", "delrin")]
+    materials = [
+        entry(name, catalogue[name].m.reshape(3, 3, 2, 6), catalogue[name].mixture)
+        for name in ("red-fabric", "delrin")
+    ]
     write_dataset(tmp_path / "data", materials, rng, size=32, seeds=1, rotations=(0,))
     records = Records(tmp_path / "data")
     by = {r.materials: r for r in records.records}
     out = tmp_path / "out"
-    done("edit", tmp_path / "data", "--record", by["red-fabric",].id, "--material", "delrin", "--no-refine", "--out", out)
+    done(
+        "edit",
+        tmp_path / "data",
+        "--record",
+        by["red-fabric",].id,
+        "--material",
+        "delrin",
+        "--no-refine",
+        "--out",
+        out,
+    )
     told = json.loads((out / "edit.json").read_text())["display_l2"]["delrin"]
     channels, true = exr.read(out / "edited.exr"), records.image(by["delrin",])
-    picture, mask = np.stack([channels[c] for c in "RGB"], -1), records.geometry(by["delrin",])[2] > 0
+    picture, mask = (
+        np.stack([channels[c] for c in "RGB"], -1),
+        records.geometry(by["delrin",])[2] > 0,
+    )
     level = tone.auto_exposure(true, mask)
     assert told["mask"] == pytest.approx(tone.display_l2(picture, true, level, mask), rel=1e-4)
     assert told["frame"] == pytest.approx(tone.display_l2(picture, true, level), rel=1e-4)
-    assert told["frame"] < 0.95 * told["mask"]  # the background, the same in both, is part of the frame
+    # the background, the same in both, is part of the frame
+    assert told["frame"] < 0.95 * told["mask"]
     np.testing.assert_allclose(drawn["truth"][0][mask], tone.display(true, level)[mask])
-    np.testing.assert_allclose(drawn["|difference|"][0], abs(tone.display(picture, level) - tone.display(true, level)), atol=0.1)
+    np.testing.assert_allclose(
+        drawn["|difference|"][0],
+        abs(tone.display(picture, level) - tone.display(true, level)),
+        atol=0.1,
+    )
 
 
 def test_materials_given_one_by_one_are_all_made(photo):
-    words = ["edit", photo / "photo.png", "--mask", photo / "mask.png", "--no-refine", "--out", photo / "many"]
+    words = [
+        "edit",
+        photo / "photo.png",
+        "--mask",
+        photo / "mask.png",
+        "--no-refine",
+        "--out",
+        photo / "many",
+    ]
     done(*words, "--material", "brass", "red-fabric", "--material", "blue-rubber")
-    assert json.loads((photo / "many" / "edit.json").read_text())["materials"] == ["brass", "red-fabric", "blue-rubber"]
+    assert json.loads((photo / "many" / "edit.json").read_text())["materials"] == [
+        "brass",
+        "red-fabric",
+        "blue-rubber",
+    ]
 
 
 def test_files_of_one_name_make_pictures_of_their_own_and_a_plus_may_be_part_of_a_name(photo):
@@ -126,7 +180,15 @@ def test_files_of_one_name_make_pictures_of_their_own_and_a_plus_may_be_part_of_
     for folder in ("c++", "b"):
         (photo / folder).mkdir()
         (photo / folder / "material.json").write_text(json.dumps(label))
-    words = ["edit", photo / "photo.png", "--mask", photo / "mask.png", "--no-refine", "--out", photo / "two"]
+    words = [
+        "edit",
+        photo / "photo.png",
+        "--mask",
+        photo / "mask.png",
+        "--no-refine",
+        "--out",
+        photo / "two",
+    ]
     done(*words, "--material", photo / "c++" / "material.json", photo / "b" / "material.json")
     pictures = [np.asarray(Image.open(photo / "two" / f"edited-material-{k}.png")) for k in (1, 2)]
     np.testing.assert_array_equal(*pictures)
@@ -136,16 +198,30 @@ def test_a_transparent_photograph_stays_so_under_a_mask_and_on_the_sheet(photo, 
     picture, alpha = np.asarray(Image.open(photo / "photo.png")), np.full((40, 40), 255, np.uint8)
     alpha[:, :6] = 0
     Image.fromarray(np.dstack([picture, alpha])).save(photo / "half.png")
-    words = ["edit", photo / "half.png", "--mask", photo / "mask.png", "--material", "brass", "--no-refine", "--out", photo / "half"]
+    words = [
+        "edit",
+        photo / "half.png",
+        "--mask",
+        photo / "mask.png",
+        "--material",
+        "brass",
+        "--no-refine",
+        "--out",
+        photo / "half",
+    ]
     done(*words)
-    np.testing.assert_array_equal(np.asarray(Image.open(photo / "half" / "edited.png"))[..., 3], alpha)
+    np.testing.assert_array_equal(
+        np.asarray(Image.open(photo / "half" / "edited.png"))[..., 3], alpha
+    )
     for caption in ("photograph", "rendered again", "brass"):
         np.testing.assert_allclose(drawn[caption][0][:, :6], montage.GROUND)
 
 
 def test_every_ball_is_called_by_its_own_material(photo, drawn):
     edited(photo, "both", "--no-refine", masks=("left", "right"), material="gold-paint+red-fabric")
-    assert {"gold-paint+red-fabric", "gold-paint", "red-fabric", "material 1", "material 2"} <= set(drawn)
+    assert {"gold-paint+red-fabric", "gold-paint", "red-fabric", "material 1", "material 2"} <= set(
+        drawn
+    )
     assert abs(drawn["gold-paint"][0] - drawn["red-fabric"][0]).mean() > 5
 
 
@@ -155,26 +231,51 @@ def test_a_transfer_overwrites_nothing_unless_asked(photo, name, capsys):
     (photo / "swap").mkdir()
     (photo / "swap" / name).write_text("mine")
     assert main("learn", "t", COMMANDS, words) == 1
-    assert "--overwrite" in capsys.readouterr().err and (photo / "swap" / name).read_text() == "mine"
+    assert (
+        "--overwrite" in capsys.readouterr().err and (photo / "swap" / name).read_text() == "mine"
+    )
 
 
 def cut_outs(photo):
     """Arguments of a transfer between the photograph and a dark one of the same shape."""
-    picture, mask = np.asarray(Image.open(photo / "photo.png")), np.asarray(Image.open(photo / "mask.png"))
+    picture, mask = (
+        np.asarray(Image.open(photo / "photo.png")),
+        np.asarray(Image.open(photo / "mask.png")),
+    )
     for name, factor in (("a", 1.0), ("b", 0.3)):
-        Image.fromarray(np.dstack([(picture * factor).astype(np.uint8), mask])).save(photo / f"{name}.png")
-    return [str(word) for word in ("transfer", photo / "a.png", photo / "b.png", "--no-refine", "--out", photo / "swap")]
+        Image.fromarray(np.dstack([(picture * factor).astype(np.uint8), mask])).save(
+            photo / f"{name}.png"
+        )
+    return [
+        str(word)
+        for word in (
+            "transfer",
+            photo / "a.png",
+            photo / "b.png",
+            "--no-refine",
+            "--out",
+            photo / "swap",
+        )
+    ]
 
 
 def test_a_grid_shows_the_edits_it_is_of(photo, drawn):
     done(*cut_outs(photo))
-    own, (_, same, in_other, *_) = drawn["a"][1], drawn[""]  # "": the empty corner, the diagonal's picture, a in b's material, …
+    # "": the empty corner, the diagonal's picture, a in b's material, …
+    own, (_, same, in_other, *_) = drawn["a"][1], drawn[""]
     np.testing.assert_array_equal(own, same)
     written = np.asarray(Image.open(photo / "swap" / "a-in-b.png").convert("RGB"), float)
-    assert abs(middle(in_other) - middle(written)).mean() < 10 < 20 < abs(middle(in_other) - middle(own)).mean()
+    assert (
+        abs(middle(in_other) - middle(written)).mean()
+        < 10
+        < 20
+        < abs(middle(in_other) - middle(own)).mean()
+    )
 
 
 def middle(picture):
-    """Eight pixels square: a grid's tile is the object's own square, a written picture has the photograph's size."""
+    """Eight pixels square: a grid's tile is the object's own square, a written picture has the
+    photograph's size.
+    """
     H, W = picture.shape[:2]
     return picture[H // 2 - 4 : H // 2 + 4, W // 2 - 4 : W // 2 + 4]

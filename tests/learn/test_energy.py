@@ -1,4 +1,6 @@
-"""Refinement's energy term by term, by hand; its coordinates' bounds; and that the defaults are those that docs/editing.md tells."""
+"""Refinement's energy term by term, by hand; its coordinates' bounds; and that the defaults are
+those that docs/editing.md tells.
+"""
 
 import math
 from dataclasses import replace
@@ -23,7 +25,9 @@ from shaders import envmap
 SIZE = 8
 LEVEL = Level(pixels=0, light=(16, 32), method="exact", rounds=1, iterations=4)
 QUICK = replace(Settings(), levels=(LEVEL,), passes=1)
-WILD = 3.0  # standard deviation of z at which many changes of log light, and most of normals, are at their bounds
+# standard deviation of z at which many changes of log light, and most of normals, are at their
+# bounds
+WILD = 3.0
 
 
 def luminance(light):
@@ -36,28 +40,52 @@ def disk(n):
 
 
 def flat():
-    """A batch whose picture is 1 on all but the first row, and a State: a plane that faces the viewer, light with log(1 + L) = 1."""
+    """A batch whose picture is 1 on all but the first row, and a State: a plane that faces the
+    viewer, light with log(1 + L) = 1.
+    """
     inside = torch.ones(1, SIZE, SIZE, dtype=torch.bool)
     inside[:, 0] = False
     n, light = torch.zeros(1, 3, SIZE, SIZE), torch.full((1, 3, 64, 128), math.e - 1)
     n[:, 2] = 1
     label = torch.zeros(1, 1, 108)
-    batch = Batch(torch.ones(1, 3, SIZE, SIZE), inside[:, None].float(), n, inside.long(), label, light, label, ("plane",), 0.349)
+    batch = Batch(
+        torch.ones(1, 3, SIZE, SIZE),
+        inside[:, None].float(),
+        n,
+        inside.long(),
+        label,
+        light,
+        label,
+        ("plane",),
+        0.349,
+    )
     return batch, State(label.double(), light, n, {"material": torch.zeros(1, 3)})
 
 
 @pytest.fixture
 def dome():
-    """A batch and its truth: a dome that leans 50° at its corners, in blue rubber under a light with a bright side."""
+    """A batch and its truth: a dome that leans 50° at its corners, in blue rubber under a light
+    with a bright side.
+    """
     x, y = torch.meshgrid(*[torch.linspace(-0.54, 0.54, SIZE)] * 2, indexing="xy")
     n = torch.stack([x, -y, (1 - x * x - y * y).sqrt()])[None]
-    label = torch.from_numpy(load_catalogue()["blue-rubber"].label.reshape(1, 1, 108).astype(np.float32))
+    label = torch.from_numpy(
+        load_catalogue()["blue-rubber"].label.reshape(1, 1, 108).astype(np.float32)
+    )
     light = np.exp(1.2 * envmap.directions(64, 128)[0][..., :1]) * [1.1, 1.0, 0.8]
     light = torch.from_numpy(envmap.unit_mean(light)[0]).movedim(-1, 0)[None]
     inside = torch.ones(1, SIZE, SIZE, dtype=torch.bool)
-    picture = render(n.movedim(1, -1).contiguous(), label[:, 0].exp(), light.movedim(1, -1).contiguous(), mask=inside, method="exact")
+    picture = render(
+        n.movedim(1, -1).contiguous(),
+        label[:, 0].exp(),
+        light.movedim(1, -1).contiguous(),
+        mask=inside,
+        method="exact",
+    )
     image = picture.movedim(-1, 1).contiguous()
-    batch = Batch(image, inside[:, None].float(), n, inside.long(), label, light, label, ("dome",), 0.349)
+    batch = Batch(
+        image, inside[:, None].float(), n, inside.long(), label, light, label, ("dome",), 0.349
+    )
     return batch, Prediction(n, None, label, None, light)
 
 
@@ -67,7 +95,10 @@ def test_the_energy_of_a_displaced_state_is_what_it_is_by_hand(monkeypatch):
     n[0, :, 3, 5] = torch.tensor([0.6, 0.0, 0.8])
     light[:, 0, :32] = math.e**2 - 1
     moved = replace(start, n=n, light=light, z={"material": torch.tensor([[1.0, 2.0, 2.0]])})
-    monkeypatch.setattr(energy, "render", lambda n, *_, **__: (1 + n[..., :1] / 0.6).expand(n.shape))  # 2 where n moved, else 1
+    # 2 where n moved, else 1
+    monkeypatch.setattr(
+        energy, "render", lambda n, *_, **__: (1 + n[..., :1] / 0.6).expand(n.shape)
+    )
     pixels = SIZE * (SIZE - 1)
     expected = {
         "image": (math.log(17 / 9) / math.log(9)) ** 2 / pixels,
@@ -75,7 +106,12 @@ def test_the_energy_of_a_displaced_state_is_what_it_is_by_hand(monkeypatch):
         "light": 1 / 6,  # one channel of three, half of the sphere
         "material": 3.0,
     }
-    expected["total"] = expected["image"] + 2 * expected["normals"] + 3 * expected["light"] + 5 * expected["material"]
+    expected["total"] = (
+        expected["image"]
+        + 2 * expected["normals"]
+        + 3 * expected["light"]
+        + 5 * expected["material"]
+    )
     found = Energy(batch, start, replace(Settings(), a=2.0, b=3.0, c=5.0)).finest(moved)
     assert found == pytest.approx(expected, rel=1e-5)  # float32
 
@@ -97,7 +133,11 @@ def test_a_step_that_raises_the_energy_is_taken_back_and_the_one_before_it_stays
 
     def good_then_bad(value_and_slope, x, **options):
         calls.append(len(x))
-        return minimize(value_and_slope, x, **options) if len(calls) == 1 else OptimizeResult(x=x + 0.1)
+        return (
+            minimize(value_and_slope, x, **options)
+            if len(calls) == 1
+            else OptimizeResult(x=x + 0.1)
+        )
 
     monkeypatch.setattr(descent, "minimize", good_then_bad)
     start = truth._replace(label=truth.label + 0.3)
@@ -105,14 +145,17 @@ def test_a_step_that_raises_the_energy_is_taken_back_and_the_one_before_it_stays
     good, bad = found.history
     assert [good["accepted"], bad["accepted"]] == [True, False]
     assert good["total"] == found.after["total"] < found.before["total"]
-    assert good["total"] < bad["total"] < found.before["total"]  # so the start alone would not have turned it back
+    # so the start alone would not have turned it back
+    assert good["total"] < bad["total"] < found.before["total"]
     assert found.after["light"] == found.before["light"]
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_light_has_unit_mean_luminance_wherever_its_coordinates_lie(dome, seed):
     light = Light(dome[1].light, 8)
-    z = WILD * torch.randn(light.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    z = WILD * torch.randn(
+        light.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+    )
     assert luminance(light(z)) == pytest.approx(1, abs=1e-5)
     z[1:] = 0  # brightness as a whole
     assert luminance(light(z)) == pytest.approx(1, abs=1e-5)
@@ -120,7 +163,11 @@ def test_light_has_unit_mean_luminance_wherever_its_coordinates_lie(dome, seed):
 
 def test_refined_light_has_unit_mean_luminance(dome):
     batch, truth = dome
-    found = refine(batch, truth._replace(label=truth.label - 0.3, light=truth.light.flip(-1)), replace(QUICK, order=("light",), b=0.0))
+    found = refine(
+        batch,
+        truth._replace(label=truth.label - 0.3, light=truth.light.flip(-1)),
+        replace(QUICK, order=("light",), b=0.0),
+    )
     assert found.history[0]["accepted"]
     assert luminance(found.prediction.light) == pytest.approx(1, abs=1e-5)
 
@@ -129,7 +176,9 @@ def test_refined_light_has_unit_mean_luminance(dome):
 def test_normals_stay_within_reach_wherever_their_coordinates_lie(dome, seed):
     batch, truth = dome
     normals = Normals(truth.n, batch.segments > 0, 0.1)
-    z = WILD * torch.randn(normals.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    z = WILD * torch.randn(
+        normals.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+    )
     moved = (disk(normals(z)) - disk(truth.n)).abs()
     assert 0.099 < moved.max() < 0.1 + 1e-6  # float32; along either axis of the disk
 
@@ -137,25 +186,39 @@ def test_normals_stay_within_reach_wherever_their_coordinates_lie(dome, seed):
 def test_refined_normals_stay_within_reach(dome):
     batch, truth = dome
     start = F.normalize(truth.n + torch.tensor([0.3, 0.0, 0.0])[:, None, None], dim=1)
-    found = refine(batch, truth._replace(n=start), replace(QUICK, order=("normals",), reach=0.01, a=0.0))
+    found = refine(
+        batch, truth._replace(n=start), replace(QUICK, order=("normals",), reach=0.01, a=0.0)
+    )
     assert found.history[0]["accepted"]
     assert (disk(found.prediction.n) - disk(start)).abs().max() < 0.01 + 1e-6  # float32
 
 
 def test_directions_of_the_materials_know_the_training_ones_alone(monkeypatch, rng):
-    known = {f"m{i}": SimpleNamespace(label=rng.standard_normal((3, 3, 2, 6)), split="train") for i in range(4)}
-    outlying = {split: SimpleNamespace(label=50 * rng.standard_normal((3, 3, 2, 6)), split=split) for split in ("train", "test")}
+    known = {
+        f"m{i}": SimpleNamespace(label=rng.standard_normal((3, 3, 2, 6)), split="train")
+        for i in range(4)
+    }
+    outlying = {
+        split: SimpleNamespace(label=50 * rng.standard_normal((3, 3, 2, 6)), split=split)
+        for split in ("train", "test")
+    }
 
     def directions(materials):
         monkeypatch.setattr(coordinates, "load_catalogue", lambda: materials)
         return principal_directions.__wrapped__()  # what is kept are the catalogue's own
 
     assert np.array_equal(directions(known | {"x": outlying["test"]}), directions(known))
-    assert np.linalg.norm(directions(known | {"x": outlying["train"]})) > 5 * np.linalg.norm(directions(known))
+    assert np.linalg.norm(directions(known | {"x": outlying["train"]})) > 5 * np.linalg.norm(
+        directions(known)
+    )
 
 
 def test_defaults_are_those_that_the_documentation_tells(root):
-    told, s, paper = " ".join((root / "docs" / "editing.md").read_text(encoding="utf-8").split()), Settings(), NAMED["paper"]
+    told, s, paper = (
+        " ".join((root / "docs" / "editing.md").read_text(encoding="utf-8").split()),
+        Settings(),
+        NAMED["paper"],
+    )
     assert f"a = {s.a:g}, b = {s.b:g}, c = {s.c:g} and the passes were chosen" in told
     assert f"The paper's a = {paper.a:g}, b = {paper.b:g} hold the light still" in told
     assert f"paper: a = {paper.a:g}, b = {paper.b:g}, c = {paper.c:g}" in told
@@ -169,8 +232,14 @@ def test_defaults_are_those_that_the_documentation_tells(root):
 def test_the_way_down_begins_under_few_lights_and_ends_under_all(root):
     told = " ".join((root / "docs" / "editing.md").read_text(encoding="utf-8").split())
     first, last = Settings().levels
-    assert (first.pixels, last.pixels) == (0, 0) and "at all pixels under 32 × 64 lights, then all at once under all of them" in told
+    assert (first.pixels, last.pixels) == (
+        0,
+        0,
+    ) and "at all pixels under 32 × 64 lights, then all at once under all of them" in told
     assert (first.light, last.light) == ((32, 64), (64, 128))
     assert first.rounds == 1 and first.iterations and first.together
     assert last.rounds == 0 and last.together
-    assert all(level.method == "auto" and f"keeps {100 * level.tolerance:g} %" in told for level in (first, last))
+    assert all(
+        level.method == "auto" and f"keeps {100 * level.tolerance:g} %" in told
+        for level in (first, last)
+    )

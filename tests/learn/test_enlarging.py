@@ -1,4 +1,6 @@
-"""Ways to bring an edit to the photograph's size, on pictures whose enlargement is known, and the table that compares them."""
+"""Ways to bring an edit to the photograph's size, on pictures whose enlargement is known, and the
+table that compares them.
+"""
 
 import json
 
@@ -12,7 +14,9 @@ from tests.learn.test_editing import NETWORK, SIZE, Knowing, label_of, lit, open
 
 @pytest.fixture
 def edge():
-    """A guide with a step between two pixels of the network's, and what has one there too: (guide (32, 32), low (8, 8, 1))."""
+    """A guide with a step between two pixels of the network's, and what has one there too: (guide
+    (32, 32), low (8, 8, 1)).
+    """
     guide = np.zeros((32, 32))
     guide[:, 14:] = 1.0
     return guide, np.repeat((np.arange(8) >= 4)[None, :, None], 8, 0).astype(np.float64)
@@ -20,7 +24,9 @@ def edge():
 
 def test_a_joint_bilateral_enlargement_steps_where_the_photograph_does(edge):
     guide, low = edge
-    found = upsampling.joint_bilateral(low, guide.reshape(8, 4, 8, 4).mean((1, 3)).round(), guide)[..., 0]
+    found = upsampling.joint_bilateral(low, guide.reshape(8, 4, 8, 4).mean((1, 3)).round(), guide)[
+        ..., 0
+    ]
     assert found[:, :14].max() < 0.05
     assert found[:, 14:].min() > 0.95
     flat = upsampling.joint_bilateral(low, np.zeros((8, 8)), np.zeros((32, 32)))[..., 0]
@@ -28,7 +34,9 @@ def test_a_joint_bilateral_enlargement_steps_where_the_photograph_does(edge):
 
 
 def test_a_joint_bilateral_enlargement_keeps_a_constant(rng):
-    found = upsampling.joint_bilateral(np.full((8, 8, 3), 0.7), rng.random((8, 8)), rng.random((24, 24)))
+    found = upsampling.joint_bilateral(
+        np.full((8, 8, 3), 0.7), rng.random((8, 8)), rng.random((24, 24))
+    )
     np.testing.assert_allclose(found, 0.7, rtol=1e-5)
 
 
@@ -36,7 +44,8 @@ def test_a_guided_enlargement_of_what_is_linear_in_the_guide_is_linear_in_the_ph
     guide_low = rng.random((16, 16)).astype(np.float32)
     guide = np.repeat(np.repeat(guide_low, 4, 0), 4, 1)
     found = upsampling.guided(2.0 * guide_low[..., None] + 0.5, guide_low, guide)
-    assert np.abs(found[..., 0] - (2.0 * guide + 0.5)).max() < 0.06  # FLAT against a variance of 1/12
+    # FLAT against a variance of 1/12
+    assert np.abs(found[..., 0] - (2.0 * guide + 0.5)).max() < 0.06
     still = upsampling.guided(np.full((16, 16, 1), 0.3, np.float32), guide_low, guide)
     np.testing.assert_allclose(still, 0.3, atol=1e-5)
 
@@ -44,13 +53,19 @@ def test_a_guided_enlargement_of_what_is_linear_in_the_guide_is_linear_in_the_ph
 def test_every_way_paints_a_smooth_object_alike_and_one_render_serves_all_details(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    found = decomposition.decompose(opened(radiance, inside.astype(np.int64), 2.0), Knowing(label), NETWORK)
+    found = decomposition.decompose(
+        opened(radiance, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
+    )
     ways = upsampling.painters(found)
     rendered, render = [], decomposition.render
-    monkeypatch.setattr(decomposition, "render", lambda *a, **k: rendered.append(a) or render(*a, **k))
+    monkeypatch.setattr(
+        decomposition, "render", lambda *a, **k: rendered.append(a) or render(*a, **k)
+    )
     edits = {name: painter.edited([label[0]]) for name, painter in ways.items()}
-    assert len(rendered) == 5  # in use and its details together once, three at the network's size, normals once
-    core = np.hypot(*(np.indices((SIZE, SIZE)) - SIZE / 2 + 0.5)) < 22  # of 30: at the rim ways differ by right
+    # in use and its details together once, three at the network's size, normals once
+    assert len(rendered) == 5
+    # of 30: at the rim ways differ by right
+    core = np.hypot(*(np.indices((SIZE, SIZE)) - SIZE / 2 + 0.5)) < 22
     for name, picture in edits.items():
         assert picture.shape == radiance.shape
         np.testing.assert_allclose(picture[core], radiance[core], rtol=0.06, err_msg=name)
@@ -60,7 +75,10 @@ def test_the_table_compares_with_the_way_in_use_on_the_same_edits(tmp_path):
     def ways(l2):
         return {"normals enlarged": {"l2": 100.0, "ssim": 0.8}, "detail 1": {"l2": l2, "ssim": 0.7}}
 
-    rows = [{"edit": "e", "shape": shape, "material": "m", "ours": ways(110.0), "true": ways(50.0)} for shape in "abc"]
+    rows = [
+        {"edit": "e", "shape": shape, "material": "m", "ours": ways(110.0), "true": ways(50.0)}
+        for shape in "abc"
+    ]
     upsampling_study.written(tmp_path, rows, {"edits": 3})
     told = json.loads((tmp_path / "enlarging.json").read_text())["parts"]
     assert told["ours"]["detail 1"]["l2_ratio"] == pytest.approx([1.1] * 3)

@@ -1,4 +1,6 @@
-"""The evaluation on a small dataset whose pictures are computed here: what is true must come out as true, and nothing twice."""
+"""The evaluation on a small dataset whose pictures are computed here: what is true must come out as
+true, and nothing twice.
+"""
 
 import json
 import re
@@ -28,31 +30,49 @@ from shaders.mixture import Mixture
 
 SIZE = 32
 ALBEDOS = {"dark": 0.1, "middle": 0.4, "bright": 0.8}
-HALF_FLOATS = 0.05  # display L2: pictures are stored with 11 bits, and rendered by two tolerances of the quadrature
+# display L2: pictures are stored with 11 bits, and rendered by two tolerances of the quadrature
+HALF_FLOATS = 0.05
 
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
     """A compact network that knows nothing."""
     torch.manual_seed(3)
-    labels = torch.stack([torch.tensor(matte("a", albedo).label) for albedo in ALBEDOS.values()]).float()
-    network, path = Compact(Ranges.of(labels)), tmp_path_factory.mktemp("weights") / "weights.safetensors"
+    labels = torch.stack(
+        [torch.tensor(matte("a", albedo).label) for albedo in ALBEDOS.values()]
+    ).float()
+    network, path = (
+        Compact(Ranges.of(labels)),
+        tmp_path_factory.mktemp("weights") / "weights.safetensors",
+    )
     save_weights(path, network, network.state_dict(), "{}", SIZE)
     return path
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    """Three matte materials on a sphere, under one light in two turns, twice each: twelve pictures, six different ones."""
+    """Three matte materials on a sphere, under one light in two turns, twice each: twelve pictures,
+    six different ones.
+    """
     folder = tmp_path_factory.mktemp("data")
     entries = [matte(name, albedo) for name, albedo in ALBEDOS.items()]
-    write_dataset(folder, entries, np.random.default_rng(1), size=SIZE, noise=0.0, rotations=(0, 40), method="quadrature")
+    write_dataset(
+        folder,
+        entries,
+        np.random.default_rng(1),
+        size=SIZE,
+        noise=0.0,
+        rotations=(0, 40),
+        method="quadrature",
+    )
     return folder
 
 
 @pytest.fixture(autouse=True)
 def few_pixels(monkeypatch):
-    """Label and nodes are the same matte surface here: few pixels show it, and 8,192 texels at each take their time."""
+    """Label and nodes are the same matte surface here: few pixels show it, and 8,192 texels at each
+    take their time.
+    """
     monkeypatch.setattr(bench, "FIT_PIXELS", 8)
 
 
@@ -64,13 +84,22 @@ def options(data, weights, tmp_path):
 def test_pairs_differ_in_nothing_but_the_material(data):
     records = Records(data).records
     edits = [edit for group in pairs.edits_between(records).values() for edit in group]
-    assert len(edits) == 2 * 3 * 2  # two turns of the light, three materials, two others for each; no pair of two seeds
+    # two turns of the light, three materials, two others for each; no pair of two seeds
+    assert len(edits) == 2 * 3 * 2
     for edit in edits:
         a, b = edit.source, edit.truth
         assert a.materials != b.materials
-        same = [r.id for r in records if pairs.scene(r) == pairs.scene(b) and r.materials == b.materials]
+        same = [
+            r.id for r in records if pairs.scene(r) == pairs.scene(b) and r.materials == b.materials
+        ]
         assert b.id == min(same)  # of two seeds always the same one
-        assert (a.geometry, a.light, a.rotation_texels, a.tier, a.camera) == (b.geometry, b.light, b.rotation_texels, b.tier, b.camera)
+        assert (a.geometry, a.light, a.rotation_texels, a.tier, a.camera) == (
+            b.geometry,
+            b.light,
+            b.rotation_texels,
+            b.tier,
+            b.camera,
+        )
 
 
 def test_more_edits_begin_with_the_same_ones(data):
@@ -99,12 +128,16 @@ def test_pictures_of_more_samples_alter_no_edit_and_show_the_noise(data):
     records = Records(data).records
     edited = pairs.chosen(records, 12, 5)
     truth = edited[0].truth
-    finer = [msgspec.structs.replace(truth, id=f"0{seed}", samples=512, seed=seed) for seed in (5, 6)]  # first by id, were it for that
+    # first by id, were it for that
+    finer = [
+        msgspec.structs.replace(truth, id=f"0{seed}", samples=512, seed=seed) for seed in (5, 6)
+    ]
     key = pairs.scene(truth), truth.materials
     for added in (finer, finer[:1]):
         assert pairs.chosen([*added, *records], 12, 5) == edited
     assert pairs.repeats([*records, *finer])[key] == finer
-    assert {r.samples for r in pairs.repeats([*records, *finer[:1]])[key]} == {1}  # of one alone no noise is known
+    # of one alone no noise is known
+    assert {r.samples for r in pairs.repeats([*records, *finer[:1]])[key]} == {1}
     assert len(pairs.repeats([*records, *finer[:1]])[key]) == 2
 
 
@@ -132,7 +165,8 @@ def test_truth_in_the_tables_say_so(options, monkeypatch):
     for trivial in ("input unchanged", "mean material, true normals and light"):
         assert edits[trivial]["l2"][0] > 20
     parts = {
-        key: {row["name"]: row["cells"] for row in tables[key]["rows"]}["ours"] for key in ("normals", "material", "light", "rerendered")
+        key: {row["name"]: row["cells"] for row in tables[key]["rows"]}["ours"]
+        for key in ("normals", "material", "light", "rerendered")
     }
     given = {
         "the layer alone",
@@ -140,38 +174,58 @@ def test_truth_in_the_tables_say_so(options, monkeypatch):
         "constant light, true normals",
     }  # who is given a part has no row of it
     assert not given & {row["name"] for row in tables["normals"]["rows"]}
-    assert not {"the layer alone", "constant light, true normals"} & {row["name"] for row in tables["material"]["rows"]}
+    assert not {"the layer alone", "constant light, true normals"} & {
+        row["name"] for row in tables["material"]["rows"]
+    }
     assert parts["normals"]["mean_deg"][0] < 0.1  # arccos of 1 − 6e-8 is 0.02°
     assert parts["material"]["brdf_log"][0] == 0 and parts["light"]["spheres_l2"][0] == 0
     assert parts["rerendered"]["l2"][0] < HALF_FLOATS
     layer = tables["layer"]["rows"][-1]["cells"]
-    assert layer["l2_inner"] < HALF_FLOATS and layer["judged"] == layer["truths"] > 1  # every truth has a second seed here
+    # every truth has a second seed here
+    assert layer["l2_inner"] < HALF_FLOATS and layer["judged"] == layer["truths"] > 1
 
 
 def test_a_false_light_is_told_from_false_normals(data, weights):
-    """With the truth but for its light, giving the light takes all error off and giving the normals none."""
+    """With the truth but for its light, giving the light takes all error off and giving the normals
+    none.
+    """
     work = bench.Bench(data, weights, refine=False)
     edit = pairs.chosen(work.records.records, 1, 0)[0]
     batch, label = pairs.shown(work.records, edit), pairs.target_label(work.records, edit)
-    wrong = methods.Layered("wrong light", lambda b: Prediction(b.n.clone(), None, None, None, b.light * 0.5))
+    wrong = methods.Layered(
+        "wrong light", lambda b: Prediction(b.n.clone(), None, None, None, b.light * 0.5)
+    )
     truth, mask = work.records.image(edit.truth), (batch.segments[0] > 0).numpy()
     l2 = bench.metrics.display_l2(wrong.edit(batch, label), truth, mask)
     found = bench.with_truth(wrong, batch, label, truth, mask, l2)
-    assert l2 > 20 and found["l2_true_light"] < HALF_FLOATS and found["l2_true_normals"] == pytest.approx(l2, rel=1e-4)
+    assert (
+        l2 > 20
+        and found["l2_true_light"] < HALF_FLOATS
+        and found["l2_true_normals"] == pytest.approx(l2, rel=1e-4)
+    )
 
 
 def test_false_normals_are_told_from_a_false_light(data, weights):
     work = bench.Bench(data, weights, refine=False)
     edits = pairs.chosen(work.records.records, 12, 0)
-    edit = max(edits, key=lambda each: float(work.records.image(each.truth).mean()))  # the brightest shows the error best
+    # the brightest shows the error best
+    edit = max(edits, key=lambda each: float(work.records.image(each.truth).mean()))
     batch, label = pairs.shown(work.records, edit), pairs.target_label(work.records, edit)
     wrong = methods.Layered(
-        "wrong normals", lambda b: Prediction(b.n * torch.tensor([-1.0, 1, 1])[:, None, None], None, None, None, b.light + 0)
+        "wrong normals",
+        lambda b: Prediction(
+            b.n * torch.tensor([-1.0, 1, 1])[:, None, None], None, None, None, b.light + 0
+        ),
     )
     truth, mask = work.records.image(edit.truth), (batch.segments[0] > 0).numpy()
     l2 = bench.metrics.display_l2(wrong.edit(batch, label), truth, mask)
     found = bench.with_truth(wrong, batch, label, truth, mask, l2)
-    assert l2 > 2 and found["l2_true_normals"] < HALF_FLOATS and found["l2_true_light"] == pytest.approx(l2, rel=1e-4)  # light is even
+    # light is even
+    assert (
+        l2 > 2
+        and found["l2_true_normals"] < HALF_FLOATS
+        and found["l2_true_light"] == pytest.approx(l2, rel=1e-4)
+    )
 
 
 def test_what_stands_behind_the_object_is_neither_shown_nor_compared(data, weights, monkeypatch):
@@ -179,7 +233,9 @@ def test_what_stands_behind_the_object_is_neither_shown_nor_compared(data, weigh
     edit = pairs.chosen(work.records.records, 1, 0)[0]
     mask = (pairs.shown(work.records, edit).segments[0] > 0).numpy()[..., None]
     image = Records.image
-    monkeypatch.setattr(Records, "image", lambda self, record: np.where(mask, image(self, record), np.float32(0.5)))
+    monkeypatch.setattr(
+        Records, "image", lambda self, record: np.where(mask, image(self, record), np.float32(0.5))
+    )
     batch = pairs.shown(work.records, edit)
     assert (batch.image[0].movedim(0, -1).numpy() * ~mask).max() == 0
     _, (row,) = work.work(edit, [edit], False)
@@ -198,7 +254,9 @@ def test_the_layer_inside_is_not_blamed_for_what_is_wrong_at_silhouettes(data, w
 
 
 def test_what_the_nodes_explain_is_not_put_down_to_the_loop(data, weights, monkeypatch):
-    """The label reflects 0.4, nodes and Cycles 0.36: all of the difference is the fit's, but for a twentieth that Cycles is brighter."""
+    """The label reflects 0.4, nodes and Cycles 0.36: all of the difference is the fit's, but for a
+    twentieth that Cycles is brighter.
+    """
     monkeypatch.setattr(bench, "FIT_PIXELS", 64)
     work = bench.Bench(data, weights, refine=False)
     (record,) = [r for r in work.records.records if r.materials == ("middle",)][:1]
@@ -208,20 +266,37 @@ def test_what_the_nodes_explain_is_not_put_down_to_the_loop(data, weights, monke
     found = []
     for brighter in (1, 1.05):
         nodes = sample.image.numpy() * 0.9 * brighter
-        pictures = np.stack([nodes * (1 + 0.05 * rng.standard_normal(nodes.shape)) for _ in range(2)])
-        found.append(bench.against_nodes(sample, pictures, sample.image.numpy(), inner, mixtures, exposure))
+        pictures = np.stack(
+            [nodes * (1 + 0.05 * rng.standard_normal(nodes.shape)) for _ in range(2)]
+        )
+        found.append(
+            bench.against_nodes(sample, pictures, sample.image.numpy(), inner, mixtures, exposure)
+        )
     true, other = found
-    plain = [bench.squared(tone.display(sample.image.numpy(), exposure), tone.display(x, exposure))[inner].mean() for x in pictures]
-    # noise: 5 % of 130 display values over 2.2, squared, is 9; its products over 600 pixels × 3 channels scatter by 0.2, over 256 by 0.35
+    plain = [
+        bench.squared(tone.display(sample.image.numpy(), exposure), tone.display(x, exposure))[
+            inner
+        ].mean()
+        for x in pictures
+    ]
+    # noise: 5 % of 130 display values over 2.2, squared, is 9; its products over 600 pixels × 3
+    # channels scatter by 0.2, over 256 by 0.35
     assert true["fit_here"] == pytest.approx(other["fit_here"], rel=0.01) and true["fit_here"] > 20
-    assert true["net_inner"] == pytest.approx(true["fit_here"], abs=1.5) and min(plain) > other["net_inner"] + 5
+    assert (
+        true["net_inner"] == pytest.approx(true["fit_here"], abs=1.5)
+        and min(plain) > other["net_inner"] + 5
+    )
     assert 0.05 < true["net_error"] < 2
     assert abs(true["rest"]) < 1.5 < 4 < other["rest"]
 
 
 def test_a_truth_of_two_edits_is_taken_apart_once(data, weights, monkeypatch):
     asked = []
-    monkeypatch.setattr(bench, "against_nodes", lambda sample, *_: asked.append(sample.record.id) or {"net_inner": 1.0})
+    monkeypatch.setattr(
+        bench,
+        "against_nodes",
+        lambda sample, *_: asked.append(sample.record.id) or {"net_inner": 1.0},
+    )
     work = bench.Bench(data, weights, refine=False)
     edits = [edit for group in pairs.edits_between(work.records.records).values() for edit in group]
     rows = [row for edit in edits for row in work.work(edit, [edit], False)[1]]
@@ -237,16 +312,28 @@ def test_a_smaller_evaluation_in_the_same_folder_reports_its_own_edits_alone(opt
 
 @pytest.fixture
 def both_sides(tmp_path):
-    """A function of a number: a data set of six training pictures and that many of a shape and materials held out."""
+    """A function of a number: a data set of six training pictures and that many of a shape and
+    materials held out.
+    """
 
     def written(held_out):
         entries = [
-            matte(f"{name}{mark}", albedo, split) for mark, split in (("", "train"), ("'", "test")) for name, albedo in ALBEDOS.items()
+            matte(f"{name}{mark}", albedo, split)
+            for mark, split in (("", "train"), ("'", "test"))
+            for name, albedo in ALBEDOS.items()
         ]
-        words = {"size": SIZE, "noise": 0.0, "rotations": (0, 40), "seeds": 1, "method": "quadrature"}
+        words = {
+            "size": SIZE,
+            "noise": 0.0,
+            "rotations": (0, 40),
+            "seeds": 1,
+            "method": "quadrature",
+        }
         store = write_dataset(tmp_path / "split", entries, np.random.default_rng(1), **words)
         add_shape(store, "held out", "test")
-        train, test = ([r for r in store.records() if r.split == split] for split in ("train", "test"))
+        train, test = (
+            [r for r in store.records() if r.split == split] for split in ("train", "test")
+        )
         kept = [*train, *test[:held_out]]
         store.record_files()[0].write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in kept))
         return store.folder
@@ -262,12 +349,19 @@ def test_where_pictures_are_held_out_only_those_are_edited(both_sides, options):
 
 
 def without_seconds(rows):
-    return [json.loads(re.sub(r'"seconds": [\d.e-]+', '"seconds": 0', json.dumps(row))) for row in sorted(rows, key=lambda r: r["id"])]
+    return [
+        json.loads(re.sub(r'"seconds": [\d.e-]+', '"seconds": 0', json.dumps(row)))
+        for row in sorted(rows, key=lambda r: r["id"])
+    ]
 
 
 def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, tmp_path):
     calls, work = [], bench.Bench.work
-    monkeypatch.setattr(bench.Bench, "work", lambda self, first, edits, *rest: calls.append(edits) or work(self, first, edits, *rest))
+    monkeypatch.setattr(
+        bench.Bench,
+        "work",
+        lambda self, first, edits, *rest: calls.append(edits) or work(self, first, edits, *rest),
+    )
     whole = run.make(options)
     made = [edit.id for edits in calls for edit in edits]
     assert len(made) == len(set(made)) == 4
@@ -277,9 +371,12 @@ def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, 
         file.truncate(file.seek(0, 2) - 20)  # as a kill leaves it
     calls.clear()
     again = run.make(replace(options, out=out))
-    assert sorted(edit.id for edits in calls for edit in edits) == sorted(made[2:])  # the torn one and the new one
+    # the torn one and the new one
+    assert sorted(edit.id for edits in calls for edit in edits) == sorted(made[2:])
     for name in ("edits.jsonl", "pictures.jsonl"):
-        assert without_seconds(files.read_lines(out / name)) == without_seconds(files.read_lines(options.out / name))
+        assert without_seconds(files.read_lines(out / name)) == without_seconds(
+            files.read_lines(options.out / name)
+        )
     assert again["tables"]["edits"] == whole["tables"]["edits"]
     calls.clear()
     run.make(replace(options, out=out))
@@ -290,7 +387,11 @@ def test_pictures_asked_for_later_are_drawn_and_nothing_else_is_made_again(optio
     calls, work = [], bench.Bench.work
     told = run.make(replace(options, gallery=0))
     assert not (options.out / "gallery").exists()
-    monkeypatch.setattr(bench.Bench, "work", lambda self, first, edits, *rest: calls.append(edits) or work(self, first, edits, *rest))
+    monkeypatch.setattr(
+        bench.Bench,
+        "work",
+        lambda self, first, edits, *rest: calls.append(edits) or work(self, first, edits, *rest),
+    )
     again = run.make(replace(options, gallery=1))
     drawn = [path.stem for path in (options.out / "gallery").iterdir()]
     assert [edit.id for edits in calls for edit in edits] == drawn and len(drawn) == 1
@@ -302,16 +403,21 @@ def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path
     shutil.copytree(data, folder)
     lines = folder / "records" / "worker-00.jsonl"
     whole = lines.read_bytes()
-    alike = {}  # of two pictures that differ in the seed alone, the one that edits are compared with
+    # of two pictures that differ in the seed alone, the one that edits are compared with
+    alike = {}
     for record in Records(folder).records:
         alike.setdefault((pairs.scene(record), record.materials), record)
     seeds = list(alike.values())
     lines.write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in seeds))
     run.make(replace(options, data=folder))
-    assert {row["layer"].get("seeds") for row in run.rows_of(options.out / "edits.jsonl").values()} == {None}
+    assert {
+        row["layer"].get("seeds") for row in run.rows_of(options.out / "edits.jsonl").values()
+    } == {None}
     lines.write_bytes(whole)
     run.make(replace(options, data=folder))
-    assert {row["layer"].get("seeds") for row in run.rows_of(options.out / "edits.jsonl").values()} == {2}
+    assert {
+        row["layer"].get("seeds") for row in run.rows_of(options.out / "edits.jsonl").values()
+    } == {2}
     assert len(files.read_lines(options.out / "edits.jsonl")) == 8  # the later of two lines holds
 
 
@@ -340,7 +446,13 @@ def test_one_shape_and_material_decide_nothing(options):
 
 def test_the_best_of_a_column_was_given_no_truth():
     column = {"key": "l2", "label": "L2 ↓"}
-    rows = [("the layer alone", 1.0), ("constant light, true normals", 2.0), ("Lombardi-like", 3.0), ("ours", 4.0), ("Baseline 1", 5.0)]
+    rows = [
+        ("the layer alone", 1.0),
+        ("constant light, true normals", 2.0),
+        ("Lombardi-like", 3.0),
+        ("ours", 4.0),
+        ("Baseline 1", 5.0),
+    ]
     rows = [{"name": name, "cells": {"l2": [value, value, value]}} for name, value in rows]
     assert page._best(rows, column) == "ours"
 
@@ -357,7 +469,8 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(options, monkeypatc
 def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, tmp_path):
     refined = run.settings(replace(options, refine=True))
     files.pin_settings(tmp_path / "settings.json", refined)
-    files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))  # what a file gives back is the same
+    # what a file gives back is the same
+    files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
     monkeypatch.setattr(run, "Settings", lambda: replace(Settings(), a=0.5))
     with pytest.raises(InputError, match="other refine"):
         files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
@@ -368,7 +481,10 @@ def test_what_is_missing_is_left_out_by_name(options, tmp_path):
     (tmp_path / "none").mkdir()
     told = run.make(replace(options, baselines=tmp_path / "none"))
     assert {"Baseline 1", "Baseline 2", "LPIPS", "refined rows"} <= set(told["about"]["missing"])
-    assert not any("Baseline" in row["name"] or "refined" in row["name"] for row in told["tables"]["edits"]["rows"])
+    assert not any(
+        "Baseline" in row["name"] or "refined" in row["name"]
+        for row in told["tables"]["edits"]["rows"]
+    )
     assert "lpips" not in [column["key"] for column in told["tables"]["edits"]["columns"]]
     text = (options.out / "report.md").read_text()
     assert "Left out: Baseline 2: no baseline-2.safetensors" in text and "Left out: LPIPS" in text
@@ -379,7 +495,11 @@ def test_the_page_stands_alone(options):
     text = (options.out / "index.html").read_text()
     assert len(re.findall("<figure>", text)) == options.gallery and "src='data:image/png" in text
     assert not re.search(r"(src|href)=['\"](?!data:)", text)
-    assert json.loads((options.out / "report.json").read_text())["tables"].keys() >= {"edits", "differences", "layer"}
+    assert json.loads((options.out / "report.json").read_text())["tables"].keys() >= {
+        "edits",
+        "differences",
+        "layer",
+    }
 
 
 def test_weights_of_another_size_are_refused(data, options, weights, tmp_path):
@@ -391,25 +511,45 @@ def test_weights_of_another_size_are_refused(data, options, weights, tmp_path):
 
 @pytest.fixture
 def two_regions(data, tmp_path):
-    """The sphere's left half in one material and its right in another: three pictures of it under one light."""
+    """The sphere's left half in one material and its right in another: three pictures of it under
+    one light.
+    """
     records = Records(data)
     record = records.records[0]
     normals, depth, segments = records.geometry(record)
     segments = segments * np.where(np.arange(SIZE) < SIZE // 2, 1, 2)
-    store = write_dataset(tmp_path / "two", [matte(n, a) for n, a in ALBEDOS.items()], np.random.default_rng(1), size=SIZE, rotations=(0,))
+    store = write_dataset(
+        tmp_path / "two",
+        [matte(n, a) for n, a in ALBEDOS.items()],
+        np.random.default_rng(1),
+        size=SIZE,
+        rotations=(0,),
+    )
     dataset = store.dataset()
     shapes = {"sphere": msgspec.structs.replace(dataset.shapes["sphere"], segments=2)}
     store.write_json("dataset.json", msgspec.structs.replace(dataset, shapes=shapes))
     channels = {f"normal.{axis}": normals[..., k] for k, axis in enumerate("XYZ")}
     encoded = exr.encode(channels | {"depth.Z": depth, "segment": segments.astype(np.uint32)})
-    record = msgspec.structs.replace(record, rotation_texels=0, geometry_hash=store.place(record.geometry, encoded, "test"))
+    record = msgspec.structs.replace(
+        record, rotation_texels=0, geometry_hash=store.place(record.geometry, encoded, "test")
+    )
     L = torch.from_numpy(Records(store.folder, lambda _: False).light("sky"))[None]
     (store.folder / "records" / "worker-00.jsonl").unlink()
     lines = Lines(store.folder / "records" / "worker-00.jsonl")
     for names in (("dark", "bright"), ("bright", "middle"), ("middle", "middle")):
         m = torch.from_numpy(np.stack([records.label(name) for name in names]))[None].exp()
-        seen = render(torch.from_numpy(normals)[None], m, L, segments=torch.from_numpy(segments)[None], method="quadrature")[0].numpy()
-        lines.append(with_picture(store, named(msgspec.structs.replace(record, materials=names), dataset), seen))
+        seen = render(
+            torch.from_numpy(normals)[None],
+            m,
+            L,
+            segments=torch.from_numpy(segments)[None],
+            method="quadrature",
+        )[0].numpy()
+        lines.append(
+            with_picture(
+                store, named(msgspec.structs.replace(record, materials=names), dataset), seen
+            )
+        )
     lines.close()
     return store.folder
 
@@ -419,9 +559,16 @@ def test_each_region_gets_its_own_material(two_regions, weights):
     edits = pairs.chosen(work.records.records, 6, 0)
     assert len(edits) == 6 and all(edit.several for edit in edits)
     for edit in edits:
-        assert pairs.shown(work.records, edit).label.shape == (1, 2, 108) == (1, *pairs.target_label(work.records, edit).shape)
+        assert (
+            pairs.shown(work.records, edit).label.shape
+            == (1, 2, 108)
+            == (1, *pairs.target_label(work.records, edit).shape)
+        )
         _, (row,) = work.work(edit, [edit], False)
         assert (
-            row["methods"]["the layer alone"]["l2"] < HALF_FLOATS < 1 < row["methods"]["input unchanged"]["l2"]
+            row["methods"]["the layer alone"]["l2"]
+            < HALF_FLOATS
+            < 1
+            < row["methods"]["input unchanged"]["l2"]
         )  # bright clips: 4, not 1000
         assert np.isfinite(row["methods"]["ours"]["l2"])

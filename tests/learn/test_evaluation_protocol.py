@@ -33,22 +33,39 @@ from manifests.errors import InputError
 from shaders import tone
 
 SIZE = 32
-QUICK = replace(Settings(), passes=1, levels=(Level(pixels=60, light=(16, 32), method="exact", rounds=1, iterations=2),))
+QUICK = replace(
+    Settings(),
+    passes=1,
+    levels=(Level(pixels=60, light=(16, 32), method="exact", rounds=1, iterations=2),),
+)
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    """Two matte spheres under one light: two pictures, each the truth of the other's edit; at this turn the bright one is first."""
+    """Two matte spheres under one light: two pictures, each the truth of the other's edit; at this
+    turn the bright one is first.
+    """
     folder = tmp_path_factory.mktemp("data")
     entries = [matte("dark", 0.1), matte("bright", 0.8)]
-    write_dataset(folder, entries, np.random.default_rng(1), size=SIZE, seeds=1, noise=0.0, rotations=(2,), method="quadrature")
+    write_dataset(
+        folder,
+        entries,
+        np.random.default_rng(1),
+        size=SIZE,
+        seeds=1,
+        noise=0.0,
+        rotations=(2,),
+        method="quadrature",
+    )
     return folder
 
 
 def untrained(kind, path, seed):
     """Weights of a network that knows nothing but the range of labels."""
     torch.manual_seed(seed)
-    network = kind(Ranges.of(torch.tensor([matte("a", albedo).label for albedo in (0.05, 0.9)]).float()))
+    network = kind(
+        Ranges.of(torch.tensor([matte("a", albedo).label for albedo in (0.05, 0.9)]).float())
+    )
     save_weights(path, network, network.state_dict(), "{}", SIZE)
     return path
 
@@ -80,7 +97,9 @@ def batch(data):
 
 
 class Finished(NamedTuple):
-    """options, the row of the picture, the row of its edit, and (batch, start, Refined) of each refinement in turn."""
+    """options, the row of the picture, the row of its edit, and (batch, start, Refined) of each
+    refinement in turn.
+    """
 
     options: run.Options
     picture: dict
@@ -91,7 +110,12 @@ class Finished(NamedTuple):
 @pytest.fixture(scope="module")
 def finished(data, weights, others, tmp_path_factory):
     """One edit by all there are, refined a little."""
-    options, calls = run.Options(data, weights, tmp_path_factory.mktemp("out"), edits=1, baselines=others, gallery=0), []
+    options, calls = (
+        run.Options(
+            data, weights, tmp_path_factory.mktemp("out"), edits=1, baselines=others, gallery=0
+        ),
+        [],
+    )
     refine, threads = learn.refinement.refine, torch.get_num_threads()
 
     def noted(batch, prediction):
@@ -105,18 +129,35 @@ def finished(data, weights, others, tmp_path_factory):
             run.make(options)
         finally:
             torch.set_num_threads(threads)
-    (picture,), (edit,) = (files.read_lines(options.out / name) for name in ("pictures.jsonl", "edits.jsonl"))
+    (picture,), (edit,) = (
+        files.read_lines(options.out / name) for name in ("pictures.jsonl", "edits.jsonl")
+    )
     return Finished(options, picture, edit, calls)
 
 
 def figures(n, label, light, batch):
-    return metrics.compare(methods.rendered(n, label, light, batch), batch.image[0].movedim(0, -1).numpy(), batch.segments[0].numpy() > 0)
+    return metrics.compare(
+        methods.rendered(n, label, light, batch),
+        batch.image[0].movedim(0, -1).numpy(),
+        batch.segments[0].numpy() > 0,
+    )
 
 
-def test_everyone_who_is_there_has_a_row_and_of_the_baselines_the_second_alone_is_refined_too(finished):
-    trivial = ["input unchanged", "mean material, true normals and light", "constant light, true normals"]
+def test_everyone_who_is_there_has_a_row_and_of_the_baselines_the_second_alone_is_refined_too(
+    finished,
+):
+    trivial = [
+        "input unchanged",
+        "mean material, true normals and light",
+        "constant light, true normals",
+    ]
     networks = ["Baseline 1", "Baseline 2", "Baseline 2, refined", OURS, OURS_REFINED]
-    assert list(finished.edit["methods"]) == [*trivial, f"constant light, normals of {OURS}", *networks, "the layer alone"]
+    assert list(finished.edit["methods"]) == [
+        *trivial,
+        f"constant light, normals of {OURS}",
+        *networks,
+        "the layer alone",
+    ]
     assert len(finished.refined) == 2  # once each, for parts and edit alike
 
 
@@ -142,14 +183,21 @@ def test_a_refined_row_is_what_refinement_makes_of_that_methods_prediction(finis
 def test_energies_and_seconds_of_a_refinement_are_those_it_told(finished, at, name):
     *_, refined = finished.refined[at]
     assert 0 < refined.after["total"] < refined.before["total"]
-    expected = {"before": refined.before["total"], "after": refined.after["total"], "seconds": refined.seconds, "finite": True}
+    expected = {
+        "before": refined.before["total"],
+        "after": refined.after["total"],
+        "seconds": refined.seconds,
+        "finite": True,
+    }
     assert finished.picture["methods"][f"{name}, refined"]["refinement"] == expected
 
 
 @pytest.mark.parametrize("part", ["n", "label", "light"])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_refinement_with_one_value_that_is_not_finite_is_told_as_such(part, value):
-    p = Prediction(torch.ones(1, 3, 2, 2), None, torch.ones(1, 1, 108), None, torch.ones(1, 3, 64, 128))
+    p = Prediction(
+        torch.ones(1, 3, 2, 2), None, torch.ones(1, 1, 108), None, torch.ones(1, 3, 64, 128)
+    )
     getattr(p, part).flatten()[-1] = value
     told = bench.refinement(Refined(p, {"total": 2.0}, {"total": 1.0}, [], 3.0))
     assert told == {"before": 2.0, "after": 1.0, "seconds": 3.0, "finite": False}
@@ -162,15 +210,28 @@ def test_each_part_is_rendered_again_with_all_else_true(finished):
     assert told["rendered_material"] == figures(batch.n, p.label, batch.light, batch)
     assert told["rendered_light"] == figures(batch.n, batch.label, p.light, batch)
     assert told["rendered_all_true_light"] == figures(p.n, p.label, batch.light, batch)
-    assert len({told[f"rendered_{name}"]["l2"] for name in ("normals", "material", "light", "all", "all_true_light")}) == 5
+    assert (
+        len(
+            {
+                told[f"rendered_{name}"]["l2"]
+                for name in ("normals", "material", "light", "all", "all_true_light")
+            }
+        )
+        == 5
+    )
 
 
 def test_figures_of_other_weights_or_baselines_are_not_gone_on_with(finished, weights, tmp_path):
     same = tmp_path / "same.safetensors"
     same.write_bytes(weights.read_bytes())
-    assert run.settings(replace(finished.options, weights=same)) == run.settings(finished.options)  # by bytes, not by name
+    # by bytes, not by name
+    assert run.settings(replace(finished.options, weights=same)) == run.settings(finished.options)
     with pytest.raises(InputError, match="other weights"):
-        run.make(replace(finished.options, weights=untrained(Compact, tmp_path / "weights.safetensors", 6)))
+        run.make(
+            replace(
+                finished.options, weights=untrained(Compact, tmp_path / "weights.safetensors", 6)
+            )
+        )
     (tmp_path / "fewer").mkdir()
     untrained(Separate, tmp_path / "fewer" / "baseline-2.safetensors", 5)
     for baselines in (tmp_path / "fewer", None):
@@ -179,8 +240,12 @@ def test_figures_of_other_weights_or_baselines_are_not_gone_on_with(finished, we
 
 
 def test_two_processes_find_what_one_finds(options, monkeypatch, tmp_path):
-    monkeypatch.setattr(run.os, "cpu_count", lambda: 2)  # a thread each, as here: figures are compared to the last bit
-    alone, together = run.make(options), run.make(replace(options, out=tmp_path / "two", processes=2))
+    # a thread each, as here: figures are compared to the last bit
+    monkeypatch.setattr(run.os, "cpu_count", lambda: 2)
+    alone, together = (
+        run.make(options),
+        run.make(replace(options, out=tmp_path / "two", processes=2)),
+    )
     assert len(alone["tables"]["edits"]["rows"]) == 6
     assert together["tables"] == alone["tables"]
     for name in ("edits.jsonl", "pictures.jsonl"):
@@ -192,15 +257,28 @@ def test_the_input_unchanged_is_the_picture_itself(data, batch):
     records = Records(data)
     (edit,) = pairs.chosen(records.records, 1, 0)
     picture = methods.Unchanged().edit(batch, pairs.target_label(records, edit))
-    np.testing.assert_array_equal(picture, records.image(edit.source) * records.load(edit.source).mask.numpy()[..., None])
+    np.testing.assert_array_equal(
+        picture, records.image(edit.source) * records.load(edit.source).mask.numpy()[..., None]
+    )
     assert picture.max() > 0.01
 
 
 def test_the_mean_material_is_of_training_materials_alone(monkeypatch):
-    known = {"a": (1.0, "train"), "b": (3.0, "train"), "far off": (1000.0, "test"), "farther": (1e6, "validation")}
-    entries = {name: SimpleNamespace(label=np.full((3, 3, 2, 6), value), split=split) for name, (value, split) in known.items()}
+    known = {
+        "a": (1.0, "train"),
+        "b": (3.0, "train"),
+        "far off": (1000.0, "test"),
+        "farther": (1e6, "validation"),
+    }
+    entries = {
+        name: SimpleNamespace(label=np.full((3, 3, 2, 6), value), split=split)
+        for name, (value, split) in known.items()
+    }
     monkeypatch.setattr(methods, "load_catalogue", lambda: entries)
-    assert methods.MeanMaterial(methods.training_labels(None, "built-in")).label.tolist() == [2.0] * 108
+    assert (
+        methods.MeanMaterial(methods.training_labels(None, "built-in")).label.tolist()
+        == [2.0] * 108
+    )
 
 
 def test_the_mean_material_is_of_the_data_sets_own_unless_the_built_in_ones_are_asked_for(data):
@@ -233,27 +311,57 @@ def of(name, **cells):
 def test_the_headline_says_what_the_tables_say():
     edits = [
         of("input unchanged", l2=[900.0, 800.0, 1000.0]),
-        of(OURS, l2=[200.0, 150.0, 260.0], l2_true_light=[120.0, 90.0, 140.0], l2_true_normals=[80.0, 60.0, 100.0]),
-        of(OURS_REFINED, l2=[150.0, 110.0, 190.0], l2_true_light=[70.0, 60.0, 80.0], l2_true_normals=[50.0, 40.0, 60.0]),
+        of(
+            OURS,
+            l2=[200.0, 150.0, 260.0],
+            l2_true_light=[120.0, 90.0, 140.0],
+            l2_true_normals=[80.0, 60.0, 100.0],
+        ),
+        of(
+            OURS_REFINED,
+            l2=[150.0, 110.0, 190.0],
+            l2_true_light=[70.0, 60.0, 80.0],
+            l2_true_normals=[50.0, 40.0, 60.0],
+        ),
     ]
-    verdicts = {"input unchanged": "better", "Baseline 1": "better", "Baseline 2": "worse", OURS: "undecided: 0 is inside"}
-    differences = [of(f"{OURS} − Baseline 1", verdict="worse"), of(f"{OURS_REFINED} − the layer alone", verdict="worse")]
-    differences += [of(f"{OURS_REFINED} − {name}", verdict=verdict) for name, verdict in verdicts.items()]
+    verdicts = {
+        "input unchanged": "better",
+        "Baseline 1": "better",
+        "Baseline 2": "worse",
+        OURS: "undecided: 0 is inside",
+    }
+    differences = [
+        of(f"{OURS} − Baseline 1", verdict="worse"),
+        of(f"{OURS_REFINED} − the layer alone", verdict="worse"),
+    ]
+    differences += [
+        of(f"{OURS_REFINED} − {name}", verdict=verdict) for name, verdict in verdicts.items()
+    ]
     assert report.headline({"edits": {"rows": edits}, "differences": {"rows": differences}}) == [
-        "An edit differs from its truth by a display L2 of 200 [150, 260] over the mask; after refinement by 150 [110, 190]: -25 %.",
+        (
+            "An edit differs from its truth by a display L2 of 200 [150, 260] over the mask; after"
+            " refinement by 150 [110, 190]: -25 %."
+        ),
         "With true light instead of predicted it would be 120.",
         "With true normals instead of predicted it would be 80.",
-        "By 95 % intervals of the difference on the same edits, “ours, refined” is better than “input unchanged”, “Baseline 1”; "
-        "worse than “Baseline 2”; not to be told from “ours”.",
+        (
+            "By 95 % intervals of the difference on the same edits, “ours, refined” is better than"
+            " “input unchanged”, “Baseline 1”; worse than “Baseline 2”; not to be told from “ours”."
+        ),
     ]
 
 
 @pytest.mark.parametrize(("label", "best"), [("L2 ↓", "low"), ("SSIM ↑", "high"), ("edits", None)])
 def test_the_best_of_a_column_is_where_its_arrow_points(label, best):
-    rows = [of(name, x=[value, value, value]) for name, value in (("low", 1.0), ("middle", 2.0), ("high", 3.0))]
+    rows = [
+        of(name, x=[value, value, value])
+        for name, value in (("low", 1.0), ("middle", 2.0), ("high", 3.0))
+    ]
     column = {"key": "x", "label": label, "digits": 1, "interval": False}
     assert page._best(rows, column) == best
-    marked = re.findall(r"<td>(\w+)</td><td class='best'>", page.web_table({"columns": [column], "rows": rows}))
+    marked = re.findall(
+        r"<td>(\w+)</td><td class='best'>", page.web_table({"columns": [column], "rows": rows})
+    )
     assert marked == ([best] if best else [])
 
 
@@ -270,25 +378,37 @@ def test_a_sheet_shows_each_edit_and_its_error_beneath(tmp_path):
     def picture(display):
         return np.where(white, 1.0, mask * radiance(display))[..., None].repeat(3, -1)
 
-    truth, pictures = picture(160), {name: picture(value) for name, value in (("right", 160), ("off", 128), ("far off", 80))}
+    truth, pictures = (
+        picture(160),
+        {name: picture(value) for name, value in (("right", 160), ("off", 128), ("far off", 80))},
+    )
     seen = SimpleNamespace(image=torch.from_numpy(0.1 * picture(200)).movedim(-1, 0)[None])
     assert tone.auto_exposure(truth, mask) == pytest.approx(1)
     gallery.write(tmp_path / "sheet.png", seen, truth, pictures, mask)
     inside = (mask & ~white)[gallery.around(mask)]
-    colours = [[{tuple(map(int, c)) for c in cell[inside]} for cell in both] for both in gallery.cells(tmp_path / "sheet.png", 5)]
+    colours = [
+        [{tuple(map(int, c)) for c in cell[inside]} for cell in both]
+        for both in gallery.cells(tmp_path / "sheet.png", 5)
+    ]
     above, below = zip(*colours, strict=True)
-    assert above == tuple({(value,) * 3} for value in (200, 160, 160, 128, 80))  # the input under its own exposure
+    # the input under its own exposure
+    assert above == tuple({(value,) * 3} for value in (200, 160, 160, 128, 80))
     ground, black, halfway, bright = {(32, 32, 32)}, {(0, 0, 0)}, {(180, 50, 90)}, {(252, 255, 200)}
-    assert below == (ground, ground, black, halfway, bright)  # errors of 0, 32 and 80, of 64 that are shown as white
+    # errors of 0, 32 and 80, of 64 that are shown as white
+    assert below == (ground, ground, black, halfway, bright)
 
 
 def test_an_evaluation_refines_unless_told_otherwise(monkeypatch):
     asked = []
-    monkeypatch.setattr(run, "make", lambda options: asked.append(options) or {"headline": ["done"]})
+    monkeypatch.setattr(
+        run, "make", lambda options: asked.append(options) or {"headline": ["done"]}
+    )
     parser = argparse.ArgumentParser()
     evaluate.register(parser.add_subparsers())
     for flags in ([], ["--refine"], ["--no-refine"]):
-        options = parser.parse_args(["evaluate", "--data", "pictures", "--out", "evaluation", *flags])
+        options = parser.parse_args(
+            ["evaluate", "--data", "pictures", "--out", "evaluation", *flags]
+        )
         options.run(options)
     assert [options.refine for options in asked] == [True, True, False]
     assert asked[0].data == Path("pictures") and asked[0].edits == 100

@@ -1,6 +1,7 @@
 """Every command of the three programs is run by a test, or stands here with the reason why not.
 
-The commands in RUN are run here on tiny real input; what other tests run is named by file, and looked up there.
+The commands in RUN are run here on tiny real input; what other tests run is named by file, and
+looked up there.
 """
 
 import contextlib
@@ -23,15 +24,27 @@ from learn.networks.weights import save_weights
 PROGRAMS = ("factory", "learn", "learn.experiments")
 RUN = {  # command: its words, and a file that it must leave; None: it writes nothing
     "factory status": ("{room}/data --json", None),
-    "learn evaluate-network": ("{room}/weights.safetensors --data {room}/data --batches 1 --out {out}", "*"),
-    "learn.experiments step-profile": ("{room}/run.json --data {room}/data --steps 1 --images 2 --out {out}", "*.json"),
+    "learn evaluate-network": (
+        "{room}/weights.safetensors --data {room}/data --batches 1 --out {out}",
+        "*",
+    ),
+    "learn.experiments step-profile": (
+        "{room}/run.json --data {room}/data --steps 1 --images 2 --out {out}",
+        "*.json",
+    ),
     "learn.experiments tolerance-check": ("--cases 1 --size 8 --out {out}", "*.json"),
-    "learn.experiments latency": ("--every 100 --tolerance 0.1 --threads 1 --out {out}", "pace.json"),
+    "learn.experiments latency": (
+        "--every 100 --tolerance 0.1 --threads 1 --out {out}",
+        "pace.json",
+    ),
 }
 ELSEWHERE = {  # command: (file, what stands there)
     "factory plan": ("tests/manifests/test_command_line.py", '"plan", "smallest"'),
     "factory render": ("tests/factory/test_pipeline.py", '"render",'),
-    "factory verify": ("tests/factory/test_bad_input.py", 'command("verify", tmp_path / "data")[0] == 0'),
+    "factory verify": (
+        "tests/factory/test_bad_input.py",
+        'command("verify", tmp_path / "data")[0] == 0',
+    ),
     "factory preview": ("tests/factory/test_pipeline.py", '"preview"'),
     "factory export": ("tests/factory/test_full_disk_factory.py", '"export --tars"'),
     "factory materials": ("tests/factory/test_materials_command.py", '"materials", "add"'),
@@ -50,39 +63,76 @@ NOT_RUN = {  # command: why not
     "learn.experiments work-precision": "its smallest form, --quick, takes two minutes",
     "learn.experiments quadrature-accuracy": "nine lobes at 256² with 16,384 taps each: minutes",
     "learn.experiments cold-start": "starts fresh interpreters and compiles in each: a minute",
-    "learn.experiments engine-speed": "times whole pictures of fixed size on two thread counts: minutes",
-    "learn.experiments calibrate-auto": "fits the plan's constants to hundreds of timings: ten minutes",
-    "learn.experiments layer-ablation": "trains thirteen networks; tests/learn/test_experiments.py runs its parts",
-    "learn.experiments normals-ablation": "trains several networks; tests/learn/test_experiments.py runs its parts",
-    "learn.experiments refinement-ablation": "refines for seconds per picture; tests/learn/test_refinement.py runs the refinement",
-    "learn.experiments upsampling": "needs the edits of an evaluation; tests/learn/test_enlarging.py runs its parts",
+    "learn.experiments engine-speed": (
+        "times whole pictures of fixed size on two thread counts: minutes"
+    ),
+    "learn.experiments calibrate-auto": (
+        "fits the plan's constants to hundreds of timings: ten minutes"
+    ),
+    "learn.experiments layer-ablation": (
+        "trains thirteen networks; tests/learn/test_experiments.py runs its parts"
+    ),
+    "learn.experiments normals-ablation": (
+        "trains several networks; tests/learn/test_experiments.py runs its parts"
+    ),
+    "learn.experiments refinement-ablation": (
+        "refines for seconds per picture; tests/learn/test_refinement.py runs the refinement"
+    ),
+    "learn.experiments upsampling": (
+        "needs the edits of an evaluation; tests/learn/test_enlarging.py runs its parts"
+    ),
 }
 
 
 def names():
-    return {f"{program} {name}" for program in PROGRAMS for name in importlib.import_module(f"{program}.__main__").COMMANDS}
+    return {
+        f"{program} {name}"
+        for program in PROGRAMS
+        for name in importlib.import_module(f"{program}.__main__").COMMANDS
+    }
 
 
 def test_every_command_is_run_by_a_test_or_has_a_reason(root):
     listed = [*RUN, *ELSEWHERE, *NOT_RUN]
     assert sorted(listed) == sorted(names())
-    gone = [command for command, (file, words) in ELSEWHERE.items() if words not in (root / file).read_text(encoding="utf-8")]
+    gone = [
+        command
+        for command, (file, words) in ELSEWHERE.items()
+        if words not in (root / file).read_text(encoding="utf-8")
+    ]
     assert not gone
 
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
-    """What the commands read: a data set of both sides whose pictures the layer made, settings of a run, untrained weights."""
+    """What the commands read: a data set of both sides whose pictures the layer made, settings of a
+    run, untrained weights.
+    """
     room = tmp_path_factory.mktemp("room")
     pictures(room)
     (room / "run.json").write_text(json.dumps(SETTINGS | {"network": "compact"}))
     both = [matte("dark", 0.2), matte("light", 0.8)]
-    store = write_dataset(room / "data", both, np.random.default_rng(3), SIZE, 1, 0.0, rotations=(0,), category="sphere")
-    add_shape(store, next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0), "train")
+    store = write_dataset(
+        room / "data",
+        both,
+        np.random.default_rng(3),
+        SIZE,
+        1,
+        0.0,
+        rotations=(0,),
+        category="sphere",
+    )
+    add_shape(
+        store,
+        next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0),
+        "train",
+    )
     add_shape(store, "cube:1", "test")
     torch.manual_seed(0)
     network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
-    save_weights(room / "weights.safetensors", network, network.state_dict(), json.dumps(SETTINGS), SIZE)
+    save_weights(
+        room / "weights.safetensors", network, network.state_dict(), json.dumps(SETTINGS), SIZE
+    )
     return room
 
 
@@ -91,22 +141,34 @@ def test_a_command_runs_on_tiny_input_and_leaves_its_report(room, tmp_path, comm
     words, left = RUN[command]
     program, name = command.split()
     with contextlib.redirect_stdout(io.StringIO()):
-        status, _, error = done([program, name, *words.format(room=room, out=tmp_path / "out").split()])
+        status, _, error = done(
+            [program, name, *words.format(room=room, out=tmp_path / "out").split()]
+        )
     assert status == 0, error[-1000:]
     written = [path for path in (tmp_path / "out").glob(left or "*") if path.is_file()]
     assert bool(written) == (left is not None)
-    assert all(isinstance(json.loads(path.read_text()), dict | list) for path in written if path.suffix == ".json")
+    assert all(
+        isinstance(json.loads(path.read_text()), dict | list)
+        for path in written
+        if path.suffix == ".json"
+    )
 
 
 def test_the_schemas_are_published_as_they_lie_in_the_repository(tmp_path, monkeypatch):
     from manifests import publish
 
-    committed = {path.name: path.read_text(encoding="utf-8") for path in publish.FOLDER.glob("*.json")}
+    committed = {
+        path.name: path.read_text(encoding="utf-8") for path in publish.FOLDER.glob("*.json")
+    }
     monkeypatch.setattr(publish, "FOLDER", tmp_path / "json-schema")
     assert publish.main() == 0
-    assert {path.name: path.read_text(encoding="utf-8") for path in publish.FOLDER.glob("*.json")} == committed
+    assert {
+        path.name: path.read_text(encoding="utf-8") for path in publish.FOLDER.glob("*.json")
+    } == committed
 
 
 def test_an_unknown_light_of_latency_is_a_line_with_the_known_ones(tmp_path):
-    status, (line,), error = done(["learn.experiments", "latency", "--light", "lampz", "--out", str(tmp_path)])
+    status, (line,), error = done(
+        ["learn.experiments", "latency", "--light", "lampz", "--out", str(tmp_path)]
+    )
     assert status == 1 and "did you mean lamps" in line and "Traceback" not in error

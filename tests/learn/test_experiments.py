@@ -1,4 +1,6 @@
-"""The commands that publish figures: proof, study, card and step times, each run small, and their statistics on figures that are known."""
+"""The commands that publish figures: proof, study, card and step times, each run small, and their
+statistics on figures that are known.
+"""
 
 import json
 
@@ -22,7 +24,9 @@ SIZE = 32
 
 @pytest.fixture(scope="module")
 def data_splits(tmp_path_factory):
-    """Three sides of the one shape there is: what is measured here is not worth knowing, only that it is measured."""
+    """Three sides of the one shape there is: what is measured here is not worth knowing, only that
+    it is measured.
+    """
     rendered_split = album_of(written(tmp_path_factory.mktemp("experiments")).folder)
     labels = {name: rendered_split.records.label(name) for name in ("dark", "light")}
     maps = [lights.computed(np.random.default_rng(2)).astype(np.float32)]
@@ -36,7 +40,17 @@ def result(l2, seed=0):
     """A result of `variants.trained` on 6 shapes × 4 materials."""
     rng = np.random.default_rng(seed)
     groups = [{"shape": f"s{i}", "material": f"m{j}"} for i in range(6) for j in range(4)]
-    rows = [each | {"l2": l2 * rng.uniform(0.5, 1.5), "l2_frame": 1.0, "ssim": 0.5, "angle_deg": 20.0, "cosine": 0.9} for each in groups]
+    rows = [
+        each
+        | {
+            "l2": l2 * rng.uniform(0.5, 1.5),
+            "l2_frame": 1.0,
+            "ssim": 0.5,
+            "angle_deg": 20.0,
+            "cosine": 0.9,
+        }
+        for each in groups
+    ]
     return {"rows": rows, "steps": 1}
 
 
@@ -54,7 +68,9 @@ def test_pictures_like_the_truth_have_no_l2_and_the_frame_dilutes_the_rest():
     truth = np.zeros((16, 16, 3))
     truth[4:12, 4:12] = 0.5
     mask = truth[..., 0] > 0
-    assert variants._compared(truth, truth, mask) == pytest.approx({"l2": 0, "l2_frame": 0, "ssim": 1})
+    assert variants._compared(truth, truth, mask) == pytest.approx(
+        {"l2": 0, "l2_frame": 0, "ssim": 1}
+    )
     found = variants._compared(truth * 0.9, truth, mask)
     assert found["l2"] > 0
     assert found["l2_frame"] == pytest.approx(found["l2"] / 4)
@@ -74,13 +90,24 @@ def test_a_variant_ends_by_its_clock_and_is_not_trained_again(data_splits, tmp_p
 
 def test_a_report_has_every_variant_with_its_interval(tmp_path):
     results = {
-        part: {v: [result(100.0 * (i + 1), seed) for seed in (1, 2, 3)] for i, v in enumerate(of_part)}
+        part: {
+            v: [result(100.0 * (i + 1), seed) for seed in (1, 2, 3)] for i, v in enumerate(of_part)
+        }
         for part, of_part in layer_ablation.VARIANTS.items()
     }
     summary = layer_ablation.report(tmp_path, results, {"seconds": 1.0, "size": SIZE, "seeds": 3})
     told = (tmp_path / "report.md").read_text()
-    assert json.loads((tmp_path / "report.json").read_text())["material"]["ratios"].keys() == summary["material"]["ratios"].keys()
-    pairs = {"combined / standalone", "control / standalone", "both / standalone", "combined / control", "both / control"}
+    assert (
+        json.loads((tmp_path / "report.json").read_text())["material"]["ratios"].keys()
+        == summary["material"]["ratios"].keys()
+    )
+    pairs = {
+        "combined / standalone",
+        "control / standalone",
+        "both / standalone",
+        "combined / control",
+        "both / control",
+    }
     assert set(summary["material"]["ratios"]) == pairs
     for part, of_part in layer_ablation.VARIANTS.items():
         assert all(f"| {part} | {variant} |" in told for variant in of_part)
@@ -88,7 +115,9 @@ def test_a_report_has_every_variant_with_its_interval(tmp_path):
 
 def test_a_study_writes_its_table_and_chart(tmp_path):
     about = {"pretraining": 1.0, "seconds": 1.0, "size": SIZE, "seeds": 1, "shapes": 250}
-    summary = normals_ablation.report(tmp_path, {"L2": [result(100.0)], "pixels": [result(90.0)]}, about)
+    summary = normals_ablation.report(
+        tmp_path, {"L2": [result(100.0)], "pixels": [result(90.0)]}, about
+    )
     assert summary["rows"]["pixels"]["ratio"] == pytest.approx([0.9] * 3)
     assert "| 0.900 [0.900, 0.900] | 20.00" in (tmp_path / "table.md").read_text()
     assert (tmp_path / "chart.png").stat().st_size > 1000
@@ -109,7 +138,9 @@ def test_matte_first_draws_the_mattest_third_at_first_and_all_in_the_end(data_sp
     rng = np.random.default_rng(0)
     labels = {f"m{i}": rng.normal(0, 1, 108).astype(np.float32) for i in range(9)}
     order = sorted(labels, key=lambda name: gloss(labels[name]))
-    data_split = DataSplit(data_splits["train"].geometry, np.arange(1), labels, data_splits["train"].maps, "train")
+    data_split = DataSplit(
+        data_splits["train"].geometry, np.arange(1), labels, data_splits["train"].maps, "train"
+    )
     source = RelitDataset(data_split, Data(sharing=1, gloss_curriculum=10), 1, SIZE, 1)
     assert source.names[: source._admitted(0)] == order[:3]
     assert (source._admitted(10), source._admitted(1000)) == (9, 9)
@@ -125,9 +156,20 @@ def test_gloss_is_the_narrowest_lobes():
 def test_a_card_measures_relit_and_rendered_pictures_apart(data_splits, tmp_path):
     network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
     run = Run(name="tiny", size=SIZE, data=Data(sharing=2))
-    checkpoint.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7)
-    found = model_card.make(tmp_path / "w.safetensors", data_splits, tmp_path, batches=1, note="a note to readers")
-    assert {"angle_deg", "irradiance", "image_l2", "target_l2", "control_l2"} <= set(found["figures"])
+    checkpoint.save_weights(
+        tmp_path / "w.safetensors",
+        network,
+        network.state_dict(),
+        msgspec.json.encode(run).decode(),
+        SIZE,
+        7,
+    )
+    found = model_card.make(
+        tmp_path / "w.safetensors", data_splits, tmp_path, batches=1, note="a note to readers"
+    )
+    assert {"angle_deg", "irradiance", "image_l2", "target_l2", "control_l2"} <= set(
+        found["figures"]
+    )
     assert set(found["cycles"]) == set(found["figures"])
     told = json.loads((tmp_path / "card.json").read_text())
     assert (told["pictures"], told["cycles_pictures"]) == (16, 4)
@@ -145,7 +187,9 @@ def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(data_split
     for path, run in zip(paths, runs, strict=True):
         torch.manual_seed(run.seed)
         network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
-        checkpoint.save_weights(path, network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7)
+        checkpoint.save_weights(
+            path, network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7
+        )
     found = model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[1:2])
     told = json.loads((tmp_path / "card.json").read_text())
     assert told["seeds"] == [[1, "7"], [2, "7"]]
@@ -153,20 +197,42 @@ def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(data_split
         assert len(of["each"]) == 2
         assert of["each"][0] == pytest.approx(found["figures"][name][0])
         assert of["mean"][0] == pytest.approx(np.mean(of["each"]))
-    assert told["figures_seeds"]["angle_deg"]["each"][0] != told["figures_seeds"]["angle_deg"]["each"][1]
-    assert told["figures_seeds"]["constant_irradiance"]["each"][0] == told["figures_seeds"]["constant_irradiance"]["each"][1]
+    assert (
+        told["figures_seeds"]["angle_deg"]["each"][0]
+        != told["figures_seeds"]["angle_deg"]["each"][1]
+    )
+    assert (
+        told["figures_seeds"]["constant_irradiance"]["each"][0]
+        == told["figures_seeds"]["constant_irradiance"]["each"][1]
+    )
     assert "seed 2, 7 steps" in (tmp_path / "card.md").read_text()
     with pytest.raises(InputError, match="seed 2 twice"):
         model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[1:])
     other = msgspec.structs.replace(runs[1], schedule=Schedule(steps=3))
-    checkpoint.save_weights(paths[2], network, network.state_dict(), msgspec.json.encode(other).decode(), SIZE, 7)
+    checkpoint.save_weights(
+        paths[2], network, network.state_dict(), msgspec.json.encode(other).decode(), SIZE, 7
+    )
     with pytest.raises(InputError, match="other settings"):
         model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[2:])
 
 
 def test_step_times_cover_every_part_and_add_up(data_splits, tmp_path):
-    terms = Losses(albedo=0.3, light_log=0.3, light_rendered=1, image=1, target=1, pixels=8, layer_light=(8, 16))
-    run = Run(name="tiny", size=SIZE, data=Data(sharing=2), losses=terms, schedule=Schedule(steps=4, batch=2))
+    terms = Losses(
+        albedo=0.3,
+        light_log=0.3,
+        light_rendered=1,
+        image=1,
+        target=1,
+        pixels=8,
+        layer_light=(8, 16),
+    )
+    run = Run(
+        name="tiny",
+        size=SIZE,
+        data=Data(sharing=2),
+        losses=terms,
+        schedule=Schedule(steps=4, batch=2),
+    )
     found = step_profile.measure(run, data_splits, tmp_path, tmp_path / "scratch", 1, 4)
     parts = {"data", "network", "normals and material terms", "light terms", "layer", "optimiser"}
     assert set(found["step"]) == parts | {"total"}

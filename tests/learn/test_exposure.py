@@ -1,4 +1,6 @@
-"""The rule for a photograph's exposure: what a file keeps of a scene's brightness, and the line through many of them."""
+"""The rule for a photograph's exposure: what a file keeps of a scene's brightness, and the line
+through many of them.
+"""
 
 import json
 
@@ -17,9 +19,11 @@ def test_a_brighter_scene_looks_the_same_in_its_file_and_needs_a_larger_factor(r
     (Y, X), (Y_bright, X_bright) = exposure.seen(radiance, mask), exposure.seen(3 * radiance, mask)
     assert Y_bright == pytest.approx(Y, rel=1e-5)  # float32
     assert X_bright == pytest.approx(3 * X, rel=1e-5)
-    assert (radiance[mask] @ [0.2126, 0.7152, 0.0722]).mean() == pytest.approx(X * Y, rel=0.02)  # 1 % of the values are clipped
+    # 1 % of the values are clipped
+    assert (radiance[mask] @ [0.2126, 0.7152, 0.0722]).mean() == pytest.approx(X * Y, rel=0.02)
     black = np.where(mask[..., None], radiance, 0)
-    assert exposure.seen(black, mask) == pytest.approx((Y, X))  # what stands behind the object does not count
+    # what stands behind the object does not count
+    assert exposure.seen(black, mask) == pytest.approx((Y, X))
     mask[:] = True
     radiance[:4] = 50.0
     assert exposure.seen(radiance, mask)[0] != pytest.approx(Y, rel=0.1)  # only the object counts
@@ -40,13 +44,27 @@ def test_a_line_is_found_again_and_its_interval_holds_it(rng):
 
 def test_a_rule_that_is_right_misses_nothing_and_one_off_by_three_misses_by_three():
     Y = np.array([0.1, 0.2, 0.5])
-    assert exposure.missed(Y, 0.3 * Y**-0.5, 0.3, 0.5) == {"rms_factor": pytest.approx(1), "share_beyond_2.5": 0}
-    assert exposure.missed(Y, 0.1 * Y**-0.5, 0.3, 0.5) == {"rms_factor": pytest.approx(3), "share_beyond_2.5": 1}
+    assert exposure.missed(Y, 0.3 * Y**-0.5, 0.3, 0.5) == {
+        "rms_factor": pytest.approx(1),
+        "share_beyond_2.5": 0,
+    }
+    assert exposure.missed(Y, 0.1 * Y**-0.5, 0.3, 0.5) == {
+        "rms_factor": pytest.approx(3),
+        "share_beyond_2.5": 1,
+    }
 
 
 def test_the_command_fits_one_dataset_and_measures_the_rule_in_use_on_another(tmp_path):
     folders = [str(written(tmp_path / name).folder) for name in ("fit", "check")]
-    words = ["exposure", "--data", folders[0], "--check", folders[1], "--out", str(tmp_path / "out")]
+    words = [
+        "exposure",
+        "--data",
+        folders[0],
+        "--check",
+        folders[1],
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main("learn.experiments", "", ("exposure",), words) == 0
     told = json.loads((tmp_path / "out" / "exposure.json").read_text())
     assert told["pictures"] == 4

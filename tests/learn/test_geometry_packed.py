@@ -1,4 +1,6 @@
-"""Packed geometry gives back what the files hold, whatever lines name them, and knows when it is stale."""
+"""Packed geometry gives back what the files hold, whatever lines name them, and knows when it is
+stale.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +18,9 @@ from shaders import envmap
 @pytest.fixture
 def store(tmp_path, rng):
     """A sphere from one view, in records."""
-    return synthetic.write_dataset(tmp_path, [synthetic.matte()], rng, seeds=1, rotations=(0,), side="test")
+    return synthetic.write_dataset(
+        tmp_path, [synthetic.matte()], rng, seeds=1, rotations=(0,), side="test"
+    )
 
 
 def append(store, view):
@@ -29,7 +33,8 @@ def test_what_is_packed_is_what_the_files_hold(store):
     geometry, records = Geometry(store.folder, progress=False), Records(store.folder)
     n, _, segments = records.geometry(records.records[0])
     np.testing.assert_array_equal(geometry.segments(0), segments)
-    np.testing.assert_allclose(geometry.normals(0)[..., :2], n[..., :2], atol=1 / 32767)  # half a step of int16, and one of float32
+    # half a step of int16, and one of float32
+    np.testing.assert_allclose(geometry.normals(0)[..., :2], n[..., :2], atol=1 / 32767)
     turned = np.degrees(np.arccos(np.clip((geometry.normals(0) * n).sum(-1)[segments > 0], -1, 1)))
     assert turned.max() < 0.5  # z of a square root: at the rim a step of int16 is worth this much
     assert geometry.views[0].side == "test"
@@ -61,16 +66,31 @@ def test_normals_that_are_not_unit_are_refused_with_the_file_named(store):
     n, depth, segments = Records(store.folder).geometry(record)
     channels = {f"normal.{axis}": 0.5 * n[..., k] for k, axis in enumerate("XYZ")}
     path, (lines,) = store.folder / record.geometry, store.record_files()
-    hash_ = store.place(record.geometry, exr.encode(channels | {"depth.Z": depth, "segment": segments.astype(np.uint32)}), "test")
-    with pytest.raises(InputError, match=rf"{path.name}: expected hash {record.geometry_hash[:12]}, found .* the file was altered"):
+    hash_ = store.place(
+        record.geometry,
+        exr.encode(channels | {"depth.Z": depth, "segment": segments.astype(np.uint32)}),
+        "test",
+    )
+    with pytest.raises(
+        InputError,
+        match=(
+            rf"{path.name}: expected hash {record.geometry_hash[:12]}, found .* the file was"
+            r" altered"
+        ),
+    ):
         Geometry(store.folder, progress=False)
     lines.write_text(lines.read_text().replace(record.geometry_hash, hash_))
-    with pytest.raises(InputError, match=rf"{path.name}: expected unit normals, found lengths 0\.5"):
+    with pytest.raises(
+        InputError, match=rf"{path.name}: expected unit normals, found lengths 0\.5"
+    ):
         Geometry(store.folder, progress=False)
 
 
 def test_a_copy_of_a_held_out_map_does_not_light_training(rng):
-    maps = {name: envmap.unit_mean(np.exp(rng.standard_normal((64, 128, 3))))[0].astype(np.float32) for name in "abc"}
+    maps = {
+        name: envmap.unit_mean(np.exp(rng.standard_normal((64, 128, 3))))[0].astype(np.float32)
+        for name in "abc"
+    }
     maps["another b"] = envmap.roll(maps["b"], 32)
     assert set(without_duplicates(maps, ("another b",))) == {"a", "another b", "c"}
     assert set(without_duplicates(maps, ())) == {"a", "b", "c"}

@@ -8,7 +8,9 @@ from learn.metrics import bootstrap
 
 def crossed(shapes, materials):
     """Groups of a full table of shapes × materials."""
-    return bootstrap.groups_of(np.repeat(range(shapes), materials), np.tile(range(materials), shapes))
+    return bootstrap.groups_of(
+        np.repeat(range(shapes), materials), np.tile(range(materials), shapes)
+    )
 
 
 def test_a_constant_has_no_interval():
@@ -17,24 +19,38 @@ def test_a_constant_has_no_interval():
 
 def test_the_mean_is_the_plain_one(rng):
     values = rng.random(20)
-    assert bootstrap.interval(values, bootstrap.draws(crossed(5, 4)))[0] == pytest.approx(values.mean(), rel=1e-12)
+    assert bootstrap.interval(values, bootstrap.draws(crossed(5, 4)))[0] == pytest.approx(
+        values.mean(), rel=1e-12
+    )
 
 
 def test_values_that_hang_on_shapes_are_as_uncertain_as_the_shapes_are_few(rng):
-    """200 pictures of 5 shapes know a mean no better than 5 numbers do: the interval must not shrink with the pictures."""
+    """200 pictures of 5 shapes know a mean no better than 5 numbers do: the interval must not
+    shrink with the pictures.
+    """
     of_shape = rng.standard_normal(5)
-    low, high = (bootstrap.interval(np.repeat(of_shape, m), bootstrap.draws(crossed(5, m)))[1:] for m in (4, 40))
+    low, high = (
+        bootstrap.interval(np.repeat(of_shape, m), bootstrap.draws(crossed(5, m)))[1:]
+        for m in (4, 40)
+    )
     single = bootstrap.interval(np.repeat(of_shape, 40), bootstrap.draws([np.arange(200)]))
-    assert np.ptp(high) == pytest.approx(np.ptp(low), rel=0.15)  # 2000 draws of 5 shapes leave the ends uncertain by some 5 %
+    # 2000 draws of 5 shapes leave the ends uncertain by some 5 %
+    assert np.ptp(high) == pytest.approx(np.ptp(low), rel=0.15)
     assert np.ptp(high) > 4 * np.ptp(single[1:])  # √40 ≈ 6.3 in the mean
 
 
 def test_intervals_of_two_crossed_effects_cover_the_truth(rng):
-    """Of 60 tables 10 × 8 drawn about 0, at least 48 intervals hold 0: 95 % promised, few groups make bootstraps a little narrow."""
+    """Of 60 tables 10 × 8 drawn about 0, at least 48 intervals hold 0: 95 % promised, few groups
+    make bootstraps a little narrow.
+    """
     groups, held = crossed(10, 8), 0
     weights = bootstrap.draws(groups, 400)
     for _ in range(60):
-        table = rng.standard_normal((10, 1)) + rng.standard_normal((1, 8)) + 0.5 * rng.standard_normal((10, 8))
+        table = (
+            rng.standard_normal((10, 1))
+            + rng.standard_normal((1, 8))
+            + 0.5 * rng.standard_normal((10, 8))
+        )
         _, low, high = bootstrap.interval(table.reshape(-1), weights)
         held += low <= 0 <= high
     assert held >= 48
@@ -42,10 +58,15 @@ def test_intervals_of_two_crossed_effects_cover_the_truth(rng):
 
 def test_the_ratio_of_a_multiple_is_certain(rng):
     values = rng.random((3, 12)) + 0.1
-    assert bootstrap.ratio(values, 0.4 * values, crossed(4, 3), 200) == pytest.approx([0.4, 0.4, 0.4], rel=1e-12)
+    assert bootstrap.ratio(values, 0.4 * values, crossed(4, 3), 200) == pytest.approx(
+        [0.4, 0.4, 0.4], rel=1e-12
+    )
 
 
 def test_draws_that_keep_no_picture_are_left_out():
-    """Two pictures that share neither shape nor material: half of all draws pick a shape and the other one's material."""
+    """Two pictures that share neither shape nor material: half of all draws pick a shape and the
+    other one's material.
+    """
     weights = bootstrap.draws(bootstrap.groups_of(list("ab"), list("cd")), 400)
-    assert (weights.sum(1) > 0).all() and 250 < len(weights) < 400  # of the 16 equally likely draws, 2 keep nothing
+    # of the 16 equally likely draws, 2 keep nothing
+    assert (weights.sum(1) > 0).all() and 250 < len(weights) < 400

@@ -1,4 +1,6 @@
-"""Stages of a run, its log and TensorBoard's events, dead units, and old runs that must stay readable."""
+"""Stages of a run, its log and TensorBoard's events, dead units, and old runs that must stay
+readable.
+"""
 
 import json
 import sys
@@ -23,7 +25,9 @@ STAGED = Run(
 def test_stages_come_first_and_the_runs_own_parts_last():
     assert schedule.steps(STAGED) == 35
     parts = [schedule.phase_at(STAGED, step).parts for step in (0, 9, 10, 14, 15, 34)]
-    assert parts == [("normals",)] * 2 + [("material",)] * 2 + [("normals", "material", "light")] * 2
+    assert (
+        parts == [("normals",)] * 2 + [("material",)] * 2 + [("normals", "material", "light")] * 2
+    )
     assert schedule.phase_at(STAGED, 3).losses.normals == 2
 
 
@@ -42,23 +46,58 @@ def test_the_papers_rates_fall_by_thirds_and_its_momentum_with_them():
     run = Run(name="paper", schedule=Schedule(steps=30, learning_rate=1e-4, style="paper"))
     phase = schedule.phase_at(run, 0)
     found = [schedule.learning_rate(run, phase, step, step / 30) for step in (0, 9, 10, 20, 29)]
-    assert found == [(1e-4, 0.9), (1e-4, 0.9), (pytest.approx(1e-6), 0.5), (pytest.approx(1e-8), 0.5), (pytest.approx(1e-8), 0.5)]
+    assert found == [
+        (1e-4, 0.9),
+        (1e-4, 0.9),
+        (pytest.approx(1e-6), 0.5),
+        (pytest.approx(1e-8), 0.5),
+        (pytest.approx(1e-8), 0.5),
+    ]
 
 
 def test_a_run_from_before_sources_and_stages_means_what_it_meant(tmp_path):
     old = {
         "version": 1,
         "name": "joint-compact",
-        "data": {"sharing": 4, "tolerance": 0.01, "regions": 1, "real_lights": 0.5, "photograph": True, "test_lights": ["city"]},
-        "losses": {"normals": 3.0, "image": 3.0, "pixels": 64, "pull": 0.5, "layer_light": [32, 64]},
-        "schedule": {"steps": 2400, "batch": 16, "rate": 0.002, "style": "compact", "clip": 1.0, "average": 0.999},
+        "data": {
+            "sharing": 4,
+            "tolerance": 0.01,
+            "regions": 1,
+            "real_lights": 0.5,
+            "photograph": True,
+            "test_lights": ["city"],
+        },
+        "losses": {
+            "normals": 3.0,
+            "image": 3.0,
+            "pixels": 64,
+            "pull": 0.5,
+            "layer_light": [32, 64],
+        },
+        "schedule": {
+            "steps": 2400,
+            "batch": 16,
+            "rate": 0.002,
+            "style": "compact",
+            "clip": 1.0,
+            "average": 0.999,
+        },
         "start": None,
         "seed": 1,
     }
     (tmp_path / "run.json").write_text(json.dumps(old))
     run = read(tmp_path / "run.json", Run)
-    assert (run.data.source, run.data.gloss_curriculum, run.stages, run.schedule.seconds) == ("relit", 0, (), None)
-    assert (run.losses.rendered, run.losses.image_features, run.losses.target_features) == ("sampled", 0.0, 0.0)
+    assert (run.data.source, run.data.gloss_curriculum, run.stages, run.schedule.seconds) == (
+        "relit",
+        0,
+        (),
+        None,
+    )
+    assert (run.losses.rendered, run.losses.image_features, run.losses.target_features) == (
+        "sampled",
+        0.0,
+        0.0,
+    )
     assert schedule.steps(run) == 2400
 
 

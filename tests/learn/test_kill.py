@@ -1,4 +1,6 @@
-"""A run killed by SIGKILL, at whatever point of a step, goes on to bitwise the weights of one that was left alone."""
+"""A run killed by SIGKILL, at whatever point of a step, goes on to bitwise the weights of one that
+was left alone.
+"""
 
 import json
 import os
@@ -68,7 +70,13 @@ print(json.dumps({"different": different, "steps": steps, "losses": losses}))
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_sigkill_in_a_step_in_a_save_and_after_a_log_line_changes_no_bit(tmp_path, root):
     written(tmp_path / "data")
-    ran = subprocess.run([sys.executable, "-c", PROGRAM, str(tmp_path)], capture_output=True, text=True, cwd=root, timeout=900)
+    ran = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        cwd=root,
+        timeout=900,
+    )
     assert ran.returncode == 0, ran.stderr[-2000:]
     found = json.loads(ran.stdout.splitlines()[-1])
     assert found["different"] == []

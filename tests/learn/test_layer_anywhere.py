@@ -11,7 +11,9 @@ from learn.layer import RenderLayer, render
 
 
 class Painter(torch.nn.Module):
-    """A small network that ends in the layer: normals and a material from a picture, under a given light."""
+    """A small network that ends in the layer: normals and a material from a picture, under a given
+    light.
+    """
 
     def __init__(self):
         super().__init__()
@@ -22,7 +24,9 @@ class Painter(torch.nn.Module):
     def forward(self, picture, light):
         x, y, z = self.normals(picture).unbind(1)
         n = torch.nn.functional.normalize(torch.stack([x, y, 1 + z * z], -1), dim=-1)
-        return self.layer(n, torch.nn.functional.softplus(self.material(picture.mean((2, 3)))), light)
+        return self.layer(
+            n, torch.nn.functional.softplus(self.material(picture.mean((2, 3)))), light
+        )
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the compiler's own parts
@@ -35,7 +39,8 @@ def test_a_compiled_network_with_the_layer_gives_the_same_picture_and_gradients(
     plain.sum().backward()
     expected = model.material.weight.grad.clone()
     model.zero_grad()
-    compiled = torch.compile(model, backend="aot_eager")  # the graph's capture is what could fail; no C++ compiler is asked for
+    # the graph's capture is what could fail; no C++ compiler is asked for
+    compiled = torch.compile(model, backend="aot_eager")
     seen = compiled(picture, light)
     seen.sum().backward()
     torch.testing.assert_close(seen, plain, rtol=1e-5, atol=1e-7)
@@ -64,20 +69,34 @@ EXTREME_GAMMA = st.floats(math.log(1e-3), math.log(1e5)).map(math.exp)
 
 @st.composite
 def adversarial(draw):
-    """Scenes at the edges: grazing normals, texels at the pole, on the horizon and at the mirror direction, lobes of every width."""
-    cos_o, phi = draw(st.one_of(st.floats(-6, 0).map(lambda e: 10**e), UNIT)), draw(st.floats(0, 2 * math.pi))
+    """Scenes at the edges: grazing normals, texels at the pole, on the horizon and at the mirror
+    direction, lobes of every width.
+    """
+    cos_o, phi = (
+        draw(st.one_of(st.floats(-6, 0).map(lambda e: 10**e), UNIT)),
+        draw(st.floats(0, 2 * math.pi)),
+    )
     sin_o = math.sqrt(max(0.0, 1 - cos_o**2))
     n = torch.tensor([sin_o * math.cos(phi), sin_o * math.sin(phi), cos_o])
     tilt, turn = draw(st.floats(0, 1.5)), draw(st.floats(0, 2 * math.pi))
-    view = torch.tensor([math.sin(tilt) * math.cos(turn), math.sin(tilt) * math.sin(turn), math.cos(tilt)])
+    view = torch.tensor(
+        [math.sin(tilt) * math.cos(turn), math.sin(tilt) * math.sin(turn), math.cos(tilt)]
+    )
     values = [[draw(EXTREME_KAPPA), draw(EXTREME_GAMMA)] for _ in range(3)]
     m = torch.tensor(values)[None, :, :, None].expand(3, 3, 2, 6).reshape(1, 108).contiguous()
     if draw(st.booleans()):
         m = m * torch.linspace(draw(st.floats(0.01, 1)), 1, 108)  # control values that differ
     light = torch.zeros(8, 16, 3)
     for _ in range(draw(st.integers(0, 3))):
-        light[draw(st.integers(0, 7)), draw(st.integers(0, 15))] = draw(st.floats(-6, 6).map(lambda e: 10**e))
-    return {"n": n.reshape(1, 1, 1, 3), "material": m, "light": light[None], "view": view.reshape(1, 1, 1, 3)}
+        light[draw(st.integers(0, 7)), draw(st.integers(0, 15))] = draw(
+            st.floats(-6, 6).map(lambda e: 10**e)
+        )
+    return {
+        "n": n.reshape(1, 1, 1, 3),
+        "material": m,
+        "light": light[None],
+        "view": view.reshape(1, 1, 1, 3),
+    }
 
 
 @pytest.mark.parametrize("method", ["exact", "quadrature"])
@@ -99,7 +118,8 @@ def test_nothing_is_ever_infinite(method, dtype):
 
 
 @pytest.mark.filterwarnings("ignore:The PyTorch API of nested tensors:UserWarning")
-@pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated:DeprecationWarning")  # by torch.func.jvp itself
+# by torch.func.jvp itself
+@pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated:DeprecationWarning")
 @pytest.mark.parametrize("transform", ["vmap", "grad", "jvp"])
 def test_a_nested_light_is_refused_by_its_name_under_transforms_too(transform):
     n, m = torch.tensor([0.0, 0.0, 1.0]).expand(1, 2, 2, 3), torch.ones(1, 108)

@@ -1,4 +1,6 @@
-"""Whose materials a run learns from: the data set's own, or the built-in ones where the run or an option asks for them."""
+"""Whose materials a run learns from: the data set's own, or the built-in ones where the run or an
+option asks for them.
+"""
 
 import json
 
@@ -37,7 +39,11 @@ RUN = {
 @pytest.fixture(scope="module")
 def entries():
     """{name: Entry} of the built-in catalogue."""
-    return {entry.name: entry for path in catalogue.BUILT_IN for entry in catalogue.read_catalogue(path).materials}
+    return {
+        entry.name: entry
+        for path in catalogue.BUILT_IN
+        for entry in catalogue.read_catalogue(path).materials
+    }
 
 
 @pytest.fixture
@@ -45,9 +51,20 @@ def metals(tmp_path, entries):
     """A data set of three metals, with shapes for training, for validation and for testing."""
     chosen = [entries[name] for name in METALS]
     store = synthetic.write_dataset(
-        tmp_path / "data", chosen, np.random.default_rng(1), size=SIZE, seeds=1, rotations=(0,), method="auto", category="sphere"
+        tmp_path / "data",
+        chosen,
+        np.random.default_rng(1),
+        size=SIZE,
+        seeds=1,
+        rotations=(0,),
+        method="auto",
+        category="sphere",
     )
-    validation = next(f"ball:{k}" for k in range(1000) if sources.by_hash(f"ball:{k}", sources.VALIDATION_SHAPES) == 0)
+    validation = next(
+        f"ball:{k}"
+        for k in range(1000)
+        if sources.by_hash(f"ball:{k}", sources.VALIDATION_SHAPES) == 0
+    )
     for shape, side in ((validation, "train"), ("cube:1", "test")):
         synthetic.add_shape(store, shape, side)
     return store
@@ -55,9 +72,15 @@ def metals(tmp_path, entries):
 
 def with_materials(folder, entries):
     """The Records of a data set that holds these materials and nothing else."""
-    known = {e.name: MaterialEntry(hash=e.hash, side=e.split, licence=e.licence, source=e.source) for e in entries}
+    known = {
+        e.name: MaterialEntry(hash=e.hash, side=e.split, licence=e.licence, source=e.source)
+        for e in entries
+    }
     Store(folder).write_json("dataset.json", Dataset(materials=known))
-    catalogue.write(catalogue.Catalogue(title="test", credit="none", materials=tuple(entries)), folder / "materials.json")
+    catalogue.write(
+        catalogue.Catalogue(title="test", credit="none", materials=tuple(entries)),
+        folder / "materials.json",
+    )
     return Records(folder)
 
 
@@ -65,7 +88,9 @@ def named(found):
     return {side: [m.name for m in of_side] for side, of_side in found.items()}
 
 
-def test_a_data_set_of_three_metals_trains_on_exactly_these_three_metals(metals, entries, tmp_path, monkeypatch):
+def test_a_data_set_of_three_metals_trains_on_exactly_these_three_metals(
+    metals, entries, tmp_path, monkeypatch
+):
     shown = set()
     one_step = loop.Training._one_step
 
@@ -75,7 +100,16 @@ def test_a_data_set_of_three_metals_trains_on_exactly_these_three_metals(metals,
 
     monkeypatch.setattr(loop.Training, "_one_step", watched)
     (tmp_path / "run.json").write_text(json.dumps(RUN))
-    words = ["train", str(tmp_path / "run.json"), "--data", str(metals.folder), "--out", str(tmp_path / "out"), "--workers", "0"]
+    words = [
+        "train",
+        str(tmp_path / "run.json"),
+        "--data",
+        str(metals.folder),
+        "--out",
+        str(tmp_path / "out"),
+        "--workers",
+        "0",
+    ]
     assert main("learn", "", ("train",), words) == 0
     assert shown == set(METALS)  # 24 draws of three: the same ones on every machine
     assert json.loads((tmp_path / "out" / "run.json").read_text())["data"]["materials"] == "dataset"
@@ -94,11 +128,15 @@ def test_the_built_in_materials_are_taken_where_the_run_says_so(metals):
 def test_an_option_chooses_the_materials_over_the_run(tmp_path):
     (tmp_path / "run.json").write_text(json.dumps(RUN))
     assert settings.read_run(tmp_path / "run.json").data.materials == "dataset"
-    assert settings.read_run(tmp_path / "run.json", materials="built-in").data.materials == "built-in"
+    assert (
+        settings.read_run(tmp_path / "run.json", materials="built-in").data.materials == "built-in"
+    )
     assert settings.read_run("joint-compact", materials="dataset").data.materials == "dataset"
 
 
-def test_the_run_of_the_shipped_weights_and_every_run_of_version_1_take_the_built_in_materials(root):
+def test_the_run_of_the_shipped_weights_and_every_run_of_version_1_take_the_built_in_materials(
+    root,
+):
     assert settings.read_run("joint-compact").data.materials == "built-in"
     runs = sorted((root / "docs" / "results" / "learning" / "presets").glob("*/run.json"))
     assert runs
@@ -129,15 +167,24 @@ def test_the_materials_of_the_geometry_job_are_the_built_in_ones_side_by_side(tm
 
 
 @pytest.mark.parametrize("count, held_out", [(9, 0), (10, 1), (29, 2), (95, 8)])
-def test_one_training_material_in_ten_is_for_validation_and_eight_at_most(tmp_path, entries, count, held_out):
+def test_one_training_material_in_ten_is_for_validation_and_eight_at_most(
+    tmp_path, entries, count, held_out
+):
     training = [e for e in entries.values() if e.split == "train"][:count]
     found, _ = sources.materials_of(Data(), with_materials(tmp_path, training))
-    assert [len(found[side]) for side in ("train", "validation", "test")] == [count - held_out, held_out, 0]
+    assert [len(found[side]) for side in ("train", "validation", "test")] == [
+        count - held_out,
+        held_out,
+        0,
+    ]
 
 
 def test_a_data_set_without_materials_for_training_is_refused_with_the_remedy(tmp_path, entries):
     records = with_materials(tmp_path, [e for e in entries.values() if e.split == "test"][:2])
-    with pytest.raises(InputError, match=r'expected materials for training, found 2, all of them for testing \(.*"built-in"'):
+    with pytest.raises(
+        InputError,
+        match=r'expected materials for training, found 2, all of them for testing \(.*"built-in"',
+    ):
         sources.materials_of(Data(), records)
 
 
@@ -152,7 +199,8 @@ def test_a_damaged_material_stops_a_run_or_is_left_out_and_told(tmp_path, entrie
 
 
 def test_priors_of_one_grey_material_hold_that_material_alone(rng):
-    grey = np.tile(np.linspace(-1.0, 0.0, 36, dtype=np.float32), 3)  # the three channels alike: nothing spreads
+    # the three channels alike: nothing spreads
+    grey = np.tile(np.linspace(-1.0, 0.0, 36, dtype=np.float32), 3)
     fitted = priors.fitted([grey], [lights.computed(rng).astype(np.float32)])
     assert all(part.isfinite().all() for part in vars(fitted).values())
     z = torch.ones(1, len(fitted.directions), dtype=torch.float64)

@@ -20,7 +20,12 @@ print(faults)
 
 
 def page_faults(keep, root):
-    done = subprocess.run([sys.executable, "-c", TAKES_AND_FREES.format(keep=keep)], cwd=root, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", TAKES_AND_FREES.format(keep=keep)],
+        cwd=root,
+        capture_output=True,
+        text=True,
+    )
     if done.returncode == 3:
         pytest.skip("this system's allocator takes no advice")
     return int(done.stdout)

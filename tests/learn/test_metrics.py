@@ -17,10 +17,16 @@ from shaders.frames import ELEVATION
 
 @pytest.fixture
 def pictures(rng):
-    """Radiance, true radiance (40, 40, 3) and a mask of a disk, all smooth enough for windows to mean something."""
+    """Radiance, true radiance (40, 40, 3) and a mask of a disk, all smooth enough for windows to
+    mean something.
+    """
     y, x = np.mgrid[:40, :40] / 40
     truth = 0.3 + 0.2 * np.stack([np.sin(9 * x), np.cos(7 * y), np.sin(5 * x * y)], -1)
-    return np.clip(truth * 1.2 + 0.02 * rng.standard_normal(truth.shape), 0, None), truth, np.hypot(x - 0.5, y - 0.5) < 0.4
+    return (
+        np.clip(truth * 1.2 + 0.02 * rng.standard_normal(truth.shape), 0, None),
+        truth,
+        np.hypot(x - 0.5, y - 0.5) < 0.4,
+    )
 
 
 def shown(picture, truth, mask):
@@ -56,24 +62,35 @@ def test_ssim_and_psnr_are_scikit_images(pictures):
     found = metrics.compare(picture, truth, mask)
     _, values = structural_similarity(a, b, data_range=255.0, channel_axis=-1, full=True)
     assert found["ssim"] == found["ssim_frame"] == pytest.approx(values.mean(), rel=1e-12)
-    _, values = structural_similarity(*shown(picture, truth, inside), data_range=255.0, channel_axis=-1, full=True)
-    assert metrics.compare(picture, truth, inside)["ssim"] == pytest.approx(values.mean(-1)[inside].mean(), rel=1e-12)
+    _, values = structural_similarity(
+        *shown(picture, truth, inside), data_range=255.0, channel_axis=-1, full=True
+    )
+    assert metrics.compare(picture, truth, inside)["ssim"] == pytest.approx(
+        values.mean(-1)[inside].mean(), rel=1e-12
+    )
     assert found["psnr"] == pytest.approx(peak_signal_noise_ratio(b, a, data_range=255), rel=1e-12)
 
 
 def test_flip_is_the_packages_of_display_values(pictures):
-    """Its own loader reads pictures as values in [0, 1] under the sRGB curve: what it is given here."""
+    """Its own loader reads pictures as values in [0, 1] under the sRGB curve: what it is given
+    here.
+    """
     from flip_evaluator import evaluate
 
     picture, truth, mask = pictures
     a, b = (np.float32(p / 255) for p in shown(picture, truth, mask))
     errors, mean, _ = evaluate(b, a, "LDR", inputsRGB=True, applyMagma=False)
-    assert metrics.compare(picture, truth, mask)["flip"] == pytest.approx(errors[mask].mean(), rel=1e-6)
+    assert metrics.compare(picture, truth, mask)["flip"] == pytest.approx(
+        errors[mask].mean(), rel=1e-6
+    )
     assert metrics.flip(*shown(picture, truth, mask)).mean() == pytest.approx(mean, rel=1e-5)
 
 
 def test_a_picture_below_the_window_has_no_ssim():
-    assert metrics.compare(np.ones((5, 5, 3)), np.ones((5, 5, 3)), np.ones((5, 5), bool))["ssim"] is None
+    assert (
+        metrics.compare(np.ones((5, 5, 3)), np.ones((5, 5, 3)), np.ones((5, 5), bool))["ssim"]
+        is None
+    )
 
 
 def test_angles_of_turned_normals_are_the_turn():
@@ -82,9 +99,14 @@ def test_angles_of_turned_normals_are_the_turn():
     true[2] = 1
     n = torch.from_numpy(np.stack([np.sin(angles), 0 * angles, np.cos(angles)])).float()
     found = intrinsics.normals(n, true, torch.ones(4, 4, dtype=torch.bool))
-    assert found["mean_deg"] == pytest.approx(35, abs=1e-3) and found["median_deg"] == pytest.approx(35, abs=1e-3)
+    assert found["mean_deg"] == pytest.approx(35, abs=1e-3) and found[
+        "median_deg"
+    ] == pytest.approx(35, abs=1e-3)
     assert [found[f"below_{limit:g}"] for limit in intrinsics.LIMITS_DEG] == [0.25, 0.5, 0.5]
-    assert intrinsics.normals(n, true, torch.tensor(angles < 0.2))["mean_deg"] == pytest.approx(10, abs=1e-3)  # outside does not count
+    # outside does not count
+    assert intrinsics.normals(n, true, torch.tensor(angles < 0.2))["mean_deg"] == pytest.approx(
+        10, abs=1e-3
+    )
 
 
 def test_shares_count_angles_below_their_limits_and_no_others():
@@ -93,7 +115,9 @@ def test_shares_count_angles_below_their_limits_and_no_others():
     true = torch.zeros(3, 1, 6, dtype=torch.float64)
     true[2] = 1
     found = intrinsics.normals(n, true, torch.ones(1, 6, dtype=torch.bool))
-    assert [found[f"below_{limit:g}"] for limit in intrinsics.LIMITS_DEG] == pytest.approx([1 / 6, 3 / 6, 5 / 6])
+    assert [found[f"below_{limit:g}"] for limit in intrinsics.LIMITS_DEG] == pytest.approx(
+        [1 / 6, 3 / 6, 5 / 6]
+    )
 
 
 def lambert(albedo):
@@ -109,26 +133,40 @@ def test_the_brdf_error_of_matte_surfaces_is_the_logarithm_of_their_ratio():
 
 
 def test_the_brdf_error_weighs_by_the_lights_cosine(rng):
-    """Of two labels that differ under grazing light alone; the same mean by random half and difference angles."""
+    """Of two labels that differ under grazing light alone; the same mean by random half and
+    difference angles.
+    """
     label, true = lambert(0.4).reshape(SHAPE).copy(), lambert(0.4)
     label[:, 0, 0, -1] += np.log(3)  # κ where θ_d is 90°
     u, v, t = rng.random((3, 200_000))
     theta_h, theta_d, phi = np.pi / 2 * u**2, np.pi / 2 * v, np.pi * t
-    along, across = np.cos(theta_h) * np.cos(theta_d), np.sin(theta_h) * np.sin(theta_d) * np.cos(phi)
+    along, across = (
+        np.cos(theta_h) * np.cos(theta_d),
+        np.sin(theta_h) * np.sin(theta_d) * np.cos(phi),
+    )
     weight = np.where((along > abs(across)), along - across, 0)
-    f, right = (evaluate(np.exp(x).reshape(SHAPE), np.cos(theta_h), theta_d)[:, 0] + intrinsics.FLOOR for x in (label, true))
+    f, right = (
+        evaluate(np.exp(x).reshape(SHAPE), np.cos(theta_h), theta_d)[:, 0] + intrinsics.FLOOR
+        for x in (label, true)
+    )
     error = np.log(f / right) ** 2
     by_chance = np.sqrt((error * weight).sum() / weight.sum())
-    assert intrinsics.brdf_log_error(label.reshape(-1), true) == pytest.approx(by_chance, rel=0.03)  # 200,000 draws, steps of 1°
+    # 200,000 draws, steps of 1°
+    assert intrinsics.brdf_log_error(label.reshape(-1), true) == pytest.approx(by_chance, rel=0.03)
     assert np.sqrt(error.mean()) > 1.5 * by_chance
 
 
 def test_material_errors_are_means_over_regions():
-    a, b = (torch.from_numpy(np.stack([lambert(x) for x in pair])) for pair in ((0.6, 0.3), (0.2, 0.3)))
+    a, b = (
+        torch.from_numpy(np.stack([lambert(x) for x in pair])) for pair in ((0.6, 0.3), (0.2, 0.3))
+    )
     ranges = Ranges(torch.zeros(108, dtype=torch.float64), torch.ones(108, dtype=torch.float64))
     found = intrinsics.material(a, b, ranges)
-    assert found["brdf_log"] == pytest.approx(0.5 * intrinsics.brdf_log_error(lambert(0.6), lambert(0.2)), rel=1e-9)
-    assert found["code_l2"] == pytest.approx(0.95**2 * found["log_l2"], rel=1e-9)  # a code is 0.95 at the end of the range
+    assert found["brdf_log"] == pytest.approx(
+        0.5 * intrinsics.brdf_log_error(lambert(0.6), lambert(0.2)), rel=1e-9
+    )
+    # a code is 0.95 at the end of the range
+    assert found["code_l2"] == pytest.approx(0.95**2 * found["log_l2"], rel=1e-9)
 
 
 def lamp(row, column, height=64, width=128):
@@ -145,21 +183,27 @@ def test_the_brightest_direction_is_where_the_lamp_is():
 
 def test_a_lamp_between_two_texels_of_the_smoothed_map_is_found_between_them():
     w, _ = envmap.directions(64, 128)
-    L = lamp(21, 37) + lamp(21, 38)  # 18.5 and 19 of the smoothed columns: the two are halves of different ones
+    # 18.5 and 19 of the smoothed columns: the two are halves of different ones
+    L = lamp(21, 37) + lamp(21, 38)
     middle = w[21, 37] + w[21, 38]
     found = intrinsics.brightest(L)
-    assert abs(np.degrees(np.arctan2(found[0], found[2]) - np.arctan2(middle[0], middle[2]))) < 0.3  # the wider texels' own: 2.8 off
+    # the wider texels' own: 2.8 off
+    assert abs(np.degrees(np.arctan2(found[0], found[2]) - np.arctan2(middle[0], middle[2]))) < 0.3
 
 
 def test_spheres_are_seen_from_the_cameras_elevation():
     a, b = lamp(10, 37), lamp(40, 90)
-    level, above = (intrinsics.light(a, b, elevation)["matte_sphere_l2"] for elevation in (0.0, 1.2))
+    level, above = (
+        intrinsics.light(a, b, elevation)["matte_sphere_l2"] for elevation in (0.0, 1.2)
+    )
     assert abs(level - above) > 0.05 * level
 
 
 def test_lamps_a_quarter_turn_apart_are_90_degrees_apart():
     """On the horizon 32 of 128 columns are 90°."""
-    assert intrinsics.light(lamp(32, 5), lamp(32, 37), ELEVATION)["direction_deg"] == pytest.approx(90, abs=0.5)
+    assert intrinsics.light(lamp(32, 5), lamp(32, 37), ELEVATION)["direction_deg"] == pytest.approx(
+        90, abs=0.5
+    )
 
 
 def test_one_light_has_no_error_and_darkness_has_all_of_it():
@@ -170,24 +214,43 @@ def test_one_light_has_no_error_and_darkness_has_all_of_it():
 
 
 def test_spheres_reflect_what_they_say():
-    """Under light of 1 everywhere a surface that faces the viewer has the radiance of its albedo."""
+    """Under light of 1 everywhere a surface that faces the viewer has the radiance of its
+    albedo.
+    """
     from learn.layer import render
 
     for name, (_, albedo) in intrinsics.SPHERES.items():
         m = torch.from_numpy(intrinsics.sphere_material(name)).double().exp()[None]
         n = torch.tensor([[[[0.0, 0.0, 1.0]]]], dtype=torch.float64)
-        radiance = render(n, m, torch.ones(1, 64, 128, 3, dtype=torch.float64), method="exact", elevation=ELEVATION)
-        assert radiance.mean().item() == pytest.approx(albedo, rel=0.02)  # texels of 2.8° before lobes 8° wide
+        radiance = render(
+            n,
+            m,
+            torch.ones(1, 64, 128, 3, dtype=torch.float64),
+            method="exact",
+            elevation=ELEVATION,
+        )
+        # texels of 2.8° before lobes 8° wide
+        assert radiance.mean().item() == pytest.approx(albedo, rel=0.02)
 
 
 def alex(rng):
     """Weights of AlexNet's and LPIPS' shapes, drawn."""
-    shapes = {0: (64, 3, 11, 11), 3: (192, 64, 5, 5), 6: (384, 192, 3, 3), 8: (256, 384, 3, 3), 10: (256, 256, 3, 3)}
+    shapes = {
+        0: (64, 3, 11, 11),
+        3: (192, 64, 5, 5),
+        6: (384, 192, 3, 3),
+        8: (256, 384, 3, 3),
+        10: (256, 256, 3, 3),
+    }
     found = {}
     for i, (k, shape) in enumerate(shapes.items()):
-        found[f"features.{k}.weight"] = torch.from_numpy(rng.standard_normal(shape) / np.sqrt(np.prod(shape[1:]))).float()
+        found[f"features.{k}.weight"] = torch.from_numpy(
+            rng.standard_normal(shape) / np.sqrt(np.prod(shape[1:]))
+        ).float()
         found[f"features.{k}.bias"] = torch.from_numpy(0.1 * rng.standard_normal(shape[0])).float()
-        found[f"lin{i}.weight"] = torch.from_numpy(rng.random((1, shape[0], 1, 1)) / shape[0]).float()
+        found[f"lin{i}.weight"] = torch.from_numpy(
+            rng.random((1, shape[0], 1, 1)) / shape[0]
+        ).float()
     return found
 
 
@@ -199,8 +262,13 @@ def test_lpips_is_nothing_for_one_picture_and_grows_with_noise(rng):
 
 
 def test_pictures_are_scaled_for_lpips_as_its_package_scales_them():
-    """The package's ScalingLayer: of values in [-1, 1], less (-.030, -.088, -.188), over (.458, .448, .450)."""
-    black, white = (perceptual.prepared(np.full((1, 1, 3), value))[0, :, 0, 0].tolist() for value in (0.0, 255.0))
+    """The package's ScalingLayer: of values in [-1, 1], less (-.030, -.088, -.188), over (.458,
+    .448, .450).
+    """
+    black, white = (
+        perceptual.prepared(np.full((1, 1, 3), value))[0, :, 0, 0].tolist()
+        for value in (0.0, 255.0)
+    )
     np.testing.assert_allclose(black, [-0.97 / 0.458, -0.912 / 0.448, -0.812 / 0.450], rtol=1e-5)
     np.testing.assert_allclose(white, [1.03 / 0.458, 1.088 / 0.448, 1.188 / 0.450], rtol=1e-5)
 

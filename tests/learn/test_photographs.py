@@ -1,4 +1,6 @@
-"""Which photographs are accepted: their radiance, formats, sizes and metadata; every other one is refused in one line."""
+"""Which photographs are accepted: their radiance, formats, sizes and metadata; every other one is
+refused in one line.
+"""
 
 import io
 import os
@@ -40,10 +42,15 @@ def mask_file(tmp_path):
 
 @pytest.fixture
 def exr_file(tmp_path, ball):
-    """A function that writes the ball, times a factor, with further channels, and returns the path."""
+    """A function that writes the ball, times a factor, with further channels, and returns the
+    path.
+    """
 
     def write(factor=1.0, **more):
-        planes = {name: (ball[..., k].astype(np.float64) * factor).astype(np.float32) for k, name in enumerate("RGB")}
+        planes = {
+            name: (ball[..., k].astype(np.float64) * factor).astype(np.float32)
+            for k, name in enumerate("RGB")
+        }
         exr.write(tmp_path / "photo.exr", planes | more)
         return tmp_path / "photo.exr"
 
@@ -60,7 +67,8 @@ def bytes_of(ball):
     return np.uint8(255 * ball)
 
 
-# ------------------------------------------------------------------------------------------------------------- radiance
+# -------------------------------------------------------------------------------------------------------------
+# radiance
 
 
 @pytest.mark.parametrize("factor", [1e37, 1e12])
@@ -71,21 +79,34 @@ def test_radiance_that_no_light_has_is_refused(exr_file, mask_file, factor):
 
 def test_one_huge_value_beside_the_object_is_refused_too(exr_file, mask_file, tmp_path):
     channels = exr.read(exr_file())
-    channels["R"][0, 0] = 1e37  # a white balance would carry it beyond float32, and the mask's 0 times it be NaN
+    # a white balance would carry it beyond float32, and the mask's 0 times it be NaN
+    channels["R"][0, 0] = 1e37
     exr.write(tmp_path / "photo.exr", channels)
     with pytest.raises(InputError, match="radiance up to"):
         photograph.opened(tmp_path / "photo.exr", [mask_file])
 
 
-@pytest.mark.parametrize(("factor", "found"), [(0, "0, black or negative"), (-1, "0, black or negative"), (1e-5, "e-06")])
-def test_an_object_without_light_is_refused_with_the_option_to_give(exr_file, mask_file, factor, found):
-    with pytest.raises(InputError, match=rf"photo\.exr: expected an object of mean luminance .*{found}.*--exposure"):
+@pytest.mark.parametrize(
+    ("factor", "found"), [(0, "0, black or negative"), (-1, "0, black or negative"), (1e-5, "e-06")]
+)
+def test_an_object_without_light_is_refused_with_the_option_to_give(
+    exr_file, mask_file, factor, found
+):
+    with pytest.raises(
+        InputError, match=rf"photo\.exr: expected an object of mean luminance .*{found}.*--exposure"
+    ):
         photograph.opened(exr_file(factor), [mask_file])
 
 
-@pytest.mark.parametrize(("level", "accepted"), [(0, False), (2, False), (4, True), (128, True), (255, True)])
-def test_a_constant_picture_is_accepted_unless_it_is_nearly_black(tmp_path, mask_file, level, accepted):
-    """Of 8 bits a mean luminance of 0.001 has three steps; a clipped object is evenly bright, and its edit is finite."""
+@pytest.mark.parametrize(
+    ("level", "accepted"), [(0, False), (2, False), (4, True), (128, True), (255, True)]
+)
+def test_a_constant_picture_is_accepted_unless_it_is_nearly_black(
+    tmp_path, mask_file, level, accepted
+):
+    """Of 8 bits a mean luminance of 0.001 has three steps; a clipped object is evenly bright, and
+    its edit is finite.
+    """
     (tmp_path / "photo.png").write_bytes(encoded(np.full((*SIZE, 3), level, np.uint8)))
     if not accepted:
         with pytest.raises(InputError, match="an object of mean luminance"):
@@ -96,23 +117,43 @@ def test_a_constant_picture_is_accepted_unless_it_is_nearly_black(tmp_path, mask
     assert np.isfinite(framed.radiance).all()
 
 
-@pytest.mark.parametrize(("factor", "exposure", "accepted"), [(1e-5, 1e5, True), (1e-5, 1e-38, False), (1, 1e38, False), (1e4, 1e-4, True)])
-def test_an_exposure_has_to_bring_the_object_to_what_networks_know(exr_file, mask_file, factor, exposure, accepted):
+@pytest.mark.parametrize(
+    ("factor", "exposure", "accepted"),
+    [(1e-5, 1e5, True), (1e-5, 1e-38, False), (1, 1e38, False), (1e4, 1e-4, True)],
+)
+def test_an_exposure_has_to_bring_the_object_to_what_networks_know(
+    exr_file, mask_file, factor, exposure, accepted
+):
     path = exr_file(factor)
     if accepted:
         found = photograph.opened(path, [mask_file], exposure=exposure)
-        assert photographs.framed(found.balanced, found.mask, 32, exposure).radiance.max() == pytest.approx(0.8, rel=0.1)
+        assert photographs.framed(
+            found.balanced, found.mask, 32, exposure
+        ).radiance.max() == pytest.approx(0.8, rel=0.1)
     else:
         with pytest.raises(InputError, match="mean luminance times the exposure"):
             photograph.opened(path, [mask_file], exposure=exposure)
 
 
 @pytest.mark.parametrize("command", ["edit", "predict"])
-@pytest.mark.parametrize("options", [("--exposure", "1e-38"), ("--exposure", "1e38"), ("--exposure", "nan")])
-def test_no_exposure_makes_a_picture_that_is_not_finite(tmp_path, ball, mask_file, capsys, command, options):
+@pytest.mark.parametrize(
+    "options", [("--exposure", "1e-38"), ("--exposure", "1e38"), ("--exposure", "nan")]
+)
+def test_no_exposure_makes_a_picture_that_is_not_finite(
+    tmp_path, ball, mask_file, capsys, command, options
+):
     (tmp_path / "photo.png").write_bytes(encoded(bytes_of(ball)))
     more = ["--material", "brass", "--no-refine"] if command == "edit" else []
-    words = [command, tmp_path / "photo.png", "--mask", mask_file, *more, *options, "--out", tmp_path / "out"]
+    words = [
+        command,
+        tmp_path / "photo.png",
+        "--mask",
+        mask_file,
+        *more,
+        *options,
+        "--out",
+        tmp_path / "out",
+    ]
     assert main(list(map(str, words))) == 1
     assert "exposure" in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "out").exists()
@@ -127,7 +168,8 @@ def test_transparency_that_is_not_finite_is_refused(exr_file, mask_file, value):
 
 
 def test_transparency_beyond_its_range_is_held_in_it(exr_file):
-    alpha = np.where(np.arange(SIZE[1]) < 30, -0.5, 1.5).astype(np.float32)  # as filters that sharpen leave it
+    # as filters that sharpen leave it
+    alpha = np.where(np.arange(SIZE[1]) < 30, -0.5, 1.5).astype(np.float32)
     found = photograph.opened(exr_file(A=np.broadcast_to(alpha, SIZE)))
     assert found.coverage.min() >= 0 and found.coverage.max() <= 1
 
@@ -135,7 +177,9 @@ def test_transparency_beyond_its_range_is_held_in_it(exr_file):
 def test_a_grey_balance_asks_for_a_background_that_is_not_black(tmp_path, ball, mask_file):
     black = bytes_of(ball) * (bytes_of(ball)[..., :1] > 51)
     (tmp_path / "photo.png").write_bytes(encoded(black))
-    with pytest.raises(InputError, match="--white-balance grey: expected a background that is not black"):
+    with pytest.raises(
+        InputError, match="--white-balance grey: expected a background that is not black"
+    ):
         photograph.opened(tmp_path / "photo.png", [mask_file], balance="grey")
 
 
@@ -146,11 +190,13 @@ def test_no_picture_is_written_that_is_not_finite(tmp_path):
         with pytest.raises(InputError, match="a finite picture"):
             write(tmp_path / name, bad)
         assert not (tmp_path / name).exists()
-    with pytest.raises(InputError, match="a finite picture"):  # finite as float64, not as the file's float32
+    # finite as float64, not as the file's float32
+    with pytest.raises(InputError, match="a finite picture"):
         photographs.write_exr(tmp_path / "a.exr", np.full((4, 4, 3), 1e39))
 
 
-# -------------------------------------------------------------------------------------------------------------- formats
+# --------------------------------------------------------------------------------------------------------------
+# formats
 
 
 @pytest.fixture
@@ -171,17 +217,29 @@ def ghostscript(tmp_path, monkeypatch):
 def test_an_eps_starts_no_other_program(tmp_path, ball, mask_file, ghostscript, role):
     (tmp_path / "photo.png").write_bytes(encoded(bytes_of(ball)))
     (tmp_path / "eps.png").write_bytes(encoded(bytes_of(ball), "EPS"))
-    given = {"photograph": ("eps.png", [mask_file]), "mask": ("photo.png", [tmp_path / "eps.png"]), "regions": ("photo.png", [mask_file])}
+    given = {
+        "photograph": ("eps.png", [mask_file]),
+        "mask": ("photo.png", [tmp_path / "eps.png"]),
+        "regions": ("photo.png", [mask_file]),
+    }
     name, masks = given[role]
-    with pytest.raises(InputError, match=r"eps\.png: expected a picture in one of the formats PNG, JPEG"):
-        photograph.opened(tmp_path / name, masks, tmp_path / "eps.png" if role == "regions" else None)
+    with pytest.raises(
+        InputError, match=r"eps\.png: expected a picture in one of the formats PNG, JPEG"
+    ):
+        photograph.opened(
+            tmp_path / name, masks, tmp_path / "eps.png" if role == "regions" else None
+        )
     assert not ghostscript.exists()
 
 
 @pytest.mark.parametrize("format_", ["ICO", "ICNS", "PCX", "PPM", "TGA", "DDS", "JPEG2000", "PDF"])
-def test_formats_that_are_not_on_the_list_are_refused_with_the_list(tmp_path, ball, mask_file, format_):
+def test_formats_that_are_not_on_the_list_are_refused_with_the_list(
+    tmp_path, ball, mask_file, format_
+):
     (tmp_path / "photo.png").write_bytes(encoded(bytes_of(ball), format_))
-    with pytest.raises(InputError, match="PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR, found another format"):
+    with pytest.raises(
+        InputError, match="PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR, found another format"
+    ):
         photograph.opened(tmp_path / "photo.png", [mask_file])
 
 
@@ -191,7 +249,8 @@ def test_formats_on_the_list_are_read(tmp_path, ball, mask_file, format_):
         pytest.skip("this Pillow has no AVIF")
     (tmp_path / "photo.bin").write_bytes(encoded(bytes_of(ball), format_))
     found = photograph.opened(tmp_path / "photo.bin", [mask_file])
-    assert np.median(abs(found.radiance - photographs._linear(ball))) < 0.03  # colours are averaged by some formats, and palettes coarse
+    # colours are averaged by some formats, and palettes coarse
+    assert np.median(abs(found.radiance - photographs._linear(ball))) < 0.03
 
 
 @pytest.mark.parametrize("dtype", [np.int32, np.float32])
@@ -203,19 +262,26 @@ def test_a_tiff_of_numbers_that_are_no_display_values_is_refused(tmp_path, ball,
 
 
 def test_damaged_exif_leaves_a_sound_picture_as_it_is(tmp_path, ball, mask_file):
-    noise = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x08\0\0\0\x08\0\0\0"  # a directory that leads back to itself
+    # a directory that leads back to itself
+    noise = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x08\0\0\0\x08\0\0\0"
     (tmp_path / "photo.jpg").write_bytes(encoded(bytes_of(ball), "JPEG", exif=noise))
     assert photograph.opened(tmp_path / "photo.jpg", [mask_file]).radiance.shape == (*SIZE, 3)
 
 
-# ---------------------------------------------------------------------------------------------------------------- sizes
+# ----------------------------------------------------------------------------------------------------------------
+# sizes
 
 
 def promising(width, height):
     """A PNG whose header promises a size."""
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(bytes(1000))), (b"IEND", b"")]
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),
+        (b"IDAT", zlib.compress(bytes(1000))),
+        (b"IEND", b""),
+    ]
     return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body)) for name, body in chunks
+        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+        for name, body in chunks
     )
 
 
@@ -229,9 +295,13 @@ def test_a_picture_one_pixel_wide_and_endlessly_high_is_refused_by_its_header(tm
 def test_a_tiffs_tile_is_no_larger_than_a_picture_may_be(tmp_path):
     entries = [(256, 3, 64), (257, 3, 48), (258, 3, 8), (259, 3, 8), (262, 3, 1), (277, 3, 1)]
     entries += [(322, 4, 46_000), (323, 4, 46_000), (324, 4, 200), (325, 4, 100)]  # a tile of 2 GB
-    directory = struct.pack("<H", len(entries)) + b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in entries)
+    directory = struct.pack("<H", len(entries)) + b"".join(
+        struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in entries
+    )
     whole = b"II*\0" + struct.pack("<I", 8) + directory + bytes(4)
-    (tmp_path / "photo.tiff").write_bytes(whole + bytes(200 - len(whole)) + zlib.compress(bytes(64 * 48)))
+    (tmp_path / "photo.tiff").write_bytes(
+        whole + bytes(200 - len(whole)) + zlib.compress(bytes(64 * 48))
+    )
     with pytest.raises(InputError, match="found tiles of 46000 × 46000"):
         photograph.opened(tmp_path / "photo.tiff")
 
@@ -239,7 +309,9 @@ def test_a_tiffs_tile_is_no_larger_than_a_picture_may_be(tmp_path):
 def test_an_object_as_long_as_a_picture_may_be_is_refused_before_its_square_is_made():
     """The square over an object of 20,000 × 16 pixels would take 2 GB a channel."""
     radiance = np.broadcast_to(np.float32(0.5), (16, 20_000, 3))
-    with pytest.raises(InputError, match="strip: expected an object at most 8135 pixels across, found 20000"):
+    with pytest.raises(
+        InputError, match="strip: expected an object at most 8135 pixels across, found 20000"
+    ):
         photographs.framed(radiance, np.ones((16, 20_000), bool), 32, where="strip")
 
 
@@ -257,7 +329,8 @@ def test_pictures_of_a_few_rows_are_framed_or_refused(tmp_path, size):
         assert framed.mask.any() and np.isfinite(framed.radiance).all()
 
 
-# ------------------------------------------------------------------------------------------------------- what is no file
+# -------------------------------------------------------------------------------------------------------
+# what is no file
 
 
 def circle(path):
@@ -269,10 +342,17 @@ def endless(path):
 
 
 @pytest.mark.parametrize(
-    ("make", "found"), [(os.mkfifo, "a pipe"), (circle, "too many levels"), (lambda p: p.symlink_to("/dev/zero"), "a device")]
+    ("make", "found"),
+    [
+        (os.mkfifo, "a pipe"),
+        (circle, "too many levels"),
+        (lambda p: p.symlink_to("/dev/zero"), "a device"),
+    ],
 )
 @pytest.mark.parametrize("role", ["photograph", "mask", "regions", "material", "list", "exr"])
-def test_pipes_devices_and_circles_of_links_are_refused_at_once(tmp_path, ball, mask_file, role, make, found, capsys):
+def test_pipes_devices_and_circles_of_links_are_refused_at_once(
+    tmp_path, ball, mask_file, role, make, found, capsys
+):
     (tmp_path / "photo.png").write_bytes(encoded(bytes_of(ball)))
     odd = tmp_path / {"exr": "odd.exr", "list": "odd.txt"}.get(role, "odd.png")
     make(odd)

@@ -25,12 +25,16 @@ def mask_file(tmp_path, disc):
     return saved(tmp_path / "mask.png", disc.astype(np.uint8) * 255)
 
 
-@pytest.mark.parametrize(("mode", "suffix"), [("RGB", "png"), ("L", "png"), ("CMYK", "jpg"), ("P", "gif"), ("RGB", "tiff")])
+@pytest.mark.parametrize(
+    ("mode", "suffix"),
+    [("RGB", "png"), ("L", "png"), ("CMYK", "jpg"), ("P", "gif"), ("RGB", "tiff")],
+)
 def test_pictures_of_any_mode_become_linear_radiance(tmp_path, mask_file, mode, suffix):
     path = saved(tmp_path / f"picture.{suffix}", np.full((60, 80, 3), 188, np.uint8), mode)
     radiance, _ = photographs.read(path, mask_file)
     assert radiance.shape == (60, 80, 3)
-    np.testing.assert_allclose(radiance, 0.5, atol=0.02)  # sRGB 188 is 0.503; JPEG and palettes move a step or two
+    # sRGB 188 is 0.503; JPEG and palettes move a step or two
+    np.testing.assert_allclose(radiance, 0.5, atol=0.02)
 
 
 def test_sixteen_bit_grey_is_read_at_its_depth(tmp_path, mask_file):
@@ -47,9 +51,16 @@ def test_transparency_is_a_mask(tmp_path, disc):
 
 def test_a_dark_picture_is_taken_to_be_of_a_darker_scene_but_not_in_proportion():
     mask = np.ones((20, 20), bool)
-    found = [photographs.framed(np.full((20, 20, 3), Y, np.float32), mask, 16).exposure for Y in (0.05, 0.5)]
-    np.testing.assert_allclose(found, [0.23 * 0.05**-0.19, 0.23 * 0.5**-0.19], rtol=1e-5)  # docs/editing.md
-    assert photographs.framed(np.full((20, 20, 3), 0.5, np.float32), mask, 16, exposure=2.0).exposure == 2.0
+    found = [
+        photographs.framed(np.full((20, 20, 3), Y, np.float32), mask, 16).exposure
+        for Y in (0.05, 0.5)
+    ]
+    # docs/editing.md
+    np.testing.assert_allclose(found, [0.23 * 0.05**-0.19, 0.23 * 0.5**-0.19], rtol=1e-5)
+    assert (
+        photographs.framed(np.full((20, 20, 3), 0.5, np.float32), mask, 16, exposure=2.0).exposure
+        == 2.0
+    )
 
 
 def test_a_thin_object_keeps_about_its_area_at_the_networks_size():
@@ -91,8 +102,10 @@ def test_an_object_is_framed_in_its_middle_at_the_size_asked_for(disc):
     framed = photographs.framed(radiance, disc, 32)
     rows, columns = np.nonzero(framed.mask)
     assert framed.radiance.shape == (32, 32, 3)
-    np.testing.assert_allclose([rows.mean(), columns.mean()], 15.5, atol=1)  # a picture's pixel is 1.6 here: its rounding, either way
+    # a picture's pixel is 1.6 here: its rounding, either way
+    np.testing.assert_allclose([rows.mean(), columns.mean()], 15.5, atol=1)
     inner = framed.mask & (framed.radiance[..., 0] > 0)
-    np.testing.assert_allclose(framed.radiance[inner], 0.5 * framed.exposure, rtol=0.05)  # background at 9 does not leak in
+    # background at 9 does not leak in
+    np.testing.assert_allclose(framed.radiance[inner], 0.5 * framed.exposure, rtol=0.05)
     span = np.ptp(columns) + 1
     assert span == pytest.approx(32 / photographs.MARGIN, abs=2)

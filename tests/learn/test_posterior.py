@@ -1,4 +1,6 @@
-"""The Lombardi-like method's posterior by hand, Baseline 1's regions, and which lights the baselines never see."""
+"""The Lombardi-like method's posterior by hand, Baseline 1's regions, and which lights the
+baselines never see.
+"""
 
 from types import SimpleNamespace
 
@@ -30,7 +32,9 @@ def batch():
     n = torch.tensor([0.0, 0.0, 1.0])[None, :, None, None].expand(1, 3, SIZE, SIZE)
     label, light = torch.zeros(1, 2, 108), torch.ones(1, 3, 64, 128)
     mask = (segments > 0)[:, None].float()
-    return Batch(torch.zeros(1, 3, SIZE, SIZE), mask, n, segments, label, light, label, ("plane",), 0.349)
+    return Batch(
+        torch.zeros(1, 3, SIZE, SIZE), mask, n, segments, label, light, label, ("plane",), 0.349
+    )
 
 
 def test_a_posterior_adds_the_pictures_misfit_and_both_priors(batch, monkeypatch):
@@ -55,7 +59,8 @@ def test_a_posterior_adds_the_pictures_misfit_and_both_priors(batch, monkeypatch
     ):
         drawn.append(radiance)
         z_m[1, 0], z_L[5, 1] = material, light
-        assert float(of_picture.energy(z_m, z_L, (4, 8))) == pytest.approx(expected, rel=1e-4)  # float32
+        # float32
+        assert float(of_picture.energy(z_m, z_L, (4, 8))) == pytest.approx(expected, rel=1e-4)
 
 
 def test_baseline_1_draws_each_region_in_its_own_material(batch):
@@ -65,16 +70,23 @@ def test_baseline_1_draws_each_region_in_its_own_material(batch):
     label = torch.tensor([0.2, 0.7])[:, None].expand(2, 108)
     picture = methods.Swapped("Baseline 1", flatly, SIZE).edit(batch, label)
     for segment, expected in ((0, 0.0), (1, 0.2), (2, 0.7)):
-        np.testing.assert_allclose(picture[batch.segments[0].numpy() == segment], expected, rtol=1e-5)  # float32
+        # float32
+        np.testing.assert_allclose(
+            picture[batch.segments[0].numpy() == segment], expected, rtol=1e-5
+        )
 
 
 @pytest.fixture
 def options(tmp_path):
-    """As learn.commands.train_baselines parses them: a run's weights that held two maps out are to be followed."""
+    """As learn.commands.train_baselines parses them: a run's weights that held two maps out are to
+    be followed.
+    """
     path = tmp_path / "weights.safetensors"
     run = Run(name="ours", data=Data(validation_lights=("sky",), test_lights=("room",)))
     weights.save(path, {"weight": torch.zeros(1)}, {"run": msgspec.json.encode(run).decode()})
-    return SimpleNamespace(out=tmp_path / "out", like=path, steps=7, data=None, lights=None, workers=0, materials=None)
+    return SimpleNamespace(
+        out=tmp_path / "out", like=path, steps=7, data=None, lights=None, workers=0, materials=None
+    )
 
 
 def test_a_preset_holds_out_the_lights_that_other_weights_held_out(options):
@@ -95,12 +107,17 @@ def test_baselines_draw_from_the_materials_of_the_weights_they_are_like(options)
     assert making.held_out(options, Data()).materials == "dataset"
 
 
-def test_priors_are_fitted_without_the_lights_that_other_weights_held_out(options, monkeypatch, rng):
+def test_priors_are_fitted_without_the_lights_that_other_weights_held_out(
+    options, monkeypatch, rng
+):
     asked = []
     train = SimpleNamespace(
-        labels={name: rng.standard_normal(108) for name in "ab"}, maps=[lights.computed(rng).astype(np.float32) for _ in range(2)]
+        labels={name: rng.standard_normal(108) for name in "ab"},
+        maps=[lights.computed(rng).astype(np.float32) for _ in range(2)],
     )
-    monkeypatch.setattr(making.sources, "data_splits", lambda data, *_: asked.append(data) or {"train": train})
+    monkeypatch.setattr(
+        making.sources, "data_splits", lambda data, *_: asked.append(data) or {"train": train}
+    )
     making.make("lombardi", None, options)
     assert asked == [Data(validation_lights=("sky",), test_lights=("room",))]
     assert priors.load(options.out / making.FILE_OF["lombardi"]).directions.shape[1] == 108

@@ -1,4 +1,6 @@
-"""What `learn predict` writes: parts that can be read back, of a picture or a record of a dataset, and nothing over earlier ones."""
+"""What `learn predict` writes: parts that can be read back, of a picture or a record of a dataset,
+and nothing over earlier ones.
+"""
 
 import json
 
@@ -26,10 +28,14 @@ SIZE = 32
 def weights(tmp_path_factory):
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
     torch.manual_seed(0)
-    labels = torch.from_numpy(np.stack([m.label.reshape(-1) for m in load_catalogue().values()])).float()
+    labels = torch.from_numpy(
+        np.stack([m.label.reshape(-1) for m in load_catalogue().values()])
+    ).float()
     network = Compact(Ranges.of(labels))
     run = Run(name="tiny", size=SIZE)
-    checkpoint.save_weights(path, network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE)
+    checkpoint.save_weights(
+        path, network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE
+    )
     return path
 
 
@@ -48,7 +54,9 @@ def shown(path):
 
 def test_normals_are_unit_inside_the_mask_and_nothing_outside(predicted):
     channels = exr.read(predicted[0] / "normals.exr")
-    lengths = np.linalg.norm(np.stack([channels[axis].astype(np.float32) for axis in "XYZ"], -1), axis=-1)
+    lengths = np.linalg.norm(
+        np.stack([channels[axis].astype(np.float32) for axis in "XYZ"], -1), axis=-1
+    )
     mask = shown(predicted[0] / "mask.png") > 127
     assert mask.any()
     assert np.abs(lengths[mask] - 1).max() < 2e-3  # half floats
@@ -76,7 +84,8 @@ def test_every_part_has_its_picture_and_the_sheet_all_of_them(predicted):
     names = ("picture", "normals", "light", "material", "rendering")
     assert {shown(predicted[0] / f"{name}.png").shape[:2] for name in names} == {(SIZE, SIZE)}
     height, width = shown(predicted[0] / "sheet.png").shape[:2]
-    assert width // predict.TILE == len(names) and predict.TILE < height < 2 * predict.TILE  # a row, and its captions
+    # a row, and its captions
+    assert width // predict.TILE == len(names) and predict.TILE < height < 2 * predict.TILE
 
 
 def test_an_earlier_prediction_stays_unless_it_may_go(predicted, weights):
@@ -86,7 +95,8 @@ def test_an_earlier_prediction_stays_unless_it_may_go(predicted, weights):
     before = json.loads((out / "material.json").read_text())
     predict.write(store.folder, None, weights, out, overwrite=True)
     after = json.loads((out / "material.json").read_text())
-    np.testing.assert_allclose(after["label"], before["label"], atol=1e-4)  # the same picture; float32 sums in another order
+    # the same picture; float32 sums in another order
+    np.testing.assert_allclose(after["label"], before["label"], atol=1e-4)
     assert after["nearest"] == before["nearest"]
 
 
@@ -106,7 +116,12 @@ def test_a_material_of_the_catalogue_is_its_own_nearest(weights):
     _, metadata = checkpoint.load_network(weights)
     catalogue = load_catalogue()
     for name in ("brass", "red-fabric", "blue-rubber"):
-        assert predict.nearest(catalogue[name].label.reshape(108).astype(np.float32), metadata["ranges"])[0] == name
+        assert (
+            predict.nearest(
+                catalogue[name].label.reshape(108).astype(np.float32), metadata["ranges"]
+            )[0]
+            == name
+        )
 
 
 def test_the_material_file_tells_where_the_object_was_and_at_what_exposure(weights, tmp_path):
@@ -119,7 +134,8 @@ def test_the_material_file_tells_where_the_object_was_and_at_what_exposure(weigh
     told = json.loads((tmp_path / "out" / "material.json").read_text())
     top, left, side = told["box"]
     assert told["exposure"] == 0.7
-    assert side >= 40 and (2 * top + side, 2 * left + side) == pytest.approx((60, 90), abs=1)  # about the object's middle
+    # about the object's middle
+    assert side >= 40 and (2 * top + side, 2 * left + side) == pytest.approx((60, 90), abs=1)
 
 
 def test_a_dataset_without_records_is_told(weights, tmp_path):

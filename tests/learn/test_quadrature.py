@@ -1,4 +1,6 @@
-"""The converged integral: against the exact sum over texels split until it no longer changes, values and gradients."""
+"""The converged integral: against the exact sum over texels split until it no longer changes,
+values and gradients.
+"""
 
 import math
 
@@ -12,16 +14,25 @@ from learn.methods import quadrature
 from manifests.materials import load_catalogue
 from shaders.envmap import texel
 
-SPLIT = 24  # rows and columns of a texel's parts in the reference: .12° at 64 rows; a lobe of γ = 1e5 is .36° wide in w
+# rows and columns of a texel's parts in the reference: .12° at 64 rows; a lobe of γ = 1e5 is .36°
+# wide in w
+SPLIT = 24
 NORMALS = [[0.0, 0.0, 1.0], [0.3, 0.4, 0.85], [-0.6, 0.1, 0.8], [0.2, -0.7, 0.5], [0.85, 0.3, 0.3]]
 
 
 def scene(gamma, seed=0, kappa=1.0, dtype=torch.float32, rows=64, matte=0.0):
-    """One lobe of exponent γ, over a matte one if wanted; five normals, a light of independent texels."""
+    """One lobe of exponent γ, over a matte one if wanted; five normals, a light of independent
+    texels.
+    """
     m = torch.full((3, 3, 2, 6), 1e-9, dtype=dtype)
     m[:, 0, 0], m[:, 1, 0], m[:, 1, 1] = matte, kappa, gamma
     n = torch.nn.functional.normalize(torch.tensor(NORMALS, dtype=torch.float64), dim=-1).to(dtype)
-    L = torch.rand(1, rows, 2 * rows, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)).to(dtype) ** 4
+    L = (
+        torch.rand(
+            1, rows, 2 * rows, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)
+        ).to(dtype)
+        ** 4
+    )
     return {"n": n.reshape(1, 1, -1, 3), "material": m.reshape(1, 108), "light": L}
 
 
@@ -35,17 +46,29 @@ def relative(a, b):
 
 @pytest.mark.parametrize("gamma", [1.0, 290.0, 310.0, 1190.0, 1210.0, 4700.0])
 def test_integral_of_lobes_up_to_the_taps_is_that_of_split_texels(gamma):
-    one = scene(gamma / 4, rows=32, matte=0.01)  # half the rows: each limit comes at a quarter of its exponent
+    # half the rows: each limit comes at a quarter of its exponent
+    one = scene(gamma / 4, rows=32, matte=0.01)
     fine = render(**(one | {"light": split(one["light"], 12)}), method="exact")
     assert relative(render(**one, method="quadrature"), fine) < 3e-3  # what BROAD claims
 
 
-@pytest.mark.parametrize("name", ["white-diffuse-bball", "green-metallic-paint", "black-oxidized-steel", "neoprene-rubber", "chrome"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "white-diffuse-bball",
+        "green-metallic-paint",
+        "black-oxidized-steel",
+        "neoprene-rubber",
+        "chrome",
+    ],
+)
 def test_measured_materials_keep_the_tolerance_under_a_lamp_of_one_texel(name):
     """Their lobes are narrow at some θ_d and broad at others."""
     x, y = (np.indices((12, 12)) + 0.5) / 6 - 1
     inside = x**2 + y**2 < 0.98
-    n = np.where(inside[..., None], np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], -1), 0)
+    n = np.where(
+        inside[..., None], np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], -1), 0
+    )
     light = torch.rand(1, 64, 128, 3, generator=torch.Generator().manual_seed(0))
     light[0, 20, 30] = 3000.0  # half of all the light
     one = {"n": torch.tensor(n[None], dtype=torch.float32), "light": light}
@@ -60,25 +83,33 @@ def test_integral_of_lobes_narrower_than_a_texel(gamma):
     one = scene(gamma)
     fine = render(**(one | {"light": split(one["light"], SPLIT)}), method="exact")
     assert relative(render(**one, method="quadrature", tolerance=1e-2), fine) < 1e-2
-    assert relative(render(**one, method="quadrature", tolerance=1e-3), fine) < 4e-3  # the reference's own step is a third of a lobe
-    assert relative(render(**one, method="exact"), fine) > 0.05  # the paper's sum, on the same scene
+    # the reference's own step is a third of a lobe
+    assert relative(render(**one, method="quadrature", tolerance=1e-3), fine) < 4e-3
+    # the paper's sum, on the same scene
+    assert relative(render(**one, method="exact"), fine) > 0.05
 
 
 def test_a_sun_in_one_texel_seen_in_a_mirror_like_lobe():
-    """Closed form: a lobe far narrower than the sun's texel, aimed at its middle, sees the sun's radiance times the lobe's albedo."""
+    """Closed form: a lobe far narrower than the sun's texel, aimed at its middle, sees the sun's
+    radiance times the lobe's albedo.
+    """
     n = torch.tensor([0.3, 0.4, 0.85], dtype=torch.float64)
     n = n / n.norm()
     mirror = 2 * n[2] * n - torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     row, column = texel(mirror.numpy(), 64, 128)
     theta, phi = (row + 0.5) * math.pi / 64, (column + 0.5) * 2 * math.pi / 128
-    w = torch.tensor([math.cos(phi) * math.sin(theta), math.cos(theta), math.sin(phi) * math.sin(theta)], dtype=torch.float64)
+    w = torch.tensor(
+        [math.cos(phi) * math.sin(theta), math.cos(theta), math.sin(phi) * math.sin(theta)],
+        dtype=torch.float64,
+    )
     n = torch.nn.functional.normalize(w + torch.tensor([0.0, 0.0, 1.0]), dim=0).reshape(1, 1, 1, 3)
     one = scene(3e5, dtype=torch.float64) | {"n": n}
     sun, sky = torch.zeros_like(one["light"]), torch.ones_like(one["light"])
     sun[0, row, column] = 1e5
     lobe = render(**(one | {"light": sky}), method="quadrature", elevation=0.0)
     seen = render(**(one | {"light": sun}), method="quadrature", elevation=0.0)
-    torch.testing.assert_close(seen, 1e5 * lobe, rtol=1e-4, atol=0)  # half a texel is 0.7° in half angle: e^(−γ (0.7°)²/2) = 2e-10
+    # half a texel is 0.7° in half angle: e^(−γ (0.7°)²/2) = 2e-10
+    torch.testing.assert_close(seen, 1e5 * lobe, rtol=1e-4, atol=0)
 
 
 @pytest.mark.parametrize("name", ["material", "light", "n"])
@@ -94,11 +125,17 @@ def test_gradients_are_those_of_the_integral(name, gamma):
         picture = render(**full, method=method, tolerance=1e-4)
         (found[method],) = torch.autograd.grad((weight * picture).sum(), leaf)
     scale = found["exact"].abs().mean()
-    # taps see each texel's edge at random: N^−¾ of the contrast, and a derivative in n weighs the lobe's flanks
-    assert (found["quadrature"] - found["exact"]).abs().mean() < (0.05 if name != "n" else 0.1) * scale
+    # taps see each texel's edge at random: N^−¾ of the contrast, and a derivative in n weighs the
+    # lobe's flanks
+    assert (found["quadrature"] - found["exact"]).abs().mean() < (
+        0.05 if name != "n" else 0.1
+    ) * scale
 
 
-@pytest.mark.skipif(not machine_code.is_available(), reason="numba is not installed: there is one form of the taps only")
+@pytest.mark.skipif(
+    not machine_code.is_available(),
+    reason="numba is not installed: there is one form of the taps only",
+)
 @pytest.mark.parametrize("perspective", [False, True])
 def test_the_engine_takes_the_same_taps_as_torch(draw, perspective):
     one = draw(40, size=(6, 9), light=(32, 64), sharpest=3e4, dtype=torch.float32)
@@ -106,7 +143,9 @@ def test_the_engine_takes_the_same_taps_as_torch(draw, perspective):
     if not perspective:
         one["view"] = None
     fast = render(**one, method="quadrature")
-    slow = render(**(one | {"material": one["material"].requires_grad_()}), method="quadrature").detach()
+    slow = render(
+        **(one | {"material": one["material"].requires_grad_()}), method="quadrature"
+    ).detach()
     # float32 sums of 2048 taps; a tap within 1e-6 of a texel's border may fall on either side
     assert relative(fast, slow) < 2e-5
 
@@ -116,7 +155,8 @@ def test_taps_cover_the_hemisphere_and_follow_the_lobes():
     theta, solid_angle = quadrature.sample_radii(m, 512)
     assert (np.diff(theta) > 0).all() and theta[-1] > 1.2
     np.testing.assert_allclose(solid_angle.sum(), 2 * np.pi, rtol=1e-12)
-    assert 0.3 < (theta < 0.06).mean() < 0.35  # one of three lobes, taps as its root: e^(−1e4 θ²/4) is nothing beyond .06
+    # one of three lobes, taps as its root: e^(−1e4 θ²/4) is nothing beyond .06
+    assert 0.3 < (theta < 0.06).mean() < 0.35
 
 
 def test_lobes_without_reflection_cost_nothing_and_change_nothing():
@@ -124,11 +164,15 @@ def test_lobes_without_reflection_cost_nothing_and_change_nothing():
     kept = quadrature.keep(m, torch.zeros(1, 3, 3, dtype=torch.bool))
     assert (kept[..., 0, :] == 0).all()
     one = scene(1e4)
-    torch.testing.assert_close(render(**(one | {"material": kept.reshape(1, 108)}), method="quadrature"), torch.zeros_like(one["n"]))
+    torch.testing.assert_close(
+        render(**(one | {"material": kept.reshape(1, 108)}), method="quadrature"),
+        torch.zeros_like(one["n"]),
+    )
 
 
 @pytest.mark.parametrize("kappa", [1e12, 1e30, 1e38, 3e38])
 def test_heights_at_the_end_of_float32_give_finite_pictures(kappa):
     one = scene(54.0, rows=8, matte=0.01)
-    one["material"].reshape(3, 3, 2, 6)[0, 0, 0, 4] = kappa  # between small control values: the spline's steps are as large
+    # between small control values: the spline's steps are as large
+    one["material"].reshape(3, 3, 2, 6)[0, 0, 0, 4] = kappa
     assert render(**one, method="quadrature").isfinite().all()

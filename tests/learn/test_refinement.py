@@ -1,4 +1,6 @@
-"""Refinement: it goes down, never up, stays in the domain, and finds what is known where it can be known."""
+"""Refinement: it goes down, never up, stays in the domain, and finds what is known where it can be
+known.
+"""
 
 import json
 from dataclasses import replace
@@ -18,7 +20,13 @@ from learn.layer import render
 from learn.metrics.radiometry import log_albedo
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings, descent, refine
-from learn.refinement.coordinates import Light, Material, Normals, principal_directions, spherical_harmonics
+from learn.refinement.coordinates import (
+    Light,
+    Material,
+    Normals,
+    principal_directions,
+    spherical_harmonics,
+)
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import Level
 from manifests.cli import main
@@ -34,7 +42,9 @@ QUICK = replace(Settings(), levels=LEVELS)
 def sky(seed=0):
     """A smooth light with a bright side, of unit mean luminance."""
     w, _ = envmap.directions(64, 128)
-    side = torch.nn.functional.normalize(torch.randn(3, generator=torch.Generator().manual_seed(seed)), dim=0).numpy()
+    side = torch.nn.functional.normalize(
+        torch.randn(3, generator=torch.Generator().manual_seed(seed)), dim=0
+    ).numpy()
     L = np.exp(1.2 * (w @ side))[..., None] * [1.1, 1.0, 0.8]
     return torch.from_numpy(envmap.unit_mean(L)[0]).movedim(-1, 0)[None]
 
@@ -55,20 +65,33 @@ def scene():
     z = (1 - x * x - y * y).clamp(min=0.01).sqrt()
     n = F.normalize(torch.stack([x, y, z]), dim=0)[None] * inside
     label, light = label_of("blue-rubber"), sky()
-    picture = render(n.movedim(1, -1).contiguous(), label[:, 0].exp(), light.movedim(1, -1).contiguous(), mask=inside[None], method="exact")
+    picture = render(
+        n.movedim(1, -1).contiguous(),
+        label[:, 0].exp(),
+        light.movedim(1, -1).contiguous(),
+        mask=inside[None],
+        method="exact",
+    )
     image, mask = picture.movedim(-1, 1).contiguous(), inside[None, None].float()
     batch = Batch(image, mask, n, inside[None].long(), label, light, label, ("ball",), ELEVATION)
     return batch, Prediction(n, None, label, None, light)
 
 
 def perturbed(prediction, seed):
-    """A start that may be anything: random material, a wild light, normals that point everywhere."""
+    """A start that may be anything: random material, a wild light, normals that point
+    everywhere.
+    """
     rng = torch.Generator().manual_seed(seed)
     names = sorted(load_catalogue())
-    label = label_of(names[int(torch.randint(len(names), (1,), generator=rng))]) + torch.randn(1, 1, 108, generator=rng) * (seed % 3) * 0.2
+    label = (
+        label_of(names[int(torch.randint(len(names), (1,), generator=rng))])
+        + torch.randn(1, 1, 108, generator=rng) * (seed % 3) * 0.2
+    )
     n = prediction.n + torch.randn(prediction.n.shape, generator=rng) * 0.5
     n[:, 2] = n[:, 2].abs() * (1 if seed % 2 else 1e-3)
-    light = [torch.ones_like(prediction.light), sky(seed) ** 4, torch.zeros_like(prediction.light)][seed % 3]
+    light = [torch.ones_like(prediction.light), sky(seed) ** 4, torch.zeros_like(prediction.light)][
+        seed % 3
+    ]
     return Prediction(F.normalize(n, dim=1), None, label, None, light)
 
 
@@ -78,7 +101,10 @@ def test_no_start_however_bad_ends_above_itself_or_leaves_the_domain(scene, seed
     found = refine(batch, perturbed(truth, seed), QUICK)
     assert found.after["total"] <= found.before["total"]
     n, inside = found.prediction.n[0], batch.segments[0] > 0
-    assert all(torch.isfinite(part).all() for part in (found.prediction.label, found.prediction.light, n[:, inside]))
+    assert all(
+        torch.isfinite(part).all()
+        for part in (found.prediction.label, found.prediction.light, n[:, inside])
+    )
     assert (found.prediction.light > 0).all()
     np.testing.assert_allclose(n[:, inside].norm(dim=0), 1, atol=1e-5)  # float32
     assert (n[2, inside] > 0).all()
@@ -102,7 +128,9 @@ def test_a_stride_to_where_the_layer_cannot_follow_is_turned_back(scene, monkeyp
 
 def test_a_step_that_ends_there_is_taken_back(scene, monkeypatch):
     batch, truth = scene
-    monkeypatch.setattr(descent, "minimize", lambda value_and_slope, x, **options: OptimizeResult(x=x + 1e4))
+    monkeypatch.setattr(
+        descent, "minimize", lambda value_and_slope, x, **options: OptimizeResult(x=x + 1e4)
+    )
     found = refine(batch, truth, replace(QUICK, order=("material",), passes=1))
     assert not found.history and found.after == found.before
 
@@ -141,7 +169,11 @@ def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monke
     def lost(batch, state, *rest):
         calls.append(state)
         found, told = plain(batch, state, *rest)
-        return (replace(found, light=found.light.roll(64, -1) ** 4), told) if len(calls) == 2 else (found, told)
+        return (
+            (replace(found, light=found.light.roll(64, -1) ** 4), told)
+            if len(calls) == 2
+            else (found, told)
+        )
 
     monkeypatch.setattr(descent, "passed", lost)
     found = refine(batch, start, replace(QUICK, passes=2))
@@ -153,12 +185,20 @@ def test_all_pixels_are_rendered_as_a_frame_and_some_as_a_list_to_the_same_pictu
     batch, truth = scene
     half = batch.segments.clone()
     half[:, :, SIZE // 2 :] *= 2
-    two = State(truth.label.repeat(1, 2, 1).double(), truth.light, truth.n, {"material": torch.zeros(2, 3)})
+    two = State(
+        truth.label.repeat(1, 2, 1).double(), truth.light, truth.n, {"material": torch.zeros(2, 3)}
+    )
     two.label[:, 1] += 0.2
-    for scene_of, state in ((batch, replace(two, label=two.label[:, :1])), (replace(batch, segments=half), two)):
+    for scene_of, state in (
+        (batch, replace(two, label=two.label[:, :1])),
+        (replace(batch, segments=half), two),
+    ):
         energy = Energy(scene_of, state, Settings())
         frame = energy.image(state, energy.inside, (64, 128), "exact", 1e-3)
-        parts = [energy.image(state, where, (64, 128), "exact", 1e-3) * len(where) for where in energy.inside.chunk(2)]
+        parts = [
+            energy.image(state, where, (64, 128), "exact", 1e-3) * len(where)
+            for where in energy.inside.chunk(2)
+        ]
         assert float(frame) == pytest.approx(float(sum(parts)) / len(energy.inside), rel=1e-4)
 
 
@@ -171,11 +211,18 @@ def test_the_truth_is_left_where_it_is(scene):
 
 def test_a_wrong_albedo_is_found_again_when_only_the_material_may_move(scene):
     batch, truth = scene
-    dark = truth._replace(label=truth.label - torch.tensor([0.5, 0.0]).repeat_interleave(6).repeat(9))
+    dark = truth._replace(
+        label=truth.label - torch.tensor([0.5, 0.0]).repeat_interleave(6).repeat(9)
+    )
     level = Level(pixels=0, light=(64, 128), method="exact", rounds=1, iterations=15)
-    found = refine(batch, dark, replace(Settings(), order=("material",), c=0.0, passes=1, levels=(level,)))
+    found = refine(
+        batch, dark, replace(Settings(), order=("material",), c=0.0, passes=1, levels=(level,))
+    )
     assert found.after["image"] < 0.02 * found.before["image"]
-    assert torch.equal(found.prediction.light, refine(batch, dark, replace(Settings(), order=(), passes=1)).prediction.light)
+    assert torch.equal(
+        found.prediction.light,
+        refine(batch, dark, replace(Settings(), order=(), passes=1)).prediction.light,
+    )
 
 
 def test_the_energy_does_not_grow_with_the_picture_or_the_map(scene):
@@ -184,9 +231,13 @@ def test_the_energy_does_not_grow_with_the_picture_or_the_map(scene):
     n = F.normalize(truth.n + 0.1, dim=1)
     moved = State(truth.label.double() + 0.3, truth.light * 1.5, n, {"material": torch.ones(1, 3)})
     energy = Energy(batch, start, Settings())
-    whole, part = energy.terms(moved, energy.inside), energy.terms(moved, energy.pixels(100), (32, 64), "exact")
+    whole, part = (
+        energy.terms(moved, energy.inside),
+        energy.terms(moved, energy.pixels(100), (32, 64), "exact"),
+    )
     for name in whole:
-        assert float(part[name]) == pytest.approx(float(whole[name]), rel=0.15), name  # a hundred of 350 pixels
+        # a hundred of 350 pixels
+        assert float(part[name]) == pytest.approx(float(whole[name]), rel=0.15), name
 
 
 def test_regions_move_apart(scene):
@@ -196,16 +247,22 @@ def test_regions_move_apart(scene):
     two = truth.label.repeat(1, 2, 1)
     brighter = two.clone()
     brighter[:, 1] += torch.tensor([0.6, 0.0]).repeat_interleave(6).repeat(9)
-    found = refine(replace(batch, segments=half), truth._replace(label=brighter), replace(QUICK, order=("material",), c=0.0))
+    found = refine(
+        replace(batch, segments=half),
+        truth._replace(label=brighter),
+        replace(QUICK, order=("material",), c=0.0),
+    )
     change = (log_albedo(found.prediction.label) - log_albedo(brighter)).abs().amax(-1)[0]
-    assert change[1] > 5 * change[0]  # by albedo: no picture tells what moves a label and not its BRDF
+    # by albedo: no picture tells what moves a label and not its BRDF
+    assert change[1] > 5 * change[0]
 
 
 def test_harmonics_are_orthogonal_over_the_sphere():
     waves = spherical_harmonics(64, 128, 4).reshape(25, -1)
     share = envmap.directions(64, 128)[1].reshape(-1) / (4 * np.pi)
     gram = (waves * share) @ waves.T
-    np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=2e-3)  # texel centres for an integral
+    # texel centres for an integral
+    np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=2e-3)
     by_degree = sorted(1 / np.sqrt(np.diag(gram)))
     expected = [1 + degree for degree in range(5) for _ in range(2 * degree + 1)]
     np.testing.assert_allclose(by_degree, expected, rtol=5e-3)
@@ -214,7 +271,10 @@ def test_harmonics_are_orthogonal_over_the_sphere():
 def test_coordinates_at_zero_are_the_prediction(scene):
     batch, truth = scene
     inside = batch.segments > 0
-    zero = [torch.zeros(part.shape, dtype=torch.float64) for part in (Material(truth.label), Light(truth.light, 3))]
+    zero = [
+        torch.zeros(part.shape, dtype=torch.float64)
+        for part in (Material(truth.label), Light(truth.light, 3))
+    ]
     assert torch.equal(Material(truth.label)(zero[0]).float(), truth.label)
     np.testing.assert_allclose(Light(truth.light, 3)(zero[1]), truth.light, rtol=1e-4)
     normals = Normals(truth.n, inside, 0.3)
@@ -244,9 +304,12 @@ def test_a_studys_settings_are_read_from_their_names():
     assert refinement_ablation.settings_of("c=0.1").c == 0.1
     for moved, values in refinement_ablation.SWEEPS.items():
         assert refinement_ablation.value_of(moved) in values, moved  # the chart shades it
-        assert [refinement_ablation.value_of(moved, refinement_ablation.settings_of(f"{moved}={value:g}")) for value in values] == list(
-            values
-        )
+        assert [
+            refinement_ablation.value_of(
+                moved, refinement_ablation.settings_of(f"{moved}={value:g}")
+            )
+            for value in values
+        ] == list(values)
     with pytest.raises(InputError, match="a setting"):
         refinement_ablation.settings_of("d=1")
 
@@ -255,20 +318,31 @@ def known_cases(scene, count):
     """Cases of one picture under several ids; what it is called is the same."""
     batch, truth = scene
     picture = batch.image[0].movedim(0, -1).numpy()
-    return [refinement_ablation.Case(f"record-{i}", batch, [(truth.label[0], picture)]) for i in range(count)]
+    return [
+        refinement_ablation.Case(f"record-{i}", batch, [(truth.label[0], picture)])
+        for i in range(count)
+    ]
 
 
-def test_a_study_has_a_row_a_picture_goes_on_where_it_was_and_refuses_other_weights(scene, tmp_path, monkeypatch):
+def test_a_study_has_a_row_a_picture_goes_on_where_it_was_and_refuses_other_weights(
+    scene, tmp_path, monkeypatch
+):
     made, refine_ = [], refinement_ablation.refine
     monkeypatch.setattr(
-        refinement_ablation, "refine", lambda batch, start, settings: made.append(settings.a) or refine_(batch, start, QUICK)
+        refinement_ablation,
+        "refine",
+        lambda batch, start, settings: made.append(settings.a) or refine_(batch, start, QUICK),
     )
     start = perturbed(scene[1], 3)
-    told = refinement_ablation.weights(lambda _: start, known_cases(scene, 3), tmp_path, ["default", "a=1"])
+    told = refinement_ablation.weights(
+        lambda _: start, known_cases(scene, 3), tmp_path, ["default", "a=1"]
+    )
     assert told["default"]["pictures"] == told["a=1"]["pictures"] == 3
     assert made == [0.05] * 3 + [1.0] * 3
     made.clear()
-    fewer = refinement_ablation.weights(lambda _: start, known_cases(scene, 2), tmp_path, ["default"])
+    fewer = refinement_ablation.weights(
+        lambda _: start, known_cases(scene, 2), tmp_path, ["default"]
+    )
     assert not made and set(fewer) == {"default"} and fewer["default"]["pictures"] == 2
     assert json.loads((tmp_path / "study.json").read_text()).keys() == {"made_by", "default"}
     refinement_ablation.pin_settings(tmp_path, {"weights": "one"})
@@ -285,24 +359,39 @@ def test_a_weight_moved_beside_the_default_alone_is_charted(tmp_path):
 
 def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
     start = perturbed(scene[1], 3)
-    told = refinement_initialisations.measured(lambda _: start, known_cases(scene, 4), 6, tmp_path, LABELS, QUICK)
-    assert [row["kind"] for row in told["rows"]] == [*refinement_initialisations.STARTS, refinement_initialisations.STARTS[0]]
+    told = refinement_initialisations.measured(
+        lambda _: start, known_cases(scene, 4), 6, tmp_path, LABELS, QUICK
+    )
+    assert [row["kind"] for row in told["rows"]] == [
+        *refinement_initialisations.STARTS,
+        refinement_initialisations.STARTS[0],
+    ]
     assert list(told["by_kind"]) == list(refinement_initialisations.STARTS)
     assert told["above_their_start"] == told["not_finite"] == 0
 
 
 def test_a_studys_figures_are_of_the_parts_it_is_given(scene):
     (case,), start = known_cases(scene, 1), perturbed(scene[1], 3)
-    found, own = refinement_ablation.figures(start, case.batch, case.truths), refinement_ablation.figures(scene[1], case.batch, case.truths)
+    found, own = (
+        refinement_ablation.figures(start, case.batch, case.truths),
+        refinement_ablation.figures(scene[1], case.batch, case.truths),
+    )
     label, truth = case.truths[0]
     mask = (case.batch.segments[0] > 0).numpy()
     level = tone.auto_exposure(truth, mask)
-    assert found["edit"] == pytest.approx(tone.display_l2(refinement_ablation.picture(start, label, case.batch), truth, level, mask))
+    assert found["edit"] == pytest.approx(
+        tone.display_l2(refinement_ablation.picture(start, label, case.batch), truth, level, mask)
+    )
     assert found["image"] == pytest.approx(
-        tone.display_l2(refinement_ablation.picture(start, start.label[0], case.batch), truth, level, mask)
+        tone.display_l2(
+            refinement_ablation.picture(start, start.label[0], case.batch), truth, level, mask
+        )
     )
     assert own["edit"] < 1 < 20 < found["edit"] and own["image"] < 1 < 20 < found["image"]
-    assert own["angle_deg"] < 0.1 < 10 < found["angle_deg"] and own["light"] == 0 < 0.1 < found["light"]
+    assert (
+        own["angle_deg"] < 0.1 < 10 < found["angle_deg"]
+        and own["light"] == 0 < 0.1 < found["light"]
+    )
 
 
 def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, monkeypatch):
@@ -315,8 +404,14 @@ def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, m
         return descent.Refined(prediction, {"total": 1.0}, {"total": after}, [], 0.0)
 
     monkeypatch.setattr(refinement_initialisations, "refine", refined)
-    monkeypatch.setattr(refinement_initialisations, "picture", lambda parts, *_: np.zeros((SIZE, SIZE, 3), np.float32))
-    told = refinement_initialisations.measured(lambda _: start, known_cases(scene, 1), 4, tmp_path, LABELS)
+    monkeypatch.setattr(
+        refinement_initialisations,
+        "picture",
+        lambda parts, *_: np.zeros((SIZE, SIZE, 3), np.float32),
+    )
+    told = refinement_initialisations.measured(
+        lambda _: start, known_cases(scene, 1), 4, tmp_path, LABELS
+    )
     assert (told["starts"], told["above_their_start"], told["not_finite"]) == (4, 2, 1)
     assert json.loads((tmp_path / "starts.json").read_text())["made_by"]["commit"]
 
@@ -324,10 +419,17 @@ def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, m
 def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
     for module in (refinement_ablation, refinement_initialisations):
         monkeypatch.setattr(
-            module, "refine", lambda batch, start, settings: refine(batch, start, replace(settings, levels=LEVELS, passes=1))
+            module,
+            "refine",
+            lambda batch, start, settings: refine(
+                batch, start, replace(settings, levels=LEVELS, passes=1)
+            ),
         )
     catalogue = load_catalogue()
-    materials = [entry(name, catalogue[name].m.reshape(3, 3, 2, 6), catalogue[name].mixture) for name in ("red-fabric", "delrin")]
+    materials = [
+        entry(name, catalogue[name].m.reshape(3, 3, 2, 6), catalogue[name].mixture)
+        for name in ("red-fabric", "delrin")
+    ]
     write_dataset(tmp_path / "data", materials, rng, size=32, seeds=1, rotations=(0,))
     words = [
         "refinement-ablation",
@@ -342,14 +444,23 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
         "a=0.2",
     ]
     assert main("learn.experiments", "t", COMMANDS, [*words, "--starts", "5"]) == 0
-    told = {name: json.loads((tmp_path / "out" / f"{name}.json").read_text()) for name in ("study", "times", "starts")}
-    assert set(told["study"]) == {"made_by", "default", "a=0.2"} and set(told["times"]) == {"made_by", "32", "64"}
+    told = {
+        name: json.loads((tmp_path / "out" / f"{name}.json").read_text())
+        for name in ("study", "times", "starts")
+    }
+    assert set(told["study"]) == {"made_by", "default", "a=0.2"} and set(told["times"]) == {
+        "made_by",
+        "32",
+        "64",
+    }
     assert told["starts"]["starts"] == 5 and len(told["starts"]["by_kind"]) == 5
     assert told["study"]["default"]["image"][1] < told["study"]["default"]["image"][0]
     assert (tmp_path / "out" / "study.png").exists()
     before = [(tmp_path / "out" / name).read_bytes() for name in ("rows.jsonl", "starts.jsonl")]
     assert main("learn.experiments", "t", COMMANDS, [*words, "--starts", "5"]) == 0
-    assert [(tmp_path / "out" / name).read_bytes() for name in ("rows.jsonl", "starts.jsonl")] == before
+    assert [
+        (tmp_path / "out" / name).read_bytes() for name in ("rows.jsonl", "starts.jsonl")
+    ] == before
     for wrong in (["--pictures", "0"], ["--starts", "-3"]):
         with pytest.raises(SystemExit):
             main("learn.experiments", "t", COMMANDS, [*words, *wrong])

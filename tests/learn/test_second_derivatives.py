@@ -1,4 +1,6 @@
-"""Second derivatives of the exact sum through the layer: against finite differences of the first ones, and float32 against float64."""
+"""Second derivatives of the exact sum through the layer: against finite differences of the first
+ones, and float32 against float64.
+"""
 
 import pytest
 import torch
@@ -6,7 +8,9 @@ import torch
 from learn.engines import machine_code
 from learn.layer import render
 
-CAMERAS = pytest.mark.parametrize("perspective", [False, True], ids=["orthographic", "view per pixel"])
+CAMERAS = pytest.mark.parametrize(
+    "perspective", [False, True], ids=["orthographic", "view per pixel"]
+)
 unit = torch.nn.functional.normalize
 
 
@@ -18,11 +22,17 @@ def scene_of(draw, seed, perspective, **options):
 
 @pytest.fixture
 def busy(draw):
-    """busy(seed, perspective): arguments, and options with two segments, a mask, background, and a pixel that faces away."""
+    """busy(seed, perspective): arguments, and options with two segments, a mask, background, and a
+    pixel that faces away.
+    """
 
     def make(seed, perspective):
-        scene = scene_of(draw, seed, perspective, images=2, size=(3, 4), light=(6, 12), sharpest=200.0)
-        scene["material"] = torch.stack([scene["material"], draw(seed + 1, images=2)["material"]], 1)
+        scene = scene_of(
+            draw, seed, perspective, images=2, size=(3, 4), light=(6, 12), sharpest=200.0
+        )
+        scene["material"] = torch.stack(
+            [scene["material"], draw(seed + 1, images=2)["material"]], 1
+        )
         scene["n"][:, 0, 0] = 0
         scene["n"][:, 2, 3] = torch.tensor([0.8, 0.0, -0.6])
         segments = torch.tensor([[0, 1, 2, 2], [1, 1, 2, 0], [2, 1, 1, 2]]).expand(2, 3, 4)
@@ -34,29 +44,39 @@ def busy(draw):
 
 
 def random_like(x, seed):
-    return torch.randn(x.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)).to(x.dtype)
+    return torch.randn(
+        x.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)
+    ).to(x.dtype)
 
 
 def gradients(scene, create_graph=False, **options):
     """({name: leaf}, {name: first derivative of a weighted sum of the picture})."""
     leaves = {name: x.detach().clone().requires_grad_() for name, x in scene.items()}
     seen = render(**leaves, method="exact", **options)
-    found = torch.autograd.grad((seen * random_like(seen, 1)).sum(), list(leaves.values()), create_graph=create_graph)
+    found = torch.autograd.grad(
+        (seen * random_like(seen, 1)).sum(), list(leaves.values()), create_graph=create_graph
+    )
     return leaves, dict(zip(leaves, found, strict=True))
 
 
 def second(scene, **options):
-    """{(by, then): what differentiating the first derivative by one argument, summed in a random weighting, by another gives}."""
+    """{(by, then): what differentiating the first derivative by one argument, summed in a random
+    weighting, by another gives}.
+    """
     leaves, first = gradients(scene, create_graph=True, **options)
     found = {}
     for by, slope in first.items():
-        products = torch.autograd.grad((slope * random_like(slope, 2)).sum(), list(leaves.values()), retain_graph=True)
+        products = torch.autograd.grad(
+            (slope * random_like(slope, 2)).sum(), list(leaves.values()), retain_graph=True
+        )
         found |= {(by, then): x for then, x in zip(leaves, products, strict=True)}
     return found
 
 
 def directions(scene):
-    """A direction to step in for each argument: those of n and view keep their length, those of material and light their sign."""
+    """A direction to step in for each argument: those of n and view keep their length, those of
+    material and light their sign.
+    """
     found = {name: random_like(x, 3) for name, x in scene.items()}
     for name in {"n", "view"} & found.keys():
         found[name] -= (found[name] * scene[name]).sum(-1, keepdim=True) * scene[name]
@@ -65,7 +85,9 @@ def directions(scene):
 
 
 def slopes_by_steps(scene, name, step, **options):
-    """{by: change, along the direction of `name`, of the first derivatives as `second` weighs them}, by central differences."""
+    """{by: change, along the direction of `name`, of the first derivatives as `second` weighs
+    them}, by central differences.
+    """
     direction, sums = directions(scene)[name], []
     for sign in (1, -1):
         _, first = gradients(scene | {name: scene[name] + sign * step * direction}, **options)
@@ -76,7 +98,8 @@ def slopes_by_steps(scene, name, step, **options):
 def require_slopes(scene, **options):
     found, towards = second(scene, **options), directions(scene)
     for then in scene:
-        # a step of 1e-6: rounding of first derivatives (1e-16 of some hundred) over it, and its square times a fourth derivative
+        # a step of 1e-6: rounding of first derivatives (1e-16 of some hundred) over it, and its
+        # square times a fourth derivative
         for by, expected in slopes_by_steps(scene, then, 1e-6, **options).items():
             product = (found[by, then] * towards[then]).sum().item()
             assert product == pytest.approx(expected, rel=1e-6, abs=1e-6), (by, then)
@@ -95,7 +118,8 @@ def test_segments_masks_and_background_match_finite_differences(busy, perspectiv
 
 @CAMERAS
 def test_chunks_of_texels_and_pixels_match_finite_differences(draw, perspective):
-    require_slopes(scene_of(draw, 7, perspective, size=(1, 20), light=(33, 64)))  # 2112 texels × 20 pixels: several chunks each way
+    # 2112 texels × 20 pixels: several chunks each way
+    require_slopes(scene_of(draw, 7, perspective, size=(1, 20), light=(33, 64)))
 
 
 @CAMERAS
@@ -111,16 +135,22 @@ def test_gradgradcheck(draw, perspective):
 
 
 def test_vectors_that_are_not_quite_unit_are_scaled_twice_differentiably(draw):
-    """The layer takes lengths of 1 ± 0.01; the scaling's own second derivative, along the vector too."""
+    """The layer takes lengths of 1 ± 0.01; the scaling's own second derivative, along the vector
+    too.
+    """
     scene = scene_of(draw, 11, True)
     scene["n"], scene["view"] = 1.007 * scene["n"], 0.995 * scene["view"]
     leaves = [scene["n"].requires_grad_(), scene["view"].requires_grad_()]
     given = {name: x for name, x in scene.items() if name not in ("n", "view")}
-    assert torch.autograd.gradgradcheck(lambda n, view: render(n, **given, view=view, method="exact"), leaves)
+    assert torch.autograd.gradgradcheck(
+        lambda n, view: render(n, **given, view=view, method="exact"), leaves
+    )
 
 
 def test_a_texel_along_the_view_has_finite_second_derivatives(draw):
-    """w = v: θ_d has a corner there, and a second derivative without bound; what is left of it is finite."""
+    """w = v: θ_d has a corner there, and a second derivative without bound; what is left of it is
+    finite.
+    """
     from shaders.envmap import directions as texels
 
     w = torch.as_tensor(texels(4, 8)[0].reshape(1, 4, 8, 3))
@@ -143,7 +173,9 @@ def relative(a, b):
 @CAMERAS
 @pytest.mark.parametrize("kernels", [True, False], ids=["kernels", "plain torch"])
 def test_float32_matches_float64(busy, perspective, kernels, monkeypatch):
-    """1e-5: what the engines promise of first derivatives. Their n, scaled to unit length in float32, is 6e-8 off; 200 of it show."""
+    """1e-5: what the engines promise of first derivatives. Their n, scaled to unit length in
+    float32, is 6e-8 off; 200 of it show.
+    """
     if not kernels:
         monkeypatch.setattr(machine_code, "is_available", lambda: False)
     elif not machine_code.is_available():
@@ -155,7 +187,11 @@ def test_float32_matches_float64(busy, perspective, kernels, monkeypatch):
         second({name: x.double() for name, x in scene.items()}, **options),
     )
     assert {pair: x.dtype for pair, x in found.items()} == dict.fromkeys(found, torch.float32)
-    wrong = {pair: relative(x, right[pair]) for pair, x in found.items() if relative(x, right[pair]) > 1e-5}
+    wrong = {
+        pair: relative(x, right[pair])
+        for pair, x in found.items()
+        if relative(x, right[pair]) > 1e-5
+    }
     assert not wrong
 
 
@@ -172,14 +208,19 @@ def test_the_matrix_of_second_derivatives_is_symmetric(busy, perspective, dtype)
         (found,) = torch.autograd.grad((first[a] * left[a]).sum(), leaves[b], retain_graph=True)
         return (found * right[b]).sum().item()
 
-    rounding = 1e-4 if dtype == torch.float32 else 1e-10  # of sums whose terms are 10 to 1,000 times as large as they are
+    # of sums whose terms are 10 to 1,000 times as large as they are
+    rounding = 1e-4 if dtype == torch.float32 else 1e-10
     for a in scene:
         for b in scene:
-            assert product(a, b, u, v) == pytest.approx(product(b, a, v, u), rel=rounding, abs=rounding), (a, b)
+            assert product(a, b, u, v) == pytest.approx(
+                product(b, a, v, u), rel=rounding, abs=rounding
+            ), (a, b)
 
 
 def test_the_derivative_along_a_direction_by_two_reverse_passes(draw):
-    """torch.autograd.functional.jvp differentiates the backward pass by what it was given, where nothing else asks for a graph."""
+    """torch.autograd.functional.jvp differentiates the backward pass by what it was given, where
+    nothing else asks for a graph.
+    """
     scene = scene_of(draw, 19, False)
     towards = directions(scene)
     for dtype, tolerance in ((torch.float64, 1e-8), (torch.float32, 1e-5)):
@@ -188,16 +229,23 @@ def test_the_derivative_along_a_direction_by_two_reverse_passes(draw):
         def radiance(material, given=given):
             return render(**given | {"material": material}, method="exact")
 
-        _, found = torch.autograd.functional.jvp(radiance, given["material"], towards["material"].to(dtype))
+        _, found = torch.autograd.functional.jvp(
+            radiance, given["material"], towards["material"].to(dtype)
+        )
         step = 1e-6 * towards["material"]
-        after, before = (render(**scene | {"material": scene["material"] + s * step}, method="exact") for s in (1, -1))
+        after, before = (
+            render(**scene | {"material": scene["material"] + s * step}, method="exact")
+            for s in (1, -1)
+        )
         expected = (after - before) / 2e-6
         assert relative(found, expected) <= tolerance
 
 
 def test_a_hessian_by_torch_is_symmetric_and_not_empty(draw):
     scene = scene_of(draw, 21, False, size=(2, 2))
-    found = torch.autograd.functional.hessian(lambda m: render(scene["n"], m, scene["light"], method="exact").sum(), scene["material"])
+    found = torch.autograd.functional.hessian(
+        lambda m: render(scene["n"], m, scene["light"], method="exact").sum(), scene["material"]
+    )
     found = found.reshape(108, 108)
     assert found.abs().max() > 1e-3
     torch.testing.assert_close(found, found.T, rtol=1e-9, atol=1e-12)
@@ -207,7 +255,10 @@ def test_a_hessian_by_torch_is_symmetric_and_not_empty(draw):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=["float32", "float64"])
 def test_training_with_a_gradient_penalty_lowers_it(draw, perspective, dtype):
     """The penalty's own derivative is right: by a small step against it, it falls as predicted."""
-    scene = {name: x.to(dtype) for name, x in scene_of(draw, 23, perspective, size=(4, 4), light=(8, 16)).items()}
+    scene = {
+        name: x.to(dtype)
+        for name, x in scene_of(draw, 23, perspective, size=(4, 4), light=(8, 16)).items()
+    }
 
     def penalty(log_material):
         n = scene["n"].clone().requires_grad_()
@@ -222,7 +273,8 @@ def test_training_with_a_gradient_penalty_lowers_it(draw, perspective, dtype):
     after = penalty((label - step * label.grad).detach())
     predicted = step * label.grad.square().sum()
     assert label.grad.isfinite().all() and predicted > 0
-    torch.testing.assert_close(before.detach() - after.detach(), predicted, rtol=2e-2, atol=0)  # a step of 1e-3: 1e-3 of curvature
+    # a step of 1e-3: 1e-3 of curvature
+    torch.testing.assert_close(before.detach() - after.detach(), predicted, rtol=2e-2, atol=0)
 
 
 def test_a_loss_of_picture_and_slope_together(draw):
@@ -248,7 +300,9 @@ def test_half_precisions_are_differentiated_twice_in_float32(draw, dtype):
 def test_an_empty_mask_has_second_derivatives_of_zero(draw):
     scene = scene_of(draw, 29, True)
     leaves, first = gradients(scene, create_graph=True, mask=torch.zeros(1, 3, 3, dtype=torch.bool))
-    found = torch.autograd.grad(sum(x.square().sum() for x in first.values()), list(leaves.values()), allow_unused=True)
+    found = torch.autograd.grad(
+        sum(x.square().sum() for x in first.values()), list(leaves.values()), allow_unused=True
+    )
     assert all(x is None or not x.any() for x in found)
 
 
@@ -259,8 +313,7 @@ def test_a_third_derivative_is_refused(draw, perspective, dtype):
     leaves, first = gradients(scene, create_graph=True)
     (twice,) = torch.autograd.grad(first["n"].square().sum(), leaves["n"], create_graph=True)
     with pytest.raises(
-        NotImplementedError,
-        match="expected at most a derivative of a derivative, found a third",
+        NotImplementedError, match="expected at most a derivative of a derivative, found a third"
     ):
         torch.autograd.grad(twice.sum(), leaves["material"])
 
@@ -283,7 +336,8 @@ def test_a_kept_graph_leaves_picture_and_first_derivatives_as_they_are(busy, per
         assert name in ("n", "view") or torch.equal(kept[name], x)
 
 
-@pytest.mark.filterwarnings("ignore:`torch.jit.script`:DeprecationWarning")  # of torch's own parts for forward mode
+# of torch's own parts for forward mode
+@pytest.mark.filterwarnings("ignore:`torch.jit.script`:DeprecationWarning")
 @pytest.mark.parametrize("name", ["n", "material", "light"])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=["float32", "float64"])
 def test_forward_mode_is_refused(draw, name, dtype):
@@ -294,7 +348,10 @@ def test_forward_mode_is_refused(draw, name, dtype):
         pytest.raises(NotImplementedError, match=r"expected reverse mode .*, found forward mode"),
     ):
         render(
-            **scene | {name: torch.autograd.forward_ad.make_dual(scene[name], torch.ones_like(scene[name]))},
+            **scene
+            | {
+                name: torch.autograd.forward_ad.make_dual(scene[name], torch.ones_like(scene[name]))
+            },
             method="exact",
         )
 
@@ -307,5 +364,7 @@ def test_a_batch_of_gradients_is_refused_in_the_layers_words(draw, dtype):
         return render(**scene | {"material": material}, method="exact").mean()
 
     for derivative in (torch.autograd.functional.jacobian, torch.autograd.functional.hessian):
-        with pytest.raises(NotImplementedError, match="expected one gradient at a time, found a batch"):
+        with pytest.raises(
+            NotImplementedError, match="expected one gradient at a time, found a batch"
+        ):
             derivative(mean, scene["material"], vectorize=True)

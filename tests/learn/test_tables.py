@@ -1,4 +1,6 @@
-"""The evaluation's tables, from figures that are known: who counts, who is better, what is judged."""
+"""The evaluation's tables, from figures that are known: who counts, who is better, what is
+judged.
+"""
 
 import numpy as np
 import pytest
@@ -10,11 +12,17 @@ FAMILIES = {"brass": "metal", "chrome": "metal", "pink-felt": "fabric"}
 
 
 def rows(figures, material="wanted"):
-    """Rows of edits over three shapes and two materials. figures: {method: l2 of each of the six}."""
+    """Rows of edits over three shapes and two materials. figures: {method: l2 of each of the
+    six}.
+    """
     names = [(shape, name) for shape in "abc" for name in ("brass", "felt")]
     found = []
     for i, (shape, name) in enumerate(names):
-        methods = {method: {"l2": float(values[i])} for method, values in figures.items() if values[i] is not None}
+        methods = {
+            method: {"l2": float(values[i])}
+            for method, values in figures.items()
+            if values[i] is not None
+        }
         found.append({"shape": shape, material: [name], "methods": methods})
     return tables.Rows(found, material)
 
@@ -25,8 +33,16 @@ def cells(table):
 
 def test_a_difference_is_decided_by_its_interval_and_not_by_its_mean():
     ours = [10, 20, 30, 40, 50, 60]
-    mixed, other = ([l2 + by for l2, by in zip(ours, 3 * bys, strict=True)] for bys in ((9, -8), (-9, 8)))
-    known = {OURS: ours, "worse": [2 * x for x in ours], "better": [0.5 * x for x in ours], "mixed": mixed, "other mixed": other}
+    mixed, other = (
+        [l2 + by for l2, by in zip(ours, 3 * bys, strict=True)] for bys in ((9, -8), (-9, 8))
+    )
+    known = {
+        OURS: ours,
+        "worse": [2 * x for x in ours],
+        "better": [0.5 * x for x in ours],
+        "mixed": mixed,
+        "other mixed": other,
+    }
     found = cells(tables.differences(rows(known)))
     assert found[f"{OURS} − worse"]["verdict"] == "better"
     assert found[f"{OURS} − worse"]["ratio"] == pytest.approx([0.5] * 3)
@@ -34,13 +50,18 @@ def test_a_difference_is_decided_by_its_interval_and_not_by_its_mean():
     assert found[f"{OURS} − better"]["verdict"] == "worse"
     assert found[f"{OURS} − better"]["difference"][0] == pytest.approx(17.5)
     assert found[f"{OURS} − mixed"]["verdict"].startswith("undecided")
-    assert found[f"{OURS} − mixed"]["difference"][0] == pytest.approx(-0.5)  # better in the mean, and yet
+    # better in the mean, and yet
+    assert found[f"{OURS} − mixed"]["difference"][0] == pytest.approx(-0.5)
     assert found[f"{OURS} − mixed"]["won"] == 0.5
     assert found[f"{OURS} − other mixed"]["verdict"].startswith("undecided")
 
 
 def test_a_difference_is_of_the_edits_that_both_made():
-    found = cells(tables.differences(rows({OURS: [10, 10, 10, 10, 10, 10], "half": [20, None, 20, None, 20, 500]})))
+    found = cells(
+        tables.differences(
+            rows({OURS: [10, 10, 10, 10, 10, 10], "half": [20, None, 20, None, 20, 500]})
+        )
+    )
     assert found[f"{OURS} − half"]["won"] == 1
     assert found[f"{OURS} − half"]["ratio"][0] == pytest.approx(40 / 560)
 
@@ -53,15 +74,31 @@ def test_ours_is_compared_with_ours_refined_once():
 def test_what_refinement_takes_off_is_told_by_light_shape_and_family():
     of = rows({OURS: [100, 10, 100, 10, 100, 1000], OURS_REFINED: [50, 5, 50, 20, 50, 10]})
     for row, light in zip(of.rows, ("city", "city", "city", "sky", "sky", "sky"), strict=True):
-        row |= {"light": light, "category": "chair", "wanted": ["brass" if row["wanted"] == ["brass"] else "pink-felt"]}
+        row |= {
+            "light": light,
+            "category": "chair",
+            "wanted": ["brass" if row["wanted"] == ["brass"] else "pink-felt"],
+        }
     found = cells(tables.gains(of, FAMILIES))
-    assert list(found) == ["all edits", "light: city", "light: sky", "shape: chair", "into: fabric", "into: metal"]
+    assert list(found) == [
+        "all edits",
+        "light: city",
+        "light: sky",
+        "shape: chair",
+        "into: fabric",
+        "into: metal",
+    ]
     assert [found[name]["edits"] for name in found] == [6, 3, 3, 6, 3, 3]
-    assert found["into: metal"]["ratio"] == pytest.approx([0.5] * 3) and found["into: metal"]["won"] == 1
+    assert (
+        found["into: metal"]["ratio"] == pytest.approx([0.5] * 3)
+        and found["into: metal"]["won"] == 1
+    )
     every = found["all edits"]
     assert (every["mean"], every["mean_after"]) == pytest.approx((220, 185 / 6))
     assert (every["median"], every["median_after"]) == pytest.approx((100, 35))
-    assert (every["geometric"], every["geometric_after"]) == pytest.approx((1e11 ** (1 / 6), 1.25e8 ** (1 / 6)))
+    assert (every["geometric"], every["geometric_after"]) == pytest.approx(
+        (1e11 ** (1 / 6), 1.25e8 ** (1 / 6))
+    )
     assert every["won"] == pytest.approx(5 / 6) and every["ratio"][0] == pytest.approx(185 / 1320)
 
 
@@ -70,7 +107,11 @@ def test_regions_of_several_families_are_one_row():
     for row, wanted in zip(of.rows, 3 * (["brass", "chrome"], ["brass", "pink-felt"]), strict=True):
         row |= {"light": "city", "category": "chair", "wanted": wanted}
     of.rows[5]["wanted"] = ["mine"]
-    found = {name: row["edits"] for name, row in cells(tables.gains(of, FAMILIES)).items() if name.startswith("into")}
+    found = {
+        name: row["edits"]
+        for name, row in cells(tables.gains(of, FAMILIES)).items()
+        if name.startswith("into")
+    }
     assert found == {"into: metal": 3, "into: several families": 2, "into: of no known family": 1}
 
 
@@ -86,7 +127,12 @@ def refined(before, after, started, ended, seconds, finite=True):
             OURS: {"rendered_all": {"l2": started}},
             OURS_REFINED: {
                 "rendered_all": {"l2": ended},
-                "refinement": {"before": before, "after": after, "seconds": seconds, "finite": finite},
+                "refinement": {
+                    "before": before,
+                    "after": after,
+                    "seconds": seconds,
+                    "finite": finite,
+                },
             },
         },
     }
@@ -108,8 +154,12 @@ def test_refinements_that_end_above_their_start_or_are_not_finite_are_counted():
 
 def test_starts_of_several_methods_are_counted_together():
     first, second = refined(1.0, 0.5, 100.0, 40.0, 2.0), refined(1.0, 2.0, 50.0, 60.0, 1.0)
-    other = {name.replace(OURS, "Baseline 2"): figures for name, figures in second["methods"].items()}
-    found = cells(tables.refinement(tables.Rows([first | {"methods": first["methods"] | other}], "materials")))
+    other = {
+        name.replace(OURS, "Baseline 2"): figures for name, figures in second["methods"].items()
+    }
+    found = cells(
+        tables.refinement(tables.Rows([first | {"methods": first["methods"] | other}], "materials"))
+    )
     assert set(found) == {OURS_REFINED, "Baseline 2, refined", "all starts"}
     assert (found["all starts"]["starts"], found["all starts"]["above"]) == (2, 1)
     assert (found[OURS_REFINED]["above"], found["Baseline 2, refined"]["above"]) == (0, 1)
@@ -118,12 +168,25 @@ def test_starts_of_several_methods_are_counted_together():
 
 def edit(shape, wanted, net, fit, node_fit=2.0, truth=None):
     layer = {"l2": 9.0, "l2_inner": 3.0, "node_fit": node_fit}
-    known = {} if net is None else {"net_inner": net, "net_error": 0.3, "fit_here": fit, "rest": 0.5}
-    return {"shape": shape, "wanted": [wanted], "truth": truth or shape, "methods": {}, "layer": layer | known}
+    known = (
+        {} if net is None else {"net_inner": net, "net_error": 0.3, "fit_here": fit, "rest": 0.5}
+    )
+    return {
+        "shape": shape,
+        "wanted": [wanted],
+        "truth": truth or shape,
+        "methods": {},
+        "layer": layer | known,
+    }
 
 
 def test_the_layer_is_judged_where_noise_is_known_against_one_and_a_half_times_the_node_fit():
-    found = [edit("a", "brass", 2.9, 1.0), edit("b", "felt", 3.1, 2.1), edit("c", "clay", None, None), edit("d", "wax", 0.1, 1.0)]
+    found = [
+        edit("a", "brass", 2.9, 1.0),
+        edit("b", "felt", 3.1, 2.1),
+        edit("c", "clay", None, None),
+        edit("d", "wax", 0.1, 1.0),
+    ]
     told = cells(tables.layer(tables.Rows(found, "wanted")))
     assert (told["brass"]["within"], told["brass"]["within_here"]) == ("yes", "no")
     assert (told["felt"]["within"], told["felt"]["within_here"]) == ("no", "yes")
@@ -131,11 +194,19 @@ def test_the_layer_is_judged_where_noise_is_known_against_one_and_a_half_times_t
     assert (told["all"]["truths"], told["all"]["judged"]) == (4, 3)
     assert (told["all"]["within"], told["all"]["within_here"]) == ("2 of 3", "2 of 3")
     assert told["all"]["net_inner"] == pytest.approx((2.9 + 3.1 + 0.1) / 3)
-    assert (told["brass"]["l2"], told["brass"]["l2_inner"], told["brass"]["fit_here"]) == (9.0, 3.0, 1.0)
+    assert (told["brass"]["l2"], told["brass"]["l2_inner"], told["brass"]["fit_here"]) == (
+        9.0,
+        3.0,
+        1.0,
+    )
 
 
 def test_edits_that_share_a_truth_judge_the_layer_once():
-    thrice = [edit("a", "brass", 1.0, 1.0, truth="x"), edit("a", "brass", 1.0, 1.0, truth="x"), edit("b", "brass", 4.0, 1.0, truth="y")]
+    thrice = [
+        edit("a", "brass", 1.0, 1.0, truth="x"),
+        edit("a", "brass", 1.0, 1.0, truth="x"),
+        edit("b", "brass", 4.0, 1.0, truth="y"),
+    ]
     told = cells(tables.layer(tables.Rows(thrice, "wanted")))["brass"]
     assert (told["truths"], told["judged"]) == (2, 2)
     assert told["net_inner"] == pytest.approx(2.5)
@@ -143,14 +214,20 @@ def test_edits_that_share_a_truth_judge_the_layer_once():
 
 
 def test_a_figure_that_a_row_lacks_is_left_out_of_the_mean_and_a_column_that_all_lack_of_the_table():
-    found = tables.by_method(rows({OURS: [10, None, 10, None, 40, None]}), "t", "n", [((), tables.PICTURE, "")])
+    found = tables.by_method(
+        rows({OURS: [10, None, 10, None, 40, None]}), "t", "n", [((), tables.PICTURE, "")]
+    )
     assert [column["key"] for column in found["columns"]] == ["l2"]
     assert cells(found)[OURS]["l2"][0] == pytest.approx(20)
     assert tables.by_method(rows({}), "t", "n", [((), tables.PICTURE, "")]) is None
 
 
 def test_a_row_that_only_repeats_what_it_took_from_another_is_left_out():
-    figures = {OURS: [10] * 6, f"constant light, normals of {OURS}": [10] * 6, f"true light, normals of {OURS}": [9] * 6}
+    figures = {
+        OURS: [10] * 6,
+        f"constant light, normals of {OURS}": [10] * 6,
+        f"true light, normals of {OURS}": [9] * 6,
+    }
     found = tables.by_method(rows(figures), "t", "n", [((), tables.PICTURE, "")])
     assert list(cells(found)) == [OURS, f"true light, normals of {OURS}"]
 

@@ -1,4 +1,6 @@
-"""Weights are written as the library would write them, but whole or not at all, and never twice in memory."""
+"""Weights are written as the library would write them, but whole or not at all, and never twice in
+memory.
+"""
 
 import os
 import tracemalloc
@@ -11,11 +13,30 @@ from learn.networks import tensor_file
 
 
 def test_the_bytes_are_those_of_the_library(tmp_path):
-    """Of every type of numbers, a transposed tensor, a scalar, an empty one, and text that JSON writes in another way."""
-    types = (torch.float64, torch.float32, torch.float16, torch.bfloat16, torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8)
+    """Of every type of numbers, a transposed tensor, a scalar, an empty one, and text that JSON
+    writes in another way.
+    """
+    types = (
+        torch.float64,
+        torch.float32,
+        torch.float16,
+        torch.bfloat16,
+        torch.int64,
+        torch.int32,
+        torch.int16,
+        torch.int8,
+        torch.uint8,
+    )
     tensors = {f"{kind}"[6:]: torch.arange(12).reshape(3, 4).to(kind) for kind in types}
-    tensors |= {"mask": torch.tensor([True, False]), "scalar": torch.tensor(3.5), "none": torch.zeros(0, 3)}
-    tensors |= {"turned": torch.randn(4, 3).t(), "last": torch.randn(1, 3, 4, 4).to(memory_format=torch.channels_last)}
+    tensors |= {
+        "mask": torch.tensor([True, False]),
+        "scalar": torch.tensor(3.5),
+        "none": torch.zeros(0, 3),
+    }
+    tensors |= {
+        "turned": torch.randn(4, 3).t(),
+        "last": torch.randn(1, 3, 4, 4).to(memory_format=torch.channels_last),
+    }
     metadata = {"name": 'a "quoted" ü\n'}
     tensor_file.write(tmp_path / "ours", tensors, metadata)
     plain = {name: tensor.contiguous() for name, tensor in tensors.items()}
@@ -39,8 +60,12 @@ def test_a_full_disk_keeps_the_earlier_weights(tmp_path, small_files, count):
 
 
 def test_numbers_that_the_format_lacks_are_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(ValueError, match=r"b: expected a type of numbers of safetensors, found torch\.complex64"):
-        tensor_file.write(tmp_path / "w", {"a": torch.ones(2), "b": torch.ones(2, dtype=torch.complex64)}, {})
+    with pytest.raises(
+        ValueError, match=r"b: expected a type of numbers of safetensors, found torch\.complex64"
+    ):
+        tensor_file.write(
+            tmp_path / "w", {"a": torch.ones(2), "b": torch.ones(2, dtype=torch.complex64)}, {}
+        )
     assert os.listdir(tmp_path) == []
 
 

@@ -1,4 +1,6 @@
-"""`learn train` as a user runs it: events and skipped records when asked for, and the same samples for one process as for two."""
+"""`learn train` as a user runs it: events and skipped records when asked for, and the same samples
+for one process as for two.
+"""
 
 import json
 import os
@@ -57,7 +59,17 @@ def store(tmp_path):
 def train(store, out, *options, run=RUN):
     path = store.folder / "run.json"
     path.write_text(json.dumps(run))
-    words = ["train", str(path), "--data", str(store.folder), "--out", str(out), "--workers", "0", *options]
+    words = [
+        "train",
+        str(path),
+        "--data",
+        str(store.folder),
+        "--out",
+        str(out),
+        "--workers",
+        "0",
+        *options,
+    ]
     return main("learn", "", ("train",), words)
 
 
@@ -68,8 +80,12 @@ def test_tensorboard_when_asked_has_each_steps_loss_the_validation_and_the_sheet
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     events = EventAccumulator(str(tmp_path / "out" / "tensorboard")).Reload()
-    logged = [json.loads(line) for line in (tmp_path / "out" / "log.jsonl").read_text().splitlines()]
-    assert [(e.step, e.value) for e in events.Scalars("train/loss")] == [(r["step"], pytest.approx(r["loss"])) for r in logged]
+    logged = [
+        json.loads(line) for line in (tmp_path / "out" / "log.jsonl").read_text().splitlines()
+    ]
+    assert [(e.step, e.value) for e in events.Scalars("train/loss")] == [
+        (r["step"], pytest.approx(r["loss"])) for r in logged
+    ]
     assert [e.step for e in events.Scalars("validation/cosine")] == [1]
     assert [e.step for e in events.Images("sheet")] == [1]
 
@@ -88,35 +104,65 @@ def test_a_run_says_what_made_it_and_from_what_and_writes_no_events_unasked(stor
     assert (told["step"], told["validation"]) == (2, last["validation"])
 
 
-def test_a_bad_record_stops_the_command_before_training_or_is_left_out_and_counted_when_asked(store, tmp_path, capsys):
+def test_a_bad_record_stops_the_command_before_training_or_is_left_out_and_counted_when_asked(
+    store, tmp_path, capsys
+):
     path = damage(store, "not finite")
     assert train(store, tmp_path / "out") == 1
-    told = [line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if line.startswith("learn:")]
+    told = [
+        line
+        for line in capsys.readouterr().err.replace("\r", "\n").splitlines()
+        if line.startswith("learn:")
+    ]
     assert len(told) == 1
     assert path.name in told[0] and "--skip-bad" in told[0]
     assert not (tmp_path / "out" / "weights.safetensors").exists()
     assert train(store, tmp_path / "out", "--skip-bad") == 0
     error = capsys.readouterr().err
-    naming = sum(r.image == first(store).image for r in store.records())  # records of one image file, each left out
+    # records of one image file, each left out
+    naming = sum(r.image == first(store).image for r in store.records())
     assert f"{naming} left out" in error and path.name in error
     assert (tmp_path / "out" / "weights.safetensors").exists()
 
 
-def test_two_processes_of_torchrun_see_the_samples_of_one_and_keep_the_same_weights(store, tmp_path, root):
-    run = RUN | {"data": {"sharing": 1, "source": "mix", "pictures_share": 0.5}}  # a batch that is relit, then one of pictures
+def test_two_processes_of_torchrun_see_the_samples_of_one_and_keep_the_same_weights(
+    store, tmp_path, root
+):
+    # a batch that is relit, then one of pictures
+    run = RUN | {"data": {"sharing": 1, "source": "mix", "pictures_share": 0.5}}
     (store.folder / "run.json").write_text(json.dumps(run))
-    options = ["--data", str(store.folder), "--workers", "0", "--sheet-every", "0", str(store.folder / "run.json"), "--out"]
+    options = [
+        "--data",
+        str(store.folder),
+        "--workers",
+        "0",
+        "--sheet-every",
+        "0",
+        str(store.folder / "run.json"),
+        "--out",
+    ]
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
     alone = [sys.executable, str(program)]
-    together = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", str(program)]
+    together = [
+        sys.executable,
+        "-m",
+        "torch.distributed.run",
+        "--standalone",
+        "--nproc-per-node",
+        "2",
+        str(program),
+    ]
     for name, launch in (("one", alone), ("two", together)):
         words = [*launch, str(tmp_path), "train", *options, str(tmp_path / name)]
         environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
-        ran = subprocess.run(words, capture_output=True, text=True, cwd=root, env=environment, timeout=300)
+        ran = subprocess.run(
+            words, capture_output=True, text=True, cwd=root, env=environment, timeout=300
+        )
         assert ran.returncode == 0, ran.stderr[-2000:]
     one, first_half, second_half = (
-        [json.loads(line) for line in (tmp_path / f"{name}.jsonl").read_text().splitlines()] for name in ("1-0", "2-0", "2-1")
+        [json.loads(line) for line in (tmp_path / f"{name}.jsonl").read_text().splitlines()]
+        for name in ("1-0", "2-0", "2-1")
     )
     assert len(one) == RUN["schedule"]["steps"]
     for whole, a, b in zip(one, first_half, second_half, strict=True):

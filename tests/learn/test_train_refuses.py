@@ -1,4 +1,6 @@
-"""Training that cannot be, or not go on: one line that says what to do, and whatever was there stays."""
+"""Training that cannot be, or not go on: one line that says what to do, and whatever was there
+stays.
+"""
 
 import json
 import math
@@ -28,37 +30,67 @@ SIZE = 32
 def data_splits(tmp_path_factory):
     """Geometry of one ball, two materials, one map: the same for all sides."""
     folder = tmp_path_factory.mktemp("dataset")
-    synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere")
+    synthetic.write_dataset(
+        folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere"
+    )
     geometry, rng = Geometry(folder, progress=False), np.random.default_rng(2)
-    labels = {name: np.log(np.full(108, value, np.float32)) for name, value in (("a", 0.3), ("b", 0.5))}
+    labels = {
+        name: np.log(np.full(108, value, np.float32)) for name, value in (("a", 0.3), ("b", 0.5))
+    }
     maps = [lights.computed(rng).astype(np.float32)]
-    return {side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
+    return {
+        side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side)
+        for side in ("train", "validation", "test")
+    }
 
 
 def run(**changes):
-    given = {"name": "tiny", "size": SIZE, "parts": ("normals",), "data": Data(sharing=1), "losses": Losses(normals=1, material=0)}
+    given = {
+        "name": "tiny",
+        "size": SIZE,
+        "parts": ("normals",),
+        "data": Data(sharing=1),
+        "losses": Losses(normals=1, material=0),
+    }
     return Run(**given | {"schedule": Schedule(steps=2, batch=2, warm_up=1), "seed": 3} | changes)
 
 
 def line(capsys):
     """The one line on stderr that is a message."""
-    found = [each for each in capsys.readouterr().err.replace("\r", "\n").splitlines() if each.startswith("learn:")]
+    found = [
+        each
+        for each in capsys.readouterr().err.replace("\r", "\n").splitlines()
+        if each.startswith("learn:")
+    ]
     assert len(found) == 1
     return found[0]
 
 
-# ------------------------------------------------------------------------------------------------------------- settings
+# -------------------------------------------------------------------------------------------------------------
+# settings
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"losses": {"normals": 0, "material": 0}}, "losses: expected a weight above 0 of a term that trains normals"),
+        (
+            {"losses": {"normals": 0, "material": 0}},
+            "losses: expected a weight above 0 of a term that trains normals",
+        ),
         ({"losses": {"normals": 0, "material": 1}}, "a term that trains normals"),
-        ({"parts": ["material"], "losses": {"normals": 0, "material": 0, "target": 1}}, "a term that trains material"),
+        (
+            {"parts": ["material"], "losses": {"normals": 0, "material": 0, "target": 1}},
+            "a term that trains material",
+        ),
         ({"parts": ["light"]}, "a term that trains light"),
-        ({"network": "encoder-decoder", "losses": {"normals": 1, "material": 0, "image": 1}}, "one of material, target"),
-        ({"stages": [{"parts": ["light"], "steps": 1}]}, r"stages\[0\]\.losses: expected a weight above 0"),
+        (
+            {"network": "encoder-decoder", "losses": {"normals": 1, "material": 0, "image": 1}},
+            "one of material, target",
+        ),
+        (
+            {"stages": [{"parts": ["light"], "steps": 1}]},
+            r"stages\[0\]\.losses: expected a weight above 0",
+        ),
         ({"schedule": {"rate": 1e30}}, "rate"),
         ({"schedule": {"rate": 0}}, "rate"),
         ({"schedule": {"rate": -1}}, "rate"),
@@ -66,13 +98,25 @@ def line(capsys):
         ({"schedule": {"batch": 100_000_000}}, "batch"),
         ({"schedule": {"batch": 65_536}, "size": 1024}, "Mi pixels"),
         ({"losses": {"normals": 1e30}}, "normals"),
-        ({"losses": {"normals": 1, "layer_light": [7, 9]}}, "layer_light: expected rows and columns that divide 64 and 128"),
+        (
+            {"losses": {"normals": 1, "layer_light": [7, 9]}},
+            "layer_light: expected rows and columns that divide 64 and 128",
+        ),
         ({"size": 60}, "size"),
     ],
 )
-def test_a_run_that_cannot_be_trained_is_refused_before_anything_is_read(tmp_path, capsys, changes, words):
+def test_a_run_that_cannot_be_trained_is_refused_before_anything_is_read(
+    tmp_path, capsys, changes, words
+):
     (tmp_path / "run.json").write_text(json.dumps(RUN | changes))
-    words_of_command = ["train", str(tmp_path / "run.json"), "--data", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]
+    words_of_command = [
+        "train",
+        str(tmp_path / "run.json"),
+        "--data",
+        str(tmp_path / "nowhere"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main("learn", "", ("train",), words_of_command) == 1
     with pytest.raises(InputError, match=words):
         settings.read_run(tmp_path / "run.json")
@@ -80,11 +124,32 @@ def test_a_run_that_cannot_be_trained_is_refused_before_anything_is_read(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("option", "value"), [("--steps", "0"), ("--seed", "-1"), ("--workers", "-1"), ("--threads", "0"), ("--checkpoint-every", "0")]
+    ("option", "value"),
+    [
+        ("--steps", "0"),
+        ("--seed", "-1"),
+        ("--workers", "-1"),
+        ("--threads", "0"),
+        ("--checkpoint-every", "0"),
+    ],
 )
 def test_counts_that_are_none_are_wrong_usage(tmp_path, capsys, option, value):
     with pytest.raises(SystemExit) as end:
-        main("learn", "", ("train",), ["train", "joint-compact", "--data", "d", "--out", str(tmp_path / "out"), option, value])
+        main(
+            "learn",
+            "",
+            ("train",),
+            [
+                "train",
+                "joint-compact",
+                "--data",
+                "d",
+                "--out",
+                str(tmp_path / "out"),
+                option,
+                value,
+            ],
+        )
     assert end.value.code == 2 and option in capsys.readouterr().err
 
 
@@ -94,17 +159,24 @@ def test_presets_can_be_trained(root):
 
 
 def test_a_run_made_in_python_is_judged_as_one_from_a_file(data_splits, tmp_path):
-    for wrong in (run(losses=Losses(normals=0, material=0)), run(size=60), run(schedule=Schedule(learning_rate=math.nan))):
+    for wrong in (
+        run(losses=Losses(normals=0, material=0)),
+        run(size=60),
+        run(schedule=Schedule(learning_rate=math.nan)),
+    ):
         with pytest.raises(InputError, match="run 'tiny'"):
             Training(wrong, data_splits, tmp_path, workers=0)
     staged = run(stages=(Stage(("light",), 1, Losses(light_log=1)),))
     Training(staged, data_splits, tmp_path, workers=0)
 
 
-# ----------------------------------------------------------------------------------------------------------------- lock
+# -----------------------------------------------------------------------------------------------------------------
+# lock
 
 
-def test_a_second_run_into_a_folder_is_refused_and_writes_nothing(store, tmp_path, capsys, monkeypatch):  # noqa: F811
+def test_a_second_run_into_a_folder_is_refused_and_writes_nothing(
+    store, tmp_path, capsys, monkeypatch
+):  # noqa: F811
     monkeypatch.setattr(loop, "PATIENCE", 0.0)
     with loop.only_writer(tmp_path / "out"):
         before = sorted(os.listdir(tmp_path / "out"))
@@ -126,17 +198,23 @@ def test_the_processes_that_relight_let_the_folder_go(tmp_path):
                 os._exit(7)
             os._exit(1)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
-        with pytest.raises(InputError, match="no other run"), loop.lock.writing(tmp_path, patience=0):
+        with (
+            pytest.raises(InputError, match="no other run"),
+            loop.lock.writing(tmp_path, patience=0),
+        ):
             pass  # the run itself still holds it
 
 
-# ----------------------------------------------------------------------------------------------------------- checkpoint
+# -----------------------------------------------------------------------------------------------------------
+# checkpoint
 
 
 @pytest.fixture
 def half_way(data_splits, tmp_path):
     """A folder whose checkpoint is of step 1 of 2."""
-    training = Training(run(), data_splits, tmp_path / "out", sheet_every=0, checkpoint_every=1, workers=0)
+    training = Training(
+        run(), data_splits, tmp_path / "out", sheet_every=0, checkpoint_every=1, workers=0
+    )
     save = training._save
 
     def stop():
@@ -232,11 +310,14 @@ def test_a_run_holds_one_checkpoint_and_no_draft_of_it(half_way):
     assert sum("checkpoint" in name for name in os.listdir(half_way)) == 1
 
 
-# --------------------------------------------------------------------------------------------------------- not finite
+# ---------------------------------------------------------------------------------------------------------
+# not finite
 
 
 def test_a_step_that_is_not_finite_leaves_the_running_statistics_too(data_splits, tmp_path):
-    """Batch normalisation follows its input in the forward pass, and NaN in a running mean stays for ever."""
+    """Batch normalisation follows its input in the forward pass, and NaN in a running mean stays
+    for ever.
+    """
     training = Training(run(), data_splits, tmp_path, sheet_every=0, workers=0)
     batch = training._source()[0]
     before = {name: tensor.clone() for name, tensor in training.network.state_dict().items()}
@@ -247,9 +328,13 @@ def test_a_step_that_is_not_finite_leaves_the_running_statistics_too(data_splits
         assert torch.equal(tensor, before[name]), name
 
 
-def test_a_prediction_that_is_not_finite_is_a_skipped_step_and_no_error_of_the_layer(data_splits, tmp_path):
+def test_a_prediction_that_is_not_finite_is_a_skipped_step_and_no_error_of_the_layer(
+    data_splits, tmp_path
+):
     terms = Losses(normals=1, material=0, image=1, pixels=8, layer_light=(8, 16))
-    training = Training(run(losses=terms, skipped_steps=0), data_splits, tmp_path, sheet_every=0, workers=0)
+    training = Training(
+        run(losses=terms, skipped_steps=0), data_splits, tmp_path, sheet_every=0, workers=0
+    )
     with torch.no_grad():
         training.network.normals.weight.fill_(3e38)
     with pytest.raises(InputError, match="finite loss and gradients"):
@@ -264,7 +349,8 @@ def test_a_validation_that_is_not_finite_ends_in_one_line(data_splits, tmp_path)
     assert not (tmp_path / "weights.safetensors").exists()
 
 
-# ------------------------------------------------------------------------------------------- what lies beside a data set
+# ------------------------------------------------------------------------------------------- what
+# lies beside a data set
 
 
 class Failing:
@@ -280,10 +366,16 @@ class Failing:
 
 
 @pytest.mark.parametrize(
-    "error", [InputError("picture.exr", "a file", "none", "render it again"), FileNotFoundError(2, "No such file", "picture.exr")]
+    "error",
+    [
+        InputError("picture.exr", "a file", "none", "render it again"),
+        FileNotFoundError(2, "No such file", "picture.exr"),
+    ],
 )
 def test_an_error_of_a_process_that_relights_is_raised_as_it_was(error):
-    loader = torch.utils.data.DataLoader(loop.ErrorsAsValues(Failing(error)), batch_size=None, sampler=range(2), num_workers=1)
+    loader = torch.utils.data.DataLoader(
+        loop.ErrorsAsValues(Failing(error)), batch_size=None, sampler=range(2), num_workers=1
+    )
     batches = loop.received(loader)
     assert torch.equal(next(batches), torch.zeros(2))
     with pytest.raises(type(error)) as raised:
@@ -299,23 +391,40 @@ class Dying:
 
 
 def test_a_process_that_relights_and_is_killed_is_told_in_one_line():
-    loader = torch.utils.data.DataLoader(loop.ErrorsAsValues(Dying()), batch_size=None, sampler=range(2), num_workers=1)
+    loader = torch.utils.data.DataLoader(
+        loop.ErrorsAsValues(Dying()), batch_size=None, sampler=range(2), num_workers=1
+    )
     with pytest.raises(InputError, match="--workers: expected processes that live"):
         next(loop.received(loader))
 
 
 @pytest.mark.parametrize("name", ["views.json", "skipped.json", "sums.json"])
 @pytest.mark.parametrize(
-    "text", [b"", b"[" * 100_000, b"[1, 2]", b"5", b'{"a": 1}', b'{"normals.npy": [], "segments.npy": {}}', b"\xff", None]
+    "text",
+    [
+        b"",
+        b"[" * 100_000,
+        b"[1, 2]",
+        b"5",
+        b'{"a": 1}',
+        b'{"normals.npy": [], "segments.npy": {}}',
+        b"\xff",
+        None,
+    ],
 )
 def test_a_damaged_cache_of_geometry_is_made_again(tmp_path, name, text):
-    synthetic.write_dataset(tmp_path, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere")
+    synthetic.write_dataset(
+        tmp_path, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere"
+    )
     sound = Geometry(tmp_path, progress=False).normals(0)
     (tmp_path / "packed" / name).unlink()
-    if text is None:  # nothing waits for it: it is passed over, or told where a file has to take its place
+    # nothing waits for it: it is passed over, or told where a file has to take its place
+    if text is None:
         os.mkfifo(tmp_path / "packed" / name)
         try:
-            assert np.array_equal(Geometry(tmp_path, progress=False, skip_bad=True).normals(0), sound)
+            assert np.array_equal(
+                Geometry(tmp_path, progress=False, skip_bad=True).normals(0), sound
+            )
         except InputError as problem:
             assert f"{name}: " in str(problem) and "a pipe" in str(problem)
         return
@@ -375,12 +484,23 @@ def test_light_maps_in_other_files_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", [b"[1]\n", b"5\n", b"null\n", b"[" * 100_000 + b"\n", b'{"step": "one"}\n', b'{"step": null}\n', b'\xef\xbb\xbf{"step": -1}\n']
+    "text",
+    [
+        b"[1]\n",
+        b"5\n",
+        b"null\n",
+        b"[" * 100_000 + b"\n",
+        b'{"step": "one"}\n',
+        b'{"step": null}\n',
+        b'\xef\xbb\xbf{"step": -1}\n',
+    ],
 )
 def test_lines_of_a_log_that_are_none_are_dropped(data_splits, tmp_path, text):
     (tmp_path / "log.jsonl").write_bytes(text)
     Training(run(), data_splits, tmp_path, sheet_every=0, workers=0).train()
-    assert [json.loads(each)["step"] for each in (tmp_path / "log.jsonl").read_text().splitlines()] == [0, 1]
+    assert [
+        json.loads(each)["step"] for each in (tmp_path / "log.jsonl").read_text().splitlines()
+    ] == [0, 1]
 
 
 @pytest.mark.parametrize("name", loop.WRITTEN)

@@ -1,4 +1,6 @@
-"""Learning from relit geometry: what a batch is, what a step does, and that a killed run loses nothing."""
+"""Learning from relit geometry: what a batch is, what a step does, and that a killed run loses
+nothing.
+"""
 
 import json
 import math
@@ -31,7 +33,9 @@ SIZE = 32
 @pytest.fixture(scope="module")
 def geometry(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
-    synthetic.write_dataset(folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere")
+    synthetic.write_dataset(
+        folder, [synthetic.matte()], np.random.default_rng(1), size=SIZE, category="sphere"
+    )
     return Geometry(folder, progress=False)
 
 
@@ -41,7 +45,10 @@ def data_splits(geometry):
     label = np.log(np.array(lambertian(0.5), np.float32))
     labels = {f"m{i}": (label + rng.normal(0, 0.3, 108)).astype(np.float32) for i in range(4)}
     maps = [lights.computed(rng).astype(np.float32) for _ in range(2)]
-    return {side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side) for side in ("train", "validation", "test")}
+    return {
+        side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side)
+        for side in ("train", "validation", "test")
+    }
 
 
 def lambertian(albedo):
@@ -53,13 +60,32 @@ def lambertian(albedo):
 
 def run(**changes):
     schedule = Schedule(steps=4, batch=4, warm_up=1)
-    terms = Losses(normals=1, material=1, albedo=0.3, light_log=0.3, light_rendered=1, image=1, target=1, pixels=8, layer_light=(8, 16))
-    settings = {"name": "test", "size": SIZE, "data": Data(sharing=2), "losses": terms, "schedule": schedule, "seed": 3}
+    terms = Losses(
+        normals=1,
+        material=1,
+        albedo=0.3,
+        light_log=0.3,
+        light_rendered=1,
+        image=1,
+        target=1,
+        pixels=8,
+        layer_light=(8, 16),
+    )
+    settings = {
+        "name": "test",
+        "size": SIZE,
+        "data": Data(sharing=2),
+        "losses": terms,
+        "schedule": schedule,
+        "seed": 3,
+    }
     return Run(**settings | changes)
 
 
 def trained(settings, data_splits, folder, workers=0, every=2):
-    training = Training(settings, data_splits, folder, sheet_every=1000, checkpoint_every=every, workers=workers)
+    training = Training(
+        settings, data_splits, folder, sheet_every=1000, checkpoint_every=every, workers=workers
+    )
     training.train()
     return training
 
@@ -82,14 +108,16 @@ def test_training_labels_lie_within_the_reach_of_tanh(rng):
     labels = torch.from_numpy(rng.normal(0, 2, (20, 108))).float()
     ranges = Ranges.of(labels, margin=0.0)
     assert ranges.code(labels).abs().max() == pytest.approx(REACH, abs=1e-5)
-    torch.testing.assert_close(ranges.label(ranges.code(labels)), labels, rtol=1e-4, atol=1e-5)  # float32
+    # float32
+    torch.testing.assert_close(ranges.label(ranges.code(labels)), labels, rtol=1e-4, atol=1e-5)
 
 
 def test_a_light_scaled_to_unit_mean_has_unit_mean_luminance(rng):
     L = torch.from_numpy(rng.random((2, 3, 64, 128))).float()
     scaled = unit_mean(L, torch.from_numpy(envmap.row_solid_angles(64, 128)).float())
     for light in scaled.movedim(1, -1).numpy():
-        assert envmap.mean_radiance(light) @ envmap.LUMINANCE == pytest.approx(1, abs=1e-5)  # float32 sums
+        # float32 sums
+        assert envmap.mean_radiance(light) @ envmap.LUMINANCE == pytest.approx(1, abs=1e-5)
 
 
 @pytest.mark.parametrize("network", [Compact, Paper])
@@ -110,12 +138,15 @@ def test_networks_predict_unit_normals_codes_in_reach_and_lights_of_unit_mean(ne
 
 
 def test_the_reflectance_map_holds_a_pictures_radiance_where_its_normals_point():
-    n = torch.from_numpy(synthetic.sphere(synthetic.Camera(size=(128, 128)))[0]).movedim(-1, 0)[None]
+    n = torch.from_numpy(synthetic.sphere(synthetic.Camera(size=(128, 128)))[0]).movedim(-1, 0)[
+        None
+    ]
     mask = (n[:, 2:] > 0).float()
     image = (n[:, :1] > 0).float().expand(-1, 3, -1, -1)  # white where the surface faces right
     found = reflectance_map(image, mask, n)[0]
     right, left = found[0, CELLS // 2, 3 * CELLS // 4], found[0, CELLS // 2, CELLS // 4]
-    assert (right.item(), left.item()) == (pytest.approx(0.5), pytest.approx(-0.5))  # c(1) − ½ and c(0) − ½
+    # c(1) − ½ and c(0) − ½
+    assert (right.item(), left.item()) == (pytest.approx(0.5), pytest.approx(-0.5))
     assert found[3, 0, 0] == 0  # outside the disk no normal points
 
 
@@ -126,11 +157,14 @@ def test_a_batch_depends_on_seed_and_number_alone_and_parts_make_the_whole(data_
     assert torch.equal(whole.image, again.image)
     parts = [RelitDataset(data_splits["train"], data, 4, SIZE, 5, (i, 2))[7] for i in (0, 1)]
     assert torch.equal(torch.cat([p.image for p in parts]), whole.image)
-    assert not torch.equal(RelitDataset(data_splits["train"], data, 4, SIZE, 6)[7].image, whole.image)
+    assert not torch.equal(
+        RelitDataset(data_splits["train"], data, 4, SIZE, 6)[7].image, whole.image
+    )
 
 
 def test_a_relit_picture_is_the_layers_of_its_own_truth(data_splits):
-    batch = RelitDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]  # held-out sides are not augmented
+    # held-out sides are not augmented
+    batch = RelitDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     seen = validation.picture(batch.n, batch.label, batch.light, batch)
     mine = batch.image.movedim(1, -1).numpy()
     assert np.abs(seen - mine).mean() / mine.mean() < 0.03  # two methods at 1e-2 and 2e-2
@@ -139,23 +173,42 @@ def test_a_relit_picture_is_the_layers_of_its_own_truth(data_splits):
 def test_the_true_prediction_has_no_loss(data_splits):
     batch = RelitDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     ranges = Ranges.of(torch.from_numpy(np.stack(list(data_splits["train"].labels.values()))))
-    truth = Prediction(batch.n, ranges.code(batch.label), batch.label, torch.log1p(batch.light), batch.light)
+    truth = Prediction(
+        batch.n, ranges.code(batch.label), batch.label, torch.log1p(batch.light), batch.light
+    )
     found = losses.terms(truth, batch, run().losses, torch.Generator().manual_seed(0), ranges)
-    assert set(found) == {"normals", "material", "albedo", "light_log", "light_rendered", "image", "target"}
+    assert set(found) == {
+        "normals",
+        "material",
+        "albedo",
+        "light_log",
+        "light_rendered",
+        "image",
+        "target",
+    }
     assert max(value.item() for value in found.values()) < 1e-8
     wrong = truth._replace(light=batch.light.flip(-1))
-    assert losses.terms(wrong, batch, run().losses, torch.Generator().manual_seed(0), ranges)["light_rendered"] > 1e-3
+    assert (
+        losses.terms(wrong, batch, run().losses, torch.Generator().manual_seed(0), ranges)[
+            "light_rendered"
+        ]
+        > 1e-3
+    )
 
 
 @pytest.mark.parametrize("term", ["light_log", "light_rendered"])
 def test_no_light_loss_wants_a_colour_where_the_truth_has_none(data_splits, term):
     batch = RelitDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
-    solid_angle = torch.as_tensor(np.asarray(envmap.row_solid_angles(64, 128)).reshape(-1), dtype=torch.float32)
+    solid_angle = torch.as_tensor(
+        np.asarray(envmap.row_solid_angles(64, 128)).reshape(-1), dtype=torch.float32
+    )
     grey = unit_mean(batch.light.mean(1, keepdim=True).expand(-1, 3, -1, -1) ** 2, solid_angle)
     shift = torch.zeros(3, requires_grad=True)
     blurred = unit_mean(torch.ones_like(grey) * shift.exp()[:, None, None], solid_angle)
     only = Losses(**{term: 1.0})
-    terms = losses.light_terms(Prediction(None, None, None, None, blurred), replace(batch, light=grey), only)
+    terms = losses.light_terms(
+        Prediction(None, None, None, None, blurred), replace(batch, light=grey), only
+    )
     (slope,) = torch.autograd.grad(terms[term], shift)
     assert terms[term] > 1e-3
     np.testing.assert_allclose(slope, 0, atol=1e-5)  # float32; at unit luminance 0.05 to 0.9
@@ -164,7 +217,10 @@ def test_no_light_loss_wants_a_colour_where_the_truth_has_none(data_splits, term
 @pytest.mark.parametrize("albedo", [0.05, 0.8])
 def test_the_log_albedo_of_a_lambertian_is_its_own(albedo):
     label = torch.from_numpy(np.log(lambertian(albedo))).float()
-    assert radiometry.log_albedo(label)[0].item() == pytest.approx(math.log(albedo + 1e-3), abs=2e-3)  # 48 nodes
+    # 48 nodes
+    assert radiometry.log_albedo(label)[0].item() == pytest.approx(
+        math.log(albedo + 1e-3), abs=2e-3
+    )
 
 
 def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_shown(data_splits):
@@ -189,7 +245,9 @@ def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_s
 def test_a_light_reduced_keeps_its_energy(rng):
     L = torch.from_numpy(rng.random((1, 3, 64, 128)))
     small = losses.reduced(L, (8, 16))
-    torch.testing.assert_close((small * losses.solid_angles(small)).sum((2, 3)), (L * losses.solid_angles(L)).sum((2, 3)))
+    torch.testing.assert_close(
+        (small * losses.solid_angles(small)).sum((2, 3)), (L * losses.solid_angles(L)).sum((2, 3))
+    )
 
 
 def test_no_pixel_pulls_harder_than_its_bound():
@@ -202,7 +260,9 @@ def test_no_pixel_pulls_harder_than_its_bound():
 
 def test_a_killed_run_ends_with_bitwise_the_same_weights(data_splits, tmp_path):
     undisturbed = trained(run(), data_splits, tmp_path / "whole")
-    killed = Training(run(), data_splits, tmp_path / "killed", sheet_every=1000, checkpoint_every=2, workers=0)
+    killed = Training(
+        run(), data_splits, tmp_path / "killed", sheet_every=1000, checkpoint_every=2, workers=0
+    )
     save = killed._save
 
     def die_after_saving():
@@ -221,12 +281,21 @@ def test_a_killed_run_ends_with_bitwise_the_same_weights(data_splits, tmp_path):
 
 def test_training_lowers_its_loss(data_splits, tmp_path):
     schedule = Schedule(steps=30, batch=4, learning_rate=2e-3, warm_up=1)
-    trained(run(schedule=schedule, losses=Losses(normals=1, material=0), parts=("normals",)), data_splits, tmp_path, every=100)
+    trained(
+        run(schedule=schedule, losses=Losses(normals=1, material=0), parts=("normals",)),
+        data_splits,
+        tmp_path,
+        every=100,
+    )
     lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
-    assert np.mean([r["normals"] for r in lines[-5:]]) < 0.5 * np.mean([r["normals"] for r in lines[:3]])
+    assert np.mean([r["normals"] for r in lines[-5:]]) < 0.5 * np.mean(
+        [r["normals"] for r in lines[:3]]
+    )
 
 
-def test_a_step_that_is_not_finite_changes_nothing_and_too_many_end_the_run(data_splits, tmp_path, monkeypatch):
+def test_a_step_that_is_not_finite_changes_nothing_and_too_many_end_the_run(
+    data_splits, tmp_path, monkeypatch
+):
     monkeypatch.setattr(losses, "total", lambda found, weights: found["normals"] * math.nan)
     training = Training(run(skipped_steps=1), data_splits, tmp_path, workers=0)
     before = {name: t.clone() for name, t in training.network.named_parameters()}
@@ -248,17 +317,29 @@ def test_weights_that_are_pickled_or_of_another_size_are_refused(tmp_path):
     with pytest.raises(InputError, match="never read"):
         checkpoint.load_network(pickled)
     other = tmp_path / "other.safetensors"
-    checkpoint.save(other, {"label_centre": torch.zeros(7)}, {"format": "brdfactory weights 1", "network": "compact", "size": "128"})
+    checkpoint.save(
+        other,
+        {"label_centre": torch.zeros(7)},
+        {"format": "brdfactory weights 1", "network": "compact", "size": "128"},
+    )
     with pytest.raises(InputError, match=r"label_centre.*shape"):
         checkpoint.load_network(other)
 
 
 def test_weights_come_back_to_half_precision(tmp_path):
     network = Compact(Ranges(torch.full((108,), 0.25), torch.ones(108)))
-    checkpoint.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), msgspec.json.encode(run()).decode(), 128)
+    checkpoint.save_weights(
+        tmp_path / "w.safetensors",
+        network,
+        network.state_dict(),
+        msgspec.json.encode(run()).decode(),
+        128,
+    )
     loaded, metadata = checkpoint.load_network(tmp_path / "w.safetensors")
     assert metadata["run"]["name"] == "test"
-    for (name, a), b in zip(network.state_dict().items(), loaded.state_dict().values(), strict=True):
+    for (name, a), b in zip(
+        network.state_dict().items(), loaded.state_dict().values(), strict=True
+    ):
         torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-4, msg=name)  # half precision
 
 
@@ -275,9 +356,12 @@ def test_sides_share_no_material_and_twin_maps_are_known(rng):
 def test_a_photographed_picture_keeps_its_radiance_but_for_exposure_and_noise(rng):
     image, mask = np.full((32, 32, 3), 0.3, np.float32), np.ones((32, 32), bool)
     draws = 1000
-    ratios = np.log([augmentation.photographed(rng, image, mask).mean() / 0.3 for _ in range(draws)])
+    ratios = np.log(
+        [augmentation.photographed(rng, image, mask).mean() / 0.3 for _ in range(draws)]
+    )
     sigma = augmentation.EXPOSURE / np.sqrt(draws)
-    assert np.std(ratios) == pytest.approx(augmentation.EXPOSURE, abs=4 * sigma / np.sqrt(2))  # four standard deviations: 9 %
+    # four standard deviations: 9 %
+    assert np.std(ratios) == pytest.approx(augmentation.EXPOSURE, abs=4 * sigma / np.sqrt(2))
     assert abs(np.mean(ratios)) < 4 * sigma
 
 
@@ -296,7 +380,9 @@ def test_what_stays_in_register_moves_with_the_picture():
     moved = 0
     for seed in range(20):
         truth = torch.from_numpy(mask.astype(np.float32))[..., None]
-        _, seen_mask, (seen_truth,) = augmentation.seen(np.random.default_rng(seed), np.ones((64, 64, 3)), mask, [truth], True)
+        _, seen_mask, (seen_truth,) = augmentation.seen(
+            np.random.default_rng(seed), np.ones((64, 64, 3)), mask, [truth], True
+        )
         inside = seen_truth[..., 0].numpy() > 0
         assert not (seen_mask & ~inside).any()
         moved += not np.array_equal(inside, mask)

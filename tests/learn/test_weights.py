@@ -1,4 +1,6 @@
-"""Files of tensors from outside: metadata, names, shapes, types and numbers are judged before a network is filled with them."""
+"""Files of tensors from outside: metadata, names, shapes, types and numbers are judged before a
+network is filled with them.
+"""
 
 import json
 import os
@@ -33,7 +35,9 @@ def sound(tmp_path_factory):
 
 @pytest.fixture
 def changed(sound, tmp_path):
-    """A function of change(header, body) → (header, body): writes the weights so changed, and returns the path."""
+    """A function of change(header, body) → (header, body): writes the weights so changed, and
+    returns the path.
+    """
 
     def write(change):
         header, body = change(*parted(sound.read_bytes()))
@@ -107,7 +111,12 @@ def filled(value, whole=True):
     def change(header, body):
         start, end = header["normals.weight"]["data_offsets"]
         packed = np.float16(value).tobytes()
-        return header, body[:start] + (packed * ((end - start) // 2) if whole else packed + body[start + 2 : end]) + body[end:]
+        return (
+            header,
+            body[:start]
+            + (packed * ((end - start) // 2) if whole else packed + body[start + 2 : end])
+            + body[end:],
+        )
 
     return change
 
@@ -178,16 +187,21 @@ def test_other_tensors_are_refused_before_memory_is_taken_for_them(tmp_path, mon
     assert not read
 
 
-@pytest.mark.parametrize(("centre", "half"), [(0, 1e30), (1e30, 1), (0, 0), (0, -1), (5, 1), (-90, 1)])
+@pytest.mark.parametrize(
+    ("centre", "half"), [(0, 1e30), (1e30, 1), (0, 0), (0, -1), (5, 1), (-90, 1)]
+)
 def test_ranges_that_no_material_has_are_refused(tmp_path, centre, half):
-    """Labels are read from codes by them: beyond them exp is infinite, or the reflectance no number."""
+    """Labels are read from codes by them: beyond them exp is infinite, or the reflectance no
+    number.
+    """
     network = Compact(Ranges(torch.full((108,), float(centre)), torch.full((108,), float(half))))
     weights.save_weights(tmp_path / "w.safetensors", network, network.state_dict(), RUN, 32)
     with pytest.raises(InputError, match="label_centre, label_half: expected ranges of labels"):
         weights.load_network(tmp_path / "w.safetensors")
 
 
-@pytest.mark.parametrize("value", [3e38, 1e30])  # of the second the squared length is infinite, and the scaled normals are 0
+# of the second the squared length is infinite, and the scaled normals are 0
+@pytest.mark.parametrize("value", [3e38, 1e30])
 def test_weights_whose_prediction_overflows_are_told_by_it(sound, value):
     network, _ = weights.load_parts(sound)
     with torch.no_grad():
@@ -197,7 +211,15 @@ def test_weights_whose_prediction_overflows_are_told_by_it(sound, value):
         of(framed, network)
 
 
-@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: path.symlink_to("/dev/zero"), lambda path: path.symlink_to(path)])
+@pytest.mark.parametrize(
+    "make",
+    [
+        os.mkfifo,
+        os.mkdir,
+        lambda path: path.symlink_to("/dev/zero"),
+        lambda path: path.symlink_to(path),
+    ],
+)
 def test_what_is_no_file_is_refused_at_once_by_every_reader(tmp_path, make):
     make(tmp_path / "w.safetensors")
     for read in (weights.load_network, features.load, perceptual.of_file, priors.load):
@@ -205,7 +227,8 @@ def test_what_is_no_file_is_refused_at_once_by_every_reader(tmp_path, make):
             read(tmp_path / "w.safetensors")
 
 
-# ------------------------------------------------------------------------------------------------------------ the others
+# ------------------------------------------------------------------------------------------------------------
+# the others
 
 
 def random_tensors(shapes):
@@ -218,7 +241,10 @@ def lpips():
     shapes = {}
     for (k, *_), shape in zip(perceptual.LAYERS, perceptual.SHAPES, strict=True):
         shapes |= {f"features.{k}.weight": shape, f"features.{k}.bias": shape[:1]}
-    return random_tensors(shapes | {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(perceptual.SHAPES)})
+    return random_tensors(
+        shapes
+        | {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(perceptual.SHAPES)}
+    )
 
 
 @pytest.mark.parametrize(
@@ -261,8 +287,13 @@ def test_priors_of_other_shapes_or_without_numbers_are_refused(tmp_path, known, 
 
 def test_vgg16_without_numbers_is_refused(tmp_path):
     shapes, before = {}, 3
-    for number, width in zip(features.NUMBERS, (w for block in features.WIDTHS for w in block), strict=True):
-        shapes |= {f"features.{number}.weight": (width, before, 3, 3), f"features.{number}.bias": (width,)}
+    for number, width in zip(
+        features.NUMBERS, (w for block in features.WIDTHS for w in block), strict=True
+    ):
+        shapes |= {
+            f"features.{number}.weight": (width, before, 3, 3),
+            f"features.{number}.bias": (width,),
+        }
         before = width
     tensors = random_tensors(shapes)
     tensors["features.5.bias"][3] = torch.inf

@@ -3,7 +3,15 @@
 import msgspec
 import pytest
 
-from manifests.schema import Camera, Dataset, LightEntry, MaterialEntry, Record, ShapeEntry, Statistics
+from manifests.schema import (
+    Camera,
+    Dataset,
+    LightEntry,
+    MaterialEntry,
+    Record,
+    ShapeEntry,
+    Statistics,
+)
 from manifests.store import Lines, Store, file_hash, geometry_path, image_path
 from tests.manifests.whole_dataset import JOB, entry, write_dataset
 
@@ -51,9 +59,26 @@ def a_dataset(tmp_path, a_record):
     store.write_json(
         "dataset.json",
         Dataset(
-            shapes={"sphere": ShapeEntry(hash="5" * 64, category="primitive", side="train", role="train", segments=1, licence="")},
+            shapes={
+                "sphere": ShapeEntry(
+                    hash="5" * 64,
+                    category="primitive",
+                    side="train",
+                    role="train",
+                    segments=1,
+                    licence="",
+                )
+            },
             materials={"matte": MaterialEntry(hash=hash_of_matte(store), side="train", licence="")},
-            lights={"lamp": LightEntry(hash="7" * 64, file="lights/lamp-777777777777.npz", file_hash=light, scale=1.0, licence="")},
+            lights={
+                "lamp": LightEntry(
+                    hash="7" * 64,
+                    file="lights/lamp-777777777777.npz",
+                    file_hash=light,
+                    scale=1.0,
+                    licence="",
+                )
+            },
         ),
     )
     geometry = store.place(geometry_path("9" * 24), b"normals", "t")
@@ -69,13 +94,17 @@ def a_dataset(tmp_path, a_record):
 
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory):
-    """A function (segments=1, **changes of the job): the folder of a whole data set, made once; copy it before you change it."""
+    """A function (segments=1, **changes of the job): the folder of a whole data set, made once;
+    copy it before you change it.
+    """
     made = {}
 
     def folder(segments=1, **changes):
         job = msgspec.structs.replace(JOB, **changes)
         if (segments, job) not in made:
-            made[segments, job] = write_dataset(tmp_path_factory.mktemp("whole") / "data", job, segments).folder
+            made[segments, job] = write_dataset(
+                tmp_path_factory.mktemp("whole") / "data", job, segments
+            ).folder
         return made[segments, job]
 
     return folder
@@ -91,4 +120,8 @@ def write_materials(store):
     """materials.json with one material of plain numbers."""
     from manifests.materials import Catalogue, encode
 
-    store.place("materials.json", encode(Catalogue(title="", credit="", materials=(entry("matte", 0.0),))), "t")
+    store.place(
+        "materials.json",
+        encode(Catalogue(title="", credit="", materials=(entry("matte", 0.0),))),
+        "t",
+    )

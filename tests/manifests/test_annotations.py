@@ -13,11 +13,15 @@ MODULES = sorted(FOLDER.rglob("*.py"))
 
 
 def public_functions(node: ast.AST) -> Iterator[ast.FunctionDef]:
-    """Functions and methods whose names, and whose classes' names, have no underscore in front; __init__ too."""
+    """Functions and methods whose names, and whose classes' names, have no underscore in front;
+    __init__ too.
+    """
     for each in ast.iter_child_nodes(node):
         if isinstance(each, ast.ClassDef) and not each.name.startswith("_"):
             yield from public_functions(each)
-        elif isinstance(each, ast.FunctionDef) and (each.name == "__init__" or not each.name.startswith("_")):
+        elif isinstance(each, ast.FunctionDef) and (
+            each.name == "__init__" or not each.name.startswith("_")
+        ):
             yield each
 
 
@@ -26,7 +30,11 @@ def unannotated(source: str) -> list[str]:
     for function in public_functions(ast.parse(source)):
         given = function.args
         every = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
-        found += [f"{function.name}: {a.arg}" for a in every if a and a.annotation is None and a.arg not in ("self", "cls")]
+        found += [
+            f"{function.name}: {a.arg}"
+            for a in every
+            if a and a.annotation is None and a.arg not in ("self", "cls")
+        ]
         if function.returns is None and function.name != "__init__":
             found.append(f"{function.name}: its result")
     return found

@@ -52,7 +52,14 @@ def test_noise_in_an_array_header_is_never_another_error():
         letters = list(HEADER)
         for _ in range(rng.choice((1, 1, 2, 5))):
             place = rng.randrange(len(letters))
-            letters[place] = rng.choice(("", "", chr(rng.randrange(256)), letters[place] + rng.choice("([{'\"\\L,:#\0\t \n")))
+            letters[place] = rng.choice(
+                (
+                    "",
+                    "",
+                    chr(rng.randrange(256)),
+                    letters[place] + rng.choice("([{'\"\\L,:#\0\t \n"),
+                )
+            )
         try:
             assert len(ArrayHeader(stream("".join(letters), rng.choice(VERSIONS))).shape) <= 64
         except archives.DAMAGE:
@@ -73,7 +80,9 @@ def light_with(tmp_path, member, content):
 
 @pytest.mark.parametrize(("member", "read"), [("L.npy", read_light), ("scale.npy", read_scale)])
 @pytest.mark.parametrize("text", [HEADER[:40], "{[]: 1}", "[" * 9000])
-def test_a_stored_light_with_a_damaged_array_header_is_told_in_one_line(tmp_path, member, read, text):
+def test_a_stored_light_with_a_damaged_array_header_is_told_in_one_line(
+    tmp_path, member, read, text
+):
     path = light_with(tmp_path, member, stream(text).getvalue())
     with pytest.raises(InputError, match="a damaged array header"):
         read(path)

@@ -1,4 +1,6 @@
-"""How every command ends: one line below its progress bar, and a status of 0, 1, 2, 3 or 130 whatever its output is."""
+"""How every command ends: one line below its progress bar, and a status of 0, 1, 2, 3 or 130
+whatever its output is.
+"""
 
 import importlib.util
 import os
@@ -11,19 +13,30 @@ import pytest
 from manifests import cli
 from manifests.errors import InputError
 
-ENVIRONMENT = {name: value for name, value in os.environ.items() if name not in ("PYTHONUNBUFFERED", "PYTHONIOENCODING")}
+ENVIRONMENT = {
+    name: value
+    for name, value in os.environ.items()
+    if name not in ("PYTHONUNBUFFERED", "PYTHONIOENCODING")
+}
 
 
 def presets(root, **options):
-    """`plan --presets`: a page of text with characters beyond ASCII, printed without imports that take long."""
+    """`plan --presets`: a page of text with characters beyond ASCII, printed without imports that
+    take long.
+    """
     command = [sys.executable, "-m", "factory", "plan", "--presets"]
-    return subprocess.run(command, cwd=root, check=False, stderr=subprocess.PIPE, text=True, **options)
+    return subprocess.run(
+        command, cwd=root, check=False, stderr=subprocess.PIPE, text=True, **options
+    )
 
 
 def test_output_that_a_full_disk_refuses_ends_with_one_line_and_status_1(root):
     with open("/dev/full", "w") as full:
         done = presets(root, stdout=full, env=ENVIRONMENT)
-    assert (done.returncode, done.stderr) == (1, "factory: [Errno 28] No space left on device: 'standard output'\n")
+    assert (done.returncode, done.stderr) == (
+        1,
+        "factory: [Errno 28] No space left on device: 'standard output'\n",
+    )
 
 
 def test_a_reader_that_has_gone_ends_a_command_with_one_line_and_status_1(root):
@@ -31,16 +44,25 @@ def test_a_reader_that_has_gone_ends_a_command_with_one_line_and_status_1(root):
     os.close(reader)
     done = presets(root, stdout=writer, env=ENVIRONMENT)
     os.close(writer)
-    assert (done.returncode, done.stderr) == (1, "factory: [Errno 32] Broken pipe: 'standard output'\n")
+    assert (done.returncode, done.stderr) == (
+        1,
+        "factory: [Errno 32] Broken pipe: 'standard output'\n",
+    )
 
 
 HAS_BLENDER = importlib.util.find_spec("bpy") is not None
-WITH_BLENDER = pytest.mark.skipif(not HAS_BLENDER, reason="the job's light maps come with Blender (pip install .[factory])")
+WITH_BLENDER = pytest.mark.skipif(
+    not HAS_BLENDER, reason="the job's light maps come with Blender (pip install .[factory])"
+)
 
 
 @pytest.mark.parametrize(
     "words",
-    [pytest.param(["plan", "smallest", "--no-probe"], marks=WITH_BLENDER), ["materials", "list"], ["plan", "--help"]],
+    [
+        pytest.param(["plan", "smallest", "--no-probe"], marks=WITH_BLENDER),
+        ["materials", "list"],
+        ["plan", "--help"],
+    ],
 )
 def test_a_terminal_of_another_character_set_gets_escapes_instead_of_an_error(root, words):
     command = [sys.executable, "-m", "factory", *words]
@@ -51,13 +73,21 @@ def test_a_terminal_of_another_character_set_gets_escapes_instead_of_an_error(ro
 
 
 def test_a_command_whose_output_was_closed_by_the_caller_ends_with_0(root):
-    done = subprocess.run(f"'{sys.executable}' -m factory plan --presets >&-", shell=True, cwd=root, capture_output=True, check=False)
+    done = subprocess.run(
+        f"'{sys.executable}' -m factory plan --presets >&-",
+        shell=True,
+        cwd=root,
+        capture_output=True,
+        check=False,
+    )
     assert (done.returncode, done.stderr) == (0, b"")
 
 
 @pytest.fixture
 def fail(monkeypatch, capsys):
-    """fail(error): what stderr holds after a command whose progress bar is interrupted by the error."""
+    """fail(error): what stderr holds after a command whose progress bar is interrupted by the
+    error.
+    """
 
     def run_with(error):
         def run(options):
@@ -66,7 +96,8 @@ def fail(monkeypatch, capsys):
             def step(_):
                 raise error
 
-            return [step(k) for k in tqdm(range(3), desc="at work")]  # the traceback keeps the bar alive
+            # the traceback keeps the bar alive
+            return [step(k) for k in tqdm(range(3), desc="at work")]
 
         class Command:
             @staticmethod
@@ -80,7 +111,9 @@ def fail(monkeypatch, capsys):
     return run_with
 
 
-@pytest.mark.parametrize("error", [InputError("x", "y", "z", "w"), OSError(28, "No space left on device", "out")])
+@pytest.mark.parametrize(
+    "error", [InputError("x", "y", "z", "w"), OSError(28, "No space left on device", "out")]
+)
 def test_what_is_wrong_stands_on_a_line_of_its_own_below_the_progress_bar(fail, error):
     lines = re.split(r"[\r\n]+", fail(error).strip())
     assert lines[-1] == f"factory: {error}"
@@ -88,8 +121,12 @@ def test_what_is_wrong_stands_on_a_line_of_its_own_below_the_progress_bar(fail, 
 
 
 def test_a_file_name_with_a_line_break_does_not_break_the_line(fail):
-    assert fail(OSError(2, "No such file or directory", "a\nb")).endswith("\nfactory: [Errno 2] No such file or directory: 'a\\nb'\n")
-    assert fail(InputError("a\nb", "x", "y", "z")).endswith("\nfactory: a\\nb: expected x, found y (z)\n")
+    assert fail(OSError(2, "No such file or directory", "a\nb")).endswith(
+        "\nfactory: [Errno 2] No such file or directory: 'a\\nb'\n"
+    )
+    assert fail(InputError("a\nb", "x", "y", "z")).endswith(
+        "\nfactory: a\\nb: expected x, found y (z)\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -102,7 +139,9 @@ def test_a_file_name_with_a_line_break_does_not_break_the_line(fail):
         (["factory", ""], "an argument"),
     ],
 )
-def test_an_empty_argument_is_wrong_usage_and_never_the_current_folder(words, name, tmp_path, monkeypatch, capsys):
+def test_an_empty_argument_is_wrong_usage_and_never_the_current_folder(
+    words, name, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     program, *arguments = words
     commands = ("render",) if program == "factory" else ("predict",)

@@ -1,4 +1,6 @@
-"""docs/dataset.md says what the contract says: its arrays, its keys and its examples, and its code reads a data set."""
+"""docs/dataset.md says what the contract says: its arrays, its keys and its examples, and its code
+reads a data set.
+"""
 
 import json
 import re
@@ -17,7 +19,14 @@ STRUCTS = {
     for each in (
         *(schema.Record, schema.Camera, schema.Statistics, schema.View, schema.Failure, schema.Job),
         *(schema.Dataset, schema.Order, schema.ShapeEntry, schema.MaterialEntry, schema.LightEntry),
-        *(materials.Catalogue, materials.Entry, materials.Errors, materials.Distance, materials.Neighbour, materials.MixtureData),
+        *(
+            materials.Catalogue,
+            materials.Entry,
+            materials.Errors,
+            materials.Distance,
+            materials.Neighbour,
+            materials.MixtureData,
+        ),
     )
 }
 WITHOUT_EXAMPLE = ("Entry", "Errors")  # pages of numbers; the page names a file that holds them
@@ -40,7 +49,9 @@ def test_the_pages_table_of_arrays_is_the_one_in_the_code(page):
 
 def test_every_type_of_the_contract_has_a_section(page):
     assert set(sections(page)) == set(STRUCTS)
-    published = {name for type_ in publish.TYPES.values() for name in msgspec.json.schema(type_)["$defs"]}
+    published = {
+        name for type_ in publish.TYPES.values() for name in msgspec.json.schema(type_)["$defs"]
+    }
     assert published - {"Draw"} == set(STRUCTS)  # `{"random": 5}` is told where a job may have it
 
 
@@ -58,7 +69,10 @@ def test_an_example_is_of_its_type(page, name):
         assert set(json.loads(example)) == set(STRUCTS[name].__struct_encode_fields__)
 
 
-@pytest.mark.parametrize("camera", [schema.Camera(size=(16, 16)), schema.Camera(size=(16, 24), fov_deg=40.0, pixel="centre")])
+@pytest.mark.parametrize(
+    "camera",
+    [schema.Camera(size=(16, 16)), schema.Camera(size=(16, 24), fov_deg=40.0, pixel="centre")],
+)
 def test_the_pages_code_reads_what_our_own_readers_read(page, camera, tmp_path, monkeypatch):
     """Its assertions recompute ids and hashes with hashlib alone."""
     job = msgspec.structs.replace(whole_dataset.JOB, camera=camera)
@@ -84,13 +98,21 @@ def test_the_pages_code_reads_what_our_own_readers_read(page, camera, tmp_path, 
 @pytest.mark.parametrize("name", list(arrays.FILES))
 def test_files_hold_the_arrays_that_the_table_says(name, tmp_path):
     store = whole_dataset.write_dataset(tmp_path)
-    path = next(path for path in sorted(store.folder.rglob("*")) if path.is_file() and path.match(pattern_of(name)))
+    path = next(
+        path
+        for path in sorted(store.folder.rglob("*"))
+        if path.is_file() and path.match(pattern_of(name))
+    )
     if path.suffix == ".npz":
         with np.load(path) as stored:
             found = {key: (stored[key].dtype, stored[key].shape) for key in stored.files}
-        assert found == {a.name: (a.type, arrays.LIGHT_MEMBERS[a.name][0]) for a in arrays.FILES[name]}
+        assert found == {
+            a.name: (a.type, arrays.LIGHT_MEMBERS[a.name][0]) for a in arrays.FILES[name]
+        }
     else:
-        assert {key: v.dtype for key, v in arrays.exr.read(path).items()} == {a.name: a.type for a in arrays.FILES[name]}
+        assert {key: v.dtype for key, v in arrays.exr.read(path).items()} == {
+            a.name: a.type for a in arrays.FILES[name]
+        }
 
 
 def pattern_of(name):

@@ -22,16 +22,27 @@ def test_tars_hold_each_record_with_its_files_and_labels_beside(a_dataset, tmp_p
                 if info.name.endswith(".json"):
                     records.append(msgspec.json.decode(tar.extractfile(info).read(), type=Record))
                 if info.name.endswith("image.exr"):
-                    assert tar.extractfile(info).read() == (a_dataset.folder / records[-1].image).read_bytes()
+                    assert (
+                        tar.extractfile(info).read()
+                        == (a_dataset.folder / records[-1].image).read_bytes()
+                    )
     assert records == sorted(a_dataset.records(), key=lambda r: r.id)
     assert len(names) == 9 and len(set(names)) == 9
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"000000.tar", "000001.tar", "dataset.json", "materials.json", "lights"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "000000.tar",
+        "000001.tar",
+        "dataset.json",
+        "materials.json",
+        "lights",
+    }
 
 
 def test_the_same_dataset_gives_the_same_tar(a_dataset, tmp_path):
     for name in ("a", "b"):
         to_tars(a_dataset, tmp_path / name)
-    assert (tmp_path / "a" / "000000.tar").read_bytes() == (tmp_path / "b" / "000000.tar").read_bytes()
+    assert (tmp_path / "a" / "000000.tar").read_bytes() == (
+        tmp_path / "b" / "000000.tar"
+    ).read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -47,7 +58,9 @@ def test_the_same_dataset_gives_the_same_tar(a_dataset, tmp_path):
         ({"id": "f" * 23 + "\0"}, "id: expected str matching"),
     ],
 )
-def test_a_record_that_points_outside_is_not_exported(a_dataset, a_record, tmp_path, changes, message):
+def test_a_record_that_points_outside_is_not_exported(
+    a_dataset, a_record, tmp_path, changes, message
+):
     (tmp_path / "secret").write_bytes(b"x")
     a_dataset.place(image_path("f" * 24), b"picture", "t")
     path = a_dataset.record_files()[0]
@@ -59,7 +72,9 @@ def test_a_record_that_points_outside_is_not_exported(a_dataset, a_record, tmp_p
     assert not [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
 
 
-@pytest.mark.parametrize("file", ["dataset.json", "000000.tar", "../x.npz", "lights/../../x.npz", "lights/a\0.npz"])
+@pytest.mark.parametrize(
+    "file", ["dataset.json", "000000.tar", "../x.npz", "lights/../../x.npz", "lights/a\0.npz"]
+)
 def test_a_light_that_lies_elsewhere_is_not_exported(a_dataset, tmp_path, file):
     dataset = a_dataset.dataset()
     lights = {"lamp": msgspec.structs.replace(dataset.lights["lamp"], file=file)}
@@ -72,7 +87,11 @@ def test_a_light_that_lies_elsewhere_is_not_exported(a_dataset, tmp_path, file):
 @pytest.mark.parametrize("kind", ["image", "geometry", "light", "materials"])
 def test_what_is_no_file_is_not_waited_for(a_dataset, tmp_path, put, kind):
     record = next(a_dataset.records())
-    name = {"image": record.image, "geometry": record.geometry, "light": a_dataset.dataset().lights["lamp"].file}
+    name = {
+        "image": record.image,
+        "geometry": record.geometry,
+        "light": a_dataset.dataset().lights["lamp"].file,
+    }
     path = a_dataset.folder / name.get(kind, "materials.json")
     path.unlink()
     put(path)
@@ -83,9 +102,14 @@ def test_what_is_no_file_is_not_waited_for(a_dataset, tmp_path, put, kind):
 def test_an_earlier_export_s_tars_do_not_stay_among_the_new_ones(a_dataset, tmp_path):
     to_tars(a_dataset, tmp_path / "out", each=1)
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.tar")}
-    with pytest.raises(InputError, match=r"out: expected a folder without tars, found 000000\.tar \(name another folder"):
+    with pytest.raises(
+        InputError,
+        match=r"out: expected a folder without tars, found 000000\.tar \(name another folder",
+    ):
         to_tars(a_dataset, tmp_path / "out")
-    assert {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.tar")} == before and len(before) == 3
+    assert {
+        path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.tar")
+    } == before and len(before) == 3
 
 
 def test_an_empty_choice_is_refused(a_dataset, tmp_path):
@@ -94,7 +118,9 @@ def test_an_empty_choice_is_refused(a_dataset, tmp_path):
 
 
 def test_the_table_has_a_row_a_record(a_dataset, tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed: the Parquet export is optional")
+    parquet = pytest.importorskip(
+        "pyarrow.parquet", reason="pyarrow is not installed: the Parquet export is optional"
+    )
     assert to_parquet(a_dataset, tmp_path / "records.parquet") == 3
     rows = parquet.read_table(tmp_path / "records.parquet").to_pylist()
     assert [row["id"] for row in rows] == sorted(a_dataset.ids())

@@ -28,7 +28,9 @@ def test_a_block_that_fails_keeps_the_earlier_file_and_leaves_no_draft(tmp_path)
 
 
 @pytest.mark.parametrize("count", [0, 1, 4095, 4096])
-def test_a_disk_that_takes_only_part_of_a_file_is_an_error_with_its_name(tmp_path, small_files, count):
+def test_a_disk_that_takes_only_part_of_a_file_is_an_error_with_its_name(
+    tmp_path, small_files, count
+):
     path = tmp_path / "a.bin"
     with small_files(count), pytest.raises(OSError, match=r"a\.bin") as error:
         files.write_bytes(path, bytes(4097))
@@ -86,7 +88,10 @@ def make_socket(path):
         (make_socket, "a socket"),
         (lambda path: path.symlink_to("/dev/zero"), "a device"),
         (lambda path: path.symlink_to(path), "too many levels of symbolic links"),
-        (lambda path: path.write_bytes(bytes(2049)), "2.0 KiB \\(check that this is the right file"),
+        (
+            lambda path: path.write_bytes(bytes(2049)),
+            "2.0 KiB \\(check that this is the right file",
+        ),
     ],
     ids=["missing", "folder", "pipe", "socket", "device", "circle of links", "too large"],
 )
@@ -153,14 +158,20 @@ with files.replacing(sys.argv[1]) as file:
 """
 
 
-def test_the_draft_of_a_killed_program_is_hidden_and_goes_with_the_next_file_that_is_written_there(tmp_path):
-    assert subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "a.png")]).returncode == -signal.SIGKILL
+def test_the_draft_of_a_killed_program_is_hidden_and_goes_with_the_next_file_that_is_written_there(
+    tmp_path,
+):
+    assert (
+        subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "a.png")]).returncode
+        == -signal.SIGKILL
+    )
     (draft,) = names(tmp_path)
     assert draft.startswith(".a.png.") and draft.endswith(".part")
     number = draft.split("-")[-2]
     others = [
         draft.replace(f"-{number}-", f"-{os.getpid()}-"),  # a living program's
-        draft.replace(f"-{number}-", f"elsewhere-{number}-"),  # another machine's, whose numbers mean nothing here
+        # another machine's, whose numbers mean nothing here
+        draft.replace(f"-{number}-", f"elsewhere-{number}-"),
         ".a.png.part",  # nobody of ours named it so
     ]
     for name in others:
@@ -175,7 +186,11 @@ def test_the_longest_names_a_file_can_have_can_be_written(tmp_path, name):
     assert names(tmp_path) == [name]
 
 
-@pytest.mark.parametrize("make", [os.mkdir, os.mkfifo, lambda path: path.symlink_to("/dev/null")], ids=["folder", "pipe", "device"])
+@pytest.mark.parametrize(
+    "make",
+    [os.mkdir, os.mkfifo, lambda path: path.symlink_to("/dev/null")],
+    ids=["folder", "pipe", "device"],
+)
 def test_what_is_no_file_is_neither_written_into_nor_replaced(tmp_path, make):
     make(tmp_path / "out")
     with pytest.raises(InputError, match="expected a file, or a name for a new one, found a"):
@@ -183,7 +198,9 @@ def test_what_is_no_file_is_neither_written_into_nor_replaced(tmp_path, make):
     assert names(tmp_path) == ["out"] and not (tmp_path / "out").is_file()
 
 
-def test_an_error_at_the_last_moment_names_the_file_and_leaves_the_earlier_one(tmp_path, monkeypatch):
+def test_an_error_at_the_last_moment_names_the_file_and_leaves_the_earlier_one(
+    tmp_path, monkeypatch
+):
     """Some file systems say that a disk is full only when what was written is to reach it."""
 
     def full(descriptor):

@@ -13,11 +13,16 @@ def test_a_folder_on_a_read_only_file_system_is_locked_without_a_file(tmp_path, 
         assert descriptors == []
 
 
-def test_a_run_that_writes_elsewhere_into_a_folder_seen_read_only_here_keeps_it_locked(tmp_path, read_only):
+def test_a_run_that_writes_elsewhere_into_a_folder_seen_read_only_here_keeps_it_locked(
+    tmp_path, read_only
+):
     (tmp_path / "data").mkdir()
     with lock.writing(tmp_path / "data"):
         read_only(tmp_path / "data")
-        with pytest.raises(InputError, match="no other run writes to"), lock.writing(tmp_path / "data", patience=0):
+        with (
+            pytest.raises(InputError, match="no other run writes to"),
+            lock.writing(tmp_path / "data", patience=0),
+        ):
             pass
     with lock.writing(tmp_path / "data", patience=0) as descriptors:
         assert len(descriptors) == 1

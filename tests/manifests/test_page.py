@@ -1,4 +1,6 @@
-"""The demo's page: everything on it comes from files on disk, and what is missing is told in one line."""
+"""The demo's page: everything on it comes from files on disk, and what is missing is told in one
+line.
+"""
 
 import json
 import re
@@ -7,7 +9,16 @@ import pytest
 
 from learn.agreement import demo_page
 
-FIGURES = {"pictures": 4, "l2": 1.25, "noise": 0.75, "net": 0.5, "ssim": 0.9991, "signed": -0.0123, "absolute": 0.02, "node_fit": None}
+FIGURES = {
+    "pictures": 4,
+    "l2": 1.25,
+    "noise": 0.75,
+    "net": 0.5,
+    "ssim": 0.9991,
+    "signed": -0.0123,
+    "absolute": 0.02,
+    "node_fit": None,
+}
 
 
 @pytest.fixture
@@ -20,13 +31,23 @@ def agreement(tmp_path):
         "causes": {"edges": 0.321, "noise": 0.75, "look_up_texels": {"median": 0.1}},
         "breakdowns": {"material": {"<brass>": FIGURES}, "highlight": {"wide": FIGURES}},
     }
-    (folder / "report.json").write_text(json.dumps({"about": {"command": "learn agree a & b"}, "summary": summary}))
+    (folder / "report.json").write_text(
+        json.dumps({"about": {"command": "learn agree a & b"}, "summary": summary})
+    )
     (folder / "causes.png").write_bytes(b"")
     return folder
 
 
 def run(out, agreement, *sheets):
-    return demo_page.main(["--out", str(out), "--agreement", str(agreement), *(f"--sheet={sheet}" for sheet in sheets)])
+    return demo_page.main(
+        [
+            "--out",
+            str(out),
+            "--agreement",
+            str(agreement),
+            *(f"--sheet={sheet}" for sheet in sheets),
+        ]
+    )
 
 
 def test_the_page_shows_the_figures_of_the_report_and_escapes_names(tmp_path, agreement):
@@ -54,7 +75,10 @@ def test_every_link_of_the_page_leads_from_its_own_folder_to_a_file(tmp_path, ag
 @pytest.mark.parametrize(
     ("direct", "word"),
     [
-        ({"net": 0.9, "like_net": 0.7, "node_fit": 0.4, "limit": 1.5, "holds": False}, "of 0.70 once noise is taken off"),
+        (
+            {"net": 0.9, "like_net": 0.7, "node_fit": 0.4, "limit": 1.5, "holds": False},
+            "of 0.70 once noise is taken off",
+        ),
         ({"net": 0.9, "like_net": 0.7, "node_fit": 0.4, "limit": 1.5, "holds": False}, "beyond it"),
         ({"net": None, "node_fit": 0.4}, "cannot be judged"),
         ({"net": 0.9, "like_net": 0.7, "node_fit": None}, "no limit"),
@@ -64,7 +88,9 @@ def test_the_verdict_says_what_the_report_found(direct, word):
     assert word in demo_page.verdict(direct)
 
 
-def test_what_is_missing_or_damaged_is_told_in_one_line_and_no_page_is_left(tmp_path, agreement, capsys):
+def test_what_is_missing_or_damaged_is_told_in_one_line_and_no_page_is_left(
+    tmp_path, agreement, capsys
+):
     out = tmp_path / "index.html"
     assert run(out, agreement, tmp_path / "none.png") == 1
     (agreement / "report.json").write_text("{")
@@ -72,11 +98,18 @@ def test_what_is_missing_or_damaged_is_told_in_one_line_and_no_page_is_left(tmp_
     (agreement / "report.json").unlink()
     assert run(out, agreement) == 1
     told = capsys.readouterr().err.splitlines()
-    assert len(told) == 3 and "none.png" in told[0] and "expected JSON" in told[1] and "learn agree" in told[2]
+    assert (
+        len(told) == 3
+        and "none.png" in told[0]
+        and "expected JSON" in told[1]
+        and "learn agree" in told[2]
+    )
     assert not out.exists()
 
 
-def test_predictions_stand_on_the_page_with_what_they_are_and_without_any_nothing_is_said_of_them(tmp_path, agreement):
+def test_predictions_stand_on_the_page_with_what_they_are_and_without_any_nothing_is_said_of_them(
+    tmp_path, agreement
+):
     sheet = tmp_path / "parts" / "sheet.png"
     sheet.parent.mkdir()
     sheet.write_bytes(b"")
@@ -87,7 +120,14 @@ def test_predictions_stand_on_the_page_with_what_they_are_and_without_any_nothin
 
 
 def test_a_prediction_that_is_not_there_is_told(tmp_path, agreement, capsys):
-    arguments = ["--out", str(tmp_path / "index.html"), "--agreement", str(agreement), "--prediction", str(tmp_path / "gone.png")]
+    arguments = [
+        "--out",
+        str(tmp_path / "index.html"),
+        "--agreement",
+        str(agreement),
+        "--prediction",
+        str(tmp_path / "gone.png"),
+    ]
     assert demo_page.main(arguments) == 1
     assert "gone.png" in capsys.readouterr().err
     assert not (tmp_path / "index.html").exists()
@@ -97,7 +137,14 @@ def test_edits_stand_on_the_page_only_where_there_are_some(tmp_path, agreement, 
     out, edit = tmp_path / "index.html", tmp_path / "edit.png"
     edit.write_bytes(b"")
     assert run(out, agreement) == 0 and "another material" not in out.read_text()
-    assert demo_page.main(["--out", str(out), "--agreement", str(agreement), "--edit", str(edit)]) == 0
+    assert (
+        demo_page.main(["--out", str(out), "--agreement", str(agreement), "--edit", str(edit)]) == 0
+    )
     assert "another material" in out.read_text() and "src='edit.png'" in out.read_text()
-    assert demo_page.main(["--out", str(out), "--agreement", str(agreement), "--edit", str(tmp_path / "gone.png")]) == 1
+    assert (
+        demo_page.main(
+            ["--out", str(out), "--agreement", str(agreement), "--edit", str(tmp_path / "gone.png")]
+        )
+        == 1
+    )
     assert "gone.png" in capsys.readouterr().err

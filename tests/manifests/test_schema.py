@@ -1,4 +1,6 @@
-"""What the contract's types let in, and how they say no: one line, with the key's path and the closest name."""
+"""What the contract's types let in, and how they say no: one line, with the key's path and the
+closest name.
+"""
 
 import json
 from pathlib import Path
@@ -29,13 +31,25 @@ def refused(value, type_=Job):
     ("change", "message"),
     [
         ({"sampels": 3}, "job.json: expected a known key, found 'sampels' (did you mean samples"),
-        ({"camera": {"sise": [3, 4]}}, "job.json: camera: expected a known key, found 'sise' (did you mean size?"),
-        ({"views": {"randon": 5}}, "job.json: views: expected a known key, found 'randon' (did you mean random?"),
+        (
+            {"camera": {"sise": [3, 4]}},
+            "job.json: camera: expected a known key, found 'sise' (did you mean size?",
+        ),
+        (
+            {"views": {"randon": 5}},
+            "job.json: views: expected a known key, found 'randon' (did you mean random?",
+        ),
         ({"samples": "many"}, 'job.json: samples: expected int, found "many"'),
         ({"samples": 0}, "job.json: samples: expected int >= 1, found 0"),
         ({"views": ["front"]}, 'job.json: views[0]: expected int, found "front"'),
         ({"views": [24]}, "job.json: views[0]: expected int <= 23, found 24"),
-        ({"tiers": ["dirct"]}, "job.json: tiers[0]: expected one of direct, shadow, full, found 'dirct' (did you mean direct?"),
+        (
+            {"tiers": ["dirct"]},
+            (
+                "job.json: tiers[0]: expected one of direct, shadow, full, found 'dirct' (did you"
+                " mean direct?"
+            ),
+        ),
         ({"version": 2}, "job.json: version: expected one of 1, found 2"),
         ({"shapes": []}, "job.json: shapes: expected array of length >= 1, found []"),
         ({"shapes": "chair:0"}, 'job.json: shapes: expected array, found "chair:0"'),
@@ -48,7 +62,10 @@ def test_a_job_that_is_wrong_is_refused_with_the_place_and_the_remedy(change, me
     assert message in refused({**GOOD, **change})
 
 
-@pytest.mark.parametrize("data", [b"", b"{", b"[]", b"\xff\xfe", b"[" * 200_000, b'{"shapes": [1,]}', b"NaN", b'{"shapes"'])
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"{", b"[]", b"\xff\xfe", b"[" * 200_000, b'{"shapes": [1,]}', b"NaN", b'{"shapes"'],
+)
 def test_what_is_no_json_object_is_refused_in_one_line(data):
     assert refused(data).startswith("job.json: ")
 
@@ -58,16 +75,26 @@ def test_a_missing_key_is_named():
 
 
 def test_records_of_another_make_are_refused():
-    assert "expected a known key, found 'flavour'" in refused({"id": "0" * 24, "flavour": 1}, Record)
+    assert "expected a known key, found 'flavour'" in refused(
+        {"id": "0" * 24, "flavour": 1}, Record
+    )
     assert "expected the key 'id'" in refused({}, Record)
 
 
 @given(
     st.recursive(
-        st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=8),
+        st.none()
+        | st.booleans()
+        | st.integers()
+        | st.floats(allow_nan=False)
+        | st.text(max_size=8),
         lambda inner: (
             st.lists(inner, max_size=3)
-            | st.dictionaries(st.sampled_from(["shapes", "camera", "views", "size", "seed", "random", "x"]), inner, max_size=4)
+            | st.dictionaries(
+                st.sampled_from(["shapes", "camera", "views", "size", "seed", "random", "x"]),
+                inner,
+                max_size=4,
+            )
         ),
         max_leaves=8,
     )
@@ -81,7 +108,9 @@ def test_whatever_json_is_given_a_job_comes_out_or_one_line(value):
 
 
 def test_a_draw_and_a_list_both_read_as_views():
-    assert decode(json.dumps({**GOOD, "views": {"random": 5}}).encode(), Job, "x").views == Draw(random=5)
+    assert decode(json.dumps({**GOOD, "views": {"random": 5}}).encode(), Job, "x").views == Draw(
+        random=5
+    )
     assert decode(json.dumps({**GOOD, "views": [3, 1]}).encode(), Job, "x").views == (3, 1)
 
 
@@ -100,19 +129,27 @@ def test_a_missing_or_huge_file_is_refused_before_it_is_read(tmp_path):
 @pytest.mark.parametrize("name", sorted(publish.TYPES))
 def test_the_published_json_schema_is_that_of_the_types(name):
     """`python -m manifests.publish` writes them anew."""
-    assert (publish.FOLDER / f"{name}.schema.json").read_text(encoding="utf-8") == publish.documents()[f"{name}.schema.json"]
+    assert (publish.FOLDER / f"{name}.schema.json").read_text(
+        encoding="utf-8"
+    ) == publish.documents()[f"{name}.schema.json"]
 
 
 @pytest.mark.parametrize("path", JOBS, ids=lambda path: path.stem)
 def test_every_preset_fits_types_and_published_schema(path):
     jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is a development extra")
     read(path, Job)
-    jsonschema.validate(json.loads(path.read_text()), json.loads((publish.FOLDER / "job.schema.json").read_text()))
+    jsonschema.validate(
+        json.loads(path.read_text()), json.loads((publish.FOLDER / "job.schema.json").read_text())
+    )
 
 
 def test_the_presets_that_the_program_promises_are_there():
-    assert {"demo", "agreement", "pretrain", "finetune", "multi-material"} <= {path.stem for path in JOBS}
+    assert {"demo", "agreement", "pretrain", "finetune", "multi-material"} <= {
+        path.stem for path in JOBS
+    }
 
 
 def test_a_record_written_and_read_is_the_same(a_record):
-    assert msgspec.json.decode(msgspec.json.encode(a_record("ab" * 12)), type=Record) == a_record("ab" * 12)
+    assert msgspec.json.decode(msgspec.json.encode(a_record("ab" * 12)), type=Record) == a_record(
+        "ab" * 12
+    )

@@ -1,4 +1,6 @@
-"""Training and test never share a shape or a material, whatever the order, the names and the pool."""
+"""Training and test never share a shape or a material, whatever the order, the names and the
+pool.
+"""
 
 from collections import Counter
 
@@ -12,7 +14,11 @@ PAPER = {"car": 130, "chair": 50, "sofa": 50, "monitor": 50}
 
 
 def paper_shapes(hash_of):
-    return [(f"{family}:{k}", family, hash_of(f"{family}:{k}")) for family, count in PAPER.items() for k in range(count)]
+    return [
+        (f"{family}:{k}", family, hash_of(f"{family}:{k}"))
+        for family, count in PAPER.items()
+        for k in range(count)
+    ]
 
 
 def hash_of(name):
@@ -25,7 +31,9 @@ def test_the_papers_counts_hold():
     roles = splits.shape_roles(paper_shapes(hash_of), "paper")
     counts = Counter((name.split(":")[0], role) for name, role in roles.items())
     assert counts["car", "pretrain"] == 80
-    assert all(counts[family, "finetune"] == 40 and counts[family, "test"] == 10 for family in PAPER)
+    assert all(
+        counts[family, "finetune"] == 40 and counts[family, "test"] == 10 for family in PAPER
+    )
     assert sum(counts.values()) == 280
 
 
@@ -35,31 +43,51 @@ def test_mesh_files_get_the_same_counts_by_the_rank_of_their_hash():
 
 
 def test_multi_material_chairs_are_eighty_and_twenty():
-    roles = splits.shape_roles([(f"chair:{k}", "chair", hash_of(str(k))) for k in range(100)], "multi-material")
+    roles = splits.shape_roles(
+        [(f"chair:{k}", "chair", hash_of(str(k))) for k in range(100)], "multi-material"
+    )
     assert Counter(roles.values()) == {"finetune": 80, "test": 20}
 
 
 @pytest.mark.parametrize("rule", ["hash", "paper", "multi-material"])
-@given(names=st.lists(st.sampled_from([f"chair:{k}" for k in range(60)] + [f"file{k}" for k in range(40)]), unique=True), data=st.data())
+@given(
+    names=st.lists(
+        st.sampled_from([f"chair:{k}" for k in range(60)] + [f"file{k}" for k in range(40)]),
+        unique=True,
+    ),
+    data=st.data(),
+)
 def test_twins_stand_on_one_side_and_order_does_not_matter(rule, names, data):
-    hashes = {name: hash_of(str(data.draw(st.integers(0, 9)))) for name in names}  # ten meshes under many names
+    # ten meshes under many names
+    hashes = {name: hash_of(str(data.draw(st.integers(0, 9)))) for name in names}
     shapes = [(name, "chair", hashes[name]) for name in names]
     roles = splits.shape_roles(shapes, rule)
     assert splits.shape_roles(data.draw(st.permutations(shapes)), rule) == roles
     sides = {}
     for name in names:
-        assert sides.setdefault(hashes[name], splits.SIDES[roles[name]]) == splits.SIDES[roles[name]]
+        assert (
+            sides.setdefault(hashes[name], splits.SIDES[roles[name]]) == splits.SIDES[roles[name]]
+        )
 
 
 def test_by_hash_a_shapes_side_does_not_depend_on_its_company():
     shapes = [(f"file{k}", "chair", hash_of(str(k))) for k in range(200)]
     together = splits.shape_roles(shapes, "hash")
-    assert all(splits.shape_roles([shape], "hash")[shape[0]] == together[shape[0]] for shape in shapes)
-    assert 20 <= Counter(together.values())["test"] <= 60  # a fifth of 200: 40 ± 3.5 σ of a binomial
+    assert all(
+        splits.shape_roles([shape], "hash")[shape[0]] == together[shape[0]] for shape in shapes
+    )
+    # a fifth of 200: 40 ± 3.5 σ of a binomial
+    assert 20 <= Counter(together.values())["test"] <= 60
 
 
 def test_of_material_twins_the_test_side_wins():
-    sides = splits.material_sides([("brass", "test", "a" * 64), ("brass-copy", "train", "a" * 64), ("felt", "train", "b" * 64)])
+    sides = splits.material_sides(
+        [
+            ("brass", "test", "a" * 64),
+            ("brass-copy", "train", "a" * 64),
+            ("felt", "train", "b" * 64),
+        ]
+    )
     assert sides == {"brass": "test", "brass-copy": "test", "felt": "train"}
 
 
@@ -72,4 +100,6 @@ def test_sixty_training_materials_are_chosen_whatever_their_order():
 def test_a_record_is_mixed_when_shape_and_material_disagree():
     assert splits.split_of("train", ["train", "train"]) == "train"
     assert splits.split_of("test", ["test"]) == "test"
-    assert splits.split_of("train", ["train", "test"]) == splits.split_of("test", ["train"]) == "mixed"
+    assert (
+        splits.split_of("train", ["train", "test"]) == splits.split_of("test", ["train"]) == "mixed"
+    )

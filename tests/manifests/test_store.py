@@ -1,4 +1,6 @@
-"""The dataset's folder: whole files or none, lines that survive a kill and a full disk, paths that stay inside."""
+"""The dataset's folder: whole files or none, lines that survive a kill and a full disk, paths that
+stay inside.
+"""
 
 import os
 import resource
@@ -20,7 +22,19 @@ def test_files_are_sharded_by_the_first_two_digits_of_their_id():
     assert light_path("my map/../x", "0123456789abcdef") == "lights/my-map-..-x-0123456789ab.npz"
 
 
-@pytest.mark.parametrize("path", ["../x", "images/../dataset.json", "/etc/passwd", "images/../../x", "a\\..\\b", "", "link/x", "a\0b"])
+@pytest.mark.parametrize(
+    "path",
+    [
+        "../x",
+        "images/../dataset.json",
+        "/etc/passwd",
+        "images/../../x",
+        "a\\..\\b",
+        "",
+        "link/x",
+        "a\0b",
+    ],
+)
 def test_a_path_that_leaves_the_folder_is_refused(tmp_path, path):
     folder = tmp_path / "data"
     folder.mkdir()
@@ -33,7 +47,9 @@ def test_a_path_inside_is_given_back(tmp_path):
     assert inside(tmp_path, "images/ab/x.exr") == tmp_path / "images/ab/x.exr"
 
 
-def test_a_file_that_the_disk_has_no_room_for_leaves_no_trace_and_keeps_the_old_one(tmp_path, small_files):
+def test_a_file_that_the_disk_has_no_room_for_leaves_no_trace_and_keeps_the_old_one(
+    tmp_path, small_files
+):
     store = Store(tmp_path)
     store.place("images/ab/x.exr", b"old", "w")
     with small_files(4096), pytest.raises(OSError, match=r"File too large.*images/ab/x\.exr"):
@@ -76,7 +92,12 @@ def test_a_damaged_line_in_the_middle_is_named_by_file_and_line(a_dataset):
     path = a_dataset.record_files()[0]
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(lines[0] + b'{"id": 5}\n' + lines[1])
-    with pytest.raises(InputError, match=r"worker-00\.jsonl:2: id: expected str, found 5 \(python -m factory verify .*--repair"):
+    with pytest.raises(
+        InputError,
+        match=(
+            r"worker-00\.jsonl:2: id: expected str, found 5 \(python -m factory verify .*--repair"
+        ),
+    ):
         list(a_dataset.records())
 
 
@@ -95,7 +116,9 @@ def test_geometry_that_the_disk_has_no_room_for_is_named_by_its_place(tmp_path, 
     assert os.listdir(tmp_path / "partial") == os.listdir(tmp_path / "geometry" / "ab") == []
 
 
-@pytest.mark.parametrize("damage", [lambda text: b"", lambda text: text[: len(text) // 2], lambda text: b"[]"])
+@pytest.mark.parametrize(
+    "damage", [lambda text: b"", lambda text: text[: len(text) // 2], lambda text: b"[]"]
+)
 def test_a_damaged_dataset_says_that_it_can_be_made_again(a_dataset, damage):
     path = a_dataset.folder / "dataset.json"
     path.write_bytes(damage(path.read_bytes()))
@@ -112,7 +135,9 @@ def test_a_damaged_line_of_failures_says_that_nothing_hangs_on_it(a_dataset):
 def test_what_lines_name_is_known_by_one_reading(a_dataset):
     ids, hashes = a_dataset.known()
     assert ids == a_dataset.ids() == {f"{k:024x}" for k in range(3)}
-    assert hashes == {geometry_path("9" * 24): file_hash(a_dataset.folder / geometry_path("9" * 24))}
+    assert hashes == {
+        geometry_path("9" * 24): file_hash(a_dataset.folder / geometry_path("9" * 24))
+    }
     assert a_dataset.known("views") == (set(), hashes)
 
 
@@ -149,16 +174,22 @@ except InputError as problem:
 def test_a_file_of_lines_has_one_writer(tmp_path, a_record):
     lines = Lines(tmp_path / "rows.jsonl")
     lines.append({"a": 1})
-    os.write(lines._descriptor, b"half a li")  # so that a second writer would have something to cut off
+    # so that a second writer would have something to cut off
+    os.write(lines._descriptor, b"half a li")
     other = [sys.executable, "-c", OTHER, str(tmp_path / "rows.jsonl")]
-    assert "no other run writes to, found one in use" in subprocess.run(other, capture_output=True, text=True).stdout
+    assert (
+        "no other run writes to, found one in use"
+        in subprocess.run(other, capture_output=True, text=True).stdout
+    )
     assert (tmp_path / "rows.jsonl").read_bytes() == b'{"a":1}\nhalf a li'
     lines.close()
     assert subprocess.run(other, capture_output=True, text=True).stdout == ""
     assert (tmp_path / "rows.jsonl").read_bytes() == b'{"a":1}\n'
 
 
-def test_a_torn_line_that_could_not_be_cut_off_is_cut_off_before_the_next(tmp_path, small_files, monkeypatch):
+def test_a_torn_line_that_could_not_be_cut_off_is_cut_off_before_the_next(
+    tmp_path, small_files, monkeypatch
+):
     lines = Lines(tmp_path / "rows.jsonl")
     lines.append({"a": 1})
 
@@ -175,7 +206,9 @@ def test_a_torn_line_that_could_not_be_cut_off_is_cut_off_before_the_next(tmp_pa
 
 
 def test_a_repair_leaves_its_draft_where_it_is_swept(a_dataset, monkeypatch):
-    """A kill while a file of records is written again must not leave a file that reads as one of records."""
+    """A kill while a file of records is written again must not leave a file that reads as one of
+    records.
+    """
 
     class Killed(BaseException):
         pass
@@ -197,11 +230,15 @@ def test_a_repair_leaves_its_draft_where_it_is_swept(a_dataset, monkeypatch):
 
 
 def test_records_can_be_filtered(a_dataset):
-    assert [r.id for r in a_dataset.records(lambda record: record.id.endswith("1"))] == [f"{1:024x}"]
+    assert [r.id for r in a_dataset.records(lambda record: record.id.endswith("1"))] == [
+        f"{1:024x}"
+    ]
 
 
 def test_a_line_on_a_full_disk_is_written_whole_or_not_at_all(tmp_path, a_record):
-    """RLIMIT_FSIZE cuts a write short just as a full disk does; in a child, since the limit cannot be raised again."""
+    """RLIMIT_FSIZE cuts a write short just as a full disk does; in a child, since the limit cannot
+    be raised again.
+    """
     path = tmp_path / "records" / "worker-00.jsonl"
     size = len(msgspec.json.encode(a_record("0" * 24))) + 1
     code = f"""
@@ -230,7 +267,11 @@ def tiny_disk(tmp_path):
     """A file system of 256 KiB."""
     folder = tmp_path / "disk"
     folder.mkdir()
-    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(folder)], capture_output=True, text=True)
+    done = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(folder)],
+        capture_output=True,
+        text=True,
+    )
     if done.returncode:
         pytest.skip(f"needs the right to mount a small file system: {done.stderr.strip()}")
     yield folder
@@ -250,7 +291,9 @@ def test_on_a_full_disk_what_was_written_stays_and_the_error_names_the_cause(tin
 
 
 def test_ids_of_many_records_come_in_a_flash(tmp_path, a_record):
-    """720,000 must take seconds (docs/results/manifest-scale.md has the figure); here 20,000, with room for a slow machine."""
+    """720,000 must take seconds (docs/results/manifest-scale.md has the figure); here 20,000, with
+    room for a slow machine.
+    """
     import time
 
     lines = Lines(tmp_path / "records" / "worker-00.jsonl")
@@ -259,5 +302,6 @@ def test_ids_of_many_records_come_in_a_flash(tmp_path, a_record):
     lines.close()
     start = resource.getrusage(resource.RUSAGE_SELF).ru_utime, time.perf_counter()
     assert len(Store(tmp_path).ids()) == 20_000
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - start[0] < 0.6  # measured 0.03 s; 720,000 in proportion 1 s
+    # measured 0.03 s; 720,000 in proportion 1 s
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - start[0] < 0.6
     assert all(isinstance(record, Record) for record in Store(tmp_path).records())

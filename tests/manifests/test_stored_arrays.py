@@ -38,7 +38,11 @@ def geometry(rng):
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     segments = rng.integers(0, 4, (24, 40)).astype(np.uint8)
     normals[segments == 0] = 0
-    return SimpleNamespace(normals=normals.astype(np.float32), depth=rng.uniform(-1, 1, (24, 40)).astype(np.float32), segments=segments)
+    return SimpleNamespace(
+        normals=normals.astype(np.float32),
+        depth=rng.uniform(-1, 1, (24, 40)).astype(np.float32),
+        segments=segments,
+    )
 
 
 def test_a_picture_comes_back_to_half_precision(tmp_path, rng):
@@ -77,8 +81,12 @@ def test_a_write_that_fails_leaves_neither_file_nor_draft_and_says_why(tmp_path,
     assert os.listdir(tmp_path) == []
 
 
-def test_a_small_file_that_the_disk_has_no_room_for_is_an_error_and_no_empty_file(tmp_path, small_files):
-    """OpenEXR passes over the error of its last flush, which for a file below 2 KB is the only one."""
+def test_a_small_file_that_the_disk_has_no_room_for_is_an_error_and_no_empty_file(
+    tmp_path, small_files
+):
+    """OpenEXR passes over the error of its last flush, which for a file below 2 KB is the only
+    one.
+    """
     with small_files(100), pytest.raises(OSError, match=r"p\.exr"):
         exr.write(tmp_path / "p.exr", {"Y": np.ones((4, 4), np.float32)})
     assert os.listdir(tmp_path) == []
@@ -110,7 +118,9 @@ def test_a_stored_light_comes_back(tmp_path, rng):
 @pytest.mark.parametrize("segment", [-1.0, 0.5, 256.0, 257.0, np.nan])
 def test_segments_that_would_wrap_are_refused(tmp_path, geometry, segment):
     channels = dict.fromkeys((*NORMAL_CHANNELS, DEPTH_CHANNEL), np.zeros((2, 2), np.float32))
-    exr.write(tmp_path / "g.exr", channels | {SEGMENT_CHANNEL: np.full((2, 2), segment, np.float32)})
+    exr.write(
+        tmp_path / "g.exr", channels | {SEGMENT_CHANNEL: np.full((2, 2), segment, np.float32)}
+    )
     with pytest.raises(InputError, match="expected segments 0 to 255"):
         read_geometry(tmp_path / "g.exr")
 
@@ -137,8 +147,15 @@ def test_a_bad_file_is_one_line_that_names_it(tmp_path, geometry, spoil, capfd):
     if spoil == "folder":
         path.mkdir()
     elif spoil != "missing":
-        path.write_bytes({"truncated": whole[: len(whole) * 2 // 3], "empty": b"", "text": b"no picture\n" * 40}[spoil])
-    with pytest.raises(InputError, match=r"g\.exr: expected .*, found .* \((render or copy it again|name a file in it)"):
+        path.write_bytes(
+            {"truncated": whole[: len(whole) * 2 // 3], "empty": b"", "text": b"no picture\n" * 40}[
+                spoil
+            ]
+        )
+    with pytest.raises(
+        InputError,
+        match=r"g\.exr: expected .*, found .* \((render or copy it again|name a file in it)",
+    ):
         read_geometry(path)
     out, err = capfd.readouterr()
     assert out == err == ""

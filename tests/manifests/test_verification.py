@@ -1,4 +1,6 @@
-"""verify finds every kind of damage and tells which side was altered; repair leaves what the same render completes."""
+"""verify finds every kind of damage and tells which side was altered; repair leaves what the same
+render completes.
+"""
 
 import os
 import shutil
@@ -35,12 +37,19 @@ def lines(store, kind="records"):
 def rewrite(store, change, kind="records"):
     """Puts change(index, line) in the place of each line."""
     (path,) = store.record_files(kind)
-    path.write_bytes(b"".join(msgspec.json.encode(change(k, line)) + b"\n" for k, line in enumerate(lines(store, kind))))
+    path.write_bytes(
+        b"".join(
+            msgspec.json.encode(change(k, line)) + b"\n"
+            for k, line in enumerate(lines(store, kind))
+        )
+    )
 
 
 def alter(store, kind="records", **changes):
     """Changes fields of the first line."""
-    rewrite(store, lambda k, line: msgspec.structs.replace(line, **changes) if k == 0 else line, kind)
+    rewrite(
+        store, lambda k, line: msgspec.structs.replace(line, **changes) if k == 0 else line, kind
+    )
     return lines(store, kind)[0]
 
 
@@ -75,8 +84,22 @@ def replace_file(store, relative, data):
     ("segments", "changes"),
     [
         (1, {}),
-        (3, {"camera": Camera(size=(12, 18), fov_deg=50.0, pixel="centre"), "tiers": ("direct", "full"), "repeats": 2}),
-        (2, {"views": Draw(random=3), "rotations": Draw(random=2), "light_resolutions": ("64x128", "full")}),
+        (
+            3,
+            {
+                "camera": Camera(size=(12, 18), fov_deg=50.0, pixel="centre"),
+                "tiers": ("direct", "full"),
+                "repeats": 2,
+            },
+        ),
+        (
+            2,
+            {
+                "views": Draw(random=3),
+                "rotations": Draw(random=2),
+                "light_resolutions": ("64x128", "full"),
+            },
+        ),
         (2, {"pictures": False, "views": Draw(random=5)}),
     ],
 )
@@ -87,10 +110,14 @@ def test_a_whole_data_set_has_no_faults(whole, segments, changes):
 
 
 def test_ids_are_those_of_the_first_data_sets():
-    """Of a record of the preset `smallest`, as it was rendered before these functions had one home."""
+    """Of a record of the preset `smallest`, as it was rendered before these functions had one
+    home.
+    """
     shape = "cfa53937b29b7a149d69748bb2e077f37292aa0a3a63e3e5080c76b92bcca433"
     light = "9e42abcd2fa3231e5c2485ca6dd64800534d157b7194ab7fe9cc3bf5a56d0256"
-    nickel = next(e for e in read_catalogue("manifests/materials.json").materials if e.name == "nickel").hash
+    nickel = next(
+        e for e in read_catalogue("manifests/materials.json").materials if e.name == "nickel"
+    ).hash
     render, camera = "86a5152639f121a2", ids.camera_words(Camera(size=(48, 48)))
     for view, seed, id_, geometry in (
         (0, 766045821, "81c6a2ee94ad16fb1e869fd6", "4580ea429d8310542957d50d"),
@@ -127,7 +154,10 @@ def test_ids_are_those_of_the_first_data_sets():
 def test_whatever_determines_a_picture_is_held_against_its_id(store, changes):
     record = alter(store, **changes)
     found = list(Verification(store).in_records())
-    assert f"record {record.id}: expected id" in found[0].text and "the hash of what it says" in found[0].text
+    assert (
+        f"record {record.id}: expected id" in found[0].text
+        and "the hash of what it says" in found[0].text
+    )
     assert found[0].record == record.id and found[0].line == (store.record_files()[0], 1)
 
 
@@ -159,8 +189,14 @@ def test_figures_of_every_record_are_held_against_its_picture_and_its_geometry(s
 
     def change(k, record):
         statistics = record.statistics
-        changes = {1: {"coverage": 0.5}, 2: {"mean": statistics.mean * 1.01}, 4: {"max": statistics.max * 1.01}}.get(k, {})
-        return msgspec.structs.replace(record, statistics=msgspec.structs.replace(statistics, **changes))
+        changes = {
+            1: {"coverage": 0.5},
+            2: {"mean": statistics.mean * 1.01},
+            4: {"max": statistics.max * 1.01},
+        }.get(k, {})
+        return msgspec.structs.replace(
+            record, statistics=msgspec.structs.replace(statistics, **changes)
+        )
 
     rewrite(store, change)
     found = [fault for fault in faults_of(store) if fault.record]
@@ -180,7 +216,9 @@ def test_figures_of_every_record_are_held_against_its_picture_and_its_geometry(s
         (lambda p, m: p[:8], "expected 16 × 16 pixels"),
     ],
 )
-def test_a_picture_that_none_can_be_is_found_though_its_hash_was_written_again(whole, tmp_path, spoil, message):
+def test_a_picture_that_none_can_be_is_found_though_its_hash_was_written_again(
+    whole, tmp_path, spoil, message
+):
     shutil.copytree(whole(camera=Camera(size=(16, 16), pixel="centre")), tmp_path / "data")
     store = Store(tmp_path / "data")
     record = lines(store)[0]
@@ -203,14 +241,22 @@ def test_other_channels_are_found(store, channels):
 def test_a_type_that_is_not_written_is_found(store):
     record = lines(store)[0]
     picture = arrays.read_picture(store.folder / record.image)
-    replace_file(store, record.image, arrays.exr.encode({name: picture[..., k] for k, name in enumerate("RGB")}))
+    replace_file(
+        store,
+        record.image,
+        arrays.exr.encode({name: picture[..., k] for k, name in enumerate("RGB")}),
+    )
     assert "channels R float16" in "\n".join(texts(store))
 
 
 def encoded(normals, depth, segments):
     """A geometry file of numbers as they are, without the rounding of the contract."""
-    channels = {f"normal.{axis}": normals[..., k].astype(np.float32) for k, axis in enumerate("XYZ")}
-    return arrays.exr.encode(channels | {"depth.Z": depth.astype(np.float32), "segment": segments.astype(np.uint32)})
+    channels = {
+        f"normal.{axis}": normals[..., k].astype(np.float32) for k, axis in enumerate("XYZ")
+    }
+    return arrays.exr.encode(
+        channels | {"depth.Z": depth.astype(np.float32), "segment": segments.astype(np.uint32)}
+    )
 
 
 @pytest.mark.parametrize("fov", [None, 50.0])
@@ -236,20 +282,28 @@ def encoded(normals, depth, segments):
         (lambda n, d, s: (n[:, ::2], d[:, ::2], s[:, ::2]), "expected 32 × 32 pixels"),
     ],
 )
-def test_geometry_that_none_can_be_is_found_though_its_hash_was_written_again(whole, tmp_path, fov, spoil, message):
+def test_geometry_that_none_can_be_is_found_though_its_hash_was_written_again(
+    whole, tmp_path, fov, spoil, message
+):
     shutil.copytree(whole(camera=Camera(size=(32, 32), fov_deg=fov)), tmp_path / "data")
     store = Store(tmp_path / "data")
     record = lines(store)[0]
     geometry = arrays.read_geometry(store.folder / record.geometry)
-    replace_file(store, record.geometry, encoded(*spoil(*(np.asarray(a, np.float64) for a in geometry))))
+    replace_file(
+        store, record.geometry, encoded(*spoil(*(np.asarray(a, np.float64) for a in geometry)))
+    )
     assert message in "\n".join(texts(store))
 
 
-def test_a_bad_geometry_file_condemns_every_record_that_uses_it_and_is_read_once(store, monkeypatch):
+def test_a_bad_geometry_file_condemns_every_record_that_uses_it_and_is_read_once(
+    store, monkeypatch
+):
     (store.folder / lines(store)[0].geometry).write_bytes(b"other")
     calls = []
     read = arrays.read_geometry
-    monkeypatch.setattr(arrays, "read_geometry", lambda *a, **k: calls.append(a[0]) or read(*a, **k))
+    monkeypatch.setattr(
+        arrays, "read_geometry", lambda *a, **k: calls.append(a[0]) or read(*a, **k)
+    )
     found = faults_of(store)
     using = {record.id for record in lines(store) if record.geometry == lines(store)[0].geometry}
     assert {fault.record for fault in found} == using and len(using) == 2
@@ -269,9 +323,14 @@ def test_a_bad_geometry_file_condemns_every_record_that_uses_it_and_is_read_once
         (lambda L, s: {"L": L[:32], "scale": s}, r"(64, 128, 3)"),
     ],
 )
-def test_a_light_map_that_none_can_be_is_found_though_its_hash_was_written_again(store, spoil, message):
+def test_a_light_map_that_none_can_be_is_found_though_its_hash_was_written_again(
+    store, spoil, message
+):
     entry = store.dataset().lights["lamp"]
-    L, scale = arrays.read_light(store.folder / entry.file), np.float64(arrays.read_scale(store.folder / entry.file))
+    L, scale = (
+        arrays.read_light(store.folder / entry.file),
+        np.float64(arrays.read_scale(store.folder / entry.file)),
+    )
     replace_file(store, entry.file, arrays.npz_bytes(spoil(L, scale)))
     assert message in "\n".join(texts(store))
 
@@ -282,7 +341,8 @@ def test_a_light_that_the_program_knows_is_compared_with_it(store):
     known = {("lamp", hash_of("lamp")): (L * (1 + 1e-6), entry.scale)}  # another machine's rounding
     assert faults_of(store, reference=lambda *key: known.get(key)) == []
     replace_file(store, entry.file, arrays.encode_light(np.roll(L, 1, axis=1), entry.scale))
-    assert faults_of(store) == []  # another light, as good as the first, to whoever does not know it
+    # another light, as good as the first, to whoever does not know it
+    assert faults_of(store) == []
     assert "found another" in faults_of(store, reference=lambda *key: known.get(key))[0].text
 
 
@@ -294,12 +354,18 @@ def test_a_changed_label_or_mixture_is_found(store, what, own_hash):
     matte = catalogue.materials[0]
     label = (matte.label[0] + 1e-9, *matte.label[1:])
     mixture = msgspec.structs.replace(matte.mixture, stops=(1e-9,))
-    altered = msgspec.structs.replace(matte, **({"label": label} if what == "label" else {"mixture": mixture}))
+    altered = msgspec.structs.replace(
+        matte, **({"label": label} if what == "label" else {"mixture": mixture})
+    )
     if own_hash:
         from manifests.materials import material_hash
 
-        altered = msgspec.structs.replace(altered, hash=material_hash(altered.label, altered.mixture))
-    path.write_bytes(encode(msgspec.structs.replace(catalogue, materials=(altered, *catalogue.materials[1:]))))
+        altered = msgspec.structs.replace(
+            altered, hash=material_hash(altered.label, altered.mixture)
+        )
+    path.write_bytes(
+        encode(msgspec.structs.replace(catalogue, materials=(altered, *catalogue.materials[1:])))
+    )
     found = faults_of(store)
     assert "materials.json: 'matte'" in found[0].text and found[0].entry == ("labels", "matte")
     assert not any(fault.record for fault in found)
@@ -317,7 +383,9 @@ def test_an_altered_entry_is_told_from_altered_records_by_the_ids(store):
         before = store.dataset()
         alter_entry(store, kind, name, **changes)
         found = faults_of(store)
-        assert any(message in fault.text and fault.entry == (kind, name) for fault in found), texts(store)
+        assert any(message in fault.text and fault.entry == (kind, name) for fault in found), texts(
+            store
+        )
         assert not any(fault.record for fault in found)
         store.write_json("dataset.json", before)
 
@@ -331,10 +399,14 @@ def test_a_label_that_fits_its_hash_but_no_id_leaves_nothing_that_confirms_it(st
     label = (0.5,) * 108
     matte = msgspec.structs.replace(catalogue.materials[0], label=label)
     matte = msgspec.structs.replace(matte, hash=material_hash(label, matte.mixture))
-    path.write_bytes(encode(msgspec.structs.replace(catalogue, materials=(matte, catalogue.materials[1]))))
+    path.write_bytes(
+        encode(msgspec.structs.replace(catalogue, materials=(matte, catalogue.materials[1])))
+    )
     alter_entry(store, "materials", "matte", hash=matte.hash)
     found = faults_of(store)
-    assert {fault.record for fault in found if fault.record} == {r.id for r in lines(store) if "matte" in r.materials}
+    assert {fault.record for fault in found if fault.record} == {
+        r.id for r in lines(store) if "matte" in r.materials
+    }
     assert ("materials", "matte") in {fault.entry for fault in found}
     repair(store, found)
     assert texts(store) == []
@@ -371,7 +443,9 @@ def test_what_nothing_names_is_found(store):
     path = store.folder / "materials.json"
     catalogue = read_catalogue(path)
     more = msgspec.structs.replace(catalogue.materials[0], name="felt")
-    path.write_bytes(encode(msgspec.structs.replace(catalogue, materials=(*catalogue.materials, more))))
+    path.write_bytes(
+        encode(msgspec.structs.replace(catalogue, materials=(*catalogue.materials, more)))
+    )
     found = "\n".join(texts(store))
     assert "light 'sun': expected a light that an order names" in found
     assert "materials.json: expected a material that dataset.json names, found 'felt'" in found
@@ -382,13 +456,17 @@ def test_records_that_no_order_asks_for_are_found(store):
     first = lines(store)[0]
     dataset = store.dataset()
     hashes = tuple(dataset.materials[name].hash for name in first.materials)
-    shared = ids.shots_digest(RENDER, first.shape_hash, hashes, first.light_hash, ids.camera_words(first.camera), 4)
+    shared = ids.shots_digest(
+        RENDER, first.shape_hash, hashes, first.light_hash, ids.camera_words(first.camera), 4
+    )
     id_ = ids.shot_id(shared, first.viewpoint, 77, first.tier, first.light_resolution, first.seed)
     (store.folder / image_path(id_)).parent.mkdir(exist_ok=True)
     (store.folder / first.image).rename(store.folder / image_path(id_))
     alter(store, id=id_, image=image_path(id_), rotation_texels=77)
     assert list(Verification(store).in_records()) == []
-    assert texts(store) == [f"record {id_}: expected an order in dataset.json that asks for it, found none"]
+    assert texts(store) == [
+        f"record {id_}: expected an order in dataset.json that asks for it, found none"
+    ]
 
 
 def test_an_altered_order_condemns_no_picture(store):
@@ -397,7 +475,10 @@ def test_an_altered_order_condemns_no_picture(store):
     order = msgspec.structs.replace(dataset.orders[0], job=job)
     store.write_json("dataset.json", msgspec.structs.replace(dataset, orders=(order,)))
     (fault,) = faults_of(store)
-    assert "expected orders that ask for all lines, found none for 8" in fault.text and not fault.mendable
+    assert (
+        "expected orders that ask for all lines, found none for 8" in fault.text
+        and not fault.mendable
+    )
 
 
 def test_more_shots_than_an_order_can_mean_are_found(store):
@@ -505,7 +586,9 @@ SPOILED = (
 
 
 @pytest.mark.parametrize("name", SPOILED)
-def test_links_pipes_and_folders_in_the_place_of_files_are_lines_and_repair_touches_nothing_outside(store, name):
+def test_links_pipes_and_folders_in_the_place_of_files_are_lines_and_repair_touches_nothing_outside(
+    store, name
+):
     outside = store.folder.parent / "outside"
     outside.mkdir()
     record = lines(store)[0]
@@ -516,9 +599,13 @@ def test_links_pipes_and_folders_in_the_place_of_files_are_lines_and_repair_touc
     found = faults_of(store)
     assert found and all("\n" not in fault.text for fault in found)
     repair(store, found)
-    assert {path.name: path.read_bytes() for path in outside.iterdir()} == dict.fromkeys(names, b"mine")
+    assert {path.name: path.read_bytes() for path in outside.iterdir()} == dict.fromkeys(
+        names, b"mine"
+    )
     left = faults_of(store)
-    assert all(".npz: expected a stored light map, found no such file" in fault.text for fault in left), left
+    assert all(
+        ".npz: expected a stored light map, found no such file" in fault.text for fault in left
+    ), left
 
 
 def test_the_list_of_places_is_the_one_that_is_tested(store):
@@ -547,7 +634,10 @@ def test_a_picture_goes_with_its_record_and_geometry_with_the_last_that_names_it
     repair(store, list(Verification(store).in_records()))
     assert not (store.folder / first.image).exists() and (store.folder / first.geometry).exists()
     using = [k for k, record in enumerate(lines(store)) if record.geometry == first.geometry]
-    rewrite(store, lambda k, record: msgspec.structs.replace(record, samples=9) if k in using else record)
+    rewrite(
+        store,
+        lambda k, record: msgspec.structs.replace(record, samples=9) if k in using else record,
+    )
     repair(store, list(Verification(store).in_records()))
     assert not (store.folder / first.geometry).exists()
     assert texts(store) == []
@@ -625,7 +715,10 @@ def test_a_fault_is_one_line_whatever_names_it_holds():
     assert Fault("shape 'a\nb\0\x1b[2J\udc80'").text == r"shape 'a\nb\x00\x1b[2J\udc80'"
 
 
-@pytest.mark.parametrize("id_", ["../../x", "A" * 24, "0" * 23, "0" * 25, "0" * 24 + "\n", "0" * 23 + "g", "0" * 23 + "\0"])
+@pytest.mark.parametrize(
+    "id_",
+    ["../../x", "A" * 24, "0" * 23, "0" * 25, "0" * 24 + "\n", "0" * 23 + "g", "0" * 23 + "\0"],
+)
 def test_an_id_that_is_none_is_refused_where_it_is_read(store, id_):
     value = msgspec.to_builtins(lines(store)[0]) | {"id": id_}
     with pytest.raises(msgspec.ValidationError, match=r"\$\.id"):

@@ -1,7 +1,9 @@
-"""Small data sets that are whole and true to the contract, made without Cycles: ids, seeds, hashes, contents, orders.
+"""Small data sets that are whole and true to the contract, made without Cycles: ids, seeds, hashes,
+contents, orders.
 
-Shapes are spheres, parted into segments by longitude; pictures are shaded by the normal alone, with noise. Whatever the
-contract says of a data set holds for these, so that `verify` has nothing to say of them.
+Shapes are spheres, parted into segments by longitude; pictures are shaded by the normal alone, with
+noise. Whatever the contract says of a data set holds for these, so that `verify` has nothing to say
+of them.
 """
 
 import hashlib
@@ -11,7 +13,15 @@ import numpy as np
 
 from manifests import ids
 from manifests.arrays import Geometry, encode_geometry, encode_light, encode_picture, read_geometry
-from manifests.materials import Catalogue, Distance, Entry, Errors, MixtureData, encode, material_hash
+from manifests.materials import (
+    Catalogue,
+    Distance,
+    Entry,
+    Errors,
+    MixtureData,
+    encode,
+    material_hash,
+)
 from manifests.schema import (
     Camera,
     Dataset,
@@ -69,8 +79,12 @@ def geometry_of(camera: Camera, segments: int, radius: float = 0.99) -> Geometry
     """A sphere, its visible half parted into segments from left to right."""
     height, width = camera.size
     x, y = (axis * camera.half_extent for axis in frames.pixel_grid(height, width))
-    # a ray through the pixel meets the sphere; a perspective camera's frame spans 2 half_extent at the centre
-    origin, ray = np.stack([x, y, np.full_like(x, 2.0)], -1), np.broadcast_to([0.0, 0.0, -1.0], (height, width, 3))
+    # a ray through the pixel meets the sphere; a perspective camera's frame spans 2 half_extent at
+    # the centre
+    origin, ray = (
+        np.stack([x, y, np.full_like(x, 2.0)], -1),
+        np.broadcast_to([0.0, 0.0, -1.0], (height, width, 3)),
+    )
     if camera.fov_deg is not None:
         away = camera.half_extent / np.tan(np.radians(camera.fov_deg) / 2)
         origin, ray = np.array([0.0, 0.0, away]), np.stack([x, y, np.full_like(x, -away)], -1)
@@ -93,12 +107,20 @@ def write_dataset(folder, job: Job = JOB, segments: int = 1, seed: int = 0) -> S
     """
     store, rng = Store(folder), np.random.default_rng(seed)
     labels = [entry(name, -1.0 - 0.1 * k) for k, name in enumerate(job.materials)]
-    store.place("materials.json", encode(Catalogue(title="t", credit="c", materials=tuple(labels))), "t")
+    store.place(
+        "materials.json", encode(Catalogue(title="t", credit="c", materials=tuple(labels))), "t"
+    )
     hashes = {label.name: label.hash for label in labels}
     shapes = {}
     for name in job.shapes:
         role = role_of(name, "primitive", hash_of(name), job.split)
-        words = {"category": "primitive", "role": role, "side": SIDES[role], "segments": segments, "licence": "CC0"}
+        words = {
+            "category": "primitive",
+            "role": role,
+            "side": SIDES[role],
+            "segments": segments,
+            "licence": "CC0",
+        }
         shapes[name] = ShapeEntry(hash=hash_of(name), **words)
     lights = {name: _light(store, rng, name) for name in job.lights}
     files = {}
@@ -106,15 +128,28 @@ def write_dataset(folder, job: Job = JOB, segments: int = 1, seed: int = 0) -> S
     if job.pictures:
         combinations = list(product(shapes, [(name,) * segments for name in hashes], lights))
         for shape, names, light in combinations:
-            for record in _records(store, rng, job, files, shapes, hashes, lights, shape, names, light):
+            for record in _records(
+                store, rng, job, files, shapes, hashes, lights, shape, names, light
+            ):
                 records.append(record)
     else:
         for view in _views(store, job, files, shapes):
             records.append(view)
     records.close()
-    materials = {e.name: MaterialEntry(hash=e.hash, side=e.split, licence=e.licence, source=e.source) for e in labels}
-    orders = (Order(job=job, shots=sum(1 for _ in [*store.records(), *store.views()]), begun="2026-01-01T00:00:00+00:00"),)
-    dataset = Dataset(orders=orders, settings={RENDER: {}}, shapes=shapes, materials=materials, lights=lights)
+    materials = {
+        e.name: MaterialEntry(hash=e.hash, side=e.split, licence=e.licence, source=e.source)
+        for e in labels
+    }
+    orders = (
+        Order(
+            job=job,
+            shots=sum(1 for _ in [*store.records(), *store.views()]),
+            begun="2026-01-01T00:00:00+00:00",
+        ),
+    )
+    dataset = Dataset(
+        orders=orders, settings={RENDER: {}}, shapes=shapes, materials=materials, lights=lights
+    )
     store.write_json("dataset.json", dataset)
     return store
 
@@ -124,7 +159,13 @@ def _light(store, rng, name):
     L, scale = envmap.unit_mean(np.exp(0.5 * rng.standard_normal((64, 128, 3))))
     file = light_path(name, hash_of(name))
     digest = store.place(file, encode_light(L, scale), "t")
-    words = {"hash": hash_of(name), "file": file, "file_hash": digest, "scale": scale, "licence": "CC0"}
+    words = {
+        "hash": hash_of(name),
+        "file": file,
+        "file_hash": digest,
+        "scale": scale,
+        "licence": "CC0",
+    }
     return LightEntry(**words, side=light_side(hash_of(name)))
 
 
@@ -132,9 +173,15 @@ def _geometry(store, job, files, shapes, shape, view):
     """(path, hash, Geometry) of a shape's view, the file put in place once."""
     id_ = ids.geometry_id(shapes[shape].hash, ids.camera_words(job.camera), view, RENDER)
     if id_ not in files:
-        seen = geometry_of(job.camera, shapes[shape].segments, 0.99 - 0.02 * len(files))  # no two alike
+        # no two alike
+        seen = geometry_of(job.camera, shapes[shape].segments, 0.99 - 0.02 * len(files))
         digest = store.place(geometry_path(id_), encode_geometry(seen), "t")
-        files[id_] = id_, geometry_path(id_), digest, read_geometry(store.folder / geometry_path(id_))
+        files[id_] = (
+            id_,
+            geometry_path(id_),
+            digest,
+            read_geometry(store.folder / geometry_path(id_)),
+        )
     return files[id_]
 
 
@@ -144,7 +191,9 @@ def _records(store, rng, job, files, shapes, hashes, lights, shape, names, light
     key = ids.combination_key(shapes[shape].hash, material_hashes, lights[light].hash, 0)
     word, views, turns = ids.draws(job, key)
     camera = ids.camera_words(job.camera)
-    shared = ids.shots_digest(RENDER, shapes[shape].hash, material_hashes, lights[light].hash, camera, job.samples)
+    shared = ids.shots_digest(
+        RENDER, shapes[shape].hash, material_hashes, lights[light].hash, camera, job.samples
+    )
     for view, rotations in zip(views, turns, strict=True):
         _, path, digest, geometry = _geometry(store, job, files, shapes, shape, view)
         mask = geometry.mask
@@ -152,7 +201,11 @@ def _records(store, rng, job, files, shapes, hashes, lights, shape, names, light
             seed = ids.shot_seed(word, ids.shot_place(view, *place))
             id_ = ids.shot_id(shared, view, *place[:3], seed)
             level = 0.2 + 0.5 * rng.random(3)
-            radiance = np.clip(geometry.normals[..., 2:] * level * rng.lognormal(0, 0.1, (*mask.shape, 3)), 1e-3, None)
+            radiance = np.clip(
+                geometry.normals[..., 2:] * level * rng.lognormal(0, 0.1, (*mask.shape, 3)),
+                1e-3,
+                None,
+            )
             radiance = (radiance * mask[..., None]).astype(np.float32)
             inside = radiance[mask]
             yield Record(

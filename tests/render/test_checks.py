@@ -19,7 +19,12 @@ def geometry():
     mask[8:24, 8:24] = True
     normals = np.zeros((32, 32, 3), np.float32)
     normals[mask] = [0.0, 0.6, 0.8]
-    return SimpleNamespace(normals=normals, mask=mask, depth=np.zeros((32, 32), np.float32), segments=mask.astype(np.uint8))
+    return SimpleNamespace(
+        normals=normals,
+        mask=mask,
+        depth=np.zeros((32, 32), np.float32),
+        segments=mask.astype(np.uint8),
+    )
 
 
 def test_a_good_shot_passes(picture, geometry):
@@ -31,7 +36,10 @@ def test_a_black_picture_passes():
     assert checks.picture(np.zeros((8, 8, 3), np.float32)) == []
 
 
-@pytest.mark.parametrize(("value", "found"), [(np.nan, "1 other values"), (np.inf, "1 other values"), (-0.1, "found -0.1")])
+@pytest.mark.parametrize(
+    ("value", "found"),
+    [(np.nan, "1 other values"), (np.inf, "1 other values"), (-0.1, "found -0.1")],
+)
 def test_values_that_no_light_has_are_found(picture, value, found):
     picture[3, 4, 1] = value
     (line,) = checks.picture(picture)

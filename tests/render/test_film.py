@@ -1,4 +1,6 @@
-"""Pixels read from Cycles' own result are those that Blender would write, and a window shows what the whole frame shows."""
+"""Pixels read from Cycles' own result are those that Blender would write, and a window shows what
+the whole frame shows.
+"""
 
 import numpy as np
 import OpenEXR
@@ -31,13 +33,18 @@ def test_pixels_equal_blenders_own_file_bit_for_bit(chair, tmp_path):
     chair.set_camera(Camera(size=(40, 56)))
     chair.picture(2, 3)
     scene = chair._scene
-    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = (
+        "OPEN_EXR",
+        "32",
+    )
     scene.render.image_settings.color_mode = "RGBA"
     scene.render.filepath = str(tmp_path / "blender.exr")
     with silenced(1):
         bpy.ops.render.render(scene=scene.name, write_still=True)
     with OpenEXR.File(str(tmp_path / "blender.exr")) as file:
-        np.testing.assert_array_equal(render_result._passes["Combined"], file.channels()["RGBA"].pixels)
+        np.testing.assert_array_equal(
+            render_result._passes["Combined"], file.channels()["RGBA"].pixels
+        )
 
 
 @pytest.mark.parametrize("fov_deg", [None, 50.0])
@@ -50,7 +57,10 @@ def test_a_window_shows_the_pixels_of_the_whole_frame_noise_and_all(chair, fov_d
     mask = chair.geometry().mask
     top, bottom, left, right = window.around(chair._vertices, 1.0, chair._lens)
     assert (bottom - top) * (right - left) < 40 * 56  # a window indeed
-    for way, wanted in (("picture", np.concatenate([radiance, alpha[..., None]], axis=-1)), ("geometry", mask)):
+    for way, wanted in (
+        ("picture", np.concatenate([radiance, alpha[..., None]], axis=-1)),
+        ("geometry", mask),
+    ):
         chair._show(way)
         chair._scene.cycles.samples = 2 if way == "picture" else 1
         chair._scene.cycles.seed = 3
@@ -84,7 +94,8 @@ def test_a_pixel_is_its_squares_mean_or_its_centres_point_as_the_camera_says(cha
     assert mixed > 50  # the outline of a chair crosses more pixels than that
     chair.set_camera(Camera(size=(48, 48), pixel="centre"))
     _, point = chair.picture(16, 3)
-    partial = (point > 0.01) & (point < 0.99)  # an edge through the very centre still splits the .01 px of the filter
+    # an edge through the very centre still splits the .01 px of the filter
+    partial = (point > 0.01) & (point < 0.99)
     assert partial.sum() <= 0.05 * mixed
     disagree = (point > 0.5) != chair.geometry().mask
     assert (disagree & ~partial).sum() == 0
@@ -94,14 +105,17 @@ def test_a_pixel_is_its_squares_mean_or_its_centres_point_as_the_camera_says(cha
 
 
 def test_a_camera_within_the_object_sees_the_whole_frame():
-    """A corner behind the camera falls on a place of its own in the frame, and what leads there may cross all of it."""
+    """A corner behind the camera falls on a place of its own in the frame, and what leads there may
+    cross all of it.
+    """
     from factory.render import camera, window
     from manifests.schema import Camera
 
     lens = Camera(size=(40, 56), fov_deg=120.0)
     away = camera.distance(lens)
     assert away < 1
-    seen = np.array([(-0.1, -0.2, -0.5), (0.1, -0.2, -0.5), (0.0, -0.05, away + 0.2)])  # right, up, towards the camera
+    # right, up, towards the camera
+    seen = np.array([(-0.1, -0.2, -0.5), (0.1, -0.2, -0.5), (0.0, -0.05, away + 0.2)])
     vertices = seen @ camera.camera_from_fixed_world(lens)
     assert window.around(vertices, 0.0, lens) == (0, 40, 0, 56)
     top, bottom, left, right = window.around(vertices[[0, 1, 0]], 0.0, lens)

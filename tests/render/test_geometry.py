@@ -14,25 +14,34 @@ def test_normals_of_a_sphere_are_its_analytic_ones(studio):
     figures = closed_forms.geometry(studio, size=96, level=6)
     assert figures["max_deg"] <= 0.1
     assert figures["length_error"] <= 1e-3
-    assert figures["mask_pixels"] <= 2  # pixels whose centre lies within the mesh's sagitta of the silhouette
+    # pixels whose centre lies within the mesh's sagitta of the silhouette
+    assert figures["mask_pixels"] <= 2
     assert figures["depth_error"] <= 1e-3
 
 
 def test_given_corner_normals_come_back_to_float_precision(studio):
-    """A flat disc whose corner normals lean by 30°: what is seen is the given normal, not the face's."""
+    """A flat disc whose corner normals lean by 30°: what is seen is the given normal, not the
+    face's.
+    """
     from factory.render.camera import camera_from_fixed_world
     from factory.shapes.primitives import disc
     from manifests.schema import Camera
 
     mesh = disc()
     leaning = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6), 0.0])
-    given = dataclasses.replace(mesh, corner_normals=np.broadcast_to(leaning.astype(np.float32), mesh.corner_normals.shape).copy())
+    given = dataclasses.replace(
+        mesh,
+        corner_normals=np.broadcast_to(
+            leaning.astype(np.float32), mesh.corner_normals.shape
+        ).copy(),
+    )
     studio.set_camera(Camera(size=(32, 32)))
     studio.set_shape(given)
     studio.set_view(0.0)
     shot = studio.geometry()
     wanted = camera_from_fixed_world(Camera()) @ leaning
-    assert np.abs(shot.normals[shot.mask] - wanted).max() < 1e-6  # Blender's split normals would be 5e-5 off
+    # Blender's split normals would be 5e-5 off
+    assert np.abs(shot.normals[shot.mask] - wanted).max() < 1e-6
 
 
 def test_a_sharp_edge_keeps_both_its_normals(studio):
@@ -47,7 +56,9 @@ def test_a_sharp_edge_keeps_both_its_normals(studio):
 
 
 def test_segments_are_those_of_the_faces_seen(studio):
-    """The upper half of a sphere is segment 2: seen from above the horizon, pixels whose world z is above 0 are."""
+    """The upper half of a sphere is segment 2: seen from above the horizon, pixels whose world z is
+    above 0 are.
+    """
     from factory.render.camera import camera_from_fixed_world
     from factory.render.validation import reference
     from factory.shapes.primitives import sphere
@@ -61,22 +72,29 @@ def test_segments_are_those_of_the_faces_seen(studio):
     studio.set_view(2.0)
     shot = studio.geometry()
     spots = reference.pixel_spots(64, 1.02)
-    z = (reference.sphere_normals(spots.reshape(-1, 2)) @ camera_from_fixed_world(Camera()))[:, 2].reshape(64, 64)
+    z = (reference.sphere_normals(spots.reshape(-1, 2)) @ camera_from_fixed_world(Camera()))[
+        :, 2
+    ].reshape(64, 64)
     clear = shot.mask & (np.abs(z) > 0.06)  # a face's height
     assert ((shot.segments == 2) == (z > 0))[clear].all()
     assert set(np.unique(shot.segments)) == {0, 1, 2}
 
 
 def test_turning_the_object_is_the_view_from_that_azimuth(studio):
-    """A small ball at the object's front-left (x, y > 0): from azimuth 45° it is in front, from −45° on the right."""
+    """A small ball at the object's front-left (x, y > 0): from azimuth 45° it is in front, from
+    −45° on the right.
+    """
     from factory.shapes.mesh import finish
     from factory.shapes.primitives import icosphere
     from manifests.schema import Camera
 
     vertices, faces = icosphere(3)
     small = 0.2 * vertices + np.array([0.7, 0.7, 0.0]) * 0.8
-    far = 0.01 * vertices - np.array([0.7, 0.7, 0.0])  # keeps the enclosing sphere's centre near the origin
-    mesh = finish("two balls", "primitive", np.vstack([small, far]), np.vstack([faces, faces + len(vertices)]))
+    # keeps the enclosing sphere's centre near the origin
+    far = 0.01 * vertices - np.array([0.7, 0.7, 0.0])
+    mesh = finish(
+        "two balls", "primitive", np.vstack([small, far]), np.vstack([faces, faces + len(vertices)])
+    )
     studio.set_camera(Camera(size=(64, 64)))
     studio.set_shape(mesh)
     columns = {}
@@ -85,7 +103,8 @@ def test_turning_the_object_is_the_view_from_that_azimuth(studio):
         shot = studio.geometry()
         columns[degrees] = np.nonzero(shot.mask)[1].mean()
     assert abs(columns[45] - 31.5) < 4
-    assert columns[-45] > 45  # the camera's right is world (s, −c): at −45° the point (1, 1) lies on it
+    # the camera's right is world (s, −c): at −45° the point (1, 1) lies on it
+    assert columns[-45] > 45
     assert columns[135] < 18
 
 

@@ -1,4 +1,6 @@
-"""Settings are refused where Blender would accept them in silence, and written down as Blender holds them."""
+"""Settings are refused where Blender would accept them in silence, and written down as Blender
+holds them.
+"""
 
 import json
 
@@ -49,5 +51,7 @@ def test_an_unknown_device_and_a_missing_gpu_are_one_line_each(studio):
 
     with pytest.raises(InputError, match="--device: expected one of auto, cpu"):
         device.choose("gpu")
-    with pytest.raises(InputError, match="expected a GPU that Cycles can use through metal, found none"):
+    with pytest.raises(
+        InputError, match="expected a GPU that Cycles can use through metal, found none"
+    ):
         device.choose("metal")  # no Linux build has it

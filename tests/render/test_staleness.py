@@ -1,4 +1,6 @@
-"""With persistent data Cycles may keep what was; each change must show, and a shot must not depend on the shots before it."""
+"""With persistent data Cycles may keep what was; each change must show, and a shot must not depend
+on the shots before it.
+"""
 
 import numpy as np
 import pytest
@@ -32,7 +34,9 @@ def test_the_same_shot_is_the_same_picture(shown):
     assert _apart(shown.render(4, 1), shown.render(4, 1)) < REPEAT
 
 
-@pytest.mark.parametrize("change", ["seed", "samples", "tier", "view", "material", "light", "rotation", "camera"])
+@pytest.mark.parametrize(
+    "change", ["seed", "samples", "tier", "view", "material", "light", "rotation", "camera"]
+)
 def test_each_change_shows_and_undoing_it_brings_the_picture_back(shown, change):
     """Noise alone changes by .1–.2 at 4 samples; light, view and material by more."""
     from factory.render.validation import reference
@@ -42,7 +46,9 @@ def test_each_change_shows_and_undoing_it_brings_the_picture_back(shown, change)
     light, lambert = reference.soft_light(), Mixture.lambert([0.6, 0.5, 0.4])
     before = shown.render(4, 1, "direct")
     shot = {"samples": 4, "seed": 1, "tier": "direct"}
-    changed = {"seed": {"seed": 2}, "samples": {"samples": 5}, "tier": {"tier": "shadow"}}.get(change, {})
+    changed = {"seed": {"seed": 2}, "samples": {"samples": 5}, "tier": {"tier": "shadow"}}.get(
+        change, {}
+    )
     do, undo = {
         "view": (lambda: shown.set_view(1.4), lambda: shown.set_view(0.4)),
         "material": (
@@ -51,7 +57,10 @@ def test_each_change_shows_and_undoing_it_brings_the_picture_back(shown, change)
         ),
         "light": (lambda: shown.set_light(light[::-1], 3), lambda: shown.set_light(light, 3)),
         "rotation": (lambda: shown.set_light(light, 40), lambda: shown.set_light(light, 3)),
-        "camera": (lambda: shown.set_camera(Camera(size=(32, 32), half_extent=1.3)), lambda: shown.set_camera(Camera(size=(32, 32)))),
+        "camera": (
+            lambda: shown.set_camera(Camera(size=(32, 32), half_extent=1.3)),
+            lambda: shown.set_camera(Camera(size=(32, 32))),
+        ),
     }.get(change, (lambda: None, lambda: None))
     do()
     during = shown.render(**shot | changed)
@@ -61,7 +70,9 @@ def test_each_change_shows_and_undoing_it_brings_the_picture_back(shown, change)
 
 
 def test_a_seed_is_noticed_though_nothing_else_has_changed(shown):
-    """Cycles' own properties tag nothing: without a tag of ours persistent data gives the first seed's noise for ever."""
+    """Cycles' own properties tag nothing: without a tag of ours persistent data gives the first
+    seed's noise for ever.
+    """
     from factory.render import render_result
 
     shown.render(4, 1)
@@ -93,7 +104,8 @@ def test_shadow_darkens_and_interreflection_brightens(shown):
     shown.set_materials([Mixture.lambert([0.6, 0.5, 0.4])])
     mean = {tier: shown.render(64, 1, tier).mean() for tier in ("direct", "shadow", "full")}
     assert mean["shadow"] < 0.97 * mean["direct"]  # a torus shades its own hole
-    assert mean["shadow"] * 1.01 < mean["full"] < mean["direct"]  # albedo .5: what comes back is less than what was cut off
+    # albedo .5: what comes back is less than what was cut off
+    assert mean["shadow"] * 1.01 < mean["full"] < mean["direct"]
 
 
 def test_the_canary_finds_a_light_that_cycles_did_not_notice(shown):
@@ -120,12 +132,16 @@ def test_the_canary_finds_a_lost_light(shown):
     texture.image = None  # to Cycles the same as a file that is not there
     with pytest.raises(RuntimeError, match="expected the map that was set"):
         canary.check(shown._scene, reference.soft_light(), nearest=True)
-    assert checks.picture(shown.render(1, 0)) == ["expected the light's colours, found magenta: Cycles has no light map"]
+    assert checks.picture(shown.render(1, 0)) == [
+        "expected the light's colours, found magenta: Cycles has no light map"
+    ]
     shown.set_light(reference.soft_light(), 3)
 
 
 def test_a_whole_map_of_any_width_is_seen_as_its_64x128_average_is(shown):
-    """Full resolution and 64×128 are one light: of a soft map the pictures differ by noise and by a texel's width."""
+    """Full resolution and 64×128 are one light: of a soft map the pictures differ by noise and by a
+    texel's width.
+    """
     from factory.render.validation import reference
 
     shown.set_light(reference.soft_light(128, 256), 17, "full")
@@ -140,6 +156,17 @@ def test_memory_stays_flat_over_meshes(tmp_path, root):
     import subprocess
     import sys
 
-    command = [sys.executable, "-m", "factory.render.validation.benchmark", "memory", "--meshes", "40", "--threads", "1"]
-    found = json.loads(subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout)["figures"]
+    command = [
+        sys.executable,
+        "-m",
+        "factory.render.validation.benchmark",
+        "memory",
+        "--meshes",
+        "40",
+        "--threads",
+        "1",
+    ]
+    found = json.loads(
+        subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
+    )["figures"]
     assert found["growth"] <= 0.03  # with persistent data never dropped it is over .1

@@ -1,4 +1,6 @@
-"""One formula, two libraries: what runs in numpy runs in torch, with the same values and with gradients."""
+"""One formula, two libraries: what runs in numpy runs in torch, with the same values and with
+gradients.
+"""
 
 import ast
 import subprocess
@@ -9,7 +11,19 @@ import pytest
 
 from shaders import arrays, dsbrdf, spline, tone
 
-SINCE_NUMPY_2 = {"concat", "acos", "asin", "atan", "atan2", "pow", "astype", "permute_dims", "matrix_transpose", "vecdot", "unstack"}
+SINCE_NUMPY_2 = {
+    "concat",
+    "acos",
+    "asin",
+    "atan",
+    "atan2",
+    "pow",
+    "astype",
+    "permute_dims",
+    "matrix_transpose",
+    "vecdot",
+    "unstack",
+}
 
 
 def test_numpy_arrays_and_plain_numbers_run_in_numpy():
@@ -43,7 +57,10 @@ def test_every_name_taken_from_either_library_exists_in_both_and_in_numpy_1_and_
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
                 library, name = node.value.id, node.attr
-                known = {"xp": hasattr(np, name) and hasattr(torch, name), "np": name not in SINCE_NUMPY_2}.get(library, True)
+                known = {
+                    "xp": hasattr(np, name) and hasattr(torch, name),
+                    "np": name not in SINCE_NUMPY_2,
+                }.get(library, True)
                 if not known:
                     missing.append(f"{path.name}:{node.lineno}: {library}.{name}")
     assert not missing
@@ -56,7 +73,9 @@ def half_space(rng):
 
 
 def formulas(rng, half_space):
-    """(name, function of one array, that array) for every formula that both libraries must share."""
+    """(name, function of one array, that array) for every formula that both libraries must
+    share.
+    """
     cos_h, theta_d = half_space
     w = rng.normal(size=(40, 3))
     w /= np.linalg.norm(w, axis=-1, keepdims=True)
@@ -64,8 +83,16 @@ def formulas(rng, half_space):
     return [
         ("spline basis", spline.basis, theta_d),
         ("label", lambda m: dsbrdf.evaluate(m, arrays.like(cos_h, m), arrays.like(theta_d, m)), m),
-        ("half vector", lambda w: dsbrdf.half_angles(w, arrays.like([0.0, 0.0, 1.0], w) + 0 * w)[0], w),
-        ("difference angle", lambda w: dsbrdf.half_angles(w, arrays.like([0.0, 0.0, 1.0], w) + 0 * w)[1], w),
+        (
+            "half vector",
+            lambda w: dsbrdf.half_angles(w, arrays.like([0.0, 0.0, 1.0], w) + 0 * w)[0],
+            w,
+        ),
+        (
+            "difference angle",
+            lambda w: dsbrdf.half_angles(w, arrays.like([0.0, 0.0, 1.0], w) + 0 * w)[1],
+            w,
+        ),
         ("sRGB curve", tone.srgb, rng.uniform(-0.2, 1.2, 40)),
     ]
 
@@ -76,6 +103,8 @@ def test_torch_gives_numpys_values_and_finite_gradients(rng, half_space):
         tensor = torch.tensor(x, dtype=torch.float64, requires_grad=True)
         result = formula(tensor)
         # the same double-precision operations in another order of summation: a few units of 2e-16
-        np.testing.assert_allclose(result.detach().numpy(), formula(x), rtol=1e-12, atol=1e-14, err_msg=name)
+        np.testing.assert_allclose(
+            result.detach().numpy(), formula(x), rtol=1e-12, atol=1e-14, err_msg=name
+        )
         result.sum().backward()
         assert torch.isfinite(tensor.grad).all(), name

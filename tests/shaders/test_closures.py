@@ -1,4 +1,6 @@
-"""Claims of shaders.closures: normalised distributions, reciprocity, tilts that are plain vector geometry, torch passing through."""
+"""Claims of shaders.closures: normalised distributions, reciprocity, tilts that are plain vector
+geometry, torch passing through.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +21,12 @@ def directions(rng, count=200):
 def cosines(n, w_i, w_o):
     h = w_i + w_o
     h /= np.linalg.norm(h, axis=-1, keepdims=True)
-    return w_i @ n if n.ndim == 1 else (w_i * n).sum(-1), (w_o * n).sum(-1), (h * n).sum(-1), (h * w_o).sum(-1)
+    return (
+        w_i @ n if n.ndim == 1 else (w_i * n).sum(-1),
+        (w_o * n).sum(-1),
+        (h * n).sum(-1),
+        (h * w_o).sum(-1),
+    )
 
 
 def polar_integral(values, theta):
@@ -33,8 +40,11 @@ def polar_integral(values, theta):
 def test_the_distribution_of_projected_microfacets_integrates_to_one(kind, alpha):
     theta = np.pi / 2 * np.linspace(1e-4, 1, 200_001) ** 2
     cos_h = np.maximum(np.cos(theta), 1e-9)
-    distribution = 4 * closures.CLOSURES[kind](alpha, np.ones_like(cos_h), 1.0, cos_h, 1e-4 * np.ones_like(cos_h))
-    # light and view at the normal have no shadowing, so 4 f = D; 1e-4: trapezoids on 2e5 intervals, and what lies below 1e-8 rad
+    distribution = 4 * closures.CLOSURES[kind](
+        alpha, np.ones_like(cos_h), 1.0, cos_h, 1e-4 * np.ones_like(cos_h)
+    )
+    # light and view at the normal have no shadowing, so 4 f = D; 1e-4: trapezoids on 2e5 intervals,
+    # and what lies below 1e-8 rad
     assert polar_integral(distribution * cos_h, theta) == pytest.approx(1, abs=1e-4)
 
 
@@ -42,7 +52,9 @@ def test_the_distribution_of_projected_microfacets_integrates_to_one(kind, alpha
 def test_ashikhmin_shirleys_half_vector_density_integrates_to_one(alpha):
     theta = np.pi / 2 * np.linspace(1e-4, 1, 200_001) ** 2
     cos_h = np.maximum(np.cos(theta), 1e-9)
-    density = 4 * closures.ashikhmin_shirley(alpha, np.ones_like(cos_h), 1.0, cos_h, np.ones_like(cos_h))
+    density = 4 * closures.ashikhmin_shirley(
+        alpha, np.ones_like(cos_h), 1.0, cos_h, np.ones_like(cos_h)
+    )
     assert polar_integral(density, theta) == pytest.approx(1, abs=1e-4)
 
 
@@ -70,14 +82,20 @@ def test_tilted_cosines_are_those_of_the_tilted_vector(tilt, rng):
 def test_a_tilt_of_nothing_changes_nothing(rng):
     c = cosines(*directions(rng))
     for kind in closures.CLOSURES:
-        np.testing.assert_allclose(closures.evaluate(kind, 0.3, 0.0, *c), closures.CLOSURES[kind](0.3, *c), rtol=1e-12)
+        np.testing.assert_allclose(
+            closures.evaluate(kind, 0.3, 0.0, *c), closures.CLOSURES[kind](0.3, *c), rtol=1e-12
+        )
 
 
 def test_a_tilted_matte_surface_reflects_by_its_own_cosine(rng):
     n, w_i, w_o = directions(rng)
     c = cosines(n, w_i, w_o)
     cos_tilted, _, _, seen = closures.tilted(0.4, *c)
-    np.testing.assert_allclose((closures.evaluate("diffuse", 1.0, 0.4, *c) * c[0])[seen], (cos_tilted / np.pi)[seen], rtol=1e-12)
+    np.testing.assert_allclose(
+        (closures.evaluate("diffuse", 1.0, 0.4, *c) * c[0])[seen],
+        (cos_tilted / np.pi)[seen],
+        rtol=1e-12,
+    )
 
 
 def test_light_behind_the_tilted_normal_gives_nothing():
@@ -92,5 +110,10 @@ def test_torch_gives_the_same_numbers(kind, rng):
     torch = pytest.importorskip("torch")
     c = cosines(*directions(rng))
     expected = closures.evaluate(kind, 0.2, 0.3, *c)
-    found = closures.evaluate(kind, torch.tensor(0.2, dtype=torch.float64), torch.tensor(0.3, dtype=torch.float64), *map(torch.tensor, c))
+    found = closures.evaluate(
+        kind,
+        torch.tensor(0.2, dtype=torch.float64),
+        torch.tensor(0.3, dtype=torch.float64),
+        *map(torch.tensor, c),
+    )
     np.testing.assert_allclose(found.numpy(), expected, rtol=1e-12)

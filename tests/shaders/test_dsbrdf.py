@@ -35,14 +35,22 @@ def test_the_formula_is_the_sum_of_three_exponential_lobes():
 
 def test_flat_and_shaped_labels_give_the_same_values(rng):
     m, c, theta_d = rng.uniform(0.1, 2, dsbrdf.SHAPE), rng.uniform(0, 1, 9), rng.uniform(0, 1.5, 9)
-    np.testing.assert_array_equal(dsbrdf.evaluate(m.ravel(), c, theta_d), dsbrdf.evaluate(m, c, theta_d))
+    np.testing.assert_array_equal(
+        dsbrdf.evaluate(m.ravel(), c, theta_d), dsbrdf.evaluate(m, c, theta_d)
+    )
 
 
 def test_control_values_act_where_their_angle_is(rng):
-    """κ rises from 0 at normal incidence to 2 at grazing: the BRDF is 0 at θ_d = 0 and e² − 1 at π/2, h = n."""
+    """κ rises from 0 at normal incidence to 2 at grazing: the BRDF is 0 at θ_d = 0 and e² − 1 at
+    π/2, h = n.
+    """
     m = constant_material([0, 0, 0], [1, 1, 1])
     m[:, 1, 0] = np.linspace(0, 2, 6)
-    np.testing.assert_allclose(dsbrdf.evaluate(m, np.ones(2), np.array([0, np.pi / 2]))[:, 0], [0, np.expm1(2.0)], rtol=1e-14)
+    np.testing.assert_allclose(
+        dsbrdf.evaluate(m, np.ones(2), np.array([0, np.pi / 2]))[:, 0],
+        [0, np.expm1(2.0)],
+        rtol=1e-14,
+    )
 
 
 def test_light_and_viewer_may_change_places(rng):
@@ -95,7 +103,11 @@ def test_half_vectors_at_or_behind_the_horizon_reflect_nothing():
 def test_no_kappa_overflows_and_no_gamma_leaves_a_nan():
     for kappa in (0.0, 30.0, 1e4):
         for gamma in (1e-3, 1.0, 1e5):
-            f = dsbrdf.evaluate(constant_material([kappa] * 3, [gamma] * 3), np.array([1e-12, 0.5, 1 - 1e-9, 1.0]), np.zeros(4))
+            f = dsbrdf.evaluate(
+                constant_material([kappa] * 3, [gamma] * 3),
+                np.array([1e-12, 0.5, 1 - 1e-9, 1.0]),
+                np.zeros(4),
+            )
             assert np.isfinite(f).all() and (f >= 0).all()
 
 

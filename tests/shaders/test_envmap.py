@@ -1,4 +1,6 @@
-"""Environment maps: the sphere is covered once, turning is turning, and no size of map gains or loses light."""
+"""Environment maps: the sphere is covered once, turning is turning, and no size of map gains or
+loses light.
+"""
 
 import numpy as np
 import pytest
@@ -59,7 +61,9 @@ def irradiance(L, n):
 def test_irradiance_of_a_constant_light_is_pi(rng):
     for n in rng.normal(size=(5, 3)):
         # texel centres at the cosine's edge: error falls with the square of the texel, π/64
-        np.testing.assert_allclose(irradiance(np.ones((64, 128, 3)), n / np.linalg.norm(n)), np.pi, rtol=1e-3)
+        np.testing.assert_allclose(
+            irradiance(np.ones((64, 128, 3)), n / np.linalg.norm(n)), np.pi, rtol=1e-3
+        )
 
 
 @pytest.mark.parametrize("texels", [1, 17, 128, -5])
@@ -69,7 +73,9 @@ def test_rolling_the_map_is_turning_the_light(rng, texels):
     angle = 2 * np.pi * texels / 128  # φ grows from +x to +z
     c, s = np.cos(angle), np.sin(angle)
     n_turned = np.array([c * n[0] - s * n[2], n[1], s * n[0] + c * n[2]])
-    np.testing.assert_allclose(irradiance(envmap.roll(L, texels), n_turned), irradiance(L, n), rtol=1e-12)
+    np.testing.assert_allclose(
+        irradiance(envmap.roll(L, texels), n_turned), irradiance(L, n), rtol=1e-12
+    )
 
 
 def test_rolling_a_tensor_is_rolling_the_array(rng):
@@ -81,11 +87,15 @@ def test_rolling_a_tensor_is_rolling_the_array(rng):
 @pytest.mark.parametrize("target", [(64, 128), (32, 64), (50, 33), (200, 512), (1, 1)])
 def test_resizing_keeps_the_mean_radiance(rng, target):
     L = rng.lognormal(0, 3, (90, 180, 3))
-    np.testing.assert_allclose(envmap.mean_radiance(envmap.resize(L, *target)), envmap.mean_radiance(L), rtol=1e-12)
+    np.testing.assert_allclose(
+        envmap.mean_radiance(envmap.resize(L, *target)), envmap.mean_radiance(L), rtol=1e-12
+    )
 
 
 def test_resizing_keeps_the_energy_of_each_region(rng):
-    """A texel of the small map holds the light of exactly the texels that lie in it, one bright lamp included."""
+    """A texel of the small map holds the light of exactly the texels that lie in it, one bright
+    lamp included.
+    """
     L = rng.lognormal(0, 3, (256, 512, 3))
     solid_angle = envmap.directions(256, 512)[1][..., None]
     energy = (L * solid_angle).reshape(64, 4, 128, 4, 3).sum((1, 3))

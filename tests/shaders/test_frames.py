@@ -1,4 +1,6 @@
-"""World, light and camera frames: where the camera stands, what is up, and that turning the light is rolling its map."""
+"""World, light and camera frames: where the camera stands, what is up, and that turning the light
+is rolling its map.
+"""
 
 import numpy as np
 import pytest
@@ -9,13 +11,25 @@ AZIMUTHS = np.radians([0.0, 15.0, 90.0, 200.0, 345.0])
 
 
 def towards_camera(azimuth, elevation):
-    """Unit vector from the object to the camera, world frame, written from the words of shaders.frames."""
-    return np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+    """Unit vector from the object to the camera, world frame, written from the words of
+    shaders.frames.
+    """
+    return np.array(
+        [
+            np.cos(azimuth) * np.cos(elevation),
+            np.sin(azimuth) * np.cos(elevation),
+            np.sin(elevation),
+        ]
+    )
 
 
 @pytest.mark.parametrize("azimuth", AZIMUTHS)
 def test_frames_are_rotations(azimuth):
-    for R in (frames.world_from_light(azimuth), frames.camera_from_light(), frames.camera_from_world(azimuth, 0.7)):
+    for R in (
+        frames.world_from_light(azimuth),
+        frames.camera_from_light(),
+        frames.camera_from_world(azimuth, 0.7),
+    ):
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
         assert np.linalg.det(R) == pytest.approx(1.0)
 
@@ -30,7 +44,9 @@ def test_the_cameras_z_axis_leads_from_the_object_to_the_camera(azimuth, elevati
 @pytest.mark.parametrize("azimuth", AZIMUTHS)
 def test_world_up_is_upright_in_the_picture_and_leans_towards_a_camera_above(azimuth):
     up = frames.camera_from_world(azimuth, frames.ELEVATION) @ [0, 0, 1]
-    np.testing.assert_allclose(up, [0, np.cos(frames.ELEVATION), np.sin(frames.ELEVATION)], atol=1e-15)
+    np.testing.assert_allclose(
+        up, [0, np.cos(frames.ELEVATION), np.sin(frames.ELEVATION)], atol=1e-15
+    )
 
 
 def test_seen_from_the_front_the_objects_left_side_is_on_the_pictures_right():
@@ -50,7 +66,9 @@ def test_camera_from_light_is_the_same_at_every_azimuth():
 
 @pytest.mark.parametrize("texels", [0, 1, 5, 64, 127])
 def test_turning_the_camera_by_whole_texels_rolls_the_map_it_sees(texels):
-    """A light that stands still in the world is seen, from azimuth t·2π/W, as the stored map rolled by t columns."""
+    """A light that stands still in the world is seen, from azimuth t·2π/W, as the stored map rolled
+    by t columns.
+    """
     height, width, row, column = 64, 128, 22, 100
     w_stored = envmap.directions(height, width)[0][row, column]
     w_world = frames.world_from_light(0.0) @ w_stored
@@ -62,10 +80,15 @@ def test_turning_the_camera_by_whole_texels_rolls_the_map_it_sees(texels):
 
 
 def test_one_lit_texel_towards_the_viewer_on_the_horizon_shines_from_below_the_view_axis():
-    """φ = π/2 is towards the viewer; a camera 20° above the horizon sees that light 20° below its own axis."""
-    w = envmap.directions(2000, 4000)[0][1000, 1000]  # half a texel, 0.05°, from the horizon and from φ = π/2
+    """φ = π/2 is towards the viewer; a camera 20° above the horizon sees that light 20° below its
+    own axis.
+    """
+    # half a texel, 0.05°, from the horizon and from φ = π/2
+    w = envmap.directions(2000, 4000)[0][1000, 1000]
     e = frames.ELEVATION
-    np.testing.assert_allclose(frames.camera_from_light() @ w, [0, -np.sin(e), np.cos(e)], atol=2e-3)
+    np.testing.assert_allclose(
+        frames.camera_from_light() @ w, [0, -np.sin(e), np.cos(e)], atol=2e-3
+    )
 
 
 def test_pixel_grid_is_centred_square_and_spans_the_longer_side():
@@ -81,7 +104,9 @@ def test_orthographic_view_is_straight_ahead_everywhere():
 
 
 def test_perspective_views_meet_in_one_point():
-    """Every pixel's vector leads from its place on the plane through the focus to one camera at distance 1/tan(fov/2)."""
+    """Every pixel's vector leads from its place on the plane through the focus to one camera at
+    distance 1/tan(fov/2).
+    """
     fov = np.radians(35.0)
     x, y = frames.pixel_grid(24, 32)
     camera = np.array([0, 0, 1 / np.tan(fov / 2)])

@@ -1,4 +1,6 @@
-"""Claims of shaders.nodes: the graph, carried out node by node, is the mixture; it is no larger than needed; Blender has its sockets."""
+"""Claims of shaders.nodes: the graph, carried out node by node, is the mixture; it is no larger
+than needed; Blender has its sockets.
+"""
 
 import importlib.util
 import subprocess
@@ -17,11 +19,19 @@ def a_mixture(rng):
     shape = len(STOPS), 4
     weights = rng.uniform(0, 3, (*shape, 3))
     weights[:, 3] = 0  # a closure that never weighs anything
-    return Mixture(("diffuse", "ggx", "sheen", "beckmann"), STOPS, rng.uniform(-3, -0.3, shape), rng.uniform(0, 0.4, shape), weights)
+    return Mixture(
+        ("diffuse", "ggx", "sheen", "beckmann"),
+        STOPS,
+        rng.uniform(-3, -0.3, shape),
+        rng.uniform(0, 0.4, shape),
+        weights,
+    )
 
 
 class Interpreter:
-    """Carries a graph out for one shading point: normal n, view v (Incoming), light w; a closure's output is f · cos, RGB."""
+    """Carries a graph out for one shading point: normal n, view v (Incoming), light w; a closure's
+    output is f · cos, RGB.
+    """
 
     def __init__(self, graph, n, v, w):
         self.graph, self.n, self.v, self.w = graph, n, v, w
@@ -30,12 +40,18 @@ class Interpreter:
         return self.input(nodes.OUTPUT, "Surface")
 
     def input(self, node, socket):
-        fed = [link for link in self.graph.links if (link.target, link.input) == (node.name, socket)]
+        fed = [
+            link for link in self.graph.links if (link.target, link.input) == (node.name, socket)
+        ]
         assert len(fed) <= 1, f"{node.name}.{socket}: expected one link"
         if fed:
             return self.output(self.graph.node(fed[0].source), fed[0].output)
         return (
-            node.inputs[socket] if socket in node.inputs else self.n if socket == "Normal" else pytest.fail(f"{node.name}.{socket}: unset")
+            node.inputs[socket]
+            if socket in node.inputs
+            else self.n
+            if socket == "Normal"
+            else pytest.fail(f"{node.name}.{socket}: unset")
         )
 
     def output(self, node, socket):
@@ -49,12 +65,19 @@ class Interpreter:
             case "ShaderNodeNewGeometry":
                 return {"Normal": self.n, "Incoming": self.v}[socket]
             case "ShaderNodeValToRGB":
-                x, colours = np.array([p for p, _ in node.ramp]), np.array([c for _, c in node.ramp])
+                x, colours = (
+                    np.array([p for p, _ in node.ramp]),
+                    np.array([c for _, c in node.ramp]),
+                )
                 assert colours.min() >= 0 and colours.max() <= 1
                 return ramp(x, colours[:, :3], np.array([get("Fac")]))[0]
             case "ShaderNodeMath":
                 a = np.mean(get("Value"))  # a grey colour in a number's socket
-                return a * get("Value_001") + get("Value_002") if node.properties["operation"] == "MULTIPLY_ADD" else np.exp(a)
+                return (
+                    a * get("Value_001") + get("Value_002")
+                    if node.properties["operation"] == "MULTIPLY_ADD"
+                    else np.exp(a)
+                )
             case "ShaderNodeVectorMath":
                 v = get("Vector")
                 return {
@@ -72,7 +95,9 @@ class Interpreter:
         n = get("Normal")
         h = (self.w + self.v) / np.linalg.norm(self.w + self.v)
         roughness = get("Roughness")
-        kind = {"ASHIKHMIN": "sheen", "GGX": "ggx", "BECKMANN": "beckmann"}.get(node.properties.get("distribution"), "diffuse")
+        kind = {"ASHIKHMIN": "sheen", "GGX": "ggx", "BECKMANN": "beckmann"}.get(
+            node.properties.get("distribution"), "diffuse"
+        )
         alpha = roughness if kind == "sheen" else roughness**2
         f = closures.CLOSURES[kind](alpha, n @ self.w, n @ self.v, n @ h, h @ self.v)
         return np.array(get("Color"))[:3] * f * (n @ self.w)
@@ -83,7 +108,8 @@ def test_the_graph_carried_out_is_the_mixture(rng):
     graph = nodes.graph(mixture)
     n = np.array([0.0, 0.6, 0.8])
     for _ in range(20):
-        v, w = rng.normal(size=(2, 3)) * 0.6 + 2 * n  # far enough from the horizon that no tilt loses the light
+        # far enough from the horizon that no tilt loses the light
+        v, w = rng.normal(size=(2, 3)) * 0.6 + 2 * n
         v, w = v / np.linalg.norm(v), w / np.linalg.norm(w)
         h = (w + v) / np.linalg.norm(w + v)
         expected = mixture.evaluate(n @ w, n @ v, n @ h, h @ v) * (n @ w)
@@ -110,7 +136,9 @@ def test_names_are_unique_and_links_lead_to_nodes_that_are_there(rng):
     graph = nodes.graph(a_mixture(rng))
     names = [n.name for n in graph.nodes]
     assert len(names) == len(set(names))
-    assert {link.source for link in graph.links} | {link.target for link in graph.links} <= set(names)
+    assert {link.source for link in graph.links} | {link.target for link in graph.links} <= set(
+        names
+    )
 
 
 CHECK_IN_BLENDER = """
@@ -142,7 +170,17 @@ os._exit(0)
 
 
 @pytest.mark.blender
-@pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="needs Blender as a module (pip install .[factory])")
+@pytest.mark.skipif(
+    importlib.util.find_spec("bpy") is None,
+    reason="needs Blender as a module (pip install .[factory])",
+)
 def test_blender_has_every_node_property_and_socket_that_is_named(root):
-    done = subprocess.run([sys.executable, "-c", CHECK_IN_BLENDER], cwd=root, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", CHECK_IN_BLENDER],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
     assert "every socket is there" in done.stdout, done.stderr[-2000:]

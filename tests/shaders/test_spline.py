@@ -1,4 +1,6 @@
-"""The quadratic spline over θ_d: a partition of unity that is scipy's B-spline on the stated knots."""
+"""The quadratic spline over θ_d: a partition of unity that is scipy's B-spline on the stated
+knots.
+"""
 
 import numpy as np
 import pytest
@@ -40,7 +42,8 @@ def test_the_curve_and_its_slope_have_no_jump_at_the_inner_knots():
         h = 1e-6
         before, at, after = spline.basis(np.array([knot - h, knot, knot + h]))
         np.testing.assert_allclose(before, after, atol=1e-5)  # two steps of a slope below 4
-        np.testing.assert_allclose((at - before) / h, (after - at) / h, atol=1e-4)  # step × curvature below 30
+        # step × curvature below 30
+        np.testing.assert_allclose((at - before) / h, (after - at) / h, atol=1e-4)
 
 
 def test_control_values_at_the_greville_angles_draw_a_straight_line():

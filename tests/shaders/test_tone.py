@@ -9,7 +9,9 @@ from shaders import tone
 def test_srgb_curve_has_the_standards_values():
     # IEC 61966-2-1: the straight part, the join, middle grey, white
     linear = np.array([0.0, 0.001, 0.0031308, 0.18, 0.5, 1.0])
-    np.testing.assert_allclose(tone.srgb(linear), [0.0, 0.01292, 0.0404499, 0.461356, 0.735357, 1.0], atol=1e-6)
+    np.testing.assert_allclose(
+        tone.srgb(linear), [0.0, 0.01292, 0.0404499, 0.461356, 0.735357, 1.0], atol=1e-6
+    )
 
 
 def test_srgb_curve_is_undone_by_the_standards_inverse(rng):
@@ -38,12 +40,16 @@ def test_display_l2_of_equal_pictures_is_zero_and_of_black_and_white_is_255_squa
     assert tone.display_l2(white, black, 1.0) == pytest.approx(255.0**2, rel=1e-14)
 
 
-def test_display_l2_over_the_mask_ignores_the_background_and_over_the_frame_dilutes_by_coverage(rng):
+def test_display_l2_over_the_mask_ignores_the_background_and_over_the_frame_dilutes_by_coverage(
+    rng,
+):
     a, b = rng.uniform(0, 1, (2, 8, 8, 3))
     mask = np.zeros((8, 8), dtype=bool)
     mask[2:6, 2:6] = True
     a[~mask] = b[~mask] = 0
-    assert tone.display_l2(a, b, 1.0) == pytest.approx(tone.display_l2(a, b, 1.0, mask) * mask.mean())
+    assert tone.display_l2(a, b, 1.0) == pytest.approx(
+        tone.display_l2(a, b, 1.0, mask) * mask.mean()
+    )
 
 
 def test_auto_exposure_follows_the_lights_strength_so_that_the_display_does_not_change(rng):

@@ -1,8 +1,11 @@
-"""What rendering costs and how true it is: `python -m factory.render.validation.benchmark NAME …` prints figures, `--out` writes them down.
+"""What rendering costs and how true it is: `python -m factory.render.validation.benchmark NAME …`
+prints figures, `--out` writes them down.
 
-cost      24 views, 1 sample, 256²: bare bpy loops that write files, and the studio with checks, hashes and files, turn about
+cost      24 views, 1 sample, 256²: bare bpy loops that write files, and the studio with checks,
+hashes and files, turn about
 memory    resident memory over 200 different meshes, each with its own light and material
-geometry, texel, lambert, closures, perspective, materials   see factory.render.validation.closed_forms
+geometry, texel, lambert, closures, perspective, materials   see
+factory.render.validation.closed_forms
 """
 
 import argparse
@@ -23,10 +26,13 @@ SIZE = 256
 
 
 def cost(options):
-    """Images a second, by the clock and by the processor, of four loops run in turn; medians over rounds, ratios round by round.
+    """Images a second, by the clock and by the processor, of four loops run in turn; medians over
+    rounds, ratios round by round.
 
-    bare           pictures alone;  bare_with_passes: and what a record holds besides: normals, depth, segments, antialiased as they come
-    studio         geometry and picture of each view;  studio_again: another picture of views whose geometry is there already
+    bare           pictures alone;  bare_with_passes: and what a record holds besides: normals,
+    depth, segments, antialiased as they come
+    studio         geometry and picture of each view;  studio_again: another picture of views whose
+    geometry is there already
     """
     from factory.shapes.catalogue import load
 
@@ -59,14 +65,18 @@ def cost(options):
         "threads": options.threads,
         "rounds": options.rounds,
         "images_per_s": {name: round(float(np.median(rates)), 2) for name, rates in clock.items()},
-        "images_per_cpu_s": {name: round(float(np.median(rates)), 2) for name, rates in processor.items()},
+        "images_per_cpu_s": {
+            name: round(float(np.median(rates)), 2) for name, rates in processor.items()
+        },
         "ratios": {f"{a} / {b}": ratio(clock, a, b) for a, b in pairs},
         "cpu_ratios": {f"{a} / {b}": ratio(processor, a, b) for a, b in pairs},
     }
 
 
 class _BareLoop:
-    """What one writes first: persistent data, the camera led around and a file written by Blender, view after view."""
+    """What one writes first: persistent data, the camera led around and a file written by Blender,
+    view after view.
+    """
 
     def __init__(self, mesh, folder, threads, passes=False):
         import bpy
@@ -114,7 +124,9 @@ class _BareLoop:
 
 
 class _StudioLoop:
-    """The same views by the studio: geometry, picture, checks, files, hashes and a line for each."""
+    """The same views by the studio: geometry, picture, checks, files, hashes and a line for
+    each.
+    """
 
     def __init__(self, studio, mesh, folder):
         from factory.render.validation import reference
@@ -150,7 +162,10 @@ class _StudioLoop:
         radiance, alpha = self.studio.picture(1, view, "direct")
         faults += checks.picture(radiance, float(self.shots[view].mask.mean()), alpha)
         write_bytes(paths[0], encode_picture(radiance))
-        return {"faults": faults, "hashes": [hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths]}
+        return {
+            "faults": faults,
+            "hashes": [hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths],
+        }
 
 
 def memory(options):
@@ -196,40 +211,66 @@ def _proof(name):
 
         studio = _studio(options)
         if name == "texel":
-            figures = closed_forms.lit_texel(studio, np.random.default_rng(np.random.SeedSequence(options.seed)))
+            figures = closed_forms.lit_texel(
+                studio, np.random.default_rng(np.random.SeedSequence(options.seed))
+            )
             return {key: figures[key] for key in ("max_deg", "median_deg")}
         if name == "lambert":
             return closed_forms.lambert(studio, reference.soft_light())
         if name == "closures":
-            return {kind: closed_forms.closed_form(studio, mixture) for kind, mixture in closed_forms.SINGLE.items()}
+            return {
+                kind: closed_forms.closed_form(studio, mixture)
+                for kind, mixture in closed_forms.SINGLE.items()
+            }
         if name == "materials":
             from manifests.materials import load_catalogue
 
             catalogue = load_catalogue()
-            return {material: closed_forms.closed_form(studio, catalogue[material].mixture) for material in options.material}
+            return {
+                material: closed_forms.closed_form(studio, catalogue[material].mixture)
+                for material in options.material
+            }
         return getattr(closed_forms, name)(studio)
 
     return run
 
 
 MEASURES = {"cost": cost, "memory": memory} | {
-    name: _proof(name) for name in ("geometry", "texel", "lambert", "closures", "perspective", "materials")
+    name: _proof(name)
+    for name in ("geometry", "texel", "lambert", "closures", "perspective", "materials")
 }
 
 
 def main(arguments):
     parser = argparse.ArgumentParser(
-        prog="python -m factory.render.validation.benchmark", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+        prog="python -m factory.render.validation.benchmark",
+        description=__doc__,
+        formatter_class=argparse.RawTextHelpFormatter,
     )
     parser.add_argument("measure", choices=MEASURES, help="what to measure")
-    parser.add_argument("--device", default="cpu", help="cpu, cuda, optix, hip, metal, oneapi or auto (default: cpu)")
+    parser.add_argument(
+        "--device",
+        default="cpu",
+        help="cpu, cuda, optix, hip, metal, oneapi or auto (default: cpu)",
+    )
     parser.add_argument("--threads", type=int, default=2, help="CPU threads (default: 2)")
-    parser.add_argument("--rounds", type=int, default=5, help="cost: how often each loop runs, in turn (default: 5)")
+    parser.add_argument(
+        "--rounds", type=int, default=5, help="cost: how often each loop runs, in turn (default: 5)"
+    )
     parser.add_argument("--shape", default="car:1", help="cost: which shape (default: car:1)")
-    parser.add_argument("--meshes", type=int, default=200, help="memory: how many meshes (default: 200)")
-    parser.add_argument("--material", action="append", default=[], help="materials: a name of the catalogue; repeatable")
+    parser.add_argument(
+        "--meshes", type=int, default=200, help="memory: how many meshes (default: 200)"
+    )
+    parser.add_argument(
+        "--material",
+        action="append",
+        default=[],
+        help="materials: a name of the catalogue; repeatable",
+    )
     parser.add_argument("--seed", type=int, default=20170801, help="texel: of the directions")
-    parser.add_argument("--scratch", default=None, help="cost: folder for the files (default: the system's)")
+    parser.add_argument(
+        "--scratch", default=None, help="cost: folder for the files (default: the system's)"
+    )
     parser.add_argument("--out", help="a JSON file to write besides printing")
     options = parser.parse_args(arguments)
     result = {"figures": MEASURES[options.measure](options), **provenance()}

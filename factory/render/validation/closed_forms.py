@@ -1,7 +1,9 @@
-"""Measurements that Cycles, as the studio uses it, shows what the formulas say: figures for docs/results/rendering and for the tests.
+"""Measurements that Cycles, as the studio uses it, shows what the formulas say: figures for
+docs/results/rendering and for the tests.
 
-Each function takes a Studio, sets it up, and returns a dict of figures. The unit sphere stands for all shapes: every normal is on it, and
-known. Pixels at the silhouette are left out where a figure is about shading: they are a share of the sphere and a share of nothing.
+Each function takes a Studio, sets it up, and returns a dict of figures. The unit sphere stands for
+all shapes: every normal is on it, and known. Pixels at the silhouette are left out where a figure
+is about shading: they are a share of the sphere and a share of nothing.
 """
 
 import numpy as np
@@ -18,8 +20,16 @@ GLOSSY = ("ggx", "beckmann", "ashikhmin_shirley")
 SINGLE = {
     "diffuse": Mixture.lambert([0.5, 0.4, 0.3]),
     "sheen α .5": Mixture.constant("sheen", 0.5, [0.5] * 3),
-    **{f"{kind} α {a}": Mixture.constant(kind, a, [0.5] * 3) for kind in GLOSSY for a in (0.5, 0.1, 0.02)},
-    **{f"{kind} α .15 tilt {t}": Mixture.constant(kind, 0.15, [0.5] * 3, tilt=t) for kind in GLOSSY for t in (0.3, -0.12)},
+    **{
+        f"{kind} α {a}": Mixture.constant(kind, a, [0.5] * 3)
+        for kind in GLOSSY
+        for a in (0.5, 0.1, 0.02)
+    },
+    **{
+        f"{kind} α .15 tilt {t}": Mixture.constant(kind, 0.15, [0.5] * 3, tilt=t)
+        for kind in GLOSSY
+        for t in (0.3, -0.12)
+    },
 }
 
 
@@ -35,25 +45,35 @@ def _sphere(studio, size, level=6, azimuth=0.7, **lens):
 
 
 def _takes(studio, samples, count, tier="direct"):
-    """Mean (height, width, 3) of `count` pictures of different seeds, the variance of one of them, and the pictures."""
-    pictures = np.array([studio.render(samples, seed, tier) for seed in range(count)], dtype=np.float64)
+    """Mean (height, width, 3) of `count` pictures of different seeds, the variance of one of them,
+    and the pictures.
+    """
+    pictures = np.array(
+        [studio.render(samples, seed, tier) for seed in range(count)], dtype=np.float64
+    )
     return pictures.mean(0), pictures.var(0, ddof=1), pictures
 
 
 def _pooled(variance, inside):
-    """Variance averaged over 5 × 5 pixels inside the mask: of a few pictures alone it is too uncertain for a 5 σ test."""
+    """Variance averaged over 5 × 5 pixels inside the mask: of a few pictures alone it is too
+    uncertain for a 5 σ test.
+    """
     from scipy.ndimage import uniform_filter
 
     total = uniform_filter(variance * inside[..., None], (5, 5, 0), mode="constant")
-    return total / np.maximum(uniform_filter(inside.astype(float), 5, mode="constant"), 1e-9)[..., None]
+    return (
+        total
+        / np.maximum(uniform_filter(inside.astype(float), 5, mode="constant"), 1e-9)[..., None]
+    )
 
 
 def lit_texel(studio, rng, directions=64, samples=16):
-    """Degrees between the normal at which a matte sphere peaks in Cycles and the layer's: single lit texels, random views and rotations.
+    """Degrees between the normal at which a matte sphere peaks in Cycles and the layer's: single
+    lit texels, random views and rotations.
 
-    Both peaks are fitted: radiance = a · n over the pixels that are lit and clearly in front. The first four texels lie in the poles' rows,
-    where a texel's middle and its centre of area are .47° apart: the layer takes the former.
-    Returns  max_deg, median_deg, degrees (directions,)
+    Both peaks are fitted: radiance = a · n over the pixels that are lit and clearly in front. The
+    first four texels lie in the poles' rows, where a texel's middle and its centre of area are .47°
+    apart: the layer takes the former. Returns  max_deg, median_deg, degrees (directions,)
     """
     _sphere(studio, 64, level=5)
     studio.set_materials([Mixture.lambert([0.5] * 3)])
@@ -70,10 +90,15 @@ def lit_texel(studio, rng, directions=64, samples=16):
         studio.set_view(rng.uniform(0, 2 * np.pi))
         studio.set_light(L, turn)
         n = studio.geometry().normals.astype(np.float64)
-        result, requested = studio.render(samples, len(degrees))[..., 0].astype(np.float64), np.maximum(n @ towards, 0)
+        result, requested = (
+            studio.render(samples, len(degrees))[..., 0].astype(np.float64),
+            np.maximum(n @ towards, 0),
+        )
         front = n[..., 2] > 0.4
         lit = front & (requested > 0.05)
-        peaks = [np.linalg.lstsq(n[lit], picture[lit], rcond=None)[0] for picture in (result, requested)]
+        peaks = [
+            np.linalg.lstsq(n[lit], picture[lit], rcond=None)[0] for picture in (result, requested)
+        ]
         degrees.append(float(angle_deg(*peaks)))
     return {"max_deg": max(degrees), "median_deg": float(np.median(degrees)), "degrees": degrees}
 
@@ -81,8 +106,9 @@ def lit_texel(studio, rng, directions=64, samples=16):
 def lambert(studio, L, samples=32, seeds=16, size=64, rotation=37):
     """A matte sphere, direct tier, nearest light, against the dense sum over normals from Blender.
 
-    Pixels with n·v > .3: nearer to the silhouette a pixel's mean differs from its centre's value by more than this noise.
-    Returns  relative_mean; largest_sigma and rms_sigma of the pixels; noise: one picture's, relative
+    Pixels with n·v > .3: nearer to the silhouette a pixel's mean differs from its centre's value by
+    more than this noise. Returns  relative_mean; largest_sigma and rms_sigma of the pixels; noise:
+    one picture's, relative
     """
     _sphere(studio, size)
     mixture = Mixture.lambert([0.5] * 3)
@@ -104,10 +130,13 @@ def lambert(studio, L, samples=32, seeds=16, size=64, rotation=37):
 
 
 def closed_form(studio, mixture, samples=128, seeds=16, size=32, points=4096, rotation=11):
-    """A mixture on a sphere in Cycles against its closed form, integrated over pixel and hemisphere under a soft light.
+    """A mixture on a sphere in Cycles against its closed form, integrated over pixel and hemisphere
+    under a soft light.
 
-    Returns  bias: relative mean difference; bias_sigma: its noise; rms_sigma: of the pixels' differences over their noise, 1 if noise is
-             all there is, give or take rms_sigma_noise (a narrow lobe's noise sits in few pixels: it is as if there were fewer of them)
+    Returns  bias: relative mean difference; bias_sigma: its noise; rms_sigma: of the pixels'
+    differences over their noise, 1 if noise is
+             all there is, give or take rms_sigma_noise (a narrow lobe's noise sits in few pixels:
+             it is as if there were fewer of them)
     """
     _sphere(studio, size)
     L = reference.soft_light()
@@ -117,12 +146,18 @@ def closed_form(studio, mixture, samples=128, seeds=16, size=32, points=4096, ro
     inside = np.linalg.norm(np.abs(spots) + width / 2, axis=-1) < 0.9
     mean, variance, pictures = _takes(studio, samples, seeds)
     seen = light.as_seen(L, rotation)
-    a, b = (reference.integrate(mixture, spots[inside], width, seen, points, seed) for seed in (0, 1))
+    a, b = (
+        reference.integrate(mixture, spots[inside], width, seen, points, seed) for seed in (0, 1)
+    )
     requested, reference_variance = (a + b) / 2, ((a - b) ** 2).mean(0) / 4
-    total = variance[inside].mean(0) / seeds + reference_variance  # (3,): pooled over the sphere, a channel each
+    # (3,): pooled over the sphere, a channel each
+    total = variance[inside].mean(0) / seeds + reference_variance
     difference = mean[inside] - requested
-    # A picture's mean varies more than its pixels' variance tells: Cycles' pixels share one table of samples.
-    mean_variance = pictures[:, inside].mean((1, 2)).var(ddof=1) / seeds + reference_variance.mean() / len(requested)
+    # A picture's mean varies more than its pixels' variance tells: Cycles' pixels share one table
+    # of samples.
+    mean_variance = pictures[:, inside].mean((1, 2)).var(
+        ddof=1
+    ) / seeds + reference_variance.mean() / len(requested)
     weight = variance[inside] / seeds / total  # how much of the noise each value carries
     values = weight.sum() ** 2 / (weight**2).sum()
     return {
@@ -137,7 +172,8 @@ def closed_form(studio, mixture, samples=128, seeds=16, size=32, points=4096, ro
 def geometry(studio, size=128, level=6, azimuth=0.3):
     """Blender's normals of a sphere against analytic ones, inside the silhouette.
 
-    Returns  max_deg, rms_deg; length_error: largest | |n| − 1 |; mask_pixels: how many pixels of the mask differ from the disc's;
+    Returns  max_deg, rms_deg; length_error: largest | |n| − 1 |; mask_pixels: how many pixels of
+    the mask differ from the disc's;
              depth_error: largest, world units
     """
     _sphere(studio, size, level, azimuth)
@@ -150,19 +186,29 @@ def geometry(studio, size=128, level=6, azimuth=0.3):
     return {
         "max_deg": float(difference.max()),
         "rms_deg": float(np.sqrt((difference**2).mean())),
-        "length_error": float(np.abs(np.linalg.norm(shot.normals[shot.mask].astype(np.float64), axis=-1) - 1).max()),
+        "length_error": float(
+            np.abs(np.linalg.norm(shot.normals[shot.mask].astype(np.float64), axis=-1) - 1).max()
+        ),
         "mask_pixels": int((shot.mask != (radius < 1)).sum()),
         "depth_error": float(np.abs(shot.depth[inside] + requested[inside][:, 2]).max()),
     }
 
 
 def perspective(studio, fov_deg=40.0, samples=64, seeds=8, size=48):
-    """A sphere of GGX α .3 over matte, seen in perspective, against the dense sum with a view vector a pixel, and with one for all.
+    """A sphere of GGX α .3 over matte, seen in perspective, against the dense sum with a view
+    vector a pixel, and with one for all.
 
-    Returns  relative_mean and rms_sigma with shaders.frames.view_vectors; distant_rms_sigma if the viewer were distant
+    Returns  relative_mean and rms_sigma with shaders.frames.view_vectors; distant_rms_sigma if the
+    viewer were distant
     """
     _sphere(studio, size, fov_deg=fov_deg)
-    mixture = Mixture(("diffuse", "ggx"), [0.0], [[0.0, np.log(0.3)]], [[0.0, 0.0]], [[[0.3, 0.2, 0.1], [0.4, 0.4, 0.4]]])
+    mixture = Mixture(
+        ("diffuse", "ggx"),
+        [0.0],
+        [[0.0, np.log(0.3)]],
+        [[0.0, 0.0]],
+        [[[0.3, 0.2, 0.1], [0.4, 0.4, 0.4]]],
+    )
     L = reference.soft_light()
     studio.set_light(L, 5)
     studio.set_materials([mixture])
@@ -170,7 +216,9 @@ def perspective(studio, fov_deg=40.0, samples=64, seeds=8, size=48):
     inside = (n * view).sum(-1) > 0.5
     mean, variance, _ = _takes(studio, samples, seeds)
     seen = light.as_seen(L, 5)
-    requested, distant = (reference.dense(mixture, n[inside], seen, v) for v in (view[inside], None))
+    requested, distant = (
+        reference.dense(mixture, n[inside], seen, v) for v in (view[inside], None)
+    )
     sigma = np.sqrt(_pooled(variance, inside)[inside] / seeds)
     return {
         "relative_mean": float((mean[inside] - requested).sum() / requested.sum()),

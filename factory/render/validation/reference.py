@@ -1,10 +1,12 @@
-"""What Cycles should show of a unit sphere, by closed form and quadrature: the other side of every proof.
+"""What Cycles should show of a unit sphere, by closed form and quadrature: the other side of every
+proof.
 
 L      (height, width, 3) the map as the camera sees it (light.as_seen), stored layout, light frame
 n, v   camera frame, v towards the viewer: (0, 0, 1), the camera is orthographic
 spots  (P, 2) places in the picture plane, the sphere's radius = 1, x right and y up
 
-Light is constant over a texel here, as nearest look-up makes it; `dense` takes each texel as one direction, as the layer does.
+Light is constant over a texel here, as nearest look-up makes it; `dense` takes each texel as one
+direction, as the layer does.
 """
 
 import numpy as np
@@ -26,13 +28,17 @@ def pixel_spots(size, half_extent):
 
 
 def camera_directions(height, width, elevation=frames.ELEVATION):
-    """Directions (height·width, 3), camera frame, and solid angles (height·width,) of a map's texels."""
+    """Directions (height·width, 3), camera frame, and solid angles (height·width,) of a map's
+    texels.
+    """
     w, solid_angle = envmap.directions(height, width)
     return w.reshape(-1, 3) @ frames.camera_from_light(elevation).T, solid_angle.ravel()
 
 
 def dense(mixture, normals, L, view=None):
-    """The layer's sum: radiance (P, 3) of normals (P, 3), one direction a texel; view (P, 3) or None: (0, 0, 1)."""
+    """The layer's sum: radiance (P, 3) of normals (P, 3), one direction a texel; view (P, 3) or
+    None: (0, 0, 1).
+    """
     w, solid_angle = camera_directions(*L.shape[:2])
     light = L.reshape(-1, 3).astype(np.float64) * solid_angle[:, None]
     used = light.max(-1) > 0
@@ -44,7 +50,9 @@ def dense(mixture, normals, L, view=None):
         lit = cos_i > closures.MIN_COS
         h = w[lit] + v
         h /= np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
-        f = mixture.evaluate(cos_i[lit], cos_o, np.clip(h @ n, 1e-9, 1.0), np.clip(h @ v, 1e-9, 1.0))
+        f = mixture.evaluate(
+            cos_i[lit], cos_o, np.clip(h @ n, 1e-9, 1.0), np.clip(h @ v, 1e-9, 1.0)
+        )
         radiance[p] = np.einsum("lc,l,lc->c", f, cos_i[lit], light[lit])
     return radiance
 
@@ -55,9 +63,15 @@ def look_up(L, w, elevation=frames.ELEVATION):
 
 
 def soft_light(height=64, width=128):
-    """A coloured light (height, width, 3) without sharp edges, unit mean, contrast about 1 : 20: little noise for either renderer."""
+    """A coloured light (height, width, 3) without sharp edges, unit mean, contrast about 1 : 20:
+    little noise for either renderer.
+    """
     w, _ = envmap.directions(height, width)
-    lamps = ((0.3, 0.8, 0.5), (3.0, 2.6, 2.0)), ((-0.8, 0.2, 0.4), (0.6, 1.2, 2.2)), ((0.6, -0.1, -0.8), (1.5, 0.7, 0.4))
+    lamps = (
+        ((0.3, 0.8, 0.5), (3.0, 2.6, 2.0)),
+        ((-0.8, 0.2, 0.4), (0.6, 1.2, 2.2)),
+        ((0.6, -0.1, -0.8), (1.5, 0.7, 0.4)),
+    )
     L = np.full((height, width, 3), 0.3)
     for towards, colour in lamps:
         axis = np.array(towards) / np.linalg.norm(towards)
@@ -66,17 +80,22 @@ def soft_light(height=64, width=128):
 
 
 def integrate(mixture, spots, width, L, points, seed):
-    """Radiance (P, 3) over square pixels, by quasi Monte Carlo over pixel and hemisphere, each closure by a density of its own.
+    """Radiance (P, 3) over square pixels, by quasi Monte Carlo over pixel and hemisphere, each
+    closure by a density of its own.
 
     spots   (P, 2) pixel centres, whole pixels within the sphere;  width: a pixel's, picture plane
-    points  a power of 2, the same for each closure;  seed: of the Sobol scramble: another seed, another error
+    points  a power of 2, the same for each closure;  seed: of the Sobol scramble: another seed,
+    another error
     """
     radiance = np.zeros((len(spots), 3))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(mixture.kinds),)))
     for k, kind in enumerate(mixture.kinds):
-        sobol = qmc.Sobol(4, seed=np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))).random(points)
+        sobol = qmc.Sobol(
+            4, seed=np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
+        ).random(points)
         for p, spot in enumerate(spots):
-            u = (sobol + rng.random(4)) % 1.0  # each pixel its own shift, so that errors do not add up over the picture
+            # each pixel its own shift, so that errors do not add up over the picture
+            u = (sobol + rng.random(4)) % 1.0
             n = sphere_normals(spot + (u[:, :2] - 0.5) * width)
             log_alpha, tilt, weights = mixture.at(n[:, 2])
             alpha, tilt, weights = np.exp(log_alpha[:, k]), tilt[:, k], weights[:, k]
@@ -85,7 +104,12 @@ def integrate(mixture, spots, width, L, points, seed):
             cos_i, h = (w * n).sum(-1), w + np.array([0.0, 0.0, 1.0])
             h /= np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
             lit = (cos_i > closures.MIN_COS) & (density > 0)
-            cosines = (cos_i[lit], n[lit, 2], np.clip((h * n).sum(-1)[lit], 1e-9, 1.0), np.clip(h[lit, 2], 1e-9, 1.0))
+            cosines = (
+                cos_i[lit],
+                n[lit, 2],
+                np.clip((h * n).sum(-1)[lit], 1e-9, 1.0),
+                np.clip(h[lit, 2], 1e-9, 1.0),
+            )
             f = closures.evaluate(kind, alpha[lit], tilt[lit], *cosines) * cos_i[lit] / density[lit]
             radiance[p] += np.einsum("q,qc,qc->c", f, weights[lit], look_up(L, w[lit])) / points
     return radiance
@@ -103,7 +127,10 @@ def _around(axis, cosine, angle):
     """Unit vectors at `cosine` from axis (P, 3), turned by `angle` about it."""
     a, b = _frame(axis)
     sine = np.sqrt(np.maximum(1 - cosine**2, 0))
-    return sine[:, None] * (np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b) + cosine[:, None] * axis
+    return (
+        sine[:, None] * (np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b)
+        + cosine[:, None] * axis
+    )
 
 
 def _matte(n, alpha, tilt, u):
@@ -112,7 +139,9 @@ def _matte(n, alpha, tilt, u):
 
 
 def _glossy(n, alpha, tilt, u):
-    """Directions whose half vectors follow GGX's distribution about the tilted normal, and their density (0: below the view)."""
+    """Directions whose half vectors follow GGX's distribution about the tilted normal, and their
+    density (0: below the view).
+    """
     v = np.array([0.0, 0.0, 1.0])
     leaning = n + tilt[:, None] * (v - n[:, 2:] * n)
     leaning /= np.linalg.norm(leaning, axis=-1, keepdims=True)

@@ -1,4 +1,6 @@
-"""`learn.experiments refinement-ablation`: what refinement does against its weights, from bad starts, and how long it takes."""
+"""`learn.experiments refinement-ablation`: what refinement does against its weights, from bad
+starts, and how long it takes.
+"""
 
 from pathlib import Path
 
@@ -9,19 +11,31 @@ def register(subparsers):
     parser = subparsers.add_parser(
         "refinement-ablation",
         help="measure refinement: against its weights, from bad starts, and its time",
-        description="Refines pictures of a dataset in which scenes were rendered in several materials, so that the truth of an edit is "
-        "known. Writes study.json and study.png (re-rendering, edit, normals and light against each weight, passes and pixels), "
-        "starts.json (bad starts) and times.json. The same command again continues the study.",
+        description=(
+            "Refines pictures of a dataset in which scenes were rendered in several materials, so"
+            " that the truth of an edit is known. Writes study.json and study.png (re-rendering,"
+            " edit, normals and light against each weight, passes and pixels), starts.json (bad"
+            " starts) and times.json. The same command again continues the study."
+        ),
     )
-    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a dataset with pictures")
+    parser.add_argument(
+        "--data", type=Path, required=True, metavar="DIR", help="a dataset with pictures"
+    )
     parser.add_argument(
         "--weights",
         type=Path,
         metavar="FILE",
-        help="weights.safetensors of a training run (default: the weights that come with the program)",
+        help=(
+            "weights.safetensors of a training run (default: the weights that come with the"
+            " program)"
+        ),
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the figures go")
-    parser.add_argument("--pictures", type=positive, default=12, metavar="N", help="of the study (default 12)")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="where the figures go"
+    )
+    parser.add_argument(
+        "--pictures", type=positive, default=12, metavar="N", help="of the study (default 12)"
+    )
     parser.add_argument(
         "--starts",
         type=whole,
@@ -33,13 +47,19 @@ def register(subparsers):
         "--only",
         nargs="*",
         metavar="SETTING",
-        help="default, paper, a=0.1, passes=3, pixels=600 …: these alone (default: all; none: no study)",
+        help=(
+            "default, paper, a=0.1, passes=3, pixels=600 …: these alone (default: all; none: no"
+            " study)"
+        ),
     )
     parser.add_argument(
         "--materials",
         choices=MATERIALS,
         default="dataset",
-        help="where the bad starts' random materials come from: the data set's own, or the built-in ones (default: dataset)",
+        help=(
+            "where the bad starts' random materials come from: the data set's own, or the built-in"
+            " ones (default: dataset)"
+        ),
     )
     parser.add_argument("--seed", type=whole, default=0, metavar="N", help="which pictures")
     parser.set_defaults(run=run)
@@ -73,27 +93,39 @@ def run(options):
 
 
 def _measure(options, predict, records, labels, about):
-    """The study, its times and the starts, as far as they are asked for and not there. about: what the figures depend on.
+    """The study, its times and the starts, as far as they are asked for and not there. about: what
+    the figures depend on.
 
     labels  of the materials that bad starts are drawn from
     """
     from learn.experiments import refinement_ablation, refinement_chart, refinement_initialisations
 
     refinement_ablation.pin_settings(options.out, about)
-    needed = -(-options.starts // len(refinement_initialisations.STARTS))  # one start of each kind a picture
+    # one start of each kind a picture
+    needed = -(-options.starts // len(refinement_initialisations.STARTS))
     known = refinement_ablation.cases(records, max(options.pictures, needed), options.seed)
     if options.only is None or options.only:
-        report = refinement_ablation.weights(predict, known[: options.pictures], options.out, options.only)
+        report = refinement_ablation.weights(
+            predict, known[: options.pictures], options.out, options.only
+        )
         refinement_chart.chart(report, options.out / "study.png")
     batch = known[0].batch
-    times = {f"{len(b.image[0, 0])}": refinement_ablation.timed(predict, b) for b in (batch, refinement_ablation.doubled(batch))}
+    times = {
+        f"{len(b.image[0, 0])}": refinement_ablation.timed(predict, b)
+        for b in (batch, refinement_ablation.doubled(batch))
+    }
     refinement_ablation.write(options.out / "times.json", times)
     for size, seconds in times.items():
-        print(f"{size}²: prediction {seconds['predict']:.2f} s, refinement {seconds['refine']:.1f} s")
-    if options.starts:
-        report = refinement_initialisations.measured(predict, known[:needed], options.starts, options.out, labels)
         print(
-            f"{report['starts']} starts: {report['above_their_start']} ended above, {report['not_finite']} not finite, "
-            "re-rendering's median "
-            f"display L2 {report['image_median'][0]:.0f} → {report['image_median'][1]:.0f} ({100 * report['median_change']:+.0f} %)"
+            f"{size}²: prediction {seconds['predict']:.2f} s, refinement {seconds['refine']:.1f} s"
+        )
+    if options.starts:
+        report = refinement_initialisations.measured(
+            predict, known[:needed], options.starts, options.out, labels
+        )
+        print(
+            f"{report['starts']} starts: {report['above_their_start']} ended above,"
+            f" {report['not_finite']} not finite, re-rendering's median display L2"
+            f" {report['image_median'][0]:.0f} → {report['image_median'][1]:.0f}"
+            f" ({100 * report['median_change']:+.0f} %)"
         )

@@ -1,8 +1,9 @@
 """Scenes for the engines, and the float64 reference they are held to.
 
-Error, everywhere in these tests: the largest absolute difference over the largest absolute value of the reference, for the picture and
-for each gradient on its own. Inputs are float32 numbers; the reference is given the same numbers in float64, vectors scaled to
-unit length there. Gradients by n and view are compared in their tangential part: the other does not pass the layer's normalisation.
+Error, everywhere in these tests: the largest absolute difference over the largest absolute value of
+the reference, for the picture and for each gradient on its own. Inputs are float32 numbers; the
+reference is given the same numbers in float64, vectors scaled to unit length there. Gradients by n
+and view are compared in their tangential part: the other does not pass the layer's normalisation.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,8 @@ from learn.methods import Batch, exact
 from shaders.frames import camera_from_light
 
 ROTATION = camera_from_light(np.radians(20.0))
-TOLERANCE = 1e-5  # the engines' claim; rounding of 8192 terms and κ up to 30 spends about 3e-6 of it
+# the engines' claim; rounding of 8192 terms and κ up to 30 spends about 3e-6 of it
+TOLERANCE = 1e-5
 
 
 @pytest.fixture(autouse=True)
@@ -27,7 +29,9 @@ def needs_numba():
 
 @dataclass
 class Scene:
-    """n, view (P, 3) float32 numpy (view None: orthographic), m (3, 3, 2, 6), light (height, width, 3), g (P, 3) by radiance."""
+    """n, view (P, 3) float32 numpy (view None: orthographic), m (3, 3, 2, 6), light (height, width,
+    3), g (P, 3) by radiance.
+    """
 
     n: np.ndarray
     view: np.ndarray | None
@@ -60,7 +64,9 @@ def random_material(rng):
 
 
 def make_scene(rng, m, pixels=96, size=(32, 64), perspective=False, light=None, normals=None):
-    """A scene of random normals that face the viewer (or those given), under random light (or the one given)."""
+    """A scene of random normals that face the viewer (or those given), under random light (or the
+    one given).
+    """
     n = rng.normal(size=(pixels, 3)) if normals is None else np.asarray(normals, dtype=np.float64)
     if normals is None:
         n[:, 2] = np.abs(n[:, 2]) + 0.02
@@ -71,7 +77,13 @@ def make_scene(rng, m, pixels=96, size=(32, 64), perspective=False, light=None, 
         facing = (n * view).sum(1) > 1e-3
         n, view = n[facing].copy(), view[facing].copy()
     light = (3.0 * rng.random((*size, 3)) ** 4) if light is None else light
-    return Scene(n, view, m.astype(np.float32), light.astype(np.float32), rng.normal(size=n.shape).astype(np.float32))
+    return Scene(
+        n,
+        view,
+        m.astype(np.float32),
+        light.astype(np.float32),
+        rng.normal(size=n.shape).astype(np.float32),
+    )
 
 
 def tangential(by, x):
@@ -85,7 +97,13 @@ def reference(scene, rotation=ROTATION):
     leaves |= {name: unit(leaves[name]) for name in ("n", "view") if name in leaves}
     tensors = {name: torch.tensor(value).requires_grad_() for name, value in leaves.items()}
     batch = Batch(
-        tensors["n"], tensors.get("view"), tensors["m"][None], tensors["light"][None], (len(scene.n),), (0,), torch.as_tensor(rotation)
+        tensors["n"],
+        tensors.get("view"),
+        tensors["m"][None],
+        tensors["light"][None],
+        (len(scene.n),),
+        (0,),
+        torch.as_tensor(rotation),
     )
     radiance = exact.radiance(batch, 1e-2)
     found = torch.autograd.grad((radiance * torch.as_tensor(scene.g)).sum(), list(tensors.values()))
@@ -102,7 +120,11 @@ def engine(scene, workers=1, rotation=ROTATION):
 
     arguments = scene.arguments(rotation)
     by_n, by_view, by_m, by_light = cpu.gradients(scene.g, *arguments, workers)
-    found = {"n": tangential(by_n.astype(np.float64), unit(scene.n.astype(np.float64))), "m": by_m[0], "light": by_light[0]}
+    found = {
+        "n": tangential(by_n.astype(np.float64), unit(scene.n.astype(np.float64))),
+        "m": by_m[0],
+        "light": by_light[0],
+    }
     if by_view is not None:
         found["view"] = tangential(by_view.astype(np.float64), unit(scene.view.astype(np.float64)))
     return cpu.radiance(*arguments, workers), found
@@ -113,4 +135,7 @@ def errors(scene):
     right, right_by = reference(scene)
     seen, by = engine(scene)
     pairs = {"radiance": (seen, right)} | {name: (by[name], right_by[name]) for name in right_by}
-    return {name: float(np.abs(a - b).max() / max(np.abs(b).max(), 1e-30)) for name, (a, b) in pairs.items()}
+    return {
+        name: float(np.abs(a - b).max() / max(np.abs(b).max(), 1e-30))
+        for name, (a, b) in pairs.items()
+    }

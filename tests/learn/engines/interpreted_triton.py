@@ -1,7 +1,9 @@
-"""The Triton kernels' logic, run by Triton's interpreter on the CPU against the CPU engine: values and gradients.
+"""The Triton kernels' logic, run by Triton's interpreter on the CPU against the CPU engine: values
+and gradients.
 
-Run by test_triton.py in a process of its own: triton reads TRITON_INTERPRET when it is first imported. The interpreter uses numpy's exp2
-and log2; how fast and how right the kernels are on a GPU is not shown by these tests.
+Run by test_triton.py in a process of its own: triton reads TRITON_INTERPRET when it is first
+imported. The interpreter uses numpy's exp2 and log2; how fast and how right the kernels are on a
+GPU is not shown by these tests.
 """
 
 import numpy as np
@@ -10,7 +12,15 @@ import torch
 
 from learn.engines import cpu, cuda
 from manifests import materials as catalogue
-from tests.learn.engines.conftest import ROTATION, TOLERANCE, make_scene, material, random_material, tangential, unit
+from tests.learn.engines.conftest import (
+    ROTATION,
+    TOLERANCE,
+    make_scene,
+    material,
+    random_material,
+    tangential,
+    unit,
+)
 
 
 def relative(a, b):
@@ -24,7 +34,9 @@ def compare(scene):
     found = cuda.gradients(torch.as_tensor(scene.g), *tensors, rotation, counts, light_of)
     right = cpu.gradients(scene.g, *scene.arguments(), 1)
     assert relative(seen.numpy(), cpu.radiance(*scene.arguments(), 1)) <= TOLERANCE
-    for name, x, by, expected in zip(("n", "view", "m", "light"), (n, view, None, None), found, right, strict=True):
+    for name, x, by, expected in zip(
+        ("n", "view", "m", "light"), (n, view, None, None), found, right, strict=True
+    ):
         if expected is None:
             assert by is None
             continue
@@ -34,7 +46,9 @@ def compare(scene):
         assert relative(*pair) <= TOLERANCE, name
 
 
-CAMERAS = pytest.mark.parametrize("perspective", [False, True], ids=["orthographic", "view per pixel"])
+CAMERAS = pytest.mark.parametrize(
+    "perspective", [False, True], ids=["orthographic", "view per pixel"]
+)
 
 
 @CAMERAS
@@ -45,12 +59,18 @@ def test_values_and_gradients_equal_the_cpu_engine(rng, perspective):
 @CAMERAS
 @pytest.mark.parametrize("kappa, gamma", [(1e-5, 0.5), (30.0, 1e3)])
 def test_heights_and_widths_of_lobes(rng, perspective, kappa, gamma):
-    compare(make_scene(rng, material(kappa, gamma), pixels=32, size=(8, 16), perspective=perspective))
+    compare(
+        make_scene(rng, material(kappa, gamma), pixels=32, size=(8, 16), perspective=perspective)
+    )
 
 
 @CAMERAS
 def test_a_measured_metal(rng, perspective):
-    compare(make_scene(rng, catalogue.find("chrome").m, pixels=32, size=(8, 16), perspective=perspective))
+    compare(
+        make_scene(
+            rng, catalogue.find("chrome").m, pixels=32, size=(8, 16), perspective=perspective
+        )
+    )
 
 
 @CAMERAS
@@ -61,7 +81,10 @@ def test_groups_with_lights_of_their_own(rng, perspective):
     constants = tuple(ROTATION.flatten().tolist()), (20, 5, len(scene.n) - 25), (0, 0, 1)
     arrays = scene.n, scene.view, m, light
     tensors = [None if a is None else torch.as_tensor(a) for a in arrays]
-    assert relative(cuda.radiance(*tensors, *constants).numpy(), cpu.radiance(*arrays, *constants, 1)) <= TOLERANCE
+    assert (
+        relative(cuda.radiance(*tensors, *constants).numpy(), cpu.radiance(*arrays, *constants, 1))
+        <= TOLERANCE
+    )
     right = cpu.gradients(scene.g, *arrays, *constants, 1)
     found = cuda.gradients(torch.as_tensor(scene.g), *tensors, *constants)
     for by, expected in zip(found[2:], right[2:], strict=True):

@@ -1,4 +1,6 @@
-"""A million pixels made to break a sum of lobes: nothing that is not finite may come out, in values or gradients."""
+"""A million pixels made to break a sum of lobes: nothing that is not finite may come out, in values
+or gradients.
+"""
 
 import numpy as np
 import pytest
@@ -9,13 +11,16 @@ from shaders.dsbrdf import half_angles
 from shaders.envmap import directions
 from tests.learn.engines.conftest import ROTATION, unit
 
-SAMPLES, DRAWN = 1_000_000, 1_400_000  # pixels below the layer's horizon are drawn too, and left out
+# pixels below the layer's horizon are drawn too, and left out
+SAMPLES, DRAWN = 1_000_000, 1_400_000
 GROUPS = 500  # materials and lights, at least 2,000 pixels each
 SIZE = (4, 8)
 
 
 def awkward_materials(rng):
-    """κ in {0} ∪ [1e-6, 30], γ in [1e-3, 1e5]; half of the materials jump between the extremes from one control value to the next."""
+    """κ in {0} ∪ [1e-6, 30], γ in [1e-3, 1e5]; half of the materials jump between the extremes from
+    one control value to the next.
+    """
     m = np.empty((GROUPS, 3, 3, 2, 6))
     m[..., 0, :] = 10.0 ** rng.uniform(-6, np.log10(30), m[..., 0, :].shape)
     m[..., 1, :] = 10.0 ** rng.uniform(-3, 5, m[..., 1, :].shape)
@@ -40,11 +45,18 @@ def awkward_views(rng, w, count):
     """Near a light, opposite to one, or straight: distances from 0 to 0.1."""
     v = w[rng.integers(len(w), size=count)] * rng.choice([-1.0, 1.0], (count, 1))
     v[::3] = (0.0, 0.0, 1.0)
-    return unit(v + rng.normal(size=v.shape) * 10.0 ** rng.uniform(-9, -1, (count, 1)) * (rng.random((count, 1)) < 0.9))
+    return unit(
+        v
+        + rng.normal(size=v.shape)
+        * 10.0 ** rng.uniform(-9, -1, (count, 1))
+        * (rng.random((count, 1)) < 0.9)
+    )
 
 
 def awkward_normals(rng, w, v):
-    """At the silhouette, at the horizon of a light, at the peak of a lobe, at the poles; pixels below the horizon are turned over."""
+    """At the silhouette, at the horizon of a light, at the peak of a lobe, at the poles; pixels
+    below the horizon are turned over.
+    """
     count = len(v)
     light = w[rng.integers(len(w), size=count)]
     n = rng.normal(size=(count, 3))
@@ -61,7 +73,11 @@ def awkward_normals(rng, w, v):
 @pytest.mark.parametrize("perspective", [False, True], ids=["orthographic", "view per pixel"])
 def test_a_million_adversarial_samples_stay_finite(rng, perspective):
     w = directions(*SIZE)[0].reshape(-1, 3) @ ROTATION.T
-    v = awkward_views(rng, w, DRAWN) if perspective else np.broadcast_to([0.0, 0.0, 1.0], (DRAWN, 3))
+    v = (
+        awkward_views(rng, w, DRAWN)
+        if perspective
+        else np.broadcast_to([0.0, 0.0, 1.0], (DRAWN, 3))
+    )
     n = awkward_normals(rng, w, v).astype(np.float32)
     v = v.astype(np.float32)
     above = (n * v).sum(1) > HORIZON  # the layer renders no others
@@ -71,7 +87,15 @@ def test_a_million_adversarial_samples_stay_finite(rng, perspective):
     n, v = n[above].copy(), v[above].copy()
     g = (rng.normal(size=n.shape) * 10.0 ** rng.uniform(-6, 3, (len(n), 1))).astype(np.float32)
     rotation = tuple(ROTATION.flatten().tolist())
-    arguments = n, v if perspective else None, awkward_materials(rng), awkward_lights(rng), rotation, counts, list(range(GROUPS))
+    arguments = (
+        n,
+        v if perspective else None,
+        awkward_materials(rng),
+        awkward_lights(rng),
+        rotation,
+        counts,
+        list(range(GROUPS)),
+    )
     seen = cpu.radiance(*arguments, 1)
     assert np.isfinite(seen).all() and (seen >= 0).all() and seen.max() > 0
     for name, by in zip(("n", "view", "m", "light"), cpu.gradients(g, *arguments, 1), strict=True):

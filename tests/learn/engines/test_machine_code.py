@@ -1,4 +1,6 @@
-"""First use: what is compiled, kept, loaded and said; and life without a compiler or a folder to keep things in."""
+"""First use: what is compiled, kept, loaded and said; and life without a compiler or a folder to
+keep things in.
+"""
 
 import hashlib
 import subprocess
@@ -26,7 +28,13 @@ def run(cache, program=RENDER, **environment):
     import os
 
     environment = os.environ | {"BRDFACTORY_CACHE": str(cache)} | environment
-    return subprocess.run([sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=True, env=environment)
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", program],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+    )
 
 
 def test_first_use_compiles_and_says_so_and_the_second_loads_without_numba(tmp_path):
@@ -38,7 +46,9 @@ def test_first_use_compiles_and_says_so_and_the_second_loads_without_numba(tmp_p
 
 
 def test_import_and_cached_first_call_are_quick(tmp_path):
-    """0.3 s each is the limit, on one thread; processor time, best of three, because tests may share the machine."""
+    """0.3 s each is the limit, on one thread; processor time, best of three, because tests may
+    share the machine.
+    """
     run(tmp_path)
     times = [[float(x) for x in run(tmp_path).stdout.split()[:2]] for _ in range(3)]
     assert min(t[0] for t in times) <= 0.3
@@ -52,11 +62,16 @@ def test_a_damaged_file_is_compiled_again(tmp_path):
     kept.write_bytes(content[:-100])
     again = run(tmp_path)
     assert "compiling" in again.stderr
-    assert hashlib.sha256(kept.read_bytes()[machine_code.DIGEST :]).digest() == kept.read_bytes()[: machine_code.DIGEST]
+    assert (
+        hashlib.sha256(kept.read_bytes()[machine_code.DIGEST :]).digest()
+        == kept.read_bytes()[: machine_code.DIGEST]
+    )
 
 
 @pytest.mark.parametrize("count", [0, 40])
-def test_a_kernel_that_the_disk_has_no_room_for_is_used_and_not_kept(tmp_path, small_files, monkeypatch, capsys, count):
+def test_a_kernel_that_the_disk_has_no_room_for_is_used_and_not_kept(
+    tmp_path, small_files, monkeypatch, capsys, count
+):
     monkeypatch.setenv("BRDFACTORY_CACHE", str(tmp_path))
     monkeypatch.setattr(machine_code, "_compile", lambda name: bytes(range(64)))
     with small_files(count):
@@ -77,24 +92,42 @@ def test_a_folder_that_cannot_be_written_costs_time_and_nothing_else(tmp_path):
 
 def test_without_numba_and_without_kept_code_the_layer_still_renders(tmp_path):
     hide = "import sys; sys.modules['numba'] = None; sys.modules['llvmlite'] = None\n"
-    hide += "import importlib.util as u; find = u.find_spec; u.find_spec = lambda name, *a: None if name == 'numba' else find(name, *a)\n"
+    hide += (
+        "import importlib.util as u; find = u.find_spec; u.find_spec = lambda name, *a: None if"
+        " name == 'numba' else find(name, *a)\n"
+    )
     done = run(
         tmp_path,
-        hide + RENDER.replace('assert "numba" not in sys.modules, "imported before use"', "").replace('"numba" in sys.modules', "0"),
+        hide
+        + RENDER.replace('assert "numba" not in sys.modules, "imported before use"', "").replace(
+            '"numba" in sys.modules', "0"
+        ),
     )
-    assert float(done.stdout.split()[3]) == pytest.approx(float(run(tmp_path).stdout.split()[3]), rel=1e-5)
+    assert float(done.stdout.split()[3]) == pytest.approx(
+        float(run(tmp_path).stdout.split()[3]), rel=1e-5
+    )
     assert "numba is not installed" in done.stderr
 
 
 def test_the_key_covers_every_module_that_a_kernel_is_made_of():
-    assert machine_code.sources("general") == ["compilation", "distant", "exponentials", "general", "machine_code", "splines", "vector"]
+    assert machine_code.sources("general") == [
+        "compilation",
+        "distant",
+        "exponentials",
+        "general",
+        "machine_code",
+        "splines",
+        "vector",
+    ]
 
 
 def test_the_key_changes_with_any_source(tmp_path, monkeypatch):
     folder = tmp_path / "engines"
     folder.mkdir()
     for name in machine_code.sources("general"):
-        (folder / f"{name}.py").write_text((machine_code.Path(machine_code.__file__).parent / f"{name}.py").read_text())
+        (folder / f"{name}.py").write_text(
+            (machine_code.Path(machine_code.__file__).parent / f"{name}.py").read_text()
+        )
     monkeypatch.setattr(machine_code, "__file__", str(folder / "machine_code.py"))
     keys = {machine_code._key.__wrapped__("general")}
     for name in machine_code.sources("general"):

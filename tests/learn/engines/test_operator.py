@@ -9,7 +9,9 @@ from learn.layer import RenderLayer, render
 from learn.methods import exact_operator
 from tests.learn.engines.conftest import ROTATION, TOLERANCE, make_scene, random_material
 
-CAMERAS = pytest.mark.parametrize("perspective", [False, True], ids=["orthographic", "view per pixel"])
+CAMERAS = pytest.mark.parametrize(
+    "perspective", [False, True], ids=["orthographic", "view per pixel"]
+)
 
 
 def picture(rng, images=2, perspective=False, size=(16, 32), dtype=torch.float32):
@@ -20,7 +22,9 @@ def picture(rng, images=2, perspective=False, size=(16, 32), dtype=torch.float32
     n[:, :, 0] = 0
     found = {
         "n": n,
-        "material": torch.stack([torch.as_tensor(random_material(rng)).reshape(108) for _ in range(images)]),
+        "material": torch.stack(
+            [torch.as_tensor(random_material(rng)).reshape(108) for _ in range(images)]
+        ),
         "light": torch.as_tensor(rng.random((images, *size, 3))),
     }
     if perspective:
@@ -53,7 +57,11 @@ def test_float32_through_the_layer_matches_float64(rng, perspective):
 
 def test_float64_and_float32_take_different_paths(rng, monkeypatch):
     calls = []
-    monkeypatch.setattr(exact_operator, "radiance", lambda batch: calls.append(batch.n.dtype) or torch.zeros_like(batch.n))
+    monkeypatch.setattr(
+        exact_operator,
+        "radiance",
+        lambda batch: calls.append(batch.n.dtype) or torch.zeros_like(batch.n),
+    )
     for dtype in (torch.float32, torch.float64):
         render(**picture(rng, dtype=dtype), method="exact")
     assert calls == [torch.float32]
@@ -76,23 +84,37 @@ def test_a_kappa_beyond_the_largest_exponent_goes_to_the_reference(rng):
     arguments["material"][:, :6] = 60.0
     seen, _ = with_gradients(arguments)
     right, _ = with_gradients({name: value.double() for name, value in arguments.items()})
-    assert relative(seen, right) <= 1e-4  # the reference in float32: e^50 turns κ's rounding into 50 times as much
+    # the reference in float32: e^50 turns κ's rounding into 50 times as much
+    assert relative(seen, right) <= 1e-4
 
 
 @CAMERAS
 def test_opcheck(rng, perspective):
     scene = make_scene(rng, random_material(rng), pixels=20, size=(4, 8), perspective=perspective)
-    tensors = [None if a is None else torch.as_tensor(a).requires_grad_() for a in scene.arguments()[:4]]
+    tensors = [
+        None if a is None else torch.as_tensor(a).requires_grad_() for a in scene.arguments()[:4]
+    ]
     arguments = *tensors, ROTATION.flatten().tolist(), [len(scene.n)], [0]
-    assert set(torch.library.opcheck(torch.ops.brdfactory.exact_sum.default, arguments).values()) == {"SUCCESS"}
+    assert set(
+        torch.library.opcheck(torch.ops.brdfactory.exact_sum.default, arguments).values()
+    ) == {"SUCCESS"}
 
 
 @CAMERAS
 def test_opcheck_of_the_backward_operator(rng, perspective):
     scene = make_scene(rng, random_material(rng), pixels=20, size=(4, 8), perspective=perspective)
     tensors = [None if a is None else torch.as_tensor(a) for a in scene.arguments()[:4]]
-    arguments = torch.ones_like(tensors[0]), *tensors, ROTATION.flatten().tolist(), [len(scene.n)], [0], perspective
-    assert set(torch.library.opcheck(torch.ops.brdfactory.exact_sum_backward.default, arguments).values()) == {"SUCCESS"}
+    arguments = (
+        torch.ones_like(tensors[0]),
+        *tensors,
+        ROTATION.flatten().tolist(),
+        [len(scene.n)],
+        [0],
+        perspective,
+    )
+    assert set(
+        torch.library.opcheck(torch.ops.brdfactory.exact_sum_backward.default, arguments).values()
+    ) == {"SUCCESS"}
 
 
 @CAMERAS
@@ -101,7 +123,9 @@ def test_a_batch_equals_its_images_one_by_one_to_the_last_bit(rng, perspective):
     seen, by = with_gradients(arguments)
     weight = torch.linspace(-1, 1, seen.numel()).reshape(seen.shape)
     for i in range(3):
-        leaves = {name: value[i : i + 1].clone().requires_grad_() for name, value in arguments.items()}
+        leaves = {
+            name: value[i : i + 1].clone().requires_grad_() for name, value in arguments.items()
+        }
         one = render(**leaves, method="exact")
         (one * weight[i : i + 1]).sum().backward()
         assert torch.equal(one[0], seen[i])
@@ -128,7 +152,9 @@ def test_results_do_not_depend_on_threads_or_runs(rng, perspective):
 
 def test_segments_equal_separate_renderings(rng):
     arguments = picture(rng, images=1)
-    materials = torch.stack([torch.as_tensor(random_material(rng)).reshape(108) for _ in range(2)])[None]
+    materials = torch.stack([torch.as_tensor(random_material(rng)).reshape(108) for _ in range(2)])[
+        None
+    ]
     ids = torch.ones(1, 6, 8, dtype=torch.long)
     ids[:, 3:] = 2
     both = render(arguments["n"], materials, arguments["light"], segments=ids, method="exact")
@@ -141,7 +167,9 @@ def test_two_uses_in_one_graph_add_their_gradients(rng):
     arguments = picture(rng, images=1)
     m = arguments["material"].clone().requires_grad_()
     first = render(arguments["n"], m, arguments["light"], method="exact")
-    second = render(arguments["n"].flip(1), 0.5 * m, first.mean() * arguments["light"], method="exact")
+    second = render(
+        arguments["n"].flip(1), 0.5 * m, first.mean() * arguments["light"], method="exact"
+    )
     second.sum().backward()
     m64 = arguments["material"].double().requires_grad_()
     n64, light64 = arguments["n"].double(), arguments["light"].double()
@@ -152,7 +180,10 @@ def test_two_uses_in_one_graph_add_their_gradients(rng):
 
 def test_non_contiguous_inputs(rng):
     arguments = picture(rng, images=1, perspective=True)
-    strided = {name: value.transpose(-1, -2).contiguous().transpose(-1, -2) for name, value in arguments.items()}
+    strided = {
+        name: value.transpose(-1, -2).contiguous().transpose(-1, -2)
+        for name, value in arguments.items()
+    }
     assert not strided["n"].is_contiguous()
     seen, by = with_gradients(arguments)
     other, other_by = with_gradients(strided)
@@ -170,7 +201,8 @@ def test_half_precision_inputs_are_summed_in_float32(rng, dtype):
     assert torch.equal(seen, right.to(dtype))
 
 
-@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # torch's own, while it traces
+# torch's own, while it traces
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")
 def test_a_compiled_model_with_the_layer_inside(rng):
     class Model(torch.nn.Module):
         def __init__(self):
@@ -210,6 +242,8 @@ def test_one_pixel_is_the_same_alone_as_among_others(rng, perspective):
 def test_elevation_turns_the_light(rng, elevation):
     arguments = picture(rng, images=1)
     seen, _ = with_gradients(arguments, elevation=elevation)
-    right, _ = with_gradients({name: value.double() for name, value in arguments.items()}, elevation=elevation)
+    right, _ = with_gradients(
+        {name: value.double() for name, value in arguments.items()}, elevation=elevation
+    )
     assert relative(seen, right) <= TOLERANCE
     assert np.abs(seen.numpy() - with_gradients(arguments, elevation=0.3)[0].numpy()).max() > 1e-3

@@ -1,4 +1,6 @@
-"""Threads and processes: two callers at once, a child forked after use, DataLoader workers of both kinds, memory."""
+"""Threads and processes: two callers at once, a child forked after use, DataLoader workers of both
+kinds, memory.
+"""
 
 import threading
 import tracemalloc
@@ -35,7 +37,9 @@ class Rendered(torch.utils.data.Dataset):
 def test_dataloader_workers_render_after_the_parent_has(method):
     torch.set_num_threads(2)
     expected = small()
-    loader = torch.utils.data.DataLoader(Rendered(), num_workers=2, multiprocessing_context=method, timeout=120)
+    loader = torch.utils.data.DataLoader(
+        Rendered(), num_workers=2, multiprocessing_context=method, timeout=120
+    )
     assert [value.item() for value in loader] == [expected] * 4
 
 
@@ -76,21 +80,32 @@ def test_bounds_cover_everything_once():
 
 @pytest.mark.parametrize("perspective", [False, True])
 def test_memory_beyond_inputs_and_outputs_stays_below_64_mib(rng, perspective):
-    """For a batch of 120,000 pixels, four images with lights and materials of their own; sharp lobes, because they are quick."""
+    """For a batch of 120,000 pixels, four images with lights and materials of their own; sharp
+    lobes, because they are quick.
+    """
     images, pixels = 4, 30_000
-    scene = make_scene(rng, material(1.0, 3e4), pixels=images * pixels, size=(64, 128), perspective=perspective)
+    scene = make_scene(
+        rng, material(1.0, 3e4), pixels=images * pixels, size=(64, 128), perspective=perspective
+    )
     counts = [len(scene.n) // images] * (images - 1)
     counts.append(len(scene.n) - sum(counts))
     m = np.stack([scene.m * (1 + 0.1 * i) for i in range(images)])
     light = np.stack([scene.light] * images)
     arguments = scene.n, scene.view, m, light, scene.arguments()[4], counts, list(range(images))
     cpu.radiance(*arguments, 2)  # the map's geometry, kept for all calls, is not counted
-    for work in (lambda: cpu.radiance(*arguments, 2), lambda: cpu.gradients(scene.g, *arguments, 2)):
+    for work in (
+        lambda: cpu.radiance(*arguments, 2),
+        lambda: cpu.gradients(scene.g, *arguments, 2),
+    ):
         tracemalloc.start()
         results = work()
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
-        outputs = sum(a.nbytes for a in (results if isinstance(results, tuple) else (results,)) if a is not None)
+        outputs = sum(
+            a.nbytes
+            for a in (results if isinstance(results, tuple) else (results,))
+            if a is not None
+        )
         assert peak - outputs <= 64 * 2**20
 
 

@@ -11,7 +11,9 @@ types, njit = numba.types, numba.njit
 
 @pytest.fixture(scope="module")
 def lanewise():
-    """lanewise(function, *inputs) → float32 array: `function` of Wide values, run over arrays of a multiple of 16 floats."""
+    """lanewise(function, *inputs) → float32 array: `function` of Wide values, run over arrays of a
+    multiple of 16 floats.
+    """
     from learn.engines.vector import FLOAT_POINTER, load, store
 
     def run(function, *inputs):
@@ -22,6 +24,7 @@ def lanewise():
             def kernel(count, a, out):
                 for i in range(0, count, 16):
                     store(out, i, one(load(a, i)))
+
         else:
 
             def kernel(count, a, b, out):
@@ -31,7 +34,9 @@ def lanewise():
         out = np.empty_like(inputs[0])
         signature = types.void(types.int64, *[FLOAT_POINTER] * (len(inputs) + 1))
         compiled = numba.cfunc(signature)(kernel)
-        pointers = [ctypes.cast(a.ctypes.data, ctypes.POINTER(ctypes.c_float)) for a in (*inputs, out)]
+        pointers = [
+            ctypes.cast(a.ctypes.data, ctypes.POINTER(ctypes.c_float)) for a in (*inputs, out)
+        ]
         compiled.ctypes(out.size, *pointers)
         return out
 
@@ -43,7 +48,8 @@ def test_exp2(lanewise):
 
     x = np.linspace(-47.9, 100, 16 * 5000).astype(np.float32)
     np.testing.assert_allclose(lanewise(exp2, x), np.exp2(x.astype(np.float64)), rtol=3e-7)
-    assert (lanewise(exp2, np.full(16, -1e9)) == np.float32(2.0**-48)).all()  # held, not 0 and not denormal
+    # held, not 0 and not denormal
+    assert (lanewise(exp2, np.full(16, -1e9)) == np.float32(2.0**-48)).all()
 
 
 def test_exp2m1_keeps_its_digits_near_zero(lanewise):
@@ -60,7 +66,9 @@ def test_log2_keeps_its_digits_near_one(lanewise):
     gap = np.concatenate([np.geomspace(1e-12, 1, 8000), np.linspace(0, 1 - 1e-4, 8000)])
     gap = np.minimum(gap, 1 - 1e-4).astype(np.float32)
     c = (1 - gap.astype(np.float64)).astype(np.float32)
-    exact = np.where(c > 0.75, np.log1p(-gap.astype(np.float64)) / np.log(2), np.log2(c.astype(np.float64)))
+    exact = np.where(
+        c > 0.75, np.log1p(-gap.astype(np.float64)) / np.log(2), np.log2(c.astype(np.float64))
+    )
     np.testing.assert_allclose(lanewise(log2, c, gap), exact, rtol=3e-7)
 
 
@@ -81,13 +89,16 @@ def test_spline_is_the_one_of_shaders(lanewise):
     right = basis(theta.astype(np.float32).astype(np.float64))
     for i in range(6):
         picked = lanewise(pick(splines.basis, i), theta)
-        np.testing.assert_allclose(picked, right[:, i], atol=5e-7)  # x ≤ 4 is rounded to 2.4e-7, slopes reach 2
+        # x ≤ 4 is rounded to 2.4e-7, slopes reach 2
+        np.testing.assert_allclose(picked, right[:, i], atol=5e-7)
         zero = (right[:, i] == 0) & (np.abs(np.sin(theta * 8)) > 1e-3)
         assert (picked[zero] == 0).all()  # no trace of a control value where its function is 0
 
 
 def test_spline_slope_is_the_derivative(lanewise):
-    """The derivative of Σ m_t b_t by tents and steps against a central difference of shaders.spline."""
+    """The derivative of Σ m_t b_t by tents and steps against a central difference of
+    shaders.spline.
+    """
     from learn.engines import splines
     from learn.engines.lights import spline_steps
     from shaders.spline import basis
@@ -122,7 +133,15 @@ def test_operators_and_select(lanewise):
     from learn.engines.vector import maximum, minimum, select
 
     a, b = np.random.default_rng(4).normal(size=(2, 64)).astype(np.float32)
-    np.testing.assert_allclose(lanewise(lambda x, y: (x + y) * 2.0 - x / 4.0, a, b), (a + b) * 2 - a / 4, rtol=1e-6)
-    np.testing.assert_array_equal(lanewise(lambda x, y: select(x > y, x, y), a, b), np.maximum(a, b))
-    np.testing.assert_array_equal(lanewise(lambda x, y: select(x < 0.5, x, y), a, b), np.where(a < 0.5, a, b))
-    np.testing.assert_array_equal(lanewise(lambda x, y: maximum(minimum(x, y), -1.0), a, b), np.maximum(np.minimum(a, b), -1))
+    np.testing.assert_allclose(
+        lanewise(lambda x, y: (x + y) * 2.0 - x / 4.0, a, b), (a + b) * 2 - a / 4, rtol=1e-6
+    )
+    np.testing.assert_array_equal(
+        lanewise(lambda x, y: select(x > y, x, y), a, b), np.maximum(a, b)
+    )
+    np.testing.assert_array_equal(
+        lanewise(lambda x, y: select(x < 0.5, x, y), a, b), np.where(a < 0.5, a, b)
+    )
+    np.testing.assert_array_equal(
+        lanewise(lambda x, y: maximum(minimum(x, y), -1.0), a, b), np.maximum(np.minimum(a, b), -1)
+    )

@@ -26,9 +26,14 @@ def perspective(size=14, dtype=torch.float32):
 
 
 def material(kappas, gammas, dtype=torch.float32):
-    """(1, 108): κ and γ of each lobe, κ a little different in each channel, γ rising by a fifth towards grazing θ_d."""
+    """(1, 108): κ and γ of each lobe, κ a little different in each channel, γ rising by a fifth
+    towards grazing θ_d.
+    """
     m = torch.empty(3, 3, 2, 6, dtype=torch.float64)
-    m[:, :, 0] = torch.tensor(kappas, dtype=torch.float64)[:, None] * torch.tensor([1.0, 0.8, 0.6])[:, None, None]
+    m[:, :, 0] = (
+        torch.tensor(kappas, dtype=torch.float64)[:, None]
+        * torch.tensor([1.0, 0.8, 0.6])[:, None, None]
+    )
     m[:, :, 1] = torch.tensor(gammas, dtype=torch.float64)[:, None] * torch.linspace(1.0, 1.2, 6)
     return m.reshape(1, 108).to(dtype)
 
@@ -46,7 +51,10 @@ def light(name, dtype=torch.float32):
     if name == "sky":
         L = 0.3 + np.clip(w[..., 1:2], 0, 1) * [0.6, 0.8, 1.2] + 0.2 * np.sin(5 * w[..., :1]) ** 2
     elif name == "lamps":
-        L = 0.05 + sum(np.exp(30 * (w @ a / np.linalg.norm(a) - 1))[..., None] * c for a, c in (((1, 1, 1), 5.0), ((-2, 1, 0), 3.0)))
+        L = 0.05 + sum(
+            np.exp(30 * (w @ a / np.linalg.norm(a) - 1))[..., None] * c
+            for a, c in (((1, 1, 1), 5.0), ((-2, 1, 0), 3.0))
+        )
         L = L * np.ones(3)
     else:  # a sun in one texel, with half of all light
         L = np.ones((*SIZE, 3))

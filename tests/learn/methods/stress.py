@@ -1,11 +1,14 @@
-"""A million adversarial pixels through a method: how many values or derivatives are not finite. Run by hand, the result is kept.
+"""A million adversarial pixels through a method: how many values or derivatives are not finite. Run
+by hand, the result is kept.
 
-    python tests/learn/methods/stress.py --samples 1000000 --out docs/results/layer/stress.json [--method NAME …] [--view-per-pixel]
+    python tests/learn/methods/stress.py --samples 1000000 --out docs/results/layer/stress.json
+    [--method NAME …] [--view-per-pixel]
 
-Each picture is rendered with derivatives and without. It has 2,000 pixels whose normals lie at the silhouette, at right angles to a light,
-at a lobe's peak, at the poles or anywhere; κ up to 30, γ from 1e-3 to 1e5, both jumping between the extremes; light black, in one texel,
-up to 1e6, or denormal. A view per pixel lies along a light, opposite to it, across the normal, beside it, or anywhere.
-tests/learn/methods/test_stress.py runs a few of them.
+Each picture is rendered with derivatives and without. It has 2,000 pixels whose normals lie at the
+silhouette, at right angles to a light, at a lobe's peak, at the poles or anywhere; κ up to 30, γ
+from 1e-3 to 1e5, both jumping between the extremes; light black, in one texel, up to 1e6, or
+denormal. A view per pixel lies along a light, opposite to it, across the normal, beside it, or
+anywhere. tests/learn/methods/test_stress.py runs a few of them.
 """
 
 import argparse
@@ -55,7 +58,9 @@ def views(rng, n):
 
 def scene(rng, pixels=PIXELS, view_per_pixel=False):
     """render's arguments, float32."""
-    m = np.stack([10.0 ** rng.uniform(-6, np.log10(30), (3, 3, 6)), 10.0 ** rng.uniform(-3, 5, (3, 3, 6))], 2)
+    m = np.stack(
+        [10.0 ** rng.uniform(-6, np.log10(30), (3, 3, 6)), 10.0 ** rng.uniform(-3, 5, (3, 3, 6))], 2
+    )
     if rng.random() < 0.5:
         m[:, :, 0, ::2], m[:, :, 1, ::2] = 30.0, rng.choice([1e-3, 1e5], (3, 3, 3))
     if rng.random() < 0.2:
@@ -75,31 +80,58 @@ def not_finite(method, samples, seed, tolerance=1e-2, pixels=PIXELS, view_per_pi
     wrong = 0
     for i in range(-(-samples // pixels)):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
-        leaves = {name: x.requires_grad_() for name, x in scene(rng, pixels, view_per_pixel).items()}
+        leaves = {
+            name: x.requires_grad_() for name, x in scene(rng, pixels, view_per_pixel).items()
+        }
         seen = render(**leaves, method=method, tolerance=tolerance)
         seen.sum().backward()
         with torch.no_grad():
             alone = render(**leaves, method=method, tolerance=tolerance)
-        wrong += sum(int((~x.isfinite()).sum()) for x in (seen, alone, *(leaf.grad for leaf in leaves.values())))
+        wrong += sum(
+            int((~x.isfinite()).sum())
+            for x in (seen, alone, *(leaf.grad for leaf in leaves.values()))
+        )
     return wrong
 
 
 def main():
-    parser = argparse.ArgumentParser(description="Adversarial pixels through the rendering methods.")
+    parser = argparse.ArgumentParser(
+        description="Adversarial pixels through the rendering methods."
+    )
     parser.add_argument("--samples", type=int, default=1_000_000)
     parser.add_argument("--method", nargs="+", default=list(methods.NAMES), choices=methods.NAMES)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--tolerance", type=float, default=1e-2, help="given to the methods; samples, taps and lights follow from it")
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=1e-2,
+        help="given to the methods; samples, taps and lights follow from it",
+    )
     parser.add_argument("--view-per-pixel", action="store_true")
     options = parser.parse_args()
     for method in options.method:
         start = time.perf_counter()
-        wrong = not_finite(method, options.samples, options.seed, options.tolerance, view_per_pixel=options.view_per_pixel)
+        wrong = not_finite(
+            method,
+            options.samples,
+            options.seed,
+            options.tolerance,
+            view_per_pixel=options.view_per_pixel,
+        )
         name = f"{method}, view per pixel" if options.view_per_pixel else method
         found = json.loads(options.out.read_text()) if options.out.exists() else {}
-        found[name] = {"samples": options.samples, "seed": options.seed, "tolerance": options.tolerance, "not finite": wrong}
-        print(f"{method}: {wrong} of {options.samples} pixels' values and derivatives, {time.perf_counter() - start:.0f} s", flush=True)
+        found[name] = {
+            "samples": options.samples,
+            "seed": options.seed,
+            "tolerance": options.tolerance,
+            "not finite": wrong,
+        }
+        print(
+            f"{method}: {wrong} of {options.samples} pixels' values and derivatives,"
+            f" {time.perf_counter() - start:.0f} s",
+            flush=True,
+        )
         options.out.parent.mkdir(parents=True, exist_ok=True)
         options.out.write_text(json.dumps(found, indent=1) + "\n")
 

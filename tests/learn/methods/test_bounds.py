@@ -1,4 +1,6 @@
-"""What the planned methods guarantee: culling stays within what it may leave out, a cut keeps the energy, maps are shared rightly."""
+"""What the planned methods guarantee: culling stays within what it may leave out, a cut keeps the
+energy, maps are shared rightly.
+"""
 
 import numpy as np
 import pytest
@@ -49,7 +51,9 @@ def test_regions_of_a_cut_cover_each_texel_once():
 
 
 def test_a_map_reproduces_quadratics_of_the_place():
-    n = UNIT(torch.randn(300, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(5)), dim=-1)
+    n = UNIT(
+        torch.randn(300, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(5)), dim=-1
+    )
     n[:, 2] = n[:, 2].abs()
 
     def function(n):
@@ -62,7 +66,9 @@ def test_a_map_reproduces_quadratics_of_the_place():
 
 
 def scattered(count, size, seed, dtype):
-    """Unit normals (count, 3) that face the viewer, and random values at the nodes of a map that they need."""
+    """Unit normals (count, 3) that face the viewer, and random values at the nodes of a map that
+    they need.
+    """
     random = torch.Generator().manual_seed(seed)
     n = UNIT(torch.randn(count, 3, dtype=dtype, generator=random), dim=-1)
     n[:, 2] = n[:, 2].abs()
@@ -79,13 +85,16 @@ def test_a_maps_kernel_and_torch_agree_in_nodes_values_and_derivatives():
         out = reflectance_map.look_up(*leaves, nodes, 20)
         found.append([out, *torch.autograd.grad((out**2).sum(), leaves)])
     for single, double in zip(*found, strict=True):
-        torch.testing.assert_close(single.double(), double, rtol=1e-4, atol=1e-5)  # float32 sums of up to some hundred pixels
+        # float32 sums of up to some hundred pixels
+        torch.testing.assert_close(single.double(), double, rtol=1e-4, atol=1e-5)
 
 
 def test_the_float64_look_up_is_differentiable():
     n, values, nodes = scattered(6, 12, 8, torch.float64)
     leaves = n.requires_grad_(), values.requires_grad_()
-    assert torch.autograd.gradcheck(lambda n, values: reflectance_map.look_up(n, values, nodes, 12), leaves)
+    assert torch.autograd.gradcheck(
+        lambda n, values: reflectance_map.look_up(n, values, nodes, 12), leaves
+    )
 
 
 @pytest.mark.parametrize("wanted", [False, True])
@@ -100,7 +109,8 @@ def test_pictures_of_one_material_and_light_share_their_sum(monkeypatch, wanted)
     together = render(n, m.expand(3, -1), L.expand(3, -1, -1, -1), method="reflectance_map")
     assert len(calls) == 1
     alone = torch.cat([render(n[i : i + 1], m, L, method="reflectance_map") for i in range(3)])
-    torch.testing.assert_close(together, alone, rtol=2e-3, atol=1e-4)  # culling tells the mean from other pixels
+    # culling tells the mean from other pixels
+    torch.testing.assert_close(together, alone, rtol=2e-3, atol=1e-4)
     if wanted:
         (shared,) = torch.autograd.grad(together.sum(), m, retain_graph=True)
         (apart,) = torch.autograd.grad(alone.sum(), m)
@@ -122,7 +132,9 @@ def test_auto_keeps_its_tolerance_from_far_and_near(tolerance):
         for name in LIGHTS:
             given = {"n": n, "material": material(*lobes), "light": light(name)}
             truth = render(**given, method="exact")
-            assert (render(**given, tolerance=tolerance) - truth).abs().mean() <= tolerance * truth.mean()
+            assert (
+                render(**given, tolerance=tolerance) - truth
+            ).abs().mean() <= tolerance * truth.mean()
 
 
 def test_auto_is_the_same_every_time():

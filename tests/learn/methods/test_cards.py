@@ -1,4 +1,6 @@
-"""Every method keeps what its card claims, on three materials under three lights, from far and from near."""
+"""Every method keeps what its card claims, on three materials under three lights, from far and from
+near.
+"""
 
 import functools
 import math
@@ -14,37 +16,61 @@ from learn.layer import render
 
 TOLERANCE = 1e-2
 CAMERAS = ("orthographic", "perspective")
-MEASURED = {  # errors kept by methods whose cards claim none, or one above 1, which a black picture keeps: some 1.3 times those measured
-    "quadrature": {"matte": 1e-3, "satin": 1e-3, "glossy": 1e-2},  # the paper's sum itself is .005 from the integral for "glossy"
+# errors kept by methods whose cards claim none, or one above 1, which a black picture keeps: some
+# 1.3 times those measured
+MEASURED = {
+    # the paper's sum itself is .005 from the integral for "glossy"
+    "quadrature": {"matte": 1e-3, "satin": 1e-3, "glossy": 1e-2},
     "monte_carlo": {"matte": 0.02, "satin": 0.02, "glossy": 0.02},  # noise of 512 samples per pixel
     "monte_carlo_light": {"matte": 0.012, "satin": 0.015, "glossy": 0.04},
     "monte_carlo_brdf": {"matte": 0.16, "satin": 0.08, "glossy": 0.08},
-    "spherical_harmonics": {"matte": 0.05, "satin": 0.95},  # made for matte; all materials in a test of its own below
+    # made for matte; all materials in a test of its own below
+    "spherical_harmonics": {"matte": 0.05, "satin": 0.95},
 }
-SLOPES = {  # the same of derivatives, where the method's own are near the sum's; others: finite differences below, test_sampling.py
+# the same of derivatives, where the method's own are near the sum's; others: finite differences
+# below, test_sampling.py
+SLOPES = {
     "quadrature": {"n": 0.13, "view": 0.15, "material": 2e-3, "light": 0.02},
     "monte_carlo": {"n": 0.2, "view": 0.2, "material": 0.01, "light": 0.25},
-    "spherical_gaussians": {"light": 0.33},  # the places of its lights are held, so that this is not the slope of its own picture
+    # the places of its lights are held, so that this is not the slope of its own picture
+    "spherical_gaussians": {"light": 0.33},
 }
 
 
 def scene(camera, m, L):
     n = sphere()
-    return {"n": n, "material": material(*MATERIALS[m]), "light": light(L), "view": perspective() if camera == "perspective" else None}
+    return {
+        "n": n,
+        "material": material(*MATERIALS[m]),
+        "light": light(L),
+        "view": perspective() if camera == "perspective" else None,
+    }
 
 
 def rendered(scene, method):
     """Picture and derivatives of a weighted sum of it, float64."""
-    leaves = {key: value.detach().clone().requires_grad_() for key, value in scene.items() if value is not None}
+    leaves = {
+        key: value.detach().clone().requires_grad_()
+        for key, value in scene.items()
+        if value is not None
+    }
     seen = render(**leaves, method=method, tolerance=TOLERANCE)
-    (seen * torch.linspace(0.5, 1.5, seen.numel(), dtype=seen.dtype).reshape(seen.shape)).sum().backward()
+    (
+        seen * torch.linspace(0.5, 1.5, seen.numel(), dtype=seen.dtype).reshape(seen.shape)
+    ).sum().backward()
     return seen.detach().double(), {key: leaf.grad.double() for key, leaf in leaves.items()}
 
 
 @functools.cache
 def exact(camera, m, L):
     """The paper's sum of a scene in float64, computed once for all methods."""
-    return rendered({key: None if value is None else value.double() for key, value in scene(camera, m, L).items()}, "exact")
+    return rendered(
+        {
+            key: None if value is None else value.double()
+            for key, value in scene(camera, m, L).items()
+        },
+        "exact",
+    )
 
 
 def distance(found, right):
@@ -67,14 +93,26 @@ def test_error_and_derivatives_are_within_the_cards_claims(name):
                 if card.error is not None:
                     # float32 takes up to 1e-5 of its own
                     assert distance(seen, truth) <= card.error + 1e-5, (camera, m, L)
-                if (name, L) != ("monte_carlo_brdf", "sun"):  # which finds a sun in one texel by chance alone
-                    assert distance(seen, truth) <= MEASURED.get(name, {}).get(m, math.inf), (camera, m, L)
+                # which finds a sun in one texel by chance alone
+                if (name, L) != ("monte_carlo_brdf", "sun"):
+                    assert distance(seen, truth) <= MEASURED.get(name, {}).get(m, math.inf), (
+                        camera,
+                        m,
+                        L,
+                    )
                 for key, slope in slopes.items():
                     assert slope.isfinite().all(), (camera, m, L, key)
                     if card.gradient is None:
-                        assert distance(slope, true_slopes[key]) <= SLOPES.get(name, {}).get(key, math.inf), (camera, m, L, key)
+                        assert distance(slope, true_slopes[key]) <= SLOPES.get(name, {}).get(
+                            key, math.inf
+                        ), (camera, m, L, key)
                     else:
-                        assert distance(slope, true_slopes[key]) <= card.gradient + 1e-5, (camera, m, L, key)
+                        assert distance(slope, true_slopes[key]) <= card.gradient + 1e-5, (
+                            camera,
+                            m,
+                            L,
+                            key,
+                        )
 
 
 @pytest.mark.parametrize("name", ["spherical_harmonics", "split_sum", "spherical_gaussians"])
@@ -90,16 +128,25 @@ def test_derivatives_of_an_approximation_are_those_of_its_own_picture(name):
     for key, value in given.items():
         if (name, key) == ("spherical_gaussians", "light"):  # held: SLOPES has it
             continue
-        along = torch.randn(value.shape, dtype=torch.float64, generator=generator) * (value if key in ("material", "light") else 1)
+        along = torch.randn(value.shape, dtype=torch.float64, generator=generator) * (
+            value if key in ("material", "light") else 1
+        )
         slope = (leaves[key].grad * along).sum()
 
         def total(step, key=key, value=value, along=along):
-            return (render(**given | {key: value + step * along}, mask=mask, method=name) * weights).sum()
+            return (
+                render(**given | {key: value + step * along}, mask=mask, method=name) * weights
+            ).sum()
 
         differences = (total(1e-6) - total(-1e-6)) / 2e-6
         size = (leaves[key].grad * along).norm()  # the terms of the sum, which partly cancel
-        # 1e-6 of float64's 1e-16 leaves 1e-10 of the picture; look-ups with corners between texels stay below 1e-4
-        assert abs(slope - differences) <= 1e-4 * size + 1e-8 * total(0.0).abs(), (key, slope, differences)
+        # 1e-6 of float64's 1e-16 leaves 1e-10 of the picture; look-ups with corners between texels
+        # stay below 1e-4
+        assert abs(slope - differences) <= 1e-4 * size + 1e-8 * total(0.0).abs(), (
+            key,
+            slope,
+            differences,
+        )
 
 
 @pytest.mark.parametrize("m", MATERIALS)
@@ -110,14 +157,22 @@ def test_harmonics_are_right_for_any_material_under_constant_light_seen_straight
         "light": torch.ones(1, 24, 48, 3).double(),
     }
     seen = render(**given, method="spherical_harmonics")[0, 0, 0].numpy()
-    truth = radiance(VIEWER, given["material"].numpy().reshape(3, 3, 2, 6), given["light"][0].numpy())
-    np.testing.assert_allclose(seen, truth, rtol=5e-3)  # the sum over texels of 7.5° that light is projected by: 4e-3
+    truth = radiance(
+        VIEWER, given["material"].numpy().reshape(3, 3, 2, 6), given["light"][0].numpy()
+    )
+    # the sum over texels of 7.5° that light is projected by: 4e-3
+    np.testing.assert_allclose(seen, truth, rtol=5e-3)
 
 
 @pytest.mark.parametrize("name", methods.NAMES)
 def test_a_card_says_what_it_does(name):
     card = methods.load(name).CARD
-    assert card.approximates and card.cost and card.memory and card.needs <= {"orthographic", "numba", "triton", "cuda"}
+    assert (
+        card.approximates
+        and card.cost
+        and card.memory
+        and card.needs <= {"orthographic", "numba", "triton", "cuda"}
+    )
 
 
 def test_a_method_for_distant_viewers_says_so():
@@ -129,7 +184,9 @@ def test_a_method_for_distant_viewers_says_so():
 def test_tighter_tolerances_do_not_make_a_method_worse(name):
     given = scene("orthographic", "satin", "lamps")
     truth, _ = exact("orthographic", "satin", "lamps")
-    loose, tight = (distance(render(**given, method=name, tolerance=t).double(), truth) for t in (5e-2, 1e-3))
+    loose, tight = (
+        distance(render(**given, method=name, tolerance=t).double(), truth) for t in (5e-2, 1e-3)
+    )
     assert tight <= 1.2 * loose + 1e-5
 
 
@@ -137,5 +194,9 @@ def test_monte_carlo_comes_nearer_with_more_samples():
     given = scene("orthographic", "satin", "lamps")
     truth = render(**given, method="quadrature", tolerance=1e-4).double()
     for name in ("monte_carlo", "monte_carlo_brdf", "monte_carlo_light"):
-        few, many = (distance(render(**given, method=name, tolerance=t).double(), truth) for t in (2.5e-1, 4e-3))
-        assert many < 0.5 * few, name  # 64 times the samples: an eighth, and half is far outside chance over 250 pixels
+        few, many = (
+            distance(render(**given, method=name, tolerance=t).double(), truth)
+            for t in (2.5e-1, 4e-3)
+        )
+        # 64 times the samples: an eighth, and half is far outside chance over 250 pixels
+        assert many < 0.5 * few, name

@@ -1,4 +1,6 @@
-"""Methods inside a model that torch.compile takes apart: the same picture and the same derivatives."""
+"""Methods inside a model that torch.compile takes apart: the same picture and the same
+derivatives.
+"""
 
 import pytest
 import torch
@@ -18,7 +20,8 @@ class Model(torch.nn.Module):
         return torch.tanh(self.layer(n, self.gain * m, L)).mean()
 
 
-@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # torch's own, while it traces
+# torch's own, while it traces
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")
 @pytest.mark.parametrize("name", methods.NAMES)
 def test_a_compiled_model_gives_what_the_plain_one_gives(name):
     given, model = (sphere(8), material(*MATERIALS["satin"]), light("sky")), Model(name)

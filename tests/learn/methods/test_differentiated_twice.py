@@ -1,6 +1,8 @@
-"""Every method's second derivatives: right by finite differences of its own first ones, or refused by name; never None or 0 in their place.
+"""Every method's second derivatives: right by finite differences of its own first ones, or refused
+by name; never None or 0 in their place.
 
-What is right is said below, case by case: where a method refuses although it need not, that shows too.
+What is right is said below, case by case: where a method refuses although it need not, that shows
+too.
 """
 
 import pytest
@@ -32,13 +34,17 @@ MATERIALS = {
 
 @pytest.fixture(autouse=True)
 def a_coarse_split_sum(monkeypatch):
-    """Its map of 32 × 64 directions takes most of this file's time, and is no finer than this test needs it."""
+    """Its map of 32 × 64 directions takes most of this file's time, and is no finer than this test
+    needs it.
+    """
     monkeypatch.setattr(split_sum, "ROWS", 8)
 
 
 @pytest.fixture(autouse=True)
 def no_sum_is_small(monkeypatch):
-    """Small sums are made whole, by the exact sum, and the scenes here are small: what approximates is what this file is about."""
+    """Small sums are made whole, by the exact sum, and the scenes here are small: what approximates
+    is what this file is about.
+    """
     monkeypatch.setattr(directional, "WHOLE", 0)
     monkeypatch.setattr(directional, "FEW_TEXELS", 0)
 
@@ -56,29 +62,41 @@ def scene_of(dtype, perspective, gammas, size=5):
     m[:, :, :, 1] *= torch.tensor(gammas, dtype=torch.float64)[:, None] / 1.2
     light = torch.rand(1, 4, 8, 3, dtype=torch.float64, generator=rng)
     unit = torch.nn.functional.normalize
-    scene = {"n": unit(n, dim=-1), "material": m.reshape(1, 108), "light": light} | ({"view": unit(v, dim=-1)} if perspective else {})
+    scene = {"n": unit(n, dim=-1), "material": m.reshape(1, 108), "light": light} | (
+        {"view": unit(v, dim=-1)} if perspective else {}
+    )
     return {name: x.to(dtype) for name, x in scene.items()}
 
 
 def random_like(x, seed):
-    return torch.randn(x.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)).to(x.dtype)
+    return torch.randn(
+        x.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)
+    ).to(x.dtype)
 
 
 def first(scene, method, constant, create_graph=False):
-    leaves = {name: x.detach().clone().requires_grad_(name not in constant) for name, x in scene.items()}
+    leaves = {
+        name: x.detach().clone().requires_grad_(name not in constant) for name, x in scene.items()
+    }
     seen = render(**leaves, method=method)
     wanted = {name: x for name, x in leaves.items() if x.requires_grad}
-    found = torch.autograd.grad((seen * random_like(seen, 1)).sum(), list(wanted.values()), create_graph=create_graph)
+    found = torch.autograd.grad(
+        (seen * random_like(seen, 1)).sum(), list(wanted.values()), create_graph=create_graph
+    )
     return wanted, dict(zip(wanted, found, strict=True))
 
 
 def products(scene, method, constant):
-    """{(by, then): the derivative along `then`'s direction of the first derivative by `by`, weighted}; None taken for 0."""
+    """{(by, then): the derivative along `then`'s direction of the first derivative by `by`,
+    weighted}; None taken for 0.
+    """
     leaves, slopes = first(scene, method, constant, create_graph=True)
     found = {}
     for by, slope in slopes.items():
         weighted = (slope * random_like(slope, 2)).sum()
-        seconds = torch.autograd.grad(weighted, list(leaves.values()), retain_graph=True, allow_unused=True)
+        seconds = torch.autograd.grad(
+            weighted, list(leaves.values()), retain_graph=True, allow_unused=True
+        )
         for (then, leaf), x in zip(leaves.items(), seconds, strict=True):
             found[by, then] = 0.0 if x is None else (x * towards(then, leaf.detach())).sum().item()
     return found
@@ -86,11 +104,17 @@ def products(scene, method, constant):
 
 def towards(name, x):
     direction = random_like(x, 3)
-    return direction - (direction * x).sum(-1, keepdim=True) * x if name in ("n", "view") else direction * x
+    return (
+        direction - (direction * x).sum(-1, keepdim=True) * x
+        if name in ("n", "view")
+        else direction * x
+    )
 
 
 def differences(scene, method, constant, step=1e-7):
-    """The same by central differences; the step is small against what separates a map's cells and a pixel from a texel's horizon."""
+    """The same by central differences; the step is small against what separates a map's cells and a
+    pixel from a texel's horizon.
+    """
     found = {}
     for then in scene.keys() - constant:
         sums = []
@@ -100,13 +124,17 @@ def differences(scene, method, constant, step=1e-7):
                 method,
                 constant,
             )
-            sums.append({by: (slope * random_like(slope, 2)).sum().item() for by, slope in slopes.items()})
+            sums.append(
+                {by: (slope * random_like(slope, 2)).sum().item() for by, slope in slopes.items()}
+            )
         found |= {(by, then): (sums[0][by] - sums[1][by]) / (2 * step) for by in sums[0]}
     return found
 
 
 def require_refusal(scene, method, constant):
-    """Each pair alone is refused by the method's name and with the remedy, where the graph is used and not where it is kept."""
+    """Each pair alone is refused by the method's name and with the remedy, where the graph is used
+    and not where it is kept.
+    """
     leaves, slopes = first(scene, method, constant, create_graph=True)
     named = rf'^method: expected "exact" .* found "{method}", .*render with method="exact"\)$'
     for slope in slopes.values():
@@ -155,7 +183,8 @@ def test_in_float64_they_are_right_or_refused(name, perspective, lobes, constant
     found, expected = products(scene, name, constant), differences(scene, name, constant)
     scale = max(abs(x) for x in expected.values())
     for pair, x in expected.items():
-        # rounding of first derivatives, 1e-16 of the largest over a step of 1e-7, is 1e-8 of what they change by in a unit step
+        # rounding of first derivatives, 1e-16 of the largest over a step of 1e-7, is 1e-8 of what
+        # they change by in a unit step
         assert found[pair] == pytest.approx(x, rel=1e-5, abs=1e-7 * scale), pair
 
 
@@ -170,12 +199,16 @@ def test_in_float32_they_are_those_of_float64_or_refused(name, perspective, lobe
     expected = products({key: x.double() for key, x in scene.items()}, name, constant)
     scale = max(abs(x) for x in expected.values())
     for pair, x in expected.items():
-        assert found[pair] == pytest.approx(x, rel=1e-3, abs=1e-4 * scale), pair  # sums of some thousand terms of two signs, γ up to 4000
+        # sums of some thousand terms of two signs, γ up to 4000
+        assert found[pair] == pytest.approx(x, rel=1e-3, abs=1e-4 * scale), pair
 
 
 def test_pictures_of_which_one_is_approximated_refuse():
     """auto takes each picture its own way: what sums them up is refused as a whole."""
-    scene = {name: torch.cat([x, x]) for name, x in scene_of(torch.float32, False, MATERIALS["broad"]).items()}
+    scene = {
+        name: torch.cat([x, x])
+        for name, x in scene_of(torch.float32, False, MATERIALS["broad"]).items()
+    }
     leaves = {name: x.requires_grad_() for name, x in scene.items()}
     (slope,) = torch.autograd.grad(render(**leaves).sum(), leaves["light"], create_graph=True)
     with pytest.raises(NotImplementedError, match='found "auto"'):
@@ -183,7 +216,9 @@ def test_pictures_of_which_one_is_approximated_refuse():
 
 
 def test_what_goes_before_and_after_the_layer_may_be_differentiated_twice():
-    """A refusal stands between the layer's first derivatives and its arguments, not in the way of a loss that does not cross it."""
+    """A refusal stands between the layer's first derivatives and its arguments, not in the way of a
+    loss that does not cross it.
+    """
     scene = scene_of(torch.float32, False, MATERIALS["broad"])
     gain = torch.tensor(1.5, requires_grad=True)
     light = scene.pop("light")
@@ -195,7 +230,9 @@ def test_what_goes_before_and_after_the_layer_may_be_differentiated_twice():
 
 @pytest.mark.parametrize("perspective", [False, True], ids=["orthographic", "view per pixel"])
 def test_the_kernels_steps_refuse_by_themselves(perspective):
-    """Whoever uses them without a method's name in front: a sum near its lights, a look-up, a plan."""
+    """Whoever uses them without a method's name in front: a sum near its lights, a look-up, a
+    plan.
+    """
     if not machine_code.is_available():
         pytest.skip("numba is not installed: no kernels to test")
     scene = scene_of(torch.float32, perspective, MATERIALS["broad"])
@@ -220,12 +257,16 @@ def test_the_kernels_steps_refuse_by_themselves(perspective):
     for radiance in seen:
         (slope,) = torch.autograd.grad(radiance.sum(), n, create_graph=True)
         assert slope.isfinite().all()
-        with pytest.raises(NotImplementedError, match='expected "exact" where derivatives are differentiated again'):
+        with pytest.raises(
+            NotImplementedError, match='expected "exact" where derivatives are differentiated again'
+        ):
             torch.autograd.grad(slope.sum(), n)
 
 
 def test_the_reference_on_other_lights_than_a_map_is_twice_differentiable():
-    """learn.methods.exact.ExactSum, which median_cut and reflectance_map call in float64 for lights of their own."""
+    """learn.methods.exact.ExactSum, which median_cut and reflectance_map call in float64 for lights
+    of their own.
+    """
     from learn.methods.exact import ExactSum
 
     scene = scene_of(torch.float64, False, MATERIALS["broad"], size=1)

@@ -1,4 +1,6 @@
-"""Coarse lights are exact for what is smooth; planned radiance has the derivatives of the sum; pixels are picked as torch would."""
+"""Coarse lights are exact for what is smooth; planned radiance has the derivatives of the sum;
+pixels are picked as torch would.
+"""
 
 import math
 
@@ -21,11 +23,16 @@ RANDOM = np.random.default_rng(2)
 @pytest.mark.parametrize("level", [1, 2])
 def test_a_coarse_lights_gradient_is_the_adjoint_of_its_energy(level):
     E, g = (RANDOM.normal(size=(3, 32 >> k, 64 >> k)).astype(np.float32) for k in (0, level))
-    forward, back = (coarse.energy(E, level) * g).sum(dtype=np.float64), (E * coarse.gradient(g, level)).sum(dtype=np.float64)
+    forward, back = (
+        (coarse.energy(E, level) * g).sum(dtype=np.float64),
+        (E * coarse.gradient(g, level)).sum(dtype=np.float64),
+    )
     np.testing.assert_allclose(forward, back, rtol=1e-5)  # float32 sums
 
 
-@pytest.mark.parametrize("texel", [(0, 5), (31, 63), (12, 0), (16, 40)], ids=["zenith", "nadir", "seam", "middle"])
+@pytest.mark.parametrize(
+    "texel", [(0, 5), (31, 63), (12, 0), (16, 40)], ids=["zenith", "nadir", "seam", "middle"]
+)
 def test_a_coarse_light_keeps_energy_and_direction(texel):
     E = np.zeros((1, 32, 64), np.float32)
     E[0][texel] = 1.0
@@ -38,11 +45,16 @@ def test_a_coarse_light_keeps_energy_and_direction(texel):
 
 def test_a_coarse_light_is_turned_with_the_fine_one():
     E = RANDOM.random((1, 32, 64)).astype(np.float32)
-    np.testing.assert_array_equal(coarse.energy(np.roll(E, 20, 2), 2), np.roll(coarse.energy(E, 2), 5, 2))
+    np.testing.assert_array_equal(
+        coarse.energy(np.roll(E, 20, 2), 2), np.roll(coarse.energy(E, 2), 5, 2)
+    )
 
 
 def test_detail_tells_a_lit_texel_from_a_smooth_sky():
-    parts = {name: coarse.Light(L.astype(np.float32), ROTATION).detail() for name, L in chart_cases.computed_lights().items()}
+    parts = {
+        name: coarse.Light(L.astype(np.float32), ROTATION).detail()
+        for name, L in chart_cases.computed_lights().items()
+    }
     for found in parts.values():
         assert sum(found) == pytest.approx(1.0) and min(found) >= 0
     assert parts["sky"][0] < 0.01 < 0.5 < parts["sun in a texel"][0] < parts["one texel"][0] == 1.0
@@ -56,7 +68,9 @@ def one_lobe(sharpness):
     return m
 
 
-@pytest.mark.parametrize("sharpness, level, limit", [(8.0, 1, 1e-3), (8.0, 2, 3e-3), (50.0, 1, 5e-3)])
+@pytest.mark.parametrize(
+    "sharpness, level, limit", [(8.0, 1, 1e-3), (8.0, 2, 3e-3), (50.0, 1, 5e-3)]
+)
 def test_a_broad_lobe_hardly_sees_that_its_light_is_coarse(sharpness, level, limit):
     n = sphere(24)[(sphere(24) != 0).any(-1)].numpy()
     for L in chart_cases.computed_lights().values():
@@ -82,26 +96,40 @@ def test_planned_radiance_has_the_derivatives_of_the_sum(kind):
         weight = torch.linspace(0.5, 1.5, seen.numel(), dtype=dtype).reshape(seen.shape)
         found.append(torch.autograd.grad((seen * weight).sum(), given))
     for ours, truth in zip(*found, strict=True):
-        # The picture may be off by 1e-2; a derivative by n is one of interpolation's weights, of one order less
+        # The picture may be off by 1e-2; a derivative by n is one of interpolation's weights, of
+        # one order less
         assert (ours.double() - truth).abs().mean() <= 0.1 * truth.abs().mean()
 
 
 def test_a_listed_sum_of_some_lobes_has_the_exact_derivatives():
     n = sphere(24)[(sphere(24) != 0).any(-1)]
     m = material(*MATERIALS["satin"]).double().reshape(3, 3, 2, 6)
-    scene, lobes, E = planned.Scene(n.numpy(), m.numpy(), light("sky")[0].numpy(), ROTATION), (0, 2), light("sky")[0].double()
+    scene, lobes, E = (
+        planned.Scene(n.numpy(), m.numpy(), light("sky")[0].numpy(), ROTATION),
+        (0, 2),
+        light("sky")[0].double(),
+    )
     listing = scene.at(n.numpy(), lobes)
     w, energy = exact.texels(E, torch.tensor(ROTATION, dtype=torch.float64).reshape(3, 3))
     given = [n.double().requires_grad_(), m.requires_grad_(), energy.requires_grad_()]
-    truth = exact.ExactSum.apply(given[0], None, lobe_shapes.only(given[1], np.isin(range(3), lobes)), given[2], w)
+    truth = exact.ExactSum.apply(
+        given[0], None, lobe_shapes.only(given[1], np.isin(range(3), lobes)), given[2], w
+    )
     np.testing.assert_allclose(listing.radiance, truth.detach(), rtol=1e-4)
     g = torch.linspace(0.5, 1.5, truth.numel()).reshape(truth.shape)
     _, by_m, by_E = listing.backward(g.numpy())
     _, true_by_m, true_by_energy = torch.autograd.grad((truth * g.double()).sum(), given)
     for kind in (0, 1):  # κ and γ apart: the one is far larger
-        np.testing.assert_allclose(by_m[:, :, kind], true_by_m[:, :, kind], rtol=1e-4, atol=1e-5 * true_by_m[:, :, kind].abs().max())
+        np.testing.assert_allclose(
+            by_m[:, :, kind],
+            true_by_m[:, :, kind],
+            rtol=1e-4,
+            atol=1e-5 * true_by_m[:, :, kind].abs().max(),
+        )
     order = scene.light.places(0)[1]
-    np.testing.assert_allclose(by_E.T, true_by_energy[order], rtol=1e-4, atol=1e-5 * true_by_energy.max())
+    np.testing.assert_allclose(
+        by_E.T, true_by_energy[order], rtol=1e-4, atol=1e-5 * true_by_energy.max()
+    )
 
 
 def test_a_tables_cones_bound_every_light_of_a_block():
@@ -113,7 +141,9 @@ def test_a_tables_cones_bound_every_light_of_a_block():
     scene.at(scene.n, (1, 2), level=1)
     tables = scene.tables[(1, 2), 1]
     assert tables.energy.min() < 0
-    rows = tables.cones.transpose(1, 0, 2).reshape(len(tables.cones[0]), -1)[:, : tables.lights.blocks]
+    rows = tables.cones.transpose(1, 0, 2).reshape(len(tables.cones[0]), -1)[
+        :, : tables.lights.blocks
+    ]
     np.testing.assert_allclose(rows[10], np.abs(tables.energy).sum(-1).max(-1), rtol=1e-6)
     gamma, kappa = tables.lobes.transpose(3, 1, 0, 2, 4)  # of (blocks, lobes, channels, lanes)
     np.testing.assert_array_equal(rows[11:13], gamma.min((-1, -2)))
@@ -125,8 +155,16 @@ def test_planned_ways_add_up_whatever_their_maps_and_lights():
     m = material(*MATERIALS["glossy"]).double().numpy().reshape(3, 3, 2, 6)
     scene = planned.Scene(n, m, light("sky")[0].numpy(), ROTATION)
     truth = scene.at(n, directional.ALL_LOBES).radiance
-    for sizes, levels in (((0, 0, 0), (0, 0, 0)), ((40, 40, 40), (1, 0, 0)), ((30, 40, 0), (1, 0, 0)), ((30, 50, 60), (1, 0, 0))):
-        strategies = [planned.Strategy((s,), size, level, 0.0) for s, (size, level) in enumerate(zip(sizes, levels, strict=True))]
+    for sizes, levels in (
+        ((0, 0, 0), (0, 0, 0)),
+        ((40, 40, 40), (1, 0, 0)),
+        ((30, 40, 0), (1, 0, 0)),
+        ((30, 50, 60), (1, 0, 0)),
+    ):
+        strategies = [
+            planned.Strategy((s,), size, level, 0.0)
+            for s, (size, level) in enumerate(zip(sizes, levels, strict=True))
+        ]
         seen = planned.Sums(scene, strategies, {}).radiance()
         assert np.abs(seen - truth).mean() <= 5e-3 * truth.mean()
 
@@ -144,7 +182,9 @@ def test_planned_radiance_does_not_depend_on_the_number_of_threads():
 
 
 def test_planned_pictures_are_the_same_alone_and_in_a_batch():
-    """To the last bit, values and derivatives, also with twins and with pictures of a few pixels beside them."""
+    """To the last bit, values and derivatives, also with twins and with pictures of a few pixels
+    beside them.
+    """
     kinds = ("matte", "glossy", "satin", "satin", "glossy")
     n = torch.cat([sphere(40) for _ in kinds])
     n[4].view(-1, 3)[torch.arange(40 * 40) % 97 > 0] = 0.0  # five pixels are left
@@ -169,27 +209,74 @@ def test_pixels_are_scaled_and_put_back_as_torch_would():
     found = []
     for step, back in (
         (pixel_selection.unit, pixel_selection.spread),
-        (lambda v, i: torch.nn.functional.normalize(v[i], dim=-1), lambda r, i, p: r.new_zeros(p, 3).index_copy(0, i, r)),
+        (
+            lambda v, i: torch.nn.functional.normalize(v[i], dim=-1),
+            lambda r, i, p: r.new_zeros(p, 3).index_copy(0, i, r),
+        ),
     ):
         given = vectors.clone().requires_grad_()
         seen = back(step(given, index) ** 2, index, 50)
-        found.append([seen, *torch.autograd.grad((seen * torch.arange(150).reshape(50, 3)).sum(), given)])
+        found.append(
+            [seen, *torch.autograd.grad((seen * torch.arange(150).reshape(50, 3)).sum(), given)]
+        )
     for ours, torchs in zip(*found, strict=True):
-        torch.testing.assert_close(ours, torchs, rtol=1e-4, atol=4e-5)  # what cancels are float32 numbers up to 300
+        # what cancels are float32 numbers up to 300
+        torch.testing.assert_close(ours, torchs, rtol=1e-4, atol=4e-5)
 
 
 def test_the_state_of_a_pixel_is_that_of_its_vectors():
-    n = torch.tensor([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 0, 1.02], [float("nan"), 0, 1], [0.6, 0, 0.8], [0, 0, 0]])
+    n = torch.tensor(
+        [
+            [0, 0, 0],
+            [0, 0, 1],
+            [1, 0, 0],
+            [0, 0, 1.02],
+            [float("nan"), 0, 1],
+            [0.6, 0, 0.8],
+            [0, 0, 0],
+        ]
+    )
     mask = torch.tensor([True, True, True, True, True, False, False])
-    outside, away, seen, wrong = pixel_selection.OUTSIDE, pixel_selection.AWAY, pixel_selection.SEEN, pixel_selection.WRONG
-    assert pixel_selection.states(n, None, None, 1e-2, 1e-4).tolist() == [outside, seen, away, wrong, wrong, seen, outside]
-    assert pixel_selection.states(n, None, mask, 1e-2, 1e-4).tolist() == [wrong, seen, away, wrong, wrong, outside, outside]
+    outside, away, seen, wrong = (
+        pixel_selection.OUTSIDE,
+        pixel_selection.AWAY,
+        pixel_selection.SEEN,
+        pixel_selection.WRONG,
+    )
+    assert pixel_selection.states(n, None, None, 1e-2, 1e-4).tolist() == [
+        outside,
+        seen,
+        away,
+        wrong,
+        wrong,
+        seen,
+        outside,
+    ]
+    assert pixel_selection.states(n, None, mask, 1e-2, 1e-4).tolist() == [
+        wrong,
+        seen,
+        away,
+        wrong,
+        wrong,
+        outside,
+        outside,
+    ]
     view = torch.tensor([[0.0, 0, 1]]).expand(7, 3).clone()
     view[1], view[5] = torch.tensor([0.0, 0, -1]), torch.tensor([0.0, 0, 2])
-    assert pixel_selection.states(n, view, None, 1e-2, 1e-4).tolist() == [outside, away, away, wrong, wrong, wrong, outside]
+    assert pixel_selection.states(n, view, None, 1e-2, 1e-4).tolist() == [
+        outside,
+        away,
+        away,
+        wrong,
+        wrong,
+        wrong,
+        outside,
+    ]
 
 
 def test_states_are_those_of_the_kernel():
     pixels = pytest.importorskip("learn.engines.pixels", reason="numba is not installed")
     names = ("OUTSIDE", "AWAY", "SEEN", "WRONG")
-    assert [getattr(pixels, name) for name in names] == [getattr(pixel_selection, name) for name in names]
+    assert [getattr(pixels, name) for name in names] == [
+        getattr(pixel_selection, name) for name in names
+    ]

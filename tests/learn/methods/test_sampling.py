@@ -1,7 +1,8 @@
-"""Monte Carlo draws what it says that it draws, and estimates the integral and its derivatives without bias.
+"""Monte Carlo draws what it says that it draws, and estimates the integral and its derivatives
+without bias.
 
-P pixels with one normal are P independent estimates: each pixel turns the pattern of samples by a hash of its own number.
-All numbers repeat, so that a test passes always or never.
+P pixels with one normal are P independent estimates: each pixel turns the pattern of samples by a
+hash of its own number. All numbers repeat, so that a test passes always or never.
 """
 
 import functools
@@ -30,7 +31,9 @@ def normal(n=N):
 
 
 def p_value(counts, expected):
-    """Of Pearson's χ² between counts and what is expected; cells that expect fewer than 10 are taken together."""
+    """Of Pearson's χ² between counts and what is expected; cells that expect fewer than 10 are
+    taken together.
+    """
     few = expected < 10
     counts = np.append(counts[~few], counts[few].sum())
     expected = np.append(expected[~few], expected[few].sum())
@@ -45,7 +48,8 @@ def uniform():
     return sampling.pattern(0, DRAWS, 1)[:, 0]
 
 
-# Every p-value below is one draw from (0, 1) where all is right; a density wrong by 5 % gives less than 1e-20.
+# Every p-value below is one draw from (0, 1) where all is right; a density wrong by 5 % gives less
+# than 1e-20.
 LEAST_P = 1e-4
 
 
@@ -58,7 +62,9 @@ def test_the_pattern_is_uniform_over_pixels_in_each_pair_of_its_three_numbers():
 
 @pytest.mark.parametrize("name", LIGHTS)
 def test_light_samples_follow_the_density_they_are_weighed_by_and_the_energy_of_the_map(name):
-    """χ² over the map at twice its resolution: the texel by its energy, and the place within it by solid angle."""
+    """χ² over the map at twice its resolution: the texel by its energy, and the place within it by
+    solid angle.
+    """
     L = light(name, torch.float64)[0]
     height, width = L.shape[:2]
     table = sampling.Texels(L, torch.as_tensor(camera_from_light()))
@@ -70,12 +76,18 @@ def test_light_samples_follow_the_density_they_are_weighed_by_and_the_energy_of_
     assert p_value(counts, DRAWS * (density * fine).ravel()) > LEAST_P
     _, solid_angle = envmap.directions(height, width)
     energy = (L.numpy() @ envmap.LUMINANCE) * solid_angle
-    np.testing.assert_allclose(table.density.numpy().reshape(height, width) * solid_angle, energy / energy.sum(), rtol=1e-12)
+    np.testing.assert_allclose(
+        table.density.numpy().reshape(height, width) * solid_angle,
+        energy / energy.sum(),
+        rtol=1e-12,
+    )
 
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_brdf_samples_follow_the_density_they_are_weighed_by(name, monkeypatch):
-    """χ² of the directions of light over 24 × 48 cells of the sphere about the mirror direction, finer towards it, where h·n > 0."""
+    """χ² of the directions of light over 24 × 48 cells of the sphere about the mirror direction,
+    finer towards it, where h·n > 0.
+    """
     lobes = sampling.Lobes(material(*MATERIALS[name], torch.float64).reshape(3, 3, 2, 6))
     n = normal().expand(DRAWS, 3)
     v = torch.as_tensor(VIEWER).expand(1, 3)
@@ -87,11 +99,15 @@ def test_brdf_samples_follow_the_density_they_are_weighed_by(name, monkeypatch):
     rings, turns, parts = 24, 48, 24
 
     def cells(directions):
-        """Flat cell of directions (…, 3): ring by the square root of the angle to the mirror, turn about it."""
+        """Flat cell of directions (…, 3): ring by the square root of the angle to the mirror, turn
+        about it.
+        """
         x, y, z = np.moveaxis(directions @ frame.T, -1, 0)
         ring = np.sqrt(np.arctan2(np.hypot(x, y), z) / np.pi) * rings
         turn = np.arctan2(y, x) / (2 * np.pi) % 1 * turns
-        return np.minimum(ring, rings - 1).astype(int) * turns + np.minimum(turn, turns - 1).astype(int)
+        return np.minimum(ring, rings - 1).astype(int) * turns + np.minimum(turn, turns - 1).astype(
+            int
+        )
 
     def cosines(directions):
         h = directions + VIEWER
@@ -99,11 +115,22 @@ def test_brdf_samples_follow_the_density_they_are_weighed_by(name, monkeypatch):
         return h @ N, h @ VIEWER
 
     edges = np.pi * (np.arange(rings * parts + 1) / (rings * parts)) ** 2
-    angle, phi = np.meshgrid((edges[1:] + edges[:-1]) / 2, (np.arange(turns * 8) + 0.5) / (turns * 8) * 2 * np.pi, indexing="ij")
-    area = np.broadcast_to((np.cos(edges[:-1]) - np.cos(edges[1:]))[:, None] * 2 * np.pi / (turns * 8), angle.shape)
-    points = np.stack([np.sin(angle) * np.cos(phi), np.sin(angle) * np.sin(phi), np.cos(angle)], -1) @ frame
+    angle, phi = np.meshgrid(
+        (edges[1:] + edges[:-1]) / 2,
+        (np.arange(turns * 8) + 0.5) / (turns * 8) * 2 * np.pi,
+        indexing="ij",
+    )
+    area = np.broadcast_to(
+        (np.cos(edges[:-1]) - np.cos(edges[1:]))[:, None] * 2 * np.pi / (turns * 8), angle.shape
+    )
+    points = (
+        np.stack([np.sin(angle) * np.cos(phi), np.sin(angle) * np.sin(phi), np.cos(angle)], -1)
+        @ frame
+    )
     cos_h, cos_d = cosines(points)
-    density = np.where(cos_h > 0, lobes.density(torch.as_tensor(cos_h)).numpy() / (4 * np.maximum(cos_d, 1e-6)), 0)
+    density = np.where(
+        cos_h > 0, lobes.density(torch.as_tensor(cos_h)).numpy() / (4 * np.maximum(cos_d, 1e-6)), 0
+    )
     expected = DRAWS * np.bincount(cells(points).ravel(), (density * area).ravel(), rings * turns)
     counts = np.bincount(cells(w[cosines(w)[0] > 0]), minlength=rings * turns)
     # cells that the edge h·n = 0 cuts through are known to a few per cent only
@@ -114,22 +141,35 @@ def test_brdf_samples_follow_the_density_they_are_weighed_by(name, monkeypatch):
 
 @functools.cache
 def truth(m, L, step=None):
-    """(3,) the dense integral of a named scene; or its derivative by normal, material or light along `direction`."""
-    arguments = {"n": N, "m": material(*MATERIALS[m], torch.float64).numpy().reshape(3, 3, 2, 6), "L": light(L, torch.float64)[0].numpy()}
+    """(3,) the dense integral of a named scene; or its derivative by normal, material or light
+    along `direction`.
+    """
+    arguments = {
+        "n": N,
+        "m": material(*MATERIALS[m], torch.float64).numpy().reshape(3, 3, 2, 6),
+        "L": light(L, torch.float64)[0].numpy(),
+    }
     if step is None:
         return radiance(**arguments)
     along, size = direction(step, arguments[step]), 1e-4
-    ahead, behind = (radiance(**arguments | {step: turned(step, arguments[step], s * along)}) for s in (size, -size))
+    ahead, behind = (
+        radiance(**arguments | {step: turned(step, arguments[step], s * along)})
+        for s in (size, -size)
+    )
     return (ahead - behind) / (2 * size)
 
 
 def direction(step, value):
-    """A direction in which an argument is changed: n about an axis, m and L in proportion to their values, unequally."""
+    """A direction in which an argument is changed: n about an axis, m and L in proportion to their
+    values, unequally.
+    """
     if step == "n":
         return np.cross(N, [0.0, 0.6, 0.8])
     if step == "m":
         return value * (0.5 + np.sin(1 + np.arange(value.size)).reshape(value.shape))
-    return value * (1 + np.cos(np.linspace(0, 2 * np.pi, value.shape[1])))[:, None] * [0.2, 1.0, 0.6]
+    return (
+        value * (1 + np.cos(np.linspace(0, 2 * np.pi, value.shape[1])))[:, None] * [0.2, 1.0, 0.6]
+    )
 
 
 def turned(step, value, change):
@@ -139,26 +179,40 @@ def turned(step, value, change):
 
 def picture_of(method, m, L, **changed):
     """(picture (P, 3) of PIXELS equal pixels, its inputs)."""
-    given = {"n": normal().float().expand(1, 1, PIXELS, 3), "material": material(*MATERIALS[m]), "light": light(L)}
+    given = {
+        "n": normal().float().expand(1, 1, PIXELS, 3),
+        "material": material(*MATERIALS[m]),
+        "light": light(L),
+    }
     given = {key: value.clone().requires_grad_(bool(changed)) for key, value in given.items()}
     return render(**given, method=method, tolerance=COARSE)[0, 0], given
 
 
-# BRDF samples hit a sun in one texel once in thousands: its mean is not normally distributed at any number of pixels that a test can have.
-CASES = [(method, m, L) for method in METHODS for m in MATERIALS for L in LIGHTS if not (method == "monte_carlo_brdf" and L == "sun")]
+# BRDF samples hit a sun in one texel once in thousands: its mean is not normally distributed at any
+# number of pixels that a test can have.
+CASES = [
+    (method, m, L)
+    for method in METHODS
+    for m in MATERIALS
+    for L in LIGHTS
+    if not (method == "monte_carlo_brdf" and L == "sun")
+]
 
 
 @pytest.mark.parametrize(("method", "m", "L"), CASES)
 def test_the_mean_of_many_pixels_is_the_integral(method, m, L):
     picture = picture_of(method, m, L)[0].double().numpy()
     sigma = picture.std(0, ddof=1) / np.sqrt(PIXELS)
-    assert (sigma < 0.025 * truth(m, L)).all()  # 2.3 % at most, most below .5 %: a bias of a tenth is seen everywhere
+    # 2.3 % at most, most below .5 %: a bias of a tenth is seen everywhere
+    assert (sigma < 0.025 * truth(m, L)).all()
     _is_unbiased(picture.mean(0), sigma, truth(m, L), truth(m, L))
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_derivatives_are_those_of_the_integral_on_average(method, m="satin", L="sky", parts=8):
-    """By normal, material and light along one direction each; the noise is that of eight parts of the pixels."""
+    """By normal, material and light along one direction each; the noise is that of eight parts of
+    the pixels.
+    """
     picture, given = picture_of(method, m, L, gradients=True)
     weights = torch.tensor([1.0, 0.7, 0.4])
     means = (picture.reshape(parts, -1, 3).mean(1) * weights).sum(1)
@@ -174,5 +228,11 @@ def test_derivatives_are_those_of_the_integral_on_average(method, m="satin", L="
 
 
 def _is_unbiased(mean, sigma, expected, level):
-    """z-test: 5 σ, where σ comes from 8 parts at least; 2e-3 of the radiance is the oracle's own error."""
-    assert (np.abs(mean - expected) <= 5 * sigma + 2e-3 * np.abs(level)).all(), (mean, sigma, expected)
+    """z-test: 5 σ, where σ comes from 8 parts at least; 2e-3 of the radiance is the oracle's own
+    error.
+    """
+    assert (np.abs(mean - expected) <= 5 * sigma + 2e-3 * np.abs(level)).all(), (
+        mean,
+        sigma,
+        expected,
+    )

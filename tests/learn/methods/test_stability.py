@@ -1,4 +1,6 @@
-"""Every method where sums of lobes break: values and derivatives stay finite, and black stays black."""
+"""Every method where sums of lobes break: values and derivatives stay finite, and black stays
+black.
+"""
 
 import pytest
 import torch
@@ -46,10 +48,18 @@ def beside_horizons():
 SOME = facing((0, 0, 1), (0.5, 0.3, 0.8), (-0.9, 0.1, 0.2))
 MIXED = ((0.1, 0.3, 1.0), (0.3, 10.0, 300.0))
 CASES = {
-    "background": (torch.cat([SOME, torch.zeros(1, 1, 2, 3, dtype=torch.float64)], 2), MIXED, flat_light()),
+    "background": (
+        torch.cat([SOME, torch.zeros(1, 1, 2, 3, dtype=torch.float64)], 2),
+        MIXED,
+        flat_light(),
+    ),
     "empty mask": (torch.zeros(1, 2, 2, 3, dtype=torch.float64), MIXED, flat_light()),
     "one pixel": (facing((0.1, 0.2, 1.0)), MIXED, flat_light()),
-    "grazing view": (facing((1, 0, 2e-4), (0, 1, 1e-3), (-1, 1, 1e-2)), ((0.1, 0.1, 0.1), (1e-3, 0.3, 1.0)), flat_light()),
+    "grazing view": (
+        facing((1, 0, 2e-4), (0, 1, 1e-3), (-1, 1, 1e-2)),
+        ((0.1, 0.1, 0.1), (1e-3, 0.3, 1.0)),
+        flat_light(),
+    ),
     "facing away": (facing((1, 0, 0), (0.5, 0, -0.8), (0, 0, 1)), MIXED, flat_light()),
     "grazing light": (beside_horizons(), ((0.1, 0.1, 0.1), (1e-3, 1.0, 100.0)), flat_light()),
     "peaks": (at_peaks(), ((0.1, 0.5, 1.0), (1.0, 1e3, 1e5)), flat_light()),
@@ -62,14 +72,22 @@ CASES = {
     "sun in one texel": (SOME, MIXED, one_texel(2, 5, 1e5) + 0.1),
     "zenith": (SOME, MIXED, one_texel(0, 0, 1e3)),
     "nadir": (SOME, MIXED, one_texel(SIZE[0] - 1, 3, 1e3)),
-    "seam": (facing((1, 0.01, 0.3), (1, -0.01, 0.3)), MIXED, one_texel(4, 0) + one_texel(4, SIZE[1] - 1)),
+    "seam": (
+        facing((1, 0.01, 0.3), (1, -0.01, 0.3)),
+        MIXED,
+        one_texel(4, 0) + one_texel(4, SIZE[1] - 1),
+    ),
     "a map of one texel": (SOME, MIXED, torch.ones(1, 1, 1, 3, dtype=torch.float64)),
 }
 
 
 def finite(name, scene, **options):
     """The picture and derivatives of a scene, each checked to be finite."""
-    leaves = {key: value.detach().clone().requires_grad_() for key, value in scene.items() if value is not None}
+    leaves = {
+        key: value.detach().clone().requires_grad_()
+        for key, value in scene.items()
+        if value is not None
+    }
     seen = render(**leaves, method=name, **options)
     assert seen.isfinite().all(), "value"
     seen.sum().backward()
@@ -112,18 +130,26 @@ def test_a_texel_along_or_opposite_to_the_view_is_harmless(name):
 def test_half_precision_and_strided_inputs(name):
     given = {"n": sphere(6), "material": material(*MIXED), "light": flat_light().float()}
     plain, _ = finite(name, given)
-    strided = {key: value.transpose(0, -1).contiguous().transpose(0, -1) for key, value in given.items()}
-    torch.testing.assert_close(finite(name, strided)[0], plain, rtol=1e-6, atol=1e-7)  # sums may run in another order
+    strided = {
+        key: value.transpose(0, -1).contiguous().transpose(0, -1) for key, value in given.items()
+    }
+    # sums may run in another order
+    torch.testing.assert_close(finite(name, strided)[0], plain, rtol=1e-6, atol=1e-7)
     half, _ = finite(name, {key: value.to(torch.bfloat16) for key, value in given.items()})
     assert half.dtype == torch.bfloat16
 
 
 @METHODS
 def test_radiance_is_proportional_to_light(name):
-    given = {"n": sphere(8), "material": material(*MIXED), "light": flat_light().float() + one_texel(2, 5, 20.0).float()}
+    given = {
+        "n": sphere(8),
+        "material": material(*MIXED),
+        "light": flat_light().float() + one_texel(2, 5, 20.0).float(),
+    }
     once = render(**given, method=name)
     eightfold = render(**given | {"light": 8 * given["light"]}, method=name)
-    torch.testing.assert_close(eightfold, 8 * once, rtol=1e-4, atol=1e-5)  # 8 is exact in float32; sums of two signs are not
+    # 8 is exact in float32; sums of two signs are not
+    torch.testing.assert_close(eightfold, 8 * once, rtol=1e-4, atol=1e-5)
 
 
 @METHODS
@@ -151,7 +177,10 @@ def test_a_batch_is_its_pictures_one_by_one(name):
 def test_any_material_under_any_light_is_finite(name, seed, kappa, gamma, level, tolerance, dtype):
     rng = torch.Generator().manual_seed(seed)
     n = torch.randn(1, 1, 30, 3, generator=rng, dtype=torch.float64)
-    n[..., 2] = n[..., 2].abs() * 10 ** (-4 * torch.rand(1, 1, 30, generator=rng, dtype=torch.float64)) + 2e-4
+    n[..., 2] = (
+        n[..., 2].abs() * 10 ** (-4 * torch.rand(1, 1, 30, generator=rng, dtype=torch.float64))
+        + 2e-4
+    )
     spread = 10 ** torch.randn(3, 3, 2, 6, generator=rng, dtype=torch.float64).clamp(-1, 1)
     m = spread * torch.tensor([kappa, gamma], dtype=torch.float64)[:, None]
     m[:, :, 0].clamp_(max=30.0)
@@ -161,4 +190,11 @@ def test_any_material_under_any_light_is_finite(name, seed, kappa, gamma, level,
 
 
 def test_gamma_beyond_every_map_is_finite():
-    finite("reflectance_map", {"n": sphere(8), "material": material((1.0, 1.0, 1.0), (1e5, 1e5, 1e5)), "light": flat_light().float()})
+    finite(
+        "reflectance_map",
+        {
+            "n": sphere(8),
+            "material": material((1.0, 1.0, 1.0), (1e5, 1e5, 1e5)),
+            "light": flat_light().float(),
+        },
+    )

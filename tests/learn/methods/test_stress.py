@@ -12,4 +12,9 @@ def test_adversarial_pixels_have_finite_values_and_derivatives(name, view_per_pi
     if view_per_pixel and "orthographic" in methods.load(name).CARD.needs:
         pytest.skip("needs an orthographic camera")
     tolerance = 1e-1 if name.startswith("monte_carlo") else 1e-2  # 32 samples instead of 512
-    assert not_finite(name, 800, seed=1, tolerance=tolerance, pixels=100, view_per_pixel=view_per_pixel) == 0
+    assert (
+        not_finite(
+            name, 800, seed=1, tolerance=tolerance, pixels=100, view_per_pixel=view_per_pixel
+        )
+        == 0
+    )

@@ -1,11 +1,12 @@
 """A sphere in Mitsuba 3: the same camera, the same piecewise-constant map, the DSBRDF as a BSDF.
 
-Run as a program, in a process of its own (its LLVM and torch's do not share one): mitsuba_scene.py IN.npz OUT.npz, with m, L, size,
-power, samples and seeds in, pictures (seeds, size, size, 3) out.
+Run as a program, in a process of its own (its LLVM and torch's do not share one): mitsuba_scene.py
+IN.npz OUT.npz, with m, L, size, power, samples and seeds in, pictures (seeds, size, size, 3) out.
 
-Frames: Mitsuba's world is our light frame (x right, y up, z towards the viewer); the camera looks along −z, elevation 0.
-Mitsuba's map is bilinear, its columns centred, its rows on the edges: each of our texels becomes UP × UP of Mitsuba's, so that only
-the rim of a texel is blurred. Its u is ours turned by a quarter.
+Frames: Mitsuba's world is our light frame (x right, y up, z towards the viewer); the camera looks
+along −z, elevation 0. Mitsuba's map is bilinear, its columns centred, its rows on the edges: each
+of our texels becomes UP × UP of Mitsuba's, so that only the rim of a texel is blurred. Its u is
+ours turned by a quarter.
 """
 
 import sys
@@ -22,7 +23,9 @@ def register(variant="llvm_ad_rgb"):
     mi.set_variant(variant)
 
     class Dsbrdf(mi.BSDF):
-        """f_k = Σ_s expm1(κ c^γ), sampled by a mixture of a cosine and a cosine power of the half vector."""
+        """f_k = Σ_s expm1(κ c^γ), sampled by a mixture of a cosine and a cosine power of the half
+        vector.
+        """
 
         def __init__(self, properties):
             mi.BSDF.__init__(self, properties)
@@ -49,24 +52,38 @@ def register(variant="llvm_ad_rgb"):
             for k in range(3):
                 value = mi.Float(0)
                 for s in range(3):
-                    kappa, gamma = (sum(float(self.m[k, s, j, i]) * b[i] for i in range(6)) for j in (0, 1))
+                    kappa, gamma = (
+                        sum(float(self.m[k, s, j, i]) * b[i] for i in range(6)) for j in (0, 1)
+                    )
                     value += dr.exp(kappa * dr.exp(gamma * log_c)) - 1
                 channels.append(value)
             return mi.Color3f(*channels)
 
         def density(self, wi, wo):
             h = dr.normalize(wi + wo)
-            sharp = (self.power + 1) / (2 * dr.pi) * dr.maximum(h.z, 1e-7) ** self.power / (4 * dr.maximum(dr.dot(wo, h), 1e-4))
+            sharp = (
+                (self.power + 1)
+                / (2 * dr.pi)
+                * dr.maximum(h.z, 1e-7) ** self.power
+                / (4 * dr.maximum(dr.dot(wo, h), 1e-4))
+            )
             return self.broad * dr.maximum(wo.z, 0) / dr.pi + (1 - self.broad) * sharp
 
         def sample(self, context, si, sample1, sample2, active):
             cosine = (1 - sample2.x) ** (1 / (self.power + 1))
             sine, phi = dr.sqrt(dr.maximum(0, 1 - cosine * cosine)), 2 * dr.pi * sample2.y
             h = mi.Vector3f(sine * dr.cos(phi), sine * dr.sin(phi), cosine)
-            wo = dr.select(sample1 < self.broad, mi.warp.square_to_cosine_hemisphere(sample2), 2 * dr.dot(si.wi, h) * h - si.wi)
+            wo = dr.select(
+                sample1 < self.broad,
+                mi.warp.square_to_cosine_hemisphere(sample2),
+                2 * dr.dot(si.wi, h) * h - si.wi,
+            )
             found = mi.BSDFSample3f()
             found.wo, found.pdf, found.eta = wo, self.density(si.wi, wo), 1.0
-            found.sampled_type, found.sampled_component = mi.UInt32(+mi.BSDFFlags.GlossyReflection), 0
+            found.sampled_type, found.sampled_component = (
+                mi.UInt32(+mi.BSDFFlags.GlossyReflection),
+                0,
+            )
             seen = active & (wo.z > 0) & (si.wi.z > 0) & (found.pdf > 0)
             return found, dr.select(seen, self.f(si.wi, wo) * wo.z / found.pdf, 0) & seen
 
@@ -96,14 +113,38 @@ def bitmap(L):
 
 def scene(m, L, size, power):
     """An orthographic camera before a sphere that spans RADIUS of the picture."""
-    camera = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]) @ mi.ScalarTransform4f().scale([1 / RADIUS, 1 / RADIUS, 1])
-    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    camera = mi.ScalarTransform4f().look_at(
+        [0, 0, 4], [0, 0, 0], [0, 1, 0]
+    ) @ mi.ScalarTransform4f().scale([1 / RADIUS, 1 / RADIUS, 1])
+    film = {
+        "type": "hdrfilm",
+        "width": size,
+        "height": size,
+        "rfilter": {"type": "box"},
+        "pixel_format": "rgb",
+    }
     return mi.load_dict(
         {
             "type": "scene",
-            "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 1, "hide_emitters": True},
-            "sensor": {"type": "orthographic", "to_world": camera, "film": film | {"component_format": "float32"}},
-            "shape": {"type": "sphere", "bsdf": {"type": "dsbrdf", "m": " ".join(map(repr, m.reshape(-1).tolist())), "power": power}},
+            "integrator": {
+                "type": "direct",
+                "emitter_samples": 1,
+                "bsdf_samples": 1,
+                "hide_emitters": True,
+            },
+            "sensor": {
+                "type": "orthographic",
+                "to_world": camera,
+                "film": film | {"component_format": "float32"},
+            },
+            "shape": {
+                "type": "sphere",
+                "bsdf": {
+                    "type": "dsbrdf",
+                    "m": " ".join(map(repr, m.reshape(-1).tolist())),
+                    "power": power,
+                },
+            },
             "light": {"type": "envmap", "bitmap": bitmap(L)},
         }
     )
@@ -111,11 +152,15 @@ def scene(m, L, size, power):
 
 def pictures(scene, samples, seeds):
     """(seeds, size, size, 3) independent pictures."""
-    return np.stack([np.array(mi.render(scene, spp=samples, seed=seed)) for seed in seeds]).astype(np.float64)
+    return np.stack([np.array(mi.render(scene, spp=samples, seed=seed)) for seed in seeds]).astype(
+        np.float64
+    )
 
 
 if __name__ == "__main__":
     register()
     given = np.load(sys.argv[1], allow_pickle=False)
     shown = scene(given["m"], given["L"], int(given["size"]), float(given["power"]))
-    np.savez(sys.argv[2], pictures=pictures(shown, int(given["samples"]), range(int(given["seeds"]))))
+    np.savez(
+        sys.argv[2], pictures=pictures(shown, int(given["samples"]), range(int(given["seeds"])))
+    )
