@@ -12,7 +12,7 @@ help:
 	@echo "make demo-small  the same with the smallest job: sixteen pictures"
 	@echo "make test    install into $(VENV)/ and run the tests"
 	@echo "make fuzz    feed damaged files and odd options to every command for ten minutes"
-	@echo "make lint    check the code's style"
+	@echo "make lint    check the code's style and its types"
 	@echo "make clean   delete $(VENV)/, out/ and build/"
 
 # Installed once, again when the requirements change. A stamp tells, because an interrupted install leaves a folder behind.
@@ -55,6 +55,7 @@ fuzz: $(VENV)/installed
 lint: $(VENV)/installed
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
+	$(VENV)/bin/mypy
 
 clean:
 	rm -rf $(VENV) out build
