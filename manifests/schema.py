@@ -18,7 +18,7 @@ Pixel = Literal["square", "centre"]
 Side = Literal["train", "test"]
 # mixed: shape and materials stand on different sides; neither for training nor for testing
 Split = Literal["train", "test", "mixed"]
-Counts = Literal["hash", "paper", "multi-material"]
+Counts = Literal["hash", "paper", "multi-material", "general"]
 Role = Literal["pretrain", "finetune", "train", "test"]
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]

@@ -2,8 +2,8 @@
 are, never by the order they come in.
 
 role   pretrain, finetune, train or test; side: train or test (every role but test is for training)
-rule   "hash": a fifth of all shapes, by their hash (of lights always). "paper", "multi-material":
-counts by number (manifests/splits.json)
+rule   "hash": a fifth of all shapes, by their hash (of lights always). "paper", "multi-material",
+"general": counts by number (manifests/splits.json)
 duplicates  one mesh or fit under two names, found by hash: both take one side, and that is test if
 either was for testing
 """
@@ -34,7 +34,7 @@ def shape_roles(shapes: Sequence[tuple[str, str, str]], rule: str) -> dict[str, 
     """The role of each shape.
 
     shapes   [(name, category, hash)], each name once
-    rule     "hash", "paper" or "multi-material"
+    rule     "hash", "paper", "multi-material" or "general"
     Returns  {name: role}
     """
     ranges = rules()[rule]["shapes"]
@@ -116,7 +116,14 @@ def _number(name, category):
 
 
 def _by_number(number, ranges):
-    return next((role for role, (first, end) in ranges.items() if first <= number < end), None)
+    return next(
+        (
+            role
+            for role, (first, end) in ranges.items()
+            if first <= number and (end is None or number < end)
+        ),
+        None,
+    )
 
 
 def _by_hash(hash_):

@@ -99,9 +99,9 @@ def _numbers(spec, family, first, last):
 
 
 def _is_family(spec):
-    from factory.shapes.catalogue import FAMILIES, PRIMITIVES
+    from factory.shapes.catalogue import FAMILIES, GENERAL, PRIMITIVES
 
-    return spec.partition(":")[0] in FAMILIES + PRIMITIVES
+    return spec.partition(":")[0] in (*FAMILIES, *GENERAL, *PRIMITIVES)
 
 
 def _files(place, folder):

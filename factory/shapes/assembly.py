@@ -42,6 +42,16 @@ class Assembly:
                 [1 / curvature - radius * np.cos(angle), radius * np.sin(angle), vertices[:, 2]]
             )
 
+    def drop_unused_vertices(self) -> None:
+        """Drop the vertices that no face has, such as the centre of a lid that collapsed."""
+        old, new = 0, 0
+        for k, (vertices, faces) in enumerate(zip(self._vertices, self._faces, strict=True)):
+            used, compact = np.unique(faces - old, return_inverse=True)
+            old += len(vertices)
+            self._vertices[k], self._faces[k] = vertices[used], compact.reshape(-1, 3) + new
+            new += len(used)
+        self._count = new
+
     def surface(self):
         """All of it as one Surface."""
         return Surface(np.concatenate(self._vertices), np.concatenate(self._faces))

@@ -4,6 +4,7 @@
 
 from importlib import import_module
 
+from factory.shapes.general import FAMILIES as GENERAL
 from manifests.errors import InputError, closest
 
 FAMILIES = ("car", "chair", "sofa", "monitor")
@@ -27,6 +28,10 @@ def load(spec, **options):
     if family in FAMILIES:
         build = import_module(f"factory.shapes.{family}").build
         return build(_number(spec, rest if colon else "0"))
+    if family in GENERAL:
+        from factory.shapes.general.build import build as build_general
+
+        return build_general(family, _number(spec, rest if colon else "0"))
     if family in PRIMITIVES:
         build = getattr(import_module("factory.shapes.primitives"), family)
         if not colon:
@@ -45,17 +50,17 @@ def load(spec, **options):
         spec,
         "a shape",
         "an unknown name",
-        f"{closest(family, FAMILIES + PRIMITIVES)} (FAMILY:SEED, a primitive, or a mesh file)",
+        f"{closest(family, (*FAMILIES, *GENERAL, *PRIMITIVES))} (FAMILY:SEED, a primitive, or a mesh file)",
     )
 
 
 def specs(family, count=None, first=0):
-    """The specs of `count` seeds of a family, the paper's count by default."""
-    if family not in FAMILIES:
-        raise InputError(family, "a family", f"'{family}'", closest(family, FAMILIES))
+    """The specs of `count` seeds of a family, by default the paper's count or 50."""
+    if family not in FAMILIES and family not in GENERAL:
+        raise InputError(family, "a family", f"'{family}'", closest(family, (*FAMILIES, *GENERAL)))
     return [
         f"{family}:{seed}"
-        for seed in range(first, first + (PAPER_COUNTS[family] if count is None else count))
+        for seed in range(first, first + (PAPER_COUNTS.get(family, 50) if count is None else count))
     ]
 
 
