@@ -7,12 +7,14 @@ import numpy as np
 Generator = np.random.Generator
 
 
-def log_uniform(
-    rng: Generator, low: float, high: float, size: int | None = None
-) -> float | np.ndarray:
-    """Numbers between low and high, as likely to be doubled as to be halved."""
-    drawn = np.exp(rng.uniform(np.log(low), np.log(high), size))
-    return float(drawn) if size is None else drawn
+def log_uniform(rng: Generator, low: float, high: float) -> float:
+    """A number between low and high, as likely to be doubled as to be halved."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def log_uniforms(rng: Generator, low: float, high: float, count: int) -> np.ndarray:
+    """Numbers (count,) drawn as by `log_uniform`."""
+    return np.exp(rng.uniform(np.log(low), np.log(high), count))
 
 
 def rotation(rng: Generator) -> np.ndarray:
@@ -40,7 +42,7 @@ def waves(
     """A smooth random function of points (…, 3): plane waves of wave numbers from low to high, of
     about the amplitude, longer ones higher.
     """
-    numbers = log_uniform(rng, low, high, count)
+    numbers = log_uniforms(rng, low, high, count)
     vectors = rng.normal(size=(count, 3))
     vectors *= (numbers / np.linalg.norm(vectors, axis=1))[:, None]
     phases = rng.uniform(0, 2 * np.pi, count)

@@ -8,6 +8,7 @@ Source: Quilez, "Distance functions" (formulas of box, capsule, cone and the smo
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 
 from factory.shapes.general.isosurface import Field
@@ -16,30 +17,30 @@ NEARBY = 0.4  # a path farther away than this is taken for the sphere that holds
 OUTLINE_CELLS = 320  # along the longer side of a tabulated outline
 
 
-def ellipsoid(half: Sequence[float]) -> Field:
+def ellipsoid(half: ArrayLike) -> Field:
     """An ellipsoid; half its axes. Near the surface the value is the distance to first order."""
-    half = np.asarray(half, float)
+    axes = np.asarray(half, float)
 
     def field(p: np.ndarray) -> np.ndarray:
-        scaled = np.linalg.norm(p / half, axis=-1)
-        slope = np.linalg.norm(p / half**2, axis=-1)
-        return np.where(slope > 1e-6, scaled * (scaled - 1) / np.maximum(slope, 1e-6), -half.min())
+        scaled = np.linalg.norm(p / axes, axis=-1)
+        slope = np.linalg.norm(p / axes**2, axis=-1)
+        return np.where(slope > 1e-6, scaled * (scaled - 1) / np.maximum(slope, 1e-6), -axes.min())
 
     return field
 
 
-def superquadric(half: Sequence[float], square: float) -> Field:
+def superquadric(half: ArrayLike, square: float) -> Field:
     """A body between an ellipsoid (square 2) and a box (square 8 and more)."""
-    half = np.asarray(half, float)
+    axes = np.asarray(half, float)
 
     def field(p: np.ndarray) -> np.ndarray:
-        radius = (np.abs(p / half) ** square).sum(-1) ** (1 / square)
-        return (radius - 1) * half.min()
+        radius = (np.abs(p / axes) ** square).sum(-1) ** (1 / square)
+        return (radius - 1) * axes.min()
 
     return field
 
 
-def box(half: Sequence[float], rounding: float) -> Field:
+def box(half: ArrayLike, rounding: float) -> Field:
     """A box whose edges have the radius `rounding`."""
     inner = np.asarray(half, float) - rounding
 
@@ -89,8 +90,8 @@ def torus(ring: float, tube: float) -> Field:
 
 
 def capsule(
-    start: Sequence[float],
-    finish: Sequence[float],
+    start: ArrayLike,
+    finish: ArrayLike,
     radius: float,
     finish_radius: float | None = None,
 ) -> Field:
@@ -98,14 +99,14 @@ def capsule(
     return path(np.array([start, finish], float), [radius, finish_radius or radius])
 
 
-def path(points: np.ndarray, radii: float | Sequence[float], closed: bool = False) -> Field:
+def path(points: np.ndarray, radii: ArrayLike, closed: bool = False) -> Field:
     """A tube along a polyline (N, 3), its radius one number or (N,), interpolated between them."""
     points = np.asarray(points, float)
-    radii = np.broadcast_to(np.asarray(radii, float), (len(points),))
+    sizes = np.broadcast_to(np.asarray(radii, float), (len(points),))
     if closed:
-        points, radii = np.vstack([points, points[:1]]), np.append(radii, radii[0])
+        points, sizes = np.vstack([points, points[:1]]), np.append(sizes, sizes[0])
     centre = (points.min(0) + points.max(0)) / 2
-    bound = float(np.linalg.norm(points - centre, axis=1).max() + radii.max())
+    bound = float(np.linalg.norm(points - centre, axis=1).max() + sizes.max())
 
     def field(p: np.ndarray) -> np.ndarray:
         distance = np.linalg.norm(p - centre, axis=-1) - bound
@@ -115,7 +116,7 @@ def path(points: np.ndarray, radii: float | Sequence[float], closed: bool = Fals
 
     def exact(p: np.ndarray) -> np.ndarray:
         least = np.full(p.shape[:-1], np.inf)
-        for a, b, r, s in zip(points[:-1], points[1:], radii[:-1], radii[1:], strict=True):
+        for a, b, r, s in zip(points[:-1], points[1:], sizes[:-1], sizes[1:], strict=True):
             run = b - a
             t = np.clip(((p - a) @ run) / (run @ run), 0, 1)
             away = p - a - t[..., None] * run
@@ -126,10 +127,10 @@ def path(points: np.ndarray, radii: float | Sequence[float], closed: bool = Fals
     return field
 
 
-def half_space(normal: Sequence[float], distance: float) -> Field:
+def half_space(normal: ArrayLike, distance: float) -> Field:
     """What lies behind the plane normal · p = distance."""
-    normal = np.asarray(normal, float) / np.linalg.norm(normal)
-    return lambda p: p @ normal - distance
+    unit = np.asarray(normal, float) / np.linalg.norm(np.asarray(normal, float))
+    return lambda p: p @ unit - distance
 
 
 class Outline:
@@ -206,10 +207,10 @@ def extruded(
     return field
 
 
-def moved(field: Field, shift: Sequence[float]) -> Field:
+def moved(field: Field, shift: ArrayLike) -> Field:
     """The solid shifted."""
-    shift = np.asarray(shift, float)
-    return lambda p: field(p - shift)
+    offset = np.asarray(shift, float)
+    return lambda p: field(p - offset)
 
 
 def turned(field: Field, rotation: np.ndarray) -> Field:

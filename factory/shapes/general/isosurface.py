@@ -93,8 +93,8 @@ def _surface_net(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         for start in corners:
             if start[axis]:
                 continue
-            finish = tuple(c + (n == axis) for n, c in enumerate(start))
-            a, b = at[start], at[finish]
+            finish = [c + (n == axis) for n, c in enumerate(start)]
+            a, b = at[start], at[finish[0], finish[1], finish[2]]
             crossed = (a < 0) != (b < 0)
             share = np.where(crossed, a / np.where(crossed, a - b, 1.0), 0.0)
             point = np.broadcast_to(np.array(start, float), total.shape).copy()
@@ -111,12 +111,12 @@ def _surface_net(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         edge = np.argwhere(change)
         edge = edge[(edge[:, u] > 0) & (edge[:, v] > 0)]
         along = np.eye(3, dtype=int)
-        quad = [
+        cells = [
             index[tuple((edge - a * along[u] - b * along[v]).T)]
             for a, b in ((1, 1), (0, 1), (0, 0), (1, 0))
         ]
         outward = inside[tuple(edge.T)]
-        quad = np.stack(quad, 1)
+        quad = np.stack(cells, 1)
         quad = np.where(outward[:, None], quad, quad[:, ::-1])
         faces += [quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]
     return vertices, np.concatenate(faces)

@@ -4,7 +4,7 @@ import numpy as np
 
 from factory.shapes.assembly import Assembly
 from factory.shapes.general import fields
-from factory.shapes.general.draws import Generator, log_uniform, rotation, waves
+from factory.shapes.general.draws import Generator, log_uniform, log_uniforms, rotation, waves
 from factory.shapes.general.isosurface import Field, surface_of
 from factory.shapes.surfaces import smooth_path, tube
 
@@ -152,7 +152,7 @@ def wire(a: Assembly, rng: Generator) -> None:
 
 
 def _primitive(rng, scale, kinds=None):
-    half = log_uniform(rng, 0.14, 0.6, 3) * scale
+    half = log_uniforms(rng, 0.14, 0.6, 3) * scale
     kind = rng.choice(kinds or ["superquadric", "box", "capsule", "cylinder", "torus", "cone"])
     least = half.min()
     if kind == "superquadric":

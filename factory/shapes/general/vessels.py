@@ -22,8 +22,8 @@ FINE_CELLS, CUP_CELLS = 112, 72  # along a vessel: its wall is about four cells 
 def vessel(a: Assembly, rng: Generator) -> None:
     """A vase, jug, mug, pot, bottle or kettle; some have handles, a spout or a lid."""
     height = log_uniform(rng, 0.5, 2.0)
-    turn = _mug_profile if rng.random() < 0.35 else profile
-    outer = turn(rng, height)
+    draw_profile = _mug_profile if rng.random() < 0.35 else profile
+    outer = draw_profile(rng, height)
     wall = rng.uniform(0.07, 0.12)
     field, inside = _pot(outer, wall)
     radius = float(np.interp(0.6 * height, outer[:, 1], outer[:, 0]))
