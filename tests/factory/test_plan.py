@@ -9,7 +9,6 @@ from itertools import islice, pairwise
 
 import msgspec
 import pytest
-from tetrahedron import TETRAHEDRON
 
 from factory.commands.plan import described, split_counts
 from factory.planning import jobs
@@ -20,6 +19,7 @@ from manifests import splits
 from manifests.errors import InputError
 from manifests.schema import Camera, Draw, Failure, Job, Record, View
 from manifests.viewpoints import azimuths_deg
+from tests.support.tetrahedron import TETRAHEDRON
 
 
 @pytest.fixture

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..factory.mesh_files import Glb, ply, stl_text
+from tests.support.mesh_files import Glb, ply, stl_text
+
 from . import Case, Result, Room, mutation
 
 TEXT_LIES = (

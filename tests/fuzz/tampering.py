@@ -1404,7 +1404,7 @@ def synthetic(folder: Path) -> list[Path]:
     """Data sets that are computed here: pictures, segments in perspective, geometry alone with its
     cache.
     """
-    from tests.manifests.whole_dataset import JOB, write_dataset
+    from tests.support.whole_dataset import JOB, write_dataset
 
     perspective = Camera(size=(12, 16), fov_deg=45.0)
     jobs = {

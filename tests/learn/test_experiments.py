@@ -17,7 +17,7 @@ from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from manifests.errors import InputError
-from tests.learn.test_cycles_source import album_of, written
+from tests.support.two_materials import album_of, written
 
 SIZE = 32
 

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from tests.learn.test_cycles_source import written
+from tests.support.two_materials import written
 
 PROGRAM = """
 import hashlib, json, os, signal, sys

@@ -20,10 +20,16 @@ from learn.training import loop
 from learn.training.loop import Training
 from manifests.cli import main
 from manifests.errors import InputError
-from tests.learn import synthetic
-from tests.learn.test_train_command import RUN, store, train  # noqa: F401 -- a fixture
+from tests.support import synthetic
+from tests.support.tiny_run import RUN, train, two_sided
 
 SIZE = 32
+
+
+@pytest.fixture
+def store(tmp_path):
+    """A dataset with a shape for each side, four pictures of each."""
+    return two_sided(tmp_path / "data")
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +182,7 @@ def test_a_run_made_in_python_is_judged_as_one_from_a_file(data_splits, tmp_path
 
 def test_a_second_run_into_a_folder_is_refused_and_writes_nothing(
     store, tmp_path, capsys, monkeypatch
-):  # noqa: F811
+):
     monkeypatch.setattr(loop, "PATIENCE", 0.0)
     with loop.only_writer(tmp_path / "out"):
         before = sorted(os.listdir(tmp_path / "out"))

@@ -15,7 +15,7 @@ from manifests.materials import encode, read_catalogue
 from manifests.schema import Camera, Draw, Record
 from manifests.store import Store, file_hash, geometry_path, image_path
 from manifests.verification import Fault, Verification, faults_of, repair, shared_between, summary
-from tests.manifests.whole_dataset import JOB, RENDER, hash_of
+from tests.support.whole_dataset import JOB, RENDER, hash_of
 
 
 @pytest.fixture
