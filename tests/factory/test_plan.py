@@ -32,12 +32,19 @@ def stub(hash_of):
         wanted = set(job.roles) or set(splits.SIDES)
         shapes = [
             Shape(
-                name=n, source=Source(n), category=n.split(":")[0], hash=hash_of(n), segments=2,
-                side=splits.SIDES[roles[n]], role=roles[n], licence="", report="",
+                name=n,
+                source=Source(n),
+                category=n.split(":")[0],
+                hash=hash_of(n),
+                segments=2,
+                side=splits.SIDES[roles[n]],
+                role=roles[n],
+                licence="",
+                report="",
             )
             for n in names
             if roles[n] in wanted
-        ]  # fmt: skip
+        ]
         sides = ["train"] * (training if "merl/paper-train" in job.materials else 0) + ["test"] * (
             testing if "merl/test" in job.materials else 0
         )
@@ -153,10 +160,18 @@ def test_each_input_alters_the_id(stub, job):
     )
     ids = {shot.id for shot in stub(fixed)}
     changes = [
-        {"seed": 1}, {"samples": 65}, {"camera": Camera(size=(8, 9))}, {"camera": Camera(size=(8, 8), fov_deg=40.0)}, {"views": (4,)},
+        {"seed": 1},
+        {"samples": 65},
+        {"camera": Camera(size=(8, 9))},
+        {"camera": Camera(size=(8, 8), fov_deg=40.0)},
+        {"views": (4,)},
         {"camera": Camera(size=(8, 8), pixel="centre")},
-        {"rotations": (8,)}, {"tiers": ("shadow",)}, {"light_resolutions": ("full",)}, {"lights": ("b",)}, {"shapes": ("chair:1",)},
-    ]  # fmt: skip
+        {"rotations": (8,)},
+        {"tiers": ("shadow",)},
+        {"light_resolutions": ("full",)},
+        {"lights": ("b",)},
+        {"shapes": ("chair:1",)},
+    ]
     for change in changes:
         assert not ids & {shot.id for shot in stub(msgspec.structs.replace(fixed, **change))}, (
             change

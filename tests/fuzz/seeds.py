@@ -126,7 +126,7 @@ def datasets(folder: Path) -> None:
         carry_out(planned(chosen, resolve(chosen, folder)), folder / name, RunOptions(studio=FAKE))
 
 
-# -------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # one function a format
 
 

@@ -25,7 +25,8 @@ step = loop.Training._one_step
 def watched(self, batch):
     record = step(self, batch)
     samples = [hashlib.sha256(image.numpy().tobytes()).hexdigest() for image in batch.image]
-    weights = hashlib.sha256(b"".join(p.detach().numpy().tobytes() for p in self.network.parameters())).hexdigest()
+    parameters = b"".join(p.detach().numpy().tobytes() for p in self.network.parameters())
+    weights = hashlib.sha256(parameters).hexdigest()
     with open(Path(sys.argv[1]) / f"{self.world}-{self.rank}.jsonl", "a") as file:
         file.write(json.dumps({"samples": samples, "weights": weights}) + "\\n")
     return record

@@ -1,9 +1,9 @@
 """The CPU engine's second derivatives against the reference's in float64, where sums of lobes are
 easy and where they break.
 
-Error as in tests/support/engine_scenes.py, for the derivative by each argument on its own. The direction n', view',
-m', light' is random, each of the size of what it belongs to, n' and view' tangential, as what comes
-through the scaling to unit length is.
+Error as in tests/support/engine_scenes.py, for the derivative by each argument on its own. The
+direction n', view', m', light' is random, each of the size of what it belongs to, n' and view'
+tangential, as what comes through the scaling to unit length is.
 """
 
 import numpy as np
