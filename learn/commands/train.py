@@ -116,7 +116,7 @@ def run(arguments: argparse.Namespace) -> None:
             device,
         )
         figures = training.train()
-        if training.rank == 0:
+        if training.journal is not None:  # of the first process
             training.journal.made(
                 provenance(),
                 {side: data_split.sizes() for side, data_split in data_splits.items()},

@@ -1,22 +1,25 @@
-"""The page that goes with weights: what they learned from, what they do on pictures never seen, and
-what they do not.
+"""The page that comes with weights: what they learned from, and their errors on unseen pictures.
 
-Made from the run's own files, and measured again: `python -m learn evaluate-network`.
+It is made from the run's own files and measured again: `python -m learn evaluate-network`.
 """
 
 import json
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 import torch
 
 from learn.data import devices
-from learn.data.relit import RelitDataset
+from learn.data.batch import Batch
+from learn.data.relit import DataSplit, RelitDataset
 from learn.data.rendered import RenderedDataset
-from learn.data.settings import decode_run
+from learn.data.settings import Run, decode_run
 from learn.metrics import bootstrap
 from learn.networks import weights as checkpoint
+from learn.networks.prediction import Prediction
 from learn.training import montage as training_sheet
 from learn.training import validation
 from manifests import files
@@ -36,15 +39,22 @@ WORDS = {
 }
 
 
-def make(weights, data_splits, out, batches, note="", seeds=(), device="cpu"):
-    """Measure weights on the test side, on relit pictures and, where the pool has an album, on all
-    of its rendered ones.
+def make(
+    weights: Path,
+    data_splits: dict[str, DataSplit],
+    out: Path,
+    batches: int,
+    note: str = "",
+    seeds: Sequence[Path] = (),
+    device: str | torch.device = "cpu",
+) -> dict[str, dict[str, list[float]]]:
+    """Measure weights on the test split: on relit pictures, and on all of its rendered ones.
 
-    pools  learn.data.sources.pools
-    seeds  weights of the same run with other seeds, measured on the same pictures for a table of
-    all device  where networks and the layer compute Writes card.md, card.json, sheet.jpg, and
-    sheet-cycles.jpg, to `out`. Returns {"figures", "cycles"}, {figure: [mean, low, high]} each
-    Raises InputError where one of the seeds is of another run, or a seed is there twice
+    seeds    weights of the same run with other seeds, measured on the same pictures
+    device   where networks and the layer compute
+    Writes   card.md, card.json, sheet.jpg and sheet-cycles.jpg into `out`
+    Returns  {"figures", "cycles"}, each {figure: [mean, low, high]}
+    Raises   InputError where one of the seeds is of another run, or a seed is there twice
     """
     network, metadata = checkpoint.load_network(weights, device)
     run, out, test = (
@@ -68,7 +78,9 @@ def make(weights, data_splits, out, batches, note="", seeds=(), device="cpu"):
             *([other.seed, step] for _, step, other in others),
         ]
     relit = RelitDataset(test, run.data, BATCH, run.size, SEED)
-    places = [("", relit, batches, "sheet.jpg")]
+    places: list[tuple[str, RelitDataset | RenderedDataset, int, str]] = [
+        ("", relit, batches, "sheet.jpg")
+    ]
     if test.rendered_split:
         places.append(
             (
@@ -144,11 +156,20 @@ def _under(where, found):
     return report
 
 
-def measured(network, run, batches, constant_albedo, sheet_path=None):
-    """({figure: (P,)}, names (P,)) over batches. The first ones go on a sheet, if there is a path
-    for it.
+def measured(
+    network: Any,
+    run: Run,
+    batches: Iterable[Batch],
+    constant_albedo: Any,
+    sheet_path: Path | None = None,
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return ({figure: (P,)}, names (P,)) over batches.
+
+    The first pictures are drawn as a contact sheet, if there is a path for it.
     """
-    rows, names, shown = [], [], []
+    rows: list[dict[str, np.ndarray]] = []
+    names: list[str] = []
+    shown: list[tuple[Batch, Prediction]] = []
     device = devices.of(network)
     for batch in batches:
         batch = batch.to(device)

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 from learn.experiments import ablation_options, runner
 
 if TYPE_CHECKING:
-    from learn.data.settings import Data, Run
+    from learn.data.settings import Data, Part, Run
 
-VARIANTS = {
+VARIANTS: dict[Part, dict[str, dict[str, float]]] = {
     "material": {
         "standalone": {"material": 1.0},
         "combined": {"material": 1.0, "image": 10.0},
@@ -28,7 +28,7 @@ VARIANTS = {
     },
     "normals": {"standalone": {"normals": 1.0}, "combined": {"normals": 1.0, "image": 3.0}},
 }
-LEARNING_RATES = {"material": 1e-3, "normals": 2e-3}
+LEARNING_RATES: dict[Part, float] = {"material": 1e-3, "normals": 2e-3}
 STEPS = 1_000_000  # a bound far beyond what the time allows
 
 
@@ -52,7 +52,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     tests = variants.held_out(data_splits, data, arguments.size, arguments.batches)
     seeds = range(arguments.seeds)
     todo = [(s, p, v) for s in seeds for p, of_part in VARIANTS.items() for v in of_part]
-    results: dict[str, dict[str, list]] = {}
+    results: dict[Part, dict[str, list]] = {}
     for seed, part, variant in tqdm(todo, "variants", unit="run"):
         run = settings(part, variant, data, arguments.size, arguments.seconds, seed)
         folder = arguments.out / f"{part}-{variant}-{seed}"
@@ -62,7 +62,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     return summary(results, about)
 
 
-def settings(part: str, variant: str, data: Data, size: int, seconds: float, seed: int) -> Run:
+def settings(part: Part, variant: str, data: Data, size: int, seconds: float, seed: int) -> Run:
     """Return the run of one variant."""
     import msgspec
 
@@ -81,7 +81,7 @@ def settings(part: str, variant: str, data: Data, size: int, seconds: float, see
         name=f"{part} {variant}",
         about=f"{seconds:g} s of processor time",
         size=size,
-        parts=(PARTS[part],),
+        parts=(part,),
         data=msgspec.structs.replace(data, photograph=False),
         losses=msgspec.structs.replace(
             Losses(normals=0.0, material=0.0), **VARIANTS[part][variant]
@@ -91,7 +91,7 @@ def settings(part: str, variant: str, data: Data, size: int, seconds: float, see
     )
 
 
-def summary(results: dict[str, dict[str, list]], about: dict[str, Any]) -> runner.Report:
+def summary(results: dict[Part, dict[str, list]], about: dict[str, Any]) -> runner.Report:
     """Return figures of each variant, and ratios of render L2 with 95 % intervals.
 
     results  {part: {variant: [result of variants.trained, one per seed]}}

@@ -65,8 +65,9 @@ def measured(
             "energy": [report.before["total"], report.after["total"]],
             "finite": finite and math.isfinite(report.after["total"]),
             "image": [
-                float(tone.display_l2(picture(p, p.label[0], batch), seen, level, mask))
+                float(tone.display_l2(picture(p, label[0], batch), seen, level, mask))
                 for p in (start, report.prediction)
+                if (label := p.label) is not None
             ],
             "seconds": report.seconds,
         }
@@ -104,6 +105,7 @@ def perturbed(
     labels  (M, 108): a random material is one of these
     """
     label, light, n = start.label, start.light, start.n
+    assert label is not None and light is not None and n is not None  # as in refinement_sweep
     if kind in ("random material", "untrained"):
         chosen = labels[int(torch.randint(len(labels), (1,), generator=rng))]
         label = torch.from_numpy(chosen).float().expand_as(label).clone()

@@ -57,7 +57,8 @@ def settings_of(name: str) -> Settings:
             )
         if moved not in SWEEPS:
             raise ValueError(moved)
-        return replace(Settings(), **{moved: int(value) if moved == "passes" else float(value)})
+        number = int(value) if moved == "passes" else float(value)
+        return replace(Settings(), **{moved: number})  # type: ignore[arg-type]  # of SWEEPS
     except ValueError:
         raise InputError(
             f"--only {name}", "a setting", "none of that name", f"one of {', '.join(names())}"
@@ -105,6 +106,7 @@ def cases(records: Records, count: int, seed: int) -> list[Case]:
 
 def picture(parts: Prediction, label: torch.Tensor, batch: Batch) -> np.ndarray:
     """Return radiance (H, W, 3) of a prediction's normals and light in a material (S, 108)."""
+    assert parts.n is not None and parts.light is not None  # refined networks predict all parts
     several = len(label) > 1
     with torch.no_grad():
         return render(
@@ -122,6 +124,7 @@ def figures(
     parts: Prediction, batch: Batch, truths: Sequence[tuple[torch.Tensor, np.ndarray]]
 ) -> dict[str, float]:
     """Return {figure: value} of a prediction."""
+    assert parts.n is not None and parts.label is not None  # as above
     inside = batch.segments[0] > 0
     seen = batch.image[0].movedim(0, -1).numpy()
 
@@ -225,5 +228,9 @@ def doubled(batch: Batch) -> Batch:
         return x.repeat_interleave(2, -1).repeat_interleave(2, -2)
 
     return replace(
-        batch, **{name: larger(getattr(batch, name)) for name in ("image", "mask", "n", "segments")}
+        batch,
+        image=larger(batch.image),
+        mask=larger(batch.mask),
+        n=larger(batch.n),
+        segments=larger(batch.segments),
     )

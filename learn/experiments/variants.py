@@ -91,10 +91,9 @@ def _rows(training: loop.Training, network: Any, batch: Batch) -> Iterator[dict]
         )
     n = batch.n if prediction.n is None else prediction.n
     label = batch.label if prediction.label is None else prediction.label
-    mine, truth = (
-        validation.picture(n, label, batch.light, batch),
-        batch.picture.movedim(1, -1).numpy(),
-    )
+    assert batch.picture is not None  # held_out gives one to every batch
+    mine = validation.picture(n, label, batch.light, batch)
+    truth = batch.picture.movedim(1, -1).numpy()
     for i, name in enumerate(batch.names):
         shape, *_, material = name.split(" ")
         own = {key: float(value[i]) for key, value in figures.items()}
