@@ -10,7 +10,7 @@ from full_disk_case import RUN as SETTINGS
 from synthetic import add_shape, matte, write_dataset
 
 from learn.data.sources import VALIDATION_SHAPES, by_hash
-from learn.experiments import auto_calibration
+from learn.experiments import auto_calibration, runner
 from learn.experiments.__main__ import COMMANDS, GROUPS, description
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -30,7 +30,7 @@ def steps_of_all_parts(report):
 SMALLEST = {  # experiment: its words, and what must hold of its report
     "work-precision": (
         "--size 8 --material chrome --light sky --camera orthographic",
-        lambda r: [s for s in r["settings"] if s["method"] == "exact"][0]["error"]["worst"] == 0,
+        lambda r: next(s for s in r["settings"] if s["method"] == "exact")["error"]["worst"] == 0,
     ),
     "tolerance-check": (
         "--cases 2 --size 8",
@@ -166,3 +166,15 @@ def test_a_folder_that_is_a_file_is_refused_before_anything_is_measured(tmp_path
     (tmp_path / "out").write_text("")
     assert run("tolerance-check", "", tmp_path / "out") == 1
     assert "expected a folder" in capsys.readouterr().err
+
+
+REPORTS = {"normals-ablation-128": "normals-ablation", "normals-ablation-256": "normals-ablation"}
+NOT_PUBLISHED = {"calibrate-auto"}  # its result is learn/methods/calibration.json
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS.keys() - NOT_PUBLISHED | REPORTS.keys()))
+def test_a_published_page_is_what_its_report_says(name, root):
+    folder = root / "docs" / "results" / name
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    page = runner.page_of(runner.find(REPORTS.get(name, name)), report)
+    assert (folder / "report.md").read_text(encoding="utf-8") == page

@@ -1,4 +1,4 @@
-"""Ablations, step times and the network's card: run small, and their statistics on known figures."""
+"""Ablations, step times and the network's card, run small; their statistics on known figures."""
 
 import json
 

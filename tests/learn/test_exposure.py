@@ -17,7 +17,10 @@ from tests.learn.test_cycles_source import written
 def test_a_brighter_scene_looks_the_same_in_its_file_and_needs_a_larger_factor(rng):
     radiance, mask = rng.random((16, 16, 3)).astype(np.float32), np.ones((16, 16), bool)
     mask[:4] = False
-    (Y, X), (Y_bright, X_bright) = exposure_rule.seen(radiance, mask), exposure_rule.seen(3 * radiance, mask)
+    (Y, X), (Y_bright, X_bright) = (
+        exposure_rule.seen(radiance, mask),
+        exposure_rule.seen(3 * radiance, mask),
+    )
     assert Y_bright == pytest.approx(Y, rel=1e-5)  # float32
     assert X_bright == pytest.approx(3 * X, rel=1e-5)
     # 1 % of the values are clipped
@@ -27,7 +30,9 @@ def test_a_brighter_scene_looks_the_same_in_its_file_and_needs_a_larger_factor(r
     assert exposure_rule.seen(black, mask) == pytest.approx((Y, X))
     mask[:] = True
     radiance[:4] = 50.0
-    assert exposure_rule.seen(radiance, mask)[0] != pytest.approx(Y, rel=0.1)  # only the object counts
+    assert exposure_rule.seen(radiance, mask)[0] != pytest.approx(
+        Y, rel=0.1
+    )  # only the object counts
 
 
 def test_a_line_is_found_again_and_its_interval_holds_it(rng):
