@@ -411,7 +411,10 @@ def main() -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--task"]:
-        sys.path.pop(0)  # this folder: the commit's own packages come from PYTHONPATH
+        # the commit's own packages come from PYTHONPATH: neither from this folder, nor from where
+        # an editable installation would find a module that this commit lacks
+        sys.path.pop(0)
+        sys.meta_path[:] = [f for f in sys.meta_path if "Editable" not in repr(f)]
         print(json.dumps(TASKS[sys.argv[2]](*sys.argv[3:])))
     else:
         main()
