@@ -34,6 +34,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 QUICK_METHODS = ("exact", "auto", "culled", "quadrature")
+QUICK_JOBS = ("smallest", "agreement", "demo", "00", "01")
 METHODS = (*QUICK_METHODS, "reflectance_map", "median_cut", "hybrid", "split_sum")
 GEOMETRY = {  # for training: a job of geometry alone
     "name": "compare-geometry",
@@ -374,7 +375,9 @@ def main() -> None:
         for file, content in (("geometry", GEOMETRY), ("pictures", PICTURES), ("run", RUN)):
             (room / f"{file}.json").write_text(json.dumps(content))
         jobs = sorted((trees["old"] / "manifests" / "jobs").glob("*.json"))
-        jobs += sorted((trees["old"] / "docs" / "results").glob("**/jobs/*.json"))
+        jobs += sorted((trees["old"] / "docs").glob("**/jobs/**/*.json"))
+        if quick:  # few shapes: each is made and hashed
+            jobs = [path for path in jobs if path.stem in QUICK_JOBS]
         layer = (48, 3, *QUICK_METHODS) if quick else (128, 5, *METHODS)
         for side in trees:  # kernels are compiled before anything is timed
             in_commit(trees[side], "render_layer", 12, 1, *layer[2:])
