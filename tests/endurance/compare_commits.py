@@ -22,6 +22,7 @@ import hashlib
 import importlib
 import json
 import os
+import signal
 import statistics
 import subprocess
 import sys
@@ -366,6 +367,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, metavar="FILE", help="a file for the tables as well")
     arguments = parser.parse_args()
     quick = arguments.quick
+    # a run that is ended removes its worktrees too
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("compare_commits: ended"))
     commits = {"old": short(arguments.old), "new": short(arguments.new)}
     with (
         tempfile.TemporaryDirectory(prefix="compare-") as name,
