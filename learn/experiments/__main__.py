@@ -3,7 +3,6 @@
 import sys
 from collections.abc import Mapping
 
-from learn.__main__ import prepare
 from learn.experiments import runner
 from manifests.cli import main
 
@@ -42,6 +41,13 @@ def description() -> str:
     for title, group in GROUPS.items():
         lines += ["", f"{title}:", *(f"  {name:<20} {line}" for name, line in group.items())]
     return "\n".join(lines)
+
+
+def prepare() -> None:
+    """Keep freed memory, as training does; called before an experiment runs, not for --help."""
+    from learn.training.allocator import keep_freed
+
+    keep_freed()
 
 
 if __name__ == "__main__":

@@ -2,8 +2,7 @@
 
 import json
 import math
-import runpy
-import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +10,8 @@ import torch
 from full_disk_case import RUN as SETTINGS
 from synthetic import add_shape, matte, write_dataset
 
+import learn.__main__
+import learn.experiments.__main__
 from learn.data.sources import VALIDATION_SHAPES, by_hash
 from learn.experiments import auto_calibration, exposure_rule, runner
 from learn.experiments.__main__ import COMMANDS, GROUPS, description
@@ -195,22 +196,18 @@ def test_a_published_page_is_what_its_report_says(name, root):
     assert (folder / "report.md").read_text(encoding="utf-8") == page
 
 
-@pytest.mark.parametrize("program", ["learn", "learn.experiments"])
-@pytest.mark.parametrize("word", ["--help", "nothing"])
-def test_memory_is_not_kept_for_help_or_a_mistake(program, word, monkeypatch, capsys):
+@pytest.mark.parametrize("program", [learn.__main__, learn.experiments.__main__])
+def test_memory_is_kept_when_a_command_runs_and_not_for_help(program, monkeypatch, capsys):
     made = []
     monkeypatch.setattr(allocator, "keep_freed", lambda: made.append(1))
-    monkeypatch.setattr(sys, "argv", ["python", word])
-    with pytest.raises(SystemExit):
-        runpy.run_module(program, run_name="__main__", alter_sys=False)
+    name = program.__name__.removesuffix(".__main__")
+    for words in (["--help"], ["nothing"]):
+        with pytest.raises(SystemExit):
+            main(name, "", program.COMMANDS, words, prepare=program.prepare)
     assert not made
+    words = ["evaluate-network", "none", "--data", "none", "--out", "none"]
+    if program is learn.experiments.__main__:
+        words = ["exposure", "--data", "none", "--out", str(Path(__file__))]
+    assert main(name, "", program.COMMANDS, words, prepare=program.prepare) == 1
+    assert made == [1]
     capsys.readouterr()
-
-
-def test_memory_is_kept_when_a_command_runs(monkeypatch, tmp_path, capsys):
-    made = []
-    monkeypatch.setattr(allocator, "keep_freed", lambda: made.append(1))
-    monkeypatch.setattr(sys, "argv", ["python", "predict", "none.png", "--out", str(tmp_path)])
-    with pytest.raises(SystemExit):
-        runpy.run_module("learn", run_name="__main__", alter_sys=False)
-    assert made == [1] and "none.png" in capsys.readouterr().err
