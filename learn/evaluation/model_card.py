@@ -4,9 +4,9 @@ It is made from the run's own files and measured again: `python -m learn evaluat
 """
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Sized
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -83,7 +83,9 @@ def make(
     ]
     if test.rendered_split:
         rendered = RenderedDataset(test, run.data, 1, run.size, SEED)
-        places.append(("cycles", rendered, len(test.rendered_split), "sheet-cycles.jpg"))
+        places.append(
+            ("cycles", rendered, len(cast(Sized, test.rendered_split)), "sheet-cycles.jpg")
+        )
         report["cycles_about"] = _of_split(test.rendered_split)
     for where, source, count, sheet_name in places:
         results = [

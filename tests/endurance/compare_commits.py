@@ -40,7 +40,7 @@ METHODS = (*QUICK_METHODS, "reflectance_map", "median_cut", "hybrid", "split_sum
 GEOMETRY = {  # for training: a job of geometry alone
     "name": "compare-geometry",
     "pictures": False,
-    "shapes": ["chair:0-11"],
+    "shapes": ["chair:0-3", "chair:13"],  # the last one is for validation
     "materials": ["chrome", "nylon"],
     "lights": ["city", "forest"],
     "views": [0, 6],
@@ -350,6 +350,19 @@ def page(commits: dict[str, str], times: dict, values: dict) -> str:
     return "\n".join(lines) + "\n"
 
 
+def draw_photo(path: Path) -> None:
+    """Write a picture of a shaded sphere, transparent outside it."""
+    import numpy as np
+    from PIL import Image
+
+    y, x = np.mgrid[-1.2:1.2:128j, -1.2:1.2:128j]
+    z = np.sqrt(np.clip(1 - x * x - y * y, 0, 1))
+    shade = 0.1 + 0.6 * np.clip(0.5 * x - 0.5 * y + 0.7 * z, 0, 1) + 0.3 * z**40
+    colours = shade[..., None] * [1.0, 0.7, 0.5]
+    pixels = np.dstack([colours, x * x + y * y < 1])
+    Image.fromarray((255 * pixels.clip(0, 1)).astype(np.uint8)).save(path)
+
+
 def short(commit: str) -> str:
     """Return the short hash of a commit. Raises CalledProcessError for an unknown one."""
     command = ["git", "-C", str(ROOT), "rev-parse", "--short", f"{commit}^{{commit}}"]
@@ -363,7 +376,7 @@ def main() -> None:
     parser.add_argument("new", help="another one, such as HEAD")
     parser.add_argument("--quick", action="store_true", help="small scenes, few pairs")
     parser.add_argument("--repeats", type=int, metavar="N", help="pairs (default 9; quick: 2)")
-    parser.add_argument("--no-blender", action="store_true", help="neither render nor train")
+    parser.add_argument("--only", nargs="+", choices=TASKS, help="these tasks (default: all)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="a file for the tables as well")
     arguments = parser.parse_args()
     quick = arguments.quick
@@ -389,11 +402,12 @@ def main() -> None:
             ("plan", 1 if quick else None, lambda side, pair: (500 if quick else 5000, *jobs)),
             ("render_layer", None, lambda side, pair: layer),
         ]
-        if not arguments.no_blender:
+        if {"render_pictures", "train"} & set(arguments.only or TASKS):
             in_commit(trees["old"], "render_pictures", room / "geometry.json", room / "geometry")
             few = 1 if quick else 3
             steps = 4 if quick else 30
-            picture = room / "pictures-old-0"
+            picture = room / "photo.png"
+            draw_photo(picture)
             todo += [
                 (
                     "render_pictures",
@@ -409,6 +423,7 @@ def main() -> None:
                     ),
                 ),
             ]
+        todo = [task for task in todo if task[0] in (arguments.only or TASKS)]
         tables = page(commits, *compared(trees, todo, arguments.repeats or (2 if quick else 9)))
     print(tables)
     if arguments.out:
