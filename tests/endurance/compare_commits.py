@@ -213,7 +213,7 @@ def _records(folder: Path) -> Iterator[dict[str, Any]]:
 
 def train(data: str, settings: str, steps: str, photo: str, out: str) -> dict[str, Any]:
     """Time a few training steps by `learn train`, hash the weights, and predict with them."""
-    words = ["--data", data, "--steps", steps, "--workers", "0", "--sheet-every", "0"]
+    words = ["--data", data, "--steps", steps, "--workers", "0", "--sheet-every", steps]
     seconds = {
         f"learn train, {steps} steps": _command("learn", "train", settings, *words, "--out", out)
     }
