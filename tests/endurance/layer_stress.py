@@ -2,7 +2,7 @@
 by hand, the result is kept.
 
     PYTHONPATH=. python tests/endurance/layer_stress.py --samples 1000000
-        --out docs/results/layer/stress.json [--method NAME …] [--view-per-pixel]
+        --out docs/results/layer-stress/report.json [--method NAME …] [--view-per-pixel]
 
 Each picture is rendered with derivatives and without. It has 2,000 pixels whose normals lie at the
 silhouette, at right angles to a light, at a lobe's peak, at the poles or anywhere; κ up to 30, γ
