@@ -21,7 +21,7 @@ from manifests.errors import InputError, printable
 def main(
     program: str,
     description: str,
-    commands: Sequence[str],
+    commands: Sequence[str] | Mapping[str, Callable[[argparse._SubParsersAction], None]],
     arguments: list[str] | None = None,
     moved: Mapping[str, str] | None = None,
     prepare: Callable[[], Any] | None = None,
@@ -29,8 +29,10 @@ def main(
     """Parse, run, and return the exit status; one line for a user's mistake, a trace only with
     --debug.
 
+    description  a text with an empty line in it is printed as it is, another one is wrapped
     program    package whose `commands` folder holds the modules, and what follows `python -m`
-    commands   names in the order of the help; "evaluate-network" lives in evaluate_network.py
+    commands   names in the order of the help; "evaluate-network" lives in evaluate_network.py.
+               Or {name: its `register`}, for commands that are not in that folder
     arguments  words, None: this process's
     moved      {earlier name: what to type now}
     prepare    called before a command runs, and not for --help
@@ -38,7 +40,12 @@ def main(
     # as stderr: what a terminal has no character for is escaped, no error
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
-    parser = argparse.ArgumentParser(prog=f"python -m {program}", description=description)
+    layout = (
+        argparse.RawDescriptionHelpFormatter if "\n\n" in description else argparse.HelpFormatter
+    )
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {program}", description=description, formatter_class=layout
+    )
     parser.add_argument("--debug", action="store_true", help="show the whole trace of an error")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     words = sys.argv[1:] if arguments is None else arguments
@@ -49,7 +56,11 @@ def main(
         print(f"{program}: '{first}' has a new name; type `{moved[first]}`", file=sys.stderr)
         return 2
     for name in named or commands:
-        importlib.import_module(f"{program}.commands.{name.replace('-', '_')}").register(subparsers)
+        if isinstance(commands, Mapping):
+            commands[name](subparsers)
+        else:
+            folder = f"{program}.commands"
+            importlib.import_module(f"{folder}.{name.replace('-', '_')}").register(subparsers)
     debug, options = "--debug" in words, None
     try:
         try:

@@ -183,7 +183,7 @@ WRITERS = {
         "tempfile.TemporaryDirectory",
     ): "pictures made to be timed",
     (
-        "learn/experiments/commands/step_profile.py",
+        "learn/experiments/step_profile.py",
         "tempfile.TemporaryDirectory",
     ): "a run made to be timed",
     ("learn/experiments/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",

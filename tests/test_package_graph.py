@@ -22,8 +22,8 @@ LAYERS = {  # from the bottom up
         "editing",
         "agreement",
         "evaluation",
-        "experiments",
         "commands",
+        "experiments",
     ),
     "factory": (
         "shapes",

@@ -1,6 +1,4 @@
-"""The commands that publish figures: proof, study, card and step times, each run small, and their
-statistics on figures that are known.
-"""
+"""Ablations, step times and the network's card, run small; their statistics on known figures."""
 
 import json
 
@@ -12,7 +10,8 @@ import torch
 from learn.data import lights
 from learn.data.relit import DataSplit, RelitDataset, gloss
 from learn.data.settings import Data, Losses, Run, Schedule
-from learn.experiments import layer_ablation, model_card, normals_ablation, step_profile, variants
+from learn.evaluation import model_card
+from learn.experiments import layer_ablation, normals_ablation, step_profile, step_timing, variants
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -88,19 +87,14 @@ def test_a_variant_ends_by_its_clock_and_is_not_trained_again(data_splits, tmp_p
     assert variants.trained(run, None, None, tmp_path) == found
 
 
-def test_a_report_has_every_variant_with_its_interval(tmp_path):
+def test_a_report_has_every_variant_with_its_interval():
     results = {
         part: {
             v: [result(100.0 * (i + 1), seed) for seed in (1, 2, 3)] for i, v in enumerate(of_part)
         }
         for part, of_part in layer_ablation.VARIANTS.items()
     }
-    summary = layer_ablation.report(tmp_path, results, {"seconds": 1.0, "size": SIZE, "seeds": 3})
-    told = (tmp_path / "report.md").read_text()
-    assert (
-        json.loads((tmp_path / "report.json").read_text())["material"]["ratios"].keys()
-        == summary["material"]["ratios"].keys()
-    )
+    report = layer_ablation.summary(results, {"seconds": 1.0, "size": SIZE, "seeds": 3})
     pairs = {
         "combined / standalone",
         "control / standalone",
@@ -108,19 +102,18 @@ def test_a_report_has_every_variant_with_its_interval(tmp_path):
         "combined / control",
         "both / control",
     }
-    assert set(summary["material"]["ratios"]) == pairs
+    assert set(report["material"]["ratios"]) == pairs
+    page = layer_ablation.tables(report)
     for part, of_part in layer_ablation.VARIANTS.items():
-        assert all(f"| {part} | {variant} |" in told for variant in of_part)
+        assert all(f"| {part} | {variant} |" in page for variant in of_part)
 
 
-def test_a_study_writes_its_table_and_chart(tmp_path):
+def test_normals_have_a_table_and_a_chart():
     about = {"pretraining": 1.0, "seconds": 1.0, "size": SIZE, "seeds": 1, "shapes": 250}
-    summary = normals_ablation.report(
-        tmp_path, {"L2": [result(100.0)], "pixels": [result(90.0)]}, about
-    )
-    assert summary["rows"]["pixels"]["ratio"] == pytest.approx([0.9] * 3)
-    assert "| 0.900 [0.900, 0.900] | 20.00" in (tmp_path / "table.md").read_text()
-    assert (tmp_path / "chart.png").stat().st_size > 1000
+    report = normals_ablation.summary({"L2": [result(100.0)], "pixels": [result(90.0)]}, about)
+    assert report["rows"]["pixels"]["ratio"] == pytest.approx([0.9] * 3)
+    assert "| 0.900 [0.900, 0.900] | 20.00" in normals_ablation.tables(report)
+    assert len(normals_ablation.figure(report).axes) == 2
 
 
 def test_fewer_shapes_than_a_variant_asks_for_are_told(data_splits):
@@ -130,7 +123,8 @@ def test_fewer_shapes_than_a_variant_asks_for_are_told(data_splits):
 
 def test_every_variant_is_a_run_that_can_be_read_back():
     for name, weights in normals_ablation.VARIANTS.items():
-        run = normals_ablation.settings(name, Data(), 64, 1.0, 0, 1e-3, None, weights, 5)
+        own = normals_ablation.Pretrained("weights.safetensors", weights, 5)
+        run = normals_ablation.settings(name, Data(), 64, 1.0, 0, 1e-3, own)
         assert msgspec.json.decode(msgspec.json.encode(run), type=Run) == run
 
 
@@ -233,9 +227,9 @@ def test_step_times_cover_every_part_and_add_up(data_splits, tmp_path):
         losses=terms,
         schedule=Schedule(steps=4, batch=2),
     )
-    found = step_profile.measure(run, data_splits, tmp_path, tmp_path / "scratch", 1, 4)
+    found = step_timing.profile(run, data_splits, tmp_path / "scratch", 1, 4)
     parts = {"data", "network", "normals and material terms", "light terms", "layer", "optimiser"}
     assert set(found["step"]) == parts | {"total"}
     assert found["step"]["total"] == pytest.approx(sum(found["step"][part] for part in parts))
     assert found["relit"]["images"] == 4
-    assert "| layer |" in (tmp_path / "step-time.md").read_text()
+    assert "| layer |" in step_profile.tables(found)

@@ -5,7 +5,7 @@ import json
 import pytest
 import torch
 
-from learn.experiments import first_use, quadrature_accuracy
+from learn.experiments import converged_integrals, first_use
 
 
 def test_a_start_tells_the_seconds_of_everything_a_program_waits_for(capsys, monkeypatch):
@@ -31,7 +31,7 @@ def test_quadrature_is_within_a_hundredth_of_the_integral_where_the_sum_is_not()
     """γ = 3e4, a lobe of a quarter of a texel; and at γ = 1, where both are the same sum, both
     are.
     """
-    narrow, broad = quadrature_accuracy.measure(1e-2, 1, gammas=(3e4, 1.0), size=32)
+    narrow, broad = converged_integrals.compared(1e-2, 1, gammas=(3e4, 1.0), size=32)
     assert narrow["converged to"] <= 2e-3
     assert narrow["quadrature"]["error"] <= 1e-2 < 0.1 < narrow["exact"]["error"]
     assert broad["quadrature"]["error"] == broad["exact"]["error"] <= 3e-3

@@ -14,7 +14,12 @@ from scipy.optimize import OptimizeResult, minimize
 from synthetic import entry, write_dataset
 
 from learn.data.batch import Batch
-from learn.experiments import refinement_ablation, refinement_chart, refinement_initialisations
+from learn.experiments import (
+    refinement_ablation,
+    refinement_chart,
+    refinement_initialisations,
+    refinement_sweep,
+)
 from learn.experiments.__main__ import COMMANDS
 from learn.layer import render
 from learn.metrics.radiometry import log_albedo
@@ -298,20 +303,18 @@ def test_more_than_one_picture_is_refused(scene):
 
 
 def test_a_studys_settings_are_read_from_their_names():
-    assert refinement_ablation.settings_of("default") == Settings()
-    assert refinement_ablation.settings_of("passes=1").passes == 1
-    assert {level.pixels for level in refinement_ablation.settings_of("pixels=600").levels} == {600}
-    assert refinement_ablation.settings_of("c=0.1").c == 0.1
-    for moved, values in refinement_ablation.SWEEPS.items():
-        assert refinement_ablation.value_of(moved) in values, moved  # the chart shades it
+    assert refinement_sweep.settings_of("default") == Settings()
+    assert refinement_sweep.settings_of("passes=1").passes == 1
+    assert {level.pixels for level in refinement_sweep.settings_of("pixels=600").levels} == {600}
+    assert refinement_sweep.settings_of("c=0.1").c == 0.1
+    for moved, values in refinement_sweep.SWEEPS.items():
+        assert refinement_sweep.value_of(moved) in values, moved  # the chart shades it
         assert [
-            refinement_ablation.value_of(
-                moved, refinement_ablation.settings_of(f"{moved}={value:g}")
-            )
+            refinement_sweep.value_of(moved, refinement_sweep.settings_of(f"{moved}={value:g}"))
             for value in values
         ] == list(values)
     with pytest.raises(InputError, match="a setting"):
-        refinement_ablation.settings_of("d=1")
+        refinement_sweep.settings_of("d=1")
 
 
 def known_cases(scene, count):
@@ -319,7 +322,7 @@ def known_cases(scene, count):
     batch, truth = scene
     picture = batch.image[0].movedim(0, -1).numpy()
     return [
-        refinement_ablation.Case(f"record-{i}", batch, [(truth.label[0], picture)])
+        refinement_sweep.Case(f"record-{i}", batch, [(truth.label[0], picture)])
         for i in range(count)
     ]
 
@@ -327,34 +330,31 @@ def known_cases(scene, count):
 def test_a_study_has_a_row_a_picture_goes_on_where_it_was_and_refuses_other_weights(
     scene, tmp_path, monkeypatch
 ):
-    made, refine_ = [], refinement_ablation.refine
+    made, refine_ = [], refinement_sweep.refine
     monkeypatch.setattr(
-        refinement_ablation,
+        refinement_sweep,
         "refine",
         lambda batch, start, settings: made.append(settings.a) or refine_(batch, start, QUICK),
     )
     start = perturbed(scene[1], 3)
-    told = refinement_ablation.weights(
+    told = refinement_sweep.sweep(
         lambda _: start, known_cases(scene, 3), tmp_path, ["default", "a=1"]
     )
     assert told["default"]["pictures"] == told["a=1"]["pictures"] == 3
     assert made == [0.05] * 3 + [1.0] * 3
     made.clear()
-    fewer = refinement_ablation.weights(
-        lambda _: start, known_cases(scene, 2), tmp_path, ["default"]
-    )
+    fewer = refinement_sweep.sweep(lambda _: start, known_cases(scene, 2), tmp_path, ["default"])
     assert not made and set(fewer) == {"default"} and fewer["default"]["pictures"] == 2
-    assert json.loads((tmp_path / "study.json").read_text()).keys() == {"made_by", "default"}
-    refinement_ablation.pin_settings(tmp_path, {"weights": "one"})
-    refinement_ablation.pin_settings(tmp_path, {"weights": "one"})
+    refinement_sweep.pin_settings(tmp_path, {"weights": "one"})
+    refinement_sweep.pin_settings(tmp_path, {"weights": "one"})
     with pytest.raises(InputError, match="other weights"):
-        refinement_ablation.pin_settings(tmp_path, {"weights": "two"})
+        refinement_sweep.pin_settings(tmp_path, {"weights": "two"})
 
 
-def test_a_weight_moved_beside_the_default_alone_is_charted(tmp_path):
+def test_a_weight_moved_beside_the_default_alone_is_charted():
     row = {figure: [2.0, 1.0, 2.0, 1.0] for figure in refinement_ablation.FIGURES}
-    refinement_chart.chart({"a=0.1": row}, tmp_path / "study.png")
-    assert (tmp_path / "study.png").stat().st_size > 1000
+    assert len(refinement_chart.draw({"a=0.1": row}).axes) == 4
+    assert refinement_chart.draw({"default": row}) is None
 
 
 def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
@@ -362,29 +362,30 @@ def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
     told = refinement_initialisations.measured(
         lambda _: start, known_cases(scene, 4), 6, tmp_path, LABELS, QUICK
     )
-    assert [row["kind"] for row in told["rows"]] == [
-        *refinement_initialisations.STARTS,
-        refinement_initialisations.STARTS[0],
+    rows = [json.loads(line) for line in (tmp_path / "starts.jsonl").read_text().splitlines()]
+    assert [row["kind"] for row in rows] == [
+        *refinement_initialisations.KINDS,
+        refinement_initialisations.KINDS[0],
     ]
-    assert list(told["by_kind"]) == list(refinement_initialisations.STARTS)
+    assert list(told["by_kind"]) == list(refinement_initialisations.KINDS)
     assert told["above_their_start"] == told["not_finite"] == 0
 
 
 def test_a_studys_figures_are_of_the_parts_it_is_given(scene):
     (case,), start = known_cases(scene, 1), perturbed(scene[1], 3)
     found, own = (
-        refinement_ablation.figures(start, case.batch, case.truths),
-        refinement_ablation.figures(scene[1], case.batch, case.truths),
+        refinement_sweep.figures(start, case.batch, case.truths),
+        refinement_sweep.figures(scene[1], case.batch, case.truths),
     )
     label, truth = case.truths[0]
     mask = (case.batch.segments[0] > 0).numpy()
     level = tone.auto_exposure(truth, mask)
     assert found["edit"] == pytest.approx(
-        tone.display_l2(refinement_ablation.picture(start, label, case.batch), truth, level, mask)
+        tone.display_l2(refinement_sweep.picture(start, label, case.batch), truth, level, mask)
     )
     assert found["image"] == pytest.approx(
         tone.display_l2(
-            refinement_ablation.picture(start, start.label[0], case.batch), truth, level, mask
+            refinement_sweep.picture(start, start.label[0], case.batch), truth, level, mask
         )
     )
     assert own["edit"] < 1 < 20 < found["edit"] and own["image"] < 1 < 20 < found["image"]
@@ -413,11 +414,10 @@ def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, m
         lambda _: start, known_cases(scene, 1), 4, tmp_path, LABELS
     )
     assert (told["starts"], told["above_their_start"], told["not_finite"]) == (4, 2, 1)
-    assert json.loads((tmp_path / "starts.json").read_text())["made_by"]["commit"]
 
 
 def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
-    for module in (refinement_ablation, refinement_initialisations):
+    for module in (refinement_sweep, refinement_initialisations):
         monkeypatch.setattr(
             module,
             "refine",
@@ -444,18 +444,14 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
         "a=0.2",
     ]
     assert main("learn.experiments", "t", COMMANDS, [*words, "--starts", "5"]) == 0
-    told = {
-        name: json.loads((tmp_path / "out" / f"{name}.json").read_text())
-        for name in ("study", "times", "starts")
-    }
-    assert set(told["study"]) == {"made_by", "default", "a=0.2"} and set(told["times"]) == {
-        "made_by",
-        "32",
-        "64",
-    }
-    assert told["starts"]["starts"] == 5 and len(told["starts"]["by_kind"]) == 5
-    assert told["study"]["default"]["image"][1] < told["study"]["default"]["image"][0]
-    assert (tmp_path / "out" / "study.png").exists()
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert set(report["settings"]) == {"default", "a=0.2"} and set(report["times"]) == {"32", "64"}
+    ends = report["initialisations"]
+    assert ends["starts"] == 5 and len(ends["by_kind"]) == 5 and report["made_by"]["commit"]
+    before, after = report["settings"]["default"]["image"][:2]
+    assert after < before
+    assert (tmp_path / "out" / "chart.png").exists()
+    assert "| noisy normals |" in (tmp_path / "out" / "report.md").read_text()
     before = [(tmp_path / "out" / name).read_bytes() for name in ("rows.jsonl", "starts.jsonl")]
     assert main("learn.experiments", "t", COMMANDS, [*words, "--starts", "5"]) == 0
     assert [

@@ -291,7 +291,7 @@ def test_on_a_full_disk_what_was_written_stays_and_the_error_names_the_cause(tin
 
 
 def test_ids_of_many_records_come_in_a_flash(tmp_path, a_record):
-    """720,000 must take seconds (docs/results/manifest-scale.md has the figure); here 20,000, with
+    """720,000 must take seconds (docs/results/factory/report.md has the figure); here 20,000, with
     room for a slow machine.
     """
     import time

@@ -1,7 +1,7 @@
 """A million adversarial pixels through a method: how many values or derivatives are not finite. Run
 by hand, the result is kept.
 
-    python tests/learn/methods/stress.py --samples 1000000 --out docs/results/layer/stress.json
+    python tests/learn/methods/stress.py --samples 1000000 --out docs/results/layer-stress/report.json
     [--method NAME …] [--view-per-pixel]
 
 Each picture is rendered with derivatives and without. It has 2,000 pixels whose normals lie at the
