@@ -82,14 +82,8 @@ def make(
         ("", relit, batches, "sheet.jpg")
     ]
     if test.rendered_split:
-        places.append(
-            (
-                "cycles",
-                RenderedDataset(test, run.data, 1, run.size, SEED),
-                len(test.rendered_split),
-                "sheet-cycles.jpg",
-            )
-        )
+        rendered = RenderedDataset(test, run.data, 1, run.size, SEED)
+        places.append(("cycles", rendered, len(test.rendered_split), "sheet-cycles.jpg"))
         report["cycles_about"] = _of_split(test.rendered_split)
     for where, source, count, sheet_name in places:
         results = [

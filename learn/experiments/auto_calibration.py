@@ -94,8 +94,8 @@ def light_error(size: int) -> dict[str, float]:
 
     The broadest lobe has the horizon's error alone.
     """
-    n = chart_cases.sphere(size)
-    n = n[(n != 0).any(-1)].numpy()
+    sphere = chart_cases.sphere(size)
+    n = sphere[(sphere != 0).any(-1)].numpy()
     points = []
     for g in SHARPNESS:
         scene = planned.Scene(

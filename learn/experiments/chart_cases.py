@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -41,16 +42,19 @@ class Setting:
 def settings() -> list[Setting]:
     """Return every point of the chart."""
 
+    def at(batch: Batch, name: str, tolerance: float) -> torch.Tensor:
+        return methods.load(name).radiance(batch, tolerance)
+
     def by_tolerance(name: str, *tolerances: float) -> list[Setting]:
-        return [
-            Setting(name, f"{t:g}", lambda b, n=name, t=t: methods.load(n).radiance(b, t))
-            for t in tolerances
-        ]
+        return [Setting(name, f"{t:g}", partial(at, name=name, tolerance=t)) for t in tolerances]
 
     def by_count(
         name: str, function: Callable[[Batch, int], torch.Tensor], *counts: int
     ) -> list[Setting]:
-        return [Setting(name, str(c), lambda b, c=c: function(b, c)) for c in counts]
+        def at(batch: Batch, count: int) -> torch.Tensor:
+            return function(batch, count)
+
+        return [Setting(name, str(count), partial(at, count=count)) for count in counts]
 
     return [
         *by_tolerance("exact", 1e-2),
@@ -160,7 +164,5 @@ def batch_of(
         ]
         n = torch.where((n * view).sum(-1, keepdim=True) > 1e-3, n, torch.zeros(()))
     leaves = [x.requires_grad_(with_gradients) for x in (n, m, L)]
-    return (
-        compact(checked(*leaves, view, None, (n != 0).any(-1).detach(), 1e-2, ELEVATION))[0],
-        leaves,
-    )
+    mask = (n != 0).any(-1).detach()
+    return compact(checked(n, m, L, view, None, mask, 1e-2, ELEVATION))[0], leaves

@@ -19,8 +19,8 @@ import torch
 COVER, LIGHT = 34.2 / 96, (64, 128)  # the sphere's radius by the picture's side; texels
 
 
-def scene(dtype: torch.dtype, perspective: bool, size: int) -> list[torch.Tensor | None]:
-    """Return leaves [n, material, light, view or None] for `render`."""
+def scene(dtype: torch.dtype, perspective: bool, size: int) -> list[torch.Tensor]:
+    """Return leaves [n, material, light] for `render`, and a view if perspective."""
     place = torch.arange(size, dtype=torch.float64) - (size - 1) / 2
     y, x = torch.meshgrid(place, place, indexing="ij")
     radius = COVER * size
@@ -32,8 +32,7 @@ def scene(dtype: torch.dtype, perspective: bool, size: int) -> list[torch.Tensor
     if perspective:
         view = torch.stack([-0.003 * x, 0.003 * y, torch.ones_like(x)], -1)
         tensors.append(torch.nn.functional.normalize(view, dim=-1)[None])
-    leaves = [a.to(dtype).clone().requires_grad_() for a in tensors]
-    return leaves if perspective else [*leaves, None]
+    return [a.to(dtype).clone().requires_grad_() for a in tensors]
 
 
 def one_case(dtype: str, perspective: bool, rounds: int, size: int) -> dict[str, Any]:
@@ -41,8 +40,9 @@ def one_case(dtype: str, perspective: bool, rounds: int, size: int) -> dict[str,
     from learn.layer import render
 
     torch.set_num_threads(1)
-    n, m, light, view = scene(getattr(torch, dtype), perspective, size)
-    leaves = [a for a in (n, m, light, view) if a is not None]
+    leaves = scene(getattr(torch, dtype), perspective, size)
+    n, m, light = leaves[:3]
+    view = leaves[3] if perspective else None
     g = torch.linspace(-1, 1, n.numel(), dtype=n.dtype).reshape(n.shape)
     inside = (n != 0).any(-1)
 

@@ -83,11 +83,12 @@ def engine_task(scene: Scene, backward: bool) -> Callable[[], None]:
 
     It includes everything from the layer's arguments on, compaction and tables too.
     """
-    leaves = [a.clone().requires_grad_(backward) for a in (scene.n, scene.m, scene.light)]
+    tensors = (scene.n, scene.m, scene.light)
+    leaves = n, m, light = [a.clone().requires_grad_(backward) for a in tensors]
     view = None if scene.view is None else scene.view.clone().requires_grad_(backward)
 
     def run() -> None:
-        seen = render(*leaves, view=view, method="exact")
+        seen = render(n, m, light, view=view, method="exact")
         if backward:
             torch.autograd.grad(seen.sum(), leaves + ([] if view is None else [view]))
 

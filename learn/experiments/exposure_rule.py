@@ -45,7 +45,9 @@ def fitted(Y: np.ndarray, X: np.ndarray, groups: list) -> dict[str, list[float]]
     """
     x, y = np.log(Y), np.log(X)
     ones = np.ones((1, len(x)))
-    lines = np.concatenate([_lines(x, y, ones), _lines(x, y, bootstrap.draws(groups))])
+    weights = bootstrap.draws(groups)
+    weights = weights[(weights > 0).sum(1) > 1]  # one picture defines no line
+    lines = np.concatenate([_lines(x, y, ones), _lines(x, y, weights)])
     low, high = np.percentile(lines[1:], bootstrap.LEVELS, axis=0)
     typical, dependence = ([float(lines[0, k]), float(low[k]), float(high[k])] for k in (0, 1))
     return {
@@ -99,6 +101,8 @@ def fit_and_check(records: Records, others: Sequence[Records]) -> dict[str, Any]
             "rename one: rows are named after them",
         )
     Y, X, groups = measured(records)
+    if len(Y) < 2:
+        raise InputError(records.folder, "two pictures or more", "one", "render more")
     line = fitted(Y, X, groups)
     rules = {
         "fitted": (line["typical"][0], line["dependence"][0]),

@@ -58,8 +58,8 @@ def main(case: str, threads: int) -> None:
         render(n, material, light, view, method=method)
 
     def derivatives() -> None:
-        leaves = [a.clone().requires_grad_() for a in (n, material, light)]
-        torch.autograd.grad(render(*leaves, view, method=method).sum(), leaves)
+        leaves = n_leaf, m, L = [a.clone().requires_grad_() for a in (n, material, light)]
+        torch.autograd.grad(render(n_leaf, m, L, view, method=method).sum(), leaves)
 
     for name, work in (
         ("picture", picture),

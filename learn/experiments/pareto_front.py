@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import statistics
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 LEVELS = (5e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 OURS = "auto"
 CLOCKS, ERRORS = ("seconds", "forward"), ("error", "integral", "forward_error")
-JUDGES = {"median": statistics.median, "worst": max}
+JUDGES: Mapping[str, Callable[[list[float]], float]] = {"median": statistics.median, "worst": max}
 
 
 class Point(NamedTuple):

@@ -10,12 +10,14 @@ from full_disk_case import RUN as SETTINGS
 from synthetic import add_shape, matte, write_dataset
 
 from learn.data.sources import VALIDATION_SHAPES, by_hash
-from learn.experiments import auto_calibration, runner
+from learn.experiments import auto_calibration, exposure_rule, runner
 from learn.experiments.__main__ import COMMANDS, GROUPS, description
+from learn.metrics import bootstrap
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
 from manifests.cli import main
+from tests.learn.test_cycles_source import written
 
 SIZE = 32
 TRAINING = "--data {room}/data --size 32 --seconds 0.05 --seeds 1 --batches 1 --workers 0"
@@ -84,8 +86,8 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         lambda r: all(p["normals enlarged"]["l2_ratio"] == [1, 1, 1] for p in r["parts"].values()),
     ),
     "exposure": (
-        "--data {room}/pictures",
-        lambda r: set(r["missed"]["pictures"]) == {"fitted", "in use", "one factor for all"},
+        "--data {room}/exposed",
+        lambda r: set(r["missed"]["exposed"]) == {"fitted", "in use", "one factor for all"},
     ),
 }
 
@@ -105,6 +107,7 @@ def room(tmp_path_factory):
             validation = (k for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
             add_shape(store, f"ball:{next(validation)}", "train")
             add_shape(store, "cube:1", "test")
+    written(room / "exposed")
     torch.manual_seed(0)
     network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
     save_weights(
@@ -160,6 +163,15 @@ def test_a_name_that_is_not_known_is_a_line_with_the_known_ones(tmp_path, capsys
     assert "did you mean lamps" in capsys.readouterr().err
     assert run("work-precision", "--light lampz", tmp_path / "b") == 1
     assert "did you mean lamps" in capsys.readouterr().err
+
+
+def test_a_line_through_exposures_leaves_out_draws_of_one_picture():
+    """Otherwise the interval of few pictures is not a number."""
+    Y, X = np.array([0.2, 0.5]), np.array([3.0, 1.0])
+    line = exposure_rule.fitted(Y, X, bootstrap.groups_of(["a", "b"]))
+    assert np.isfinite(list(line.values())).all()
+    mean, low, high = line["dependence"]
+    assert low == pytest.approx(mean) == pytest.approx(high)
 
 
 def test_a_folder_that_is_a_file_is_refused_before_anything_is_measured(tmp_path, capsys):
