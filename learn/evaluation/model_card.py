@@ -20,7 +20,7 @@ from learn.data.settings import Run, decode_run
 from learn.metrics import bootstrap
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
-from learn.training import montage as training_sheet
+from learn.training import montage as training_montage
 from learn.training import validation
 from manifests import files
 from manifests.errors import InputError
@@ -126,8 +126,7 @@ def _all_different(paths, runs):
 
 
 def _under(where, found):
-    """What card.json says of one kind of pictures: of the first network, and of all if there are
-    several.
+    """Return the part of card.json about one kind of pictures, of the first network and of all.
 
     found  (values {figure: (P,)}, names (P,)) of each network, on the same pictures
     """
@@ -174,11 +173,11 @@ def measured(
             )
         rows.append(validation.of(prediction, batch, constant_albedo))
         names += batch.names
-        if sum(len(each.names) for each, _ in shown) < training_sheet.ROWS:
+        if sum(len(each.names) for each, _ in shown) < training_montage.ROWS:
             shown.append((batch, prediction))
     if sheet_path:
-        cells = np.concatenate([training_sheet.cells(*each) for each in shown])[
-            : training_sheet.ROWS * run.size
+        cells = np.concatenate([training_montage.cells(*each) for each in shown])[
+            : training_montage.ROWS * run.size
         ]
         files.write_image(sheet_path, cells, "JPEG", quality=90)
     return {key: np.concatenate([row[key] for row in rows]) for key in rows[0]}, names
@@ -207,7 +206,7 @@ def _of_split(rendered_split):
     )
 
 
-def _sizes(network, data_splits):
+def _sizes(network: Any, data_splits: dict[str, DataSplit]) -> dict[str, Any]:
     report = {"parameters": sum(p.numel() for p in network.parameters())}
     report |= {side: data_splits[side].sizes() for side in ("train", "validation", "test")}
     return report

@@ -22,6 +22,7 @@ import hashlib
 import importlib
 import json
 import os
+import signal
 import statistics
 import subprocess
 import sys
@@ -34,6 +35,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 QUICK_METHODS = ("exact", "auto", "culled", "quadrature")
+QUICK_JOBS = ("smallest", "agreement", "demo", "00", "01")
 METHODS = (*QUICK_METHODS, "reflectance_map", "median_cut", "hybrid", "split_sum")
 GEOMETRY = {  # for training: a job of geometry alone
     "name": "compare-geometry",
@@ -365,6 +367,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, metavar="FILE", help="a file for the tables as well")
     arguments = parser.parse_args()
     quick = arguments.quick
+    # a run that is ended removes its worktrees too
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("compare_commits: ended"))
     commits = {"old": short(arguments.old), "new": short(arguments.new)}
     with (
         tempfile.TemporaryDirectory(prefix="compare-") as name,
@@ -374,7 +378,9 @@ def main() -> None:
         for file, content in (("geometry", GEOMETRY), ("pictures", PICTURES), ("run", RUN)):
             (room / f"{file}.json").write_text(json.dumps(content))
         jobs = sorted((trees["old"] / "manifests" / "jobs").glob("*.json"))
-        jobs += sorted((trees["old"] / "docs" / "results").glob("**/jobs/*.json"))
+        jobs += sorted((trees["old"] / "docs").glob("**/jobs/**/*.json"))
+        if quick:  # few shapes: each is made and hashed
+            jobs = [path for path in jobs if path.stem in QUICK_JOBS]
         layer = (48, 3, *QUICK_METHODS) if quick else (128, 5, *METHODS)
         for side in trees:  # kernels are compiled before anything is timed
             in_commit(trees[side], "render_layer", 12, 1, *layer[2:])
@@ -411,7 +417,10 @@ def main() -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--task"]:
-        sys.path.pop(0)  # this folder: the commit's own packages come from PYTHONPATH
+        # the commit's own packages come from PYTHONPATH: neither from this folder, nor from where
+        # an editable installation would find a module that this commit lacks
+        sys.path.pop(0)
+        sys.meta_path[:] = [f for f in sys.meta_path if "Editable" not in repr(f)]
         print(json.dumps(TASKS[sys.argv[2]](*sys.argv[3:])))
     else:
         main()

@@ -2,6 +2,8 @@
 
 import json
 import math
+import runpy
+import sys
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from learn.metrics import bootstrap
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
+from learn.training import allocator
 from manifests.cli import main
 from tests.learn.test_cycles_source import written
 
@@ -190,3 +193,24 @@ def test_a_published_page_is_what_its_report_says(name, root):
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     page = runner.page_of(runner.find(REPORTS.get(name, name)), report)
     assert (folder / "report.md").read_text(encoding="utf-8") == page
+
+
+@pytest.mark.parametrize("program", ["learn", "learn.experiments"])
+@pytest.mark.parametrize("word", ["--help", "nothing"])
+def test_memory_is_not_kept_for_help_or_a_mistake(program, word, monkeypatch, capsys):
+    made = []
+    monkeypatch.setattr(allocator, "keep_freed", lambda: made.append(1))
+    monkeypatch.setattr(sys, "argv", ["python", word])
+    with pytest.raises(SystemExit):
+        runpy.run_module(program, run_name="__main__", alter_sys=False)
+    assert not made
+    capsys.readouterr()
+
+
+def test_memory_is_kept_when_a_command_runs(monkeypatch, tmp_path, capsys):
+    made = []
+    monkeypatch.setattr(allocator, "keep_freed", lambda: made.append(1))
+    monkeypatch.setattr(sys, "argv", ["python", "predict", "none.png", "--out", str(tmp_path)])
+    with pytest.raises(SystemExit):
+        runpy.run_module("learn", run_name="__main__", alter_sys=False)
+    assert made == [1] and "none.png" in capsys.readouterr().err
