@@ -27,7 +27,7 @@ import hashlib
 import io
 import zipfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -159,6 +159,22 @@ LIGHT_AGAIN = "render or copy the dataset again"
 _NO_ARCHIVE = (*archives.DAMAGE, KeyError)  # KeyError: a member is missing
 
 
+class SeenGeometry(Protocol):
+    """What a geometry file is encoded from: the arrays of Geometry, and the mask beside them."""
+
+    @property
+    def normals(self) -> np.ndarray: ...
+
+    @property
+    def depth(self) -> np.ndarray: ...
+
+    @property
+    def segments(self) -> np.ndarray: ...
+
+    @property
+    def mask(self) -> np.ndarray: ...
+
+
 class Geometry(NamedTuple):
     """What a shape shows from one view.
 
@@ -203,8 +219,8 @@ def read_picture(
     return radiance
 
 
-def encode_geometry(geometry: Any) -> bytes:
-    """A geometry file. geometry: a Geometry, or anything with its three arrays."""
+def encode_geometry(geometry: SeenGeometry) -> bytes:
+    """Return the bytes of a geometry file."""
     layers = dict(zip(NORMAL_CHANNELS, np.moveaxis(geometry.normals, -1, 0), strict=True))
     layers[DEPTH_CHANNEL] = geometry.depth
     rounded = {

@@ -1,32 +1,36 @@
-"""A job carried out: its folder opened, what is there left out, the rest made, until nothing is
-owed.
-"""
+"""Carry a plan out: open its folder, leave out the shots that are there, and make the others."""
 
 import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from factory.execution.pipeline import Assignment, LightSource, ShapeSource
-from factory.execution.pool import Pool, config_for_worker
-from factory.execution.worker import STUDIO
+from factory.execution.pool import Pool
+from factory.execution.worker import STUDIO, Reply, WorkerConfig
+from factory.planning.assets import Assets, Light, Material
 from factory.planning.fingerprint import render_fingerprint
-from factory.planning.plan import Plan
+from factory.planning.plan import Plan, Shot
 from manifests import lock
 from manifests.arrays import encode_light, read_light
 from manifests.errors import InputError
-from manifests.materials import BUILT_IN, Catalogue, encode, read_catalogue
-from manifests.schema import Dataset, Failure, LightEntry, MaterialEntry, Order, ShapeEntry
+from manifests.materials import BUILT_IN, Catalogue, Entry, encode, read_catalogue
+from manifests.schema import Dataset, Failure, Job, LightEntry, MaterialEntry, Order, ShapeEntry
 from manifests.splits import light_side
 from manifests.store import Lines, Store, geometry_path, light_path, readable_hash
+
+Watch = Callable[[str, Any], None]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to: pictures made, failures in this run, shots that were there before."""
+    """How many pictures were made, how many failed, and how many were there before the run."""
 
     made: int
     failed: int
@@ -35,13 +39,15 @@ class Outcome:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How to carry a job out, none of which alters a pixel beyond Cycles' repeatability.
+    """How to carry a job out. No option alters a pixel beyond Cycles' repeatability.
 
-    workers  processes; threads: CPU threads of each, None: the machine's, shared out
+    workers  number of processes
+    threads  CPU threads of each process, None: an equal part of the machine's
+    device   one of factory.render.device.NAMES
     shard    None, or (i, n): only part i of n, 1 ≤ i ≤ n
-    limit    at most so many pictures in this run, None: all
+    limit    the largest number of pictures in this run, None: all
     library  a folder of light maps, or None
-    studio   module:class, for tests without Blender
+    studio   module:class of the studio; tests without Blender name another
     """
 
     workers: int = 1
@@ -52,25 +58,27 @@ class RunOptions:
     library: str | None = None
     studio: str = STUDIO
 
+    @property
+    def threads_per_worker(self) -> int | None:
+        """CPU threads of each worker; None, which means all, for a single worker."""
+        if self.threads or self.workers == 1:
+            return self.threads or None
+        return max(1, processors() // self.workers)
 
-def carry_out(plan: Plan, folder, run_options: RunOptions, watch=None):
+
+def carry_out(
+    plan: Plan, folder: str | Path, run_options: RunOptions, watch: Watch | None = None
+) -> Outcome:
     """Make every shot of a plan that the folder does not hold yet.
 
-    watch    called with (event, value): "total" shots of this run, "already_there" one that was
-    there, "made" a Reply, "failed" a Failure,
-             "note" a line for the user
-    Returns  Outcome
-    Raises   InputError; OSError (full disk) with everything that was written before intact
+    watch   called with (event, value): "total" and the number of this run's shots, "already_there"
+            and 1, "made" and a Reply, "failed" and a Failure, "note" and a line for the user
+    Raises  InputError; OSError (full disk), after which everything written before is intact
     """
     watch = watch or (lambda event, value: None)
-    store, prefix = (
-        Store(folder),
-        (
-            "worker-"
-            if run_options.shard is None
-            else f"worker-{run_options.shard[0]}of{run_options.shard[1]}-"
-        ),
-    )
+    store, prefix = Store(folder), "worker-"
+    if run_options.shard is not None:
+        prefix += f"{run_options.shard[0]}of{run_options.shard[1]}-"
     with lock.writing(folder, run_options.shard) as descriptors:
         store.sweep(prefix if run_options.shard else "")
         with lock.changing(folder):
@@ -78,14 +86,26 @@ def carry_out(plan: Plan, folder, run_options: RunOptions, watch=None):
         return _made(plan, store, run_options, prefix, descriptors, watch)
 
 
-def _made(plan, store, run_options, prefix, descriptors, watch):
+def _made(
+    plan: Plan,
+    store: Store,
+    run_options: RunOptions,
+    prefix: str,
+    descriptors: Sequence[int],
+    watch: Watch,
+) -> Outcome:
+    """Make the shots of a plan whose folder is locked and registered.
+
+    prefix       of the workers' names
+    descriptors  the locks, which workers hold too
+    """
     done, hashes = store.known("records" if plan.job.pictures else "views")
-    shots = _part(plan, run_options.shard)
-    watch("total", _part_length(plan, run_options.shard))
+    first, end = _bounds(len(plan), run_options.shard)
+    watch("total", end - first)
     counts = {"already_there": 0, "made": 0, "failed": 0}
 
-    def owed():
-        for shot in shots:
+    def missing() -> Iterator[Shot]:
+        for shot in islice(plan, first, end):
             if shot.id in done:
                 counts["already_there"] += 1
                 watch("already_there", 1)
@@ -94,24 +114,14 @@ def _made(plan, store, run_options, prefix, descriptors, watch):
                 yield shot if known is None else msgspec.structs.replace(shot, geometry_hash=known)
 
     assignment = assign(plan, run_options.library)
-    threads = run_options.threads or (
-        None if run_options.workers == 1 else max(1, processors() // run_options.workers)
-    )
     pool = Pool(
         run_options.workers,
-        lambda number: config_for_worker(
-            store.folder,
-            f"{prefix}{number:02d}",
-            run_options.device,
-            threads,
-            assignment,
-            run_options.studio,
-        ),
+        lambda number: worker_config(store, f"{prefix}{number:02d}", assignment, run_options),
         descriptors,
         store.folder / "partial",
     )
     failures = None
-    for shot, reply in pool.run(islice(owed(), run_options.limit)):
+    for shot, reply in pool.run(islice(missing(), run_options.limit)):
         if reply.settings:
             with lock.changing(store.folder):
                 _note_settings(store, plan, reply)
@@ -131,8 +141,11 @@ def _made(plan, store, run_options, prefix, descriptors, watch):
     return Outcome(**counts)
 
 
-def assign(plan, library=None):
-    """What the plan's workers need to know."""
+def assign(plan: Plan, library: str | None = None) -> Assignment:
+    """Return what the plan's workers need to know besides their shots.
+
+    library  a folder of light maps, or None
+    """
     return Assignment(
         job=plan.job,
         shapes={
@@ -147,13 +160,27 @@ def assign(plan, library=None):
     )
 
 
-def register(store, plan):
-    """Write down, in dataset.json, materials.json and lights/, what a plan brings to the folder.
+def worker_config(
+    store: Store, worker: str, assignment: Assignment, run_options: RunOptions
+) -> WorkerConfig:
+    """Return the configuration of the worker of that name."""
+    return WorkerConfig(
+        folder=str(store.folder),
+        worker=worker,
+        device=run_options.device,
+        threads=run_options.threads_per_worker,
+        studio=run_options.studio,
+        assignment=assignment,
+    )
 
-    Raises  InputError if the folder knows another thing by a name of the plan's, or has it on the
-    other side of the split
+
+def register(store: Store, plan: Plan) -> None:
+    """Enter a plan and its assets in the folder's dataset.json, materials.json and lights/.
+
+    Raises  InputError if the folder has another asset of the same name, or has one of the assets
+            on the other side of the split
     """
-    held = store.dataset() if (store.folder / "dataset.json").exists() else Dataset()
+    known = store.dataset() if (store.folder / "dataset.json").exists() else Dataset()
     assets = plan.assets
     shapes = {
         s.name: ShapeEntry(
@@ -172,17 +199,14 @@ def register(store, plan):
         for m in assets.materials
     }
     lights = {
-        light.name: _light_entry(store, light, held.lights.get(light.name))
+        light.name: _light_entry(store, light, known.lights.get(light.name))
         for light in assets.lights.values()
     }
-    for kind, known, brought in (
-        ("shape", held.shapes, shapes),
-        ("material", held.materials, materials),
-        ("light", held.lights, lights),
-    ):
-        _agree(store, kind, known, brought)
-    _write_materials(store, assets.materials, held.materials)
-    orders = held.orders
+    _require_agreement(store, "shape", known.shapes, shapes)
+    _require_agreement(store, "material", known.materials, materials)
+    _require_agreement(store, "light", known.lights, lights)
+    _write_materials(store, assets.materials, known.materials)
+    orders = known.orders
     if not any(
         msgspec.structs.replace(order.job, name=plan.job.name, about=plan.job.about) == plan.job
         for order in orders
@@ -196,21 +220,26 @@ def register(store, plan):
     store.write_json(
         "dataset.json",
         msgspec.structs.replace(
-            held,
+            known,
             orders=orders,
-            # ids are hashed with it: known before the first of them is written
-            settings={plan.render: {}, **held.settings},
-            shapes={**held.shapes, **shapes},
-            materials={**held.materials, **materials},
-            lights={**held.lights, **lights},
+            # ids are hashed with the fingerprint, so it is entered before the first record
+            settings={plan.render: {}, **known.settings},
+            shapes={**known.shapes, **shapes},
+            materials={**known.materials, **materials},
+            lights={**known.lights, **lights},
         ),
     )
 
 
-def _agree(store, kind, known, brought):
-    """Names mean one thing, and things stand on one side."""
+def _require_agreement(
+    store: Store,
+    kind: str,
+    known: Mapping[str, ShapeEntry | MaterialEntry | LightEntry],
+    new: Mapping[str, ShapeEntry | MaterialEntry | LightEntry],
+) -> None:
+    """Raise InputError if a name has two meanings, or a shape or material stands on two sides."""
     sides = {entry.hash: (entry.side, name) for name, entry in known.items() if kind != "light"}
-    for name, entry in brought.items():
+    for name, entry in new.items():
         if name in known and known[name].hash != entry.hash:
             remedy = "rename the new one, or render into another folder"
             raise InputError(
@@ -224,16 +253,17 @@ def _agree(store, kind, known, brought):
             raise InputError(
                 f"{store.folder}: {kind} '{name}'",
                 f"side {held[0]}, as '{held[1]}' there",
-                entry.side,
+                str(entry.side),
                 remedy,
             )
 
 
-def _light_entry(store, light, known):
-    """The entry of a light, its stored map put in place unless it is there, whole and the one that
-    the folder knows.
+def _light_entry(store: Store, light: Light, known: LightEntry | None) -> LightEntry:
+    """Return the entry of a light, after its map has been stored.
 
-    known   its LightEntry in dataset.json, or None
+    A map that is there already, undamaged and the one that dataset.json names, is left alone.
+
+    known   the light's entry in dataset.json, or None
     """
     file = light_path(light.name, light.hash)
     digest = readable_hash(store.folder / file)
@@ -254,24 +284,25 @@ def _light_entry(store, light, known):
     )
 
 
-def _holds(path, L):
-    """Whether a stored light map is L, up to what another machine's rounding makes of the same
-    light.
-    """
+def _holds(path: Path, L: np.ndarray) -> bool:
+    """Return whether a stored light map is L, up to the rounding of another machine."""
     try:
         return np.allclose(read_light(path), L, rtol=1e-4, atol=1e-6)
     except InputError:
         return False
 
 
-def _write_materials(store, materials, known):
-    """materials.json: the catalogue's lines of all materials that the folder's jobs name.
+def _write_materials(
+    store: Store, materials: Iterable[Material], known: Mapping[str, MaterialEntry]
+) -> None:
+    """Write materials.json: the catalogue entries of all materials that the folder's jobs name.
 
     known   {name: MaterialEntry} of dataset.json
-    Raises  InputError if it is damaged, and some of its materials are neither the plan's nor built
-    in
+    Raises  InputError if the file is damaged, and some of its materials are neither the plan's nor
+            built in
     """
-    path, ours = store.folder / "materials.json", {m.name: m.entry for m in materials}
+    path = store.folder / "materials.json"
+    ours: dict[str, Entry] = {m.name: m.entry for m in materials}
     try:
         held = (
             {entry.name: entry for entry in read_catalogue(path).materials} if path.exists() else {}
@@ -297,8 +328,8 @@ def _write_materials(store, materials, known):
     store.place("materials.json", encode(catalogue), "main")
 
 
-def _built_in(known):
-    """{name: Entry} of those materials of dataset.json that the program itself brings."""
+def _built_in(known: Mapping[str, MaterialEntry]) -> dict[str, Entry]:
+    """Return {name: Entry} of those materials of dataset.json that come with the program."""
     entries = [
         entry for path in BUILT_IN if path.exists() for entry in read_catalogue(path).materials
     ]
@@ -309,38 +340,32 @@ def _built_in(known):
     }
 
 
-def _note_settings(store, plan, reply):
-    held = store.dataset()
-    settings = {**held.settings, plan.render: reply.settings}
+def _note_settings(store: Store, plan: Plan, reply: Reply) -> None:
+    """Enter the settings and versions of a worker's first reply in dataset.json."""
+    known = store.dataset()
+    settings = {**known.settings, plan.render: reply.settings}
     store.write_json(
         "dataset.json",
         msgspec.structs.replace(
-            held, settings=settings, versions={**held.versions, **(reply.versions or {})}
+            known, settings=settings, versions={**known.versions, **(reply.versions or {})}
         ),
     )
 
 
-def _part_length(plan, shard):
-    first, end = _bounds(len(plan), shard)
-    return end - first
-
-
-def _part(plan, shard):
-    return islice(plan, *_bounds(len(plan), shard))
-
-
-def _bounds(total, shard):
-    """First and end of a part: neighbours stay together, so that persistent data pays."""
+def _bounds(total: int, shard: tuple[int, int] | None) -> tuple[int, int]:
+    """Return the first shot and the end of a part: successive shots, which share scene data."""
     i, n = shard or (1, 1)
     return total * (i - 1) // n, total * i // n
 
 
-def processors():
-    """CPUs that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+def processors() -> int:
+    """Return the number of CPUs that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
-def _failure(shot, reason):
+def _failure(shot: Shot, reason: str) -> Failure:
     return Failure(
         **shot.repeated_in(Failure),
         reason=reason,
@@ -348,13 +373,13 @@ def _failure(shot, reason):
     )
 
 
-def planned(job, assets):
-    """The Plan of a job under the settings in force."""
+def planned(job: Job, assets: Assets) -> Plan:
+    """Return the Plan of a job under this program's render settings."""
     return Plan(job, assets, render_fingerprint())
 
 
-def parsed_shard(text):
-    """ "3/8" as (3, 8). Raises InputError."""
+def parsed_shard(text: str) -> tuple[int, int]:
+    """Return "3/8" as (3, 8). Raises InputError."""
     i, slash, n = text.partition("/")
     if not (
         slash
