@@ -45,7 +45,7 @@ def main(
     # one command needs only its own module; --help and mistakes need all
     named = [word for word in words if word in commands][:1]
     first = next((word for word in words if not word.startswith("-")), None)
-    if moved and not named and first in moved:
+    if moved and not named and first is not None and first in moved:
         print(f"{program}: '{first}' has a new name; type `{moved[first]}`", file=sys.stderr)
         return 2
     for name in named or commands:

@@ -63,9 +63,9 @@ def to_parquet(store: Store, path: str | os.PathLike, split: str | None = None) 
     return len(records)
 
 
-def _flat(value, prefix=""):
-    """A nested dictionary with dotted keys."""
-    flat = {}
+def _flat(value: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return a nested dictionary as a flat one with dotted keys."""
+    flat: dict[str, Any] = {}
     for key, inner in value.items():
         flat |= (
             _flat(inner, f"{prefix}{key}.")

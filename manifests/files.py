@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, cast
 
 from manifests.errors import InputError
 from manifests.inputs import kind_of, require_file
@@ -30,7 +30,8 @@ MOST_LINE_BYTES = 256 << 20  # of a file of result lines: a thousand edits take 
 
 _DRAFT = itertools.count()  # two threads of one process never write one file's draft
 _DRAFT_NAME = re.compile(r"\..*\.(?P<machine>\w+)-(?P<process>\d{1,9})-\d+\.part", re.DOTALL)
-_SWEPT = set()  # folders in which this process has looked for the drafts of killed programs
+# folders in which this process has looked for the drafts of killed programs
+_SWEPT: set[str] = set()
 
 
 class _Waiting(NamedTuple):
@@ -102,7 +103,7 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
     whole = False
     try:
         try:
-            yield _Draft(descriptor, path)
+            yield cast(BinaryIO, _Draft(descriptor, path))
             with _named(path):
                 if not os.fstat(descriptor).st_size:
                     raise ValueError(f"{path}: nothing was written; an empty file is never kept")

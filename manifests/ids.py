@@ -105,9 +105,11 @@ def draws(job: Job, key: tuple[int, ...]) -> tuple[int, Sequence[int], Sequence[
     """
     sequence = np.random.SeedSequence(job.seed, spawn_key=key)
     rng, word = np.random.default_rng(sequence), sequence.generate_state(1)[0].item()
-    views = job.views
+    views: Sequence[int]
     if isinstance(job.views, Draw):
         views = np.sort(rng.permutation(COUNT)[: job.views.random]).tolist()
+    else:
+        views = job.views
     if not isinstance(job.rotations, Draw):
         return word, views, (job.rotations,) * len(views)
     every = np.broadcast_to(np.arange(TEXELS), (len(views), TEXELS))

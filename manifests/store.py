@@ -218,7 +218,8 @@ class Store:
 
         hashes  {path: hash}, the first that is named where lines disagree
         """
-        ids, hashes = set(), {}
+        ids: set[str] = set()
+        hashes: dict[str, str] = {}
         for each in LINES:
             for line in self._decoded(_Known, each):
                 hashes.setdefault(line.geometry, line.geometry_hash)

@@ -94,7 +94,9 @@ class Studio:
         self._seen: np.ndarray | None = None  # the light map as the camera sees it
         self._azimuth, self._segments = 0.0, 0
         # of the shape
-        self._body = self._object = self._second_object = None
+        self._body: Any = None
+        self._object: Any = None
+        self._second_object: Any = None
         self._vertices = np.zeros((0, 3), np.float32)
         # one material per segment, and the node groups that it shows for each purpose
         self._surfaces: list[Any] = []

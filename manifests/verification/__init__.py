@@ -50,7 +50,7 @@ class Verification:
     def __init__(self, store: Store, render: str | None = None, reference: Reference | None = None):
         self.store, self.dataset, self.count = store, store.dataset(), 0
         self._render, self._reference = render, reference
-        self._labels: dict[str, Entry] | None = {}
+        self._labels: dict[str, Entry] | None = None
         self._condemned: set[Line] = set()
         self._damaged: set[tuple[str, str]] = set()
 
@@ -95,14 +95,14 @@ class Verification:
         try:
             catalogue = read_catalogue(path).materials
         except (InputError, OSError) as problem:
-            self._labels = None
             yield Fault(str(problem))
             return
+        labels = self._labels = {}
         for entry in catalogue:
-            if entry.name in self._labels:
+            if entry.name in labels:
                 text = f"materials.json: expected '{entry.name}' once, found again"
                 yield Fault(text, entry=("labels", entry.name))
-            self._labels[entry.name] = entry
+            labels[entry.name] = entry
 
     def in_files(self, watch: Callable[[], Any] | None = None) -> Iterator[Fault]:
         """Faults that the files show: missing, altered, not what a picture can be, named by nobody;
@@ -153,7 +153,8 @@ def shared_between(datasets: dict[str, Dataset]) -> list[tuple[str, str, str, st
     datasets  {folder: Dataset}
     Returns   [(kind, name, folder, name, folder)]
     """
-    result, sides = [], {}
+    result: list[tuple[str, str, str, str, str]] = []
+    sides: dict[tuple[str, str], tuple[str, str, str]] = {}
     for folder, dataset in datasets.items():
         for kind, entries in (
             ("shape", dataset.shapes),

@@ -141,7 +141,8 @@ def turned_away(geometry: Geometry, camera: Camera) -> int:
     """How many pixels of the object have normals that do not face the viewer: n·v ≤ 0."""
     if camera.fov_deg is None:
         return int((geometry.normals[geometry.mask][:, 2] <= 0).sum())
-    view = frames.view_vectors(*geometry.mask.shape, fov=np.radians(camera.fov_deg))
+    height, width = geometry.mask.shape
+    view = frames.view_vectors(height, width, fov=np.radians(camera.fov_deg))
     return int((_dots(geometry.normals.astype(np.float64), view)[geometry.mask] <= 0).sum())
 
 

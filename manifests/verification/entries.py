@@ -159,11 +159,12 @@ def _shape_faults(name, dataset):
         yield fault(f"category {number[1]}", entry.category)
         return
     rules = {order.job.split for order in dataset.orders}
-    roles = {splits.role_of(name, entry.category, entry.hash, rule) for rule in rules}
-    if not roles or None in roles:
+    by_rule = [splits.role_of(name, entry.category, entry.hash, rule) for rule in rules]
+    roles = {role for role in by_rule if role is not None}
+    if not roles or None in by_rule:
         return
-    # a twin that was left out may have lifted it: twins take the first role in this order that one
-    # of them has
+    # a duplicate that was left out may have changed the role: duplicates get the first role in this
+    # order that one of them has
     if files:
         first = max(splits.PRECEDENCE.index(role) for role in roles)
         roles = set(splits.PRECEDENCE[: first + 1])

@@ -153,8 +153,8 @@ class Files:
 
     def _keep(self, path: str, mask: np.ndarray) -> None:
         """Keeps a mask, and lets those go that were not asked for for longest."""
-        bits = np.packbits(mask)
-        self._masks[path] = bits, mask.shape
+        bits, (height, width) = np.packbits(mask), mask.shape
+        self._masks[path] = bits, (height, width)
         self._mask_bytes += bits.nbytes
         while self._mask_bytes > MASK_BYTES and len(self._masks) > 1:
             self._mask_bytes -= self._masks.popitem(last=False)[1][0].nbytes
