@@ -1,5 +1,6 @@
-"""Prints of C libraries kept off the terminal: they pass sys.stdout by, so the file descriptors
-themselves are turned away.
+"""Output of C libraries kept off the terminal.
+
+C libraries bypass sys.stdout, so the file descriptors themselves are redirected.
 """
 
 import contextlib
@@ -20,16 +21,14 @@ def _c():
 
 
 def _flush():
-    """What Python and C hold back is written now, to where it belongs."""
+    """Write what Python and C have buffered to where it belongs."""
     sys.stdout.flush()
     _c().fflush(None)
 
 
 @contextlib.contextmanager
 def silenced(*descriptors: int) -> Iterator[None]:
-    """Everything written to these file descriptors (1: stdout, 2: stderr) inside the block, from C
-    or Python, is dropped.
-    """
+    """Drop all that is written to file descriptors (1: stdout, 2: stderr) inside the block."""
     for descriptor in descriptors:
         _TURNING[descriptor].acquire()
     _flush()

@@ -77,5 +77,5 @@ def geometry(shot: SeenGeometry, segments: int) -> list[str]:
     if shot.segments.max() > segments:
         results.append(f"expected segments 1 to {segments}, found {shot.segments.max()}")
     if not np.array_equal(shot.segments > 0, shot.mask):
-        results.append("expected segment 0 exactly outside the mask, found it elsewhere")
+        results.append("expected segment 0 outside the mask and nowhere else, found others")
     return results

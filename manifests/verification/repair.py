@@ -1,5 +1,6 @@
-"""What is broken goes, so that the same `render` makes it again. Nothing outside the folder is
-touched, no link followed.
+"""Repair: what is broken is removed, so that the same `render` makes it again.
+
+Nothing outside the folder is touched, and no link is followed.
 """
 
 import os
@@ -18,10 +19,9 @@ from manifests.verification.strays import kind_of
 
 
 def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
-    """Takes condemned lines, damaged and stray files and wrong entries away; returns how many
-    (lines, files) went.
+    """Remove lines, files and entries at fault; return how many (lines, files) were removed.
 
-    A picture or geometry file goes with the last line that names it. Call it with the folder
+    A picture or geometry file is removed with the last line that names it. The folder must be
     locked.
     """
     faults = list(faults)
@@ -43,9 +43,7 @@ def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
 
 
 def _drop_lines(partial, path, numbers):
-    """Writes a file without some of its lines; returns how many went, and the files that these have
-    named.
-    """
+    """Write a file without some of its lines; return their number, and the files they named."""
     kept, count, named, type_ = [], 0, set(), LINES.get(path.parent.name)
     try:
         for number, line in lines_of(path):
@@ -64,7 +62,7 @@ def _drop_lines(partial, path, numbers):
 
 
 def _files_of(line, type_):
-    """The files that a line's own ids name: never those that it says, which may be anybody's."""
+    """Return the files that follow from a line's ids; the paths in it may lead anywhere."""
     try:
         record = msgspec.json.decode(line, type=type_)
     except (msgspec.DecodeError, UnicodeDecodeError):
@@ -75,7 +73,7 @@ def _files_of(line, type_):
 
 
 def _named(store):
-    """Every file that the lines which stay name."""
+    """Return every file that the remaining lines name."""
     named = set()
     for kind in LINES:
         for line in store.records() if kind == "records" else store.views():
@@ -85,9 +83,7 @@ def _named(store):
 
 
 def _drop_entries(store, entries):
-    """Takes entries out of dataset.json and materials.json; returns the maps of lights that go with
-    theirs.
-    """
+    """Remove entries of dataset.json and materials.json; return the removed lights' maps."""
     if not entries:
         return set()
     dataset = store.dataset()
@@ -123,9 +119,7 @@ def _drop_entries(store, entries):
 
 
 def _remove(folder, path):
-    """Removes a file, a link itself, or a folder that lies where a file should; True if something
-    went.
-    """
+    """Remove a file, a link or a folder in place of a file; return whether there was one."""
     kind = kind_of(path)
     if kind is None or not Path(os.path.realpath(path.parent)).is_relative_to(
         os.path.realpath(folder)

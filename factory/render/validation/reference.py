@@ -16,7 +16,7 @@ from shaders.mixture import Mixture
 
 
 def sphere_normals(spots: np.ndarray) -> np.ndarray:
-    """Return the normals (P, 3), camera frame, of the unit sphere at spots (P, 2) within radius 1."""
+    """Return the normals (P, 3), camera frame, of the unit sphere at spots (P, 2)."""
     r2 = (spots**2).sum(-1)
     return np.concatenate([spots, np.sqrt(np.maximum(1 - r2, 0))[:, None]], axis=-1)
 
