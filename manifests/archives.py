@@ -23,8 +23,8 @@ from manifests.errors import InputError
 from manifests.inputs import require_file
 
 # What zipfile and its decompressors raise, by version and by kind of damage: RuntimeError for
-# encrypted members, NotImplementedError for unknown methods, ValueError for names that are no text
-# and headers that are none
+# encrypted members, NotImplementedError for unknown methods, ValueError for damaged names
+# and headers
 DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -37,7 +37,7 @@ DAMAGE = (
     NotImplementedError,
     OverflowError,
 )
-# besides ValueError, by numpy's parser
+# what numpy's parser of headers raises besides ValueError
 NO_HEADER = (SyntaxError, TypeError, MemoryError, RecursionError, tokenize.TokenError)
 MOST_MEMBERS = 20_000
 

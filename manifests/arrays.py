@@ -154,7 +154,7 @@ HEADER_BYTES = 1 << 20
 UNIT_LENGTH = 1e-2  # of |n|; what is written keeps it to 1e-4
 UNIT_MEAN = 1e-4  # of a light's mean luminance; float32 sums keep it to 1e-6
 AGAIN = "render or copy it again"
-LIGHT_AGAIN = "render or copy the dataset again"
+LIGHT_AGAIN = "render or copy the data set again"
 _NO_ARCHIVE = (*archives.DAMAGE, KeyError)  # KeyError: a member is missing
 
 

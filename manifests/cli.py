@@ -34,7 +34,7 @@ def main(
     moved      {earlier name: what to type now}
     prepare    called before a command runs, and not for --help
     """
-    # as stderr: what a terminal has no character for is escaped, no error
+    # as for stderr, characters that the terminal lacks are escaped and are no error
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
     parser = argparse.ArgumentParser(prog=f"python -m {program}", description=description)
@@ -57,11 +57,11 @@ def main(
             if prepare:
                 prepare()
             return options.run(options) or 0
-        finally:  # here, where a full disk or a reader that has gone still has a line and a status
+        finally:  # inside the outer try, so that a full disk or a closed pipe ends in one line
             _flush_output()
     except InputError as problem:
         return _failed(program, problem, debug)
-    # full disk, missing file, no permission: the system's own words name the file
+    # full disk, missing file, no permission: the system's message names the file
     except OSError as error:
         return _failed(program, error, debug)
     except KeyboardInterrupt as interrupt:

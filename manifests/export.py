@@ -102,7 +102,7 @@ def to_tars(
         )
     folder.mkdir(parents=True, exist_ok=True)
     starts = range(0, len(records), each)
-    with transaction():  # some of the tars would pass for all of them
+    with transaction():  # some of the tars would be taken for all of them
         for name in ("dataset.json", "materials.json"):
             write_bytes(folder / name, _bytes(store, name, name))
         for name, entry in store.dataset().lights.items():
@@ -134,7 +134,7 @@ def _bytes(store, path, expected):
             "do not trust this manifest: verify names all faults",
         )
     return require_file(
-        inside(store.folder, path), "a file of the dataset", "render or copy it again"
+        inside(store.folder, path), "a file of the data set", "render or copy it again"
     ).read_bytes()
 
 

@@ -104,7 +104,7 @@ def encode(channels: Mapping[str, np.ndarray]) -> bytes:
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    # not a path: the library passes over the error of its last flush to a file
+    # not a path: the library ignores the error of its last flush to a file
     buffer = io.BytesIO()
     contiguous = {name: np.ascontiguousarray(values) for name, values in channels.items()}
     with OpenEXR.File(header, contiguous) as file:

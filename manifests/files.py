@@ -202,7 +202,7 @@ def require_place_for_file(path: Path) -> None:
     """
     try:
         result = kind_of(os.stat(path).st_mode)
-    except OSError:  # nothing there; whatever else is wrong shows when the draft is opened
+    except OSError:  # nothing there; other errors occur again when the draft is opened
         return
     if result is not None:
         raise InputError(path, "a file, or a name for a new one", result, "give another name")
@@ -253,11 +253,6 @@ def npz_bytes(arrays: Mapping[str, Any], compressed: bool = True) -> bytes:
     buffer = io.BytesIO()
     (np.savez_compressed if compressed else np.savez)(buffer, **arrays)
     return buffer.getvalue()
-
-
-def write_npz(path: str | os.PathLike, arrays: Mapping[str, Any], compressed: bool = True) -> None:
-    """Write an .npz file of `arrays`, {name: array}. Raises as `replacing`."""
-    write_bytes(path, npz_bytes(arrays, compressed))
 
 
 def write_lines(path: str | os.PathLike, lines: Iterable[bytes], draft: Path | None = None) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from manifests.errors import closest
 
 NEAR = 0.75  # of difflib: one wrong letter in a word of five has 0.8
-# no material is called just so; these look like it on a sphere (judged by eye), the likest first
+# no material has such a name; these look similar on a sphere (judged by eye), most similar first
 ALIKE = {
     "leather": ("natural-209", "special-walnut-224", "black-soft-plastic"),
     "copper": ("alum-bronze", "brass"),

@@ -11,8 +11,8 @@ import sys
 import threading
 from collections.abc import Iterator
 
-# two threads that turn the same descriptor would restore each other's nowhere
-_TURNING = {1: threading.Lock(), 2: threading.Lock()}
+# two threads that redirect one descriptor would restore each other's redirection
+_REDIRECTING = {1: threading.Lock(), 2: threading.Lock()}
 
 
 @functools.cache
@@ -30,9 +30,9 @@ def _flush():
 def silenced(*descriptors: int) -> Iterator[None]:
     """Drop all that is written to file descriptors (1: stdout, 2: stderr) inside the block."""
     for descriptor in descriptors:
-        _TURNING[descriptor].acquire()
+        _REDIRECTING[descriptor].acquire()
     _flush()
-    kept = [os.dup(descriptor) for descriptor in descriptors]
+    originals = [os.dup(descriptor) for descriptor in descriptors]
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
         for descriptor in descriptors:
@@ -40,9 +40,9 @@ def silenced(*descriptors: int) -> Iterator[None]:
         yield
     finally:
         _flush()
-        for descriptor, copy in zip(descriptors, kept, strict=True):
+        for descriptor, copy in zip(descriptors, originals, strict=True):
             os.dup2(copy, descriptor)
             os.close(copy)
         os.close(nowhere)
         for descriptor in descriptors:
-            _TURNING[descriptor].release()
+            _REDIRECTING[descriptor].release()

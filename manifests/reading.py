@@ -15,7 +15,7 @@ from manifests.errors import InputError, closest
 from manifests.inputs import require_file
 
 T = TypeVar("T")
-# a job is a page of text, dataset.json some MiB; what is far larger is another file under this name
+# a job is a page of text and dataset.json has a few MiB; a far larger file is something else
 MAXIMUM_BYTES = 64 << 20
 
 
@@ -60,7 +60,7 @@ def decode(data: bytes, type_: type[T], where: object) -> T:
         raise InputError(where, "JSON", result, "check commas, quotes and brackets there") from None
     try:
         problem = _explained(reason, data, type_, where)
-    except (msgspec.DecodeError, RecursionError):  # right so far as the types went, broken behind
+    except (msgspec.DecodeError, RecursionError):  # no JSON behind the place of the wrong type
         problem = InputError(
             where, "JSON", reason.split(" - at ")[0], "check commas, quotes and brackets there"
         )

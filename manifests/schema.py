@@ -28,7 +28,7 @@ Texels = Annotated[int, Meta(ge=0, le=127)]
 Samples = Annotated[int, Meta(ge=1, le=1_048_576)]
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Name = Annotated[str, Meta(min_length=1, max_length=1000)]
-# ids become names of files; "$" alone admits a newline behind
+# ids become names of files; the length rules out a newline, which "$" admits at the end
 Id = Annotated[str, Meta(pattern="^[0-9a-f]{24}$", max_length=24)]
 Hash = Annotated[str, Meta(pattern="^[0-9a-f]{64}$", max_length=64)]  # sha256
 # of label and mixture (manifests.materials)

@@ -1,12 +1,14 @@
 """A data set's folder: where files lie in it, and how they are written whole.
 
-dataset.json  materials.json   the jobs with their assets; the labels of the materials used
-images/ab/ID.exr  geometry/ab/ID.exr  lights/NAME-HASH.npz records/worker-NN.jsonl        one line
-per picture, appended after its files have been written; one writer per file views/worker-NN.jsonl
-the same for geometry alone, one line per view of a shape, in jobs without pictures failures.jsonl
-what failed, and why (failures-SHARD.jsonl in job arrays) partial/                       unfinished
-files; what is there after a run can be deleted .lock*                         held by a run while
-it writes
+    dataset.json  materials.json   the jobs with their assets; the labels of the materials used
+    images/ab/ID.exr  geometry/ab/ID.exr  lights/NAME-HASH.npz
+    records/worker-NN.jsonl        one line per picture, appended after its files have been
+                                   written; one writer per file
+    views/worker-NN.jsonl          the same for geometry alone, one line per view of a shape, in
+                                   jobs without pictures
+    failures.jsonl                 what failed, and why (failures-SHARD.jsonl in job arrays)
+    partial/                       unfinished files; what is there after a run can be deleted
+    .lock*                         held by a run while it writes
 
 A kill at any moment loses at most the current shot: a file is written under partial/ and renamed,
 and readers ignore an unfinished last line, which the next writer cuts off.
@@ -96,7 +98,7 @@ def inside(folder: str | os.PathLike, relative: str) -> Path:
     if escapes or not _leads_inside(target, folder):
         raise InputError(
             f"{folder}: '{relative}'",
-            "a path inside the dataset's folder",
+            "a path inside the data set's folder",
             "one that leaves it",
             "do not trust this manifest",
         )
@@ -147,7 +149,7 @@ class Store:
         if not os.path.lexists(path):
             raise InputError(
                 self.folder,
-                "a dataset (dataset.json)",
+                "a data set (dataset.json)",
                 "none",
                 "make one with: python -m factory render JOB --out DIR",
             )
@@ -178,7 +180,7 @@ class Store:
             names = os.listdir(folder)
         except FileNotFoundError:
             return []
-        # a file, links in a circle, no permission: never to be taken for an empty folder
+        # a file, links in a circle, no permission: none of them is an empty folder
         except OSError as error:
             raise InputError(
                 folder, f"a folder of {kind}", str(error.strerror or error).lower(), REPAIR
@@ -237,7 +239,7 @@ class Store:
         for path in self.record_files(kind):
             for number, line in lines_of(path):
                 if not line.endswith(b"\n"):
-                    break  # torn by a kill: its shot counts as not made
+                    break  # unfinished: its shot counts as not made
                 try:
                     record = decoder.decode(line)
                 except (msgspec.DecodeError, UnicodeDecodeError):
@@ -353,14 +355,14 @@ class Lines:
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         self._closed = weakref.finalize(self, os.close, self._descriptor)
         self._own()
-        self._torn = False  # a part of a line may lie behind the last whole one
+        self._torn = False  # whether a part of a line may follow the last whole one
         self._length = self._end_of_last_line()
         if self._length < os.fstat(self._descriptor).st_size:
             os.ftruncate(self._descriptor, self._length)
 
     def _own(self):
         try:
-            # not flock: a forked helper does not go on holding it
+            # not flock, which a forked process would go on holding
             fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError):
             self.close()
@@ -389,7 +391,7 @@ class Lines:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
         except OSError as error:
             self._torn = True
-            # a disk that fails altogether: the next line or the next opening cuts the rest off
+            # if this fails too, the next line or the next opening cuts the rest off
             with contextlib.suppress(OSError):
                 os.ftruncate(self._descriptor, self._length)
                 self._torn = False

@@ -191,7 +191,7 @@ def chosen_job(options: argparse.Namespace) -> tuple[Job, str | Path | None]:
 
     if options.job and (options.mesh or options.material or options.light):
         raise InputError(
-            "render", "a job, or --mesh with --material and --light", "both", "leave one out"
+            "render", "a job, or --mesh, --material and --light", "both", "leave one out"
         )
     if options.job:
         job, folder = jobs.load(options.job)
@@ -201,7 +201,7 @@ def chosen_job(options: argparse.Namespace) -> tuple[Job, str | Path | None]:
         raise InputError(
             "render",
             "a job, or --mesh, --material and --light",
-            f"no {', '.join(missing)}",
+            " and ".join(f"no {option}" for option in missing),
             "python -m factory render --help shows examples",
         )
     return jobs.from_options(options), None

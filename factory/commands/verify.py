@@ -110,7 +110,7 @@ def _is_clean(folder: str, options: argparse.Namespace) -> bool:
             remedy = "verify --repair removes what is broken, and render makes it again"
             print(
                 "factory:"
-                f" {InputError(folder, 'a clean dataset', f'{len(faults)} faults', remedy)}",
+                f" {InputError(folder, 'a clean data set', f'{len(faults)} faults', remedy)}",
                 file=sys.stderr,
             )
             return False

@@ -44,11 +44,6 @@ class Forecast:
         """Hours until the whole job is done."""
         return (sum(self.seconds.values()) / self.workers + self.start) / 3600
 
-    @property
-    def gigabytes(self) -> float:
-        """Gigabytes on disk."""
-        return sum(self.bytes.values()) / 1e9
-
 
 def probe_shots(plan: Plan) -> list[Shot]:
     """Return three shots: of the first, middle and last shape, under different lights."""

@@ -33,7 +33,7 @@ STUDIO = "factory.render.studio:Studio"
 
 
 class WorkerConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """What a worker is told at its start.
+    """The configuration of a worker.
 
     folder   the data set's folder
     worker   the worker's name, which is that of its file of records

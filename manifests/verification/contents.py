@@ -8,8 +8,6 @@ radiance (height, width, 3), mask (height, width) bool, normals (height, width, 
 frame
 """
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from manifests.arrays import LARGEST_HALF, STEPS_PER_UNIT, Geometry
@@ -19,18 +17,18 @@ from shaders.envmap import LUMINANCE, row_solid_angles
 
 LENGTH = 1e-3  # of |n|; rounding to 2^-15 moves it by 3e-5
 RADIUS = 1.001  # objects lie in the unit sphere; the largest of 250 views of 36 shapes is 1.00007
-# of figures that records keep to six places: half a place, and float64's own rounding
+# of figures that records round to six places: half a place, and float64's own rounding
 ROUNDED = 1e-6
 HALF = 2.0**-11  # relative rounding of half precision
 SUBNORMAL = 2.0**-25  # absolute, of values that half precision rounds to 0 or near it
 SMOOTH = np.cos(np.radians(20.0))  # neighbouring normals that bend less lie on one piece of surface
 # least correlation of normals and slopes: 0.75 or more in 340 views of 36 shapes, 0.17 of a slab
-# shaded as a ball
-AGAINST = -0.1
-# root mean square of the part of normals that is correlated, below which there is nothing to see
+# shaded as a sphere
+LEAST_CORRELATION = -0.1
+# root mean square of the normals' correlated part, below which the correlation means nothing
 LEAN = 0.1
-JUDGED = 60  # pixels on smooth pieces below which slopes of depth say nothing
-# lit pixels beside the object, in units of a frame's edge: see `beside`
+LEAST_PIXELS = 60  # on smooth pieces, below which slopes of depth mean nothing
+# lit pixels beside the object, in units of a frame's edge: see `support_faults`
 LIT = {"centre": 0.5, "square": 4.0}
 LEAST_LIT_SHARE = {"centre": 0.0, "square": 0.25}
 
@@ -48,7 +46,7 @@ def statistics_faults(radiance: np.ndarray, mask: np.ndarray, said: Statistics) 
     if not abs(min(said.max, LARGEST_HALF) - largest) <= HALF * largest + SUBNORMAL + ROUNDED:
         results.append(f"expected a largest value of {said.max:g}, found {largest:g}")
     mean = float(inside.mean(axis=0, dtype=np.float64) @ LUMINANCE)
-    # half precision holds no more
+    # the part of the mean above the largest value of half precision
     cut = float((inside >= LARGEST_HALF).mean()) * max(said.max - LARGEST_HALF, 0.0)
     if (
         not -HALF * mean - SUBNORMAL - ROUNDED
@@ -133,9 +131,10 @@ def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
         results.append(
             f"expected an object inside the unit sphere, found depths that put it at {radius:.4f}"
         )
-    if (likeness := likeness_of_slopes(places, normals, mask)) < AGAINST:
+    if (correlation := correlation_of_slopes(places, normals, mask)) < LEAST_CORRELATION:
         results.append(
-            f"expected normals that lean as the depth slopes, found a correlation of {likeness:.2f}"
+            "expected normals that lean as the depth slopes, found a correlation of"
+            f" {correlation:.2f}"
         )
     return results
 
@@ -160,7 +159,7 @@ def positions(depth: np.ndarray, camera: Camera) -> np.ndarray:
     return np.stack([x * spread, y * spread, -depth], axis=-1)
 
 
-def likeness_of_slopes(places: np.ndarray, normals: np.ndarray, mask: np.ndarray) -> float:
+def correlation_of_slopes(places: np.ndarray, normals: np.ndarray, mask: np.ndarray) -> float:
     """Return the correlation of normals with the slope of the depth, from -1 to 1.
 
     It is the smaller one of the horizontal and the vertical correlation. Shading makes normals of
@@ -178,7 +177,7 @@ def likeness_of_slopes(places: np.ndarray, normals: np.ndarray, mask: np.ndarray
     slope, shown = np.cross(right - left, up - down), normals[centre][smooth]
     length = np.sqrt(_dots(slope, slope))
     known = length > 0
-    if known.sum() < JUDGED:
+    if known.sum() < LEAST_PIXELS:
         return 1.0
     slope, shown = slope[known] / length[known, None], shown[known]
     energy = (slope**2).mean(0), (shown**2).mean(0)
@@ -203,17 +202,12 @@ def light_faults(
         results.append(f"expected scale {said_scale:.9g}, as in dataset.json, found {scale:.9g}")
     if reference is not None:
         true, true_scale = reference
-        # the same sums on another machine end in other last digits
+        # sums on another machine differ in the last digits
         if not np.allclose(L, true, rtol=1e-4, atol=1e-6) or not np.isclose(
             scale, true_scale, rtol=1e-4
         ):
             results.append("expected the map of this name and hash, found another")
     return results
-
-
-def joined(where: str, faults: Iterable[str]) -> list[str]:
-    """Return the lines, each with the name of its file in front."""
-    return [f"{where}: {fault}" for fault in faults]
 
 
 def _dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:

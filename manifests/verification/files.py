@@ -18,7 +18,7 @@ from manifests.verification import contents
 from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of
 
-# of masks that are kept, a bit a pixel: records of one shape follow each other
+# of masks in memory, one bit per pixel; the records of one shape are neighbours
 MASK_BYTES = 64 << 20
 PACKED = (*arrays.PACKED_TYPES, "views.json", "skipped.json")
 

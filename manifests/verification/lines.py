@@ -23,7 +23,7 @@ from manifests.verification.faults import Fault, Line
 from manifests.verification.strays import kind_of
 from manifests.viewpoints import azimuths_deg
 
-GROUPS = 20_000  # combinations whose hashes are kept; the records of one follow each other
+MOST_GROUPS = 20_000  # combinations whose hashes are remembered; one's records are neighbours
 
 
 def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | View | Fault]]:
@@ -242,7 +242,7 @@ class Judge:
                     ("lights", record.light), "hash", light.hash[:12], record.light_hash[:12]
                 )
             )
-        if len(self._groups) >= GROUPS:
+        if len(self._groups) >= MOST_GROUPS:
             self._groups.clear()
         self._groups[key] = group = _Group(camera, materials, hashings, differences)
         return group

@@ -13,7 +13,7 @@ from manifests.verification.faults import Fault, Line
 
 # draws of materials whose seeds are tried; of more, seeds are not looked at (each try takes 20 µs)
 MOST_CHOICES = 16
-COMBINATIONS = 20_000  # that are kept; the records of one follow each other
+MOST_COMBINATIONS = 20_000  # that are remembered; the records of one are neighbours
 
 
 class Orders:
@@ -61,7 +61,7 @@ class Orders:
             record.samples,
         )
         if key not in self._combinations:
-            if len(self._combinations) >= COMBINATIONS:
+            if len(self._combinations) >= MOST_COMBINATIONS:
                 self._combinations.clear()
             entries = [self._dataset.materials.get(name) for name in record.materials]
             hashes = [entry.hash for entry in entries if entry]

@@ -36,7 +36,7 @@ def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
         count, named = _drop_lines(store.folder / "partial", path, numbers)
         lines += count
         unnamed |= {store.folder / relative for relative in named}
-    if unnamed:  # a file that another line names, and that line finds good, stays
+    if unnamed:  # a file that a remaining line names stays
         unnamed -= {store.folder / relative for relative in _named(store)}
     unnamed |= _drop_entries(store, {fault.entry for fault in faults if fault.entry})
     return lines, files + sum(_remove(store.folder, path) for path in sorted(unnamed))
@@ -44,20 +44,20 @@ def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
 
 def _drop_lines(partial, path, numbers):
     """Write a file without some of its lines; return their number, and the files they named."""
-    kept, count, named, type_ = [], 0, set(), LINES.get(path.parent.name)
+    remaining, count, named, type_ = [], 0, set(), LINES.get(path.parent.name)
     try:
         for number, line in lines_of(path):
             if number not in numbers:
-                kept.append(line)
+                remaining.append(line)
                 continue
             count += 1
             if type_:
                 named |= _files_of(line, type_)
-    except InputError:  # a line beyond all measure: nothing behind it is known to be one
+    except InputError:  # a line that is too long: what follows it may be no line
         count += 1
     partial.mkdir(exist_ok=True)
     # where a killed run's drafts are swept
-    write_lines(path, kept, draft=partial / f"repair-{path.parent.name}-{path.name}")
+    write_lines(path, remaining, draft=partial / f"repair-{path.parent.name}-{path.name}")
     return count, named
 
 
@@ -107,12 +107,12 @@ def _drop_entries(store, entries):
         path = store.folder / "materials.json"
         try:
             catalogue = materials.read_catalogue(path)
-        except InputError:  # not there, or it goes itself
+        except InputError:  # missing, or removed as damaged
             return maps
-        kept = tuple(entry for entry in catalogue.materials if entry.name not in gone)
+        remaining = tuple(entry for entry in catalogue.materials if entry.name not in gone)
         store.place(
             "materials.json",
-            materials.encode(msgspec.structs.replace(catalogue, materials=kept)),
+            materials.encode(msgspec.structs.replace(catalogue, materials=remaining)),
             "main",
         )
     return maps

@@ -72,7 +72,7 @@ def stray_faults(folder: Path, named: Mapping[str, Collection[str]]) -> Iterator
 
 def _strays(folder, top, known):
     """Yield the strays in a folder of files, and in the folders in it."""
-    if kind_of(top) != "a folder":  # nothing, or told by folder_faults
+    if kind_of(top) != "a folder":  # nothing, or reported by folder_faults
         return
     try:
         entries = sorted(os.scandir(top), key=lambda entry: entry.name)
