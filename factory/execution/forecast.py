@@ -13,7 +13,8 @@ from itertools import islice
 from pathlib import Path
 
 from factory.execution.pool import Pool
-from factory.execution.run import RunOptions, assign, register, worker_config
+from factory.execution.registration import register
+from factory.execution.run import RunOptions, assign, worker_config
 from factory.planning.plan import Plan, Shot
 from manifests.errors import InputError
 from manifests.schema import Draw
