@@ -388,7 +388,10 @@ def test_a_mesh_that_changed_since_the_plan_is_a_failure_with_its_reason(
     )
     mesh.write_bytes(TETRAHEDRON.replace(b"0 0 2", b"0 0 3"))
     assert carry_out(plan, tmp_path / "data", RunOptions(studio=FAKE)).failed == 1
-    assert "the file has changed since the plan" in next(iter(Store(tmp_path / "data").failures())).reason
+    assert (
+        "the file has changed since the plan"
+        in next(iter(Store(tmp_path / "data").failures())).reason
+    )
 
 
 @pytest.fixture
