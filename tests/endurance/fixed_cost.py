@@ -69,7 +69,8 @@ def ours(options, folder):
     picture to warm up.
     """
     from factory.execution.pipeline import Pipeline
-    from factory.execution.run import assign, planned, register
+    from factory.execution.registration import register
+    from factory.execution.run import assign, planned
     from factory.planning.assets import resolve
     from factory.render.studio import Studio
     from manifests.materials import load_catalogue

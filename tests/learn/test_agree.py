@@ -166,7 +166,7 @@ def test_a_folder_without_a_dataset_is_one_line(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     status, _ = agree(tmp_path / "empty")
     assert (
-        status == 1 and "expected a dataset (dataset.json), found none" in capsys.readouterr().err
+        status == 1 and "expected a data set (dataset.json), found none" in capsys.readouterr().err
     )
 
 

@@ -39,7 +39,7 @@ def test_a_path_that_leaves_the_folder_is_refused(tmp_path, path):
     folder = tmp_path / "data"
     folder.mkdir()
     (folder / "link").symlink_to(tmp_path)
-    with pytest.raises(InputError, match="inside the dataset's folder"):
+    with pytest.raises(InputError, match="inside the data set's folder"):
         inside(folder, path)
 
 
@@ -106,7 +106,7 @@ def test_another_schema_version_and_a_missing_dataset_are_refused(a_dataset, tmp
     path.write_text(path.read_text().replace('"version": 1', '"version": 2'))
     with pytest.raises(InputError, match=r"expected schema version 1, found 2"):
         a_dataset.dataset()
-    with pytest.raises(InputError, match=r"expected a dataset .*, found none"):
+    with pytest.raises(InputError, match=r"expected a data set .*, found none"):
         Store(tmp_path / "nowhere").dataset()
 
 
