@@ -31,7 +31,7 @@ import torch
 
 from learn.agreement.measure import at_pixels, narrow
 from learn.methods import quadrature
-from learn.metrics.pictures import shared, squared
+from learn.metrics.pictures import squared_difference, squared_net_of_noise
 from shaders import closures, dsbrdf, tone
 from shaders.envmap import directions
 from shaders.frames import camera_from_light
@@ -194,16 +194,16 @@ def separate_causes(sample, pictures, layer, mixtures, exposure):
     several = len(C) > 1
     return {
         "pixels": len(index),
-        "noise": float(squared(D(C[0]), D(C[1])).mean() / 2) if several else None,
-        "node_fit": float(squared(D(I), D(nodes)).mean()),
-        "texel_sum": float(squared(D(I), D(S)).mean()),
-        "footprint": float(squared(D(I), D(spread)).mean()),
+        "noise": float(squared_difference(D(C[0]), D(C[1])).mean() / 2) if several else None,
+        "node_fit": float(squared_difference(D(I), D(nodes)).mean()),
+        "texel_sum": float(squared_difference(D(I), D(S)).mean()),
+        "footprint": float(squared_difference(D(I), D(spread)).mean()),
         "look_up": float(
-            squared(D(predicted), D(np.maximum(predicted + shift * turned, 0))).mean()
+            squared_difference(D(predicted), D(np.maximum(predicted + shift * turned, 0))).mean()
         ),
         "look_up_texels": shift,
-        "net": float(shared(D(C) - D(I)).mean()) if several else None,
-        "net_footprint": float(shared(D(C) - D(spread)).mean()) if several else None,
-        "rest": float(shared(D(C) - D(predicted)).mean()) if several else None,
+        "net": float(squared_net_of_noise(D(C) - D(I)).mean()) if several else None,
+        "net_footprint": float(squared_net_of_noise(D(C) - D(spread)).mean()) if several else None,
+        "rest": float(squared_net_of_noise(D(C) - D(predicted)).mean()) if several else None,
         "rest_signed": float((predicted - C.mean(0)).mean() / max(C.mean(), 1e-12)),
     }

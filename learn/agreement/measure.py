@@ -21,7 +21,7 @@ from learn.agreement import surface
 from learn.data.devices import array
 from learn.layer import render
 from learn.methods import quadrature
-from learn.metrics.pictures import shared, similarity, squared
+from learn.metrics.pictures import similarity, squared_difference, squared_net_of_noise
 from shaders import tone
 from shaders.dsbrdf import SHAPE
 
@@ -187,12 +187,12 @@ def measure(condition, pictures, layer, entries):
     D_C, D_I, D_S = (
         tone.display(radiance, exposure) for radiance in (pictures, layer.integral, layer.sum)
     )
-    per_pixel = squared(D_C, D_I).mean(0)
+    per_pixel = squared_difference(D_C, D_I).mean(0)
     level = max(float(C[mask].mean()), 1e-12)
     several = len(pictures) > 1
-    net = shared(D_C - D_I) if several else None
+    net = squared_net_of_noise(D_C - D_I) if several else None
     like = (
-        shared(D_C - tone.display(layer.footprint, exposure))[layer.inner]
+        squared_net_of_noise(D_C - tone.display(layer.footprint, exposure))[layer.inner]
         if several and layer.inner.any()
         else None
     )
@@ -223,11 +223,11 @@ def measure(condition, pictures, layer, entries):
                 [s for s in (similarity(D, D_I, mask) for D in D_C) if s is not None] or [np.nan]
             )
         ),
-        noise=float(squared(D_C[0], D_C[1])[mask].mean() / 2) if several else None,
+        noise=float(squared_difference(D_C[0], D_C[1])[mask].mean() / 2) if several else None,
         net=float(net[mask].mean()) if several else None,
         sum_signed=float((layer.sum - C)[mask].mean() / level),
-        sum_l2=float(squared(D_C, D_S).mean(0)[mask].mean()),
-        sum_net=float(shared(D_C - D_S)[mask].mean()) if several else None,
+        sum_l2=float(squared_difference(D_C, D_S).mean(0)[mask].mean()),
+        sum_net=float(squared_net_of_noise(D_C - D_S)[mask].mean()) if several else None,
         edge_share=float((mask & ~layer.inner).sum() / mask.sum()),
         edge_net=float(net[mask & ~layer.inner].sum() / mask.sum()) if several else None,
         inner_net=float(net[mask & layer.inner].sum() / mask.sum()) if several else None,
@@ -251,7 +251,9 @@ def by_grazing(D_C, D, relative, layer):
     """For each bin of the angle between normal and view, inside: pixels, mean L2 (net of noise
     where known), mean relative error.
     """
-    per_pixel = shared(D_C - D) if len(D_C) > 1 else squared(D_C, D).mean(0)
+    per_pixel = (
+        squared_net_of_noise(D_C - D) if len(D_C) > 1 else squared_difference(D_C, D).mean(0)
+    )
     angle = np.degrees(np.arccos(np.clip(layer.cos_o, 0, 1)))
     bins = []
     for low, high in zip(surface.GRAZING_DEG[:-1], surface.GRAZING_DEG[1:], strict=True):

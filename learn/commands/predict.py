@@ -65,7 +65,7 @@ def run(options):
 
     editing_options.check_exposure(options.exposure)
     device, weights = devices.choose(options.device), options.weights or predict.WEIGHTS
-    predict.write(
+    predict.run(
         options.image,
         options.mask,
         weights,

@@ -16,10 +16,11 @@ from learn.data.devices import array
 from learn.data.records import Records
 from learn.evaluation import gallery, methods
 from learn.layer import render
+from learn.layer.predictions import MEASURED
 from learn.metrics import intrinsics
 from learn.metrics import lpips as perceptual
 from learn.metrics import pictures as metrics
-from learn.metrics.pictures import shared, squared
+from learn.metrics.pictures import squared_difference, squared_net_of_noise
 from learn.networks import weights as checkpoint
 from manifests.errors import InputError
 from manifests.provenance import provenance
@@ -178,7 +179,7 @@ class Bench:
         )
         truth = sample.image.numpy()
         exposure = tone.auto_exposure(truth, mask)
-        error = squared(tone.display(picture, exposure), tone.display(truth, exposure))
+        error = squared_difference(tone.display(picture, exposure), tone.display(truth, exposure))
         entries = [self.records.material(name) for name in edit.truth.materials]
         fits = [entry.errors.nodes_vs_label.display_l2 for entry in entries]
         result = {
@@ -211,10 +212,10 @@ def against_nodes(sample, pictures, picture, inner, mixtures, exposure):
     """
     with torch.no_grad():
         fine = (
-            render(**sample.for_layer(), method=methods.METHOD, tolerance=FINE)[0].double().numpy()
+            render(**sample.for_layer(), method=MEASURED.method, tolerance=FINE)[0].double().numpy()
         )
     right, shown = tone.display(pictures, exposure), tone.display(picture, exposure)
-    net = shared(right - shown)[inner]
+    net = squared_net_of_noise(right - shown)[inner]
     index = causes.drawn(inner, sample.record, FIT_PIXELS)
     here = fine.reshape(-1, 3)[index]
     nodes = tone.display(
@@ -223,9 +224,11 @@ def against_nodes(sample, pictures, picture, inner, mixtures, exposure):
     return {
         "net_inner": float(net.mean()),
         "net_error": float(net.std() / np.sqrt(net.size)),
-        "coarse": float(squared(shown, tone.display(fine, exposure))[inner].mean()),
-        "fit_here": float(squared(tone.display(here, exposure), nodes).mean()),
-        "rest": float(shared(right.reshape(len(right), -1, 3)[:, index] - nodes).mean()),
+        "coarse": float(squared_difference(shown, tone.display(fine, exposure))[inner].mean()),
+        "fit_here": float(squared_difference(tone.display(here, exposure), nodes).mean()),
+        "rest": float(
+            squared_net_of_noise(right.reshape(len(right), -1, 3)[:, index] - nodes).mean()
+        ),
     }
 
 

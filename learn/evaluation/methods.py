@@ -17,18 +17,16 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from learn.data.batch import Batch
 from learn.data.devices import array
 from learn.data.records import Records
-from learn.layer import render
+from learn.layer import predictions
 from learn.networks.prediction import Prediction
 from manifests.materials import load_catalogue
 
 REFINED = ("Baseline 2",)  # of the baselines, those that the paper refines too
 # besides those with "true" in their name: shown a part of what the others predict
 GIVEN_TRUTH = ("the layer alone", "Lombardi-like")
-# the integral, not the paper's sum: of a mirror-like lobe the sum alone is 200 display L2 off
-METHOD = "quadrature"
-TOLERANCE = 5e-3  # at 1e-2 one of 75 true edits was 0.7 display L2 off by it, at 5e-3 none 0.1
 
 
 class Method(Protocol):
@@ -50,24 +48,13 @@ class Method(Protocol):
         """
 
 
-def rendered(n, label, light, batch):
-    """(H, W, 3) numpy radiance by the layer of n (1, 3, H, W), label (S, 108) or (1, S, 108), light
-    (1, 3, 64, 128).
+def rendered(n: torch.Tensor, label: torch.Tensor, light: torch.Tensor, batch: Batch) -> np.ndarray:
+    """Return radiance (H, W, 3) by the layer, rendered by learn.layer.predictions.MEASURED.
+
+    n (1, 3, H, W), label (S, 108) or (1, S, 108), light (1, 3, 64, 128)
     """
     label = (label if label.ndim == 3 else label[None]).to(light.device)
-    several = label.shape[1] > 1
-    with torch.no_grad():
-        picture = render(
-            n.movedim(1, -1).contiguous().float(),
-            (label if several else label[:, 0]).float().exp(),
-            light.movedim(1, -1).contiguous().float(),
-            segments=batch.segments if several else None,
-            mask=batch.segments > 0,
-            method=METHOD,
-            tolerance=TOLERANCE,
-            elevation=batch.elevation,
-        )
-    return array(picture[0])
+    return array(predictions.picture(n, label, light, batch.segments, batch.elevation)[0])
 
 
 class Layered:

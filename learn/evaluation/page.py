@@ -2,7 +2,7 @@
 
 import html
 
-from learn.agreement.page import png
+from learn.figures.html import encoded_picture as png
 from learn.evaluation import gallery
 from learn.evaluation.gallery import FULL
 from learn.evaluation.methods import GIVEN_TRUTH

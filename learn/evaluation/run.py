@@ -24,7 +24,7 @@ from learn.data import pairs
 from learn.data.records import Records
 from learn.evaluation import report, rows
 from learn.evaluation.bench import Bench
-from learn.evaluation.methods import TOLERANCE
+from learn.layer.predictions import MEASURED
 from learn.refinement import Settings
 from manifests import files, lock
 from manifests.errors import InputError
@@ -130,7 +130,7 @@ def settings(options):
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
         "baselines": of_baselines,
         "refine": asdict(Settings()) if options.refine else False,
-        "tolerance": TOLERANCE,
+        "tolerance": MEASURED.tolerance,
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),
         "mean_material_of": options.materials,

@@ -1,10 +1,10 @@
 """How an edit gets to the photograph's own size, tried: ways to upsample, and detail carried over,
 against rendered truth.
 
-The network sees an object at 128², its photograph may show it at a thousand. Painter enlarges
+The network sees an object at 128², its photograph may show it at a thousand. Compositor enlarges
 normals and renders at the photograph's size. Tried beside it:
 
-detail D                  Painter's, D of 1: what the photograph shows finer than the network's
+detail D                  Compositor's, D of 1: what the photograph shows finer than the network's
 pixels
 picture, bilinear         the edit rendered at the network's size, enlarged
 picture, joint bilateral  the same, weighed by how like the photograph is (Kopf et al. 2007, Eq. 4)
@@ -24,7 +24,7 @@ import torch.nn.functional as F
 from scipy.ndimage import uniform_filter
 
 from learn.data import photographs
-from learn.editing.decomposition import Painter, dilated, enlarged_normals, nearest
+from learn.editing.compositor import Compositor, dilated, nearest, upsampled_normals
 from shaders.envmap import LUMINANCE
 
 DETAILS = (0.25, 0.5, 1.0)
@@ -77,8 +77,8 @@ def guides(apart, size):
     return photographs.resized(seen, len(apart.framed.mask)), photographs.resized(seen, size)
 
 
-class Remembering(Painter):
-    """A Painter that renders a label once."""
+class Remembering(Compositor):
+    """A Compositor that renders a label once."""
 
     def __init__(self, *arguments):
         super().__init__(*arguments)
@@ -91,42 +91,42 @@ class Remembering(Painter):
         return self._known[key]
 
 
-class Small(Painter):
-    """A Painter that renders at the network's size. upsample: (picture (h, w, 3), guide (h, w),
+class Small(Compositor):
+    """A Compositor that renders at the network's size. upsample: (picture (h, w, 3), guide (h, w),
     guide (H, W)) → (H, W, 3).
     """
 
     def __init__(self, apart, upsample=None):
         super().__init__(apart)
         self.grid, self.upsample = len(apart.framed.mask), upsample
-        self.n = enlarged_normals(apart.parts.n[0], apart.framed.mask, self.grid)
+        self.n = upsampled_normals(apart.parts.n[0], apart.framed.mask, self.grid)
         rows = ((np.arange(self.grid) + 0.5) * self.side / self.grid).astype(int)
         wide = dilated(dilated(self.coverage[rows][:, rows] > 0))
         self.segments = torch.from_numpy(
             np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
         )
 
-    def enlarged(self, picture):
+    def upsampled(self, picture):
         return (
-            super().enlarged(picture)
+            super().upsampled(picture)
             if self.upsample is None
             else self.upsample(picture, *guides(self.decomposition, self.side))
         )
 
 
-class GuidedNormals(Painter):
-    """A Painter whose normals follow the photograph's edges."""
+class GuidedNormals(Compositor):
+    """A Compositor whose normals follow the photograph's edges."""
 
     def __init__(self, apart):
         super().__init__(apart)
-        low = enlarged_normals(apart.parts.n[0], apart.framed.mask, len(apart.framed.mask))
+        low = upsampled_normals(apart.parts.n[0], apart.framed.mask, len(apart.framed.mask))
         self.n = F.normalize(
             torch.from_numpy(joint_bilateral(low.numpy(), *guides(apart, self.grid))), dim=-1
         )
 
 
 def painters(apart):
-    """{name: Painter}: the first is the one in use."""
+    """{name: Compositor}: the first is the one in use."""
     plain = Remembering(apart)
     result = {"normals enlarged": plain}
     for detail in DETAILS:

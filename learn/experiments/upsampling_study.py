@@ -18,7 +18,7 @@ from learn.data import pairs, photographs
 from learn.editing import decomposition, photograph
 from learn.experiments import upsampling
 from learn.metrics import bootstrap
-from learn.metrics.pictures import similarity
+from learn.metrics.pictures import l2_and_ssim
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings
@@ -26,7 +26,6 @@ from manifests import files, lock
 from manifests.errors import InputError
 from manifests.provenance import provenance
 from manifests.store import Lines, file_hash
-from shaders import tone
 
 
 def measure_upsampling(records, weights, out, count, seed=0):
@@ -110,12 +109,8 @@ def true(records, found):
 
 def compared(picture, truth, mask):
     """Display L2 and SSIM over the mask."""
-    exposure = tone.auto_exposure(truth, mask)
-    shown, right = tone.display(picture, exposure), tone.display(truth, exposure)
-    return {
-        "l2": float(((shown - right) ** 2).mean(-1)[mask].mean()),
-        "ssim": float(similarity(shown, right, mask)),
-    }
+    figures = l2_and_ssim(picture, truth, mask)
+    return {name: figures[name] for name in ("l2", "ssim")}
 
 
 def written(out, rows, about):

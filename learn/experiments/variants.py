@@ -15,12 +15,11 @@ import torch
 
 from learn.data.relit import RelitDataset
 from learn.metrics import bootstrap
-from learn.metrics.pictures import similarity, squared
+from learn.metrics.pictures import l2_and_ssim
 from learn.networks import weights
 from learn.training import loop, validation
 from manifests.files import write_text
 from manifests.reading import read
-from shaders import tone
 
 TEST_SEED = 43
 BATCH = 16
@@ -95,14 +94,8 @@ def _rows(training, network, batch):
 
 def _compared(mine, truth, mask):
     """Display L2 over mask and frame, SSIM over the mask, at the truth's exposure."""
-    exposure = tone.auto_exposure(truth, mask)
-    mine, truth = tone.display(mine, exposure), tone.display(truth, exposure)
-    error = squared(mine, truth)
-    return {
-        "l2": float(error[mask].mean()),
-        "l2_frame": float(error.mean()),
-        "ssim": similarity(mine, truth, mask),
-    }
+    figures = l2_and_ssim(mine, truth, mask)
+    return {name: figures[name] for name in ("l2", "l2_frame", "ssim")}
 
 
 def figures(results):
