@@ -216,7 +216,7 @@ def against_nodes(sample, pictures, picture, inner, mixtures, exposure):
         )
     right, shown = tone.display(pictures, exposure), tone.display(picture, exposure)
     net = squared_net_of_noise(right - shown)[inner]
-    index = causes.drawn(inner, sample.record, FIT_PIXELS)
+    index = causes.sampled_pixels(inner, sample.record, FIT_PIXELS)
     here = fine.reshape(-1, 3)[index]
     nodes = tone.display(
         np.maximum(here - causes.node_difference(sample, index, mixtures), 0), exposure

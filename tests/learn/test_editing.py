@@ -20,8 +20,7 @@ from learn.data.records import Records
 from learn.editing import decomposition, drawing, edit, photograph, targets, transfer
 from learn.editing.compositor import Compositor
 from learn.figures import spheres
-from learn.layer import predictions
-from learn.layer import render
+from learn.layer import predictions, render
 from learn.layer.display_method import method_for
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -207,7 +206,7 @@ def test_no_detail_is_stronger_than_its_limit():
         ),
         detail=1.0,
     )
-    ratio = painter.ratio()
+    ratio = painter.fine_shading()
     assert ratio.max() == pytest.approx(
         decomposition.LARGEST_DETAIL
     ) and ratio.min() == pytest.approx(1 / decomposition.LARGEST_DETAIL)
