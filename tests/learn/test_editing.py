@@ -17,7 +17,7 @@ from synthetic import entry, matte, write_dataset
 
 from learn.__main__ import COMMANDS
 from learn.data.records import Records
-from learn.editing import decomposition, drawing, edit, photograph, targets, transfer
+from learn.editing import compositor, decomposition, drawing, edit, photograph, targets, transfer
 from learn.editing.compositor import Compositor
 from learn.figures import spheres
 from learn.layer import predictions, render
@@ -207,9 +207,9 @@ def test_no_detail_is_stronger_than_its_limit():
         detail=1.0,
     )
     ratio = painter.fine_shading()
-    assert ratio.max() == pytest.approx(
-        decomposition.LARGEST_DETAIL
-    ) and ratio.min() == pytest.approx(1 / decomposition.LARGEST_DETAIL)
+    assert ratio.max() == pytest.approx(compositor.LARGEST_DETAIL) and ratio.min() == pytest.approx(
+        1 / compositor.LARGEST_DETAIL
+    )
 
 
 def test_grey_balance_makes_the_background_grey_and_keeps_its_luminance(tmp_path):
