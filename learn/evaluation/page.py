@@ -7,7 +7,7 @@ from pathlib import Path
 from learn.evaluation import gallery
 from learn.evaluation.gallery import FULL
 from learn.evaluation.methods import GIVEN_TRUTH
-from learn.evaluation.tables import Cell, Column, Table, TableRow
+from learn.evaluation.table import Cell, Column, Table, TableRow
 from learn.figures.html import bullets, encoded_picture, image, page, paragraph
 
 TITLE = "Edits, their truth, and their parts"

@@ -11,6 +11,7 @@ import msgspec
 from learn.data.records import Records
 from learn.evaluation import page, tables
 from learn.evaluation.methods import OURS, OURS_REFINED, Entrants
+from learn.evaluation.table import Table
 from learn.metrics.pictures import Perceptual
 from manifests import files
 from manifests.provenance import provenance
@@ -114,7 +115,7 @@ def write(
     return report
 
 
-def headline(results: Mapping[str, tables.Table]) -> list[str]:
+def headline(results: Mapping[str, Table]) -> list[str]:
     """Return the main results in sentences, each from the tables alone."""
     edits = results["edits"]["rows"] if "edits" in results else []
     rows = {row["name"]: row["cells"] for row in edits}
@@ -146,7 +147,7 @@ def headline(results: Mapping[str, tables.Table]) -> list[str]:
     )
 
 
-def _judged(results: Mapping[str, tables.Table], mine: str) -> str:
+def _judged(results: Mapping[str, Table], mine: str) -> str:
     """A sentence on which methods `mine` is better or worse than by the intervals."""
     said: dict[str, list[str]] = {}
     for row in results["differences"]["rows"]:
