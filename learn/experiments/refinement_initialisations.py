@@ -15,12 +15,12 @@ from tqdm import tqdm
 
 from learn.data.records import Records
 from learn.experiments.refinement_ablation import picture, write
+from learn.metrics.pictures import display_l2
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings, refine
 from manifests import files
 from manifests.materials import load_catalogue
 from manifests.store import Lines
-from shaders import tone
 
 STARTS = ("network", "random material", "mean light", "noisy normals", "untrained")
 
@@ -51,9 +51,8 @@ def measured(predict, known, count, out, labels, settings=Settings()):  # noqa: 
         parts = (report.prediction.label, report.prediction.light, report.prediction.n)
         seen = batch.image[0].movedim(0, -1).numpy()
         mask = (batch.segments[0] > 0).numpy()
-        level = tone.auto_exposure(seen, mask)
         image = [
-            float(tone.display_l2(picture(p, p.label[0], batch), seen, level, mask))
+            display_l2(picture(p, p.label[0], batch), seen, mask)
             for p in (start, report.prediction)
         ]
         finite = all(bool(torch.isfinite(part).all()) for part in parts) and math.isfinite(
