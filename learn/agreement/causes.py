@@ -148,7 +148,7 @@ def lobe_samples(sample: Sample, m: torch.Tensor, count: int) -> tuple[Direction
     The radiance (p, N, 3) of a direction is the mean over the solid angle that it stands for, as in
     the layer's integral.
     """
-    spiral = tuple(torch.as_tensor(x) for x in quadrature.spiral(m, count))
+    half, solid_angle = (torch.as_tensor(x) for x in quadrature.spiral(m, count))
     rotation, light = (
         torch.as_tensor(camera_from_light(sample.elevation)),
         sample.light.reshape(-1, 3).double(),
@@ -157,7 +157,9 @@ def lobe_samples(sample: Sample, m: torch.Tensor, count: int) -> tuple[Direction
     def places(
         n: torch.Tensor, view: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
-        w, weight, _ = quadrature.place(n, view, *spiral, rotation, sample.light.shape[:2])
+        w, weight, _ = quadrature.place(
+            n, view, half, solid_angle, rotation, sample.light.shape[:2]
+        )
         texel, share = quadrature.footprint(w @ rotation, weight, *sample.light.shape[:2])
         return w, weight, torch.einsum("pic,pick->pik", share, light[texel]).numpy()
 

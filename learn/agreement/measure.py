@@ -210,13 +210,8 @@ def measure(
     )
     per_pixel = squared_difference(D_C, D_I).mean(0)
     level = max(float(C[mask].mean()), 1e-12)
-    several = len(pictures) > 1
-    net = squared_net_of_noise(D_C - D_I) if several else None
-    like = (
-        squared_net_of_noise(D_C - tone.display(layer.footprint, exposure))[layer.inner]
-        if several and layer.inner.any()
-        else None
-    )
+    D_F = tone.display(layer.footprint, exposure)
+    alike = [s for s in (similarity(D, D_I, mask) for D in D_C) if s is not None]
     row = Row(
         id=record.id,
         shape=record.shape,
@@ -239,20 +234,10 @@ def measure(
         absolute=float(np.abs(layer.integral - C)[mask].mean() / level),
         l2=float(per_pixel[mask].mean()),
         l2_frame=float(per_pixel.mean()),
-        ssim=float(
-            np.mean(
-                [s for s in (similarity(D, D_I, mask) for D in D_C) if s is not None] or [np.nan]
-            )
-        ),
-        noise=float(squared_difference(D_C[0], D_C[1])[mask].mean() / 2) if several else None,
-        net=float(net[mask].mean()) if several else None,
+        ssim=float(np.mean(alike or [np.nan])),
         sum_signed=float((layer.sum - C)[mask].mean() / level),
         sum_l2=float(squared_difference(D_C, D_S).mean(0)[mask].mean()),
-        sum_net=float(squared_net_of_noise(D_C - D_S)[mask].mean()) if several else None,
         edge_share=float((mask & ~layer.inner).sum() / mask.sum()),
-        edge_net=float(net[mask & ~layer.inner].sum() / mask.sum()) if several else None,
-        inner_net=float(net[mask & layer.inner].sum() / mask.sum()) if several else None,
-        like_net=None if like is None else float(like.mean()),
         node_fit=float(
             np.mean(
                 [np.mean(entry.errors.nodes_vs_label.display_l2 or (np.nan,)) for entry in entries]
@@ -260,12 +245,37 @@ def measure(
         ),
         grazing=by_grazing(
             D_C,
-            tone.display(layer.footprint, exposure),
+            D_F,
             (layer.footprint - C).mean(-1) / level,
             layer,
         ),
+        **net_of_noise(D_C, D_I, D_S, D_F, layer),
     )
     return row, (D_C[0], D_I)
+
+
+def net_of_noise(
+    D_C: np.ndarray, D_I: np.ndarray, D_S: np.ndarray, D_F: np.ndarray, layer: Layer
+) -> dict[str, float | None]:
+    """Return a Row's figures that need two seeds; None each where there is one.
+
+    D_C  (seeds, H, W, 3) of Cycles; D_I, D_S, D_F (H, W, 3) of the layer's integral, sum and
+         footprint: display values
+    """
+    names = ("noise", "net", "sum_net", "edge_net", "inner_net", "like_net")
+    if len(D_C) < 2:
+        return dict.fromkeys(names)
+    mask, inner = layer.mask, layer.inner
+    net, count = squared_net_of_noise(D_C - D_I), mask.sum()
+    like = squared_net_of_noise(D_C - D_F)[inner]
+    return {
+        "noise": float(squared_difference(D_C[0], D_C[1])[mask].mean() / 2),
+        "net": float(net[mask].mean()),
+        "sum_net": float(squared_net_of_noise(D_C - D_S)[mask].mean()),
+        "edge_net": float(net[mask & ~inner].sum() / count),
+        "inner_net": float(net[mask & inner].sum() / count),
+        "like_net": float(like.mean()) if inner.any() else None,
+    }
 
 
 def by_grazing(

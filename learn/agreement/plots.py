@@ -9,11 +9,12 @@ import numpy as np
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from learn.agreement.measure import Row
 
 INK, ACCENT, PALE = "#1f2933", "#2f6f9f", "#c9d6df"
-STYLE = {
+STYLE: dict = {
     "font.size": 9,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
@@ -73,11 +74,16 @@ def draw(summary: Mapping, rows: Iterable[Row]) -> dict[str, tuple[bytes, str]]:
 
 
 def bars(
-    ax: Axes, names: Sequence[str], values: Sequence[float], height: float = 0.8, **style: object
+    ax: Axes,
+    names: Sequence[str],
+    values: Sequence[float],
+    color: str | Sequence[str] = ACCENT,
+    height: float = 0.8,
+    label: str = "",
 ) -> None:
     """Draw horizontal bars, the first name at the top."""
     positions = np.arange(len(names))[::-1]
-    ax.barh(positions, values, height, **style)
+    ax.barh(positions, values, height, color=color, label=label)
     ax.set_yticks(positions, names)
     ax.grid(axis="y", visible=False)
 
@@ -111,7 +117,6 @@ def materials(ax: Axes, summary: Mapping) -> bool:
         ax,
         names,
         [max(cell["net"], 0) for _, cell in shown],
-        color=ACCENT,
         height=0.6,
         label="layer − Cycles, net of noise",
     )
@@ -119,7 +124,8 @@ def materials(ax: Axes, summary: Mapping) -> bool:
     ax.plot(fits, positions, "D", color=INK, markersize=4, label="label − nodes (catalogue)")
     ax.set_xlabel("display L2")
     ax.legend(frameon=False, fontsize=7)
-    ax.figure.set_size_inches(5.2, 1.0 + 0.22 * max(len(shown), 6))
+    if isinstance(ax.figure, Figure):
+        ax.figure.set_size_inches(5.2, 1.0 + 0.22 * max(len(shown), 6))
     return True
 
 

@@ -28,7 +28,7 @@ class Condition:
 
 def scenes(records: Iterable[Record]) -> list[list[Condition]]:
     """Return the records as scenes, each a list of Conditions, in order of the records."""
-    result: dict[tuple, dict[tuple, list[Record]]] = {}
+    result: dict[tuple, dict[tuple[str, str, int], list[Record]]] = {}
     for record in records:
         scene = (
             record.geometry,
@@ -44,6 +44,9 @@ def scenes(records: Iterable[Record]) -> list[list[Condition]]:
         return tuple(sorted(group, key=lambda record: record.seed))
 
     return [
-        [Condition(*condition, seeds(group)) for condition, group in scene.items()]
+        [
+            Condition(tier, resolution, samples, seeds(group))
+            for (tier, resolution, samples), group in scene.items()
+        ]
         for scene in result.values()
     ]

@@ -47,9 +47,10 @@ def read(path: Path) -> np.ndarray:
         RecursionError,
     ) as error:
         raise InputError(path, rule, f"{type(error).__name__}: {error}", REMEDY) from None
-    if report.label is None and report.labels is None:
+    stored = report.labels or ([] if report.label is None else [report.label])
+    if not stored:
         raise InputError(path, rule, "none", REMEDY)
-    labels = np.asarray(report.labels or [report.label], np.float64)
+    labels = np.asarray(stored, np.float64)
     within = (labels >= SMALLEST_LABEL) & (labels <= LARGEST_LABEL)  # NaN is not
     if not within.all():
         rule = f"natural logarithms from {SMALLEST_LABEL:g} to {LARGEST_LABEL:g}"

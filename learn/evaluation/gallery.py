@@ -61,7 +61,7 @@ def cells(path: Path, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
 def around(mask: np.ndarray) -> tuple[slice, slice]:
     """Return the square about the object as two slices, no larger than the frame."""
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
-    side = min(max(np.ptp(rows), np.ptp(columns)) + 7, *mask.shape)
+    side = min(max(int(np.ptp(rows)), int(np.ptp(columns))) + 7, *mask.shape)
     top, left = (
         np.clip((at[0] + at[-1] + 1 - side) // 2, 0, size - side)
         for at, size in ((rows, mask.shape[0]), (columns, mask.shape[1]))

@@ -32,7 +32,7 @@ def of_file(path: str | Path | None) -> Perceptual | None:
     """
     if path is None:
         return None
-    requested = {}
+    requested: dict[str, tuple[int, ...]] = {}
     for (k, *_), shape in zip(LAYERS, SHAPES, strict=True):
         requested |= {f"features.{k}.weight": shape, f"features.{k}.bias": shape[:1]}
     requested |= {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(SHAPES)}
