@@ -241,4 +241,4 @@ def test_intervals_are_over_whole_shapes_and_materials():
     assert mean == pytest.approx(30)
     assert low == 0 and high == 90  # draws without that shape, and of nothing else, come up
     within = one_shape_differs.values(OURS, ("l2",))
-    np.testing.assert_array_equal(one_shape_differs.drawn(within > 0).sum(1) > 0, True)
+    np.testing.assert_array_equal(one_shape_differs.draws(within > 0).sum(1) > 0, True)
