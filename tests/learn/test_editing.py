@@ -368,7 +368,8 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
     )
 
     def start():
-        return Prediction(None, None, torch.zeros(1, 1, 108), None, None)
+        nothing = torch.zeros(1, 3, 1, 1)
+        return Prediction(nothing, None, torch.zeros(1, 1, 108), None, nothing)
 
     Image.new("RGB", (40, 30), (90, 60, 90)).save(tmp_path / "p.png")
     Image.new("L", (40, 30), 255).save(tmp_path / "p.mask.png")
