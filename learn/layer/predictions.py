@@ -12,8 +12,8 @@ by one method and one tolerance. The policies differ because their purposes do:
 
 MEASURED     every display L2 in a report: edits, re-renderings, ablations
 SHOWN        what people look at: edited photographs, predictions, material spheres
-VALIDATION   figures during training and in the card of the weights, which are of the same
-             code: a validation must not cost more than the steps between two of them
+VALIDATION   figures during training, which must cost less than the steps between two validations,
+             and in the card of the weights, which holds the same figures
 PIXEL_LOSS   training losses at sampled pixels, where the sum over texels costs least
 FRAME_LOSS   training losses of whole frames
 TEXEL_SUM    the paper's sum over texels itself, for comparisons with it
