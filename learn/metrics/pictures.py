@@ -5,7 +5,7 @@ percentile of the truth's luminance over the mask to 1, clipped, and through the
 (shaders.tone). All figures are of display values.
 
 An "image L2" is `l2` of a picture by the layer against a true picture. The layer's picture is
-rendered by a policy of learn.layer.predictions: MEASURED in reports, VALIDATION during training and
+rendered by a policy of learn.layer.predictions: MEASURED in evaluations, VALIDATION in training and
 in the card of weights. Figures of different policies are not compared.
 
 l2          the paper's: mean over the mask's pixels of the mean over channels of the squared
