@@ -35,11 +35,16 @@ def auto_exposure(radiance, mask, percentile=99.0):
     return float(1.0 / level) if level > 0 else 1.0
 
 
+def squared_difference(a, b):
+    """Mean over channels of the squared difference of display values (…, 3)."""
+    return ((a - b) ** 2).mean(-1)
+
+
 def display_l2(a, b, exposure, mask=None):
     """The paper's L2: mean over pixels of the mean over channels of the squared difference of
     display values.
 
     a, b  (height, width, 3) linear radiance; mask (height, width) bool, None: the full frame
     """
-    squared = ((display(a, exposure) - display(b, exposure)) ** 2).mean(-1)
+    squared = squared_difference(display(a, exposure), display(b, exposure))
     return squared.mean() if mask is None else squared[mask].mean()

@@ -68,7 +68,7 @@ class Sphere:
         for m in range(len(self.names)):
             a, b = picture[:, :, m].reshape(-1, 3), reference[:, :, m].reshape(-1, 3)
             exposure = 1 / max(weighted_percentile(b @ LUMINANCE, self.area, 99.0), 1e-12)
-            squared = ((tone.display(a, exposure) - tone.display(b, exposure)) ** 2).mean(-1)
+            squared = tone.squared_difference(tone.display(a, exposure), tone.display(b, exposure))
             results.append((self.area * squared).sum() / self.area.sum())
         return np.array(results)
 

@@ -18,7 +18,9 @@ import torch
 from learn.data import devices
 from learn.data.devices import array
 from learn.data.relit import BRIGHTEST, RelitDataset
+from learn.figures.montage import grid
 from learn.layer import render
+from learn.metrics.pictures import display_l2
 from learn.networks import weights as checkpoint
 from learn.networks.coding import compressed
 from learn.networks.encoder_decoder import EncoderDecoder, radiance
@@ -129,12 +131,11 @@ def figures(edited, batch, ranges):
     result = {"target_l2": [], "unchanged_l2": []}
     for i, truth in enumerate(array(batch.target.movedim(1, -1))):
         mask = array(batch.segments[i] > 0)
-        exposure = tone.auto_exposure(truth, mask)
         for name, picture in (
             ("target_l2", drawn[i]),
             ("unchanged_l2", array(batch.image[i].movedim(0, -1))),
         ):
-            result[name].append(tone.display_l2(picture, truth, exposure, mask))
+            result[name].append(display_l2(picture, truth, mask))
     code_l2 = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean().item()
     return {name: float(np.mean(values)) for name, values in result.items()} | {"code_l2": code_l2}
 
@@ -147,5 +148,5 @@ def write_montage(path, batch, edited):
         truth = array(batch.target[i].movedim(0, -1))
         exposure = tone.auto_exposure(truth, array(batch.segments[i] > 0))
         cells = (array(batch.image[i].movedim(0, -1)), drawn[i], truth)
-        rows.append(np.concatenate([tone.display(cell, exposure) for cell in cells], 1))
-    write_image(path, np.concatenate(rows).astype(np.uint8), "JPEG", quality=90)
+        rows.append([tone.display(cell, exposure) for cell in cells])
+    write_image(path, grid(rows).astype(np.uint8), "JPEG", quality=90)

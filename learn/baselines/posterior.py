@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import torch
 
 from learn.baselines import priors as fitted
-from learn.layer import render
+from learn.layer import predictions
 from learn.networks.coding import compressed
 from learn.networks.prediction import Prediction
 
@@ -56,17 +56,14 @@ class Posterior:
     def energy(self, z_m, z_L, size):
         """A scalar; z_m (S, K), z_L (J, 3), float64."""
         label, light = self.priors.label(z_m).float()[None], self.priors.light(z_L.float(), *size)
-        several = {"segments": self.segments} if self.regions > 1 else {}
-        material = label.exp() if self.regions > 1 else label[:, 0].exp()
-        mask = torch.ones_like(self.segments, dtype=torch.bool)
-        picture = render(
+        picture = predictions.radiance(
             self.n,
-            material,
-            light.movedim(1, -1),
-            mask=mask,
-            method="exact",
-            elevation=self.batch.elevation,
-            **several,
+            label,
+            light,
+            self.segments,
+            torch.ones_like(self.segments, dtype=torch.bool),
+            self.batch.elevation,
+            predictions.PIXEL_LOSS,
         )
         fit = ((compressed(picture[0, 0]) - self.seen) ** 2).mean().double()
         return PIXELS * fit / (2 * fitted.NOISE**2) + 0.5 * (z_m**2).sum() + 0.5 * (z_L**2).sum()

@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     editing_options.check_exposure(arguments.exposure)
     device, weights = devices.choose(arguments.device), arguments.weights or predict.WEIGHTS
-    predict.write(
+    predict.run(
         arguments.image,
         arguments.mask,
         weights,

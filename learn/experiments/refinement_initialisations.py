@@ -17,10 +17,10 @@ import torch.nn.functional as F
 from learn.data.records import Records
 from learn.experiments import runner
 from learn.experiments.refinement_sweep import Case, Predict, picture
+from learn.metrics.pictures import display_l2
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings, refine
 from manifests.materials import load_catalogue
-from shaders import tone
 
 KINDS = ("network", "random material", "mean light", "noisy normals", "untrained")
 
@@ -58,14 +58,13 @@ def measured(
         parts = (report.prediction.label, report.prediction.light, report.prediction.n)
         seen = batch.image[0].movedim(0, -1).numpy()
         mask = (batch.segments[0] > 0).numpy()
-        level = tone.auto_exposure(seen, mask)
         finite = all(bool(torch.isfinite(part).all()) for part in parts)
         return {
             "kind": kind,
             "energy": [report.before["total"], report.after["total"]],
             "finite": finite and math.isfinite(report.after["total"]),
             "image": [
-                float(tone.display_l2(picture(p, label[0], batch), seen, level, mask))
+                display_l2(picture(p, label[0], batch), seen, mask)
                 for p in (start, report.prediction)
                 if (label := p.label) is not None
             ],

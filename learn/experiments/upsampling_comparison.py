@@ -19,14 +19,13 @@ from learn.data.records import Records
 from learn.editing import decomposition, photograph
 from learn.experiments import runner, upsampling_strategies
 from learn.metrics import bootstrap
-from learn.metrics.pictures import similarity
+from learn.metrics.pictures import l2_and_ssim
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
 from learn.refinement import Settings
 from manifests import files
 from manifests.errors import InputError
 from manifests.store import file_hash
-from shaders import tone
 
 
 def compare(
@@ -112,12 +111,8 @@ def with_truth(records: Records, ours: decomposition.Decomposition) -> decomposi
 
 def compared(picture: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
     """Return display L2 and SSIM over the mask."""
-    exposure = tone.auto_exposure(truth, mask)
-    shown, right = tone.display(picture, exposure), tone.display(truth, exposure)
-    return {
-        "l2": float(((shown - right) ** 2).mean(-1)[mask].mean()),
-        "ssim": float(similarity(shown, right, mask)),
-    }
+    figures = l2_and_ssim(picture, truth, mask)
+    return {name: figures[name] for name in ("l2", "ssim")}
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:

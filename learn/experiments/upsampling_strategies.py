@@ -1,10 +1,10 @@
 """Strategies that bring an edit from the network's size to the photograph's (upsampling).
 
-The network sees an object at 128²; its photograph may show it at a thousand. `Painter` upsamples
+The network sees an object at 128²; its photograph may show it at a thousand. `Compositor` upsamples
 normals and renders at the photograph's size. Compared with it are:
 
-detail D                  Painter's; at 1, all that the photograph shows finer than the network's
-                          pixels
+detail D                  Compositor's; at 1, all that the photograph shows finer than the
+                          network's pixels
 picture, bilinear         the edit rendered at the network's size, upsampled
 picture, joint bilateral  the same, weighted by the photograph's similarity (Kopf et al. 2007,
                           Eq. 4)
@@ -28,13 +28,8 @@ import torch.nn.functional as F
 from scipy.ndimage import uniform_filter
 
 from learn.data import photographs
-from learn.editing.decomposition import (
-    Decomposition,
-    Painter,
-    dilated,
-    enlarged_normals,
-    nearest,
-)
+from learn.editing.compositor import Compositor, dilated, nearest, upsampled_normals
+from learn.editing.decomposition import Decomposition
 from shaders.envmap import LUMINANCE
 
 DETAILS = (0.25, 0.5, 1.0)
@@ -98,64 +93,64 @@ def guides(parts: Decomposition, size: int) -> tuple[np.ndarray, np.ndarray]:
     return photographs.resized(seen, len(parts.framed.mask)), photographs.resized(seen, size)
 
 
-class CachedPainter(Painter):
-    """A Painter that renders each label once."""
+class CachedCompositor(Compositor):
+    """A Compositor that renders each label once."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._known: dict[bytes, Any] = {}
 
     def radiance(self, label: Any) -> Any:
-        """Return what Painter renders of a label."""
+        """Return what Compositor renders of a label."""
         key = np.asarray(label, np.float32).tobytes()
         if key not in self._known:
             self._known[key] = super().radiance(label)
         return self._known[key]
 
 
-class NetworkSizePainter(Painter):
-    """A Painter that renders at the network's size, and upsamples the picture."""
+class NetworkSizeCompositor(Compositor):
+    """A Compositor that renders at the network's size, and upsamples the picture."""
 
     def __init__(self, parts: Decomposition, upsample: Upsample | None = None) -> None:
         super().__init__(parts)
         self.grid, self.upsample = len(parts.framed.mask), upsample
-        self.n = enlarged_normals(parts.parts.n[0], parts.framed.mask, self.grid)
+        self.n = upsampled_normals(parts.parts.n[0], parts.framed.mask, self.grid)
         rows = ((np.arange(self.grid) + 0.5) * self.side / self.grid).astype(int)
         wide = dilated(dilated(self.coverage[rows][:, rows] > 0))
         self.segments = torch.from_numpy(
             np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
         )
 
-    def enlarged(self, picture: np.ndarray) -> np.ndarray:
+    def upsampled(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture (h, w, 3) at the photograph's size; without a function, bilinearly."""
         return (
-            super().enlarged(picture)
+            super().upsampled(picture)
             if self.upsample is None
             else self.upsample(picture, *guides(self.decomposition, self.side))
         )
 
 
-class GuidedNormals(Painter):
-    """A Painter whose normals follow the photograph's edges."""
+class GuidedNormals(Compositor):
+    """A Compositor whose normals follow the photograph's edges."""
 
     def __init__(self, parts: Decomposition) -> None:
         super().__init__(parts)
-        low = enlarged_normals(parts.parts.n[0], parts.framed.mask, len(parts.framed.mask))
+        low = upsampled_normals(parts.parts.n[0], parts.framed.mask, len(parts.framed.mask))
         self.n = F.normalize(
             torch.from_numpy(joint_bilateral(low.numpy(), *guides(parts, self.grid))), dim=-1
         )
 
 
-def painters(parts: Decomposition) -> dict[str, Painter]:
-    """Return {name: Painter}; the first is the strategy in use."""
-    plain = CachedPainter(parts)
-    result: dict[str, Painter] = {"normals enlarged": plain}
+def painters(parts: Decomposition) -> dict[str, Compositor]:
+    """Return {name: Compositor}; the first is the strategy in use."""
+    plain = CachedCompositor(parts)
+    result: dict[str, Compositor] = {"normals enlarged": plain}
     for detail in DETAILS:
-        painter = CachedPainter(parts, plain.tolerance, detail)
+        painter = CachedCompositor(parts, plain.tolerance, detail)
         painter._known = plain._known
         result[f"detail {detail:g}"] = painter
-    result["picture, bilinear"] = NetworkSizePainter(parts)
-    result["picture, joint bilateral"] = NetworkSizePainter(parts, joint_bilateral)
-    result["picture, guided filter"] = NetworkSizePainter(parts, guided)
+    result["picture, bilinear"] = NetworkSizeCompositor(parts)
+    result["picture, joint bilateral"] = NetworkSizeCompositor(parts, joint_bilateral)
+    result["picture, guided filter"] = NetworkSizeCompositor(parts, guided)
     result["normals, joint bilateral"] = GuidedNormals(parts)
     return result

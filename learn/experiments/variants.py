@@ -20,12 +20,11 @@ from learn.data.batch import Batch
 from learn.data.relit import DataSplit, RelitDataset
 from learn.data.settings import Data, Run
 from learn.metrics import bootstrap
-from learn.metrics.pictures import similarity, squared
+from learn.metrics.pictures import l2_and_ssim
 from learn.networks import weights
 from learn.training import loop, validation
 from manifests.files import write_text
 from manifests.reading import read
-from shaders import tone
 
 TEST_SEED = 43
 BATCH = 16
@@ -106,14 +105,8 @@ def _rows(training: loop.Training, network: Any, batch: Batch) -> Iterator[dict]
 
 def _compared(mine: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
     """Display L2 over mask and frame, SSIM over the mask, at the truth's exposure."""
-    exposure = tone.auto_exposure(truth, mask)
-    mine, truth = tone.display(mine, exposure), tone.display(truth, exposure)
-    error = squared(mine, truth)
-    return {
-        "l2": float(error[mask].mean()),
-        "l2_frame": float(error.mean()),
-        "ssim": similarity(mine, truth, mask),
-    }
+    figures = l2_and_ssim(mine, truth, mask)
+    return {name: figures[name] for name in ("l2", "l2_frame", "ssim")}
 
 
 def figures(results: Sequence[Result]) -> dict[str, list[float]]:

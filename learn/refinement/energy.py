@@ -22,7 +22,7 @@ import numpy as np
 import torch
 
 from learn.data.devices import array
-from learn.layer import render
+from learn.layer.predictions import Policy, radiance
 from learn.networks.coding import compressed
 from learn.training.losses import reduced, solid_angles
 from shaders import tone
@@ -90,16 +90,14 @@ class Energy:
             if whole
             else (None, self.segments.flatten()[where][None, None])
         )
-        material = state.label.exp().to(n.dtype)
-        picture = render(
+        picture = radiance(
             n.contiguous() if whole else n.flatten(1, 2)[:, where][:, None],
-            material if self.regions > 1 else material[:, 0],
-            reduced(state.light, light).movedim(1, -1),
-            segments=segments if self.regions > 1 else None,
-            mask=mask,
-            method=method,
-            tolerance=tolerance,
-            elevation=self.elevation,
+            state.label,
+            reduced(state.light, light),
+            segments,
+            mask,
+            self.elevation,
+            Policy(method, tolerance),
         )
         shown = picture.flatten(0, 2)[where] if whole else picture.flatten(0, 2)
         return ((compressed(shown * self.exposure) - self.seen[where]) ** 2).mean()

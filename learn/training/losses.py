@@ -29,7 +29,7 @@ import math
 import numpy as np
 import torch
 
-from learn.layer import render
+from learn.layer import predictions
 from learn.metrics.radiometry import log_albedo, log_rendered
 from learn.networks.coding import compressed
 from learn.networks.features import difference
@@ -37,8 +37,6 @@ from shaders import envmap
 
 # texels of half the sharpest lobe's width: four times as many made this the dearest term of a step
 RENDERED_LIGHT = (32, 64)
-# for single pixels it is exact; all of them at 2e-2 would take a quarter longer
-WHOLE_TOLERANCE = 5e-2
 BRIGHTEST_SEEN = 1.2  # of a compressed picture, for features, which never saw anything above 1
 
 
@@ -207,8 +205,8 @@ def _inside(batch):
 
 
 def whole(n, label, light, batch, gradient_bound=0.0):
-    """(B, 3, H, W) radiance of all of the mask, 0 outside; by whichever method keeps
-    WHOLE_TOLERANCE at the least cost.
+    """(B, 3, H, W) radiance of all of the mask, 0 outside; by the policy
+    learn.layer.predictions.FRAME_LOSS.
 
     n (B, 3, H, W), label (B, S, 108), light (B, 3, h, w); gradient_bound: see `bounded`, over all
     the pixels
@@ -221,16 +219,14 @@ def whole(n, label, light, batch, gradient_bound=0.0):
     )
     if normals.requires_grad:
         normals.register_hook(bounded(gradient_bound / inside.sum().clamp(min=1)))
-    several = label.shape[1] > 1
-    picture = render(
+    picture = predictions.radiance(
         normals,
-        label.exp() if several else label[:, 0].exp(),
-        light.movedim(1, -1),
-        segments=batch.segments.clamp(min=1) if several else None,
-        mask=inside[:, 0],
-        method="auto",
-        tolerance=WHOLE_TOLERANCE,
-        elevation=batch.elevation,
+        label,
+        light,
+        batch.segments.clamp(min=1),
+        inside[:, 0],
+        batch.elevation,
+        predictions.FRAME_LOSS,
     )
     return picture.movedim(-1, 1)
 
@@ -255,16 +251,14 @@ def at_pixels(n, segments, label, light, where, elevation, gradient_bound=0.0):
     normals = torch.where(mask[..., None], picked(n, where), n.new_tensor([0.0, 0.0, 1.0]))
     if normals.requires_grad:
         normals.register_hook(bounded(gradient_bound / mask.sum().clamp(min=1)))
-    shown = {"segments": region.clamp(min=1)[:, None]} if label.shape[1] > 1 else {}
-    material = label.exp() if label.shape[1] > 1 else label[:, 0].exp()
-    picture = render(
+    picture = predictions.radiance(
         normals[:, None],
-        material,
-        light.movedim(1, -1),
-        mask=mask[:, None],
-        method="exact",
-        elevation=elevation,
-        **shown,
+        label,
+        light,
+        region.clamp(min=1)[:, None],
+        mask[:, None],
+        elevation,
+        predictions.PIXEL_LOSS,
     )
     return picture[:, 0]
 

@@ -2,15 +2,14 @@
 read.
 
 Columns: picture as seen, predicted and true normals, predicted and true light, true and predicted
-material on a ball, I', O', true O.
+material on a sphere, I', O', true O.
 """
 
 import numpy as np
-import torch
-from PIL import Image
 
 from learn.data.devices import array
-from learn.layer import render
+from learn.figures import montage
+from learn.figures.spheres import preview_sphere
 from learn.training.validation import picture
 from manifests.files import write_image
 from shaders import tone
@@ -56,14 +55,14 @@ def cells(batch, prediction):
             _normals(batch.n[i], mask),
             _light(light[i], size),
             _light(batch.light[i], size),
-            _ball(batch.label[i, 0], size, batch.elevation),
-            _ball(label[i, 0], size, batch.elevation),
+            preview_sphere(batch.label[i, 0], size, batch.elevation),
+            preview_sphere(label[i, 0], size, batch.elevation),
             tone.display(mine[i], exposure),
             tone.display(target[i], other),
             tone.display(true_target[i], other),
         ]
-        rows.append(np.concatenate([np.clip(c, 0, 255) for c in row], 1))
-    return np.concatenate(rows).astype(np.uint8)
+        rows.append([np.clip(cell, 0, 255) for cell in row])
+    return montage.grid(rows).astype(np.uint8)
 
 
 def parts(batch, prediction, again, exposure):
@@ -75,34 +74,14 @@ def parts(batch, prediction, again, exposure):
         "picture": tone.display(array(batch.image[0].movedim(0, -1)), exposure),
         "normals": _normals(prediction.n[0], mask),
         "light": _light(prediction.light[0], len(mask)),
-        "material": _ball(prediction.label[0, 0], len(mask), batch.elevation),
+        "material": preview_sphere(prediction.label[0, 0], len(mask), batch.elevation),
         "rendering": tone.display(again, exposure),
     }
 
 
 def _normals(n, mask):
-    return (array(n.movedim(0, -1)) * 0.5 + 0.5) * 255 * mask[..., None]
+    return montage.normals_picture(array(n.movedim(0, -1)), mask)
 
 
 def _light(light, size):
-    small = tone.display(array(light.movedim(0, -1).float()), 0.5)
-    cell = np.full((size, size, 3), 40.0)
-    picture = np.asarray(Image.fromarray(small.astype(np.uint8)).resize((size, size // 2)), float)
-    top = (size - len(picture)) // 2
-    cell[top : top + len(picture)] = picture
-    return cell
-
-
-def _ball(label, size, elevation):
-    """The material on a ball in a plain room: bright above, one window."""
-    at = (np.arange(size) + 0.5) / size * 2.2 - 1.1
-    x, y = np.meshgrid(at, -at)
-    z = np.sqrt(np.clip(1 - x * x - y * y, 0, 1))
-    n = torch.from_numpy((np.stack([x, y, z], -1) * (z > 0)[..., None]).astype(np.float32))[None]
-    L = np.full((32, 64, 3), 0.4, np.float32)
-    L[:16] = 0.9
-    L[6:12, 8:16] = 12.0
-    n, light = n.to(label.device), torch.from_numpy(L)[None].to(label.device)
-    with torch.no_grad():
-        radiance = render(n, label.detach().exp()[None], light, method="exact", elevation=elevation)
-    return tone.display(array(radiance[0]), 0.8)
+    return montage.fitted(montage.light_picture(array(light.movedim(0, -1).float())), size)

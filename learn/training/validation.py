@@ -21,11 +21,10 @@ import torch
 
 from learn.data.devices import array
 from learn.data.sources import source_of
-from learn.layer import render
+from learn.layer import predictions
+from learn.metrics.pictures import display_l2
 from learn.metrics.radiometry import irradiance, log_albedo
-from shaders import tone
 
-TOLERANCE = 2e-2
 LEAST_PIXELS = 16  # of a region, to count as shown
 
 
@@ -151,26 +150,14 @@ def compared(n, label, light, true_label, batch, rendered=None):
     )
     out = []
     for a, b, mask in zip(mine, truth, array(inside), strict=True):
-        out.append(tone.display_l2(a, b, tone.auto_exposure(b, mask), mask))
+        out.append(display_l2(a, b, mask))
     return np.array(out)
 
 
 def picture(n, label, light, batch):
-    """(B, H, W, 3) numpy radiance by the layer."""
-    several = label.shape[1] > 1
-    with torch.no_grad():
-        material = label.exp() if several else label[:, 0].exp()
-        radiance = render(
-            n.movedim(1, -1).contiguous(),
-            material,
-            light.movedim(1, -1).contiguous(),
-            segments=batch.segments if several else None,
-            mask=batch.segments > 0,
-            method="hybrid",
-            tolerance=TOLERANCE,
-            elevation=batch.elevation,
-        )
-    return array(radiance)
+    """(B, H, W, 3) numpy radiance by the policy learn.layer.predictions.VALIDATION."""
+    policy = predictions.VALIDATION
+    return array(predictions.picture(n, label, light, batch.segments, batch.elevation, policy))
 
 
 def means(values, inside):

@@ -89,7 +89,7 @@ def test_taps_are_added_until_small_lamps_are_seen_alike(rng, monkeypatch):
     )
 
     def by(count):
-        return causes.at_places(*causes.lobe_samples(sample, m, count), m, brass.mixture, n, view)
+        return causes.summed(*causes.lobe_samples(sample, m, count), m, brass.mixture, n, view)
 
     true = by(65536)
 
@@ -98,9 +98,9 @@ def test_taps_are_added_until_small_lamps_are_seen_alike(rng, monkeypatch):
 
     # 0.0005 where a tap sees the mean of what it stands for, 0.22 where it sees one texel
     assert off(by(1024)) < 0.01
-    assert causes.narrow(m) and off(by(64)) > 10 * causes.MOVED**2
+    assert causes.narrow(m) and off(by(64)) > 10 * causes.LARGEST_CHANGE**2
     # the last step's error is below what moved in it
-    assert off(causes.converged(sample, m, brass.mixture, n, view)) < causes.MOVED**2
+    assert off(causes.converged(sample, m, brass.mixture, n, view)) < causes.LARGEST_CHANGE**2
 
 
 def test_nodes_that_are_not_the_label_show_as_node_fit(tmp_path, rng):

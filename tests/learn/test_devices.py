@@ -19,9 +19,9 @@ from learn.data.geometry import Geometry
 from learn.data.photographs import Framed
 from learn.data.relit import DataSplit
 from learn.data.settings import Data, Losses, Run, Schedule
-from learn.editing import decomposition, photograph, predict
-from learn.figures import montage
-from learn.layer import render
+from learn.editing import compositor, decomposition, photograph
+from learn.figures import spheres
+from learn.layer import predictions, render
 from learn.metrics import intrinsics
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
@@ -323,8 +323,8 @@ def opened(size):
 def test_a_prediction_is_made_on_the_networks_device(weights, device):
     picture, _, _, _, inside = ball(SIZE)
     framed = Framed(picture[0].numpy(), inside[0].numpy(), (0, 0, SIZE), 1.0)
-    batch, there = predict.of(framed, checkpoint.load_parts(weights, device)[0])
-    _, here = predict.of(framed, checkpoint.load_parts(weights)[0])
+    batch, there = decomposition.predict_framed(framed, checkpoint.load_parts(weights, device)[0])
+    _, here = decomposition.predict_framed(framed, checkpoint.load_parts(weights)[0])
     assert {batch.image.device, there.n.device, there.label.device, there.light.device} == {device}
     for name in ("n", "label", "light"):  # the same operators on the same numbers
         torch.testing.assert_close(
@@ -335,7 +335,7 @@ def test_a_prediction_is_made_on_the_networks_device(weights, device):
 def test_an_edit_is_refined_and_rendered_on_the_networks_device(weights, device, monkeypatch):
     rendered_on = []
     monkeypatch.setattr(
-        decomposition,
+        predictions,
         "render",
         lambda n, *given, **named: rendered_on.append(n.device) or render(n, *given, **named),
     )
@@ -348,11 +348,11 @@ def test_an_edit_is_refined_and_rendered_on_the_networks_device(weights, device,
         device
     }
     # the grid that is rendered, for the reference sum is slow
-    monkeypatch.setattr(decomposition, "COARSEST", SIZE)
-    edited = decomposition.Painter(found, detail=0.25).edited([label_of("gold-paint")[0].numpy()])
+    monkeypatch.setattr(compositor, "COARSEST", SIZE)
+    edited = compositor.Compositor(found, detail=0.25).edited([label_of("gold-paint")[0].numpy()])
     assert rendered_on and set(rendered_on) == {device}
     assert edited.shape == (SIZE, SIZE, 3) and np.isfinite(edited).all()
-    shown = montage.material_sphere(
+    shown = spheres.material_sphere(
         found.parts.label[0, 0], found.parts.light[0].movedim(0, -1), 16, found.batch.elevation, 1.0
     )
     assert shown.shape == (16, 16, 3)
@@ -465,7 +465,8 @@ def test_a_prediction_on_cuda_is_that_of_the_cpu(what, weights):
     picture, _, _, _, inside = ball(SIZE)
     framed = Framed(picture[0].numpy(), inside[0].numpy(), (0, 0, SIZE), 1.0)
     (_, there), (_, here) = (
-        predict.of(framed, checkpoint.load_parts(weights, name)[0]) for name in ("cuda", "cpu")
+        decomposition.predict_framed(framed, checkpoint.load_parts(weights, name)[0])
+        for name in ("cuda", "cpu")
     )
     assert there.n.is_cuda
     torch.testing.assert_close(there.label.cpu(), here.label, rtol=5e-2, atol=5e-2)  # TF32

@@ -15,9 +15,10 @@ from PIL import Image
 
 from learn.__main__ import COMMANDS
 from learn.data.records import Records
-from learn.editing import decomposition, edit, photograph, targets, transfer
-from learn.editing.decomposition import Painter
-from learn.figures import montage
+from learn.editing import compositor, decomposition, drawing, edit, photograph, targets, transfer
+from learn.editing.compositor import Compositor
+from learn.figures import spheres
+from learn.layer import predictions
 from learn.layer.display_method import method_for
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -39,7 +40,7 @@ def test_with_true_parts_an_edit_into_its_own_material_is_the_photograph(balance
     found = decomposition.decompose(
         opened(seen, inside.astype(np.int64), 2.0, balance), Knowing(label), NETWORK
     )
-    again = Painter(found).edited([label[0]])
+    again = Compositor(found).edited([label[0]])
     core = ball(SIZE, 30)[0][..., 2] > 0.4  # at the rim 64² normals, enlarged, are a pixel off
     level = tone.auto_exposure(seen, inside)
     # of 65,025; the picture itself has a variance of a thousand
@@ -52,7 +53,7 @@ def test_an_edit_keeps_size_and_background():
     radiance, inside = lit(label, 0.5)
     tall = np.pad(radiance, ((7, 20), (0, 31), (0, 0)), constant_values=0.3)
     regions = np.pad(inside.astype(np.int64), ((7, 20), (0, 31)))
-    edited = Painter(
+    edited = Compositor(
         decomposition.decompose(opened(tall, regions), Knowing(label), NETWORK)
     ).edited([label_of("gold-paint")[0]])
     assert edited.shape == tall.shape
@@ -64,9 +65,9 @@ def test_an_object_that_touches_the_border_is_edited_up_to_it():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     cut, regions = radiance[30:, 40:], inside[30:, 40:].astype(np.int64)
-    edited = Painter(decomposition.decompose(opened(cut, regions), Knowing(label), NETWORK)).edited(
-        [label_of("gold-paint")[0]]
-    )
+    edited = Compositor(
+        decomposition.decompose(opened(cut, regions), Knowing(label), NETWORK)
+    ).edited([label_of("gold-paint")[0]])
     assert edited.shape == cut.shape and np.isfinite(edited).all()
     assert (abs(edited - cut).max(-1) > 0)[regions > 0].mean() > 0.9
 
@@ -81,7 +82,7 @@ def test_a_soft_edge_mixes_edit_and_background_and_not_the_old_colour():
     found = photograph.Photograph(
         "square", red, coverage, (coverage >= 0.5).astype(np.int64), np.ones(3, np.float32), 1.0
     )
-    edited = Painter(decomposition.decompose(found, Knowing(label), NETWORK)).edited([label[0]])
+    edited = Compositor(decomposition.decompose(found, Knowing(label), NETWORK)).edited([label[0]])
     edge, within = edited[45, 70], edited[45, 69]
     # the layer's picture changes a little from pixel to pixel
     np.testing.assert_allclose(edge, 0.5 * within + 0.5 * 0.25, atol=0.05)
@@ -92,7 +93,7 @@ def test_a_region_that_is_kept_stays_and_the_other_changes():
     radiance, inside = lit(label, 0.5)
     regions = inside.astype(np.int64)
     regions[:, SIZE // 2 :] *= 2
-    edited = Painter(
+    edited = Compositor(
         decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK)
     ).edited([None, label_of("gold-paint")[0]])
     np.testing.assert_array_equal(edited[regions == 1], radiance[regions == 1])
@@ -108,7 +109,7 @@ def test_fine_shading_is_carried_over_when_asked():
     )
     middle = (slice(40, 56), slice(40, 56))
     for detail, low, high in ((0.0, 0.0, 0.02), (1.0, 0.2, 0.35)):
-        edited = Painter(found, detail=detail).edited([label_of("delrin")[0]])[middle]
+        edited = Compositor(found, detail=detail).edited([label_of("delrin")[0]])[middle]
         # 2 log 1.15 = 0.28 in the photograph
         contrast = abs(np.diff(np.log(edited[..., 1]), axis=0)).mean()
         assert low <= contrast <= high
@@ -121,7 +122,9 @@ def test_objects_are_rendered_at_their_own_size_between_two_limits(times, grid):
     radiance, regions = (
         x.repeat(times, 0).repeat(times, 1) for x in (radiance, inside.astype(np.uint8))
     )
-    painter = Painter(decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK))
+    painter = Compositor(
+        decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK)
+    )
     assert painter.grid == grid  # 567: 1.18 times the object's 480 pixels
     assert painter.n.shape == (grid, grid, 3)
 
@@ -130,16 +133,16 @@ def test_no_detail_is_stronger_than_its_limit():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 4.0, 0.25).astype(np.float32)
-    painter = Painter(
+    painter = Compositor(
         decomposition.decompose(
             opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
         ),
         detail=1.0,
     )
-    ratio = painter.ratio()
-    assert ratio.max() == pytest.approx(
-        decomposition.LARGEST_DETAIL
-    ) and ratio.min() == pytest.approx(1 / decomposition.LARGEST_DETAIL)
+    ratio = painter.fine_shading()
+    assert ratio.max() == pytest.approx(compositor.LARGEST_DETAIL) and ratio.min() == pytest.approx(
+        1 / compositor.LARGEST_DETAIL
+    )
 
 
 def test_grey_balance_makes_the_background_grey_and_keeps_its_luminance(tmp_path):
@@ -231,8 +234,8 @@ def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
     by = {(r.materials, r.rotation_texels): r for r in records.records}
     for turn in (0, 5):
         found = photograph.opened(tmp_path, record=by[("a",), turn].id)
-        np.testing.assert_array_equal(edit.truth(found, "b"), records.image(by[("b",), turn]))
-        assert edit.truth(found, "c") is None
+        np.testing.assert_array_equal(edit.truth_of(found, "b"), records.image(by[("b",), turn]))
+        assert edit.truth_of(found, "c") is None
 
 
 def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was(tmp_path, rng):
@@ -253,12 +256,12 @@ def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was
 
     known = SimpleNamespace(records=list(of.values()), image=lambda record: record.materials)
     two = replace(found, records=known, record=of["b", "a"])
-    assert edit.truth(two, "a+b") == ("a", "b")
-    assert edit.truth(two, "b+a") == ("b", "a")
-    assert edit.truth(two, "keep+b") == edit.truth(two, "b") == ("b", "b")
-    assert edit.truth(two, "a+a") is None
+    assert edit.truth_of(two, "a+b") == ("a", "b")
+    assert edit.truth_of(two, "b+a") == ("b", "a")
+    assert edit.truth_of(two, "keep+b") == edit.truth_of(two, "b") == ("b", "b")
+    assert edit.truth_of(two, "a+a") is None
     assert (
-        edit.truth(
+        edit.truth_of(
             replace(two, record=msgspec.structs.replace(of["b", "a"], rotation_texels=7)), "a+b"
         )
         is None
@@ -276,9 +279,9 @@ def test_a_datasets_own_materials_are_known(tmp_path, rng):
         method="quadrature",
     )
     label = Records(tmp_path).label("b")
-    np.testing.assert_array_equal(edit.choices("b", 1, None, {"b": label})[0], label)
+    np.testing.assert_array_equal(edit.labels_of("b", 1, None, {"b": label})[0], label)
     with pytest.raises(ValueError, match="none of that name"):
-        edit.choices("a-name-of-none", 1, None, {"b": label})
+        edit.labels_of("a-name-of-none", 1, None, {"b": label})
 
 
 def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
@@ -290,13 +293,15 @@ def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
     regions[200:204, 201:205] = 2  # half a pixel of the network's, beside a pixel's middle
     found = decomposition.decompose(opened(radiance, regions), Knowing(label), 32)
     assert found.batch.segments.max() == 1 and found.parts.label.shape[1] == 2
-    edited = Painter(found).edited([label_of("gold-paint")[0], None])
+    edited = Compositor(found).edited([label_of("gold-paint")[0], None])
     np.testing.assert_array_equal(edited[regions == 2], radiance[regions == 2])
     assert abs(edited - radiance)[regions == 1].mean() > 0.02
     swapped = opened(radiance, np.where(regions > 0, 3 - regions, 0).astype(np.uint8))
     assert [
         caption
-        for caption, _ in edit.reflectance(decomposition.decompose(swapped, Knowing(label), 32))
+        for caption, _ in drawing.reflectance_maps(
+            decomposition.decompose(swapped, Knowing(label), 32)
+        )
     ] == ["reflectance map 1, observed", "reflectance map 1, predicted"]
 
 
@@ -318,7 +323,7 @@ def test_what_lies_in_no_region_stays_as_it_is_but_for_a_rim(tmp_path):
     regions.save(tmp_path / "r.png")
     found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], tmp_path / "r.png")
     assert (found.coverage[:, :30] > 0.99).all() and (found.coverage[:, 36:] == 0).all()
-    painter = Painter(decomposition.decompose(found, Knowing(label_of("blue-rubber")), NETWORK))
+    painter = Compositor(decomposition.decompose(found, Knowing(label_of("blue-rubber")), NETWORK))
     edited = painter.edited([label_of("gold-paint")[0]])
     np.testing.assert_array_equal(edited[:, 36:], found.radiance[:, 36:])
     assert abs(edited - found.radiance)[:, :30].mean() > 0.02
@@ -328,7 +333,7 @@ def test_the_picture_rendered_again_has_none_of_the_photographs_own_detail():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
-    painter = Painter(
+    painter = Compositor(
         decomposition.decompose(
             opened(radiance * stripes, inside.astype(np.uint8), 2.0), Knowing(label), NETWORK
         ),
@@ -341,11 +346,9 @@ def test_the_picture_rendered_again_has_none_of_the_photographs_own_detail():
 def test_the_objects_own_material_is_rendered_once(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    drawn, render_ = [], decomposition.render
-    monkeypatch.setattr(
-        decomposition, "render", lambda *a, **k: drawn.append(1) or render_(*a, **k)
-    )
-    painter = Painter(
+    drawn, render_ = [], predictions.render
+    monkeypatch.setattr(predictions, "render", lambda *a, **k: drawn.append(1) or render_(*a, **k))
+    painter = Compositor(
         decomposition.decompose(opened(radiance, inside.astype(np.uint8)), Knowing(label), NETWORK),
         detail=0.25,
     )
@@ -365,7 +368,8 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
     )
 
     def start():
-        return Prediction(None, None, torch.zeros(1, 1, 108), None, None)
+        nothing = torch.zeros(1, 3, 1, 1)
+        return Prediction(nothing, None, torch.zeros(1, 1, 108), None, nothing)
 
     Image.new("RGB", (40, 30), (90, 60, 90)).save(tmp_path / "p.png")
     Image.new("L", (40, 30), 255).save(tmp_path / "p.mask.png")
@@ -380,9 +384,9 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
 def test_a_folder_of_masks_gives_each_picture_its_mask_and_never_itself(tmp_path):
     for name in ("a.png", "a.mask.png", "b.png", "c.jpg", "c.png"):
         (tmp_path / name).write_bytes(b"")
-    assert edit.mask_beside(tmp_path / "a.png", tmp_path) == tmp_path / "a.mask.png"
-    assert edit.mask_beside(tmp_path / "b.png", tmp_path) is None
-    assert edit.mask_beside(tmp_path / "c.jpg", tmp_path) == tmp_path / "c.png"
+    assert photograph.mask_beside(tmp_path / "a.png", tmp_path) == tmp_path / "a.mask.png"
+    assert photograph.mask_beside(tmp_path / "b.png", tmp_path) is None
+    assert photograph.mask_beside(tmp_path / "c.jpg", tmp_path) == tmp_path / "c.png"
 
 
 def test_a_material_file_comes_back_as_it_was_written(tmp_path):
@@ -394,12 +398,12 @@ def test_a_material_file_comes_back_as_it_was_written(tmp_path):
 
 
 def test_materials_are_given_to_regions_in_their_order():
-    found = edit.choices("brass+keep", 2, None)
+    found = edit.labels_of("brass+keep", 2, None)
     np.testing.assert_array_equal(found[0], label_of("brass")[0])
     assert found[1] is None
-    assert len(edit.choices("brass", 3, None)) == 3
+    assert len(edit.labels_of("brass", 3, None)) == 3
     with pytest.raises(ValueError, match="one a region"):
-        edit.choices("brass+keep+keep", 2, None)
+        edit.labels_of("brass+keep+keep", 2, None)
 
 
 def test_mirrors_are_shown_by_the_integral_and_fabrics_by_the_sum():
@@ -413,9 +417,9 @@ def test_mirrors_are_shown_by_the_integral_and_fabrics_by_the_sum():
 def test_the_observed_reflectance_map_of_a_ball_is_its_picture():
     n, inside = ball(128, 62)
     colour = np.where(inside[..., None], n * 0.5 + 0.5, 0)
-    seen = montage.observed(colour, n, inside, 64, 1.0)
-    expected = tone.display(montage.sphere(64) * 0.5 + 0.5, 1.0)
-    core = montage.sphere(64)[..., 2] > 0.3
+    seen = spheres.observed_reflectance(colour, n, inside, 64, 1.0)
+    expected = tone.display(spheres.sphere_normals(64) * 0.5 + 0.5, 1.0)
+    core = spheres.sphere_normals(64)[..., 2] > 0.3
     assert abs(seen - expected)[core].mean() < 4  # of 255: half a cell
 
 

@@ -13,6 +13,7 @@ from learn.__main__ import COMMANDS
 from learn.data.records import Records
 from learn.editing import decomposition
 from learn.figures import montage
+from learn.layer import predictions
 from learn.refinement import refine
 from manifests import exr
 from manifests.cli import main
@@ -26,7 +27,7 @@ def quick(monkeypatch):
     """The sum for mirrors too, and the first steps of refinement alone: nothing here looks at how
     well they are done.
     """
-    monkeypatch.setattr(decomposition, "method_for", lambda label: "auto")
+    monkeypatch.setattr(predictions, "method_for", lambda label: "auto")
     monkeypatch.setattr(
         decomposition,
         "refine",
@@ -68,14 +69,14 @@ def edited(photo, name, *more, masks=("mask",), material="red-fabric"):
 @pytest.fixture
 def drawn(monkeypatch):
     """{caption: [display pictures]} of every sheet's tiles since."""
-    found, rows = {}, montage.rows
+    found, contact_sheet = {}, montage.contact_sheet
 
     def kept(lines, size):
         for caption, picture in (pair for line in lines for pair in line):
             found.setdefault(caption, []).append(picture)
-        return rows(lines, size)
+        return contact_sheet(lines, size)
 
-    monkeypatch.setattr(montage, "rows", kept)
+    monkeypatch.setattr(montage, "contact_sheet", kept)
     return found
 
 

@@ -13,9 +13,9 @@ import torch.nn.functional as F
 from scipy.optimize import OptimizeResult, minimize
 
 from learn.data.batch import Batch
-from learn.layer import render
+from learn.layer import predictions, render
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, coordinates, descent, energy, refine
+from learn.refinement import Settings, coordinates, descent, refine
 from learn.refinement.coordinates import Light, Normals, principal_directions
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import NAMED, Level
@@ -97,7 +97,7 @@ def test_the_energy_of_a_displaced_state_is_what_it_is_by_hand(monkeypatch):
     moved = replace(start, n=n, light=light, z={"material": torch.tensor([[1.0, 2.0, 2.0]])})
     # 2 where n moved, else 1
     monkeypatch.setattr(
-        energy, "render", lambda n, *_, **__: (1 + n[..., :1] / 0.6).expand(n.shape)
+        predictions, "render", lambda n, *_, **__: (1 + n[..., :1] / 0.6).expand(n.shape)
     )
     pixels = SIZE * (SIZE - 1)
     expected = {

@@ -7,6 +7,7 @@ import pytest
 
 from learn.editing import decomposition
 from learn.experiments import upsampling_comparison, upsampling_strategies
+from learn.layer import predictions
 from tests.support.known_ball import NETWORK, SIZE, Knowing, label_of, lit, opened
 
 
@@ -55,9 +56,9 @@ def test_every_way_paints_a_smooth_object_alike_and_one_render_serves_all_detail
         opened(radiance, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
     )
     ways = upsampling_strategies.painters(found)
-    rendered, render = [], decomposition.render
+    rendered, render = [], predictions.render
     monkeypatch.setattr(
-        decomposition, "render", lambda *a, **k: rendered.append(a) or render(*a, **k)
+        predictions, "render", lambda *a, **k: rendered.append(a) or render(*a, **k)
     )
     edits = {name: painter.edited([label[0]]) for name, painter in ways.items()}
     # in use and its details together once, three at the network's size, normals once

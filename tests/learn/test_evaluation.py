@@ -274,9 +274,9 @@ def test_what_the_nodes_explain_is_not_put_down_to_the_loop(data, weights, monke
         )
     true, other = found
     plain = [
-        bench.squared(tone.display(sample.image.numpy(), exposure), tone.display(x, exposure))[
-            inner
-        ].mean()
+        bench.squared_difference(
+            tone.display(sample.image.numpy(), exposure), tone.display(x, exposure)
+        )[inner].mean()
         for x in pictures
     ]
     # noise: 5 % of 130 display values over 2.2, squared, is 9; its products over 600 pixels × 3
@@ -461,7 +461,7 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(options, monkeypatc
     run.make(replace(options, edits=1))
     with pytest.raises(InputError, match="other seed"):
         run.make(replace(options, edits=1, seed=1))
-    monkeypatch.setattr(run, "TOLERANCE", 0.5)
+    monkeypatch.setattr(run, "MEASURED", run.MEASURED._replace(tolerance=0.5))
     with pytest.raises(InputError, match="other tolerance"):
         run.make(options)
 

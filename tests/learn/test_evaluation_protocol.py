@@ -346,7 +346,7 @@ def test_the_headline_says_what_the_tables_say():
         "With true normals instead of predicted it would be 80.",
         (
             "By 95 % intervals of the difference on the same edits, “ours, refined” is better than"
-            " “input unchanged”, “Baseline 1”; worse than “Baseline 2”; not to be told from “ours”."
+            " “input unchanged”, “Baseline 1”; worse than “Baseline 2”; not separable from “ours”."
         ),
     ]
 

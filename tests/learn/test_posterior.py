@@ -16,6 +16,7 @@ from learn.data.batch import Batch
 from learn.data.settings import Data, Run
 from learn.editing.predict import WEIGHTS
 from learn.evaluation import baseline_methods as methods
+from learn.layer import predictions
 from learn.networks import weights
 from learn.networks.coding import compressed
 from learn.networks.encoder_decoder import Edited
@@ -47,7 +48,7 @@ def test_a_posterior_adds_the_pictures_misfit_and_both_priors(batch, monkeypatch
     )
     off = (9**priors.NOISE - 1) / 8  # radiance that is one standard deviation from black
     drawn = []
-    monkeypatch.setattr(posterior, "render", lambda n, *_, **__: torch.full(n.shape, drawn[-1]))
+    monkeypatch.setattr(predictions, "render", lambda n, *_, **__: torch.full(n.shape, drawn[-1]))
     z_m, z_L = torch.zeros(2, 2).double(), torch.zeros(HARMONICS, 3).double()
     of_picture = posterior.Posterior(batch, known)
     for radiance, material, light, expected in (

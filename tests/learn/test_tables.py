@@ -160,10 +160,13 @@ def test_starts_of_several_methods_are_counted_together():
     found = cells(
         tables.refinement(tables.Rows([first | {"methods": first["methods"] | other}], "materials"))
     )
-    assert set(found) == {OURS_REFINED, "Baseline 2, refined", "all starts"}
-    assert (found["all starts"]["starts"], found["all starts"]["above"]) == (2, 1)
+    assert set(found) == {OURS_REFINED, "Baseline 2, refined", "all initialisations"}
+    assert (found["all initialisations"]["starts"], found["all initialisations"]["above"]) == (2, 1)
     assert (found[OURS_REFINED]["above"], found["Baseline 2, refined"]["above"]) == (0, 1)
-    assert (found["all starts"]["l2"], found["all starts"]["l2_after"]) == (75.0, 50.0)
+    assert (found["all initialisations"]["l2"], found["all initialisations"]["l2_after"]) == (
+        75.0,
+        50.0,
+    )
 
 
 def edit(shape, wanted, net, fit, node_fit=2.0, truth=None):
@@ -238,4 +241,4 @@ def test_intervals_are_over_whole_shapes_and_materials():
     assert mean == pytest.approx(30)
     assert low == 0 and high == 90  # draws without that shape, and of nothing else, come up
     within = one_shape_differs.values(OURS, ("l2",))
-    np.testing.assert_array_equal(one_shape_differs.drawn(within > 0).sum(1) > 0, True)
+    np.testing.assert_array_equal(one_shape_differs.draws(within > 0).sum(1) > 0, True)

@@ -113,10 +113,12 @@ def test_predictions_stand_on_the_page_with_what_they_are_and_without_any_nothin
     sheet = tmp_path / "parts" / "sheet.png"
     sheet.parent.mkdir()
     sheet.write_bytes(b"")
-    shown = demo_page.page(tmp_path / "index.html", [], agreement, "t", [sheet])
+    shown = demo_page.demo_page(tmp_path / "index.html", [], agreement, "t", [sheet])
     assert "What a network reads" in shown
     assert "href='parts/sheet.png'" in shown
-    assert "What a network reads" not in demo_page.page(tmp_path / "index.html", [], agreement, "t")
+    assert "What a network reads" not in demo_page.demo_page(
+        tmp_path / "index.html", [], agreement, "t"
+    )
 
 
 def test_a_prediction_that_is_not_there_is_told(tmp_path, agreement, capsys):
