@@ -66,3 +66,14 @@ def half_angles(w_i, w_o):
     opposite = length_s < 1e-6
     h = s / xp.where(opposite, 0 * length_s + 1, length_s)[..., None]
     return xp.where(opposite[..., None], 0 * s, h), xp.arctan2(length_d, length_s)
+
+
+def differentiable_half_angles(w_i, w_o):
+    """Return `half_angles` with derivatives that stay finite where w_i = w_o or w_i = −w_o.
+
+    Both lengths are held at 1e-12 or above, so that the slope of θ_d is 0 at its corner θ_d = 0.
+    """
+    xp = namespace(w_i, w_o)
+    s, d = w_i + w_o, w_i - w_o
+    length_s, length_d = (xp.sqrt(xp.clip(xp.square(x).sum(-1), 1e-24, None)) for x in (s, d))
+    return s / length_s[..., None], xp.arctan2(length_d, length_s)

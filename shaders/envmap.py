@@ -13,8 +13,8 @@ Source: supplement, "Illumination". Deviates: φ spans 2π, texel centres, exact
 import numpy as np
 
 from shaders.arrays import namespace
+from shaders.tone import LUMINANCE
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 BAND = 64  # rows of a map that are looked at together: 12 MB in float64 of a map of 8192 × 4096
 WHOLE = 1024  # rows up to which a map is copied to float64 whole
 DENSE = 4096  # columns and rows up to which a table of all pairs is made: 134 MB

@@ -7,7 +7,8 @@ display   values in [0, 255] after clipping and the sRGB curve (IEC 61966-2-1)
 import numpy as np
 
 from shaders.arrays import namespace
-from shaders.envmap import LUMINANCE
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec.709 R, G and B
 
 
 def srgb(linear):
@@ -17,6 +18,12 @@ def srgb(linear):
     # the power's slope is infinite at 0, where the straight part is used
     safe = xp.clip(x, 0.0031308, 1.0)
     return xp.where(x <= 0.0031308, 12.92 * x, 1.055 * safe ** (1 / 2.4) - 0.055)
+
+
+def linear_from_srgb(encoded):
+    """Return the linear values of sRGB-encoded ones in [0, 1]: the inverse of `srgb`."""
+    xp = namespace(encoded)
+    return xp.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def display(radiance, exposure):

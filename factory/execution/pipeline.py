@@ -26,7 +26,7 @@ from manifests.schema import Job, Record, Statistics, View
 from manifests.store import geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 HELD = 48  # geometries whose masks stay in memory: two shapes' 24 views
 

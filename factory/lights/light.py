@@ -15,7 +15,7 @@ import numpy as np
 
 from manifests.arrays import LIGHT_SHAPE
 from manifests.errors import InputError
-from shaders import envmap
+from shaders import envmap, tone
 
 LAYER_SIZE = LIGHT_SHAPE[:2]  # the paper's map
 # negative radiance up to this share of the mean is lossy compression's ripple, set to 0; Blender's
@@ -68,7 +68,7 @@ def from_pixels(pixels, name, digest, licence, source, in_place=False):
         )
     for rows in envmap.bands(height):
         pixels[rows] = envmap.roll(pixels[rows], -(width // 4))
-    scale = float(envmap.mean_radiance(pixels) @ envmap.LUMINANCE)
+    scale = float(envmap.mean_radiance(pixels) @ tone.LUMINANCE)
     pixels /= scale
     pixels = pixels.astype(np.float32, copy=False)
     L64 = envmap.resize(pixels, *LAYER_SIZE, np.float32)
@@ -88,7 +88,7 @@ def checked(pixels, where):
             f"NaN or infinity in {broken} texels",
             "paint them out or export the map again",
         )
-    mean = float(envmap.mean_radiance(pixels) @ envmap.LUMINANCE)
+    mean = float(envmap.mean_radiance(pixels) @ tone.LUMINANCE)
     lowest, highest = float(pixels.min()), float(pixels.max())
     if lowest == highest == 0:
         raise InputError(

@@ -45,6 +45,6 @@ def picture(light, size=128):
     diffuse ball keeps below white.
     """
     diffuse, mirror = diffuse_sphere(light.L64, size), mirror_sphere(light.L_full, size)
-    exposure = 0.8 / max(float((diffuse @ envmap.LUMINANCE).max()), 1e-12)
+    exposure = 0.8 / max(float((diffuse @ tone.LUMINANCE).max()), 1e-12)
     row = np.concatenate([envmap.resize(light.L_full, size, 2 * size), diffuse, mirror], axis=1)
     return np.round(tone.display(row, exposure)).astype(np.uint8)

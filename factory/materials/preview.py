@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 from factory.materials.recipe import label_on
 from factory.materials.sphere import Sphere
 from shaders import tone
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 CAPTION = 12  # pixels below a ball
 GROUND = 24  # display value around the balls

@@ -17,7 +17,7 @@ maps   {name: (height, width, 3)} linear radiance, light frame (shaders.envmap)
 import numpy as np
 
 from shaders import envmap, frames, tone
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 POWER = 2.5
 HORIZON = 1e-3

@@ -17,7 +17,7 @@ from manifests import files
 from manifests.errors import InputError
 from manifests.provenance import provenance
 from shaders import tone
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 FAR = 2.5  # a factor by which a guess misses and an edit is plainly too dark or too bright
 

@@ -25,7 +25,7 @@ from scipy.ndimage import uniform_filter
 
 from learn.data import photographs
 from learn.editing.decomposition import Painter, dilated, enlarged_normals, nearest
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 DETAILS = (0.25, 0.5, 1.0)
 # network pixels; network pixels, and units of the guide at which a neighbour counts e^-½
