@@ -1,7 +1,7 @@
-"""Cars: nine bodies, and proportions drawn per seed. Segments: 1 painted body; 2 wheels, glass,
-lights and trim.
+"""Cars: nine bodies with proportions drawn per seed.
 
-Sizes are those of real cars, in metres: 3.5–5.6 long, 1.6–2.0 wide, 1.2–2.0 high.
+Segments: 1 painted body; 2 wheels, glass, lights and trim. Sizes are those of real cars, in metres:
+3.5–5.6 long, 1.6–2.0 wide, 1.2–2.0 high.
 """
 
 from dataclasses import replace
@@ -17,10 +17,11 @@ from factory.shapes.car_details import (
     front,
     lights,
     mirrors_and_handles,
-    roof_things,
+    roof_details,
     seams,
     wheels,
 )
+from factory.shapes.mesh import Mesh
 
 FAMILY_KEY = 1
 
@@ -71,8 +72,8 @@ KINDS = tuple(RANGES)
 WEIGHTS = np.array([0.16, 0.14, 0.10, 0.14, 0.12, 0.09, 0.08, 0.08, 0.09])
 
 
-def build(seed):
-    """The car of a seed, a Mesh of category "car"."""
+def build(seed: int) -> Mesh:
+    """Return the car of a seed, a Mesh of category "car"."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAMILY_KEY,)))
     kind = KINDS[int(rng.choice(len(KINDS), p=WEIGHTS))]
     form = draw_form(rng, kind)
@@ -88,12 +89,12 @@ def build(seed):
     front(a, rng, form)
     mirrors_and_handles(a, rng, form)
     seams(a, form)
-    roof_things(a, rng, form, kind)
+    roof_details(a, rng, form, kind)
     return a.finish(f"car:{seed}", "car")
 
 
-def draw_form(rng, kind):
-    """Numbers for one car of a kind."""
+def draw_form(rng: np.random.Generator, kind: str) -> Form:
+    """Return the form of one car of a kind."""
     (
         length,
         width,

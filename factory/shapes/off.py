@@ -1,8 +1,7 @@
-"""Object File Format: a line of counts, a line for each vertex, a line for each polygon; colours
-and normals are passed over.
+"""Object File Format: a line of counts, a line per vertex, a line per polygon.
 
-Source: Geomview's manual, "OFF Files". COFF and NOFF have colours or normals behind a vertex's
-coordinates.
+Colours and normals are ignored. Source: Geomview's manual, "OFF Files". COFF and NOFF have colours
+or normals behind a vertex's coordinates.
 """
 
 from array import array
@@ -27,7 +26,7 @@ KINDS = (b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF", b"STCOFF", b"STNOFF", b"S
 
 
 def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
-    """The Raw of an OFF file. See factory.shapes.raw."""
+    """Return the Raw of an OFF file. See factory.shapes.raw."""
     rows = _rows(file, where)
     vertex_count, face_count = _counts(rows, where)
     if vertex_count + face_count > size:  # each takes at least a byte
@@ -76,14 +75,14 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
 
 
 def _rows(file, where):
-    """(line number, words) of each line that holds some."""
+    """Yield (line number, words) of each line that has words."""
     for line, text in enumerate(text_lines(file, where, "an OFF file's text"), 1):
         if words := text.partition(b"#")[0].split():
             yield line, words
 
 
 def _counts(rows, where):
-    """Vertices and faces as the file's head says; its words may stand in one line or in two."""
+    """Return the counts of vertices and faces in the file's head, which has one line or two."""
     _, words = next(rows, (0, []))
     head = list(words)
     if words and words[0] in KINDS and len(words) == 1:

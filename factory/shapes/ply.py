@@ -1,9 +1,8 @@
-"""PLY: elements with properties as a header tells them, text or binary of either byte order;
-vertices and faces are kept.
+"""PLY: elements with properties described by a header; vertices and faces are kept.
 
-Source: Greg Turk, "The PLY Polygon File Format", 1994. Lists may be of any length and of any
-integer type, polygons of different lengths may be mixed; properties and elements that no mesh needs
-are passed over.
+Files are text or binary of either byte order. Source: Greg Turk, "The PLY Polygon File Format",
+1994. Lists may be of any length and of any integer type, polygons of different lengths may be
+mixed; properties and elements that no mesh needs are ignored.
 """
 
 import re
@@ -58,8 +57,10 @@ DOWNLOAD = "download or export it again"
 
 @dataclass
 class Property:
-    """type: of each value; count: of a list's length, None for a single value. Both as numpy names
-    them, without byte order.
+    """A property of an element.
+
+    type   of each value; count: of a list's length, None for a single value. Both are numpy's names
+           without byte order.
     """
 
     name: str
@@ -69,14 +70,14 @@ class Property:
 
 @dataclass
 class Element:
-    """What the header says of vertices, faces, edges."""
+    """One kind of rows in the header: vertices, faces, edges."""
 
     name: str
     count: int
     properties: list[Property] = field(default_factory=list)
 
     def place(self, name: str) -> int:
-        """Where a property stands. Raises KeyError."""
+        """Return the index of a property. Raises KeyError."""
         for place, each in enumerate(self.properties):
             if each.name == name:
                 return place
@@ -84,7 +85,7 @@ class Element:
 
 
 def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
-    """The Raw of a PLY file. See factory.shapes.raw."""
+    """Return the Raw of a PLY file. See factory.shapes.raw."""
     elements, order, start = _header(file, where)
     vertex, face = (
         next((e for e in elements if e.name == name), None) for name in ("vertex", "face")
@@ -104,7 +105,7 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
 
 
 def _header(file, where):
-    """Elements, byte order (None: text) and where the data begins."""
+    """Return elements, byte order (None: text) and the offset of the data."""
     head = file.read(HEADER)
     start = len(BOM_UTF8) if head.startswith(BOM_UTF8) else 0
     first = re.search(rb"\r?\n|\r", head)
@@ -147,7 +148,7 @@ def _header(file, where):
 
 
 def _columns(vertex, face, where):
-    """{element: (places of single values, place of a list)}."""
+    """Return {element: (indices of single values, index of a list)}."""
     try:
         xyz = tuple(vertex.place(name) for name in "xyz")
     except KeyError as missing:
@@ -171,12 +172,12 @@ def _columns(vertex, face, where):
 
 
 class _Rows:
-    """What is read: vertices (V, 3) float64; polygons as corners (C,) and lengths (P,)."""
+    """The values read so far: vertices (V, 3) float64; polygons as corners (C,) and lengths (P,)."""
 
     vertices = np.zeros((0, 3))
     corners = lengths = np.zeros(0, np.int64)
 
-    def __init__(self, where):
+    def __init__(self, where: str | Path) -> None:
         self.where = where
 
     def _keep(self, element, maximum, values=None, corners=None, lengths=None):
@@ -196,9 +197,9 @@ class _Rows:
 
 
 class _Text(_Rows):
-    """Rows of numbers, a line each."""
+    """Rows of numbers, one per line."""
 
-    def __init__(self, file, where):
+    def __init__(self, file: BinaryIO, where: str | Path) -> None:
         super().__init__(where)
         every = enumerate(text_lines(file, where, "a PLY file's text"), 1)
         self.lines = ((line, text.split()) for line, text in every if text.strip())
@@ -206,10 +207,10 @@ class _Text(_Rows):
             if words == [b"end_header"]:
                 break
 
-    def take(self, element, single, listed, maximum):
-        """Read an element's rows; keep its values at the places `single` and the list at the place
-        `listed`.
-        """
+    def take(
+        self, element: Element, single: tuple[int, ...], listed: int | None, maximum: int
+    ) -> None:
+        """Read an element's rows; keep its values at the indices `single` and the list at `listed`."""
         if not element.properties:
             return
         values, corners, lengths = array("d"), array("q"), array("q")
@@ -255,7 +256,7 @@ class _Text(_Rows):
 
     @staticmethod
     def _offsets(element, words):
-        """Where each property begins in a row. Raises ValueError, IndexError."""
+        """Return where each property begins in a row. Raises ValueError, IndexError."""
         starts, place = [], 0
         for each in element.properties:
             starts.append(place)
@@ -267,8 +268,8 @@ class _Text(_Rows):
             raise IndexError
         return starts
 
-    def end(self):
-        """Raises InputError if there is more than the header says."""
+    def end(self) -> None:
+        """Raise InputError if there is more than the header says."""
         for line, words in self.lines:
             text = glimpse(b" ".join(words))
             raise InputError(
@@ -279,15 +280,15 @@ class _Text(_Rows):
 class _Binary(_Rows):
     """Rows of bytes."""
 
-    def __init__(self, file, start, where, order):
+    def __init__(self, file: BinaryIO, start: int, where: str | Path, order: str) -> None:
         super().__init__(where)
         file.seek(start)
         self.data, self.place, self.order = file.read(), 0, order
 
-    def take(self, element, single, listed, maximum):
-        """Read an element's rows; keep its values at the places `single` and the list at the place
-        `listed`.
-        """
+    def take(
+        self, element: Element, single: tuple[int, ...], listed: int | None, maximum: int
+    ) -> None:
+        """Read an element's rows; keep its values at the indices `single` and the list at `listed`."""
         if not element.properties or not element.count:
             return
         lengths = [
@@ -314,9 +315,7 @@ class _Binary(_Rows):
         self._keep(element, maximum, values, corners, counts)
 
     def _first_length(self, element, place):
-        """The length of a list in the first row, where all lists before it are as long as theirs;
-        -1: the data end before.
-        """
+        """Return the length of a list in the first row; -1 if the data end before it."""
         before = self.place
         for each in element.properties[: place + 1]:
             type_ = np.dtype(self.order + (each.count or each.type))
@@ -329,8 +328,9 @@ class _Binary(_Rows):
         return length
 
     def _table(self, element, lengths):
-        """All rows, if each list is as long in every row as in the first; else None. Raises
-        InputError if the data are too few.
+        """Return all rows, or None unless each list has the same length in every row.
+
+        Raises  InputError if there are too few data
         """
         fields = []
         for k, (each, length) in enumerate(zip(element.properties, lengths, strict=True)):
@@ -357,7 +357,7 @@ class _Binary(_Rows):
         return table if alike else None
 
     def _by_row(self, element, single, listed, maximum):
-        """As `take`, where lists are of different lengths."""
+        """Read an element's rows as `take` does, where lists are of different lengths."""
         steps = [
             (
                 struct.Struct(self.order + CODES[p.count or p.type]),
@@ -407,8 +407,8 @@ class _Binary(_Rows):
         )
         self._keep(element, maximum, values, corners, np.array(lengths, np.int64))
 
-    def end(self):
-        """Raises InputError if there is more than the header says."""
+    def end(self) -> None:
+        """Raise InputError if there is more than the header says."""
         rest = self.data[self.place :]
         if rest.strip():
             raise InputError(

@@ -1,8 +1,7 @@
-"""Triangles as they stand in a mesh file, and what the readers of all formats share: bounds, lines
-of text, polygons.
+"""Triangles as they stand in a mesh file, and the readers' shared tools: bounds, lines, polygons.
 
 Each reader is a function `read(file, size, where, maximum)` of an open binary file of `size` bytes,
-whose name in errors is `where`. It gives a Raw, or raises InputError before it takes memory for
+whose name in errors is `where`. It returns a Raw, or raises InputError before it takes memory for
 more than `maximum` triangles.
 """
 
@@ -34,9 +33,7 @@ NOTHING = "check that the file holds a surface, not points or curves"
 
 @dataclass(frozen=True)
 class Raw:
-    """vertices (V, 3) and faces (F, 3) as they stand in the file; material (F,) indexes materials,
-    the OBJ's names.
-    """
+    """vertices (V, 3) and faces (F, 3) of a file; material (F,) indexes materials, the OBJ's names."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -46,8 +43,9 @@ class Raw:
 
 
 def require_count(count: int, maximum: int, where: str | Path, size: int = 0) -> None:
-    """Raises InputError for a mesh of no triangles or of more than `maximum`, or for more bytes
-    (size) than so many can take.
+    """Raise InputError for a mesh of no triangles, or of more than `maximum`, or of too many bytes.
+
+    size  bytes, refused if they are more than `maximum` triangles can take
     """
     if count > maximum:
         raise InputError(where, f"at most {maximum:,} triangles", f"{count:,}", MORE)
@@ -66,14 +64,14 @@ def from_polygons(
     material: np.ndarray | None = None,
     notes: tuple[str, ...] = (),
 ) -> Raw:
-    """The Raw of polygons.
+    """Return the Raw of polygons.
 
     vertices   (V, 3)
     corners    (C,) indices into vertices, polygon after polygon
     lengths    (P,) corners of each polygon
     materials  names; material (P,): which of them each polygon has, or None
     Raises     InputError: an index outside of the vertices, polygons too large to be cut into
-    triangles
+               triangles
     """
     whole = lengths >= 3
     if not whole.all():  # points and lines, which some exporters write so
@@ -119,10 +117,11 @@ def _cut(vertices, corners, lengths, where):
 
 
 def text_lines(file: BinaryIO, where: str | Path, what: str) -> Iterator[bytes]:
-    """The lines of a text file from its start, each with its end: of Unix, Windows or old Mac;
-    byte-order marks are left out.
+    """Yield the lines of a text file from its start, each with its end: Unix, Windows or old Mac.
 
-    what    the text that should stand there: "an OBJ file's text"
+    Byte-order marks are left out.
+
+    what    the expected text: "an OBJ file's text"
     Raises  InputError for binary data, and for lines that only binary data has
     """
     file.seek(0)
@@ -149,14 +148,14 @@ def text_lines(file: BinaryIO, where: str | Path, what: str) -> Iterator[bytes]:
 
 
 def number(word: bytes) -> float:
-    """A coordinate. Raises ValueError for what is none: Python alone would read 1_000, too."""
+    """Return a coordinate. Raises ValueError for any other word, and for 1_000, which Python reads."""
     if b"_" in word:
         raise ValueError(word)
     return float(word)
 
 
 def whole_number(word: bytes) -> int:
-    """An index or a count; 3.0 is 3. Raises ValueError, OverflowError."""
+    """Return an index or a count; 3.0 is 3. Raises ValueError, OverflowError."""
     try:
         value = int(word) if b"_" not in word else None
     except ValueError:
@@ -169,6 +168,6 @@ def whole_number(word: bytes) -> int:
 
 
 def glimpse(data: bytes) -> str:
-    """The first characters of some bytes, fit to be printed in a line."""
+    """Return the first characters of some bytes, printable in one line."""
     text = data[:24].decode("ascii", "replace")
     return "".join(c if c.isprintable() else " " for c in text).strip()
