@@ -11,8 +11,11 @@ class Assembly:
     """Surfaces added part by part; each face keeps its part's name and its segment (1, 2, …)."""
 
     def __init__(self) -> None:
-        self._vertices, self._faces, self._segment, self._part = [], [], [], []
-        self._parts = {}
+        self._vertices: list[np.ndarray] = []
+        self._faces: list[np.ndarray] = []
+        self._segment: list[np.ndarray] = []
+        self._part: list[np.ndarray] = []
+        self._parts: dict[str, int] = {}
         self._count = 0
 
     def add(self, part: str, surface: Surface, segment: ArrayLike) -> None:

@@ -199,7 +199,7 @@ def cabin(form: Form, around: int = 104) -> tuple[Surface, np.ndarray]:
     ]
     steps += [(1.0, s) for s in (0.985, 0.955, 0.9, 0.78, 0.55, 0.25)]
     edge = form.height - 0.05
-    rings, frame = [], []
+    rings = []
     for rise, shrink in steps:
         ease = rise - 0.12 * rise * (1 - rise)  # windscreens and sides are slightly convex
         x_front, x_rear, y_half = (
@@ -221,10 +221,9 @@ def cabin(form: Form, around: int = 104) -> tuple[Surface, np.ndarray]:
         )
         top = roof_line + 0.05 * (1 - shrink**2.2) if rise == 1.0 else roof_line
         rings.append(np.stack([x, y, base + np.minimum(rise * 1.04, 1.0) * (top - base)], 1))
-        frame.append((x, y, rise))
-    rings = np.array(rings)
-    glass = _windows(form, rings, ahead, across, np.array([r for r, _ in steps]), front, rear)
-    return _sunk(rings, glass)
+    grid = np.array(rings)
+    glass = _windows(form, grid, ahead, across, np.array([r for r, _ in steps]), front, rear)
+    return _sunk(grid, glass)
 
 
 def _windows(form, rings, ahead, across, rise, front, rear):
@@ -262,8 +261,8 @@ def _sunk(rings, glass):
     count, around, _ = rings.shape
     corners = np.zeros((count, around, 4), bool)
     padded = np.vstack([np.zeros((1, around), bool), glass, np.zeros((1, around), bool)])
-    for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
-        corners[..., k] = np.roll(padded[i : i + count], j, axis=1)
+    for k, (row, column) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
+        corners[..., k] = np.roll(padded[row : row + count], column, axis=1)
     inner = corners.all(2)
     along = np.roll(rings, -1, 1) - np.roll(rings, 1, 1)
     normal = np.cross(along, np.gradient(rings, axis=0))

@@ -92,19 +92,11 @@ def stretchers(a: Assembly, rng: np.random.Generator, ends: Ends) -> None:
     at = {key: top + t * (foot - top) for key, (top, foot) in ends.items()}
     if kind == "none":
         return
-    for left in LEFT_RIGHT:
-        a.add("stretcher", rod(at[1, left], at[-1, left], size, around=10, square=3.0), FRAME)
+    for side in LEFT_RIGHT:
+        a.add("stretcher", rod(at[1, side], at[-1, side], size, around=10, square=3.0), FRAME)
     if kind == "h":
-        a.add(
-            "stretcher",
-            rod(
-                *((at[1, left] + at[-1, left]) / 2 for left in LEFT_RIGHT),
-                size,
-                around=10,
-                square=3.0,
-            ),
-            FRAME,
-        )
+        left, right = ((at[1, side] + at[-1, side]) / 2 for side in LEFT_RIGHT)
+        a.add("stretcher", rod(left, right, size, around=10, square=3.0), FRAME)
     if kind == "box":
         for front in (1, -1):
             rise = np.array([0, 0, 0.04])

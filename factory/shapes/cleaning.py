@@ -24,10 +24,10 @@ def clean(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str]]:
     """Return a mesh without its defects.
 
-    Returns  vertices, faces, kept (F',) the indices of the given faces that remain, notes on what was
-             done
-    Raises   InputError: a coordinate that is not finite, an index outside the vertices, or no surface
-             left
+    Returns  vertices, faces, kept (F',) the indices of the given faces that remain, notes on what
+             was done
+    Raises   InputError: a coordinate that is not finite, an index outside the vertices, or no
+             surface left
     """
     vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int64)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
@@ -91,8 +91,8 @@ def clean(
 def orient(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, float, list[str]]:
     """Return the faces wound consistently within each piece, and turned outward where possible.
 
-    A closed piece is turned so that its volume is positive; an open one so that more of its outer side
-    is visible from around.
+    A closed piece is turned so that its volume is positive; an open one so that more of its outer
+    side is visible from around.
 
     Returns  faces, the share of the visible surface that remains inner side, notes
     """
@@ -133,9 +133,10 @@ def _seen(vertices, faces):
 def _wind_alike(faces):
     """Return faces wound consistently across edges of two faces, and the piece (F,) of each.
 
-    Each face stands twice in a graph, as it is and reversed; two faces that share an edge are joined in
-    the states that agree. A piece in which a face meets its own reversed self (a Möbius strip) has no
-    sides and stays as it was.
+    Each face stands twice in a graph, as it is and reversed; two faces that share an edge are
+    joined in
+    the states that agree. A piece in which a face meets its own reversed self (a Möbius strip) has
+    no sides and stays as it was.
     """
     count = len(faces)
     first, second, same, _ = edge_pairs(faces)

@@ -53,7 +53,7 @@ def check_format(where: str | Path, kind: str) -> None:
 def parse(
     file: BinaryIO, kind: str, size: int, where: str | Path, maximum: int = MAXIMUM_TRIANGLES
 ) -> Raw:
-    """Return the Raw triangles of an open binary file of `size` bytes; where: its name in errors."""
+    """Return the Raw triangles of an open binary file of `size` bytes, called `where` in errors."""
     if size == 0:
         raise InputError(where, "a mesh", "an empty file", AGAIN)
     return import_module(f"factory.shapes.{kind[1:]}").read(file, size, where, maximum)

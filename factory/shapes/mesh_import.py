@@ -44,8 +44,8 @@ def open_mesh(
 
     place              PATH, or PATH#MEMBER of a library; with
                        ?up=…&front=…&segments=…&crease=…&category=…
-    up, front          "+x", "-x", … "z": the file's axes that point up and to the front; None: y and z
-                       for OBJ and GLB, z and x for others
+    up, front          "+x", "-x", … "z": the file's axes that point up and to the front; None: y
+                       and z for OBJ and GLB, z and x for others
     crease_deg         faces that meet at less than this angle look smooth
     segments           "one", or "materials": a segment for each of an OBJ's materials
     category, name     None: from the file's and the folders' names
@@ -53,10 +53,8 @@ def open_mesh(
     Raises             InputError
     """
     path, chosen, options = split_place(place)
-    up, front, segments, category = (
-        options.get(k, v)
-        for k, v in (("up", up), ("front", front), ("segments", segments), ("category", category))
-    )
+    up, front = options.get("up", up), options.get("front", front)
+    segments, category = options.get("segments", segments), options.get("category", category)
     crease_deg = _angle(place, options.get("crease", crease_deg))
     kind = Path(path).suffix.lower()
     if chosen is not None or kind == ".sh3f":

@@ -4,6 +4,8 @@ Segments: 1 screen; 2 casing and stand. The screen faces +x. Sizes are those of 
 metres: 0.30–1.2 wide, 4:3 to 32:9.
 """
 
+from functools import partial
+
 import numpy as np
 
 from factory.shapes.assembly import Assembly
@@ -85,16 +87,13 @@ def dual(a: Assembly, rng: np.random.Generator) -> None:
     wide, high, pieces = draw_panel(rng, rng.uniform(0.45, 0.6), aspect)
     if rng.random() < 0.7:
         lift, turn = high / 2 + rng.uniform(0.06, 0.14), rng.uniform(0.05, 0.35)
+
+        def beside(p: Surface, s: float) -> Surface:
+            moved = p.moved(0, s * (wide / 2 + 0.006), 0)
+            return moved.turned("z", -s * turn).moved(0.04, 0, lift)
+
         for s in LEFT_RIGHT:
-            add_panel(
-                a,
-                pieces,
-                lambda p, s=s: (
-                    p.moved(0, s * (wide / 2 + 0.006), 0)
-                    .turned("z", -s * turn)
-                    .moved(0.04, 0, lift)
-                ),
-            )
+            add_panel(a, pieces, partial(beside, s=s))
             path = rounded_path(
                 [
                     [-0.09, 0, lift],
@@ -111,12 +110,12 @@ def dual(a: Assembly, rng: np.random.Generator) -> None:
     else:
         lift = high + rng.uniform(0.05, 0.1)
         tilt = rng.uniform(0.0, 0.12)
+
+        def above(p: Surface, s: float) -> Surface:
+            return p.turned("y", s * tilt).moved(0.03, 0, lift + s * (high / 2 + 0.01))
+
         for s in LEFT_RIGHT:
-            add_panel(
-                a,
-                pieces,
-                lambda p, s=s: p.turned("y", s * tilt).moved(0.03, 0, lift + s * (high / 2 + 0.01)),
-            )
+            add_panel(a, pieces, partial(above, s=s))
             a.add(
                 "arm",
                 rounded_box([0.1, 0.08, 0.08], 0.012, edge=2).moved(-0.05, 0, lift + s * high / 2),
@@ -337,13 +336,13 @@ def tube_monitor(a: Assembly, rng: np.random.Generator) -> None:
         "foot",
         revolve(
             [
-                [0, 0],
-                [foot, 0],
+                [0.0, 0.0],
+                [foot, 0.0],
                 [foot, 0.012],
                 [foot * 0.75, 0.022],
                 [foot * 0.55, 0.05],
                 [foot * 0.6, 0.1],
-                [0, 0.11],
+                [0.0, 0.11],
             ],
             40,
         ).moved(0.03, 0, 0),
@@ -393,7 +392,9 @@ def tube_television(a: Assembly, rng: np.random.Generator) -> None:
     add_panel(a, pieces, lambda s: closed(s.vertices, s.faces).moved(deep / 2 + 0.016, shift, lift))
     y = wide / 2 - (wide - tube_wide) / 2 + 0.012
     for k in range(2):
-        knob = revolve([[0, 0], [0.03, 0], [0.027, 0.03], [0, 0.032]], 24).turned("y", np.pi / 2)
+        knob = revolve([[0.0, 0.0], [0.03, 0.0], [0.027, 0.03], [0.0, 0.032]], 24).turned(
+            "y", np.pi / 2
+        )
         a.add("knob", knob.moved(deep / 2 - 0.004, y, lift + high * (0.3 - 0.2 * k)), CASE)
     for z in np.linspace(-0.36, -0.04, 7) * high:
         a.add(

@@ -33,7 +33,7 @@ def rounded_rectangle(
 
     Straight runs are subdivided so that they can be bent.
     """
-    points = []
+    points: list[np.ndarray] = []
     radius = min(radius, 0.49 * min(wide, high))
     for k, (sy, sz) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
         angle = np.linspace(k * np.pi / 2, (k + 1) * np.pi / 2, steps + 1)
@@ -113,7 +113,7 @@ def panel(
     case = loft(np.array(back + rings + front + face + lowered))
 
     def plate(share, x, rise):
-        """Return one ring of the screen; a tube's screen is a dome over both its width and its height."""
+        """Return one ring of the screen; a tube's screen is a dome in both directions."""
         points = ring(inner, share * 0.999, x, middle)
         across = (points[:, 1:] - middle) / np.ptp(inner, axis=0) * 2
         points[:, 0] += rise * np.prod(1 - across**2, axis=1)
@@ -234,11 +234,11 @@ def stand(
         if kind == "disc":
             outline = superellipse(48) * [depth / 2, depth / 2]
         elif kind == "arc":
-            angle = np.linspace(-1.2, 1.2, 25)
+            turn = np.linspace(-1.2, 1.2, 25)
             path = np.stack(
                 [
-                    column - 0.05 + 0.2 * np.cos(angle) - 0.02,
-                    0.2 * np.sin(angle) * reach / 0.24,
+                    column - 0.05 + 0.2 * np.cos(turn) - 0.02,
+                    0.2 * np.sin(turn) * reach / 0.24,
                     np.full(25, 0.009),
                 ],
                 1,

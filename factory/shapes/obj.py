@@ -16,10 +16,10 @@ import numpy as np
 from factory.shapes.raw import (
     AGAIN,
     LONGEST_LINE,
+    Polygons,
     Raw,
     from_polygons,
     glimpse,
-    number,
     require_count,
     text_lines,
 )
@@ -35,16 +35,15 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
     """Return the Raw of an OBJ file. See factory.shapes.raw."""
     require_count(1, maximum, where, size)  # there is no header, and counting reads all of it
     require_count(_count(file, where), maximum, where)
-    vertices, corners, lengths, material = array("d"), array("q"), array("q"), array("q")
-    names, current, unknown = {}, 0, Counter()
+    polygons, material, current = Polygons(), array("q"), 0
+    names: dict[str, int] = {}
+    unknown: Counter[bytes] = Counter()
     for line, key, words in _statements(file, where):
         try:
             if key == b"v":
-                vertices.extend((number(words[0]), number(words[1]), number(words[2])))
+                polygons.add_vertex(words)
             elif key in (b"f", b"fo"):
-                polygon = _polygon(words, len(vertices) // 3)
-                corners.extend(polygon)
-                lengths.append(len(polygon))
+                polygons.add_polygon(_polygon(words, polygons.vertices))
                 material.append(current)
             elif key == b"usemtl":
                 current = names.setdefault(
@@ -58,9 +57,7 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
                 f"{where}: line {line}", "a vertex or face", f"'{text}'", AGAIN
             ) from None
     return from_polygons(
-        np.array(vertices, float).reshape(-1, 3),
-        np.array(corners, np.int64),
-        np.array(lengths, np.int64),
+        *polygons.arrays(),
         where,
         ("", *names),
         np.array(material, np.int64),
@@ -116,7 +113,8 @@ def _count(file, where):
 
 def _statements(file, where) -> Iterator[tuple[int, bytes, list[bytes]]]:
     """Yield (number of the last line, first word, other words) of each statement but comments."""
-    held, size = [], 0  # pieces of a statement that goes on
+    held: list[bytes] = []  # pieces of a statement that continues
+    size = 0
     for line, text in enumerate(text_lines(file, where, TEXT), 1):
         words = text.split()
         if not held and (not words or words[0].startswith(b"#")):

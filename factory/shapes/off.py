@@ -4,18 +4,15 @@ Colours and normals are ignored. Source: Geomview's manual, "OFF Files". COFF an
 or normals behind a vertex's coordinates.
 """
 
-from array import array
 from pathlib import Path
 from typing import BinaryIO
 
-import numpy as np
-
 from factory.shapes.raw import (
     AGAIN,
+    Polygons,
     Raw,
     from_polygons,
     glimpse,
-    number,
     require_count,
     text_lines,
     whole_number,
@@ -37,25 +34,23 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
             "download or export it again",
         )
     require_count(max(face_count, vertex_count // 4) if face_count else 0, maximum, where, size)
-    vertices, corners, lengths = array("d"), array("q"), array("q")
+    polygons = Polygons()
     line, words = 0, []
     try:
         for _ in range(vertex_count):
             line, words = next(rows)
-            vertices.extend((number(words[0]), number(words[1]), number(words[2])))
+            polygons.add_vertex(words)
         for _ in range(face_count):
             line, words = next(rows)
             count = whole_number(words[0])
             if not 0 <= count < len(words):
                 raise ValueError
-            corners.extend([whole_number(word) for word in words[1 : 1 + count]])
-            lengths.append(count)
-            if len(corners) - 2 * len(lengths) > maximum:
-                require_count(len(corners) - 2 * len(lengths), maximum, where)
+            polygons.add_polygon([whole_number(word) for word in words[1 : 1 + count]])
+            polygons.require_count(maximum, where)
     except InputError:
         raise
     except StopIteration:
-        result = f"the end after {len(vertices) // 3:,} and {len(lengths):,}"
+        result = f"the end after {polygons.vertices:,} and {polygons.polygons:,}"
         raise InputError(
             where,
             f"{vertex_count:,} vertices and {face_count:,} faces",
@@ -66,12 +61,7 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
         raise InputError(
             f"{where}: line {line}", "a vertex or face", f"'{glimpse(b' '.join(words))}'", AGAIN
         ) from None
-    return from_polygons(
-        np.array(vertices, float).reshape(-1, 3),
-        np.array(corners, np.int64),
-        np.array(lengths, np.int64),
-        where,
-    )
+    return from_polygons(*polygons.arrays(), where)
 
 
 def _rows(file, where):

@@ -7,6 +7,7 @@ mixed; properties and elements that no mesh needs are ignored.
 
 import re
 import struct
+from abc import ABC, abstractmethod
 from array import array
 from codecs import BOM_UTF8
 from dataclasses import dataclass, field
@@ -19,10 +20,10 @@ import numpy as np
 from factory.shapes.raw import (
     AGAIN,
     NOTHING,
+    Polygons,
     Raw,
     from_polygons,
     glimpse,
-    number,
     require_count,
     text_lines,
     whole_number,
@@ -97,9 +98,10 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
         raise InputError(where, expected, f"{size:,} bytes", DOWNLOAD)
     require_count(max(face.count, vertex.count // 4) if face.count else 0, maximum, where, size)
     requested = _columns(vertex, face, where)
-    rows = _Text(file, where) if order is None else _Binary(file, start, where, order)
+    rows: _Rows = _Text(file, where) if order is None else _Binary(file, start, where, order)
     for element in elements:
-        rows.take(element, *requested.get(element.name, ((), None)), maximum)
+        single, listed = requested.get(element.name, ((), None))
+        rows.take(element, single, listed, maximum)
     rows.end()
     return from_polygons(rows.vertices, rows.corners, rows.lengths, where)
 
@@ -119,7 +121,8 @@ def _header(file, where):
             f"'{glimpse(head)}'",
             "check the file's ending, or that it holds more than points",
         )
-    elements, order = [], "none"
+    elements: list[Element] = []
+    order: str | None = "none"
     for place, line in enumerate(lines[1:end], 2):
         words = line.decode("latin-1").split()
         try:
@@ -147,7 +150,9 @@ def _header(file, where):
     return elements, order, start + sum(len(line) + 1 for line in lines[: end + 1])
 
 
-def _columns(vertex, face, where):
+def _columns(
+    vertex: Element, face: Element, where: str | Path
+) -> dict[str, tuple[tuple[int, ...], int | None]]:
     """Return {element: (indices of single values, index of a list)}."""
     try:
         xyz = tuple(vertex.place(name) for name in "xyz")
@@ -171,14 +176,24 @@ def _columns(vertex, face, where):
     return {"vertex": (xyz, None), "face": ((), indices)}
 
 
-class _Rows:
-    """The values read so far: vertices (V, 3) float64; polygons as corners (C,) and lengths (P,)."""
+class _Rows(ABC):
+    """Values read so far: vertices (V, 3) float64, polygons as corners (C,) and lengths (P,)."""
 
     vertices = np.zeros((0, 3))
     corners = lengths = np.zeros(0, np.int64)
 
     def __init__(self, where: str | Path) -> None:
         self.where = where
+
+    @abstractmethod
+    def take(
+        self, element: Element, single: tuple[int, ...], listed: int | None, maximum: int
+    ) -> None:
+        """Read an element's rows; keep the values at indices `single` and the list at `listed`."""
+
+    @abstractmethod
+    def end(self) -> None:
+        """Raise InputError if there is more than the header says."""
 
     def _keep(self, element, maximum, values=None, corners=None, lengths=None):
         if element.name == "vertex":
@@ -210,33 +225,25 @@ class _Text(_Rows):
     def take(
         self, element: Element, single: tuple[int, ...], listed: int | None, maximum: int
     ) -> None:
-        """Read an element's rows; keep its values at the indices `single` and the list at `listed`."""
+        """Read an element's rows; keep the values at indices `single` and the list at `listed`."""
         if not element.properties:
             return
-        values, corners, lengths = array("d"), array("q"), array("q")
+        polygons = Polygons()
         plain = not any(p.count for p in element.properties)
         seen = 0
         for line, words in islice(self.lines, element.count):
             seen += 1
             try:
-                if plain:
-                    if len(words) < len(element.properties):
-                        raise IndexError
-                    values.extend([number(words[k]) for k in single])
-                    continue
-                starts = self._offsets(element, words)
-                values.extend([number(words[starts[k]]) for k in single])
+                if plain and len(words) < len(element.properties):
+                    raise IndexError
+                starts = range(len(words)) if plain else self._offsets(element, words)
+                if single:
+                    polygons.add_vertex([words[starts[k]] for k in single])
                 if listed is not None:
-                    count = whole_number(words[starts[listed]])
-                    corners.extend(
-                        [
-                            whole_number(word)
-                            for word in words[starts[listed] + 1 : starts[listed] + 1 + count]
-                        ]
-                    )
-                    lengths.append(count)
-                    if len(corners) - 2 * len(lengths) > maximum:
-                        require_count(len(corners) - 2 * len(lengths), maximum, self.where)
+                    first = starts[listed] + 1
+                    count = whole_number(words[first - 1])
+                    polygons.add_polygon([whole_number(w) for w in words[first : first + count]])
+                    polygons.require_count(maximum, self.where)
             except InputError:
                 raise
             except (ValueError, IndexError, OverflowError):
@@ -246,13 +253,7 @@ class _Text(_Rows):
                 ) from None
         if seen < element.count:
             raise self._short(element)
-        self._keep(
-            element,
-            maximum,
-            np.array(values, float).reshape(-1, 3),
-            np.array(corners, np.int64),
-            np.array(lengths, np.int64),
-        )
+        self._keep(element, maximum, *polygons.arrays())
 
     @staticmethod
     def _offsets(element, words):
@@ -288,7 +289,7 @@ class _Binary(_Rows):
     def take(
         self, element: Element, single: tuple[int, ...], listed: int | None, maximum: int
     ) -> None:
-        """Read an element's rows; keep its values at the indices `single` and the list at `listed`."""
+        """Read an element's rows; keep the values at indices `single` and the list at `listed`."""
         if not element.properties or not element.count:
             return
         lengths = [
@@ -305,13 +306,14 @@ class _Binary(_Rows):
         )
         corners = counts = None
         if listed is not None:
-            require_count(len(table) * max(lengths[listed] - 2, 0) or -1, maximum, self.where)
+            length = lengths[listed] or 0
+            require_count(len(table) * max(length - 2, 0) or -1, maximum, self.where)
             corners = (
                 table[f"p{listed}"].astype(np.int64).reshape(-1)
-                if lengths[listed]
+                if length
                 else np.zeros(0, np.int64)
             )
-            counts = np.full(len(table), lengths[listed], np.int64)
+            counts = np.full(len(table), length, np.int64)
         self._keep(element, maximum, values, corners, counts)
 
     def _first_length(self, element, place):
@@ -332,7 +334,7 @@ class _Binary(_Rows):
 
         Raises  InputError if there are too few data
         """
-        fields = []
+        fields: list[tuple] = []
         for k, (each, length) in enumerate(zip(element.properties, lengths, strict=True)):
             if each.count:
                 fields.append((f"n{k}", self.order + each.count))
@@ -400,12 +402,12 @@ class _Binary(_Rows):
             raw = np.frombuffer(data, np.uint8)[byte[:, None] + np.arange(type_.itemsize)]
             corners = np.ascontiguousarray(raw).view(type_).reshape(-1).astype(np.int64)
         order = np.argsort(single)  # values stand in the order of the properties
-        values = (
+        xyz = (
             np.array(values, float).reshape(-1, max(len(single), 1))[:, np.argsort(order)]
             if single
             else None
         )
-        self._keep(element, maximum, values, corners, np.array(lengths, np.int64))
+        self._keep(element, maximum, xyz, corners, np.array(lengths, np.int64))
 
     def end(self) -> None:
         """Raise InputError if there is more than the header says."""

@@ -53,8 +53,8 @@ def triangulate(
     vertices  (V, 3), any frame and unit
     corners   (C,) indices into vertices, polygon after polygon
     lengths   (P,) corners of each polygon, 3 or more
-    depth     a notch less deep than this, in units of the vertices, counts as rounding: the fan covers
-              it
+    depth     a notch less deep than this, in units of the vertices, counts as rounding: the fan
+              covers it
     Raises    TooLarge before time is spent
     """
     faces, owner = fans(corners, lengths)
@@ -71,7 +71,7 @@ def triangulate(
 
 
 def fans(corners: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return polygons as triangles (F, 3) around each first corner, and the polygon (F,) of each."""
+    """Return triangles (F, 3) around each polygon's first corner, and the polygon (F,) of each."""
     triangles = lengths - 2
     owner = np.repeat(np.arange(len(lengths)), triangles)
     step = np.arange(triangles.sum()) - np.repeat(np.cumsum(triangles) - triangles, triangles)
@@ -85,7 +85,7 @@ def fans(corners: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _ranges(starts, lengths):
-    """Return the whole numbers start, …, start + length - 1 of each range, one range after another."""
+    """Return the whole numbers start, …, start + length - 1 of each range, range after range."""
     return np.arange(lengths.sum()) + np.repeat(starts - (np.cumsum(lengths) - lengths), lengths)
 
 
@@ -152,7 +152,7 @@ def _flattened(points, lengths):
     points = points - points[starts][polygon]
     ahead = points[_next(lengths)]
     cross = np.cross(points, ahead)
-    normal = np.stack([np.bincount(polygon, cross[:, k]) for k in range(3)], axis=1)
+    normal: np.ndarray = np.stack([np.bincount(polygon, cross[:, k]) for k in range(3)], axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     least = np.eye(3)[np.abs(normal).argmin(axis=1)]  # the axis farthest from the normal
     right = np.cross(normal, least)
@@ -195,10 +195,10 @@ class _Ears:
         self.covered = np.zeros(len(lengths))  # doubled area of the triangles
         self.whole = np.bincount(self.polygon, _cross(xy, xy[self.after]))
         self.tests = self.cuts = 0
-        self.blockers = []
+        self.blockers: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     def cut(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return triangles (F, 3) of corners, and the polygon (F,) of each, in the order of cutting."""
+        """Return triangles (F, 3) of corners, and the polygon (F,) of each, in cutting order."""
         triangles, owners = [], []
         every = np.arange(len(self.xy))
         self._measure(every)
@@ -317,11 +317,12 @@ class _Ears:
         return blocked
 
     def _inside(self, point, which, triangle):
-        """Return the pairs (indices) whose point lies in its triangle and keeps it from being an ear.
+        """Return the pairs (indices) of points that lie in their triangle and block its ear.
 
-        Point (K,) belongs to triangle number which (K,) of (C, 3). A point blocks in the triangle and on
-        its cut. On the other two sides, and on a corner of the triangle, it touches the polygon, and blocks
-        only if the polygon continues from there into the triangle.
+        Point (K,) belongs to triangle number which (K,) of (C, 3). A point blocks in the triangle
+        and on
+        its cut. On the other two sides, and on a corner of the triangle, it touches the polygon,
+        and blocks only if the polygon continues from there into the triangle.
         """
         pairs = np.arange(len(point))
         for side in (2, 0, 1):  # the cut first: most points lie beyond it
@@ -353,8 +354,8 @@ class _Ears:
     def _with_forced(self, ears, polygons):
         """Return the ears, and some corner of each polygon without one.
 
-        Such a polygon crosses itself, or rounding hides its ears. All its corners are judged again when it
-        has lost half of them since the last time.
+        Such a polygon crosses itself, or rounding hides its ears. All its corners are judged again
+        when it has lost half of them since the last time.
         """
         stuck = np.setdiff1d(polygons[self.left[polygons] > 2], self.polygon[ears])
         if not len(stuck):

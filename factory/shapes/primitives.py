@@ -123,7 +123,8 @@ def _cube_sphere(steps):
         1,
     ]
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    vertices, faces = [], []
+    grids: list[np.ndarray] = []
+    faces: list[np.ndarray] = []
     for axis in range(3):
         for sign in (-1.0, 1.0):
             grid = np.empty((count * count, 3))
@@ -132,9 +133,11 @@ def _cube_sphere(steps):
                 (ticks + tiny)[i],
                 (ticks + tiny)[j],
             )
-            faces.append((triangles if sign > 0 else triangles[:, ::-1]) + sum(map(len, vertices)))
-            vertices.append(grid)
-    vertices = np.concatenate(vertices)
+            faces.append(
+                (triangles if sign > 0 else triangles[:, ::-1]) + sum(len(g) for g in grids)
+            )
+            grids.append(grid)
+    vertices = np.concatenate(grids)
     _, first, inverse = np.unique(
         np.round(vertices, 10), axis=0, return_index=True, return_inverse=True
     )

@@ -86,7 +86,7 @@ def _boxes(x, y, size):
 
 
 def _parts(block, cost):
-    """Return slices of faces, whole blocks, of about CHUNK / 4 pixels each, but at least a block."""
+    """Return slices of faces, of whole blocks and about CHUNK / 4 pixels, at least a block."""
     if not len(block):
         return []
     first = np.flatnonzero(np.diff(block, prepend=-1))
@@ -193,8 +193,8 @@ def picture(
 def back_faces(vertices: np.ndarray, faces: np.ndarray, size: int = 96) -> np.ndarray:
     """Return how many pixels see each face's outer and inner side (F, 2).
 
-    They are counted from 14 sides: the cube's sides and corners. The frame is coarser where faces would
-    fill it thousands of times (MOST_LOOKED_AT).
+    They are counted from 14 sides: the cube's sides and corners. The frame is coarser where faces
+    would fill it thousands of times (MOST_LOOKED_AT).
     """
     counts = np.zeros((len(faces), 2), int)
     views = [(k * np.pi / 2, 0.0) for k in range(4)] + [(0.0, np.pi / 2), (0.0, -np.pi / 2)]

@@ -6,7 +6,8 @@ more than `maximum` triangles.
 """
 
 import codecs
-from collections.abc import Iterator
+from array import array
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -33,7 +34,7 @@ NOTHING = "check that the file holds a surface, not points or curves"
 
 @dataclass(frozen=True)
 class Raw:
-    """vertices (V, 3) and faces (F, 3) of a file; material (F,) indexes materials, the OBJ's names."""
+    """vertices (V, 3) and faces (F, 3) of a file; material (F,) indexes the OBJ's materials."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -116,6 +117,45 @@ def _cut(vertices, corners, lengths, where):
         ) from None
 
 
+class Polygons:
+    """Vertices and polygons of a text file while it is read."""
+
+    def __init__(self) -> None:
+        self._xyz, self._corners, self._lengths = array("d"), array("q"), array("q")
+
+    @property
+    def vertices(self) -> int:
+        """How many vertices there are so far."""
+        return len(self._xyz) // 3
+
+    @property
+    def polygons(self) -> int:
+        """How many polygons there are so far."""
+        return len(self._lengths)
+
+    def add_vertex(self, words: Sequence[bytes]) -> None:
+        """Add a vertex of three words. Raises ValueError, IndexError."""
+        self._xyz.extend((number(words[0]), number(words[1]), number(words[2])))
+
+    def add_polygon(self, corners: Sequence[int]) -> None:
+        """Add a polygon of indices."""
+        self._corners.extend(corners)
+        self._lengths.append(len(corners))
+
+    def require_count(self, maximum: int, where: str | Path) -> None:
+        """Raise InputError as soon as the polygons make more than `maximum` triangles."""
+        if (triangles := len(self._corners) - 2 * len(self._lengths)) > maximum:
+            require_count(triangles, maximum, where)
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return vertices (V, 3), corners (C,) and lengths (P,)."""
+        return (
+            np.array(self._xyz, float).reshape(-1, 3),
+            np.array(self._corners, np.int64),
+            np.array(self._lengths, np.int64),
+        )
+
+
 def text_lines(file: BinaryIO, where: str | Path, what: str) -> Iterator[bytes]:
     """Yield the lines of a text file from its start, each with its end: Unix, Windows or old Mac.
 
@@ -148,7 +188,7 @@ def text_lines(file: BinaryIO, where: str | Path, what: str) -> Iterator[bytes]:
 
 
 def number(word: bytes) -> float:
-    """Return a coordinate. Raises ValueError for any other word, and for 1_000, which Python reads."""
+    """Return a coordinate. Raises ValueError for any other word, even 1_000."""
     if b"_" in word:
         raise ValueError(word)
     return float(word)
@@ -156,15 +196,17 @@ def number(word: bytes) -> float:
 
 def whole_number(word: bytes) -> int:
     """Return an index or a count; 3.0 is 3. Raises ValueError, OverflowError."""
-    try:
-        value = int(word) if b"_" not in word else None
-    except ValueError:
-        value = float(word)
-        if value != int(value):
-            value = None
-    if value is None or abs(value) >= 1 << 62:
+    if b"_" in word:
         raise ValueError(word)
-    return int(value)
+    try:
+        value = int(word)
+    except ValueError:
+        value = int(float(word))
+        if value != float(word):
+            raise
+    if abs(value) >= 1 << 62:
+        raise ValueError(word)
+    return value
 
 
 def glimpse(data: bytes) -> str:

@@ -4,7 +4,7 @@ Segments: 1 upholstery; 2 feet and frame. Sizes are those of real sofas, in metr
 wide, 0.50–0.65 deep, 0.38–0.46 high, the back to 0.68–1.0.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,9 +53,15 @@ def build(seed: int) -> Mesh:
     if style == "curved":
         seats = max(seats, 2)
     plan = Plan(
-        seats, seats * rng.uniform(0.56, 0.76), rng.uniform(0.54, 0.68), rng.uniform(0.38, 0.46), rng.uniform(0.70, 0.98),
-        rng.uniform(0.04, 0.17), rng.uniform(0.05, 0.24), rng.uniform(0.11, 0.2),
-    )  # fmt: skip
+        seats=seats,
+        width=seats * rng.uniform(0.56, 0.76),
+        depth=rng.uniform(0.54, 0.68),
+        height=rng.uniform(0.38, 0.46),
+        back=rng.uniform(0.70, 0.98),
+        low=rng.uniform(0.04, 0.17),
+        lean=rng.uniform(0.05, 0.24),
+        thick=rng.uniform(0.11, 0.2),
+    )
     a = Assembly()
     {"upholstered": upholstered, "framed": framed, "chesterfield": chesterfield, "curved": curved}[
         style
@@ -140,8 +146,8 @@ def arms(a: Assembly, rng: np.random.Generator, p: Plan, kind: str, chaise: int 
                 ).moved(middle, y, (high + p.low) / 2 - 0.02),
                 SOFT,
             )
-            path = [[x_rear, y + side * 0.02, high - 0.03], [x_front, y + side * 0.02, high - 0.03]]
-            a.add("arm roll", rod(*path, thick * 0.62, around=24, bevel=0.25), SOFT)
+            rear, front = ([x, y + side * 0.02, high - 0.03] for x in (x_rear, x_front))
+            a.add("arm roll", rod(rear, front, thick * 0.62, around=24, bevel=0.25), SOFT)
         elif kind == "pad":
             a.add(
                 "arm",
@@ -388,16 +394,8 @@ def framed(a: Assembly, rng: np.random.Generator, p: Plan) -> None:
 
 def chesterfield(a: Assembly, rng: np.random.Generator, p: Plan) -> None:
     """Add rolled arms as high as the back, buttons on the back, and turned feet."""
-    p = Plan(
-        p.seats,
-        p.width,
-        p.depth,
-        p.height,
-        p.height + rng.uniform(0.28, 0.36),
-        max(p.low, 0.08),
-        0.1,
-        0.16,
-    )
+    back = p.height + rng.uniform(0.28, 0.36)
+    p = replace(p, back=back, low=max(p.low, 0.08), lean=0.1, thick=0.16)
     base(a, p)
     seat_cushions(a, rng, p, int(rng.choice([1, p.seats])))
     back_body(a, rng, p, "flat")

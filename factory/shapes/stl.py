@@ -43,7 +43,8 @@ def _raw(corners):
 def _from_text(file, where, maximum):
     """Return corners (F, 3, 3) of the triangles of a text file; each solid must have its end."""
     corners, solids, words = array("d"), 0, []
-    line, inside = 0, None  # corners of the loop that is open
+    line = 0
+    inside: int | None = None  # corners of the loop that is open
     try:
         for line, text in enumerate(text_lines(file, where, "an STL file's text"), 1):  # noqa: B007 (named in the error)
             words = text.lower().split()
@@ -67,6 +68,8 @@ def _from_text(file, where, maximum):
                             number(words[place + 3]),
                         )
                     )
+                    if inside is None:
+                        raise ValueError
                     inside += 1
                     place += 3
                 elif word == b"endloop":
@@ -78,12 +81,12 @@ def _from_text(file, where, maximum):
                 place += 1
     except InputError:
         raise
-    except (ValueError, IndexError, TypeError):
-        text = glimpse(b" ".join(words))
+    except (ValueError, IndexError):
+        found = glimpse(b" ".join(words))
         raise InputError(
             f"{where}: line {line}",
             "a triangle between 'outer loop' and 'endloop'",
-            f"'{text}'",
+            f"'{found}'",
             AGAIN,
         ) from None
     if solids or inside is not None:

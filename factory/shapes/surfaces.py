@@ -108,7 +108,7 @@ def loft(rings: ArrayLike) -> Surface:
 
 
 def smooth_path(points: ArrayLike, count: int) -> np.ndarray:
-    """Return `count` points (count, 3) along a smooth curve through points (P, 3), by chord length."""
+    """Return `count` points (count, 3) of a smooth curve through points (P, 3), by chord length."""
     points = np.asarray(points, float)
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     return CubicSpline(length, points)(np.linspace(0, length[-1], count))
@@ -200,7 +200,8 @@ def tube(
     body = rings(slice(None), 1.0, 0.0)
     if ring:
         return closed(body.reshape(-1, 3), grid_faces(len(path), around, True, True))
-    start, finish = [], []
+    start: list[np.ndarray] = []
+    finish: list[np.ndarray] = []
     for angle in np.linspace(0, np.pi / 2, 4)[1:]:
         shrink = 1 - bevel + bevel * np.cos(angle)
         start.insert(0, rings([0], shrink, -bevel * size[0].min() * np.sin(angle)))
@@ -311,14 +312,15 @@ def rounded_box(
     count = len(ticks[0])
     i, j = (g.ravel() for g in np.meshgrid(np.arange(count), np.arange(count), indexing="ij"))
     side = grid_faces(count, count)
-    index, faces = [], []
+    places: list[np.ndarray] = []
+    faces: list[np.ndarray] = []
     for axis in range(3):
         for end in (0, count - 1):
             place = np.empty((count * count, 3), int)
             place[:, axis], place[:, (axis + 1) % 3], place[:, (axis + 2) % 3] = end, i, j
-            faces.append((side if end else side[:, ::-1]) + len(index) * count * count)
-            index.append(place)
-    index = np.concatenate(index)
+            faces.append((side if end else side[:, ::-1]) + len(places) * count * count)
+            places.append(place)
+    index = np.concatenate(places)
     corner = np.stack([ticks[axis][index[:, axis]] for axis in range(3)], 1)
     flat = np.clip(corner, -(half - radius), half - radius)
     away = corner - flat
