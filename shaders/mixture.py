@@ -147,8 +147,8 @@ def check(mixture: Mixture) -> None:
         array = getattr(mixture, name)
         if array.shape != shape:
             raise ValueError(
-                f"mixture.{name}: expected shape {shape}, found {array.shape} (one row a stop, one"
-                " column a closure)"
+                f"mixture.{name}: expected shape {shape}, found {array.shape} (one row per stop,"
+                " one column per closure)"
             )
         if not np.isfinite(array).all():
             raise ValueError(

@@ -23,15 +23,13 @@ def basis(theta_d: Array) -> Array:
     x = xp.clip(theta_d * (2 * INTERVALS / np.pi), 0.0, float(INTERVALS))
 
     def edge(x):
-        """First two functions seen from a clamped end at x = 0: each lives on one or two
-        intervals.
-        """
+        """Return the first two functions from a clamped end at x = 0, on one and two intervals."""
         first = xp.where(x < 1, (1 - x) ** 2, 0 * x)
         second = xp.where(x < 1, 2 * x - 1.5 * x * x, xp.where(x < 2, 0.5 * (2 - x) ** 2, 0 * x))
         return first, second
 
     def inner(x):
-        """The uniform quadratic B-spline on [0, 3]."""
+        """Return the uniform quadratic B-spline on [0, 3]."""
         rise, fall = 0.5 * x * x, 0.5 * (3 - x) ** 2
         middle = 0.75 - (x - 1.5) ** 2
         curve = xp.where(x < 1, rise, xp.where(x < 2, middle, fall))

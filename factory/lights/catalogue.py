@@ -63,7 +63,7 @@ def names(library: str | Path | None = None) -> list[str]:
 
 
 def wheel_maps() -> dict[str, Path]:
-    """Return {name: path} of the maps inside the bpy wheel, which is not imported; {} without it."""
+    """Return {name: path} of the maps inside the bpy wheel, {} without it; bpy is not imported."""
     spec = importlib.util.find_spec("bpy")
     if spec is None or spec.origin is None:
         return {}

@@ -24,7 +24,7 @@ LIST = "lights.json"
 
 
 def entry(folder: str | Path, name: str) -> dict[str, str]:
-    """Return {file, hash, licence, source} of a name in the folder's list, {} if it is not there."""
+    """Return {file, hash, licence, source} of a name in the folder's list, or {} without it."""
     return read_list(folder).get(name, {})
 
 

@@ -111,7 +111,7 @@ def checked(pixels: np.ndarray, where: str | Path) -> np.ndarray:
             "scale the map and save it again",
         )
     if looks_like_eight_bits(pixels):
-        result = "at most 256 levels a channel and none above 1, as in an 8-bit picture"
+        result = "at most 256 levels per channel and none above 1, as in an 8-bit picture"
         raise InputError(
             where,
             "high-dynamic-range radiance",

@@ -12,9 +12,9 @@ DIFFUSE_SIZE = (32, 64)  # texels summed for the diffuse sphere; a cosine lobe i
 
 
 def sphere_normals(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return normals (size, size, 3) of a sphere that fills the picture, camera frame, and its mask.
+    """Return normals (size, size, 3) of a sphere that fills the picture, and its mask.
 
-    The normals are 0 outside the mask.
+    The normals are in the camera frame and 0 outside the mask.
     """
     x, y = frames.pixel_grid(size, size)
     inside = x * x + y * y < 1

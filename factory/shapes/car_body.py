@@ -38,7 +38,7 @@ class Form:
     wheel: float  # radius
     corner: float  # the plan's exponent: 4 a round nose, 9 a square one
     shoulder: float  # the section's exponent above its widest line
-    tumblehome: float  # how much narrower the roof is than the belt, m a side
+    tumblehome: float  # how much narrower the roof is than the belt, m per side
     bow: float  # how far the windscreen's middle stands before its sides, m
     bed: tuple[float, float] | None = None  # a pickup's bed or an open cockpit, from x to x
     bed_floor: float = 0.02  # its height above the section's widest line; below it: a cockpit
