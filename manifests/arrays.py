@@ -33,7 +33,8 @@ from manifests import archives, exr
 from manifests.errors import InputError
 from manifests.files import npz_bytes
 from manifests.inputs import require_file
-from shaders.envmap import LUMINANCE, mean_radiance
+from shaders.envmap import mean_radiance
+from shaders.tone import LUMINANCE
 
 PICTURE_CHANNELS = ("R", "G", "B")
 NORMAL_CHANNELS = ("normal.X", "normal.Y", "normal.Z")

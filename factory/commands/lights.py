@@ -116,11 +116,11 @@ def run_list(options: argparse.Namespace) -> int:
 
 
 def _line(light: Light) -> str:
-    from shaders import envmap
+    from shaders import envmap, tone
 
-    energy = (light.L64 @ envmap.LUMINANCE) * envmap.row_solid_angles(*light.L64.shape[:2])[:, None]
+    energy = (light.L64 @ tone.LUMINANCE) * envmap.row_solid_angles(*light.L64.shape[:2])[:, None]
     size = f"{light.L_full.shape[1]}×{light.L_full.shape[0]}"
-    peak, share = float((light.L_full @ envmap.LUMINANCE).max()), float(energy.max() / energy.sum())
+    peak, share = float((light.L_full @ tone.LUMINANCE).max()), float(energy.max() / energy.sum())
     return (
         f"{light.name:<16} {size:>10} {peak:>10.1f} {share:>10.1%}  {light.licence:<12}"
         f" {light.source}"

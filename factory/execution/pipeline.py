@@ -30,8 +30,8 @@ from manifests.schema import Camera, Job, Record, Statistics, View
 from manifests.store import Store, geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap
-from shaders.envmap import LUMINANCE
 from shaders.mixture import Mixture
+from shaders.tone import LUMINANCE
 
 if TYPE_CHECKING:
     from factory.lights.light import Light

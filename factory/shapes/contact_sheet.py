@@ -1,18 +1,30 @@
-"""Contact sheets of shapes: each seen from the front left, named and counted. No Blender:
-factory.shapes.raster draws.
+"""Contact sheets of shapes, each seen from the front left and named.
+
+factory.shapes.raster draws them without Blender.
 """
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw
 
+from factory.shapes.mesh import Mesh
 from factory.shapes.raster import picture
 
 AZIMUTH = 0.65  # radians: the front and the left side
 
 
-def contact_sheet(meshes, count, *, columns=None, size=160, azimuths=(AZIMUTH,)):
-    """A PIL image of `count` meshes (an iterable of Mesh or of one-line errors), row after row.
+def contact_sheet(
+    meshes: Iterable[Mesh | str],
+    count: int,
+    *,
+    columns: int | None = None,
+    size: int = 160,
+    azimuths: Sequence[float] = (AZIMUTH,),
+) -> Image.Image:
+    """Return a PIL image of `count` meshes, row after row.
 
+    meshes    Mesh, or the one line of an error
     azimuths  radians; several: that many pictures of each mesh, side by side
     """
     columns = columns or max(

@@ -66,10 +66,5 @@ def photographed(rng, image, mask):
             data, "JPEG", quality=int(rng.integers(60, 96))
         )
         encoded = np.asarray(Image.open(data, formats=["JPEG"]), np.float32) / 255.0
-        image = (
-            np.where(
-                encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
-            ).astype(np.float32)
-            / exposure
-        )
+        image = tone.linear_from_srgb(encoded).astype(np.float32) / exposure
     return image

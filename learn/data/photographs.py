@@ -29,7 +29,7 @@ from manifests.arrays import PICTURE_CHANNELS
 from manifests.errors import InputError
 from manifests.inputs import require_file
 from shaders import tone
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 # What Pillow may open. Left out are formats that start other programs (EPS starts Ghostscript),
 # hold several sizes (ICO, ICNS), are read line by line in Python (plain PPM), or that no camera and
@@ -271,9 +271,7 @@ def _upright(picture):
 
 def _linear(values):
     """float32 linear values of display values in [0, 1]: the sRGB curve backwards."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(
-        np.float32
-    )
+    return tone.linear_from_srgb(values).astype(np.float32)
 
 
 def _exr_pixels(path):

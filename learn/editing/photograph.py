@@ -18,7 +18,7 @@ from learn.data import photographs
 from learn.data.records import Records
 from manifests.errors import InputError, closest
 from manifests.schema import Record
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 # coverage from which a mask has greys: half a step of 8 bits is 0.002, and white through the sRGB
 # curve is 1 − 6e-8

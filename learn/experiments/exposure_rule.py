@@ -22,7 +22,7 @@ from learn.data.records import Records
 from learn.metrics import bootstrap
 from manifests.errors import InputError
 from shaders import tone
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 FAR = 2.5  # a factor by which a guess misses and an edit is plainly too dark or too bright
 

@@ -30,7 +30,7 @@ from scipy.ndimage import uniform_filter
 from learn.data import photographs
 from learn.editing.compositor import Compositor, dilated, nearest, upsampled_normals
 from learn.editing.decomposition import Decomposition
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 DETAILS = (0.25, 0.5, 1.0)
 # radius in network pixels; network pixels, and units of the guide, at which a weight is e^-½

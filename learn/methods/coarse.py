@@ -16,7 +16,8 @@ import numpy as np
 
 from learn.engines import machine_code
 from learn.methods import directional
-from shaders.envmap import LUMINANCE, directions
+from shaders.envmap import directions
+from shaders.tone import LUMINANCE
 
 
 def has_level(height, width, level):

@@ -16,7 +16,8 @@ import numpy as np
 import torch
 
 from learn.methods import COMPILED, HELD_LIGHTS, Batch, Card, by_group, directional, first_only
-from shaders.envmap import LUMINANCE, directions
+from shaders.envmap import directions
+from shaders.tone import LUMINANCE
 
 CARD = Card(
     name="median_cut",

@@ -38,7 +38,7 @@ from learn.engines import lights, machine_code, threads
 from learn.engines.derivatives import require_reverse_mode
 from learn.methods import HELD_SAMPLES, Batch, Card, by_group, first_only, load, wants_gradient
 from learn.methods.exact import PAIRS
-from shaders.dsbrdf import MAX_EXPONENT
+from shaders.dsbrdf import MAX_EXPONENT, differentiable_half_angles
 from shaders.spline import basis
 
 CARD = Card(
@@ -284,22 +284,13 @@ def chunk(n, view, m, light, around, solid_angle, camera_from_light):
         texel, share = footprint(w @ camera_from_light.to(w), weight, *light.shape[:2])
     seen = torch.einsum("pic,pick->pik", share, light.reshape(-1, 3)[texel])
     mu = (w * n[:, None]).sum(-1) * weight
-    h, theta_d = half_angles(w, view[:, None])
+    h, theta_d = differentiable_half_angles(w, view[:, None])
     log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
     kappa, gamma = torch.einsum("pib,ksjb->jpiks", basis(theta_d), m)
     f = torch.expm1(
         (kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)
     ).sum(-1)
     return torch.einsum("pik,pi,pik->pk", f, mu, seen)
-
-
-def half_angles(w, v):
-    """h and θ_d as shaders.dsbrdf.half_angles, with derivatives that stay finite where w = v: a
-    corner of θ_d, slope 0 taken.
-    """
-    s, d = w + v, w - v
-    length_s, length_d = (x.square().sum(-1).clamp(min=1e-24).sqrt() for x in (s, d))
-    return s / length_s[..., None], torch.atan2(length_d, length_s)
 
 
 def footprint(w, solid_angle, height, width):

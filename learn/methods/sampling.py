@@ -18,10 +18,11 @@ import torch
 from torch.utils.checkpoint import checkpoint
 
 from learn.methods import by_group, lobe_shapes
-from learn.methods.quadrature import frame_about, half_angles, texel_of
-from shaders.dsbrdf import MAX_EXPONENT
-from shaders.envmap import LUMINANCE, directions
+from learn.methods.quadrature import frame_about, texel_of
+from shaders.dsbrdf import MAX_EXPONENT, differentiable_half_angles
+from shaders.envmap import directions
 from shaders.spline import basis
+from shaders.tone import LUMINANCE
 
 PAIRS = 32768  # samples of one chunk of pixels
 
@@ -158,7 +159,7 @@ def chunk(n, view, m, light, lobes, table, by_light, by_brdf, first):
             ],
             1,
         )
-        h, _ = half_angles(w, view[:, None])
+        h, _ = differentiable_half_angles(w, view[:, None])
         cos_d, cos_h = (h * view[:, None]).sum(-1), (h * n[:, None]).sum(-1)
         seen = ((w * n[:, None]).sum(-1) > 0) & (cos_d > 1e-6) & (cos_h > 0)
         texel = texel_of(
@@ -172,7 +173,7 @@ def chunk(n, view, m, light, lobes, table, by_light, by_brdf, first):
         weight = torch.where(seen & (density > 0), 1 / density.clamp(min=1e-30), 0.0)
         w = torch.where(seen[..., None], w, n[:, None])
     mu = (w * n[:, None]).sum(-1) * weight
-    h, theta_d = half_angles(w, view[:, None])
+    h, theta_d = differentiable_half_angles(w, view[:, None])
     log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
     kappa, gamma = torch.einsum("pib,ksjb->jpiks", basis(theta_d), m)
     f = torch.expm1(

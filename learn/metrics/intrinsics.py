@@ -21,7 +21,7 @@ from learn.layer import predictions
 from learn.metrics.pictures import display_l2
 from learn.metrics.radiometry import irradiance
 from learn.networks.coding import Ranges
-from shaders import dsbrdf, envmap
+from shaders import dsbrdf, envmap, tone
 
 LIMITS_DEG = (11.25, 22.5, 30.0)
 FLOOR = 1e-3  # ε in 1/sr: what lies below a thousandth of a white matte surface's f looks black
@@ -103,7 +103,7 @@ def brightest(L: torch.Tensor) -> np.ndarray:
     """
     w, lobes = _lobes()
     luminance = (
-        envmap.resize(array(L.movedim(0, -1).double()), *COARSE).reshape(-1, 3) @ envmap.LUMINANCE
+        envmap.resize(array(L.movedim(0, -1).double()), *COARSE).reshape(-1, 3) @ tone.LUMINANCE
     )
     top = int((lobes @ luminance).argmax())
     centre = (lobes[top] * luminance) @ w  # between texels: where the light within the lobe lies

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import torch
 
+from shaders.arrays import like
 from shaders.dsbrdf import SIZE
+from shaders.tone import LUMINANCE
 
 REACH = 0.95
 BRIGHTNESS = 8.0
@@ -70,7 +72,5 @@ def unit_mean(light, solid_angle):
     solid_angle  (Hl,) of a texel of each row
     """
     weight = solid_angle / (solid_angle.sum() * light.shape[-1])
-    luminance = torch.einsum(
-        "bchw,c,h->b", light, light.new_tensor([0.2126, 0.7152, 0.0722]), weight.to(light)
-    )
+    luminance = torch.einsum("bchw,c,h->b", light, like(LUMINANCE, light), weight.to(light))
     return light / luminance.clamp(min=1e-6)[:, None, None, None]

@@ -13,7 +13,8 @@ import numpy as np
 from manifests.arrays import LARGEST_HALF, STEPS_PER_UNIT, Geometry
 from manifests.schema import Camera, Statistics
 from shaders import frames
-from shaders.envmap import LUMINANCE, row_solid_angles
+from shaders.envmap import row_solid_angles
+from shaders.tone import LUMINANCE
 
 LENGTH = 1e-3  # of |n|; rounding to 2^-15 moves it by 3e-5
 RADIUS = 1.001  # objects lie in the unit sphere; the largest of 250 views of 36 shapes is 1.00007

@@ -42,7 +42,8 @@ from manifests import arrays, exr, ids
 from manifests.files import npz_bytes
 from manifests.schema import Camera, Job
 from manifests.store import Store, geometry_path, image_path, light_path
-from shaders.envmap import LUMINANCE, unit_mean
+from shaders.envmap import unit_mean
+from shaders.tone import LUMINANCE
 
 from . import Case, Result, Room
 

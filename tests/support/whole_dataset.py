@@ -38,7 +38,7 @@ from manifests.splits import SIDES, light_side, role_of, split_of
 from manifests.store import Lines, Store, geometry_path, image_path, light_path
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap, frames
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 RENDER = "0123456789abcdef"
 JOB = Job(
