@@ -18,9 +18,16 @@ lights and a pass of pixels, about 20 MiB.
 import numpy as np
 
 from learn.engines import lights, threads
+from learn.engines.layout import (
+    DISTANT_SCRATCH,
+    DISTANT_TILE,
+    GENERAL_SCRATCH,
+    GENERAL_TILE,
+    LIGHT_CHUNKS,
+    VALUES,
+)
 from learn.engines.machine_code import call
 
-TILE, CHUNKS, SCRATCH = 32, 16, 2 * 48 * 32 + 16 * 108  # those of the kernels
 PASS = 8192  # pixels whose derivatives are summed in float32
 KEPT_TABLES = 4  # materials whose tables are kept while a batch runs
 
@@ -30,7 +37,7 @@ def radiance(n, view, m, light, rotation, counts, light_of, workers):
     out = np.zeros_like(n)
     for slab in lights.slabs(*light.shape[1:3], rotation):
         prepared = Prepared(slab, m, light, distant=view is None)
-        for g, pixels in enumerate(_groups(counts)):
+        for g, pixels in enumerate(groups(counts)):
             v = None if view is None else view[pixels]
             out[pixels] += _forward(
                 n[pixels], v, slab, prepared.material(g), prepared.energy(light_of[g]), workers
@@ -50,7 +57,7 @@ def gradients(g_radiance, n, view, m, light, rotation, counts, light_of, workers
     by_view = np.zeros_like(view) if with_view else None
     for slab in lights.slabs(*light.shape[1:3], rotation):
         prepared = Prepared(slab, m, light, distant=view is None)
-        for g, pixels in enumerate(_groups(counts)):
+        for g, pixels in enumerate(groups(counts)):
             backward = _distant_backward if view is None else _general_backward
             energy = prepared.energy(light_of[g])
             group = Group(
@@ -73,7 +80,7 @@ def gradients(g_radiance, n, view, m, light, rotation, counts, light_of, workers
     return by_n, by_view, by_m, by_light
 
 
-def _groups(counts):
+def groups(counts):
     """The slice of pixels of each group."""
     ends = np.cumsum((0, *counts))
     return [slice(a, b) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
@@ -114,7 +121,7 @@ def _forward(n, view, slab, material, energy, workers):
 
     def distant(first, last):
         lobes, least, _ = material
-        scratch = np.empty(TILE * 48, np.float32)
+        scratch = np.empty(DISTANT_SCRATCH, np.float32)
         sizes = first, last, len(n), slab.blocks
         call("distant.forward", *sizes, n, slab.distant, energy, lobes, least, cut, scratch, out)
 
@@ -136,7 +143,7 @@ def _forward(n, view, slab, material, energy, workers):
             out,
         )
 
-    tiles = -(-len(n) // TILE)
+    tiles = -(-len(n) // (DISTANT_TILE if view is None else GENERAL_TILE))
     threads.run(distant if view is None else general, threads.split(tiles, 8 * workers), workers)
     return out
 
@@ -161,7 +168,7 @@ class Group:
         return [slice(i, min(i + PASS, len(self.n))) for i in range(0, len(self.n), PASS)]
 
     def run(self, kernel):
-        threads.run(kernel, threads.split(CHUNKS, CHUNKS), self.workers)
+        threads.run(kernel, threads.split(LIGHT_CHUNKS, LIGHT_CHUNKS), self.workers)
 
 
 def _distant_backward(group, lobes, least, kappa):
@@ -170,10 +177,10 @@ def _distant_backward(group, lobes, least, kappa):
     by_n = np.empty_like(group.n)
     energy_part, lobe_part = np.empty_like(group.energy), np.empty_like(lobes)
     energy_sums, lobe_sums = np.zeros(energy_part.shape), np.zeros(lobe_part.shape)
-    scratch = np.empty(CHUNKS * TILE * 48, np.float32)
+    scratch = np.empty(LIGHT_CHUNKS * DISTANT_SCRATCH, np.float32)
     for pixels in group.passes():
         n, g = group.n[pixels], group.g[pixels]
-        n_part = np.empty((CHUNKS, *n.shape), np.float32)
+        n_part = np.empty((LIGHT_CHUNKS, *n.shape), np.float32)
         arrays = (
             n,
             slab.distant,
@@ -208,12 +215,12 @@ def _general_backward(group, values, steps, least):
     slab = group.slab
     by_n, by_view = np.empty_like(group.n), np.empty_like(group.n)
     energy_part = np.empty_like(group.energy)
-    energy_sums, m_sums = np.zeros(energy_part.shape), np.zeros(108)
-    scratch = np.empty(CHUNKS * SCRATCH, np.float32)
+    energy_sums, m_sums = np.zeros(energy_part.shape), np.zeros(VALUES)
+    scratch = np.empty(LIGHT_CHUNKS * GENERAL_SCRATCH, np.float32)
     for pixels in group.passes():
         n, v, g = group.n[pixels], group.view[pixels], group.g[pixels]
-        n_part, v_part = np.zeros((2, CHUNKS, *n.shape), np.float32)
-        m_part = np.empty((CHUNKS, -(-len(n) // TILE), 108), np.float32)
+        n_part, v_part = np.zeros((2, LIGHT_CHUNKS, *n.shape), np.float32)
+        m_part = np.empty((LIGHT_CHUNKS, -(-len(n) // GENERAL_TILE), VALUES), np.float32)
         arrays = (
             n,
             v,

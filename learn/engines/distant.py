@@ -9,7 +9,7 @@ lobes     (blocks, 3 lobes, 3 channels, 2, 16): γ, κ log2 e
 least     (blocks, 3 lobes): smallest γ, to bound a whole block
 cut       (blocks,): a lobe with log2 c^γ below it everywhere in a block is left out
 (learn.engines.lights)
-scratch   per call: room for TILE pixels' sums, (TILE, 3, 16)
+scratch   per call: room for DISTANT_TILE pixels' sums, (DISTANT_TILE, 3, 16)
 
     I_k = Σ_i F_k max(0, n·w) E_k,   F_k = Σ_s expm1(κ c^γ),   c = n·h = 1 − ½‖h − n‖²
 
@@ -22,6 +22,26 @@ from numba import types
 
 from learn.engines.compilation import inlined
 from learn.engines.exponentials import exp2, exp2m1, log2
+from learn.engines.layout import (
+    CHANNEL_STRIDE,
+    DISTANT_STRIDE,
+    DISTANT_TILE,
+    ENERGY_STRIDE,
+    H_REST_X,
+    H_REST_Y,
+    H_REST_Z,
+    H_X,
+    H_Y,
+    H_Z,
+    KAPPA,
+    LANES,
+    LIGHT_CHUNKS,
+    LOBE_STRIDE,
+    LOBES_STRIDE,
+    W_X,
+    W_Y,
+    W_Z,
+)
 from learn.engines.vector import (
     FLOAT_POINTER,
     anywhere,
@@ -35,8 +55,6 @@ from learn.engines.vector import (
     store,
 )
 
-TILE = 32  # pixels that share a block of lights in the first-level cache
-CHUNKS = 16  # of lights, in the backward pass: the most threads it can use
 # of h·n in lanes whose light is behind the horizon; seen ones have c > HORIZON / 2
 LEAST_COSINE = 1e-12
 LN2 = 0.6931471805599453
@@ -48,16 +66,27 @@ BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 11)
 @inlined
 def half_offset(geometry, o, nx, ny, nz):
     """h − n (3 values)."""
-    x = (load(geometry, o + 48) - nx) + load(geometry, o + 96)
-    y = (load(geometry, o + 64) - ny) + load(geometry, o + 112)
-    z = (load(geometry, o + 80) - nz) + load(geometry, o + 128)
+    x = (load(geometry, o + LANES * H_X) - nx) + load(geometry, o + LANES * H_REST_X)
+    y = (load(geometry, o + LANES * H_Y) - ny) + load(geometry, o + LANES * H_REST_Y)
+    z = (load(geometry, o + LANES * H_Z) - nz) + load(geometry, o + LANES * H_REST_Z)
     return x, y, z
+
+
+@inlined
+def w_of(geometry, o):
+    """w (3 values)."""
+    return (
+        load(geometry, o + LANES * W_X),
+        load(geometry, o + LANES * W_Y),
+        load(geometry, o + LANES * W_Z),
+    )
 
 
 @inlined
 def cosine(geometry, o, nx, ny, nz):
     """n·w."""
-    return fma(load(geometry, o), nx, fma(load(geometry, o + 16), ny, load(geometry, o + 32) * nz))
+    wx, wy, wz = w_of(geometry, o)
+    return fma(wx, nx, fma(wy, ny, wz * nz))
 
 
 @inlined
@@ -71,7 +100,7 @@ def peak_cosine(x, y, z):
 @inlined
 def lobe(lobes, o, log_c):
     """expm1(κ c^γ) of the lobe and channel at offset o."""
-    return exp2m1(load(lobes, o + 16) * exp2(load(lobes, o) * log_c))
+    return exp2m1(load(lobes, o + LANES * KAPPA) * exp2(load(lobes, o) * log_c))
 
 
 @inlined
@@ -83,64 +112,67 @@ def add_to(pointer, o, value):
 def clear(pointer, o, count):
     """Zeros in `count` times sixteen places from offset o on."""
     for i in range(count):
-        store(pointer, o + 16 * i, splat(0.0))
+        store(pointer, o + LANES * i, splat(0.0))
 
 
 @inlined
 def write_sums(sums, o, count, out, to):
     """Of `count` sums, each in sixteen lanes, what the lanes sum to."""
     for i in range(count):
-        out[to + i] = lane_sum(load(sums, o + 16 * i))
+        out[to + i] = lane_sum(load(sums, o + LANES * i))
 
 
 @inlined
-def add_by_n(
-    sums, a, geometry, o, energy, e, visible, f0, f1, f2, d0, d1, d2, g0, g1, g2, n_w, c, x, y, z
-):
-    """Adds the derivative by n, given F = f, dF/dc c log2 e = d, h − n = (x, y, z) and the
-    derivative g by radiance, to a pixel's sums.
+def add_by_n(sums, a, geometry, o, energy, e, n_w, visible, c, offset, f, slope, g):
+    """Add the derivative by n to a pixel's sums.
+
+    offset  h − n
+    f       F of each channel; slope: dF/dc · c log2 e of each; g: derivative by radiance
     """
-    e0, e1, e2 = load(energy, e), load(energy, e + 16), load(energy, e + 32)
+    (f0, f1, f2), (d0, d1, d2), (g0, g1, g2) = f, slope, g
+    e0, e1, e2 = load(energy, e), load(energy, e + LANES), load(energy, e + 2 * LANES)
     by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
     by_w = select(visible, by_w, 0.0)
     by_c = fma(d0 * (n_w * g0), e0, fma(d1 * (n_w * g1), e1, d2 * (n_w * g2) * e2)) * LN2 / c
-    add_to(sums, a, fma(by_w, load(geometry, o), by_c * x))
-    add_to(sums, a + 16, fma(by_w, load(geometry, o + 16), by_c * y))
-    add_to(sums, a + 32, fma(by_w, load(geometry, o + 32), by_c * z))
+    wx, wy, wz = w_of(geometry, o)
+    x, y, z = offset
+    add_to(sums, a, fma(by_w, wx, by_c * x))
+    add_to(sums, a + LANES, fma(by_w, wy, by_c * y))
+    add_to(sums, a + 2 * LANES, fma(by_w, wz, by_c * z))
 
 
 def forward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut, scratch, radiance):
     """Radiance (P, 3) of pixel tiles first … last − 1."""
     for tile in range(first, last):
-        start = tile * TILE
-        count = min(TILE, pixels - start)
+        start = tile * DISTANT_TILE
+        count = min(DISTANT_TILE, pixels - start)
         clear(scratch, 0, 3 * count)
         for block in range(blocks):
-            g, e = 144 * block, 48 * block
+            o, e = DISTANT_STRIDE * block, ENERGY_STRIDE * block
             for j in range(count):
                 p = 3 * (start + j)
                 nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                n_w = cosine(geometry, g, nx, ny, nz)
+                n_w = cosine(geometry, o, nx, ny, nz)
                 if not anywhere(n_w > 0.0):
                     continue
-                x, y, z = half_offset(geometry, g, nx, ny, nz)
+                x, y, z = half_offset(geometry, o, nx, ny, nz)
                 log_c = peak_cosine(x, y, z)[1]
                 nearest = lane_max(log_c)
                 f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
                 seen = False
                 for s in range(3):
                     if nearest * least[3 * block + s] > cut[block]:
-                        o = 288 * block + 96 * s
+                        t = LOBES_STRIDE * block + LOBE_STRIDE * s
                         seen = True
-                        f0 = f0 + lobe(lobes, o, log_c)
-                        f1 = f1 + lobe(lobes, o + 32, log_c)
-                        f2 = f2 + lobe(lobes, o + 64, log_c)
+                        f0 = f0 + lobe(lobes, t, log_c)
+                        f1 = f1 + lobe(lobes, t + CHANNEL_STRIDE, log_c)
+                        f2 = f2 + lobe(lobes, t + 2 * CHANNEL_STRIDE, log_c)
                 if seen:
                     n_w = maximum(n_w, 0.0)
-                    a = 48 * j
+                    a = ENERGY_STRIDE * j
                     add_to(scratch, a, f0 * n_w * load(energy, e))
-                    add_to(scratch, a + 16, f1 * n_w * load(energy, e + 16))
-                    add_to(scratch, a + 32, f2 * n_w * load(energy, e + 32))
+                    add_to(scratch, a + LANES, f1 * n_w * load(energy, e + LANES))
+                    add_to(scratch, a + 2 * LANES, f2 * n_w * load(energy, e + 2 * LANES))
         write_sums(scratch, 0, 3 * count, radiance, 3 * start)
 
 
@@ -151,12 +183,12 @@ def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
     """
     gamma = load(lobes, o)
     power = exp2(gamma * log_c)
-    exponent = load(lobes, o + 16) * power
+    exponent = load(lobes, o + LANES * KAPPA) * power
     value = exp2m1(exponent)
     x = value + 1.0
     q = weight * (x * power)
     add_to(lobe_sums, to, q)
-    store(lobe_sums, to + 16, fma(q, log_c, load(lobe_sums, to + 16)))
+    store(lobe_sums, to + LANES, fma(q, log_c, load(lobe_sums, to + LANES)))
     return f + value, fma(x * exponent, gamma, slope)
 
 
@@ -181,7 +213,7 @@ def backward(
     is computed again.
 
     g            (P, 3) derivative by radiance
-    n_part       (CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to
+    n_part       (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to
     n
     energy_sums  (blocks, 3, 16) out: Σ_p g F max(0, n·w), the derivative by energy
     lobe_sums    (blocks, 3, 3, 2, 16) out: Σ_p g max(0, n·w) x c^γ, and the same times log2 c
@@ -191,15 +223,19 @@ def backward(
     in the radial one.
     """
     for chunk in range(first, last):
-        block_first, block_last = chunk * blocks // CHUNKS, (chunk + 1) * blocks // CHUNKS
-        clear(lobe_sums, 288 * block_first, 18 * (block_last - block_first))
-        clear(energy_sums, 48 * block_first, 3 * (block_last - block_first))
-        sums = 48 * TILE * chunk
-        for start in range(0, pixels, TILE):
-            count = min(TILE, pixels - start)
+        block_first, block_last = (
+            chunk * blocks // LIGHT_CHUNKS,
+            (chunk + 1) * blocks // LIGHT_CHUNKS,
+        )
+        blocks_here = block_last - block_first
+        clear(lobe_sums, LOBES_STRIDE * block_first, LOBES_STRIDE // LANES * blocks_here)
+        clear(energy_sums, ENERGY_STRIDE * block_first, 3 * blocks_here)
+        sums = ENERGY_STRIDE * DISTANT_TILE * chunk
+        for start in range(0, pixels, DISTANT_TILE):
+            count = min(DISTANT_TILE, pixels - start)
             clear(scratch, sums, 3 * count)
             for block in range(block_first, block_last):
-                o, e = 144 * block, 48 * block
+                o, e = DISTANT_STRIDE * block, ENERGY_STRIDE * block
                 for j in range(count):
                     p = 3 * (start + j)
                     nx, ny, nz = n[p], n[p + 1], n[p + 2]
@@ -218,42 +254,22 @@ def backward(
                     seen = False
                     for s in range(3):
                         if nearest * least[3 * block + s] > cut[block]:
-                            t = 288 * block + 96 * s
+                            t = LOBES_STRIDE * block + LOBE_STRIDE * s
                             seen = True
                             f0, d0 = lobe_backward(lobes, t, log_c, w0, lobe_sums, t, f0, d0)
-                            f1, d1 = lobe_backward(
-                                lobes, t + 32, log_c, w1, lobe_sums, t + 32, f1, d1
-                            )
-                            f2, d2 = lobe_backward(
-                                lobes, t + 64, log_c, w2, lobe_sums, t + 64, f2, d2
-                            )
+                            t += CHANNEL_STRIDE
+                            f1, d1 = lobe_backward(lobes, t, log_c, w1, lobe_sums, t, f1, d1)
+                            t += CHANNEL_STRIDE
+                            f2, d2 = lobe_backward(lobes, t, log_c, w2, lobe_sums, t, f2, d2)
                     if not seen:
                         continue
                     add_to(energy_sums, e, f0 * w0)
-                    add_to(energy_sums, e + 16, f1 * w1)
-                    add_to(energy_sums, e + 32, f2 * w2)
-                    a = sums + 48 * j
+                    add_to(energy_sums, e + LANES, f1 * w1)
+                    add_to(energy_sums, e + 2 * LANES, f2 * w2)
+                    f, slope, by_radiance = (f0, f1, f2), (d0, d1, d2), (g0, g1, g2)
+                    a, offset = sums + ENERGY_STRIDE * j, (x, y, z)
                     add_by_n(
-                        scratch,
-                        a,
-                        geometry,
-                        o,
-                        energy,
-                        e,
-                        visible,
-                        f0,
-                        f1,
-                        f2,
-                        d0,
-                        d1,
-                        d2,
-                        g0,
-                        g1,
-                        g2,
-                        n_w,
-                        c,
-                        x,
-                        y,
-                        z,
-                    )
+                        scratch, a, geometry, o, energy, e, n_w, visible, c, offset,
+                        f, slope, by_radiance,
+                    )  # fmt: skip
             write_sums(scratch, sums, 3 * count, n_part, 3 * (chunk * pixels + start))

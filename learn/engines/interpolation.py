@@ -19,6 +19,9 @@ import math
 from numba import types
 
 from learn.engines.compilation import inlined
+from learn.engines.layout import (
+    MAP_CHUNKS,
+)
 from learn.engines.vector import (
     FLOAT_POINTER,
     by_four,
@@ -30,8 +33,6 @@ from learn.engines.vector import (
     store,
     turn_sums,
 )
-
-CHUNKS = 4  # of pixels, in the backward pass: the most threads it can use
 
 TOUCH = types.void(*[types.int64] * 3, *[FLOAT_POINTER] * 2)
 FORWARD = types.void(*[types.int64] * 3, *[FLOAT_POINTER] * 3)
@@ -101,11 +102,11 @@ def forward(first, last, size, n, table, out):
 
 def backward(first, last, pixels, size, n, table, g, by_n, by_table):
     """Derivatives of Σ g·out from pixel chunks first … last − 1: by_n (P, 3), added to by_table
-    (CHUNKS, size, size, 4).
+    (MAP_CHUNKS, size, size, 4).
     """
     for chunk in range(first, last):
         base = chunk * 4 * size * size
-        for p in range(chunk * pixels // CHUNKS, (chunk + 1) * pixels // CHUNKS):
+        for p in range(chunk * pixels // MAP_CHUNKS, (chunk + 1) * pixels // MAP_CHUNKS):
             x, y, z = (
                 types.float64(n[3 * p]),
                 types.float64(n[3 * p + 1]),

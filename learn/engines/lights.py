@@ -18,13 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from learn.engines.layout import LANES, NEGLIGIBLE
 from shaders.dsbrdf import half_angles
 from shaders.envmap import directions
 from shaders.spline import basis
 
-LANES = 16
 SLAB = 16384
-NEGLIGIBLE = -40.0  # log2 of a lobe's height, relative to its peak, below which it is left out
 LOG2_E = 1.4426950408889634
 LN2 = 0.6931471805599453
 

@@ -13,11 +13,11 @@ import torch
 
 from learn.engines import machine_code, threads
 from learn.engines.derivatives import Step, require_one_gradient
+from learn.engines.layout import (
+    SHORTEST,
+)
 
-# states of a pixel, those of learn.engines.pixels, which needs numba to be read
-OUTSIDE, AWAY, SEEN, WRONG = range(4)
 PIXEL = 6e-9  # seconds that a kernel needs for each
-SHORTEST = 1e-12  # as torch.nn.functional.normalize
 
 
 def has_kernels(tensor):

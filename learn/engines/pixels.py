@@ -14,11 +14,16 @@ import math
 from numba import types
 
 from learn.engines.compilation import inlined
+from learn.engines.layout import (
+    AWAY,
+    OUTSIDE,
+    SEEN,
+    SHORTEST,
+    WRONG,
+)
 from learn.engines.vector import FLOAT_POINTER
 
-OUTSIDE, AWAY, SEEN, WRONG = range(4)
 BYTE_POINTER, PLACE_POINTER = types.CPointer(types.uint8), types.CPointer(types.int64)
-SHORTEST = 1e-12  # as torch.nn.functional.normalize: a vector of length 0 stays 0
 
 LOOK = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 3, *[BYTE_POINTER] * 2)
 UNIT = types.void(*[types.int64] * 2, FLOAT_POINTER, PLACE_POINTER, FLOAT_POINTER, FLOAT_POINTER)

@@ -9,13 +9,17 @@ differentiated, and does the same in plain torch.
 import numpy as np
 
 from learn.engines import lights, threads
-from learn.engines.cpu import CHUNKS, PASS, TILE, Prepared, _groups
+from learn.engines.cpu import PASS, Prepared, groups
+from learn.engines.layout import (
+    DISTANT_SECOND_SCRATCH,
+    GENERAL_SECOND_SCRATCH,
+    GENERAL_TILE,
+    LIGHT_CHUNKS,
+    STEPS,
+    STEPS_OF_CURVE,
+    VALUES,
+)
 from learn.engines.machine_code import call
-
-DISTANT, GENERAL = (
-    16 * 6 * TILE,
-    16 * (9 * TILE + 108 + 90),
-)  # floats of scratch for each chunk, those of the kernels
 
 
 def gradients(direction, g, n, view, m, light, rotation, counts, light_of, workers):
@@ -35,7 +39,7 @@ def gradients(direction, g, n, view, m, light, rotation, counts, light_of, worke
     by_view = None if view is None else np.zeros_like(view)
     for slab in lights.slabs(*light.shape[1:3], rotation):
         prepared = Prepared(slab, m, light, distant=view is None)
-        for k, pixels in enumerate(_groups(counts)):
+        for k, pixels in enumerate(groups(counts)):
             image = light_of[k]
             lit = Lit(slab, *prepared.energy(image), slab.energy(along_light[image]), workers)
             material, along = prepared.material(k), along_m[k].astype(np.float64)
@@ -75,7 +79,7 @@ class Lit:
         lobe_part, lobe_sums, scratch = (
             np.empty_like(lobes),
             np.zeros(lobes.shape),
-            np.empty(CHUNKS * DISTANT, np.float32),
+            np.empty(LIGHT_CHUNKS * DISTANT_SECOND_SCRATCH, np.float32),
         )
 
         def one_pass(n, g, along_n, n_part, g_part, energy_part):
@@ -115,14 +119,15 @@ class Lit:
         )
         steps, values_along, steps_along = tables
         by_values, by_steps, scratch = (
-            np.zeros(108),
-            np.zeros(90),
-            np.empty(CHUNKS * GENERAL, np.float32),
+            np.zeros(VALUES),
+            np.zeros(STEPS),
+            np.empty(LIGHT_CHUNKS * GENERAL_SECOND_SCRATCH, np.float32),
         )
 
         def one_pass(n, view, g, along_n, along_view, n_part, g_part, view_part, energy_part):
             m_part, steps_part = (
-                np.empty((CHUNKS, -(-len(n) // TILE), size), np.float32) for size in (108, 90)
+                np.empty((LIGHT_CHUNKS, -(-len(n) // GENERAL_TILE), size), np.float32)
+                for size in (VALUES, STEPS)
             )
             arrays = (
                 n,
@@ -157,21 +162,21 @@ class Lit:
         per_pixel, energy_sums = self.passes(one_pass, 3, n, view, g, along_n, along_view)
         by_m = (
             by_values.reshape(3, 3, 2, 6)
-            + by_steps.reshape(3, 3, 2, 5) @ lights.spline_steps(np.eye(6)).T
+            + by_steps.reshape(3, 3, 2, STEPS_OF_CURVE) @ lights.spline_steps(np.eye(6)).T
         )
         return per_pixel, energy_sums, lights.lobe_first(by_m)
 
     def passes(self, one_pass, results, *vectors):
         """`results` arrays (p, 3), and the energy sums.
 
-        one_pass is given the vectors of a pass, each result's parts (CHUNKS, pass, 3) and the
+        one_pass is given the vectors of a pass, each result's parts (LIGHT_CHUNKS, pass, 3) and the
         energy part to fill.
         """
         matches = [np.empty_like(vectors[0]) for _ in range(results)]
         energy_part, energy_sums = np.empty_like(self.energy), np.zeros(self.energy.shape)
         for first in range(0, len(vectors[0]), PASS):
             given = [x[first : first + PASS] for x in vectors]
-            parts = [np.empty((CHUNKS, *given[0].shape), np.float32) for _ in matches]
+            parts = [np.empty((LIGHT_CHUNKS, *given[0].shape), np.float32) for _ in matches]
             one_pass(*given, *parts, energy_part)
             for result, part in zip(matches, parts, strict=True):
                 result[first : first + PASS] = part.sum(0)
@@ -182,7 +187,7 @@ class Lit:
         sizes = pixels, self.slab.blocks
         threads.run(
             lambda first, last: call(kernel, first, last, *sizes, *arrays),
-            threads.split(CHUNKS, CHUNKS),
+            threads.split(LIGHT_CHUNKS, LIGHT_CHUNKS),
             self.workers,
         )
 

@@ -10,6 +10,9 @@ steps prepared by
 """
 
 from learn.engines.compilation import inlined
+from learn.engines.layout import (
+    LANES,
+)
 from learn.engines.vector import fma, load, maximum, select, store
 
 ANGLE_TO_X = 2.546479089470325  # 8/π
@@ -79,8 +82,8 @@ def add_curve(sums, o, q, b):
     values.
     """
     store(sums, o, fma(q, b[0], load(sums, o)))
-    store(sums, o + 16, fma(q, b[1], load(sums, o + 16)))
-    store(sums, o + 32, fma(q, b[2], load(sums, o + 32)))
-    store(sums, o + 48, fma(q, b[3], load(sums, o + 48)))
-    store(sums, o + 64, fma(q, b[4], load(sums, o + 64)))
-    store(sums, o + 80, fma(q, b[5], load(sums, o + 80)))
+    store(sums, o + LANES, fma(q, b[1], load(sums, o + LANES)))
+    store(sums, o + 2 * LANES, fma(q, b[2], load(sums, o + 2 * LANES)))
+    store(sums, o + 3 * LANES, fma(q, b[3], load(sums, o + 3 * LANES)))
+    store(sums, o + 4 * LANES, fma(q, b[4], load(sums, o + 4 * LANES)))
+    store(sums, o + 5 * LANES, fma(q, b[5], load(sums, o + 5 * LANES)))

@@ -9,8 +9,24 @@ chunks   of pixels, whose sums are added in their order
 
 from numba import types
 
-from learn.engines.culled import CONE_ROWS, LARGEST
+from learn.engines.culled import LARGEST
 from learn.engines.distant import LN2
+from learn.engines.layout import (
+    BASIS_STRIDE,
+    CHANNEL_STRIDE,
+    CHANNEL_VALUES,
+    CONE_ENERGY,
+    CONE_GAMMA,
+    CONE_KAPPA,
+    CONE_STRIDE,
+    CONTROL_VALUES,
+    ENERGY_STRIDE,
+    KAPPA,
+    KAPPA_VALUES,
+    LANES,
+    LOBE_STRIDE,
+    LOBE_VALUES,
+)
 from learn.engines.vector import (
     FLOAT_POINTER,
     fma,
@@ -36,27 +52,31 @@ def make(first, last, many, m, basis, energy, lobes, cones):
     largest κ log2 e in the cones' rows.
     """
     for block in range(first, last):
-        row = 16 * CONE_ROWS * (block // 16) + block % 16
+        lane = CONE_STRIDE * (block // LANES) + block % LANES
         for s in range(many):
             least, largest = splat(HIGHEST), splat(0.0)
             for k in range(3):
-                v, o = 12 * (3 * s + k), 96 * (many * block + s) + 32 * k
+                v = LOBE_VALUES * s + CHANNEL_VALUES * k
+                o = LOBE_STRIDE * (many * block + s) + CHANNEL_STRIDE * k
                 gamma, kappa = splat(0.0), splat(0.0)
-                for j in range(6):
-                    share = load(basis, 96 * block + 16 * j)
-                    gamma, kappa = fma(share, m[v + j], gamma), fma(share, m[v + 6 + j], kappa)
+                for j in range(CONTROL_VALUES):
+                    share = load(basis, BASIS_STRIDE * block + LANES * j)
+                    gamma, kappa = (
+                        fma(share, m[v + j], gamma),
+                        fma(share, m[v + KAPPA_VALUES + j], kappa),
+                    )
                 kappa = minimum(kappa * LOG2_E, LARGEST)
                 store(lobes, o, gamma)
-                store(lobes, o + 16, kappa)
+                store(lobes, o + LANES * KAPPA, kappa)
                 least, largest = minimum(least, gamma), maximum(largest, kappa)
-            cones[row + 16 * (11 + s)] = -lane_max(0.0 - least)
-            cones[row + 16 * (14 + s)] = lane_max(largest)
+            cones[lane + LANES * (CONE_GAMMA + s)] = -lane_max(0.0 - least)
+            cones[lane + LANES * (CONE_KAPPA + s)] = lane_max(largest)
         brightest = types.float32(0.0)
         for k in range(3):
-            light = load(energy, 48 * block + 16 * k)
+            light = load(energy, ENERGY_STRIDE * block + LANES * k)
             # a light gathered from others may be negative
             brightest = max(brightest, lane_sum(maximum(light, 0.0 - light)))
-        cones[row + 160] = brightest
+        cones[lane + LANES * CONE_ENERGY] = brightest
 
 
 def gradient(many, blocks, chunks, stride, basis, energy, lobes, lobe_sums, by_m):
@@ -65,20 +85,23 @@ def gradient(many, blocks, chunks, stride, basis, energy, lobes, lobe_sums, by_m
 
     stride  floats from one chunk's sums to the next one's
     """
-    for i in range(36 * many):
-        store(by_m, 16 * i, splat(0.0))
+    for i in range(LOBE_VALUES * many):
+        store(by_m, LANES * i, splat(0.0))
     for block in range(blocks):
         for s in range(many):
             for k in range(3):
-                o, to = 96 * (many * block + s) + 32 * k, 192 * (3 * s + k)
-                by_kappa, by_gamma = load(lobe_sums, o), load(lobe_sums, o + 16)
+                o = LOBE_STRIDE * (many * block + s) + CHANNEL_STRIDE * k
+                to = LANES * (LOBE_VALUES * s + CHANNEL_VALUES * k)
+                by_kappa, by_gamma = load(lobe_sums, o), load(lobe_sums, o + LANES)
                 for chunk in range(1, chunks):
                     by_kappa = by_kappa + load(lobe_sums, o + stride * chunk)
-                    by_gamma = by_gamma + load(lobe_sums, o + stride * chunk + 16)
-                kappa, light = load(lobes, o + 16), load(energy, 48 * block + 16 * k)
+                    by_gamma = by_gamma + load(lobe_sums, o + stride * chunk + LANES)
+                kappa = load(lobes, o + LANES * KAPPA)
+                light = load(energy, ENERGY_STRIDE * block + LANES * k)
                 by_kappa = select(kappa < LARGEST, by_kappa * light, 0.0)
                 by_gamma = by_gamma * (kappa * (LN2 * LN2)) * light
-                for j in range(6):
-                    share, a = load(basis, 96 * block + 16 * j), to + 16 * j
+                for j in range(CONTROL_VALUES):
+                    share, a = load(basis, BASIS_STRIDE * block + LANES * j), to + LANES * j
                     store(by_m, a, fma(by_gamma, share, load(by_m, a)))
-                    store(by_m, a + 96, fma(by_kappa, share, load(by_m, a + 96)))
+                    a += LANES * KAPPA_VALUES
+                    store(by_m, a, fma(by_kappa, share, load(by_m, a)))

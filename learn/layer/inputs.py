@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from learn.engines import pixel_selection
+from learn.engines.layout import OUTSIDE, SEEN, WRONG
 from learn.methods import HORIZON, Batch
 from shaders.dsbrdf import SHAPE, SIZE
 from shaders.frames import camera_from_light
@@ -223,10 +224,10 @@ def read_by_kernel(n, view, mask):
     the mask is wrong.
     """
     states = pixel_selection.states(n, view, mask, LENGTH_TOLERANCE, HORIZON).reshape(n.shape[:3])
-    if states.size and states.max() == pixel_selection.WRONG:
+    if states.size and states.max() == WRONG:
         return mask, None
-    mask = torch.from_numpy(states > pixel_selection.OUTSIDE) if mask is None else mask
-    return mask, torch.from_numpy(states == pixel_selection.SEEN)
+    mask = torch.from_numpy(states > OUTSIDE) if mask is None else mask
+    return mask, torch.from_numpy(states == SEEN)
 
 
 def checked_segments(segments, picture, materials):

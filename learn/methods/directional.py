@@ -20,9 +20,21 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from learn.engines import cpu, culled, machine_code, pixel_selection, threads
+from learn.engines import cpu, machine_code, pixel_selection, threads
 from learn.engines.derivatives import Step, last
-from learn.engines.lights import LANES, Slab, blocked, cutoff, general_tables, lobe_first, unblocked
+from learn.engines.layout import (
+    CONE_ENERGY,
+    CONE_H_X,
+    CONE_KAPPA,
+    CONE_ROWS,
+    CULLED_CHUNKS,
+    CULLED_SCRATCH,
+    CULLED_TILE,
+    CUTS,
+    LANES,
+    SELECT_ROWS,
+)
+from learn.engines.lights import Slab, blocked, cutoff, general_tables, lobe_first, unblocked
 from learn.methods import lobe_shapes, refusal
 from learn.methods.exact import ExactSum
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
@@ -81,9 +93,9 @@ def lights_at(w):
     h, theta_d = half_angles(filled, VIEWER)
     rest = h.T - h.T.astype(np.float32)
     cones = np.concatenate([cone(filled.reshape(-1, LANES, 3)), cone(h.reshape(-1, LANES, 3))], -1)
-    rows = np.zeros((culled.CONE_ROWS, len(cones) + -len(cones) % LANES))
-    rows[:10, : len(cones)] = cones.T
-    axes = np.ascontiguousarray(cones[:, 5:8], np.float32)
+    rows = np.zeros((CONE_ROWS, len(cones) + -len(cones) % LANES))
+    rows[:CONE_ENERGY, : len(cones)] = cones.T
+    axes = np.ascontiguousarray(cones[:, CONE_H_X : CONE_H_X + 3], np.float32)
     return Lights(
         w,
         blocked(np.concatenate([filled.T, h.T, rest])),
@@ -323,7 +335,7 @@ def energy_blocks(E, lights):
     """E (3, T), numpy, as (blocks, 3, 16) float32; the lights that fill up the last block are
     dark.
     """
-    rows = np.zeros((3, 16 * lights.blocks), np.float32)
+    rows = np.zeros((3, LANES * lights.blocks), np.float32)
     rows[:, : E.shape[1]] = E
     return blocked(rows)
 
@@ -356,7 +368,7 @@ class Tables:
             self.cones,
         )
         if light_gradient:  # a dark block matters too: it counts as one of a tenth of the mean
-            brightness = self.cones[:, 10]
+            brightness = self.cones[:, CONE_ENERGY]
             np.maximum(brightness, 0.1 * brightness.sum() / lights.blocks or 1.0, out=brightness)
         self.way_back = self.with_dim_lobes() if material_gradient else self.cones
 
@@ -367,7 +379,7 @@ class Tables:
         derivative by κ, c^γ, does not depend on its height.
         """
         # the largest κ log2 e of each lobe
-        rows = slice(culled.CONE_ROWS - 3, culled.CONE_ROWS - 3 + self.many)
+        rows = slice(CONE_KAPPA, CONE_KAPPA + self.many)
         height = self.cones[:, rows]
         least = np.where(
             np.arange(self.cones.shape[0] * LANES) < self.lights.blocks,
@@ -414,7 +426,7 @@ def put_back(values, order):
 
 def tile_size(pixels):
     """Pixels that share a list: few where there are few, for their normals are far apart."""
-    return 16 if pixels < 12288 else 32 if pixels < 24576 else culled.TILE
+    return 16 if pixels < 12288 else 32 if pixels < 24576 else CULLED_TILE
 
 
 def select(n, tables, cones, left_out):
@@ -428,13 +440,13 @@ def select(n, tables, cones, left_out):
         np.array([min(left_out, np.finfo(np.float32).max)], np.float32),
     )
     cuts, lengths, entries = (
-        np.empty((tiles, room, 4), np.float32),
+        np.empty((tiles, room, CUTS), np.float32),
         np.empty(tiles, np.int32),
         np.empty((tiles, room), np.int32),
     )
 
     def kernel(first, last):
-        scratch = np.empty(cones.shape[0] * 6 * LANES, np.float32)
+        scratch = np.empty(cones.shape[0] * SELECT_ROWS * LANES, np.float32)
         sizes = first, last, len(n), size, len(cones), room, tables.many
         machine_code.call(
             "culled.select", *sizes, budget, n, cones, scratch, cuts, lengths, entries
@@ -449,7 +461,7 @@ def run_forward(n, tables, lists, out):
     cuts, lengths, entries = lists
 
     def kernel(first, last):
-        scratch = np.empty(culled.SCRATCH, np.float32)
+        scratch = np.empty(CULLED_SCRATCH, np.float32)
         sizes = first, last, len(n), tile_size(len(n)), entries.shape[1], tables.many
         arrays = (
             n,
@@ -475,12 +487,12 @@ def run_backward(n, tables, lists, g, by_n, with_n=True):
     cuts, lengths, entries = lists
     blocks, many = tables.lights.blocks, tables.many
     # by the pixels, never by the threads: sums must come out the same
-    chunks = min(culled.CHUNKS, 1 + len(n) // FEW)
+    chunks = min(CULLED_CHUNKS, 1 + len(n) // FEW)
     energy_sums, lobe_sums = (
         np.empty((chunks, blocks, 3, LANES), np.float32),
         np.empty((chunks, blocks, many, 3, 2, LANES), np.float32),
     )
-    scratch = np.empty(chunks * culled.SCRATCH, np.float32)
+    scratch = np.empty(chunks * CULLED_SCRATCH, np.float32)
 
     def kernel(first, last):
         sizes = (

@@ -36,6 +36,7 @@ from torch.utils.checkpoint import checkpoint
 
 from learn.engines import lights, machine_code, threads
 from learn.engines.derivatives import require_reverse_mode
+from learn.engines.layout import FOOTPRINT_ROWS, LANES, SAMPLE_TILE
 from learn.methods import HELD_SAMPLES, Batch, Card, by_group, first_only, load, wants_gradient
 from learn.methods.exact import PAIRS
 from shaders.dsbrdf import MAX_EXPONENT
@@ -245,15 +246,21 @@ def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
     rotation = camera_from_light.numpy().astype(np.float32).reshape(9)
     arrays += [lights.blocked(rows), values, np.ascontiguousarray(least), rotation, light]
     out = np.empty((len(n), 3), np.float32)
-    sizes = len(n), len(around) // lights.LANES, *light.shape[:2]
+    sizes = len(n), len(around) // LANES, *light.shape[:2]
 
     def run(first, last):
         machine_code.call(
-            "taps.forward", first, last, *sizes, *arrays, np.empty(112, np.float32), out
+            "sample_directions.forward",
+            first,
+            last,
+            *sizes,
+            *arrays,
+            np.empty(LANES * FOOTPRINT_ROWS, np.float32),
+            out,
         )
 
     workers = torch.get_num_threads()
-    threads.run(run, threads.split(-(-len(n) // 16), 8 * workers), workers)
+    threads.run(run, threads.split(-(-len(n) // SAMPLE_TILE), 8 * workers), workers)
     return torch.from_numpy(out)
 
 

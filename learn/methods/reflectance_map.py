@@ -20,8 +20,9 @@ import math
 import numpy as np
 import torch
 
-from learn.engines import interpolation, machine_code, threads
+from learn.engines import machine_code, threads
 from learn.engines.derivatives import Step, last
+from learn.engines.layout import MAP_CHUNKS
 from learn.methods import (
     Batch,
     Card,
@@ -215,7 +216,7 @@ def read(n, table, size):
 def read_backward(n, table, size, g, nodes):
     """Derivatives of Σ g·out: by n (P, 3), and by the values at nodes (N, 3)."""
     by_n = np.empty((len(n), 3), np.float32)
-    by_table = np.zeros((interpolation.CHUNKS, *table.shape), np.float32)
+    by_table = np.zeros((MAP_CHUNKS, *table.shape), np.float32)
 
     def kernel(first, last):
         machine_code.call(
@@ -223,7 +224,7 @@ def read_backward(n, table, size, g, nodes):
         )
 
     workers = threads.worth(torch.get_num_threads(), len(n) * READ_BACKWARD)
-    threads.run(kernel, threads.split(interpolation.CHUNKS, workers), workers)
+    threads.run(kernel, threads.split(MAP_CHUNKS, workers), workers)
     for chunk in by_table[1:]:
         by_table[0] += chunk
     return by_n, np.ascontiguousarray(by_table[0].take(nodes, 0)[:, :3])

@@ -25,6 +25,24 @@ from numba import types
 
 from learn.engines.compilation import inlined
 from learn.engines.exponentials import angle, exp2, exp2m1
+from learn.engines.layout import (
+    CHANNEL_VALUES,
+    FOOTPRINT_BELOW,
+    FOOTPRINT_COLUMN,
+    FOOTPRINT_RIGHT,
+    FOOTPRINT_ROW,
+    KAPPA_VALUES,
+    LANES,
+    LOBE_VALUES,
+    NEGLIGIBLE,
+    SAMPLE_LOG_COSINE,
+    SAMPLE_SOLID_ANGLE,
+    SAMPLE_STRIDE,
+    SAMPLE_TILE,
+    SAMPLE_X,
+    SAMPLE_Y,
+    SAMPLE_Z,
+)
 from learn.engines.splines import basis, curve
 from learn.engines.vector import (
     FLOAT_POINTER,
@@ -41,8 +59,6 @@ from learn.engines.vector import (
     store,
 )
 
-TILE = 16  # pixels of a thread's piece of work
-NEGLIGIBLE = -40.0  # log2 of a lobe's height, relative to its peak, below which it is left out
 TINY = 1e-30  # added to a square so that an angle is defined at the poles
 PI = 3.141592653589793
 ROUND = 12582912.0  # 1.5 · 2^23: x + ROUND − ROUND is the nearest whole number
@@ -53,7 +69,7 @@ FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9)
 @inlined
 def lobe(m, o, log_c, b):
     """expm1(κ c^γ) of the lobe and channel at offset o."""
-    return exp2m1(curve(m, o + 6, b) * exp2(curve(m, o, b) * log_c))
+    return exp2m1(curve(m, o + KAPPA_VALUES, b) * exp2(curve(m, o, b) * log_c))
 
 
 @inlined
@@ -74,9 +90,9 @@ def reflectance(m, least, log_c, cos_d):
     f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
     for s in range(3):
         if nearest * least[s] > NEGLIGIBLE:
-            f0 = f0 + lobe(m, 36 * s, log_c, b)
-            f1 = f1 + lobe(m, 36 * s + 12, log_c, b)
-            f2 = f2 + lobe(m, 36 * s + 24, log_c, b)
+            f0 = f0 + lobe(m, LOBE_VALUES * s, log_c, b)
+            f1 = f1 + lobe(m, LOBE_VALUES * s + CHANNEL_VALUES, log_c, b)
+            f2 = f2 + lobe(m, LOBE_VALUES * s + 2 * CHANNEL_VALUES, log_c, b)
     return f0, f1, f2
 
 
@@ -125,7 +141,7 @@ def forward(
     radiance,
 ):
     """Radiance (P, 3) of pixel tiles first … last − 1."""
-    for p in range(first * TILE, min(last * TILE, pixels)):
+    for p in range(first * SAMPLE_TILE, min(last * SAMPLE_TILE, pixels)):
         nx, ny, nz = n[3 * p], n[3 * p + 1], n[3 * p + 2]
         vx, vy, vz = v[3 * p], v[3 * p + 1], v[3 * p + 2]
         # axes across n that turn smoothly with it (Duff et al. 2017)
@@ -135,8 +151,13 @@ def forward(
         tx, ty, tz = nx * ny * a, sign + ny * ny * a, -ny
         i0, i1, i2 = 0.0, 0.0, 0.0
         for block in range(blocks):
-            o = 80 * block
-            q, r, c = load(around, o), load(around, o + 16), load(around, o + 32)
+            o = SAMPLE_STRIDE * block
+            q, r = load(around, o + LANES * SAMPLE_X), load(around, o + LANES * SAMPLE_Y)
+            c, log_c = (
+                load(around, o + LANES * SAMPLE_Z),
+                load(around, o + LANES * SAMPLE_LOG_COSINE),
+            )
+            solid_angle = load(around, o + LANES * SAMPLE_SOLID_ANGLE)
             hx = fma(q, ux, fma(r, tx, c * nx))
             hy = fma(q, uy, fma(r, ty, c * ny))
             hz = fma(q, uz, fma(r, tz, c * nz))
@@ -147,20 +168,20 @@ def forward(
                 fma(2.0 * cos_d, hz, -vz),
             )
             n_w = fma(wx, nx, fma(wy, ny, wz * nz))
-            weight = maximum(n_w, 0.0) * maximum(cos_d, 0.0) * load(around, o + 64) * 4.0
+            weight = maximum(n_w, 0.0) * maximum(cos_d, 0.0) * solid_angle * 4.0
             if not anywhere(weight > 0.0):
                 continue
-            f0, f1, f2 = reflectance(m, least, load(around, o + 48), cos_d)
+            f0, f1, f2 = reflectance(m, least, log_c, cos_d)
             store(scratch, 0, f0 * weight)
-            store(scratch, 16, f1 * weight)
-            store(scratch, 32, f2 * weight)
+            store(scratch, LANES, f1 * weight)
+            store(scratch, 2 * LANES, f2 * weight)
             w_up = fma(wx, rotation[1], fma(wy, rotation[4], wz * rotation[7]))
             theta, phi = polar_angles(
                 fma(wx, rotation[0], fma(wy, rotation[3], wz * rotation[6])),
                 w_up,
                 fma(wx, rotation[2], fma(wy, rotation[5], wz * rotation[8])),
             )
-            side = sqrt(4.0 * maximum(cos_d, 0.0) * load(around, o + 64))
+            side = sqrt(4.0 * maximum(cos_d, 0.0) * solid_angle)
             row, by_row = border(theta * (height / PI), side * (height / PI))
             sine = sqrt(maximum(1.0 - w_up * w_up, TINY))
             column, by_column = border(
@@ -175,25 +196,28 @@ def forward(
                 i2 += lane_sum(f2 * weight) * light[texel + 2]
                 continue
             store(scratch, 0, f0 * weight)
-            store(scratch, 16, f1 * weight)
-            store(scratch, 32, f2 * weight)
-            store(scratch, 48, row)
-            store(scratch, 64, column)
-            store(scratch, 80, by_row)
-            store(scratch, 96, by_column)
-            for lane in range(16):
-                k, t, q = scratch[48 + lane], scratch[64 + lane], scratch[96 + lane]
+            store(scratch, LANES, f1 * weight)
+            store(scratch, 2 * LANES, f2 * weight)
+            store(scratch, LANES * FOOTPRINT_ROW, row)
+            store(scratch, LANES * FOOTPRINT_COLUMN, column)
+            store(scratch, LANES * FOOTPRINT_BELOW, by_row)
+            store(scratch, LANES * FOOTPRINT_RIGHT, by_column)
+            for lane in range(LANES):
+                k = scratch[LANES * FOOTPRINT_ROW + lane]
+                t = scratch[LANES * FOOTPRINT_COLUMN + lane]
+                under = scratch[LANES * FOOTPRINT_BELOW + lane]
+                q = scratch[LANES * FOOTPRINT_RIGHT + lane]
                 for below in range(2):
-                    share = scratch[80 + lane] if below else 1.0 - scratch[80 + lane]
+                    share = under if below else 1.0 - under
                     if share > 0.0:
                         left = 3 * corner(k + below - 1.0, t - 1.0, height, width)
                         right = 3 * corner(k + below - 1.0, t, height, width)
                         one, other = share * (1.0 - q), share * q
                         i0 += scratch[lane] * (one * light[left] + other * light[right])
-                        i1 += scratch[16 + lane] * (
+                        i1 += scratch[LANES + lane] * (
                             one * light[left + 1] + other * light[right + 1]
                         )
-                        i2 += scratch[32 + lane] * (
+                        i2 += scratch[2 * LANES + lane] * (
                             one * light[left + 2] + other * light[right + 2]
                         )
         radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = i0, i1, i2
