@@ -9,6 +9,7 @@ along    (width,) scratch: one coarse row, its columns still fine
 Columns go round; beyond a pole lies the same row's other half.
 """
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
@@ -18,7 +19,7 @@ GATHER = SCATTER = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 4)
 
 
 @inlined
-def over_poles(row, height, width):
+def over_poles(row: int, height: int, width: int) -> tuple[int, int]:
     """The row that lies there, and by how many columns it is turned."""
     if row < 0:
         return -1 - row, width // 2
@@ -28,11 +29,21 @@ def over_poles(row, height, width):
 
 
 @inlined
-def around(column, width):
+def around(column: int, width: int) -> int:
     return column + width if column < 0 else column - width if column >= width else column
 
 
-def gather(first, last, height, width, step, stencil, fine, along, coarse):
+def gather(
+    first: int,
+    last: int,
+    height: int,
+    width: int,
+    step: int,
+    stencil: np.ndarray,
+    fine: np.ndarray,
+    along: np.ndarray,
+    coarse: np.ndarray,
+) -> None:
     """Coarse planes first … last − 1."""
     for plane in range(first, last):
         for i in range(height // step):
@@ -52,7 +63,17 @@ def gather(first, last, height, width, step, stencil, fine, along, coarse):
                 coarse[(plane * (height // step) + i) * (width // step) + j] = total
 
 
-def scatter(first, last, height, width, step, stencil, coarse, along, fine):
+def scatter(
+    first: int,
+    last: int,
+    height: int,
+    width: int,
+    step: int,
+    stencil: np.ndarray,
+    coarse: np.ndarray,
+    along: np.ndarray,
+    fine: np.ndarray,
+) -> None:
     """Fine planes first … last − 1 from coarse ones: the transpose of `gather`."""
     for plane in range(first, last):
         for texel in range(plane * height * width, (plane + 1) * height * width):

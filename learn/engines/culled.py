@@ -28,6 +28,7 @@ threshold.
 
 import math
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
@@ -72,6 +73,7 @@ from learn.engines.layout import (
 )
 from learn.engines.vector import (
     FLOAT_POINTER,
+    Lanes,
     anywhere,
     bits,
     fma,
@@ -100,7 +102,7 @@ BACKWARD = types.void(*[types.int64] * 10, *[FLOAT_POINTER] * 11, *[INT_POINTER]
 
 
 @inlined
-def nearest_cosine(axis, cos_a, sin_a, cos_b, sin_b):
+def nearest_cosine(axis: Lanes, cos_a: Lanes, sin_a: Lanes, cos_b: Lanes, sin_b: Lanes) -> Lanes:
     """Largest cosine between a vector of one cone and one of the other, whose axes have the cosine
     `axis`.
 
@@ -114,7 +116,7 @@ def nearest_cosine(axis, cos_a, sin_a, cos_b, sin_b):
 
 
 @inlined
-def least_cosine(log_c, cos_b, sin_b):
+def least_cosine(log_c: Lanes, cos_b: Lanes, sin_b: Lanes) -> Lanes:
     """The least cosine with the axis of a cone (half angle b) of a vector that is within arccos c
     of one in the cone; log2 c given.
     """
@@ -127,13 +129,13 @@ def least_cosine(log_c, cos_b, sin_b):
 
 
 @inlined
-def along_axis(cones, o, x, y, z):
+def along_axis(cones: np.ndarray, o: int, x: float, y: float, z: float) -> Lanes:
     """Cosines of a direction with sixteen axes, whose three rows begin at offset o."""
     return fma(load(cones, o), x, fma(load(cones, o + LANES), y, load(cones, o + 2 * LANES) * z))
 
 
 @inlined
-def unpack(n, start, count, scratch, o):
+def unpack(n: np.ndarray, start: int, count: int, scratch: np.ndarray, o: int) -> None:
     """The normals of a tile as three rows behind its sums, which begin at offset o; 0 beyond their
     count.
     """
@@ -145,7 +147,9 @@ def unpack(n, start, count, scratch, o):
 
 
 @inlined
-def pixels_near(scratch, o, count, axes, block, reach):
+def pixels_near(
+    scratch: np.ndarray, o: int, count: int, axes: np.ndarray, block: int, reach: float
+) -> int:
     """Which of sixteen pixels (at most `count`), whose normals lie at offset o, a block can matter
     to, as bits.
     """
@@ -155,7 +159,9 @@ def pixels_near(scratch, o, count, axes, block, reach):
 
 
 @inlined
-def cone_about(n, start, count):
+def cone_about(
+    n: np.ndarray, start: int, count: int
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """Axis, cos and sin of the half angle of a cone that holds the normals start … start + count −
     1, a little widened.
     """
@@ -188,21 +194,21 @@ def cone_about(n, start, count):
 
 
 def select(
-    first,
-    last,
-    pixels,
-    size,
-    wide_blocks,
-    room,
-    many,
-    budget,
-    n,
-    cones,
-    scratch,
-    cuts,
-    lengths,
-    entries,
-):
+    first: int,
+    last: int,
+    pixels: int,
+    size: int,
+    wide_blocks: int,
+    room: int,
+    many: int,
+    budget: np.ndarray,
+    n: np.ndarray,
+    cones: np.ndarray,
+    scratch: np.ndarray,
+    cuts: np.ndarray,
+    lengths: np.ndarray,
+    entries: np.ndarray,
+) -> None:
     """The list of each tile first … last − 1; scratch holds 6 · wide_blocks · 16 floats."""
     for tile in range(first, last):
         nx, ny, nz, cos_n, sin_n = cone_about(n, tile * size, min(size, pixels - tile * size))
@@ -276,23 +282,23 @@ def select(
 
 
 def forward(
-    first,
-    last,
-    pixels,
-    size,
-    room,
-    many,
-    n,
-    axes,
-    geometry,
-    energy,
-    lobes,
-    scratch,
-    radiance,
-    cuts,
-    lengths,
-    entries,
-):
+    first: int,
+    last: int,
+    pixels: int,
+    size: int,
+    room: int,
+    many: int,
+    n: np.ndarray,
+    axes: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    lobes: np.ndarray,
+    scratch: np.ndarray,
+    radiance: np.ndarray,
+    cuts: np.ndarray,
+    lengths: np.ndarray,
+    entries: np.ndarray,
+) -> None:
     """Radiance (P, 3) of pixel tiles first … last − 1; scratch holds CULLED_SCRATCH floats."""
     for tile in range(first, last):
         start = tile * size
@@ -335,30 +341,30 @@ def forward(
 
 
 def backward(
-    first,
-    last,
-    pixels,
-    size,
-    tiles,
-    blocks,
-    room,
-    many,
-    chunks,
-    with_n,
-    n,
-    axes,
-    geometry,
-    energy,
-    lobes,
-    scratch,
-    g,
-    by_n,
-    energy_sums,
-    lobe_sums,
-    cuts,
-    lengths,
-    entries,
-):
+    first: int,
+    last: int,
+    pixels: int,
+    size: int,
+    tiles: int,
+    blocks: int,
+    room: int,
+    many: int,
+    chunks: int,
+    with_n: int,
+    n: np.ndarray,
+    axes: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    lobes: np.ndarray,
+    scratch: np.ndarray,
+    g: np.ndarray,
+    by_n: np.ndarray,
+    energy_sums: np.ndarray,
+    lobe_sums: np.ndarray,
+    cuts: np.ndarray,
+    lengths: np.ndarray,
+    entries: np.ndarray,
+) -> None:
     """Derivatives of Σ g·I from the pixels of tile chunks first … last − 1; what the forward pass
     knew is computed again.
 

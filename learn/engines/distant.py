@@ -18,6 +18,7 @@ matters there too (γ = 1e5). Sums run over blocks in order, so a pixel's bits d
 its own inputs.
 """
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
@@ -44,6 +45,9 @@ from learn.engines.layout import (
 )
 from learn.engines.vector import (
     FLOAT_POINTER,
+    Lanes,
+    Mask,
+    Vector,
     anywhere,
     fma,
     lane_max,
@@ -64,7 +68,7 @@ BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 11)
 
 
 @inlined
-def half_offset(geometry, o, nx, ny, nz):
+def half_offset(geometry: np.ndarray, o: int, nx: Lanes, ny: Lanes, nz: Lanes) -> Vector:
     """h − n (3 values)."""
     x = (load(geometry, o + LANES * H_X) - nx) + load(geometry, o + LANES * H_REST_X)
     y = (load(geometry, o + LANES * H_Y) - ny) + load(geometry, o + LANES * H_REST_Y)
@@ -73,7 +77,7 @@ def half_offset(geometry, o, nx, ny, nz):
 
 
 @inlined
-def w_of(geometry, o):
+def w_of(geometry: np.ndarray, o: int) -> Vector:
     """w (3 values)."""
     return (
         load(geometry, o + LANES * W_X),
@@ -83,14 +87,14 @@ def w_of(geometry, o):
 
 
 @inlined
-def cosine(geometry, o, nx, ny, nz):
+def cosine(geometry: np.ndarray, o: int, nx: Lanes, ny: Lanes, nz: Lanes) -> Lanes:
     """n·w."""
     wx, wy, wz = w_of(geometry, o)
     return fma(wx, nx, fma(wy, ny, wz * nz))
 
 
 @inlined
-def peak_cosine(x, y, z):
+def peak_cosine(x: Lanes, y: Lanes, z: Lanes) -> tuple[Lanes, Lanes]:
     """c and log2 c from h − n."""
     one_minus_c = fma(x, x, fma(y, y, z * z)) * 0.5
     c = maximum(1.0 - one_minus_c, LEAST_COSINE)
@@ -98,32 +102,46 @@ def peak_cosine(x, y, z):
 
 
 @inlined
-def lobe(lobes, o, log_c):
+def lobe(lobes: np.ndarray, o: int, log_c: Lanes) -> Lanes:
     """expm1(κ c^γ) of the lobe and channel at offset o."""
     return exp2m1(load(lobes, o + LANES * KAPPA) * exp2(load(lobes, o) * log_c))
 
 
 @inlined
-def add_to(pointer, o, value):
+def add_to(pointer: np.ndarray, o: int, value: Lanes) -> None:
     store(pointer, o, load(pointer, o) + value)
 
 
 @inlined
-def clear(pointer, o, count):
+def clear(pointer: np.ndarray, o: int, count: int) -> None:
     """Zeros in `count` times sixteen places from offset o on."""
     for i in range(count):
         store(pointer, o + LANES * i, splat(0.0))
 
 
 @inlined
-def write_sums(sums, o, count, out, to):
+def write_sums(sums: np.ndarray, o: int, count: int, out: np.ndarray, to: int) -> None:
     """Of `count` sums, each in sixteen lanes, what the lanes sum to."""
     for i in range(count):
         out[to + i] = lane_sum(load(sums, o + LANES * i))
 
 
 @inlined
-def add_by_n(sums, a, geometry, o, energy, e, n_w, visible, c, offset, f, slope, g):
+def add_by_n(
+    sums: np.ndarray,
+    a: int,
+    geometry: np.ndarray,
+    o: int,
+    energy: np.ndarray,
+    e: int,
+    n_w: Lanes,
+    visible: Mask,
+    c: Lanes,
+    offset: Vector,
+    f: Vector,
+    slope: Vector,
+    g: tuple[float, float, float],
+) -> None:
     """Add the derivative by n to a pixel's sums.
 
     offset  h − n
@@ -141,7 +159,20 @@ def add_by_n(sums, a, geometry, o, energy, e, n_w, visible, c, offset, f, slope,
     add_to(sums, a + 2 * LANES, fma(by_w, wz, by_c * z))
 
 
-def forward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut, scratch, radiance):
+def forward(
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    n: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    lobes: np.ndarray,
+    least: np.ndarray,
+    cut: np.ndarray,
+    scratch: np.ndarray,
+    radiance: np.ndarray,
+) -> None:
     """Radiance (P, 3) of pixel tiles first … last − 1."""
     for tile in range(first, last):
         start = tile * DISTANT_TILE
@@ -177,7 +208,16 @@ def forward(first, last, pixels, blocks, n, geometry, energy, lobes, least, cut,
 
 
 @inlined
-def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
+def lobe_backward(
+    lobes: np.ndarray,
+    o: int,
+    log_c: Lanes,
+    weight: Lanes,
+    lobe_sums: np.ndarray,
+    to: int,
+    f: Lanes,
+    slope: Lanes,
+) -> tuple[Lanes, Lanes]:
     """Adds one lobe and channel: its two sums over pixels, f + expm1(κ c^γ), slope + x κ c^γ γ log2
     e, where x = exp(κ c^γ).
     """
@@ -193,22 +233,22 @@ def lobe_backward(lobes, o, log_c, weight, lobe_sums, to, f, slope):
 
 
 def backward(
-    first,
-    last,
-    pixels,
-    blocks,
-    n,
-    geometry,
-    energy,
-    lobes,
-    least,
-    cut,
-    scratch,
-    g,
-    n_part,
-    energy_sums,
-    lobe_sums,
-):
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    n: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    lobes: np.ndarray,
+    least: np.ndarray,
+    cut: np.ndarray,
+    scratch: np.ndarray,
+    g: np.ndarray,
+    n_part: np.ndarray,
+    energy_sums: np.ndarray,
+    lobe_sums: np.ndarray,
+) -> None:
     """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew
     is computed again.
 

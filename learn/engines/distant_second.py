@@ -20,6 +20,7 @@ The first derivative by n was that of c = 1 − ½‖h − n‖², (h − n) a l
 derivative of: see `radial` in learn.methods.exact_second, which is the same in plain torch.
 """
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
@@ -49,6 +50,7 @@ from learn.engines.layout import (
 )
 from learn.engines.vector import (
     FLOAT_POINTER,
+    Lanes,
     anywhere,
     fma,
     lane_max,
@@ -62,7 +64,17 @@ SECOND = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 15)
 
 
 @inlined
-def lobe_second(gamma, kappa, gamma_along, kappa_along, log2_c, log_c, r, u, v):
+def lobe_second(
+    gamma: Lanes,
+    kappa: Lanes,
+    gamma_along: Lanes,
+    kappa_along: Lanes,
+    log2_c: Lanes,
+    log_c: Lanes,
+    r: Lanes,
+    u: Lanes,
+    v: Lanes,
+) -> tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]:
     """Of one lobe and channel: F, F', and S's derivatives by κ, γ, ln c and r; then, for those by
     κ' and γ', α c^γ and α x ln c.
 
@@ -94,9 +106,9 @@ def lobe_second(gamma, kappa, gamma_along, kappa_along, log2_c, log_c, r, u, v):
 
 
 def second(
-    first, last, pixels, blocks,
-    n, geometry, energy, lobes, least, cut, scratch, g, n_along, e_along, l_along, n_part, g_part, energy_sums, lobe_sums,
-):  # fmt: skip
+    first: int, last: int, pixels: int, blocks: int,
+    n: np.ndarray, geometry: np.ndarray, energy: np.ndarray, lobes: np.ndarray, least: np.ndarray, cut: np.ndarray, scratch: np.ndarray, g: np.ndarray, n_along: np.ndarray, e_along: np.ndarray, l_along: np.ndarray, n_part: np.ndarray, g_part: np.ndarray, energy_sums: np.ndarray, lobe_sums: np.ndarray,
+) -> None:  # fmt: skip
     """Derivatives of S that belong to light chunks first … last − 1, as in
     learn.engines.distant.backward.
 

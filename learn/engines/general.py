@@ -16,6 +16,7 @@ s is kept as a float and its rounding error, and v's length is set right, so tha
 its own size: a lobe of γ = 1e5 needs it.
 """
 
+import numpy as np
 from numba import float32, float64, types
 
 from learn.engines.compilation import inlined
@@ -38,9 +39,11 @@ from learn.engines.layout import (
     W_REST_Y,
     W_REST_Z,
 )
-from learn.engines.splines import ANGLE_TO_X, add_curve, basis, curve, slope, tents
+from learn.engines.splines import ANGLE_TO_X, Basis, Tents, add_curve, basis, curve, slope, tents
 from learn.engines.vector import (
     FLOAT_POINTER,
+    Lanes,
+    Vector,
     anywhere,
     fma,
     lane_max,
@@ -59,7 +62,7 @@ BACKWARD = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 14)
 
 
 @inlined
-def two_sum(a, b):
+def two_sum(a: Lanes, b: Lanes) -> tuple[Lanes, Lanes]:
     """a + b and what its rounding took off."""
     total = a + b
     part = total - a
@@ -67,14 +70,16 @@ def two_sum(a, b):
 
 
 @inlined
-def shortfall(x, y, z):
+def shortfall(x: float, y: float, z: float) -> np.float32:
     """1/‖v‖ − 1 of a vector that was scaled to unit length in float32."""
-    x, y, z = float64(x), float64(y), float64(z)
-    return float32(0.5 * (1.0 - (x * x + y * y + z * z)))
+    x64, y64, z64 = float64(x), float64(y), float64(z)
+    return float32(0.5 * (1.0 - (x64 * x64 + y64 * y64 + z64 * z64)))
 
 
 @inlined
-def w_plus_v(geometry, o, vx, vy, vz, v_short):
+def w_plus_v(
+    geometry: np.ndarray, o: int, vx: Lanes, vy: Lanes, vz: Lanes, v_short: float
+) -> tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]:
     """s = w + v as three floats and three rests."""
     wx, wy, wz = w_of(geometry, o)
     sx, rx = two_sum(wx, vx)
@@ -87,23 +92,36 @@ def w_plus_v(geometry, o, vx, vy, vz, v_short):
 
 
 @inlined
-def square(x, y, z):
+def square(x: Lanes, y: Lanes, z: Lanes) -> Lanes:
     return fma(x, x, fma(y, y, z * z))
 
 
 @inlined
-def offset(s, rest, n, inverse):
+def offset(s: Lanes, rest: Lanes, n: Lanes, inverse: Lanes) -> Lanes:
     """One component of h − n, inverse = 1/‖s‖."""
     return fma(rest, inverse, fma(s, inverse, 0.0 - n))
 
 
 @inlined
-def lobe(m, o, log_c, b):
+def lobe(m: np.ndarray, o: int, log_c: Lanes, b: Basis) -> Lanes:
     """expm1(κ c^γ) of the lobe and channel at offset o."""
     return exp2m1(curve(m, o + KAPPA_VALUES, b) * exp2(curve(m, o, b) * log_c))
 
 
-def forward(first, last, pixels, blocks, n, v, geometry, energy, m, least, cut, radiance):
+def forward(
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    m: np.ndarray,
+    least: np.ndarray,
+    cut: np.ndarray,
+    radiance: np.ndarray,
+) -> None:
     """Radiance (P, 3) of pixel tiles first … last − 1."""
     for p in range(first * GENERAL_TILE, min(last * GENERAL_TILE, pixels)):
         nx, ny, nz = splat(n[3 * p]), splat(n[3 * p + 1]), splat(n[3 * p + 2])
@@ -147,7 +165,18 @@ def forward(first, last, pixels, blocks, n, v, geometry, energy, m, least, cut, 
 
 
 @inlined
-def lobe_backward(m, steps, o, log_c, b, tent, weight, m_sums, at, with_view):
+def lobe_backward(
+    m: np.ndarray,
+    steps: np.ndarray,
+    o: int,
+    log_c: Lanes,
+    b: Basis,
+    tent: Tents,
+    weight: Lanes,
+    m_sums: np.ndarray,
+    at: int,
+    with_view: int,
+) -> Vector:
     """One lobe and channel: F, dF/dc · c log2 e, dF/dx of the spline's x; adds its derivatives by
     m, × weight, from m_sums[at] on.
     """
@@ -169,9 +198,9 @@ def lobe_backward(m, steps, o, log_c, b, tent, weight, m_sums, at, with_view):
 
 
 def backward(
-    first, last, pixels, blocks, with_view,
-    n, v, geometry, energy, m, steps, least, cut, scratch, g, n_part, v_part, energy_sums, m_sums,
-):  # fmt: skip
+    first: int, last: int, pixels: int, blocks: int, with_view: int,
+    n: np.ndarray, v: np.ndarray, geometry: np.ndarray, energy: np.ndarray, m: np.ndarray, steps: np.ndarray, least: np.ndarray, cut: np.ndarray, scratch: np.ndarray, g: np.ndarray, n_part: np.ndarray, v_part: np.ndarray, energy_sums: np.ndarray, m_sums: np.ndarray,
+) -> None:  # fmt: skip
     """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew
     is computed again.
 

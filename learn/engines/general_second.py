@@ -17,6 +17,7 @@ w = v: ‖t‖ is held above √LEAST_SQUARE, and so is the second derivative be
 lacks.
 """
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
@@ -40,9 +41,10 @@ from learn.engines.layout import (
     STEPS_OF_CURVE,
     VALUES,
 )
-from learn.engines.splines import ANGLE_TO_X, add_curve, basis, curve, slope, tents
+from learn.engines.splines import ANGLE_TO_X, Tents, add_curve, basis, curve, slope, tents
 from learn.engines.vector import (
     FLOAT_POINTER,
+    Lanes,
     anywhere,
     fma,
     lane_max,
@@ -58,7 +60,7 @@ SECOND = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 21)
 
 
 @inlined
-def bends(theta_d):
+def bends(theta_d: Lanes) -> Tents:
     """The derivatives of `tents` by x: 1 on the interval before a tent's knot, −1 on the one
     after.
     """
@@ -72,7 +74,7 @@ def bends(theta_d):
 
 
 @inlined
-def add_slope(sums, o, q, t):
+def add_slope(sums: np.ndarray, o: int, q: Lanes, t: Tents) -> None:
     """sums rows o/16 … + 4 (16 lanes each) += q t_j: a slope's derivative by its steps."""
     store(sums, o, fma(q, t[0], load(sums, o)))
     store(sums, o + LANES, fma(q, t[1], load(sums, o + LANES)))
@@ -82,15 +84,15 @@ def add_slope(sums, o, q, t):
 
 
 @inlined
-def dot(ax, ay, az, bx, by, bz):
+def dot(ax: Lanes, ay: Lanes, az: Lanes, bx: Lanes, by: Lanes, bz: Lanes) -> Lanes:
     return fma(ax, bx, fma(ay, by, az * bz))
 
 
 def second(
-    first, last, pixels, blocks,
-    n, v, geometry, energy, m, steps, least, cut, scratch, g, n_along, v_along, e_along, m_along, steps_along,
-    n_part, v_part, g_part, energy_sums, m_sums, steps_sums,
-):  # fmt: skip
+    first: int, last: int, pixels: int, blocks: int,
+    n: np.ndarray, v: np.ndarray, geometry: np.ndarray, energy: np.ndarray, m: np.ndarray, steps: np.ndarray, least: np.ndarray, cut: np.ndarray, scratch: np.ndarray, g: np.ndarray, n_along: np.ndarray, v_along: np.ndarray, e_along: np.ndarray, m_along: np.ndarray, steps_along: np.ndarray,
+    n_part: np.ndarray, v_part: np.ndarray, g_part: np.ndarray, energy_sums: np.ndarray, m_sums: np.ndarray, steps_sums: np.ndarray,
+) -> None:  # fmt: skip
     """Derivatives of S that belong to light chunks first … last − 1, as in
     learn.engines.general.backward.
 

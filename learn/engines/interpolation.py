@@ -16,6 +16,7 @@ Places and weights are found in float64, sums made in float32.
 
 import math
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
@@ -40,7 +41,7 @@ BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 5)
 
 
 @inlined
-def place(x, y, z, size):
+def place(x: float, y: float, z: float, size: int) -> tuple[int, int, float, float, float]:
     """Row and column of the node before a normal's place, what is left of the place, and 1 / √(1 +
     n_z).
     """
@@ -52,7 +53,7 @@ def place(x, y, z, size):
 
 
 @inlined
-def weights(t):
+def weights(t: float) -> tuple[float, float, float, float]:
     """Catmull–Rom weights of the four nodes around a place t in [0, 1) after the second."""
     t2 = t * t
     t3 = t2 * t
@@ -65,7 +66,7 @@ def weights(t):
 
 
 @inlined
-def weight_slopes(t):
+def weight_slopes(t: float) -> tuple[float, float, float, float]:
     """Their derivatives by t."""
     t2 = t * t
     return (
@@ -76,7 +77,7 @@ def weight_slopes(t):
     )
 
 
-def touch(first, last, size, n, touched):
+def touch(first: int, last: int, size: int, n: np.ndarray, touched: np.ndarray) -> None:
     """Sets touched (size, size) to 1 at the node before each of the pixels first … last − 1."""
     for p in range(first, last):
         x, y, z = types.float64(n[3 * p]), types.float64(n[3 * p + 1]), types.float64(n[3 * p + 2])
@@ -84,7 +85,9 @@ def touch(first, last, size, n, touched):
         touched[row * size + column] = 1.0
 
 
-def forward(first, last, size, n, table, out):
+def forward(
+    first: int, last: int, size: int, n: np.ndarray, table: np.ndarray, out: np.ndarray
+) -> None:
     """Values of pixels first … last − 1."""
     for p in range(first, last):
         x, y, z = types.float64(n[3 * p]), types.float64(n[3 * p + 1]), types.float64(n[3 * p + 2])
@@ -100,7 +103,17 @@ def forward(first, last, size, n, table, out):
         out[3 * p + 2] = sums[2]
 
 
-def backward(first, last, pixels, size, n, table, g, by_n, by_table):
+def backward(
+    first: int,
+    last: int,
+    pixels: int,
+    size: int,
+    n: np.ndarray,
+    table: np.ndarray,
+    g: np.ndarray,
+    by_n: np.ndarray,
+    by_table: np.ndarray,
+) -> None:
     """Derivatives of Σ g·out from pixel chunks first … last − 1: by_n (P, 3), added to by_table
     (MAP_CHUNKS, size, size, 4).
     """

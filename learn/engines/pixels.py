@@ -11,6 +11,7 @@ unit     (N, 3) vectors scaled to unit length; length (N,) what they were
 
 import math
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
@@ -33,7 +34,7 @@ PICK = types.void(*[types.int64] * 2, PLACE_POINTER, *[FLOAT_POINTER] * 2)
 
 
 @inlined
-def length_at(vectors, p):
+def length_at(vectors: np.ndarray, p: int) -> float:
     x, y, z = (
         types.float64(vectors[3 * p]),
         types.float64(vectors[3 * p + 1]),
@@ -42,7 +43,17 @@ def length_at(vectors, p):
     return math.sqrt(x * x + y * y + z * z)
 
 
-def look(first, last, has_view, has_mask, n, view, limits, mask, state):
+def look(
+    first: int,
+    last: int,
+    has_view: int,
+    has_mask: int,
+    n: np.ndarray,
+    view: np.ndarray,
+    limits: np.ndarray,
+    mask: np.ndarray,
+    state: np.ndarray,
+) -> None:
     """The state of pixels first … last − 1; limits (2,): largest |length − 1|, and least n·v;
     without a mask, n = 0 is outside.
     """
@@ -74,7 +85,14 @@ def look(first, last, has_view, has_mask, n, view, limits, mask, state):
         state[p] = SEEN if facing > horizon else AWAY
 
 
-def unit(first, last, vectors, index, unit, length):
+def unit(
+    first: int,
+    last: int,
+    vectors: np.ndarray,
+    index: np.ndarray,
+    unit: np.ndarray,
+    length: np.ndarray,
+) -> None:
     """Unit vectors and lengths of the picked pixels first … last − 1."""
     for i in range(first, last):
         p = index[i]
@@ -83,7 +101,15 @@ def unit(first, last, vectors, index, unit, length):
             unit[3 * i + k] = vectors[3 * p + k] / length[i]
 
 
-def unit_backward(first, last, index, unit, length, g, by_vectors):
+def unit_backward(
+    first: int,
+    last: int,
+    index: np.ndarray,
+    unit: np.ndarray,
+    length: np.ndarray,
+    g: np.ndarray,
+    by_vectors: np.ndarray,
+) -> None:
     """Derivatives by the vectors (P, 3), of picked pixels first … last − 1: the tangential part of
     g, over the length.
     """
@@ -95,14 +121,16 @@ def unit_backward(first, last, index, unit, length, g, by_vectors):
             by_vectors[3 * index[i] + k] = (g[3 * i + k] - along * unit[3 * i + k]) / length[i]
 
 
-def spread(first, last, index, values, picture):
+def spread(
+    first: int, last: int, index: np.ndarray, values: np.ndarray, picture: np.ndarray
+) -> None:
     """Values (N, 3) of picked pixels first … last − 1 into the picture (P, 3)."""
     for i in range(first, last):
         for k in range(3):
             picture[3 * index[i] + k] = values[3 * i + k]
 
 
-def pick(first, last, index, picture, values):
+def pick(first: int, last: int, index: np.ndarray, picture: np.ndarray, values: np.ndarray) -> None:
     """The way back: what the picture (P, 3) holds at picked pixels first … last − 1."""
     for i in range(first, last):
         for k in range(3):

@@ -21,6 +21,7 @@ each way: L_k is the mean over it, so that the sum does not jump where a tap cro
 border, and a few taps find the border's place (learn.methods.quadrature.footprint).
 """
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
@@ -43,9 +44,11 @@ from learn.engines.layout import (
     SAMPLE_Y,
     SAMPLE_Z,
 )
-from learn.engines.splines import basis, curve
+from learn.engines.splines import Basis, basis, curve
 from learn.engines.vector import (
     FLOAT_POINTER,
+    Lanes,
+    Vector,
     anywhere,
     fma,
     lane_max,
@@ -67,13 +70,13 @@ FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9)
 
 
 @inlined
-def lobe(m, o, log_c, b):
+def lobe(m: np.ndarray, o: int, log_c: Lanes, b: Basis) -> Lanes:
     """expm1(κ c^γ) of the lobe and channel at offset o."""
     return exp2m1(curve(m, o + KAPPA_VALUES, b) * exp2(curve(m, o, b) * log_c))
 
 
 @inlined
-def polar_angles(x, y, z):
+def polar_angles(x: Lanes, y: Lanes, z: Lanes) -> tuple[Lanes, Lanes]:
     """θ from +y in [0, π] and φ from +x through +z in [0, 2π] of sixteen directions."""
     theta = angle(fma(x, x, z * z) + TINY, y * y)
     theta = select(y < 0.0, PI - theta, theta)
@@ -83,7 +86,7 @@ def polar_angles(x, y, z):
 
 
 @inlined
-def reflectance(m, least, log_c, cos_d):
+def reflectance(m: np.ndarray, least: np.ndarray, log_c: Lanes, cos_d: Lanes) -> Vector:
     """F (3 channels) of sixteen taps."""
     b = basis(angle(maximum(1.0 - cos_d * cos_d, 0.0), cos_d * cos_d + TINY))
     nearest = lane_max(log_c)
@@ -97,7 +100,7 @@ def reflectance(m, least, log_c, cos_d):
 
 
 @inlined
-def border(x, width):
+def border(x: Lanes, width: Lanes) -> tuple[Lanes, Lanes]:
     """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it;
     texel k begins at x = k.
     """
@@ -106,7 +109,7 @@ def border(x, width):
 
 
 @inlined
-def alone(border, beyond):
+def alone(border: Lanes, beyond: Lanes) -> bool:
     """Whether the footprints of all lanes lie in one row (or column) of texels."""
     place = border + beyond  # whole where no footprint is parted
     return lane_max(place) + lane_max(0.0 - place) == 0.0 and not anywhere(
@@ -115,7 +118,7 @@ def alone(border, beyond):
 
 
 @inlined
-def corner(row, column, height, width):
+def corner(row: float, column: float, height: int, width: int) -> int:
     """Number of a texel, given as floats; rows end at the poles, columns go round."""
     i, j = int(row), int(column)
     i = 0 if i < 0 else height - 1 if i >= height else i
@@ -124,22 +127,22 @@ def corner(row, column, height, width):
 
 
 def forward(
-    first,
-    last,
-    pixels,
-    blocks,
-    height,
-    width,
-    n,
-    v,
-    around,
-    m,
-    least,
-    rotation,
-    light,
-    scratch,
-    radiance,
-):
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    height: int,
+    width: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    around: np.ndarray,
+    m: np.ndarray,
+    least: np.ndarray,
+    rotation: np.ndarray,
+    light: np.ndarray,
+    scratch: np.ndarray,
+    radiance: np.ndarray,
+) -> None:
     """Radiance (P, 3) of pixel tiles first … last − 1."""
     for p in range(first * SAMPLE_TILE, min(last * SAMPLE_TILE, pixels)):
         nx, ny, nz = n[3 * p], n[3 * p + 1], n[3 * p + 2]

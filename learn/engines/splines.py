@@ -9,28 +9,39 @@ steps prepared by
          learn.engines.lights.spline_steps
 """
 
+import numpy as np
+
 from learn.engines.compilation import inlined
 from learn.engines.layout import (
     LANES,
 )
-from learn.engines.vector import fma, load, maximum, select, store
+from learn.engines.vector import (
+    Lanes,
+    fma,
+    load,
+    maximum,
+    select,
+    store,
+)
 
 ANGLE_TO_X = 2.546479089470325  # 8/π
+Basis = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]
+Tents = tuple[Lanes, Lanes, Lanes, Lanes, Lanes]
 
 
 @inlined
-def positive_square(a):
+def positive_square(a: Lanes) -> Lanes:
     a = maximum(a, 0.0)
     return a * a
 
 
 @inlined
-def magnitude(a):
+def magnitude(a: Lanes) -> Lanes:
     return maximum(a, 0.0 - a)
 
 
 @inlined
-def end(x):
+def end(x: Lanes) -> tuple[Lanes, Lanes]:
     """The first two functions, seen from the end at x = 0."""
     return positive_square(1.0 - x), select(
         x < 1.0, x * fma(x, -1.5, 2.0), 0.5 * positive_square(2.0 - x)
@@ -38,7 +49,7 @@ def end(x):
 
 
 @inlined
-def bump(distance):
+def bump(distance: Lanes) -> Lanes:
     """The uniform quadratic B-spline, by the distance from its middle."""
     return select(
         distance < 0.5, fma(0.0 - distance, distance, 0.75), 0.5 * positive_square(1.5 - distance)
@@ -46,7 +57,7 @@ def bump(distance):
 
 
 @inlined
-def basis(theta_d):
+def basis(theta_d: Lanes) -> Basis:
     x = theta_d * ANGLE_TO_X
     b0, b1 = end(x)
     b5, b4 = end(4.0 - x)
@@ -54,7 +65,7 @@ def basis(theta_d):
 
 
 @inlined
-def tents(theta_d):
+def tents(theta_d: Lanes) -> Tents:
     x = theta_d * ANGLE_TO_X
     t1 = maximum(1.0 - magnitude(x - 1.0), 0.0)
     t2 = maximum(1.0 - magnitude(x - 2.0), 0.0)
@@ -63,21 +74,21 @@ def tents(theta_d):
 
 
 @inlined
-def curve(values, o, b):
+def curve(values: np.ndarray, o: int, b: Basis) -> Lanes:
     """Σ_t values[o + t] b_t."""
     low = fma(b[2], values[o + 2], fma(b[1], values[o + 1], b[0] * values[o]))
     return fma(b[5], values[o + 5], fma(b[4], values[o + 4], fma(b[3], values[o + 3], low)))
 
 
 @inlined
-def slope(steps, o, t):
+def slope(steps: np.ndarray, o: int, t: Tents) -> Lanes:
     """Σ_j steps[o + j] t_j: the curve's derivative by x."""
     low = fma(t[2], steps[o + 2], fma(t[1], steps[o + 1], t[0] * steps[o]))
     return fma(t[4], steps[o + 4], fma(t[3], steps[o + 3], low))
 
 
 @inlined
-def add_curve(sums, o, q, b):
+def add_curve(sums: np.ndarray, o: int, q: Lanes, b: Basis) -> None:
     """sums rows o/16 … + 5 (16 lanes each) += q b_t: the curve's derivative by its control
     values.
     """

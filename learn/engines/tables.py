@@ -7,6 +7,7 @@ basis    (blocks, 6, 16): the spline's basis at each light's θ_d; it is ≥ 0, 
 chunks   of pixels, whose sums are added in their order
 """
 
+import numpy as np
 from numba import types
 
 from learn.engines.culled import LARGEST
@@ -47,7 +48,16 @@ MAKE = types.void(*[types.int64] * 3, *[FLOAT_POINTER] * 5)
 GRADIENT = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 5)
 
 
-def make(first, last, many, m, basis, energy, lobes, cones):
+def make(
+    first: int,
+    last: int,
+    many: int,
+    m: np.ndarray,
+    basis: np.ndarray,
+    energy: np.ndarray,
+    lobes: np.ndarray,
+    cones: np.ndarray,
+) -> None:
     """Lobes of blocks first … last − 1, and their energy in the brightest channel, least γ and
     largest κ log2 e in the cones' rows.
     """
@@ -79,7 +89,17 @@ def make(first, last, many, m, basis, energy, lobes, cones):
         cones[lane + LANES * CONE_ENERGY] = brightest
 
 
-def gradient(many, blocks, chunks, stride, basis, energy, lobes, lobe_sums, by_m):
+def gradient(
+    many: int,
+    blocks: int,
+    chunks: int,
+    stride: int,
+    basis: np.ndarray,
+    energy: np.ndarray,
+    lobes: np.ndarray,
+    lobe_sums: np.ndarray,
+    by_m: np.ndarray,
+) -> None:
     """Derivatives by_m (many, 3, 2, 6, 16), lanes still apart, from what
     learn.engines.culled.backward has summed.
 

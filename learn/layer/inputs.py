@@ -7,7 +7,9 @@ learn/layer/rendering.py.
 
 import math
 import numbers
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 import torch
@@ -56,16 +58,16 @@ class Inputs:
     seen: torch.Tensor | None = None
 
 
-def refuse(argument, rule, found):
+def refuse(argument: str, rule: str, found: object) -> NoReturn:
     raise ValueError(f"{argument}: expected {rule}, found {found}")
 
 
-def require_shape(argument, tensor, rule, right):
+def require_shape(argument: str, tensor: torch.Tensor, rule: str, right: bool) -> None:
     if not right:
         refuse(argument, rule, tuple(tensor.shape))
 
 
-def require_dense(argument, tensor):
+def require_dense(argument: str, tensor: object) -> None:
     """A torch tensor whose elements lie in memory, each at its place."""
     if not isinstance(tensor, torch.Tensor):
         refuse(argument, "a torch tensor", type(tensor).__name__)
@@ -75,7 +77,7 @@ def require_dense(argument, tensor):
         refuse(argument, "a dense tensor", f"layout {tensor.layout}")
 
 
-def require_alike(tensors):
+def require_alike(tensors: Mapping[str, torch.Tensor]) -> None:
     """One floating dtype and one device, with memory, over all the arguments given."""
     for argument, tensor in tensors.items():
         require_dense(argument, tensor)
@@ -97,14 +99,14 @@ def require_alike(tensors):
             refuse(argument, "a tensor with values", "device meta")
 
 
-def require_beside(argument, tensor, n):
+def require_beside(argument: str, tensor: torch.Tensor, n: torch.Tensor) -> None:
     """A dense tensor on the device of n."""
     require_dense(argument, tensor)
     if tensor.device != n.device:
         refuse(argument, f"the device of n, {n.device}", tensor.device)
 
 
-def number(argument, value, rule, right):
+def number(argument: str, value: object, rule: str, right: Callable[[float], bool]) -> float:
     """The value as a float, if it is one real number that keeps the rule; a tensor of one element
     is none, and neither is a bool.
     """
@@ -127,7 +129,7 @@ def number(argument, value, rule, right):
     return converted
 
 
-def readable(tensor):
+def readable(tensor: torch.Tensor) -> torch.Tensor:
     """The tensor as kernels can read it: without a pending negation, and not from inference mode
     where a graph is recorded.
     """
@@ -137,7 +139,7 @@ def readable(tensor):
     return tensor.clone() if tensor.is_inference() and torch.is_grad_enabled() else tensor
 
 
-def require_values(argument, values, rule, right):
+def require_values(argument: str, values: torch.Tensor, rule: str, right: torch.Tensor) -> None:
     """`right` marks the values (any shape) that keep the rule; NaN keeps none. The message shows
     the worst one's value.
     """
@@ -146,7 +148,7 @@ def require_values(argument, values, rule, right):
         refuse(argument, rule, f"{wrong[0].item():g} ({wrong.numel()} of {values.numel()} values)")
 
 
-def checked_settings(tolerance, elevation):
+def checked_settings(tolerance: object, elevation: object) -> tuple[float, float]:
     """The tolerance, LEAST_TOLERANCE at least, and the elevation as floats."""
     tolerance = number("tolerance", tolerance, "a positive number", lambda x: 0 < x < math.inf)
     return max(tolerance, LEAST_TOLERANCE), number(
@@ -154,7 +156,16 @@ def checked_settings(tolerance, elevation):
     )
 
 
-def checked(n, material, light, view, segments, mask, tolerance, elevation):
+def checked(
+    n: torch.Tensor,
+    material: torch.Tensor,
+    light: torch.Tensor,
+    view: torch.Tensor | None,
+    segments: torch.Tensor | None,
+    mask: torch.Tensor | None,
+    tolerance: float,
+    elevation: float,
+) -> Inputs:
     """The arguments of `render` as `Inputs`, or a ValueError."""
     tolerance, elevation = checked_settings(tolerance, elevation)
     require_alike(
@@ -219,7 +230,9 @@ def checked(n, material, light, view, segments, mask, tolerance, elevation):
     return Inputs(n, m, light, view, segments, mask, tolerance, elevation, seen)
 
 
-def read_by_kernel(n, view, mask):
+def read_by_kernel(
+    n: torch.Tensor, view: torch.Tensor | None, mask: torch.Tensor | None
+) -> tuple[torch.Tensor | None, torch.Tensor | None]:
     """mask (as given, or where n is not 0) and seen (B, H, W) bool; seen is None if a length inside
     the mask is wrong.
     """
@@ -230,7 +243,7 @@ def read_by_kernel(n, view, mask):
     return mask, torch.from_numpy(states == SEEN)
 
 
-def checked_segments(segments, picture, materials):
+def checked_segments(segments: torch.Tensor, picture: torch.Size, materials: int) -> torch.Tensor:
     """The segments as int64."""
     require_shape("segments", segments, f"shape {tuple(picture)}", segments.shape == picture)
     if segments.dtype not in INTEGERS:
@@ -248,7 +261,7 @@ def checked_segments(segments, picture, materials):
     return segments
 
 
-def check_lengths(n, view, mask):
+def check_lengths(n: torch.Tensor, view: torch.Tensor | None, mask: torch.Tensor) -> None:
     """n, view: (B, H, W, 3), or view None; what lies outside the mask may be anything."""
     for argument, vectors in (("n", n), ("view", view)):
         if vectors is not None:
@@ -259,7 +272,7 @@ def check_lengths(n, view, mask):
                 require_values(argument, length[mask], rule, right[mask])
 
 
-def check_values(material, light):
+def check_values(material: torch.Tensor, light: torch.Tensor) -> None:
     kappa, gamma = material.reshape(*material.shape[:-1], *SHAPE).unbind(-2)
     if within(light) and within(kappa) and within(gamma, above=True):
         return
@@ -278,7 +291,7 @@ def check_values(material, light):
     )
 
 
-def within(values, above=False):
+def within(values: torch.Tensor, above: bool = False) -> bool:
     """Whether all values are finite and at least 0, or above it; NaN is neither."""
     if not values.numel():
         return True
@@ -288,12 +301,12 @@ def within(values, above=False):
     return (low > 0 if above else low >= 0) and high < math.inf
 
 
-def unit(vectors, index):
+def unit(vectors: torch.Tensor | None, index: torch.Tensor) -> torch.Tensor | None:
     """(N, 3) unit vectors of pictures (B, H, W, 3) at flat places index (N,); None of None."""
     return None if vectors is None else pixel_selection.unit(vectors.reshape(-1, 3), index)
 
 
-def compact(inputs):
+def compact(inputs: Inputs) -> tuple[Batch, torch.Tensor]:
     """The pixels inside the mask that face the viewer, sorted by image and segment.
 
     Returns  a learn.methods.Batch of P pixels; index (P,) of each among the B·H·W pixels

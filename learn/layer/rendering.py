@@ -30,16 +30,16 @@ from shaders.frames import ELEVATION
 
 
 def render(
-    n,
-    material,
-    light,
-    view=None,
-    segments=None,
-    mask=None,
-    method="auto",
-    tolerance=1e-2,
-    elevation=float(ELEVATION),
-):
+    n: torch.Tensor,
+    material: torch.Tensor,
+    light: torch.Tensor,
+    view: torch.Tensor | None = None,
+    segments: torch.Tensor | None = None,
+    mask: torch.Tensor | None = None,
+    method: str = "auto",
+    tolerance: float = 1e-2,
+    elevation: float = float(ELEVATION),
+) -> torch.Tensor:
     """Outgoing radiance (B, H, W, 3) towards the viewer; zeros outside the mask.
 
     n, material, light, view, segments   as above; one dtype and device (half precisions are summed
@@ -84,18 +84,28 @@ def render(
 class RenderLayer(torch.nn.Module):
     """`render` as a module without parameters, for use inside a network."""
 
-    def __init__(self, method="auto", tolerance=1e-2, elevation=float(ELEVATION)):
+    def __init__(
+        self, method: str = "auto", tolerance: float = 1e-2, elevation: float = float(ELEVATION)
+    ):
         super().__init__()
         methods.load(method)
         checked_settings(tolerance, elevation)
         self.method, self.tolerance, self.elevation = method, tolerance, elevation
 
-    def forward(self, n, material, light, view=None, segments=None, mask=None):
+    def forward(
+        self,
+        n: torch.Tensor,
+        material: torch.Tensor,
+        light: torch.Tensor,
+        view: torch.Tensor | None = None,
+        segments: torch.Tensor | None = None,
+        mask: torch.Tensor | None = None,
+    ) -> torch.Tensor:
         return render(
             n, material, light, view, segments, mask, self.method, self.tolerance, self.elevation
         )
 
-    def extra_repr(self):
+    def extra_repr(self) -> str:
         return (
             f"method={self.method!r}, tolerance={float(self.tolerance):g},"
             f" elevation={float(self.elevation):.4f}"

@@ -8,11 +8,14 @@ pictures. Forward mode and derivatives of derivatives are refused.
 """
 
 import contextlib
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import torch
 
 from learn import layer
 from learn.engines import derivatives
+from learn.engines.derivatives import Context
 from learn.layer.inputs import require_dense
 
 FORWARD_MODE = (
@@ -28,10 +31,11 @@ TRACED = (
     " torch.compile leaves it as one call, and torch.func.vmap, grad, vjp and jacrev work"
 )
 NAMES = ("n", "material", "light", "view", "segments", "mask")
+Settings = tuple[str, float, float]  # method, tolerance and elevation
 KINDS = torch._C._TorchDispatchModeKey
 
 
-def are_active():
+def are_active() -> bool:
     """Whether the caller is inside of a transform of torch.func. Raises NotImplementedError where
     calls are recorded instead.
     """
@@ -44,7 +48,7 @@ def are_active():
     return torch._C._are_functorch_transforms_active()
 
 
-def render(tensors, settings):
+def render(tensors: Sequence[object], settings: Settings) -> torch.Tensor:
     """`learn.layer.render` of n, material, light, view, segments and mask, and of method, tolerance
     and elevation.
     """
@@ -57,7 +61,7 @@ def render(tensors, settings):
 
 
 @contextlib.contextmanager
-def hooks_allowed():
+def hooks_allowed() -> Iterator[None]:
     """Within it saved tensors may have hooks, which torch.func forbids within grad; a step's own
     inner graph is not torch.func's.
     """
@@ -70,21 +74,21 @@ def hooks_allowed():
             torch._C._autograd._saved_tensors_hooks_disable(message)
 
 
-def refuse_batch(g):
+def refuse_batch(g: torch.Tensor) -> None:
     """A hook on the picture's gradient: kernels cannot take many gradients as one tensor that
     stands for them.
     """
     derivatives.require_one_gradient(g)
 
 
-def leaf(x):
+def leaf(x: torch.Tensor) -> torch.Tensor:
     """The tensor without its graph; a copy of one that was made in inference mode, which cannot be
     in any graph.
     """
     return x.detach().clone() if x.is_inference() else x.detach()
 
 
-def folded(count, dimensions, tensors):
+def folded(count: int, dimensions: Sequence[int | None], tensors: Sequence[object]) -> list[object]:
     """Tensors whose dimension of `count`, given or to be added, has become part of the first one,
     the batch of pictures.
     """
@@ -103,7 +107,7 @@ def folded(count, dimensions, tensors):
     return [fold(dimension, x) for dimension, x in zip(dimensions, tensors, strict=True)]
 
 
-def parted(count, x):
+def parted(count: int, x: torch.Tensor) -> torch.Tensor:
     """The reverse: (count · B, …) as (count, B, …)."""
     return x.unflatten(0, (count, x.shape[0] // count if count else 0))
 
@@ -114,24 +118,26 @@ class Picture(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(*inputs):
+    def forward(*inputs: Any) -> torch.Tensor:
         *tensors, settings = inputs
         with hooks_allowed():
             return layer.render(*tensors, *settings)
 
     @staticmethod
-    def setup_context(ctx, inputs, output):
+    def setup_context(ctx: Context, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
         *tensors, ctx.settings = inputs
         ctx.save_for_backward(*tensors)
 
     @staticmethod
-    def backward(ctx, g):
+    def backward(ctx: Context, g: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         requested = tuple(ctx.needs_input_grad[:4])
         result = iter(Gradients.apply(g, *ctx.saved_tensors, ctx.settings, requested))
         return *(next(result) if each else None for each in requested), None, None, None
 
     @staticmethod
-    def vmap(info, dimensions, *inputs):
+    def vmap(
+        info: Any, dimensions: tuple[int | None, ...], *inputs: Any
+    ) -> tuple[torch.Tensor, int]:
         *tensors, settings = inputs
         return (
             parted(
@@ -142,7 +148,7 @@ class Picture(torch.autograd.Function):
         )
 
     @staticmethod
-    def jvp(ctx, *tangents):
+    def jvp(ctx: Context, *tangents: torch.Tensor) -> None:
         raise NotImplementedError(FORWARD_MODE)
 
 
@@ -152,28 +158,30 @@ class Gradients(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(g, *inputs):
+    def forward(g: torch.Tensor, *inputs: Any) -> tuple[torch.Tensor, ...]:
         *tensors, settings, requested = inputs
         with hooks_allowed(), torch.enable_grad():
-            leaves = [
+            leaves: list[torch.Tensor | None] = [
                 None if x is None else leaf(x).requires_grad_(each)
                 for x, each in zip(tensors[:4], requested, strict=True)
             ]
             picture = layer.render(*leaves, *tensors[4:], *settings)
-            return torch.autograd.grad(
-                picture, [x for x, each in zip(leaves, requested, strict=True) if each], g
-            )
+            pairs = zip(leaves, requested, strict=True)
+            by = [x for x, each in pairs if each and x is not None]
+            return torch.autograd.grad(picture, by, g)
 
     @staticmethod
-    def setup_context(ctx, inputs, output):
+    def setup_context(ctx: Context, inputs: tuple[Any, ...], output: object) -> None:
         pass
 
     @staticmethod
-    def backward(ctx, *g):
+    def backward(ctx: Context, *g: torch.Tensor) -> None:
         raise NotImplementedError(SECOND)
 
     @staticmethod
-    def vmap(info, dimensions, *inputs):
+    def vmap(
+        info: Any, dimensions: tuple[int | None, ...], *inputs: Any
+    ) -> tuple[tuple[torch.Tensor, ...], tuple[int, ...]]:
         *tensors, settings, requested = inputs
         result = Gradients.apply(
             *folded(info.batch_size, dimensions[:7], tensors), settings, requested
@@ -181,5 +189,5 @@ class Gradients(torch.autograd.Function):
         return tuple(parted(info.batch_size, x) for x in result), (0,) * len(result)
 
     @staticmethod
-    def jvp(ctx, *tangents):
+    def jvp(ctx: Context, *tangents: torch.Tensor) -> None:
         raise NotImplementedError(FORWARD_MODE)

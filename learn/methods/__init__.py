@@ -10,7 +10,9 @@ P pixels, G groups (one image and segment each; pixels lie sorted by group), B i
 """
 
 import importlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import ModuleType
 
 import torch
 
@@ -89,7 +91,7 @@ class Batch:
     one_material: bool = False
 
 
-def load(name):
+def load(name: object) -> ModuleType:
     """The module of a method."""
     if not isinstance(name, str):
         raise ValueError(f"method: expected one of {', '.join(NAMES)}, found {type(name).__name__}")
@@ -101,7 +103,7 @@ def load(name):
     return importlib.import_module(f"learn.methods.{name}")
 
 
-def refusal(name, why=COMPILED):
+def refusal(name: str, why: str = COMPILED) -> str:
     """What is said where a method's derivatives are differentiated again and cannot be, by reason
     of `why`.
     """
@@ -111,12 +113,12 @@ def refusal(name, why=COMPILED):
     )
 
 
-def wants_gradient(*tensors):
+def wants_gradient(*tensors: torch.Tensor | None) -> bool:
     """Whether a derivative by any of the tensors (or None) can be asked for."""
     return torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in tensors)
 
 
-def first_only(batch, name, why):
+def first_only(batch: Batch, name: str, why: str) -> Batch:
     """The batch for a method that has first derivatives only, which costs it 0.1 ms:
     `derivatives.first_only`.
     """
@@ -126,14 +128,14 @@ def first_only(batch, name, why):
     return replace(batch, n=n, view=view, m=m, light=light)
 
 
-def by_group(batch, function):
+def by_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tensor:
     """Radiance (P, 3) by a function of one group: function(n (p, 3), view (p, 3) or None, m (3, 3,
     2, 6), light (Hl, Wl, 3)) → (p, 3).
     """
     return per_group(batch, lambda _, *arguments: function(*arguments))
 
 
-def per_group(batch, function):
+def per_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tensor:
     """As `by_group`, with the group's number as the first argument."""
     # without a copy, for which torch would wake its threads (learn/engines/pixel_selection.py)
     if len(batch.counts) == 1:
@@ -148,7 +150,7 @@ def per_group(batch, function):
     )
 
 
-def merged(batch):
+def merged(batch: Batch) -> Batch:
     """The batch with neighbouring groups made one where they are given one material and one light:
     one tensor expanded over the batch (stride 0 in memory), as its pictures' shared scene. What is
     merely equal is kept apart: then no picture's bits depend on its company.

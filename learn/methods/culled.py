@@ -10,7 +10,9 @@ tolerance may be missing, the sum is made again with less left out. So the error
 estimated. Derivatives leave out the same blocks, except those by a lobe that is dim beside another.
 """
 
-from learn.methods import Batch, Card, by_group, directional
+import torch
+
+from learn.methods import Batch, Card, by_group, directional, light_tables
 
 CARD = Card(
     name="culled",
@@ -26,9 +28,11 @@ CARD = Card(
 SHARE = 0.5  # of the tolerance that may be left out
 
 
-def radiance(batch: Batch, tolerance):
-    def one_group(n, view, m, light):
-        lights, E = directional.of_map(light, batch.camera_from_light)
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
+        lights, E = light_tables.of_map(light, batch.camera_from_light)
         left_out = SHARE * tolerance * directional.scale(n, view, m, E, lights)
         seen = directional.radiance(n, view, m, E, lights, left_out, method=CARD.name)
         least = seen.detach().mean().item()

@@ -14,7 +14,7 @@ import torch
 from shaders.dsbrdf import MAX_EXPONENT
 
 
-def sharpness(m, dark=False):
+def sharpness(m: torch.Tensor | np.ndarray, dark: bool = False) -> np.ndarray:
     """g of each lobe (3,), numpy float64: the largest over channels and control values, among those
     that reflect anything.
 
@@ -25,7 +25,7 @@ def sharpness(m, dark=False):
     return (np.where((kappa > 0) | dark, gamma * steepening, 0.0)).max((0, 2))
 
 
-def strength(m):
+def strength(m: torch.Tensor | np.ndarray) -> np.ndarray:
     """The reflected part of each lobe (3,), roughly: its height times the solid angle of its
     highlight, mean over channels and angles.
     """
@@ -35,13 +35,13 @@ def strength(m):
     return (np.expm1(kappa) * width).mean((0, 2))
 
 
-def controls(m):
+def controls(m: torch.Tensor | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """κ and γ (3, 3, 6), numpy float64, of a tensor or an array."""
     m = m.detach().double().cpu().numpy() if isinstance(m, torch.Tensor) else m
     return np.minimum(m[:, :, 0], MAX_EXPONENT), m[:, :, 1]
 
 
-def only(m, lobes):
+def only(m: torch.Tensor, lobes: np.ndarray) -> torch.Tensor:
     """m with κ = 0, hence no reflection, in all lobes but those marked (3,) numpy bool;
     differentiable.
     """

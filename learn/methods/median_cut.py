@@ -15,7 +15,17 @@ import math
 import numpy as np
 import torch
 
-from learn.methods import COMPILED, HELD_LIGHTS, Batch, Card, by_group, directional, first_only
+from learn.methods import (
+    COMPILED,
+    HELD_LIGHTS,
+    Batch,
+    Card,
+    by_group,
+    directional,
+    first_only,
+    light_tables,
+)
+from learn.methods.light_tables import Lights
 from shaders.envmap import LUMINANCE, directions
 
 CARD = Card(
@@ -29,18 +39,18 @@ CARD = Card(
 LEAST, MOST = 64, 4096
 
 
-def count(tolerance):
+def count(tolerance: float) -> int:
     """Lights for a tolerance on materials without sharp lobes: the error falls about as 1 /
     lights.
     """
     return int(np.clip(2 ** math.ceil(math.log2(4.0 / tolerance)), LEAST, MOST))
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     return with_lights(held(batch, CARD.name), count(tolerance))
 
 
-def held(batch, name):
+def held(batch: Batch, name: str) -> Batch:
     """The batch for a method that cuts the light: with a second derivative only in torch's own
     sums, while the light is a constant.
     """
@@ -49,15 +59,19 @@ def held(batch, name):
     return first_only(batch, name, HELD_LIGHTS) if batch.light.requires_grad else batch
 
 
-def with_lights(batch, lights):
-    def one_group(n, view, m, light):
+def with_lights(batch: Batch, lights: int) -> torch.Tensor:
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         few, E = cut(light, batch.camera_from_light, lights)
         return directional.radiance(n, view, m, E, few)
 
     return by_group(batch, one_group)
 
 
-def cut(light, camera_from_light, count):
+def cut(
+    light: torch.Tensor, camera_from_light: torch.Tensor, count: int
+) -> tuple[Lights, torch.Tensor]:
     """`Lights` of at most `count` regions, and their E (T, 3), differentiable in light (height,
     width, 3).
 
@@ -66,7 +80,7 @@ def cut(light, camera_from_light, count):
     """
     height, width = light.shape[:2]
     if height * width <= count:
-        return directional.of_map(light, camera_from_light)
+        return light_tables.of_map(light, camera_from_light)
     w, solid_angle = directions(height, width)
     brightness = light.detach().double().cpu().numpy() @ LUMINANCE
     # dark regions have a centre too
@@ -90,10 +104,10 @@ def cut(light, camera_from_light, count):
             light * torch.as_tensor(solid_angle, dtype=light.dtype, device=light.device)[..., None]
         ).reshape(-1, 3),
     )
-    return directional.lights_at(centre @ camera_from_light.double().cpu().numpy().T), E
+    return light_tables.lights_at(centre @ camera_from_light.double().cpu().numpy().T), E
 
 
-def regions(energy, count):
+def regions(energy: np.ndarray, count: int) -> np.ndarray:
     """The region's number of each texel (height, width), 0 … R − 1 with R ≤ count; neighbours in
     number are neighbours in the map.
     """
@@ -117,7 +131,7 @@ def regions(energy, count):
     return number.cumsum(0).cumsum(1)[:height, :width]
 
 
-def halved(boxes, table):
+def halved(boxes: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Each box (R, 4) replaced by its two halves of equal energy, or by itself if it is one
     texel.
     """
@@ -149,7 +163,9 @@ def halved(boxes, table):
     return both[np.stack([np.ones(len(boxes), bool), ~single], 1).reshape(-1)]
 
 
-def energy_up_to(boxes, table, by_rows, place):
+def energy_up_to(
+    boxes: np.ndarray, table: np.ndarray, by_rows: np.ndarray, place: np.ndarray
+) -> np.ndarray:
     """Energy (R,) of each box's part before `place`, a row where by_rows, else a column."""
     top, bottom, left, right = boxes.T
     bottom, right = np.where(by_rows, place, bottom), np.where(by_rows, right, place)

@@ -2,7 +2,9 @@
 (learn/methods/sampling.py).
 """
 
-from learn.methods import HELD_SAMPLES, Card, first_only, sampling
+import torch
+
+from learn.methods import HELD_SAMPLES, Batch, Card, first_only, sampling
 
 CARD = Card(
     name="monte_carlo",
@@ -15,6 +17,6 @@ CARD = Card(
 )
 
 
-def radiance(batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     half = sampling.count(tolerance) // 2
     return sampling.sampled(first_only(batch, CARD.name, HELD_SAMPLES), half, half)

@@ -64,7 +64,7 @@ SPLITS = (1, 2, 4)  # parts of a texel's side; beyond, samples
 # take longer there
 ALWAYS_SPLIT = 2
 # times as many samples for lobes of each split's band, which hold more texels
-WIDER = {4: 2, math.inf: 1}
+WIDER = {4: 2, None: 1}
 # tolerance from which samples serve the band of the finest split too; below, they would need more
 # time than split texels
 LOOSE = 5e-3
@@ -78,7 +78,7 @@ RADII = np.concatenate([[0.0], np.geomspace(1e-5, np.pi / 2, 1024)])
 THETA_D = np.linspace(0, np.pi / 2, 13)
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     exponent, rows = (
         exponents(batch.m.detach()),
         min(batch.light.shape[1], batch.light.shape[2] / 2),
@@ -91,14 +91,14 @@ def radiance(batch: Batch, tolerance):
     # The engine's samples have no backward pass: where derivatives are wanted, split texels are
     # faster as far as they reach.
     by_texels = tolerance < LOOSE or wants_gradient(batch.n, batch.view, batch.m, batch.light)
-    for split in (*SPLITS, math.inf):
-        high = BROAD * (split * rows / 64) ** 2 if split * rows >= least_rows(tolerance) else low
+    for split in (*SPLITS, None):  # None: samples
+        high = math.inf if split is None else broadest(split * rows, tolerance, low)
         lobes = (exponent > low) & (exponent <= high)
         low = high
         if not lobes.any():
             continue
         band = replace(batch, m=keep(batch.m, lobes))
-        if split <= ALWAYS_SPLIT or (by_texels and split < math.inf):
+        if split is not None and (split <= ALWAYS_SPLIT or by_texels):
             light = (
                 batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
                 if split > 1
@@ -119,7 +119,12 @@ def radiance(batch: Batch, tolerance):
     return out
 
 
-def least_rows(tolerance):
+def broadest(rows: float, tolerance: float, otherwise: float) -> float:
+    """The exponent up to which a sum over so many rows of texels serves; `otherwise` if for none."""
+    return BROAD * (rows / 64) ** 2 if rows >= least_rows(tolerance) else otherwise
+
+
+def least_rows(tolerance: float) -> float:
     """Rows of a map (half its columns, if fewer) from which its sum is near enough to the integral
     for a lobe of any width.
 
@@ -130,14 +135,14 @@ def least_rows(tolerance):
     return math.sqrt(0.55 / max(tolerance, 1e-3))
 
 
-def sample_count_for(tolerance):
+def sample_count_for(tolerance: float) -> int:
     """The error falls about as 1 / samples (2.5 is half of what the worst of the trials needed); a
     power of two in [LEAST, MOST].
     """
     return int(np.clip(2 ** math.ceil(math.log2(2.5 / tolerance)), LEAST, MOST))
 
 
-def exponents(m):
+def exponents(m: torch.Tensor) -> torch.Tensor:
     """How narrow each lobe is at its narrowest (G, 3, 3): γ, times κ where the lobe is high, for
     e^(κ c^γ) falls as c^(κ γ).
     """
@@ -145,7 +150,7 @@ def exponents(m):
     return gamma * kappa.clamp(min=1)
 
 
-def keep(m, lobes):
+def keep(m: torch.Tensor, lobes: torch.Tensor) -> torch.Tensor:
     """m with no reflection (κ = 0) in all lobes but those marked (G, 3, 3); the others' γ is set
     high, so that engines pass them by.
     """
@@ -153,7 +158,7 @@ def keep(m, lobes):
     return torch.where(lobes[..., None, None], m, nothing)
 
 
-def sample_radii(m, samples):
+def sample_radii(m: torch.Tensor, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Radii of the samples about the normal, and the solid angle of half vectors that each stands
     for.
 
@@ -178,7 +183,7 @@ def sample_radii(m, samples):
     return edges[1::2], 2 * np.pi * np.diff(-np.cos(edges[::2]))
 
 
-def spiral(m, samples):
+def spiral(m: torch.Tensor, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Half vectors (N, 3) about the z axis that follow the lobes of m (3, 3, 2, 6), and the solid
     angle (N,) that each stands for.
     """
@@ -190,7 +195,14 @@ def spiral(m, samples):
     )
 
 
-def over_samples(n, view, m, light, camera_from_light, samples):
+def over_samples(
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    camera_from_light: torch.Tensor,
+    samples: int,
+) -> torch.Tensor:
     """Radiance (p, 3) of one group."""
     used = (m.detach()[..., 0, :] > 0).any(-1).any(0)
     if not used.any():
@@ -225,7 +237,15 @@ def over_samples(n, view, m, light, camera_from_light, samples):
     )
 
 
-def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
+def by_kernel(
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    camera_from_light: torch.Tensor,
+    around: np.ndarray,
+    solid_angle: np.ndarray,
+) -> torch.Tensor:
     """The same without derivatives, by the CPU engine (learn.engines.taps)."""
     require_reverse_mode(n, view, m, light)
     arrays = [
@@ -264,7 +284,14 @@ def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
     return torch.from_numpy(out)
 
 
-def place(n, view, around, solid_angle, camera_from_light, size):
+def place(
+    n: torch.Tensor,
+    view: torch.Tensor,
+    around: torch.Tensor,
+    solid_angle: torch.Tensor,
+    camera_from_light: torch.Tensor,
+    size: tuple[int, int],
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """The samples of each pixel: w (p, N, 3) directions, weight (p, N) = dω_i in sr, texel (p, N)
     flat index into the light.
 
@@ -284,7 +311,15 @@ def place(n, view, around, solid_angle, camera_from_light, size):
     )
 
 
-def chunk(n, view, m, light, around, solid_angle, camera_from_light):
+def chunk(
+    n: torch.Tensor,
+    view: torch.Tensor,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    around: torch.Tensor,
+    solid_angle: torch.Tensor,
+    camera_from_light: torch.Tensor,
+) -> torch.Tensor:
     """Radiance (p, 3) by the samples that `place` puts."""
     with torch.no_grad():
         w, weight, _ = place(n, view, around, solid_angle, camera_from_light, light.shape[:2])
@@ -300,7 +335,7 @@ def chunk(n, view, m, light, around, solid_angle, camera_from_light):
     return torch.einsum("pik,pi,pik->pk", f, mu, seen)
 
 
-def half_angles(w, v):
+def half_angles(w: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """h and θ_d as shaders.dsbrdf.half_angles, with derivatives that stay finite where w = v: a
     corner of θ_d, slope 0 taken.
     """
@@ -309,7 +344,9 @@ def half_angles(w, v):
     return s / length_s[..., None], torch.atan2(length_d, length_s)
 
 
-def footprint(w, solid_angle, height, width):
+def footprint(
+    w: torch.Tensor, solid_angle: torch.Tensor, height: int, width: int
+) -> tuple[torch.Tensor, torch.Tensor]:
     """The texels under each tap's square of solid angle, at most a texel wide each way, and the
     part of it in each.
 
@@ -332,7 +369,7 @@ def footprint(w, solid_angle, height, width):
     return (rows * width + columns).long(), share
 
 
-def border(x, width):
+def border(x: torch.Tensor, width: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it;
     texel k begins at x = k.
     """
@@ -340,7 +377,7 @@ def border(x, width):
     return k, ((x - k) / width.clamp(1e-15, 1.0) + 0.5).clamp(0, 1)
 
 
-def frame_about(n):
+def frame_about(n: torch.Tensor) -> torch.Tensor:
     """Rotations (p, 3, 3) that take z to n; their other axes turn smoothly with n (Duff et al.
     2017).
     """
@@ -353,7 +390,7 @@ def frame_about(n):
     return torch.stack([t1, t2, n], -1)
 
 
-def texel_of(w, height, width):
+def texel_of(w: torch.Tensor, height: int, width: int) -> torch.Tensor:
     """Flat index of the texel that holds each direction w (..., 3), light frame; as
     shaders.envmap.texel, for tensors.
     """

@@ -16,17 +16,19 @@ the batch, share a map.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
 
 from learn.engines import machine_code, threads
-from learn.engines.derivatives import Step, last
+from learn.engines.derivatives import Context, Step, last
 from learn.engines.layout import MAP_CHUNKS
 from learn.methods import (
     Batch,
     Card,
     directional,
+    light_tables,
     lobe_shapes,
     merged,
     per_group,
@@ -51,7 +53,7 @@ MARGIN = 2
 TOUCH, READ, READ_BACKWARD = 7e-9, 2.3e-8, 6e-8  # seconds of a kernel for each pixel
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     if batch.view is not None:
         raise ValueError(
             'method: "reflectance_map" needs an orthographic camera (view omitted), found a view'
@@ -59,9 +61,11 @@ def radiance(batch: Batch, tolerance):
         )
     batch = merged(batch)
 
-    def one_group(g, n, view, m, light):
+    def one_group(
+        g: int, n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         size = size_for(lobe_shapes.sharpness(m).max(), tolerance)
-        lights, E = directional.of_map(light, batch.camera_from_light)
+        lights, E = light_tables.of_map(light, batch.camera_from_light)
         if directional.is_small(len(n), len(lights.w), wants_gradient(n, m, light)):
             return directional.radiance(n, None, m, E, lights, method=CARD.name)
         return with_nodes(
@@ -73,18 +77,20 @@ def radiance(batch: Batch, tolerance):
     return per_group(batch, one_group)
 
 
-def with_size(batch, size):
+def with_size(batch: Batch, size: int) -> torch.Tensor:
     """Radiance by maps of one given size."""
     batch = merged(batch)
 
-    def one_group(g, n, view, m, light):
-        lights, E = directional.of_map(light, batch.camera_from_light)
+    def one_group(
+        g: int, n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
+        lights, E = light_tables.of_map(light, batch.camera_from_light)
         return with_nodes(n, size, lambda nodes: directional.radiance(nodes, None, m, E, lights))
 
     return per_group(batch, one_group)
 
 
-def size_for(sharpness, tolerance):
+def size_for(sharpness: float, tolerance: float) -> int:
     """Nodes along a side for lobes up to an exponent: h/σ = (tolerance / 0.1)^(1/3).
 
     `python -m learn.experiments calibrate-auto` found it.
@@ -93,7 +99,9 @@ def size_for(sharpness, tolerance):
     return int(np.clip(math.ceil(2 * math.sqrt(2) / spacing) + 5, SMALLEST, LARGEST))
 
 
-def with_nodes(n, size, at_nodes):
+def with_nodes(
+    n: torch.Tensor, size: int, at_nodes: Callable[[torch.Tensor], torch.Tensor]
+) -> torch.Tensor:
     """Radiance looked up in a map whose nodes have radiance at_nodes(normals (N, 3)) → (N, 3);
     differentiable through both.
     """
@@ -103,17 +111,17 @@ def with_nodes(n, size, at_nodes):
     )
 
 
-def has_kernel(n):
+def has_kernel(n: torch.Tensor) -> bool:
     return n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available()
 
 
-def places(n, size):
+def places(n: torch.Tensor, size: int) -> torch.Tensor:
     """Row and column (P, 2) of each normal, in nodes."""
     p = n[:, :2] * torch.rsqrt(1.0 + n[:, 2:])
     return ((p + 1.0) * (0.5 * (size - 1 - 2 * MARGIN)) + MARGIN).flip(-1)
 
 
-def needed_nodes(n, size):
+def needed_nodes(n: torch.Tensor, size: int) -> torch.Tensor:
     """Flat indices (N,) of the nodes that have a weight for some pixel, in the order of the map."""
     if has_kernel(n):
         return torch.from_numpy(nodes_for(np.ascontiguousarray(n.numpy()), size))
@@ -123,7 +131,7 @@ def needed_nodes(n, size):
     return torch.from_numpy(weighted(touched)).to(n.device)
 
 
-def nodes_for(n, size):
+def nodes_for(n: np.ndarray, size: int) -> np.ndarray:
     """The same by learn.engines.interpolation, in numpy."""
     touched = np.zeros((size, size), np.float32)
     sliced(
@@ -134,7 +142,7 @@ def nodes_for(n, size):
     return weighted(touched > 0)
 
 
-def weighted(touched):
+def weighted(touched: np.ndarray) -> np.ndarray:
     """Flat indices (N,) of the nodes that have a weight, where touched (size, size) marks the node
     before some pixel's place.
     """
@@ -147,7 +155,7 @@ def weighted(touched):
     return np.flatnonzero(touched)
 
 
-def normals(nodes, size):
+def normals(nodes: np.ndarray, size: int) -> np.ndarray:
     """Unit normals (N, 3) of flat node indices, float64 numpy; outside the disk |p| < √2 they look
     away from the viewer.
     """
@@ -160,7 +168,7 @@ def normals(nodes, size):
     return result
 
 
-def look_up(n, values, nodes, size):
+def look_up(n: torch.Tensor, values: torch.Tensor, nodes: torch.Tensor, size: int) -> torch.Tensor:
     """(P, 3) at normals n (P, 3) in the map that has values (N, 3) at flat indices nodes (N,),
     which hold all that n needs.
     """
@@ -185,7 +193,7 @@ def look_up(n, values, nodes, size):
     return torch.einsum("pi,pj,pijk->pk", weights[:, 0], weights[:, 1], table[index])
 
 
-def sliced(pixels, seconds, kernel):
+def sliced(pixels: int, seconds: float, kernel: Callable[[int, int], None]) -> None:
     """kernel(first, last) over all pixels of so many seconds each, on as many threads as torch may
     use.
     """
@@ -193,14 +201,14 @@ def sliced(pixels, seconds, kernel):
     threads.run(kernel, threads.split(pixels, workers), workers)
 
 
-def table(values, nodes, size):
+def table(values: np.ndarray, nodes: np.ndarray, size: int) -> np.ndarray:
     """(size², 4) float32 for the kernels, from values (N, 3) at nodes (N,)."""
     result = np.zeros((size * size, 4), np.float32)
     result[nodes, :3] = values
     return result
 
 
-def read(n, table, size):
+def read(n: np.ndarray, table: np.ndarray, size: int) -> np.ndarray:
     """(P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
     out = np.empty((len(n), 3), np.float32)
     sliced(
@@ -213,7 +221,9 @@ def read(n, table, size):
     return out
 
 
-def read_backward(n, table, size, g, nodes):
+def read_backward(
+    n: np.ndarray, table: np.ndarray, size: int, g: np.ndarray, nodes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of Σ g·out: by n (P, 3), and by the values at nodes (N, 3)."""
     by_n = np.empty((len(n), 3), np.float32)
     by_table = np.zeros((MAP_CHUNKS, *table.shape), np.float32)
@@ -234,7 +244,9 @@ class LookUp(Step):
     """n (P, 3), values (N, 3) at nodes (N,), size → (P, 3) by learn.engines.interpolation."""
 
     @staticmethod
-    def forward(ctx, n, values, nodes, size):
+    def forward(
+        ctx: Context, n: torch.Tensor, values: torch.Tensor, nodes: torch.Tensor, size: int
+    ) -> torch.Tensor:
         ctx.refusal = refusal(CARD.name)
         ctx.save_for_backward(n, values)
         n, nodes = n.contiguous().numpy(), nodes.numpy()
@@ -243,7 +255,7 @@ class LookUp(Step):
 
     @staticmethod
     @last
-    def backward(ctx, g):
+    def backward(ctx: Context, g: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         n, values, size, nodes = ctx.kept
         by_n, by_values = read_backward(n, values, size, np.ascontiguousarray(g.numpy()), nodes)
         return torch.from_numpy(by_n), torch.from_numpy(by_values), None, None

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from learn.methods import by_group, lobe_shapes
+from learn.methods import Batch, by_group, lobe_shapes
 from learn.methods.quadrature import frame_about, half_angles, texel_of
 from shaders.dsbrdf import MAX_EXPONENT
 from shaders.envmap import LUMINANCE, directions
@@ -26,15 +26,17 @@ from shaders.spline import basis
 PAIRS = 32768  # samples of one chunk of pixels
 
 
-def count(tolerance):
+def count(tolerance: float) -> int:
     """Samples a pixel by tolerance, as far as patience reaches."""
     return int(np.clip(2 ** round(math.log2(4.0 / tolerance)), 16, 1024))
 
 
-def sampled(batch, by_light, by_brdf):
+def sampled(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
     """Radiance (P, 3) with `by_light` + `by_brdf` samples a pixel."""
 
-    def one_group(n, view, m, light):
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         lobes = Lobes(m)
         table = Texels(light, batch.camera_from_light)
         step = max(1, PAIRS // (by_light + by_brdf))
@@ -62,7 +64,7 @@ class Lobes:
     strength, and 1 for what they miss.
     """
 
-    def __init__(self, m):
+    def __init__(self, m: torch.Tensor):
         strength = lobe_shapes.strength(m)
         self.power = np.append(np.clip(lobe_shapes.sharpness(m), 0.0, 1e6), 1.0)
         self.share = (
@@ -71,7 +73,7 @@ class Lobes:
             else np.array([0.0, 0.0, 0.0, 1.0])
         )
 
-    def draw(self, u):
+    def draw(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """cos θ_h and sin θ_h of u (…,) in [0, 1), numpy; which lobe is part of u."""
         edges = np.cumsum(self.share) / self.share.sum()
         lobe = np.minimum(np.searchsorted(edges, u, side="right"), 3)
@@ -81,7 +83,7 @@ class Lobes:
         log_cosine = np.log1p(-np.clip(within, 0.0, 1 - 1e-9)) / (self.power[lobe] + 1)
         return np.exp(log_cosine), np.sqrt(-np.expm1(2 * log_cosine))
 
-    def density(self, cosine):
+    def density(self, cosine: torch.Tensor) -> torch.Tensor:
         """Density of h (per sr) at its cosine with n, torch."""
         log_c = torch.log(cosine.clamp(min=1e-12))[..., None]
         power = torch.as_tensor(self.power, dtype=cosine.dtype, device=cosine.device)
@@ -94,7 +96,7 @@ class Texels:
     texel's corners are.
     """
 
-    def __init__(self, light, camera_from_light):
+    def __init__(self, light: torch.Tensor, camera_from_light: torch.Tensor):
         self.height, self.width = light.shape[:2]
         energy = (light.detach().double().cpu().numpy() @ LUMINANCE) * (
             solid_angle := directions(*light.shape[:2])[1]
@@ -108,7 +110,7 @@ class Texels:
         )
         self.camera_from_light = camera_from_light.double().cpu().numpy()
 
-    def draw(self, u, a, b):
+    def draw(self, u: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Directions (…, 3), camera frame: the texel by u, the place within by a (across) and b
         (down, by solid angle); numpy.
         """
@@ -125,7 +127,7 @@ class Texels:
         )
 
 
-def pattern(first, pixels, samples):
+def pattern(first: int, pixels: int, samples: int) -> np.ndarray:
     """Numbers (pixels, samples, 3) in [0, 1): a Kronecker sequence, turned by a hash of the pixel's
     number.
     """
@@ -144,7 +146,17 @@ def pattern(first, pixels, samples):
     return (turn[:, None] + i * steps) % 1.0
 
 
-def chunk(n, view, m, light, lobes, table, by_light, by_brdf, first):
+def chunk(
+    n: torch.Tensor,
+    view: torch.Tensor,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    lobes: Lobes,
+    table: Texels,
+    by_light: int,
+    by_brdf: int,
+    first: int,
+) -> torch.Tensor:
     """Radiance (p, 3) of the pixels numbered from `first`."""
     with torch.no_grad():
         w = torch.cat(
@@ -181,7 +193,7 @@ def chunk(n, view, m, light, lobes, table, by_light, by_brdf, first):
     return torch.einsum("pik,pi,pik->pk", f, mu, light.reshape(-1, 3)[texel])
 
 
-def from_light(n, table, samples, first):
+def from_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> torch.Tensor | None:
     if samples == 0:
         return None
     u = pattern(first, len(n), samples)
@@ -190,7 +202,9 @@ def from_light(n, table, samples, first):
     )
 
 
-def from_brdf(n, view, lobes, samples, first):
+def from_brdf(
+    n: torch.Tensor, view: torch.Tensor, lobes: Lobes, samples: int, first: int
+) -> torch.Tensor | None:
     if samples == 0:
         return None
     u = pattern(first, len(n), samples)

@@ -36,14 +36,16 @@ CARD = Card(
 LIGHTS, CHUNK, WIDEST = 64, 2048, 0.25  # WIDEST: least λ of a lobe; a constant has none
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     return with_lights(
         first_only(batch, CARD.name, HELD_LIGHTS) if batch.light.requires_grad else batch, LIGHTS
     )
 
 
-def with_lights(batch, count):
-    def one_group(n, view, m, light):
+def with_lights(batch: Batch, count: int) -> torch.Tensor:
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         lights, E = median_cut.cut(light, batch.camera_from_light, count)
         mu = torch.as_tensor(lights.w, dtype=n.dtype, device=n.device)
         # A region of 4π / count steradian; its Gaussian has the same solid angle 2π/λ.
@@ -57,7 +59,14 @@ def with_lights(batch, count):
     return by_group(batch, one_group)
 
 
-def chunk(n, view, m, mu, E, light_sharpness):
+def chunk(
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    mu: torch.Tensor,
+    E: torch.Tensor,
+    light_sharpness: torch.Tensor,
+) -> torch.Tensor:
     """Radiance (p, 3): mu (T, 3), E (T, 3), light_sharpness (T,). Shapes (p, t, k, s)."""
     view = n.new_tensor([[0.0, 0.0, 1.0]]) if view is None else view
     cosine = (n * view).sum(-1).clamp(min=1e-3)

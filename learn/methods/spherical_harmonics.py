@@ -33,8 +33,10 @@ CARD = Card(
 )
 
 
-def radiance(batch: Batch, tolerance):
-    def one_group(n, view, m, light):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         w, E = texels(light, batch.camera_from_light)
         of_light = harmonics(w).T @ E
         return torch.einsum(
@@ -44,12 +46,12 @@ def radiance(batch: Batch, tolerance):
     return by_group(batch, one_group)
 
 
-def unused(view):
+def unused(view: torch.Tensor | None) -> torch.Tensor | int:
     """0 that keeps the view in the graph, with a zero gradient."""
     return 0 if view is None else 0 * view
 
 
-def harmonics(d):
+def harmonics(d: torch.Tensor) -> torch.Tensor:
     """Real orthonormal spherical harmonics (…, 9) of unit vectors d (…, 3): orders 0, 1 (y z x),
     2.
     """
@@ -66,7 +68,7 @@ def harmonics(d):
     return torch.stack([constant, a * y, a * z, a * x, *second], -1)
 
 
-def round_lobe(m, points=96):
+def round_lobe(m: torch.Tensor, points: int = 96) -> torch.Tensor:
     """A (3, 3): channel, order; m (3, 3, 2, 6)."""
     nodes, weights = np.polynomial.legendre.leggauss(points)
     # θ = (π/2) t³ crowds the points towards the peak, where sharp lobes have their energy

@@ -13,7 +13,8 @@ import math
 
 import torch
 
-from learn.methods import COMPILED, Batch, Card, by_group, directional, first_only
+from learn.methods import COMPILED, Batch, Card, by_group, directional, first_only, light_tables
+from learn.methods.light_tables import Lights
 from shaders.envmap import directions
 
 CARD = Card(
@@ -33,12 +34,14 @@ WHITE = (16, 32)
 DARKEST = 1e-9
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     if directional.has_kernels(batch.n):
         batch = first_only(batch, CARD.name, COMPILED)
 
-    def one_group(n, view, m, light):
-        lights, E = directional.of_map(light, batch.camera_from_light)
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
+        lights, E = light_tables.of_map(light, batch.camera_from_light)
         view = n.new_tensor([[0.0, 0.0, 1.0]]) if view is None else view
         cosine = (n * view).sum(-1)
         mirror = 2 * cosine[:, None] * n - view
@@ -46,7 +49,7 @@ def radiance(batch: Batch, tolerance):
             max(size, least) for size, least in zip(light.shape[:2], WHITE, strict=True)
         )
         albedo = seen_at_angles(
-            m, *directional.of_map(light.new_ones(height, width, 3), batch.camera_from_light)
+            m, *light_tables.of_map(light.new_ones(height, width, 3), batch.camera_from_light)
         )
         d = (
             torch.as_tensor(directions(ROWS, 2 * ROWS)[0], dtype=n.dtype, device=n.device).reshape(
@@ -64,7 +67,7 @@ def radiance(batch: Batch, tolerance):
     return by_group(batch, one_group)
 
 
-def seen_at_angles(m, lights, white):
+def seen_at_angles(m: torch.Tensor, lights: Lights, white: torch.Tensor) -> torch.Tensor:
     """A (ANGLES, 3) at n·v from LEAST_COSINE to 1 in equal steps; the view is fixed and the normal
     turns.
     """
@@ -73,7 +76,7 @@ def seen_at_angles(m, lights, white):
     return directional.radiance(n, None, m, white, lights)
 
 
-def look_up_angle(table, cosine):
+def look_up_angle(table: torch.Tensor, cosine: torch.Tensor) -> torch.Tensor:
     """(P, 3) from table (ANGLES, 3) at cosines (P,)."""
     place = ((cosine - LEAST_COSINE) / (1 - LEAST_COSINE) * (ANGLES - 1)).clamp(0, ANGLES - 1)
     i = place.detach().floor().long().clamp(max=ANGLES - 2)
@@ -81,7 +84,7 @@ def look_up_angle(table, cosine):
     return table[i] * (1 - t) + table[i + 1] * t
 
 
-def look_up_map(table, d):
+def look_up_map(table: torch.Tensor, d: torch.Tensor) -> torch.Tensor:
     """(P, 3) from table (height, width, 3) over directions d (P, 3), light frame: bilinear, closed
     around the vertical.
     """
