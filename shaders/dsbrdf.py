@@ -52,6 +52,17 @@ def evaluate(m, cos_h, theta_d):
     return xp.expm1(xp.clip(kappa * power, 0.0, MAX_EXPONENT)).sum(-1)
 
 
+def lobe_sharpness(kappa, gamma):
+    """Exponent g of a lobe: about its peak expm1(κ c^γ) falls as c^g, g = γ κ / (1 − e^−κ).
+
+    Near the peak the lobe is a Gaussian of the half-vector angle with standard deviation 1/√g. g is
+    γ for a dark lobe and κγ for a high one.
+    """
+    xp = namespace(kappa, gamma)
+    steepening = xp.where(kappa > 1e-4, kappa / -xp.expm1(-xp.clip(kappa, 1e-4, None)), 1.0)
+    return gamma * steepening
+
+
 def half_angles(w_i, w_o):
     """Half vector and difference angle.
 

@@ -130,7 +130,7 @@ def narrow(m):
     """Whether a lobe of m (…, 3, 3, 2, 6) is so narrow that texels and pixels are coarse beside
     it.
     """
-    return bool(quadrature.exponents(m).max() > NARROW)
+    return bool(quadrature.sharpness_bound(m).max() > NARROW)
 
 
 def footprint(sample, integral, inner, tolerance, device="cpu"):

@@ -1,12 +1,13 @@
-"""Kernels that gather a map's texels into larger ones by a stencil along rows and columns, and the
-way back (learn/methods/coarse.py).
+"""Kernels that gather a map's texels into larger ones by a stencil, and the transpose.
+
+learn/methods/coarse.py uses them.
 
 fine     (planes, height, width), several maps one after the other
 coarse   (planes, height / step, width / step)
 stencil  (4 step,): weights in the coarse texel (i, j) of the fine ones from row step·i − 3/2 step,
 and column step·j − 3/2 step, on
 along    (width,) scratch: one coarse row, its columns still fine
-Columns go round; beyond a pole lies the same row's other half.
+Columns wrap around; beyond a pole lies the same row's other half.
 """
 
 import numpy as np
@@ -20,7 +21,7 @@ GATHER = SCATTER = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 4)
 
 @inlined
 def over_poles(row: int, height: int, width: int) -> tuple[int, int]:
-    """The row that lies there, and by how many columns it is turned."""
+    """The row at a place beyond a pole or not, and the columns by which it is turned."""
     if row < 0:
         return -1 - row, width // 2
     if row >= height:
@@ -30,6 +31,7 @@ def over_poles(row: int, height: int, width: int) -> tuple[int, int]:
 
 @inlined
 def around(column: int, width: int) -> int:
+    """The column, wrapped around."""
     return column + width if column < 0 else column - width if column >= width else column
 
 

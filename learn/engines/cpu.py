@@ -111,7 +111,7 @@ def groups(counts: Sequence[int]) -> list[slice]:
 
 
 class Prepared:
-    """Tables of a batch's materials and lights for one slab, made on demand; the last are cached."""
+    """Tables of a batch's materials and lights for one slab, made on demand and cached."""
 
     def __init__(self, slab: Slab, m: np.ndarray, light: np.ndarray):
         self._slab, self._m, self._light = slab, m, light

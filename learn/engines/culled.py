@@ -1,5 +1,4 @@
-"""Kernels for a distant viewer that skip what cannot matter: for each tile of like normals, only
-the blocks of lights near its lobes.
+"""Kernels for a distant viewer that sum, for each tile of normals, only the lights near its lobes.
 
 Letters, arrays and formulas as in learn.engines.distant; pixels are sorted so that a tile's normals
 are close together. Besides:
@@ -21,12 +20,14 @@ axes      (blocks, 3): these axes
 
 For a block, Σ_s expm1(κ c^γ) max(0, n·w) E ≤ its value at the largest c and n·w that the two cones
 allow. What is skipped sums to at most `budget` a pixel and channel: a threshold on that bound is
-lowered until it does. What a list still holds is tested again pixel by pixel, sixteen pixels at
-once by the block's cone and then one by one, against the log2 c at which the bound meets the
-threshold.
+lowered until it does. The entries of a list are tested again for each pixel, sixteen pixels at once
+by the block's cone and then one by one, against the log2 c at which the bound meets the threshold.
+The kernels' many parameters are the price of a call by address: it passes integers and pointers.
 """
 
 import math
+from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 from numba import types
@@ -93,6 +94,7 @@ LARGEST = 72.13475  # MAX_EXPONENT log2 e
 NEVER, ALWAYS = 1.0, -1e30  # as a cut: above and below any log2 c
 WIDENED = 1e-4  # radians by which the cone of a tile's normals is widened against rounding
 SLACK = 2e-6  # on cosines, for rounding
+single = cast("Callable[[float], float]", types.float32)  # a conversion, in a kernel
 LEAST_LOG = math.log2(LEAST_COSINE)
 INT_POINTER = types.CPointer(types.int32)
 
@@ -103,22 +105,23 @@ BACKWARD = types.void(*[types.int64] * 10, *[FLOAT_POINTER] * 11, *[INT_POINTER]
 
 @inlined
 def nearest_cosine(axis: Lanes, cos_a: Lanes, sin_a: Lanes, cos_b: Lanes, sin_b: Lanes) -> Lanes:
-    """Largest cosine between a vector of one cone and one of the other, whose axes have the cosine
-    `axis`.
+    """Largest cosine between a vector of one cone and one of the other.
 
-    Half angles (in [0, π]) that sum to π or more leave no room between the cones. There the cosine
-    of the sum says nothing: beyond π it rises again. a + b ≥ π where cos a ≤ cos(π − b) = −cos b.
+    axis  cosine between their axes
+    Half angles (in [0, π]) that sum to π or more leave no gap between the cones. There the cosine
+    of the sum is no bound: beyond π it rises again. a + b ≥ π where cos a ≤ cos(π − b) = −cos b.
     """
     cos_sum, sin_sum = cos_a * cos_b - sin_a * sin_b, sin_a * cos_b + cos_a * sin_b
-    apart = fma(axis, cos_sum, sqrt(maximum(1.0 - axis * axis, 0.0)) * sin_sum)
-    apart = choose(axis > cos_sum, 1.0, minimum(apart + SLACK, 1.0))
-    return choose(cos_a + cos_b > 0.0, apart, 1.0)
+    nearest = fma(axis, cos_sum, sqrt(maximum(1.0 - axis * axis, 0.0)) * sin_sum)
+    nearest = choose(axis > cos_sum, 1.0, minimum(nearest + SLACK, 1.0))
+    return choose(cos_a + cos_b > 0.0, nearest, 1.0)
 
 
 @inlined
 def least_cosine(log_c: Lanes, cos_b: Lanes, sin_b: Lanes) -> Lanes:
-    """The least cosine with the axis of a cone (half angle b) of a vector that is within arccos c
-    of one in the cone; log2 c given.
+    """Least cosine with a cone's axis of a vector within arccos c of one in the cone.
+
+    log_c  log2 c; b: half angle of the cone
     """
     one_minus_c = 0.0 - exp2m1(maximum(log_c, LOWEST))
     c, sine = 1.0 - one_minus_c, sqrt(maximum(one_minus_c * (2.0 - one_minus_c), 0.0))
@@ -136,8 +139,9 @@ def along_axis(cones: np.ndarray, o: int, x: float, y: float, z: float) -> Lanes
 
 @inlined
 def unpack(n: np.ndarray, start: int, count: int, scratch: np.ndarray, o: int) -> None:
-    """The normals of a tile as three rows behind its sums, which begin at offset o; 0 beyond their
-    count.
+    """Write a tile's normals as three rows behind its sums, which begin at offset o.
+
+    They are 0 beyond `count`.
     """
     for j in range(CULLED_TILE):
         for i in range(3):
@@ -150,8 +154,9 @@ def unpack(n: np.ndarray, start: int, count: int, scratch: np.ndarray, o: int) -
 def pixels_near(
     scratch: np.ndarray, o: int, count: int, axes: np.ndarray, block: int, reach: float
 ) -> int:
-    """Which of sixteen pixels (at most `count`), whose normals lie at offset o, a block can matter
-    to, as bits.
+    """Which of sixteen pixels (at most `count`) a block can matter to, as bits.
+
+    o  offset of their normals
     """
     x, y, z = load(scratch, o), load(scratch, o + CULLED_TILE), load(scratch, o + 2 * CULLED_TILE)
     axis = fma(x, axes[3 * block], fma(y, axes[3 * block + 1], z * axes[3 * block + 2]))
@@ -159,24 +164,14 @@ def pixels_near(
 
 
 @inlined
-def cone_about(
-    n: np.ndarray, start: int, count: int
-) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Axis, cos and sin of the half angle of a cone that holds the normals start … start + count −
-    1, a little widened.
-    """
+def cone_about(n: np.ndarray, start: int, count: int) -> tuple[float, float, float, float, float]:
+    """Axis, cosine and sine of the half angle of a cone about `count` normals, slightly widened."""
     x, y, z = 0.0, 0.0, 0.0
     for p in range(start, start + count):
         x, y, z = x + n[3 * p], y + n[3 * p + 1], z + n[3 * p + 2]
     length = math.sqrt(x * x + y * y + z * z)
     if length < 1e-6:  # normals that cancel: the whole sphere
-        return (
-            types.float32(0.0),
-            types.float32(0.0),
-            types.float32(1.0),
-            types.float32(-1.0),
-            types.float32(0.0),
-        )
+        return single(0.0), single(0.0), single(1.0), single(-1.0), single(0.0)
     x, y, z, least = x / length, y / length, z / length, 1.0
     for p in range(start, start + count):
         least = min(least, x * n[3 * p] + y * n[3 * p + 1] + z * n[3 * p + 2])
@@ -184,13 +179,7 @@ def cone_about(
     wider, further = least - WIDENED * sine, sine + WIDENED * least
     if wider < -1.0 or further < 0.0:
         wider, further = -1.0, 0.0
-    return (
-        types.float32(x),
-        types.float32(y),
-        types.float32(z),
-        types.float32(wider),
-        types.float32(further),
-    )
+    return single(x), single(y), single(z), single(wider), single(further)
 
 
 def select(
@@ -365,11 +354,12 @@ def backward(
     lengths: np.ndarray,
     entries: np.ndarray,
 ) -> None:
-    """Derivatives of Σ g·I from the pixels of tile chunks first … last − 1; what the forward pass
-    knew is computed again.
+    """Derivatives of Σ g·I from the pixels of tile chunks first … last − 1.
+
+    Values of the forward pass are computed again.
 
     scratch      (chunks, CULLED_SCRATCH)
-    with_n       0 if by_n is not wanted
+    with_n       0: by_n is not written
     by_n         (P, 3) out, tangential up to a radial part
     energy_sums  (chunks, blocks, 3, 16) out: Σ_p g F max(0, n·w)
     lobe_sums    (chunks, blocks, many, 3, 2, 16) out: Σ_p g max(0, n·w) x c^γ, and the same times

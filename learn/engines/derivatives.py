@@ -9,11 +9,10 @@ were computed from, through a step whose own backward pass raises. Asking for th
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch.autograd import forward_ad
-from torch.autograd.function import FunctionCtx
 
 FORWARD_MODE = (
     "derivatives: expected reverse mode (backward, torch.autograd.grad), found forward mode"
@@ -32,17 +31,16 @@ Results = tuple[torch.Tensor | None, ...]
 Backward = Callable[..., Results]
 
 
-class Context(FunctionCtx):
-    """The object that torch passes to a step, typed: a step stores what it likes on it."""
+class Context(Protocol):
+    """The object that torch passes to a step, which may set further attributes on it."""
 
-    saved_tensors: tuple[torch.Tensor, ...]
+    saved_tensors: tuple[Any, ...]  # tensors, or None where None was saved
     needs_input_grad: tuple[bool, ...]
 
-    def __getattr__(self, name: str) -> Any:
-        raise AttributeError(name)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        super().__setattr__(name, value)
+    def save_for_backward(self, *tensors: torch.Tensor | None) -> None: ...
+    def set_materialize_grads(self, value: bool) -> None: ...
+    def __getattr__(self, name: str) -> Any: ...
+    def __setattr__(self, name: str, value: Any) -> None: ...
 
 
 class Step(torch.autograd.Function):
@@ -87,7 +85,7 @@ class Gate(Step):
 
 
 def last(backward: Backward) -> Backward:
-    """Decorate a `Step`'s backward pass: run it without a graph; differentiating its results raises.
+    """Decorate a `Step`'s backward pass: no graph is kept; differentiating its results raises.
 
     The step's forward pass keeps the message as ctx.refusal and its tensors by save_for_backward.
     """
@@ -104,9 +102,9 @@ def last(backward: Backward) -> Backward:
     return without_graph
 
 
-def first_only(message: str, *tensors: torch.Tensor | None) -> Results:
-    """Return the tensors (or None) unchanged, but allow only one differentiation through them."""
-    gated = [i for i, x in enumerate(tensors) if x is not None and x.requires_grad]
+def first_only(message: str, *tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Return the tensors unchanged, but allow only one differentiation through them."""
+    gated = [i for i, x in enumerate(tensors) if x.requires_grad]
     if not gated or not torch.is_grad_enabled():
         return tensors
     result = list(tensors)

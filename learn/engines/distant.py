@@ -1,5 +1,6 @@
-"""Kernels for a distant viewer: every pixel sees from (0, 0, 1), so h, θ_d and the 18 spline values
-belong to the light.
+"""Kernels for a distant viewer: h, θ_d and the 18 spline values belong to the light.
+
+Every pixel's view is (0, 0, 1).
 
 P pixels, blocks of 16 lights (LANES); all arrays float32, flat, C order.
 n         (P, 3) unit normals, camera frame
@@ -69,7 +70,7 @@ BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 11)
 
 @inlined
 def half_offset(geometry: np.ndarray, o: int, nx: Lanes, ny: Lanes, nz: Lanes) -> Vector:
-    """h − n (3 values)."""
+    """h − n."""
     x = (load(geometry, o + LANES * H_X) - nx) + load(geometry, o + LANES * H_REST_X)
     y = (load(geometry, o + LANES * H_Y) - ny) + load(geometry, o + LANES * H_REST_Y)
     z = (load(geometry, o + LANES * H_Z) - nz) + load(geometry, o + LANES * H_REST_Z)
@@ -78,7 +79,7 @@ def half_offset(geometry: np.ndarray, o: int, nx: Lanes, ny: Lanes, nz: Lanes) -
 
 @inlined
 def w_of(geometry: np.ndarray, o: int) -> Vector:
-    """w (3 values)."""
+    """w, from the first three rows of either geometry."""
     return (
         load(geometry, o + LANES * W_X),
         load(geometry, o + LANES * W_Y),
@@ -109,19 +110,20 @@ def lobe(lobes: np.ndarray, o: int, log_c: Lanes) -> Lanes:
 
 @inlined
 def add_to(pointer: np.ndarray, o: int, value: Lanes) -> None:
+    """Add sixteen floats to those at offset o."""
     store(pointer, o, load(pointer, o) + value)
 
 
 @inlined
 def clear(pointer: np.ndarray, o: int, count: int) -> None:
-    """Zeros in `count` times sixteen places from offset o on."""
+    """Write zeros into `count` rows from offset o on."""
     for i in range(count):
         store(pointer, o + LANES * i, splat(0.0))
 
 
 @inlined
 def write_sums(sums: np.ndarray, o: int, count: int, out: np.ndarray, to: int) -> None:
-    """Of `count` sums, each in sixteen lanes, what the lanes sum to."""
+    """Write the sums over lanes of `count` rows."""
     for i in range(count):
         out[to + i] = lane_sum(load(sums, o + LANES * i))
 
@@ -218,8 +220,9 @@ def lobe_backward(
     f: Lanes,
     slope: Lanes,
 ) -> tuple[Lanes, Lanes]:
-    """Adds one lobe and channel: its two sums over pixels, f + expm1(κ c^γ), slope + x κ c^γ γ log2
-    e, where x = exp(κ c^γ).
+    """Add one lobe and channel to its two sums over pixels, to F and to its slope.
+
+    Returns  f + expm1(κ c^γ), and slope + x κ c^γ γ log2 e, where x = exp(κ c^γ)
     """
     gamma = load(lobes, o)
     power = exp2(gamma * log_c)
@@ -249,12 +252,13 @@ def backward(
     energy_sums: np.ndarray,
     lobe_sums: np.ndarray,
 ) -> None:
-    """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew
-    is computed again.
+    """Derivatives of Σ g·I that belong to light chunks first … last − 1.
+
+    Values of the forward pass are computed again. Each kernel's loops are its own, unrolled around
+    values in registers, although they resemble those of the other kernels.
 
     g            (P, 3) derivative by radiance
-    n_part       (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to
-    n
+    n_part       (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivative by n, tangential
     energy_sums  (blocks, 3, 16) out: Σ_p g F max(0, n·w), the derivative by energy
     lobe_sums    (blocks, 3, 3, 2, 16) out: Σ_p g max(0, n·w) x c^γ, and the same times log2 c
     A block belongs to one chunk, and chunks do not depend on the number of threads: no atomics, the

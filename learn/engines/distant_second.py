@@ -1,5 +1,7 @@
-"""Kernel for second derivatives of the sum for a distant viewer: the backward pass of
-learn.engines.distant.backward.
+"""Kernel for second derivatives of the sum for a distant viewer.
+
+It is the backward pass of learn.engines.distant.backward, whose loops it repeats on purpose: each
+is unrolled around values in registers.
 
 Letters, arrays and the sum as in learn.engines.distant; besides, a direction and the radiance's
 change I' along it: n_along  (P, 3): n', tangential up to rounding e_along  (blocks, 3, 16): E'
@@ -75,8 +77,9 @@ def lobe_second(
     u: Lanes,
     v: Lanes,
 ) -> tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]:
-    """Of one lobe and channel: F, F', and S's derivatives by κ, γ, ln c and r; then, for those by
-    κ' and γ', α c^γ and α x ln c.
+    """F, F', and S's derivatives by κ, γ, ln c and r, of one lobe and channel.
+
+    They are followed by α c^γ and α x ln c, for derivatives by κ' and γ'.
 
     kappa is κ log2 e, log2_c and log_c the same in two units.
     """
@@ -106,15 +109,30 @@ def lobe_second(
 
 
 def second(
-    first: int, last: int, pixels: int, blocks: int,
-    n: np.ndarray, geometry: np.ndarray, energy: np.ndarray, lobes: np.ndarray, least: np.ndarray, cut: np.ndarray, scratch: np.ndarray, g: np.ndarray, n_along: np.ndarray, e_along: np.ndarray, l_along: np.ndarray, n_part: np.ndarray, g_part: np.ndarray, energy_sums: np.ndarray, lobe_sums: np.ndarray,
-) -> None:  # fmt: skip
-    """Derivatives of S that belong to light chunks first … last − 1, as in
-    learn.engines.distant.backward.
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    n: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    lobes: np.ndarray,
+    least: np.ndarray,
+    cut: np.ndarray,
+    scratch: np.ndarray,
+    g: np.ndarray,
+    n_along: np.ndarray,
+    e_along: np.ndarray,
+    l_along: np.ndarray,
+    n_part: np.ndarray,
+    g_part: np.ndarray,
+    energy_sums: np.ndarray,
+    lobe_sums: np.ndarray,
+) -> None:
+    """Derivatives of S from light chunks first … last − 1, as learn.engines.distant.backward.
 
-    scratch      room for LIGHT_CHUNKS tiles' sums, (LIGHT_CHUNKS, DISTANT_TILE, DISTANT_SECOND_ROWS, 16)
-    n_part       (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to
-    n
+    scratch      (LIGHT_CHUNKS, DISTANT_TILE, DISTANT_SECOND_ROWS, 16)
+    n_part       (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivative by n, tangential
     g_part       (LIGHT_CHUNKS, P, 3) out: of the derivative by g
     energy_sums  (blocks, 3, 16) out: the derivative by energy
     lobe_sums    (blocks, 3, 3, 2, 16) out: those by κ and by γ at each light

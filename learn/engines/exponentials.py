@@ -111,9 +111,7 @@ def exp2m1(x: Lanes) -> Lanes:
 
 @inlined
 def log2(c: Lanes, one_minus_c: Lanes) -> Lanes:
-    """log2 of c in (0, 1], given 1 − c too: keeps the relative precision at c → 1, where a lobe has
-    its peak.
-    """
+    """log2 of c in (0, 1], with full relative precision at c → 1, where a lobe has its peak."""
     m, k = _mantissa_and_exponent(c)
     m = select(c > 0.75, 0.0 - one_minus_c, m)
     p = fma(m, fma(m, fma(m, fma(m, LOG[8], LOG[7]), LOG[6]), LOG[5]), LOG[4])

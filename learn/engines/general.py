@@ -63,7 +63,7 @@ BACKWARD = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 14)
 
 @inlined
 def two_sum(a: Lanes, b: Lanes) -> tuple[Lanes, Lanes]:
-    """a + b and what its rounding took off."""
+    """a + b and its rounding error."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
@@ -78,9 +78,9 @@ def shortfall(x: float, y: float, z: float) -> np.float32:
 
 @inlined
 def w_plus_v(
-    geometry: np.ndarray, o: int, vx: Lanes, vy: Lanes, vz: Lanes, v_short: float
+    geometry: np.ndarray, o: int, vx: Lanes, vy: Lanes, vz: Lanes, v_short: np.float32
 ) -> tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]:
-    """s = w + v as three floats and three rests."""
+    """s = w + v as three floats and their three rounding errors."""
     wx, wy, wz = w_of(geometry, o)
     sx, rx = two_sum(wx, vx)
     sy, ry = two_sum(wy, vy)
@@ -93,6 +93,7 @@ def w_plus_v(
 
 @inlined
 def square(x: Lanes, y: Lanes, z: Lanes) -> Lanes:
+    """x² + y² + z²."""
     return fma(x, x, fma(y, y, z * z))
 
 
@@ -177,8 +178,9 @@ def lobe_backward(
     at: int,
     with_view: int,
 ) -> Vector:
-    """One lobe and channel: F, dF/dc · c log2 e, dF/dx of the spline's x; adds its derivatives by
-    m, × weight, from m_sums[at] on.
+    """F, dF/dc · c log2 e, and dF/dx of the spline's x, of one lobe and channel.
+
+    Its derivatives by m, × weight, are added from m_sums[at] on.
     """
     gamma, kappa = curve(m, o, b), curve(m, o + KAPPA_VALUES, b)
     power = exp2(gamma * log_c)
@@ -198,23 +200,38 @@ def lobe_backward(
 
 
 def backward(
-    first: int, last: int, pixels: int, blocks: int, with_view: int,
-    n: np.ndarray, v: np.ndarray, geometry: np.ndarray, energy: np.ndarray, m: np.ndarray, steps: np.ndarray, least: np.ndarray, cut: np.ndarray, scratch: np.ndarray, g: np.ndarray, n_part: np.ndarray, v_part: np.ndarray, energy_sums: np.ndarray, m_sums: np.ndarray,
-) -> None:  # fmt: skip
-    """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew
-    is computed again.
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    with_view: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    m: np.ndarray,
+    steps: np.ndarray,
+    least: np.ndarray,
+    cut: np.ndarray,
+    scratch: np.ndarray,
+    g: np.ndarray,
+    n_part: np.ndarray,
+    v_part: np.ndarray,
+    energy_sums: np.ndarray,
+    m_sums: np.ndarray,
+) -> None:
+    """Derivatives of Σ g·I that belong to light chunks first … last − 1.
+
 
     with_view    0: v_part is not written
     steps        (3 lobes, 3 channels, 2, 5): slopes of the splines of γ ln² 2 and of κ
     (learn.engines.lights.spline_steps)
     scratch      (LIGHT_CHUNKS, GENERAL_SCRATCH): room for a tile's sums
     g            (P, 3) derivative by radiance
-    n_part       (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to
-    n
+    n_part       (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivative by n, tangential
     v_part       (LIGHT_CHUNKS, P, 3) out: the same by v
     energy_sums  (blocks, 3, 16) out: Σ_p g F max(0, n·w), the derivative by energy
-    m_sums       (LIGHT_CHUNKS, tiles, 108) out, like m: derivatives by γ ln² 2 and by κ, each tile's and
-    chunk's share
+    m_sums       (LIGHT_CHUNKS, tiles, 108) out, like m: derivatives by γ ln² 2 and by κ
     Chunks as in learn.engines.distant.
     """
     tiles = (pixels + GENERAL_TILE - 1) // GENERAL_TILE

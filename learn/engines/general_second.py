@@ -1,5 +1,7 @@
-"""Kernel for second derivatives of the sum for a view vector per pixel: the backward pass of
-learn.engines.general.backward.
+"""Kernel for second derivatives of the sum for a view vector per pixel.
+
+It is the backward pass of learn.engines.general.backward, whose loops it repeats on purpose: each
+is unrolled around values in registers.
 
 Letters, arrays and the sum as in learn.engines.general, S and its parts as in
 learn.engines.distant_second; besides n_along, v_along  (P, 3): n', v', tangential up to rounding
@@ -61,9 +63,7 @@ SECOND = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 21)
 
 @inlined
 def bends(theta_d: Lanes) -> Tents:
-    """The derivatives of `tents` by x: 1 on the interval before a tent's knot, −1 on the one
-    after.
-    """
+    """The derivatives of `tents` by x: 1 on the interval before a knot, −1 on the one after."""
     x = theta_d * ANGLE_TO_X
     one, none = splat(1.0), splat(0.0)
     i0 = select(x < 1.0, one, none)
@@ -89,20 +89,41 @@ def dot(ax: Lanes, ay: Lanes, az: Lanes, bx: Lanes, by: Lanes, bz: Lanes) -> Lan
 
 
 def second(
-    first: int, last: int, pixels: int, blocks: int,
-    n: np.ndarray, v: np.ndarray, geometry: np.ndarray, energy: np.ndarray, m: np.ndarray, steps: np.ndarray, least: np.ndarray, cut: np.ndarray, scratch: np.ndarray, g: np.ndarray, n_along: np.ndarray, v_along: np.ndarray, e_along: np.ndarray, m_along: np.ndarray, steps_along: np.ndarray,
-    n_part: np.ndarray, v_part: np.ndarray, g_part: np.ndarray, energy_sums: np.ndarray, m_sums: np.ndarray, steps_sums: np.ndarray,
-) -> None:  # fmt: skip
-    """Derivatives of S that belong to light chunks first … last − 1, as in
-    learn.engines.general.backward.
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    m: np.ndarray,
+    steps: np.ndarray,
+    least: np.ndarray,
+    cut: np.ndarray,
+    scratch: np.ndarray,
+    g: np.ndarray,
+    n_along: np.ndarray,
+    v_along: np.ndarray,
+    e_along: np.ndarray,
+    m_along: np.ndarray,
+    steps_along: np.ndarray,
+    n_part: np.ndarray,
+    v_part: np.ndarray,
+    g_part: np.ndarray,
+    energy_sums: np.ndarray,
+    m_sums: np.ndarray,
+    steps_sums: np.ndarray,
+) -> None:
+    """Derivatives of S from light chunks first … last − 1, as learn.engines.general.backward.
 
     scratch                 (LIGHT_CHUNKS, GENERAL_SECOND_SCRATCH): room for a tile's sums
     n_part, v_part, g_part  (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivatives by n, v
-    (tangential parts) and g
+                            (tangential) and g
     energy_sums             (blocks, 3, 16) out: the derivative by energy
-    m_sums, steps_sums      (LIGHT_CHUNKS, tiles, 108) and (…, 90) out, like m and steps: derivatives by γ
-    and κ through their values, and by
-                            their steps through θ', each tile's and chunk's share
+    m_sums, steps_sums      (LIGHT_CHUNKS, tiles, 108), (…, 90) out, like m and steps: each tile's
+                            and chunk's derivatives by γ and κ through their values, and through
+                            their slopes by θ'
     """
     tiles = (pixels + GENERAL_TILE - 1) // GENERAL_TILE
     for chunk in range(first, last):
@@ -150,7 +171,7 @@ def second(
                     length_s, length_t = s_square * inverse_s, t_square * inverse_t
                     hx, hy, hz = x + nx, y + ny, z + nz
                     dx, dy, dz = tx * inverse_t, ty * inverse_t, tz * inverse_t
-                    # what changes along (n', v')
+                    # changes along (n', v')
                     ax, ay, az = n_along[p], n_along[p + 1], n_along[p + 2]
                     qx, qy, qz = v_along[p], v_along[p + 1], v_along[p + 2]
                     h_q, d_q = dot(hx, hy, hz, qx, qy, qz), dot(dx, dy, dz, qx, qy, qz)

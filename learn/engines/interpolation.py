@@ -42,9 +42,7 @@ BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 5)
 
 @inlined
 def place(x: float, y: float, z: float, size: int) -> tuple[int, int, float, float, float]:
-    """Row and column of the node before a normal's place, what is left of the place, and 1 / √(1 +
-    n_z).
-    """
+    """Row and column of the node before a normal's place, the remainders, and 1 / √(1 + n_z)."""
     shrink = 1.0 / math.sqrt(1.0 + z)
     half = 0.5 * (size - 5)
     v, u = (y * shrink + 1.0) * half + 2.0, (x * shrink + 1.0) * half + 2.0
@@ -78,7 +76,7 @@ def weight_slopes(t: float) -> tuple[float, float, float, float]:
 
 
 def touch(first: int, last: int, size: int, n: np.ndarray, touched: np.ndarray) -> None:
-    """Sets touched (size, size) to 1 at the node before each of the pixels first … last − 1."""
+    """Set touched (size, size) to 1 at the node before each of the pixels first … last − 1."""
     for p in range(first, last):
         x, y, z = types.float64(n[3 * p]), types.float64(n[3 * p + 1]), types.float64(n[3 * p + 2])
         row, column, _, _, _ = place(x, y, z, size)
@@ -114,8 +112,9 @@ def backward(
     by_n: np.ndarray,
     by_table: np.ndarray,
 ) -> None:
-    """Derivatives of Σ g·out from pixel chunks first … last − 1: by_n (P, 3), added to by_table
-    (MAP_CHUNKS, size, size, 4).
+    """Derivatives of Σ g·out from pixel chunks first … last − 1.
+
+    by_n (P, 3) is written; by_table (MAP_CHUNKS, size, size, 4) is added to
     """
     for chunk in range(first, last):
         base = chunk * 4 * size * size

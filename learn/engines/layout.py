@@ -56,7 +56,7 @@ SELECT_BOUND, SELECT_REACH, SELECT_WEIGHT = 0, 0, 3
 SELECT_ROWS = 6
 SELECT_STRIDE = LANES * SELECT_ROWS
 
-# A list entry's cuts: one per lobe, then the least cosine with the axis of the block's cone about h.
+# A list entry's cuts: one per lobe, then the least cosine with the axis of the cone about h.
 CUTS = 4
 CUT_REACH = 3
 

@@ -22,7 +22,7 @@ PIXEL = 6e-9  # seconds that a kernel needs for each
 
 
 def has_kernels(tensor: torch.Tensor) -> bool:
-    """Whether the kernels apply; under torch.compile torch's own operators do, which it can trace."""
+    """Whether the kernels apply; under torch.compile torch's own operators do."""
     right = tensor.dtype == torch.float32 and tensor.device.type == "cpu"
     return right and not torch.compiler.is_compiling() and machine_code.is_available()
 

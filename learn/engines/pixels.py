@@ -1,10 +1,8 @@
-"""Kernels that pick the pixels which are seen, scale their vectors to unit length, and put results
-back, each in one pass.
+"""Kernels that select the seen pixels, normalise their vectors, and scatter results back.
 
 P pixels of whole pictures, N of them picked
 vectors  (P, 3): normals or views, camera frame
-state    (P,) one of OUTSIDE, AWAY (inside the mask, not facing the viewer), SEEN, WRONG (inside, a
-length not close to 1, or NaN)
+state    (P,) one of OUTSIDE, AWAY, SEEN, WRONG (learn.engines.layout)
 index    (N,) int64 places of the picked pixels
 unit     (N, 3) vectors scaled to unit length; length (N,) what they were
 """
@@ -35,6 +33,7 @@ PICK = types.void(*[types.int64] * 2, PLACE_POINTER, *[FLOAT_POINTER] * 2)
 
 @inlined
 def length_at(vectors: np.ndarray, p: int) -> float:
+    """The length of vector p."""
     x, y, z = (
         types.float64(vectors[3 * p]),
         types.float64(vectors[3 * p + 1]),
@@ -54,8 +53,9 @@ def look(
     mask: np.ndarray,
     state: np.ndarray,
 ) -> None:
-    """The state of pixels first … last − 1; limits (2,): largest |length − 1|, and least n·v;
-    without a mask, n = 0 is outside.
+    """The state of pixels first … last − 1; without a mask, n = 0 is outside.
+
+    limits  (2,): largest |length − 1|, and least n·v
     """
     tolerance, horizon = limits[0], limits[1]
     for p in range(first, last):
@@ -110,9 +110,7 @@ def unit_backward(
     g: np.ndarray,
     by_vectors: np.ndarray,
 ) -> None:
-    """Derivatives by the vectors (P, 3), of picked pixels first … last − 1: the tangential part of
-    g, over the length.
-    """
+    """Derivatives (P, 3) by the vectors of picked pixels: the tangential part of g over length."""
     for i in range(first, last):
         along = (
             unit[3 * i] * g[3 * i] + unit[3 * i + 1] * g[3 * i + 1] + unit[3 * i + 2] * g[3 * i + 2]
@@ -131,7 +129,7 @@ def spread(
 
 
 def pick(first: int, last: int, index: np.ndarray, picture: np.ndarray, values: np.ndarray) -> None:
-    """The way back: what the picture (P, 3) holds at picked pixels first … last − 1."""
+    """Values (N, 3) of the picture (P, 3) at picked pixels first … last − 1."""
     for i in range(first, last):
         for k in range(3):
             values[3 * i + k] = picture[3 * index[i] + k]

@@ -1,13 +1,11 @@
-"""Kernel of the half-vector quadrature: taps about each pixel's normal, the light averaged over
-each tap's footprint.
+"""Kernel of the half-vector quadrature: sample directions about each pixel's normal.
 
-P pixels, blocks of 16 taps (LANES), ordered by radius; all arrays float32, flat, C order.
+P pixels, blocks of 16 samples (LANES), ordered by radius; all arrays float32, flat, C order.
 n, v      (P, 3) unit normals, and unit vectors to the viewer, camera frame
 around    (blocks, 5, 16): half vectors about the z axis as sin θ cos φ, sin θ sin φ, cos θ; log2
-cos θ; solid angle
+          cos θ; solid angle
 m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
-least     (3 lobes,): smallest γ of a lobe that reflects, to leave it out of blocks that it does not
-reach
+least     (3 lobes,): smallest γ of a lobe that reflects, to skip blocks that it does not reach
 rotation  (9,): camera_from_light, row by row
 light     (height, width, 3): radiance
 scratch   per call: (7, 16) floats
@@ -15,10 +13,10 @@ scratch   per call: (7, 16) floats
     I_k = Σ_i F_k L_k(w_i) max(0, n·w_i) 4 (v·h_i) dω_h,   w = 2 (v·h) h − v,   cos θ_d = v·h,   c =
     n·h = cos θ
 
-c and its logarithm belong to the tap, not to the pixel: they come in full precision, however sharp
-the lobe. A tap's footprint is the square of its solid angle dω = 4 (v·h) dω_h, at most a texel wide
-each way: L_k is the mean over it, so that the sum does not jump where a tap crosses a texel's
-border, and a few taps find the border's place (learn.methods.quadrature.footprint).
+c and its logarithm belong to the sample, not to the pixel: they have full precision, however sharp
+the lobe. A sample's footprint is the square of its solid angle dω = 4 (v·h) dω_h, at most a texel
+wide each way: L_k is the mean over it, so that the sum does not jump where a sample crosses a
+texel's border, and few samples resolve the border's place (learn.methods.quadrature.footprint).
 """
 
 import numpy as np
@@ -87,7 +85,7 @@ def polar_angles(x: Lanes, y: Lanes, z: Lanes) -> tuple[Lanes, Lanes]:
 
 @inlined
 def reflectance(m: np.ndarray, least: np.ndarray, log_c: Lanes, cos_d: Lanes) -> Vector:
-    """F (3 channels) of sixteen taps."""
+    """F (3 channels) of sixteen samples."""
     b = basis(angle(maximum(1.0 - cos_d * cos_d, 0.0), cos_d * cos_d + TINY))
     nearest = lane_max(log_c)
     f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
@@ -101,8 +99,9 @@ def reflectance(m: np.ndarray, least: np.ndarray, log_c: Lanes, cos_d: Lanes) ->
 
 @inlined
 def border(x: Lanes, width: Lanes) -> tuple[Lanes, Lanes]:
-    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it;
-    texel k begins at x = k.
+    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it.
+
+    Texel k begins at x = k.
     """
     k = (x + ROUND) - ROUND
     return k, minimum(maximum((x - k) / minimum(width, 1.0) + 0.5, 0.0), 1.0)
@@ -111,7 +110,7 @@ def border(x: Lanes, width: Lanes) -> tuple[Lanes, Lanes]:
 @inlined
 def alone(border: Lanes, beyond: Lanes) -> bool:
     """Whether the footprints of all lanes lie in one row (or column) of texels."""
-    place = border + beyond  # whole where no footprint is parted
+    place = border + beyond  # whole where no footprint is divided
     return lane_max(place) + lane_max(0.0 - place) == 0.0 and not anywhere(
         beyond * (1.0 - beyond) > 0.0
     )
@@ -119,7 +118,7 @@ def alone(border: Lanes, beyond: Lanes) -> bool:
 
 @inlined
 def corner(row: float, column: float, height: int, width: int) -> int:
-    """Number of a texel, given as floats; rows end at the poles, columns go round."""
+    """Number of the texel at a row and column; rows end at the poles, columns wrap around."""
     i, j = int(row), int(column)
     i = 0 if i < 0 else height - 1 if i >= height else i
     j = j + width if j < 0 else j - width if j >= width else j

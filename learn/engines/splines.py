@@ -31,12 +31,14 @@ Tents = tuple[Lanes, Lanes, Lanes, Lanes, Lanes]
 
 @inlined
 def positive_square(a: Lanes) -> Lanes:
+    """max(a, 0)²."""
     a = maximum(a, 0.0)
     return a * a
 
 
 @inlined
 def magnitude(a: Lanes) -> Lanes:
+    """|a|."""
     return maximum(a, 0.0 - a)
 
 
@@ -58,6 +60,7 @@ def bump(distance: Lanes) -> Lanes:
 
 @inlined
 def basis(theta_d: Lanes) -> Basis:
+    """The six functions at θ_d."""
     x = theta_d * ANGLE_TO_X
     b0, b1 = end(x)
     b5, b4 = end(4.0 - x)
@@ -66,6 +69,7 @@ def basis(theta_d: Lanes) -> Basis:
 
 @inlined
 def tents(theta_d: Lanes) -> Tents:
+    """The five linear B-splines at θ_d."""
     x = theta_d * ANGLE_TO_X
     t1 = maximum(1.0 - magnitude(x - 1.0), 0.0)
     t2 = maximum(1.0 - magnitude(x - 2.0), 0.0)
@@ -89,9 +93,7 @@ def slope(steps: np.ndarray, o: int, t: Tents) -> Lanes:
 
 @inlined
 def add_curve(sums: np.ndarray, o: int, q: Lanes, b: Basis) -> None:
-    """sums rows o/16 … + 5 (16 lanes each) += q b_t: the curve's derivative by its control
-    values.
-    """
+    """Add q b_t to six rows of sums from o on: the curve's derivative by its control values."""
     store(sums, o, fma(q, b[0], load(sums, o)))
     store(sums, o + LANES, fma(q, b[1], load(sums, o + LANES)))
     store(sums, o + 2 * LANES, fma(q, b[2], load(sums, o + 2 * LANES)))

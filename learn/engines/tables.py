@@ -1,5 +1,4 @@
-"""Kernels for what a material is at each light of a map, and the way back from sums over pixels to
-its control values.
+"""Kernels for a material at each light of a map, and for derivatives by its control values.
 
 Arrays and letters as in learn.engines.culled, whose tables these are. Besides
 m        (many, 3 channels, 2, 6): γ and κ control values of the lobes that are summed
@@ -58,9 +57,7 @@ def make(
     lobes: np.ndarray,
     cones: np.ndarray,
 ) -> None:
-    """Lobes of blocks first … last − 1, and their energy in the brightest channel, least γ and
-    largest κ log2 e in the cones' rows.
-    """
+    """Write the lobes of blocks first … last − 1, and the material's rows of the cones."""
     for block in range(first, last):
         lane = CONE_STRIDE * (block // LANES) + block % LANES
         for s in range(many):
@@ -100,8 +97,7 @@ def gradient(
     lobe_sums: np.ndarray,
     by_m: np.ndarray,
 ) -> None:
-    """Derivatives by_m (many, 3, 2, 6, 16), lanes still apart, from what
-    learn.engines.culled.backward has summed.
+    """Derivatives by_m (many, 3, 2, 6, 16), one per lane, from the sums of culled.backward.
 
     stride  floats from one chunk's sums to the next one's
     """

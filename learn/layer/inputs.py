@@ -1,7 +1,6 @@
-"""What the rendering layer accepts: checked at the border, then compacted to the pixels that are
-seen.
+"""The rendering layer's arguments: checked, then compacted to the pixels that are seen.
 
-Each rule raises a ValueError that names the argument, the rule and what was found. Letters as in
+Each rule raises a ValueError that names the argument, the rule and the value. Letters as in
 learn/layer/rendering.py.
 """
 
@@ -9,7 +8,7 @@ import math
 import numbers
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import NoReturn, cast
 
 import numpy as np
 import torch
@@ -33,17 +32,18 @@ INTEGERS = (
     torch.uint32,
     torch.uint64,
 )
-LEAST_TOLERANCE = 1e-12  # what is asked beyond float64's digits is treated as this
+LEAST_TOLERANCE = 1e-12  # smaller tolerances, beyond float64's digits, are treated as this
 # of one call: each pixel takes 12 bytes and more, each texel some 200
 MOST_PIXELS, MOST_TEXELS = 2**28, 2**25
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """The layer's arguments in the dtype they are summed in: m (B, S, 108), mask (B, H, W) bool,
-    segments (B, H, W) or None.
+    """The layer's arguments in the dtype they are summed in.
 
-    tolerance  as it is given to the methods
+    m          (B, S, 108)
+    segments   (B, H, W) or None; mask: (B, H, W) bool
+    tolerance  as passed to the methods
     seen       (B, H, W) bool: inside the mask and facing the viewer; None: not known yet
     """
 
@@ -59,6 +59,7 @@ class Inputs:
 
 
 def refuse(argument: str, rule: str, found: object) -> NoReturn:
+    """Raise the ValueError of a broken rule."""
     raise ValueError(f"{argument}: expected {rule}, found {found}")
 
 
@@ -68,7 +69,7 @@ def require_shape(argument: str, tensor: torch.Tensor, rule: str, right: bool) -
 
 
 def require_dense(argument: str, tensor: object) -> None:
-    """A torch tensor whose elements lie in memory, each at its place."""
+    """Refuse anything but a dense torch tensor."""
     if not isinstance(tensor, torch.Tensor):
         refuse(argument, "a torch tensor", type(tensor).__name__)
     if tensor.is_nested:
@@ -78,7 +79,7 @@ def require_dense(argument: str, tensor: object) -> None:
 
 
 def require_alike(tensors: Mapping[str, torch.Tensor]) -> None:
-    """One floating dtype and one device, with memory, over all the arguments given."""
+    """Refuse tensors of other than one floating dtype and one device with memory."""
     for argument, tensor in tensors.items():
         require_dense(argument, tensor)
         if tensor.dtype not in FLOATS:
@@ -100,15 +101,16 @@ def require_alike(tensors: Mapping[str, torch.Tensor]) -> None:
 
 
 def require_beside(argument: str, tensor: torch.Tensor, n: torch.Tensor) -> None:
-    """A dense tensor on the device of n."""
+    """Refuse anything but a dense tensor on the device of n."""
     require_dense(argument, tensor)
     if tensor.device != n.device:
         refuse(argument, f"the device of n, {n.device}", tensor.device)
 
 
 def number(argument: str, value: object, rule: str, right: Callable[[float], bool]) -> float:
-    """The value as a float, if it is one real number that keeps the rule; a tensor of one element
-    is none, and neither is a bool.
+    """The value as a float, if it is a real number that keeps the rule.
+
+    A tensor of one element is not a number here, nor is a bool.
     """
     # to the compiler numpy's numbers are tensors
     is_real = isinstance(value, numbers.Real) or (
@@ -121,7 +123,7 @@ def number(argument: str, value: object, rule: str, right: Callable[[float], boo
             repr(value) if isinstance(value, str | bool | None) else type(value).__name__,
         )
     try:
-        converted = float(value)
+        converted = float(cast("float", value))
     except OverflowError:  # an integer or a fraction beyond 1e308
         converted = math.inf
     if not right(converted):
@@ -130,8 +132,9 @@ def number(argument: str, value: object, rule: str, right: Callable[[float], boo
 
 
 def readable(tensor: torch.Tensor) -> torch.Tensor:
-    """The tensor as kernels can read it: without a pending negation, and not from inference mode
-    where a graph is recorded.
+    """The tensor as kernels can read it.
+
+    It has no pending negation, and is not from inference mode where a graph is recorded.
     """
     if torch.compiler.is_compiling():  # which knows neither
         return tensor
@@ -140,8 +143,9 @@ def readable(tensor: torch.Tensor) -> torch.Tensor:
 
 
 def require_values(argument: str, values: torch.Tensor, rule: str, right: torch.Tensor) -> None:
-    """`right` marks the values (any shape) that keep the rule; NaN keeps none. The message shows
-    the worst one's value.
+    """Refuse values (any shape) unless all keep the rule; NaN keeps none.
+
+    right  marks those that do; the message shows the first of the others
     """
     if not bool(right.all()):
         wrong = values.detach()[~right]
@@ -214,9 +218,8 @@ def checked(
     if segments is not None:
         require_beside("segments", segments, n)
         segments = checked_segments(segments, picture, material.shape[1] if layers == 2 else 1)
-    n, material, light, view = (
-        None if x is None else readable(x) for x in (n, material, light, view)
-    )
+    n, material, light = readable(n), readable(material), readable(light)
+    view = None if view is None else readable(view)
     if segments is not None:
         mask = ((n.detach() != 0).any(-1) if mask is None else mask) & (segments > 0)
     dtype = torch.promote_types(n.dtype, torch.float32)
@@ -224,8 +227,8 @@ def checked(
     check_values(material.detach(), light.detach())
     n, light, view = n.to(dtype), light.to(dtype), None if view is None else view.to(dtype)
     mask, seen = read_by_kernel(n, view, mask) if pixel_selection.has_kernels(n) else (mask, None)
-    if seen is None:  # no kernel, or something is wrong and has to be named
-        mask = (n.detach() != 0).any(-1) if mask is None else mask
+    mask = (n.detach() != 0).any(-1) if mask is None else mask
+    if seen is None:  # no kernel, or a wrong length that the message has to name
         check_lengths(n.detach(), None if view is None else view.detach(), mask)
     return Inputs(n, m, light, view, segments, mask, tolerance, elevation, seen)
 
@@ -233,8 +236,9 @@ def checked(
 def read_by_kernel(
     n: torch.Tensor, view: torch.Tensor | None, mask: torch.Tensor | None
 ) -> tuple[torch.Tensor | None, torch.Tensor | None]:
-    """mask (as given, or where n is not 0) and seen (B, H, W) bool; seen is None if a length inside
-    the mask is wrong.
+    """The mask (or where n is not 0) and the seen pixels (B, H, W) bool, by one kernel.
+
+    seen is None if a length inside the mask is wrong.
     """
     states = pixel_selection.states(n, view, mask, LENGTH_TOLERANCE, HORIZON).reshape(n.shape[:3])
     if states.size and states.max() == WRONG:
@@ -262,7 +266,7 @@ def checked_segments(segments: torch.Tensor, picture: torch.Size, materials: int
 
 
 def check_lengths(n: torch.Tensor, view: torch.Tensor | None, mask: torch.Tensor) -> None:
-    """n, view: (B, H, W, 3), or view None; what lies outside the mask may be anything."""
+    """Refuse vectors (B, H, W, 3) that are not of unit length inside the mask; view may be None."""
     for argument, vectors in (("n", n), ("view", view)):
         if vectors is not None:
             length = vectors.float().norm(dim=-1)
@@ -301,9 +305,9 @@ def within(values: torch.Tensor, above: bool = False) -> bool:
     return (low > 0 if above else low >= 0) and high < math.inf
 
 
-def unit(vectors: torch.Tensor | None, index: torch.Tensor) -> torch.Tensor | None:
-    """(N, 3) unit vectors of pictures (B, H, W, 3) at flat places index (N,); None of None."""
-    return None if vectors is None else pixel_selection.unit(vectors.reshape(-1, 3), index)
+def unit(vectors: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
+    """Unit vectors (N, 3) of pictures (B, H, W, 3) at flat places index (N,)."""
+    return pixel_selection.unit(vectors.reshape(-1, 3), index)
 
 
 def compact(inputs: Inputs) -> tuple[Batch, torch.Tensor]:
@@ -311,12 +315,13 @@ def compact(inputs: Inputs) -> tuple[Batch, torch.Tensor]:
 
     Returns  a learn.methods.Batch of P pixels; index (P,) of each among the B·H·W pixels
     """
-    # who faces the viewer is found first, so that the graph holds one selection only
+    # pixels that face the viewer first, so that the graph holds one selection only
     if inputs.seen is None:
         index = inputs.mask.reshape(-1).nonzero().squeeze(-1)
         with torch.no_grad():
-            n, view = unit(inputs.n, index), unit(inputs.view, index)
-            index = index[(n[:, 2] if view is None else (n * view).sum(-1)) > HORIZON]
+            n = unit(inputs.n, index)
+            facing = n[:, 2] if inputs.view is None else (n * unit(inputs.view, index)).sum(-1)
+            index = index[facing > HORIZON]
     else:
         index = torch.from_numpy(np.flatnonzero(inputs.seen.numpy()))
     pixels = inputs.mask.shape[1:].numel()
@@ -334,7 +339,7 @@ def compact(inputs: Inputs) -> tuple[Batch, torch.Tensor]:
         present, counts = torch.unique_consecutive(group, return_counts=True)
     batch = Batch(
         n=unit(inputs.n, index),
-        view=unit(inputs.view, index),
+        view=None if inputs.view is None else unit(inputs.view, index),
         m=inputs.m.flatten(0, 1).unflatten(-1, SHAPE)[present],
         light=inputs.light,
         counts=tuple(counts.tolist()),

@@ -46,13 +46,12 @@ def render(
     in float32)
     mask       (B, H, W) bool; None: where n is not 0. What lies outside is never read
     method     a name of learn.methods.NAMES; "auto" takes the cheapest that keeps the tolerance
-    tolerance  relative error that "auto" may spend; methods with a knob of their own set it by this
-    too elevation  radians from the light frame to the camera frame about x
-    (shaders.frames.camera_from_light);
-               0 if your light map is given in the camera's own frame
-    Raises     ValueError that names the argument, the rule and what was found; NotImplementedError
-    for derivatives that the method does
-               not have: second ones (see above) when they are asked for, third ones, forward mode
+    tolerance  relative error that "auto" may make; other methods set their own parameter by it
+    elevation  radians from the light frame to the camera frame about x
+               (shaders.frames.camera_from_light); 0 if the light map is in the camera's frame
+    Raises     ValueError that names the argument, the rule and the value; NotImplementedError for
+               derivatives that the method lacks: second ones (see above) when they are requested,
+               third ones, forward mode
     Source     supplement, "Details of Rendering Layer"
     """
     if not torch.compiler.is_compiling() and transforms.are_active():
@@ -64,14 +63,14 @@ def render(
     chosen = methods.load(method)  # a misspelt name is refused even where nothing is to be rendered
     if batch.counts:
         work = chosen.radiance
-        # planned in numpy, which torch.compile must not take apart
+        # planned in numpy, which torch.compile must not trace
         if torch.compiler.is_compiling() and method != "exact":
             work = torch.compiler.disable(work)
         radiance = work(batch, inputs.tolerance)
     # nothing to render, yet every argument keeps its place in the graph and gets a zero gradient
     else:
         radiance = batch.n + 0 * (
-            batch.m.sum() + batch.light.sum() + (0 if view is None else batch.view.sum())
+            batch.m.sum() + batch.light.sum() + (0 if batch.view is None else batch.view.sum())
         )
     picture = (
         pixel_selection.spread(radiance, index, inputs.mask.numel()).reshape(n.shape).to(n.dtype)
@@ -101,11 +100,13 @@ class RenderLayer(torch.nn.Module):
         segments: torch.Tensor | None = None,
         mask: torch.Tensor | None = None,
     ) -> torch.Tensor:
+        """The picture (B, H, W, 3), as `render`."""
         return render(
             n, material, light, view, segments, mask, self.method, self.tolerance, self.elevation
         )
 
     def extra_repr(self) -> str:
+        """The settings, for torch's printed form."""
         return (
             f"method={self.method!r}, tolerance={float(self.tolerance):g},"
             f" elevation={float(self.elevation):.4f}"

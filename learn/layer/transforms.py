@@ -36,8 +36,9 @@ KINDS = torch._C._TorchDispatchModeKey
 
 
 def are_active() -> bool:
-    """Whether the caller is inside of a transform of torch.func. Raises NotImplementedError where
-    calls are recorded instead.
+    """Whether the caller is inside a transform of torch.func.
+
+    Raises  NotImplementedError inside a tracer, which records calls instead
     """
     if torch.jit.is_tracing():
         raise NotImplementedError(TRACED.format("torch.jit.trace"))
@@ -49,8 +50,9 @@ def are_active() -> bool:
 
 
 def render(tensors: Sequence[object], settings: Settings) -> torch.Tensor:
-    """`learn.layer.render` of n, material, light, view, segments and mask, and of method, tolerance
-    and elevation.
+    """`learn.layer.render` as one step of torch.func.
+
+    tensors   n, material, light, view, segments and mask
     """
     for name, x in zip(NAMES, tensors, strict=True):
         if isinstance(x, torch.Tensor):
@@ -62,8 +64,9 @@ def render(tensors: Sequence[object], settings: Settings) -> torch.Tensor:
 
 @contextlib.contextmanager
 def hooks_allowed() -> Iterator[None]:
-    """Within it saved tensors may have hooks, which torch.func forbids within grad; a step's own
-    inner graph is not torch.func's.
+    """Allow hooks on saved tensors, which torch.func forbids within grad.
+
+    A step's own inner graph does not concern torch.func.
     """
     message = torch._C._autograd._saved_tensors_hooks_get_disabled_error_message()
     torch._C._autograd._saved_tensors_hooks_enable()
@@ -75,22 +78,19 @@ def hooks_allowed() -> Iterator[None]:
 
 
 def refuse_batch(g: torch.Tensor) -> None:
-    """A hook on the picture's gradient: kernels cannot take many gradients as one tensor that
-    stands for them.
-    """
+    """Refuse, as a hook on the picture's gradient, a batch of gradients in one tensor."""
     derivatives.require_one_gradient(g)
 
 
 def leaf(x: torch.Tensor) -> torch.Tensor:
-    """The tensor without its graph; a copy of one that was made in inference mode, which cannot be
-    in any graph.
-    """
+    """The tensor without its graph; a copy if it is from inference mode and cannot join a graph."""
     return x.detach().clone() if x.is_inference() else x.detach()
 
 
 def folded(count: int, dimensions: Sequence[int | None], tensors: Sequence[object]) -> list[object]:
-    """Tensors whose dimension of `count`, given or to be added, has become part of the first one,
-    the batch of pictures.
+    """The tensors with their dimension of size `count` merged into the first one, the batch.
+
+    dimensions  of each tensor; None: it has none and is expanded
     """
 
     def fold(dimension, x):
@@ -108,14 +108,12 @@ def folded(count: int, dimensions: Sequence[int | None], tensors: Sequence[objec
 
 
 def parted(count: int, x: torch.Tensor) -> torch.Tensor:
-    """The reverse: (count · B, …) as (count, B, …)."""
+    """The reverse of `folded`: (count · B, …) as (count, B, …)."""
     return x.unflatten(0, (count, x.shape[0] // count if count else 0))
 
 
 class Picture(torch.autograd.Function):
-    """n, material, light, view, segments, mask (the last three may be None), settings → the
-    picture.
-    """
+    """n, material, light, view, segments, mask (the last three or None), settings → the picture."""
 
     @staticmethod
     def forward(*inputs: Any) -> torch.Tensor:
@@ -153,8 +151,10 @@ class Picture(torch.autograd.Function):
 
 
 class Gradients(torch.autograd.Function):
-    """g, the six tensors, settings, which derivatives are asked for, by the first four →
-    derivatives of Σ g·picture by those.
+    """The backward pass of `Picture`.
+
+    g, the six tensors, settings, which derivatives by the first four are requested → derivatives of
+    Σ g·picture by those
     """
 
     @staticmethod
@@ -165,7 +165,8 @@ class Gradients(torch.autograd.Function):
                 None if x is None else leaf(x).requires_grad_(each)
                 for x, each in zip(tensors[:4], requested, strict=True)
             ]
-            picture = layer.render(*leaves, *tensors[4:], *settings)
+            arguments: list[Any] = [*leaves, *tensors[4:], *settings]
+            picture = layer.render(*arguments)
             pairs = zip(leaves, requested, strict=True)
             by = [x for x, each in pairs if each and x is not None]
             return torch.autograd.grad(picture, by, g)

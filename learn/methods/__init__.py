@@ -1,4 +1,4 @@
-"""The catalogue of rendering methods: how radiance is summed over the light, one method a module.
+"""The catalogue of rendering methods: how radiance is summed over the light, one per module.
 
 A method is a module of this folder with two names:
 
@@ -34,7 +34,7 @@ NAMES = (  # modules of this folder; what they need is imported when they are fi
     "monte_carlo_light",
     "monte_carlo_brdf",
 )
-# why there is no second one: reasons for `first_only`
+# reasons, for `first_only`, why there is no second derivative
 COMPILED = "whose compiled sums have first derivatives only"
 HELD_LIGHTS = "which holds the directions of its lights where the light changes"
 HELD_SAMPLES = "which holds its samples where the scene changes"
@@ -45,10 +45,10 @@ HORIZON = 1e-4
 
 @dataclass(frozen=True)
 class Card:
-    """What a method promises.
+    """The claims of a method.
 
     name          the module's name, and the value of render's `method`
-    approximates  in words: what is replaced by what
+    approximates  in words: the term and its replacement
     error         the claim: largest relative error (mean absolute over mean) against the paper's
     sum at tolerance 1e-2, or None: no bound
     cost          in words: how time grows with pixels, lights and materials
@@ -68,8 +68,7 @@ class Card:
 
 @dataclass(frozen=True)
 class Batch:
-    """Pixels to render, checked and compacted: what a method is given. There is at least one pixel,
-    and no empty group.
+    """Pixels to render, checked and compacted, in at least one group; no group is empty.
 
     n                  (P, 3) unit normals, camera frame, n·v > HORIZON
     view               (P, 3) unit vectors to the viewer, camera frame, or None: (0, 0, 1) for every
@@ -78,15 +77,16 @@ class Batch:
     light              (B, Hl, Wl, 3) linear radiance, light frame
     counts             pixels of each group; they lie one group after the other and sum to P
     light_of           index into `light` of each group
-    camera_from_light  (3, 3) rotation, constant, float64 on the CPU whatever the rest is
+    camera_from_light  (3, 3) rotation, constant, float64 on the CPU
+    one_material       whether all groups have the same tensor for their material
     """
 
     n: torch.Tensor
     view: torch.Tensor | None
     m: torch.Tensor
     light: torch.Tensor
-    counts: tuple
-    light_of: tuple
+    counts: tuple[int, ...]
+    light_of: tuple[int, ...]
     camera_from_light: torch.Tensor
     one_material: bool = False
 
@@ -104,9 +104,7 @@ def load(name: object) -> ModuleType:
 
 
 def refusal(name: str, why: str = COMPILED) -> str:
-    """What is said where a method's derivatives are differentiated again and cannot be, by reason
-    of `why`.
-    """
+    """The error message where a method's derivatives are differentiated again; why: the reason."""
     return (
         f'method: expected "exact" where derivatives are differentiated again, found "{name}",'
         f' {why} (render with method="exact")'
@@ -114,23 +112,23 @@ def refusal(name: str, why: str = COMPILED) -> str:
 
 
 def wants_gradient(*tensors: torch.Tensor | None) -> bool:
-    """Whether a derivative by any of the tensors (or None) can be asked for."""
+    """Whether a derivative by any of the tensors (or None) can be requested."""
     return torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in tensors)
 
 
 def first_only(batch: Batch, name: str, why: str) -> Batch:
-    """The batch for a method that has first derivatives only, which costs it 0.1 ms:
-    `derivatives.first_only`.
-    """
-    n, view, m, light = derivatives.first_only(
-        refusal(name, why), batch.n, batch.view, batch.m, batch.light
-    )
-    return replace(batch, n=n, view=view, m=m, light=light)
+    """The batch for a method that has first derivatives only; it costs 0.1 ms."""
+    tensors = [batch.n, batch.m, batch.light]
+    if batch.view is not None:
+        tensors.append(batch.view)
+    n, m, light, *views = derivatives.first_only(refusal(name, why), *tensors)
+    return replace(batch, n=n, m=m, light=light, view=views[0] if views else None)
 
 
 def by_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tensor:
-    """Radiance (P, 3) by a function of one group: function(n (p, 3), view (p, 3) or None, m (3, 3,
-    2, 6), light (Hl, Wl, 3)) → (p, 3).
+    """Radiance (P, 3) by a function of one group.
+
+    function  n (p, 3), view (p, 3) or None, m (3, 3, 2, 6), light (Hl, Wl, 3) → (p, 3)
     """
     return per_group(batch, lambda _, *arguments: function(*arguments))
 
@@ -141,7 +139,7 @@ def per_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tens
     if len(batch.counts) == 1:
         return function(0, batch.n, batch.view, batch.m[0], batch.light[batch.light_of[0]])
     n = batch.n.split(batch.counts)
-    view = batch.view.split(batch.counts) if batch.view is not None else [None] * len(n)
+    view = [None] * len(n) if batch.view is None else batch.view.split(batch.counts)
     return torch.cat(
         [
             function(g, n[g], view[g], batch.m[g], batch.light[batch.light_of[g]])
@@ -151,9 +149,10 @@ def per_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tens
 
 
 def merged(batch: Batch) -> Batch:
-    """The batch with neighbouring groups made one where they are given one material and one light:
-    one tensor expanded over the batch (stride 0 in memory), as its pictures' shared scene. What is
-    merely equal is kept apart: then no picture's bits depend on its company.
+    """The batch with neighbouring groups merged where they share one material and one light.
+
+    Shared means one tensor expanded over the batch (stride 0 in memory). Groups whose material or
+    light is merely equal stay separate, so that no picture's bits depend on the rest of the batch.
     """
     one_light = batch.light.stride(0) == 0
     counts, first = [batch.counts[0]], [0]

@@ -119,7 +119,7 @@ def planned_sums(
     rotation: Rotation,
     tolerance: float,
 ) -> planned.Sums:
-    """The `planned.Sums` of one group for a distant viewer that keep the tolerance on the sample."""
+    """Sums of one group for a distant viewer that keep the tolerance on the sample."""
     _, material_gradient, light_gradient = gradients
     scene = planned.Scene(n, m, light, rotation, light_gradient, material_gradient)
     lobes = (

@@ -131,8 +131,9 @@ def _sum_on_cuda(
 ) -> torch.Tensor:
     from learn.engines import cuda
 
-    n, view, m, light = (None if a is None else a.contiguous() for a in (n, view, m, light))
-    return cuda.radiance(n, view, m, light, tuple(rotation), tuple(counts), light_of)
+    n, m, light = (a.contiguous() for a in (n, m, light))
+    view = None if view is None else view.contiguous()
+    return cuda.radiance(n, view, m, light, tuple(rotation), tuple(counts), tuple(light_of))
 
 
 @torch.library.impl(f"{NAME}_backward", "CUDA")
@@ -149,11 +150,12 @@ def _backward_on_cuda(
 ) -> tuple[torch.Tensor, ...]:
     from learn.engines import cuda
 
-    g, n, view, m, light = (None if a is None else a.contiguous() for a in (g, n, view, m, light))
+    g, n, m, light = (a.contiguous() for a in (g, n, m, light))
+    view = None if view is None else view.contiguous()
     by_n, by_view, by_m, by_light = cuda.gradients(
-        g, n, view, m, light, tuple(rotation), tuple(counts), light_of
+        g, n, view, m, light, tuple(rotation), tuple(counts), tuple(light_of)
     )
-    return by_n, by_view if with_view else n.new_empty(0), by_m, by_light
+    return by_n, n.new_empty(0) if by_view is None or not with_view else by_view, by_m, by_light
 
 
 def _plain(tensor: torch.Tensor) -> torch.Tensor:
@@ -185,7 +187,8 @@ def _backward_shapes(
     light_of: Sequence[int],
     with_view: bool,
 ) -> tuple[torch.Tensor, ...]:
-    return _plain(n), _plain(view) if with_view else n.new_empty(0), _plain(m), _plain(light)
+    by_view = n.new_empty(0) if view is None or not with_view else _plain(view)
+    return _plain(n), by_view, _plain(m), _plain(light)
 
 
 def _remember(ctx: Context, inputs: tuple, output: torch.Tensor) -> None:

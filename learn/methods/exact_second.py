@@ -31,6 +31,8 @@ from learn.methods.exact import chunks, texels
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
 from shaders.spline import basis, basis_slope
 
+# by g, n, view (None without one), m and E
+Derivatives = tuple[torch.Tensor, torch.Tensor, torch.Tensor | None, torch.Tensor, torch.Tensor]
 PAIRS = 16384  # of one chunk; autograd keeps about 40 arrays of 9 × PAIRS numbers, 50 MB
 CORNER = 1e-6  # length of w − v: radians between light and view
 
@@ -44,16 +46,17 @@ def second(
     E: torch.Tensor,
     w: torch.Tensor,
     radial: bool,
-) -> tuple[torch.Tensor | None, ...]:
+) -> Derivatives:
     """Gradients of S by g, n, view (None without one), m and E, in their shapes and dtypes; no
     graph is kept.
 
     direction  n' (P, 3), view' (P, 3) or None, m' (3, 3, 2, 6), E' (T, 3)
-    radial     whether the first pass took ∂c/∂n = h, or else h − n. Both are right on the sphere,
-    and their difference, along n, does not
-               pass the scaling to unit length; but that step's second derivative counts on it
+    radial     whether the first pass took ∂c/∂n = h, or else h − n. Both are right on the sphere;
+               their difference, along n, does not pass through scaling to unit length, but that
+               step's second derivative needs it
     """
-    dtypes = [None if x is None else x.dtype for x in (g, n, view, m, E)]
+    dtypes = [x.dtype for x in (g, n, m, E)]
+    view_dtype = None if view is None else view.dtype
     g, n, m, E, w = (x.detach().double() for x in (g, n, m, E, w))
     view = None if view is None else view.detach().double()
     along_n, along_view, along_m, along_E = (
@@ -84,10 +87,10 @@ def second(
         by_E[t].index_add_(0, lit, by[3])
         if by_view is not None:
             by_view[p] += by[4]
-    return tuple(
-        None if x is None else x.to(dtype)
-        for x, dtype in zip((by_g, by_n, by_view, by_m, by_E), dtypes, strict=True)
+    by_g, by_n, by_m, by_E = (
+        x.to(dtype) for x, dtype in zip((by_g, by_n, by_m, by_E), dtypes, strict=True)
     )
+    return by_g, by_n, None if by_view is None else by_view.to(view_dtype), by_m, by_E
 
 
 def of_groups(
@@ -112,14 +115,15 @@ def of_groups(
         [None] * len(counts) if x is None else [*x.split(list(counts))]
         for x in (by_n, by_view, g, n, view)
     ]
-    result, over_light = [], torch.zeros_like(light, dtype=torch.float64)
+    result: list[tuple] = []
+    over_light = torch.zeros_like(light, dtype=torch.float64)
     camera_from_light = torch.tensor(rotation, dtype=torch.float64).reshape(3, 3)
     for k, (part_by_n, part_by_view, part_g, part_n, part_view) in enumerate(
         zip(*parts, strict=True)
     ):
         w, E = texels(light[light_of[k]].double(), camera_from_light)
         along_E = texels(by_light[light_of[k]].double(), camera_from_light)[1]
-        *by, by_E = second(
+        by_g, by_n, by_view, group_by_m, by_E = second(
             (part_by_n, part_by_view, by_m[k], along_E),
             part_g,
             part_n,
@@ -129,16 +133,15 @@ def of_groups(
             w,
             radial=False,
         )
-        result.append(by)
-        over_light[light_of[k]] += texels(by_E.reshape(light.shape[1:]), camera_from_light)[
-            1
-        ].reshape(light.shape[1:])
-    by_g, by_n, by_view, by_m = zip(*result, strict=True)
+        result.append((by_g, by_n, by_view, group_by_m))
+        by_radiance = texels(by_E.reshape(light.shape[1:]), camera_from_light)[1]
+        over_light[light_of[k]] += by_radiance.reshape(light.shape[1:])
+    by_gs, by_ns, by_views, by_ms = zip(*result, strict=True)
     return (
-        torch.cat(by_g),
-        torch.cat(by_n),
-        None if view is None else torch.cat(by_view),
-        torch.stack(by_m),
+        torch.cat(by_gs),
+        torch.cat(by_ns),
+        None if view is None else torch.cat(by_views),
+        torch.stack(by_ms),
         over_light.to(light.dtype),
     )
 

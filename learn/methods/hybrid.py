@@ -30,7 +30,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
 
 
 def with_lights(batch: Batch, count: int, left_out: float) -> torch.Tensor:
-    """Radiance with `count` lights for broad lobes; left_out: relative error that culling may add."""
+    """Radiance with `count` lights for broad lobes; left_out: relative error by culling."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor

@@ -1,9 +1,8 @@
-"""A few lights instead of thousands: the map cut into regions of equal energy, each of them one
-light at its energy's centre.
+"""A few lights instead of thousands, one for each of the map's regions of equal energy.
 
-The map is halved again and again where its energy (luminance × solid angle) is halved, across the
+The map is halved repeatedly where its energy (luminance × solid angle) is halved, across the
 longer side of each region, so that after k rounds there are 2^k lights. Regions of one texel stay.
-A light has its region's whole energy, a channel at a time, so nothing of the light is lost; its
+A light has its region's whole energy, per channel, so nothing of the light is lost; its
 direction is the energy's mean direction and is held constant in the backward pass.
 
 Source: Debevec, A Median Cut Algorithm for Light Probe Sampling, 2005. Rectangles are (top, bottom,
@@ -40,9 +39,7 @@ LEAST, MOST = 64, 4096
 
 
 def count(tolerance: float) -> int:
-    """Lights for a tolerance on materials without sharp lobes: the error falls about as 1 /
-    lights.
-    """
+    """Number of lights for a tolerance without sharp lobes: the error falls about as 1 / lights."""
     return int(np.clip(2 ** math.ceil(math.log2(4.0 / tolerance)), LEAST, MOST))
 
 
@@ -51,8 +48,9 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
 
 
 def held(batch: Batch, name: str) -> Batch:
-    """The batch for a method that cuts the light: with a second derivative only in torch's own
-    sums, while the light is a constant.
+    """The batch for a method that cuts the light.
+
+    Second derivatives exist in torch's own sums alone, while the light is constant.
     """
     if directional.has_kernels(batch.n):
         return first_only(batch, name, COMPILED)
@@ -60,6 +58,8 @@ def held(batch: Batch, name: str) -> Batch:
 
 
 def with_lights(batch: Batch, lights: int) -> torch.Tensor:
+    """Radiance (P, 3) with so many lights."""
+
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
     ) -> torch.Tensor:
@@ -72,11 +72,10 @@ def with_lights(batch: Batch, lights: int) -> torch.Tensor:
 def cut(
     light: torch.Tensor, camera_from_light: torch.Tensor, count: int
 ) -> tuple[Lights, torch.Tensor]:
-    """`Lights` of at most `count` regions, and their E (T, 3), differentiable in light (height,
-    width, 3).
+    """`Lights` of at most `count` regions, and their E (T, 3), differentiable in light.
 
-    A map of no more texels is not cut: halving by energy would leave dark texels together beside a
-    bright one.
+    light  (height, width, 3); a map of no more texels is not cut, since halving by energy would
+           join dark texels beside a bright one
     """
     height, width = light.shape[:2]
     if height * width <= count:
@@ -108,8 +107,9 @@ def cut(
 
 
 def regions(energy: np.ndarray, count: int) -> np.ndarray:
-    """The region's number of each texel (height, width), 0 … R − 1 with R ≤ count; neighbours in
-    number are neighbours in the map.
+    """The number of each texel's region (height, width), 0 … R − 1 with R ≤ count.
+
+    Neighbours in number are neighbours in the map.
     """
     height, width = energy.shape
     table = np.pad(energy.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
@@ -132,9 +132,7 @@ def regions(energy: np.ndarray, count: int) -> np.ndarray:
 
 
 def halved(boxes: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Each box (R, 4) replaced by its two halves of equal energy, or by itself if it is one
-    texel.
-    """
+    """Each box (R, 4) replaced by two halves of equal energy, or by itself if it is one texel."""
     height = table.shape[0] - 1
     top, bottom, left, right = boxes.T
     tall, wide = bottom - top, (right - left) * np.sin(np.pi * (top + bottom) / (2 * height))

@@ -1,18 +1,19 @@
-"""Under a distant viewer radiance depends on the normal alone: computed at the nodes of a map over
-normals, looked up for each pixel.
+"""Radiance at the nodes of a map over normals, interpolated for each pixel of a distant viewer.
+
+Under a distant viewer radiance depends on the normal alone.
 
 n       unit normal, camera frame; p = (n_x, n_y) / √(1 + n_z), the equal-area disk: |p| ≤ 1 where
 the viewer sees the surface
 size    nodes along a side; node (i, j) stands at p = ((j − 2) h − 1, (i − 2) h − 1), h = 2 / (size
 − 5): two rows lie outside the disk,
         where n looks away from the viewer and radiance goes on smoothly
-values  (N, 3) radiance at the nodes that some pixel needs, whose flat indices are nodes (N,);
-others are never read
+values  (N, 3) radiance at the nodes that some pixel needs, with flat indices nodes (N,); others
+        are never read
 
-Between nodes Catmull–Rom weights: exact for quadratics, error h³ and, near a lobe of standard
-deviation σ, small once h < σ/2. Gradients in n pass through the weights, those in m and L through
-the nodes' sum. Pictures that are given one material and one light, each one tensor expanded over
-the batch, share a map.
+Interpolation between nodes is by Catmull–Rom weights: exact for quadratics, error h³ and, near a
+lobe of standard deviation σ, small once h < σ/2. Gradients in n pass through the weights, those in
+m and L through the nodes' sum. Pictures that share one material and one light, each one tensor
+expanded over the batch, share a map.
 """
 
 import math
@@ -91,9 +92,9 @@ def with_size(batch: Batch, size: int) -> torch.Tensor:
 
 
 def size_for(sharpness: float, tolerance: float) -> int:
-    """Nodes along a side for lobes up to an exponent: h/σ = (tolerance / 0.1)^(1/3).
+    """Nodes along a side for lobes up to a sharpness: h/σ = (tolerance / 0.1)^(1/3).
 
-    `python -m learn.experiments calibrate-auto` found it.
+    The rule is from `python -m learn.experiments calibrate-auto`.
     """
     spacing = (tolerance / 0.1) ** (1 / 3) / math.sqrt(max(sharpness, 2.0))
     return int(np.clip(math.ceil(2 * math.sqrt(2) / spacing) + 5, SMALLEST, LARGEST))
@@ -102,8 +103,9 @@ def size_for(sharpness: float, tolerance: float) -> int:
 def with_nodes(
     n: torch.Tensor, size: int, at_nodes: Callable[[torch.Tensor], torch.Tensor]
 ) -> torch.Tensor:
-    """Radiance looked up in a map whose nodes have radiance at_nodes(normals (N, 3)) → (N, 3);
-    differentiable through both.
+    """Radiance read from a map, differentiable in n and in the nodes' radiance.
+
+    at_nodes  normals (N, 3) of the nodes → radiance (N, 3)
     """
     needed = needed_nodes(n.detach(), size)
     return look_up(
@@ -112,6 +114,7 @@ def with_nodes(
 
 
 def has_kernel(n: torch.Tensor) -> bool:
+    """Whether the kernels serve a tensor: float32 on the CPU, with numba installed."""
     return n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available()
 
 
@@ -132,7 +135,7 @@ def needed_nodes(n: torch.Tensor, size: int) -> torch.Tensor:
 
 
 def nodes_for(n: np.ndarray, size: int) -> np.ndarray:
-    """The same by learn.engines.interpolation, in numpy."""
+    """As `needed_nodes`, by learn.engines.interpolation, in numpy."""
     touched = np.zeros((size, size), np.float32)
     sliced(
         len(n),
@@ -143,8 +146,9 @@ def nodes_for(n: np.ndarray, size: int) -> np.ndarray:
 
 
 def weighted(touched: np.ndarray) -> np.ndarray:
-    """Flat indices (N,) of the nodes that have a weight, where touched (size, size) marks the node
-    before some pixel's place.
+    """Flat indices (N,) of the nodes that have a weight for some pixel.
+
+    touched  (size, size): marks the node before each pixel's place
     """
     for _ in range(2):  # along columns, then along rows: one before that node, two after
         near = touched.copy()
@@ -156,8 +160,9 @@ def weighted(touched: np.ndarray) -> np.ndarray:
 
 
 def normals(nodes: np.ndarray, size: int) -> np.ndarray:
-    """Unit normals (N, 3) of flat node indices, float64 numpy; outside the disk |p| < √2 they look
-    away from the viewer.
+    """Unit normals (N, 3) of flat node indices, float64 numpy.
+
+    Outside the disk |p| ≤ 1 they look away from the viewer.
     """
     line = (np.arange(size) - MARGIN) * (2.0 / (size - 1 - 2 * MARGIN)) - 1.0
     row, column = np.divmod(nodes, size)
@@ -169,8 +174,9 @@ def normals(nodes: np.ndarray, size: int) -> np.ndarray:
 
 
 def look_up(n: torch.Tensor, values: torch.Tensor, nodes: torch.Tensor, size: int) -> torch.Tensor:
-    """(P, 3) at normals n (P, 3) in the map that has values (N, 3) at flat indices nodes (N,),
-    which hold all that n needs.
+    """Values (P, 3) at normals n (P, 3) in a map with values (N, 3) at flat indices nodes (N,).
+
+    nodes  all that n needs
     """
     if has_kernel(n):
         return LookUp.apply(n, values, nodes, size)
@@ -194,22 +200,23 @@ def look_up(n: torch.Tensor, values: torch.Tensor, nodes: torch.Tensor, size: in
 
 
 def sliced(pixels: int, seconds: float, kernel: Callable[[int, int], None]) -> None:
-    """kernel(first, last) over all pixels of so many seconds each, on as many threads as torch may
-    use.
+    """Run kernel(first, last) over all pixels, on as many threads as torch may use.
+
+    seconds  per pixel
     """
     workers = threads.worth(torch.get_num_threads(), pixels * seconds)
     threads.run(kernel, threads.split(pixels, workers), workers)
 
 
 def table(values: np.ndarray, nodes: np.ndarray, size: int) -> np.ndarray:
-    """(size², 4) float32 for the kernels, from values (N, 3) at nodes (N,)."""
+    """The kernels' table (size², 4) float32, from values (N, 3) at nodes (N,)."""
     result = np.zeros((size * size, 4), np.float32)
     result[nodes, :3] = values
     return result
 
 
 def read(n: np.ndarray, table: np.ndarray, size: int) -> np.ndarray:
-    """(P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
+    """Values (P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
     out = np.empty((len(n), 3), np.float32)
     sliced(
         len(n),
@@ -241,7 +248,7 @@ def read_backward(
 
 
 class LookUp(Step):
-    """n (P, 3), values (N, 3) at nodes (N,), size → (P, 3) by learn.engines.interpolation."""
+    """`look_up` by learn.engines.interpolation."""
 
     @staticmethod
     def forward(
@@ -249,13 +256,14 @@ class LookUp(Step):
     ) -> torch.Tensor:
         ctx.refusal = refusal(CARD.name)
         ctx.save_for_backward(n, values)
-        n, nodes = n.contiguous().numpy(), nodes.numpy()
-        ctx.kept = n, table(values.numpy(), nodes, size), size, nodes
-        return torch.from_numpy(read(*ctx.kept[:3]))
+        normals, places = n.contiguous().numpy(), nodes.numpy()
+        nodes_table = table(values.numpy(), places, size)
+        ctx.for_backward = normals, nodes_table, size, places
+        return torch.from_numpy(read(normals, nodes_table, size))
 
     @staticmethod
     @last
     def backward(ctx: Context, g: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        n, values, size, nodes = ctx.kept
+        n, values, size, nodes = ctx.for_backward
         by_n, by_values = read_backward(n, values, size, np.ascontiguousarray(g.numpy()), nodes)
         return torch.from_numpy(by_n), torch.from_numpy(by_values), None, None

@@ -1,13 +1,14 @@
-"""Monte Carlo estimates of the integral over the piecewise-constant map: light sampling, BRDF
-sampling, or both (balance heuristic).
+"""Monte Carlo estimates of the integral by light sampling, BRDF sampling or both.
 
-N samples a pixel, p pixel, i sample. A light sample is a texel drawn by its energy and a point
+Both are combined by the balance heuristic.
+
+N samples per pixel, p pixel, i sample. A light sample is a texel drawn by its energy and a point
 within it; a BRDF sample is a half vector drawn about the normal by a mixture of the three lobes'
 cosine powers and a broad one, reflected.
 
     I ≈ Σ_i f(w_i) μ(w_i) L(w_i) / (N_light p_light(w_i) + N_brdf p_brdf(w_i))
 
-Samples are held in the backward pass. They are the same every time: a fixed stratified pattern
+Samples are constant in the backward pass. They are the same every time: a fixed stratified pattern
 shifted by a hash of the pixel's number.
 """
 
@@ -27,12 +28,12 @@ PAIRS = 32768  # samples of one chunk of pixels
 
 
 def count(tolerance: float) -> int:
-    """Samples a pixel by tolerance, as far as patience reaches."""
+    """Samples per pixel for a tolerance, between 16 and 1024."""
     return int(np.clip(2 ** round(math.log2(4.0 / tolerance)), 16, 1024))
 
 
 def sampled(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
-    """Radiance (P, 3) with `by_light` + `by_brdf` samples a pixel."""
+    """Radiance (P, 3) with `by_light` + `by_brdf` samples per pixel."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
@@ -45,8 +46,7 @@ def sampled(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
             if view is None
             else view.split(step)
         )
-        starts = range(0, len(n), step)
-        parts = zip(n.split(step), views, starts, strict=True)
+        parts = zip(n.split(step), views, range(0, len(n), step), strict=True)
         return torch.cat(
             [
                 checkpoint(
@@ -60,8 +60,9 @@ def sampled(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
 
 
 class Lobes:
-    """Cosine powers (4,) of h about n, and their shares (4,): the three lobes' sharpness by
-    strength, and 1 for what they miss.
+    """Cosine powers (4,) of h about n, and their shares (4,).
+
+    They are the three lobes' sharpness, by strength, and a broad power of 1.
     """
 
     def __init__(self, m: torch.Tensor):
@@ -74,7 +75,7 @@ class Lobes:
         )
 
     def draw(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """cos θ_h and sin θ_h of u (…,) in [0, 1), numpy; which lobe is part of u."""
+        """cos θ_h and sin θ_h for u (…,) in [0, 1), numpy; u also chooses the lobe."""
         edges = np.cumsum(self.share) / self.share.sum()
         lobe = np.minimum(np.searchsorted(edges, u, side="right"), 3)
         within = (u - np.where(lobe > 0, edges[lobe - 1], 0.0)) / np.maximum(
@@ -92,9 +93,7 @@ class Lobes:
 
 
 class Texels:
-    """The map as a distribution: cumulative energy over texels, density per sr of each, and where a
-    texel's corners are.
-    """
+    """The map as a distribution: cumulative energy over texels, and density per sr of each."""
 
     def __init__(self, light: torch.Tensor, camera_from_light: torch.Tensor):
         self.height, self.width = light.shape[:2]
@@ -111,8 +110,9 @@ class Texels:
         self.camera_from_light = camera_from_light.double().cpu().numpy()
 
     def draw(self, u: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Directions (…, 3), camera frame: the texel by u, the place within by a (across) and b
-        (down, by solid angle); numpy.
+        """Directions (…, 3), camera frame, numpy.
+
+        u chooses the texel, a and b the place in it (across, and down by solid angle)
         """
         texel = np.minimum(
             np.searchsorted(self.cumulative, u, side="right"), len(self.cumulative) - 1
@@ -128,9 +128,7 @@ class Texels:
 
 
 def pattern(first: int, pixels: int, samples: int) -> np.ndarray:
-    """Numbers (pixels, samples, 3) in [0, 1): a Kronecker sequence, turned by a hash of the pixel's
-    number.
-    """
+    """Numbers (pixels, samples, 3) in [0, 1): a Kronecker sequence shifted by a hash per pixel."""
     # powers of the root of x⁴ = x + 1 (Roberts 2018)
     steps = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
     i = np.arange(samples)[None, :, None]

@@ -115,6 +115,7 @@ def test_the_key_covers_every_module_that_a_kernel_is_made_of():
         "distant",
         "exponentials",
         "general",
+        "layout",
         "machine_code",
         "splines",
         "vector",
