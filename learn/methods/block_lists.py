@@ -198,7 +198,7 @@ def select(n: np.ndarray, tables: Tables, cones: np.ndarray, left_out: float) ->
 
 
 def workers_for(lists: Lists, pixels: int) -> int:
-    """Threads that a sum over the lists of so many pixels deserves."""
+    """Number of threads that a sum over the pixels' lists deserves."""
     seconds = int(lists.lengths.sum()) * tile_size(pixels) * LISTED
     return threads.worth(torch.get_num_threads(), seconds)
 

@@ -58,7 +58,7 @@ def held(batch: Batch, name: str) -> Batch:
 
 
 def with_lights(batch: Batch, lights: int) -> torch.Tensor:
-    """Radiance (P, 3) with so many lights."""
+    """Radiance (P, 3) with a cut light of at most `lights` regions."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor

@@ -88,7 +88,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         exponent = torch.where(batch.m[..., 0, :].amax(-1) > 0, exponent, -1.0)
     out = 0 * batch.n
     low, samples = -1.0, sample_count_for(tolerance)
-    # The engine's samples have no backward pass: where derivatives are wanted, split texels are
+    # The engine's samples have no backward pass: where derivatives are requested, split texels are
     # faster as far as they reach.
     by_texels = tolerance < LOOSE or wants_gradient(batch.n, batch.view, batch.m, batch.light)
     for split in (*SPLITS, None):  # None: samples
@@ -249,7 +249,7 @@ def by_kernel(
     around: np.ndarray,
     solid_angle: np.ndarray,
 ) -> torch.Tensor:
-    """As `over_samples`, without derivatives, by the CPU engine (learn.engines.sample_directions)."""
+    """As `over_samples`, without derivatives, by learn.engines.sample_directions."""
     require_reverse_mode(n, view, m, light)
     arrays = [
         np.ascontiguousarray(x.detach().numpy(), np.float32)

@@ -55,6 +55,16 @@ def test_import_and_cached_first_call_are_quick(tmp_path):
     assert min(t[1] for t in times) <= 0.3
 
 
+def test_methods_are_imported_without_numba():
+    """The kernels' sizes come from learn.engines.layout, so that cached kernels need no numba."""
+    code = (
+        "import sys; from learn.methods import NAMES, load; [load(name) for name in NAMES];"
+        " print('numba' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False"]
+
+
 def test_a_damaged_file_is_compiled_again(tmp_path):
     run(tmp_path)
     (kept,) = (tmp_path / "kernels").glob("distant.forward-*")
