@@ -330,13 +330,18 @@ def chunk(
         texel, share = footprint(w @ camera_from_light.to(w), weight, *light.shape[:2])
     seen = torch.einsum("pic,pick->pik", share, light.reshape(-1, 3)[texel])
     mu = (w * n[:, None]).sum(-1) * weight
+    return torch.einsum("pik,pi,pik->pk", reflectance(n, view, w, m), mu, seen)
+
+
+def reflectance(
+    n: torch.Tensor, view: torch.Tensor, w: torch.Tensor, m: torch.Tensor
+) -> torch.Tensor:
+    """The BRDF f (p, i, k) of each pixel in its own directions w (p, i, 3); view (p | 1, 3)."""
     h, theta_d = half_angles(w, view[:, None])
     log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
     kappa, gamma = torch.einsum("pib,ksjb->jpiks", basis(theta_d), m)
-    f = torch.expm1(
-        (kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)
-    ).sum(-1)
-    return torch.einsum("pik,pi,pik->pk", f, mu, seen)
+    exponent = (kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)
+    return torch.expm1(exponent).sum(-1)
 
 
 def half_angles(w: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -19,10 +19,8 @@ import torch
 from torch.utils.checkpoint import checkpoint
 
 from learn.methods import Batch, by_group, lobe_shapes
-from learn.methods.quadrature import frame_about, half_angles, texel_of
-from shaders.dsbrdf import MAX_EXPONENT
+from learn.methods.quadrature import frame_about, half_angles, reflectance, texel_of
 from shaders.envmap import LUMINANCE, directions
-from shaders.spline import basis
 
 PAIRS = 32768  # samples of one chunk of pixels
 
@@ -182,12 +180,7 @@ def chunk(
         weight = torch.where(seen & (density > 0), 1 / density.clamp(min=1e-30), 0.0)
         w = torch.where(seen[..., None], w, n[:, None])
     mu = (w * n[:, None]).sum(-1) * weight
-    h, theta_d = half_angles(w, view[:, None])
-    log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
-    kappa, gamma = torch.einsum("pib,ksjb->jpiks", basis(theta_d), m)
-    f = torch.expm1(
-        (kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)
-    ).sum(-1)
+    f = reflectance(n, view, w, m)
     return torch.einsum("pik,pi,pik->pk", f, mu, light.reshape(-1, 3)[texel])
 
 
