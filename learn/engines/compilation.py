@@ -1,5 +1,4 @@
-"""numba as the kernels use it: small functions that are inlined, and a kernel's machine code
-without anything that only Python would call.
+"""numba as the kernels use it: inlined functions, and machine code without Python's entry points.
 
 numba makes for every function what Python needs to call it, machine code of its own, and for a C
 callback the code a second time. Kernels are called from nowhere but learn.engines.machine_code,

@@ -1,9 +1,8 @@
-"""The exact sum and its derivatives on a CUDA device: the Triton kernels, group by group. Arguments
-as in learn.engines.cpu, as tensors.
+"""The exact sum and its derivatives on a CUDA device: the Triton kernels, group by group.
 
-Tables are made on the device in float64 and handed over in float32; sums over lights and materials
-come back in fixed parts and are added in float64. Memory beyond inputs and outputs: tables and
-parts of one slab of lights, below 20 MiB.
+Arguments as in learn.engines.cpu, as tensors. Tables are made on the device in float64 and passed
+in float32; sums over lights and materials are returned in fixed parts and are added in float64.
+Memory beyond inputs and outputs: tables and parts of one slab of lights, below 20 MiB.
 """
 
 import functools

@@ -1,5 +1,4 @@
-"""2^x, 2^x − 1, log2 and an arc tangent of sixteen floats: polynomials without branches, tables or
-calls.
+"""2^x, 2^x − 1, log2 and an arc tangent of sixteen floats: polynomials without branches or tables.
 
 x = k + f with k the nearest integer and f in [−½, ½]; 2^x = 2^k 2^f. Adding ROUND leaves k + 127,
 which is the exponent field of 2^k, in the low bits of the sum: a shift makes 2^k, no conversion is

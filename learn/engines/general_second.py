@@ -85,6 +85,7 @@ def add_slope(sums: np.ndarray, o: int, q: Lanes, t: Tents) -> None:
 
 @inlined
 def dot(ax: Lanes, ay: Lanes, az: Lanes, bx: Lanes, by: Lanes, bz: Lanes) -> Lanes:
+    """The scalar product."""
     return fma(ax, bx, fma(ay, by, az * bz))
 
 

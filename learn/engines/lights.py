@@ -181,7 +181,5 @@ def general_material_gradient(m_sums: np.ndarray) -> np.ndarray:
 
 
 def spline_steps(values: np.ndarray) -> np.ndarray:
-    """Slopes (…, 5) at x = 0 … 4 of curves with control values (…, 6), as learn.engines.splines
-    has them: by x = 4u.
-    """
+    """Slopes (…, 5) at x = 0 … 4 of curves with control values (…, 6), by x of engines.splines."""
     return np.diff(values, axis=-1) * np.array([2.0, 1.0, 1.0, 1.0, 2.0])

@@ -1,5 +1,4 @@
-"""The kernels as machine code: compiled by numba on first use, kept on disk, loaded without numba
-afterwards.
+"""The kernels as machine code: compiled by numba on first use, then loaded from disk without it.
 
 A kernel is a numba function of integers and float pointers that never fails and calls nothing. Its
 machine code is stored in the user's cache folder under the hash of everything it depends on: the

@@ -1,12 +1,12 @@
-"""The material's spline over θ_d for sixteen lights at once (shaders.spline, in terms that lose no
-digits in float32).
+"""The material's spline over θ_d for sixteen lights at once.
+
+It is shaders.spline in terms that lose no digits in float32.
 
 x        θ_d · 8/π in [0, 4]; the six functions as two clamped ends and two bumps, each a sum of
-squares that does not cancel,
-         so that a control value of 1e5 leaves no trace where its function is 0
+         squares that does not cancel, so that a control value of 1e5 leaves no trace where its
+         function is 0
 tents    the five linear B-splines at x = 0 … 4; the slope of the spline is Σ tent_j step_j, with
-steps prepared by
-         learn.engines.lights.spline_steps
+         steps from learn.engines.lights.spline_steps
 """
 
 import numpy as np

@@ -1,12 +1,13 @@
-"""CUDA kernels for a distant viewer, in Triton: the sum of learn.engines.distant, tiled over pixels
-and lights.
+"""CUDA kernels for a distant viewer, in Triton, tiled over pixels and lights.
+
+The sum is that of learn.engines.distant.
 
 n         (P, 3) unit normals, camera frame
 geometry  (9, T): w (3 rows), h (3 rows), and what rounding took off h (3 rows)
 energy    (3, T): radiance × solid angle
 lobes     (18, T): rows 6 s + 2 k (γ) and 6 s + 2 k + 1 (κ log2 e) of lobe s, channel k
 T lights, a multiple of LIGHTS. float32 throughout; nothing of size pixels × lights is ever stored,
-what the forward pass knew is computed again. Derivatives by pixels and by lights are two passes,
+values of the forward pass are computed again. Derivatives by pixels and by lights are two passes,
 each the only writer of what it writes: no atomics, the same bits every time.
 
 No accelerator was at hand when these were written: tests run them through Triton's interpreter

@@ -1,5 +1,6 @@
-"""CUDA kernels for a view vector per pixel, in Triton: the sum of learn.engines.general, tiled over
-pixels and lights.
+"""CUDA kernels for a view vector per pixel, in Triton, tiled over pixels and lights.
+
+The sum is that of learn.engines.general.
 
 n, v      (P, 3) unit normals, and unit vectors to the viewer, camera frame
 short     (P,) 1/‖v‖ − 1: what v lacks of unit length after rounding
@@ -234,9 +235,7 @@ def backward_pixels(
     PIXELS: tl.constexpr,
     LIGHTS: tl.constexpr,
 ) -> None:
-    """Derivatives by n and v (P, 3), right in their tangential parts; one program a tile of
-    pixels.
-    """
+    """Derivatives by n and v (P, 3), right in their tangential parts; one program per tile."""
     p = tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
     inside = p < pixels
     nx, ny, nz = vectors(n, p, inside)
@@ -334,8 +333,7 @@ def backward_lights(
     PIXELS: tl.constexpr,
     LIGHTS: tl.constexpr,
 ) -> None:
-    """Sums over one part of the pixels: one program a tile of lights, a part, and a lobe and
-    channel.
+    """Sums over one part of the pixels: one program per tile of lights, part, lobe and channel.
 
     split        pixels of a part, a multiple of PIXELS
     energy_sums  (SPLITS, 9, T) out: Σ g F max(0, n·w) of lobe i // 3, channel i % 3

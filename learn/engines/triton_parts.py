@@ -1,5 +1,4 @@
-"""Pieces that the Triton kernels share: exponentials that keep their digits, and one tile's
-geometry and lobes.
+"""Functions that the Triton kernels share: precise exponentials, and a tile's geometry.
 
 A tile is (PIXELS, LIGHTS) float32. `t` are places of lights in rows of `lights` numbers, `p` places
 of pixels. Polynomials and bounds are those of learn.engines.exponentials, whose module text

@@ -1,5 +1,4 @@
-"""Sixteen floats at once: a numba value type that LLVM knows as <16 x float>, and the few
-operations the kernels need.
+"""Sixteen floats at once: a numba value type, <16 x float> in LLVM, and the kernels' operations.
 
 LLVM splits the vector for the machine at hand: one register on AVX-512, two on AVX2, four on SSE or
 NEON. No instruction set is named. Each function below becomes a single LLVM instruction or
@@ -111,6 +110,7 @@ def fused(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.Va
 
 
 def is_widenable(*numba_types: types.Type) -> bool:
+    """Whether all are Wide or numbers."""
     return all(t == wide or isinstance(t, types.Number) for t in numba_types)
 
 

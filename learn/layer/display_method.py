@@ -1,5 +1,6 @@
-"""The method by which a material is displayed: the sum over texels, or the integral for lobes that
-are visible and narrower than texels.
+"""The method by which a material is displayed.
+
+It is the sum over texels, or the integral for lobes that are visible and narrower than texels.
 """
 
 import math

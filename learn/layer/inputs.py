@@ -64,6 +64,7 @@ def refuse(argument: str, rule: str, found: object) -> NoReturn:
 
 
 def require_shape(argument: str, tensor: torch.Tensor, rule: str, right: bool) -> None:
+    """Refuse the tensor by its shape, unless it is right."""
     if not right:
         refuse(argument, rule, tuple(tensor.shape))
 
@@ -277,6 +278,7 @@ def check_lengths(n: torch.Tensor, view: torch.Tensor | None, mask: torch.Tensor
 
 
 def check_values(material: torch.Tensor, light: torch.Tensor) -> None:
+    """Refuse radiance or control values that are negative or not finite."""
     kappa, gamma = material.reshape(*material.shape[:-1], *SHAPE).unbind(-2)
     if within(light) and within(kappa) and within(gamma, above=True):
         return

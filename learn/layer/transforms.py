@@ -1,10 +1,9 @@
-"""The rendering layer under torch.func: vmap, grad, vjp and jacrev, each alone or one inside
-another, for first derivatives.
+"""The rendering layer under torch.func: vmap, grad, vjp and jacrev, for first derivatives.
 
-torch.func hands a function tensors that stand for many (vmap) or that are watched (grad). The layer
-looks at its arguments' values and sums with kernels, which such tensors do not allow; so it is one
-step for torch.func, which hands that step plain tensors. A batch by vmap becomes a longer batch of
-pictures. Forward mode and derivatives of derivatives are refused.
+They may be nested. torch.func passes a function tensors that represent batches (vmap) or that are
+recorded (grad). The layer reads its arguments' values and sums with kernels, which such tensors do
+not allow; so it is one step for torch.func, which passes plain tensors to that step. A batch by
+vmap becomes a longer batch of pictures. Forward mode and derivatives of derivatives are refused.
 """
 
 import contextlib

@@ -1,5 +1,4 @@
-"""The paper's sum without the blocks of texels that cannot matter: those below the horizon, and
-those outside a lobe's cone.
+"""The paper's sum without texels below the horizon or outside the lobes' cones, block by block.
 
 For each tile of like normals, a bound on what each 4×4 block of texels can add through each lobe is
 computed from cones about the block's directions and half vectors; blocks are left out from the

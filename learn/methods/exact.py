@@ -1,5 +1,4 @@
-"""The paper's sum itself, every texel for every pixel: the reference that all other methods are
-measured against.
+"""The paper's sum itself, every texel for every pixel: the reference of all other methods.
 
     I_k(p) = Σ_t f_k(p, t) E_tk μ_pt        E = L Ω, μ = max(0, n·w)        supplement, Eq. 8
     f_k    = Σ_s expm1(x_ks),   x = min(κ c^γ, MAX_EXPONENT),   c = h·n

@@ -1,5 +1,4 @@
-"""The exact sum as a torch operator: one for the CPU kernels and the CUDA kernels, with a backward
-of its own.
+"""The exact sum as a torch operator with its own backward pass, for CPU and CUDA kernels.
 
     exact_sum(n, view, m, light, rotation, counts, light_of) → radiance (P, 3)        arguments as
     in learn.engines.cpu

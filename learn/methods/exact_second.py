@@ -1,7 +1,7 @@
-"""Second derivatives of the exact sum: the gradient of its derivative along a direction, in plain
-torch, chunk by chunk.
+"""Second derivatives of the exact sum in plain torch, chunk by chunk.
 
-Letters as in learn/methods/exact.py. A second backward pass is handed the derivatives n', view',
+They are the gradient of its derivative along a direction. Letters as in learn/methods/exact.py. A
+second backward pass receives the derivatives n', view',
 m', E' of some loss by the results of the first pass, which was given g. It differentiates what they
 pair to,
 
@@ -47,8 +47,9 @@ def second(
     w: torch.Tensor,
     radial: bool,
 ) -> Derivatives:
-    """Gradients of S by g, n, view (None without one), m and E, in their shapes and dtypes; no
-    graph is kept.
+    """Gradients of S by g, n, view (None without one), m and E, in their shapes and dtypes.
+
+    No graph is kept.
 
     direction  n' (P, 3), view' (P, 3) or None, m' (3, 3, 2, 6), E' (T, 3)
     radial     whether the first pass took ∂c/∂n = h, or else h − n. Both are right on the sphere;

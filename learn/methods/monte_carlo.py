@@ -1,5 +1,6 @@
-"""Monte Carlo with multiple importance sampling: half the samples by the light, half by the BRDF
-(learn/methods/sampling.py).
+"""Monte Carlo with multiple importance sampling: half the samples by the light, half by the BRDF.
+
+The estimator is in learn/methods/sampling.py.
 """
 
 import torch

@@ -1,5 +1,6 @@
-"""Monte Carlo with samples drawn by the BRDF alone: noisy under a small sun
-(learn/methods/sampling.py).
+"""Monte Carlo with samples drawn by the BRDF alone: noisy under a small sun.
+
+The estimator is in learn/methods/sampling.py.
 """
 
 import torch

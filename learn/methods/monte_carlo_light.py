@@ -1,5 +1,6 @@
-"""Monte Carlo with samples drawn by the light's energy alone: noisy for sharp lobes
-(learn/methods/sampling.py).
+"""Monte Carlo with samples drawn by the light's energy alone: noisy for sharp lobes.
+
+The estimator is in learn/methods/sampling.py.
 """
 
 import torch

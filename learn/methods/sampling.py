@@ -185,6 +185,7 @@ def chunk(
 
 
 def from_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> torch.Tensor | None:
+    """Directions (p, samples, 3) drawn by the light; None for no samples."""
     if samples == 0:
         return None
     u = pattern(first, len(n), samples)
@@ -196,6 +197,7 @@ def from_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> torc
 def from_brdf(
     n: torch.Tensor, view: torch.Tensor, lobes: Lobes, samples: int, first: int
 ) -> torch.Tensor | None:
+    """Directions (p, samples, 3) drawn by the lobes; None for no samples."""
     if samples == 0:
         return None
     u = pattern(first, len(n), samples)

@@ -1,10 +1,12 @@
-"""Light and lobes as spherical Gaussians G(w) = a e^{λ (μ·w − 1)}, whose products and integrals are
-closed forms.
+"""Light and lobes as spherical Gaussians G(w) = a e^{λ (μ·w − 1)}.
+
+Their products and integrals are closed forms.
+
 
 light   the regions of a median cut, each a Gaussian with its energy about its centre, as wide as
-the region
-lobe    expm1(κ c^γ) ≈ expm1(κ) e^{g (h·n − 1)}, g the sharpness (learn/methods/lobe_shapes.py);
-over w it is a Gaussian about the mirror
+        the region
+lobe    expm1(κ c^γ) ≈ expm1(κ) e^{g (h·n − 1)}, g the sharpness (shaders.dsbrdf.lobe_sharpness,
+        written out in `chunk` for κ held above 0); over w it is a Gaussian about the mirror
         direction r with λ = g / (4 n·v), at θ_d of the mirror direction
 cosine  max(0, n·w) at the product's axis
 
@@ -43,6 +45,8 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
 
 
 def with_lights(batch: Batch, count: int) -> torch.Tensor:
+    """Radiance (P, 3) with a light of `count` spherical Gaussians."""
+
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
     ) -> torch.Tensor:

@@ -1,5 +1,4 @@
-"""Irradiance by nine spherical harmonics, the oldest way to light a matte surface: right for
-Lambert, blind to everything sharper.
+"""Irradiance by nine spherical harmonics: right for a Lambertian surface, wrong for sharper lobes.
 
     I_k(n) = Σ_l A_kl Σ_m L_klm Y_lm(n),   l ≤ 2          L_klm = Σ_t L_tk Y_lm(w_t) Ω_t
     A_kl   = 2π ∫ f_k(θ) max(0, cos θ) P_l(cos θ) sin θ dθ  the lobe seen straight on (v = n, so θ_h
@@ -52,9 +51,7 @@ def unused(view: torch.Tensor | None) -> torch.Tensor | int:
 
 
 def harmonics(d: torch.Tensor) -> torch.Tensor:
-    """Real orthonormal spherical harmonics (…, 9) of unit vectors d (…, 3): orders 0, 1 (y z x),
-    2.
-    """
+    """Real orthonormal spherical harmonics (…, 9) of unit vectors d (…, 3), orders 0 to 2."""
     x, y, z = d.unbind(-1)
     constant = torch.full_like(x, math.sqrt(1 / (4 * math.pi)))
     a, b = math.sqrt(3 / (4 * math.pi)), math.sqrt(15 / (4 * math.pi))

@@ -1,5 +1,6 @@
-"""The game engines' split: light blurred by the lobe as if seen straight on, times the surface's
-reflectance under white light.
+"""The split-sum approximation of game engines: blurred light times reflectance under white light.
+
+The light is blurred by the lobe as if seen straight on.
 
     I(n, v) ≈ P(r) A(n·v) / A(1),   r = 2 (n·v) n − v
     P(d)    radiance for n = v = d: a map of ROWS × 2 ROWS directions, looked up bilinearly
@@ -24,7 +25,7 @@ CARD = Card(
         " reflectance under white light"
     ),
     error=0.5,
-    cost="2048 directions × texels, then a look-up a pixel",
+    cost="2048 directions × texels, then a look-up per pixel",
     memory="below 1 MiB beyond the pixels",
 )
 ROWS, ANGLES, LEAST_COSINE = 32, 48, 1e-3
@@ -68,16 +69,14 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
 
 
 def seen_at_angles(m: torch.Tensor, lights: Lights, white: torch.Tensor) -> torch.Tensor:
-    """A (ANGLES, 3) at n·v from LEAST_COSINE to 1 in equal steps; the view is fixed and the normal
-    turns.
-    """
+    """A (ANGLES, 3) at n·v from LEAST_COSINE to 1 in equal steps, by turning the normal."""
     x = torch.linspace(LEAST_COSINE, 1.0, ANGLES, dtype=m.dtype, device=m.device)
     n = torch.stack([(1 - x * x).clamp(min=0).sqrt(), torch.zeros_like(x), x], -1)
     return directional.radiance(n, None, m, white, lights)
 
 
 def look_up_angle(table: torch.Tensor, cosine: torch.Tensor) -> torch.Tensor:
-    """(P, 3) from table (ANGLES, 3) at cosines (P,)."""
+    """Values (P, 3) of a table (ANGLES, 3) at cosines (P,), linearly interpolated."""
     place = ((cosine - LEAST_COSINE) / (1 - LEAST_COSINE) * (ANGLES - 1)).clamp(0, ANGLES - 1)
     i = place.detach().floor().long().clamp(max=ANGLES - 2)
     t = (place - i)[:, None]
@@ -85,8 +84,9 @@ def look_up_angle(table: torch.Tensor, cosine: torch.Tensor) -> torch.Tensor:
 
 
 def look_up_map(table: torch.Tensor, d: torch.Tensor) -> torch.Tensor:
-    """(P, 3) from table (height, width, 3) over directions d (P, 3), light frame: bilinear, closed
-    around the vertical.
+    """Values (P, 3) of a table (height, width, 3) over directions d (P, 3), light frame.
+
+    Interpolation is bilinear and wraps around the vertical.
     """
     height, width = table.shape[:2]
     # straight up and down the azimuth has no slope
