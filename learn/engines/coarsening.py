@@ -5,7 +5,7 @@ learn/methods/coarse.py uses them.
 fine     (planes, height, width), several maps one after the other
 coarse   (planes, height / step, width / step)
 stencil  (4 step,): weights in the coarse texel (i, j) of the fine ones from row step·i − 3/2 step,
-and column step·j − 3/2 step, on
+         and column step·j − 3/2 step, on
 along    (width,) scratch: one coarse row, its columns still fine
 Columns wrap around; beyond a pole lies the same row's other half.
 """

@@ -3,19 +3,17 @@
 Letters, arrays and formulas as in learn.engines.distant; pixels are sorted so that a tile's normals
 are close together. Besides:
 cones     (wide blocks, CONE_ROWS, 16), one lane a block of lights: the cones that hold its w and
-its h (axis, cos and sin of the half
-          angle), its energy in the brightest channel, and of each lobe the least γ and the largest
-          κ log2 e
+          its h (axis, cos and sin of the half angle), its energy in the brightest channel, and of
+          each lobe the least γ and the largest κ log2 e
 many      lobes that are summed, 1 to 3: lobes (blocks, many, 3, 2, 16) holds no others; the cones'
-rows and the cuts know the first `many`
+          rows and the cuts know the first `many`
 size      pixels of a tile, CULLED_TILE at most
 budget    (1,) radiance that may be left out of any pixel
 room      entries that the list of one tile may have; one for each block of lights is always enough
 lengths   (T,) int32: how many entries a tile has
 entries   (T, room) int32: block numbers
 cuts      (T, room, 4): log2 c at or below which a lobe is left out of a block; the least n·axis,
-axis that of the block's cone about h,
-          at which a pixel can have any lobe's c above that
+          axis that of the block's cone about h, at which a pixel can have any lobe's c above that
 axes      (blocks, 3): these axes
 
 For a block, Σ_s expm1(κ c^γ) max(0, n·w) E ≤ its value at the largest c and n·w that the two cones
@@ -363,7 +361,7 @@ def backward(
     by_n         (P, 3) out, tangential up to a radial part
     energy_sums  (chunks, blocks, 3, 16) out: Σ_p g F max(0, n·w)
     lobe_sums    (chunks, blocks, many, 3, 2, 16) out: Σ_p g max(0, n·w) x c^γ, and the same times
-    log2 c
+                 log2 c
     """
     for chunk in range(first, last):
         base_e, base_l = ENERGY_STRIDE * blocks * chunk, LOBE_STRIDE * many * blocks * chunk

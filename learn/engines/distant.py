@@ -9,7 +9,7 @@ energy    (blocks, 3, 16): radiance × solid angle, E_k
 lobes     (blocks, 3 lobes, 3 channels, 2, 16): γ, κ log2 e
 least     (blocks, 3 lobes): smallest γ, to bound a whole block
 cut       (blocks,): a lobe with log2 c^γ below it everywhere in a block is left out
-(learn.engines.lights)
+          (learn.engines.lights)
 scratch   per call: room for DISTANT_TILE pixels' sums, (DISTANT_TILE, 3, 16)
 
     I_k = Σ_i F_k max(0, n·w) E_k,   F_k = Σ_s expm1(κ c^γ),   c = n·h = 1 − ½‖h − n‖²
@@ -261,10 +261,11 @@ def backward(
     n_part       (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivative by n, tangential
     energy_sums  (blocks, 3, 16) out: Σ_p g F max(0, n·w), the derivative by energy
     lobe_sums    (blocks, 3, 3, 2, 16) out: Σ_p g max(0, n·w) x c^γ, and the same times log2 c
+
     A block belongs to one chunk, and chunks do not depend on the number of threads: no atomics, the
     same bits every time. Off the sphere the derivative by n is free; c is taken as 1 − ½‖h − n‖²
-    with its radial part left out, so that the small tangential part of a sharp lobe does not drown
-    in the radial one.
+    without its radial part, so that the small tangential part of a sharp lobe is not lost beside
+    the radial one.
     """
     for chunk in range(first, last):
         block_first, block_last = (

@@ -7,7 +7,7 @@ energy    (blocks, 3, 16): radiance × solid angle, E_k
 m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 least     (3 lobes,): smallest γ, to bound a whole block
 cut       (blocks,): a lobe with log2 c^γ below it everywhere in a block is left out
-(learn.engines.lights)
+          (learn.engines.lights)
 
     s = w + v, t = w − v, h = s/‖s‖, θ_d = arctan(‖t‖/‖s‖), c = n·h = 1 − ½‖h − n‖²;   the sum as in
     learn.engines.distant
@@ -225,7 +225,7 @@ def backward(
 
     with_view    0: v_part is not written
     steps        (3 lobes, 3 channels, 2, 5): slopes of the splines of γ ln² 2 and of κ
-    (learn.engines.lights.spline_steps)
+                 (learn.engines.lights.spline_steps)
     scratch      (LIGHT_CHUNKS, GENERAL_SCRATCH): room for a tile's sums
     g            (P, 3) derivative by radiance
     n_part       (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivative by n, tangential

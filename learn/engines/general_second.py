@@ -8,7 +8,7 @@ learn.engines.distant_second; besides n_along, v_along  (P, 3): n', v', tangenti
 m                 (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 m_along           the same of γ' and of κ'
 steps             (3 lobes, 3 channels, 2, 5): slopes of the splines of γ and of κ
-(learn.engines.lights.spline_steps)
+                  (learn.engines.lights.spline_steps)
 steps_along       the same of γ' and of κ'
 
     c' = (h − n)·n' + h'·n    h' = (v' − h (h·v'))/‖s‖    θ' = −¼ (‖s‖ d + ‖t‖ h)·v'    d = t/‖t‖

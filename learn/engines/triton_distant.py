@@ -171,7 +171,7 @@ def backward_lights(
 
     split  pixels of a part, a multiple of PIXELS
     sums   (SPLITS, 3 channels, 7, T) out: Σ g F max(0, n·w), then of each lobe Σ g max(0, n·w) x
-    c^γ and the same times log2 c
+           c^γ and the same times log2 c
     """
     t = tl.program_id(0) * LIGHTS + tl.arange(0, LIGHTS)
     k = tl.program_id(2)

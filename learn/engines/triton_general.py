@@ -8,7 +8,7 @@ geometry  (6, T): w (3 rows), and what rounding took off w (3 rows)
 energy    (3, T): radiance × solid angle
 m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 steps     (3 lobes, 3 channels, 2, 5): slopes of the splines of γ ln² 2 and of κ
-(learn.engines.lights.spline_steps)
+          (learn.engines.lights.spline_steps)
 Formulas, and why s keeps its rounding error: learn.engines.general. Passes and promises:
 learn.engines.triton_distant.
 """
@@ -338,7 +338,7 @@ def backward_lights(
     split        pixels of a part, a multiple of PIXELS
     energy_sums  (SPLITS, 9, T) out: Σ g F max(0, n·w) of lobe i // 3, channel i % 3
     m_sums       (light tiles, SPLITS, 9, 2, 8) out: derivatives by γ ln² 2 and by κ in the first
-    six places
+                 six places
     """
     t = tl.program_id(0) * LIGHTS + tl.arange(0, LIGHTS)
     i = tl.program_id(2)

@@ -5,7 +5,7 @@ NEON. No instruction set is named. Each function below becomes a single LLVM ins
 intrinsic (`lane_sum` four additions).
 
 Wide    sixteen float32, "lanes"; numbers that meet a Wide in + − × ÷ or in a function are spread
-over the lanes
+        over the lanes
 Mask    sixteen truth values, from `a > b` or `a < b`
 
 FLAGS let LLVM fuse a×b+c and assume finite numbers. `reassoc` is left out on purpose: it would fold

@@ -2,21 +2,20 @@
 
 n         (B, H, W, 3) normals, camera frame, unit length inside the mask; 0 in the background
 material  (B, 108), or (B, S, 108) with `segments`: κ and γ control values (shaders.dsbrdf), not
-their logarithms
+          their logarithms
 light     (B, Hl, Wl, 3) linear radiance, light frame (shaders.frames), any size
 view      (B, H, W, 3) towards the viewer, camera frame; None: orthographic, (0, 0, 1) for every
-pixel
+          pixel
 segments  (B, H, W) integers 1 … S, 0 in the background
 
-    I_k(p) = Σ_i f_k(w_i, w_o, m) L_k(i) max(0, n_p·w_i) Ω_i          supplement, Eq. 8, with exact
-    solid angles Ω_i
+    I_k(p) = Σ_i f_k(w_i, w_o, m) L_k(i) max(0, n_p·w_i) Ω_i      supplement, Eq. 8, with exact Ω_i
 
 Pictures of one material and one light, each one tensor expanded over the batch, are one scene: some
 methods then share work between them. Gradients in n and view are tangential: a normal is scaled to
 unit length before use, and derivatives pass through that. Derivatives of derivatives
 (create_graph=True) are given by method="exact", in every pair of arguments; a method that
 approximates gives them where they are right, and raises NotImplementedError by its name where they
-are asked for and are not (docs/layer-in-a-model.md). Pixels whose normal does not face the viewer
+are requested and are not (docs/layer-in-a-model.md). Pixels whose normal does not face the viewer
 (n·v ≤ learn.methods.HORIZON) come out black, with zero gradient.
 """
 

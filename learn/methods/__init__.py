@@ -4,7 +4,7 @@ A method is a module of this folder with two names:
 
     CARD                         a `Card`: what it approximates, its error, cost, memory and needs
     radiance(batch, tolerance)   (P, 3) outgoing radiance of a `Batch`'s pixels, differentiable in
-    its tensors
+                                 its tensors
 
 P pixels, G groups (one image and segment each; pixels lie sorted by group), B images.
 """
@@ -50,7 +50,7 @@ class Card:
     name          the module's name, and the value of render's `method`
     approximates  in words: the term and its replacement
     error         the claim: largest relative error (mean absolute over mean) against the paper's
-    sum at tolerance 1e-2, or None: no bound
+                  sum at tolerance 1e-2, or None: no bound
     cost          in words: how time grows with pixels, lights and materials
     memory        in words: beyond inputs and outputs
     needs         names among {"orthographic", "numba", "triton", "cuda"}
@@ -72,7 +72,7 @@ class Batch:
 
     n                  (P, 3) unit normals, camera frame, n·v > HORIZON
     view               (P, 3) unit vectors to the viewer, camera frame, or None: (0, 0, 1) for every
-    pixel
+                       pixel
     m                  (G, 3, 3, 2, 6) κ and γ control values of each group
     light              (B, Hl, Wl, 3) linear radiance, light frame
     counts             pixels of each group; they lie one group after the other and sum to P

@@ -3,10 +3,10 @@
 Under a distant viewer radiance depends on the normal alone.
 
 n       unit normal, camera frame; p = (n_x, n_y) / √(1 + n_z), the equal-area disk: |p| ≤ 1 where
-the viewer sees the surface
+        the viewer sees the surface
 size    nodes along a side; node (i, j) stands at p = ((j − 2) h − 1, (i − 2) h − 1), h = 2 / (size
-− 5): two rows lie outside the disk,
-        where n looks away from the viewer and radiance goes on smoothly
+        − 5): two rows lie outside the disk, where n looks away from the viewer and radiance goes on
+        smoothly
 values  (N, 3) radiance at the nodes that some pixel needs, with flat indices nodes (N,); others
         are never read
 

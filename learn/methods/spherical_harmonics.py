@@ -2,7 +2,7 @@
 
     I_k(n) = Σ_l A_kl Σ_m L_klm Y_lm(n),   l ≤ 2          L_klm = Σ_t L_tk Y_lm(w_t) Ω_t
     A_kl   = 2π ∫ f_k(θ) max(0, cos θ) P_l(cos θ) sin θ dθ  the lobe seen straight on (v = n, so θ_h
-    = θ_d = θ/2), as if it were round
+           = θ_d = θ/2), as if it were round
 
 A is a differentiable Gauss–Legendre sum over f, so gradients in m exist; the view's place plays no
 part.
