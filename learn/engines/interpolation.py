@@ -1,7 +1,7 @@
 """Kernels for a look-up in a map over normals by bicubic Catmull–Rom weights, and its derivatives.
 
 n      (P, 3) unit normals; p = (n_x, n_y) / √(1 + n_z), the equal-area disk
-(learn/methods/reflectance_map.py)
+       (learn/methods/reflectance_map.py)
 size   nodes along a side; the place of a normal in nodes is (row, column) = ((p_y, p_x) + 1) (size
        − 5) / 2 + 2
 table  (size, size, 4) values at the nodes, the fourth unused: four neighbours in a row are sixteen
@@ -10,7 +10,8 @@ out    (P, 3)
 
     out = Σ_ij a_i(row) b_j(column) table[r + i − 1, c + j − 1],   i, j = 0 … 3
 
-r and c are the whole parts of row and column. Places and weights are computed in float64, sums in float32.
+r and c are the whole parts of row and column. Places and weights are computed in float64, sums in
+float32.
 """
 
 import math
