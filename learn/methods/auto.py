@@ -84,6 +84,7 @@ def calibration() -> dict[str, dict[str, float]]:
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     if batch.n.device.type != "cpu":
         return load("exact").radiance(batch, tolerance)
     if batch.view is not None:

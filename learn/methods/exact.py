@@ -61,6 +61,7 @@ def texels(
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     if batch.n.dtype == torch.float32:
         from learn.methods import exact_operator  # here: a process that never renders pays nothing
 

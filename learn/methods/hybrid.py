@@ -24,6 +24,7 @@ BROAD = 60.0
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     return with_lights(
         median_cut.held(batch, CARD.name), median_cut.count(tolerance), 0.25 * tolerance
     )

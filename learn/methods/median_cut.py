@@ -44,6 +44,7 @@ def count(tolerance: float) -> int:
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     return with_lights(held(batch, CARD.name), count(tolerance))
 
 

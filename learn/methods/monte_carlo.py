@@ -19,5 +19,6 @@ CARD = Card(
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     half = sampling.count(tolerance) // 2
     return sampling.sampled(first_only(batch, CARD.name, HELD_SAMPLES), half, half)

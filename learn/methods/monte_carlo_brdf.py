@@ -17,6 +17,7 @@ CARD = Card(
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     return sampling.sampled(
         first_only(batch, CARD.name, HELD_SAMPLES), 0, sampling.count(tolerance)
     )

@@ -17,6 +17,7 @@ CARD = Card(
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     if batch.light.requires_grad:  # the samples follow the light, and nothing else
         batch = first_only(batch, CARD.name, HELD_SAMPLES)
     return sampling.sampled(batch, sampling.count(tolerance), 0)

@@ -79,6 +79,7 @@ THETA_D = np.linspace(0, np.pi / 2, 13)
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     exponent, rows = (
         sharpness_bound(batch.m.detach()),
         min(batch.light.shape[1], batch.light.shape[2] / 2),

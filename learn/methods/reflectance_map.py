@@ -55,6 +55,7 @@ TOUCH, READ, READ_BACKWARD = 7e-9, 2.3e-8, 6e-8  # seconds of a kernel for each 
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     if batch.view is not None:
         raise ValueError(
             'method: "reflectance_map" needs an orthographic camera (view omitted), found a view'

@@ -39,6 +39,7 @@ LIGHTS, CHUNK, WIDEST = 64, 2048, 0.25  # WIDEST: least λ of a lobe; a constant
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     return with_lights(
         first_only(batch, CARD.name, HELD_LIGHTS) if batch.light.requires_grad else batch, LIGHTS
     )

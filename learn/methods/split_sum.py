@@ -36,6 +36,7 @@ DARKEST = 1e-9
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     if directional.has_kernels(batch.n):
         batch = first_only(batch, CARD.name, COMPILED)
 
