@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from learn.experiments import chart_cases
-from learn.methods import directional, lobe_shapes, planned, reflectance_map
+from learn.methods import directional, light_tables, lobe_shapes, planned, reflectance_map
 
 SIZES = (16, 24, 32, 48, 64, 96)
 SHARPNESS = (0.5, 2.0, 8.0, 32.0, 128.0, 512.0)
@@ -57,7 +57,7 @@ def map_error(size: int) -> dict[str, float]:
     n = n[(n != 0).any(-1)]
     points = []
     for L in chart_cases.computed_lights().values():
-        lights, E = directional.of_map(torch.as_tensor(L).float(), torch.eye(3))
+        lights, E = light_tables.of_map(torch.as_tensor(L).float(), torch.eye(3))
         for g in SHARPNESS:
             m = one_lobe(g)
             truth = directional.radiance(n, None, m, E, lights)
@@ -120,7 +120,7 @@ def seconds(size: int) -> dict[str, float]:
     """Return seconds of each kind of work, on one thread."""
     n = chart_cases.sphere(size)
     n = n[(n != 0).any(-1)]
-    lights, E = directional.of_map(
+    lights, E = light_tables.of_map(
         torch.as_tensor(chart_cases.computed_lights()["sky"]).float(), torch.eye(3)
     )
     allowed = 0.1 * directional.scale(n, None, one_lobe(4.0), E, lights)

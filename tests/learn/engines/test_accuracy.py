@@ -5,7 +5,6 @@ are easy and where they break.
 import numpy as np
 import pytest
 
-from learn.engines import cpu, distant, general
 from manifests import materials as catalogue
 from shaders.dsbrdf import half_angles
 from shaders.envmap import directions
@@ -154,9 +153,3 @@ def test_view_along_the_light(rng):
     scene = make_scene(rng, random_material(rng), size=(16, 32), normals=n[::4])
     scene.view = near.astype(np.float32)[::4].copy()
     require_accurate(scene)
-
-
-def test_sizes_agree_between_kernels_and_driver():
-    assert cpu.TILE == distant.TILE == general.TILE
-    assert cpu.CHUNKS == distant.CHUNKS
-    assert cpu.SCRATCH == general.SCRATCH

@@ -42,6 +42,16 @@ def test_first_use_compiles_and_says_so_and_the_second_loads_without_numba(tmp_p
     assert second.stdout.split()[0] == "False"
 
 
+def test_methods_are_imported_without_numba():
+    """The kernels' sizes come from learn.engines.layout, so that cached kernels need no numba."""
+    code = (
+        "import sys; from learn.methods import NAMES, load; [load(name) for name in NAMES];"
+        " print('numba' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False"]
+
+
 def test_a_damaged_file_is_compiled_again(tmp_path):
     run(tmp_path)
     (kept,) = (tmp_path / "kernels").glob("distant.forward-*")
@@ -102,6 +112,7 @@ def test_the_key_covers_every_module_that_a_kernel_is_made_of():
         "distant",
         "exponentials",
         "general",
+        "layout",
         "machine_code",
         "splines",
         "vector",

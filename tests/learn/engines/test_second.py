@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from learn.engines import cpu, distant, distant_second, general, general_second, second
+from learn.engines import second
 from learn.methods import HORIZON, exact_second
 from manifests import materials as catalogue
 from shaders.dsbrdf import half_angles
@@ -298,12 +298,3 @@ def test_adversarial_samples_stay_finite(rng, perspective, monkeypatch):
     )
     for name, by in zip(NAMES, found, strict=True):
         assert by is None or (np.isfinite(by).all() and by.any()), name
-
-
-def test_sizes_agree_between_kernels_and_driver():
-    assert (
-        second.TILE == distant.TILE == general.TILE
-        and second.CHUNKS == distant.CHUNKS == cpu.CHUNKS
-    )
-    assert second.DISTANT == 16 * distant_second.ROWS * distant.TILE
-    assert second.GENERAL == general_second.SCRATCH

@@ -8,7 +8,7 @@ import torch
 
 from learn import methods
 from learn.layer import render
-from learn.methods import directional, median_cut, reflectance_map
+from learn.methods import directional, light_tables, median_cut, reflectance_map
 from shaders.frames import camera_from_light
 from tests.support.card_scenes import LIGHTS, MATERIALS, UNIT, light, material, sphere
 
@@ -22,7 +22,7 @@ def test_culling_leaves_out_no_more_than_it_may(part, lobes):
     n = sphere(40)[(sphere(40) != 0).any(-1)]
     m = material(*lobes).reshape(3, 3, 2, 6)
     for name in LIGHTS:
-        lights, E = directional.of_map(light(name)[0], ROTATION)
+        lights, E = light_tables.of_map(light(name)[0], ROTATION)
         whole = directional.radiance(n, None, m, E, lights)
         allowed = part * whole.mean().item()
         short = whole - directional.radiance(n, None, m, E, lights, allowed)
@@ -33,7 +33,7 @@ def test_culling_leaves_out_no_more_than_it_may(part, lobes):
 def test_a_cut_light_keeps_the_energy_and_its_number():
     for name in LIGHTS:
         L = light(name)[0].double()
-        whole = directional.of_map(L, ROTATION)[1].sum(0)
+        whole = light_tables.of_map(L, ROTATION)[1].sum(0)
         for count in (64, 256, 1024):
             lights, E = median_cut.cut(L, ROTATION, count)
             assert len(lights.w) == len(E) <= count

@@ -11,7 +11,7 @@ import torch
 from learn import methods
 from learn.engines import machine_code
 from learn.layer import render
-from learn.methods import directional, planned, reflectance_map, split_sum
+from learn.methods import directional, light_tables, planned, reflectance_map, split_sum
 from learn.methods.exact import texels
 
 SAMPLED = {"monte_carlo", "monte_carlo_brdf"}
@@ -242,7 +242,7 @@ def test_the_kernels_steps_refuse_by_themselves(perspective):
         scene["light"][0],
     )
     view = scene["view"].reshape(-1, 3) if perspective else None
-    lights, E = directional.of_map(light, torch.eye(3, dtype=torch.float64))
+    lights, E = light_tables.of_map(light, torch.eye(3, dtype=torch.float64))
     seen = [directional.radiance(n, view, m, E, lights)]
     if not perspective:
         seen.append(reflectance_map.with_nodes(n, 16, lambda nodes: nodes))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from learn.engines import pixel_selection
+from learn.engines import layout, pixel_selection
 from learn.experiments import chart_cases
 from learn.layer import render
 from learn.methods import auto, coarse, directional, exact, lobe_shapes, planned
@@ -238,10 +238,10 @@ def test_the_state_of_a_pixel_is_that_of_its_vectors():
     )
     mask = torch.tensor([True, True, True, True, True, False, False])
     outside, away, seen, wrong = (
-        pixel_selection.OUTSIDE,
-        pixel_selection.AWAY,
-        pixel_selection.SEEN,
-        pixel_selection.WRONG,
+        layout.OUTSIDE,
+        layout.AWAY,
+        layout.SEEN,
+        layout.WRONG,
     )
     assert pixel_selection.states(n, None, None, 1e-2, 1e-4).tolist() == [
         outside,
@@ -271,12 +271,4 @@ def test_the_state_of_a_pixel_is_that_of_its_vectors():
         wrong,
         wrong,
         outside,
-    ]
-
-
-def test_states_are_those_of_the_kernel():
-    pixels = pytest.importorskip("learn.engines.pixels", reason="numba is not installed")
-    names = ("OUTSIDE", "AWAY", "SEEN", "WRONG")
-    assert [getattr(pixels, name) for name in names] == [
-        getattr(pixel_selection, name) for name in names
     ]
