@@ -54,10 +54,10 @@ def evaluate(m: Array, cos_h: Array, theta_d: Array) -> Array:
 
 
 def lobe_sharpness(kappa: Array, gamma: Array) -> Array:
-    """Return the exponent g of a lobe, which falls as c^g about its peak.
+    """Return the exponent g of a lobe: it falls as c^g about its peak.
 
-    For expm1(κ c^γ) it is g = γ κ / (1 − e^−κ). Near the peak the lobe is a Gaussian of the half-vector angle with standard deviation 1/√g. g is
-    γ for a dark lobe and κγ for a high one.
+    For a lobe expm1(κ c^γ), g = γ κ / (1 − e^−κ). Near the peak the lobe is a Gaussian of the
+    half-vector angle with standard deviation 1/√g; g is γ for a dark lobe and κγ for a high one.
     """
     xp = namespace(kappa, gamma)
     steepening = xp.where(kappa > 1e-4, kappa / -xp.expm1(-xp.clip(kappa, 1e-4, None)), 1.0)
