@@ -187,6 +187,7 @@ def test_a_mutation_repeats_for_a_seed_and_says_what_it_did(name):
     assert changed > 50  # now and then a value is replaced by itself
 
 
+@pytest.mark.long
 def test_a_small_seeded_part_of_the_fuzzing_finds_nothing(root, tmp_path):
     """What `make fuzz` does for ten minutes: two cases of every generator, past the plans that some
     begin with.
