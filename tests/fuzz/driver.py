@@ -53,11 +53,12 @@ WARNING = re.compile(r"\b\w*Warning: ")
 @dataclass(frozen=True)
 class Limits:
     """Seconds and MiB beyond which a case is a fault. Memory counts above that of the warm
-    process.
+    process; `making` is for the generator, before the case begins.
     """
 
     seconds: float = 60.0
     memory_mb: int = 1024
+    making: float = 60.0
 
 
 # ----------------------------------------------------------------------------------------------
@@ -411,8 +412,8 @@ class Running:
         if self.started is None and (told := _read(self.place / "started.json")):
             self.started, self.told = time.monotonic(), told
         if self.started is None:
-            if time.monotonic() - self.begun > self.limits.seconds:
-                self._end("the generator took more than the time of a case")
+            if time.monotonic() - self.begun > self.limits.making:
+                self._end(f"the generator took more than {self.limits.making:g} s")
             return
         if time.monotonic() - self.started > self.limits.seconds + 1:
             self._end(f"time: more than {self.limits.seconds:g} s")
