@@ -24,28 +24,28 @@ def edge():
 
 def test_a_joint_bilateral_enlargement_steps_where_the_photograph_does(edge):
     guide, low = edge
-    found = upsampling.joint_bilateral(low, guide.reshape(8, 4, 8, 4).mean((1, 3)).round(), guide)[
+    result = upsampling.joint_bilateral(low, guide.reshape(8, 4, 8, 4).mean((1, 3)).round(), guide)[
         ..., 0
     ]
-    assert found[:, :14].max() < 0.05
-    assert found[:, 14:].min() > 0.95
+    assert result[:, :14].max() < 0.05
+    assert result[:, 14:].min() > 0.95
     flat = upsampling.joint_bilateral(low, np.zeros((8, 8)), np.zeros((32, 32)))[..., 0]
     assert 0.2 < flat[16, 15] < 0.8  # without a guide the step is smeared
 
 
 def test_a_joint_bilateral_enlargement_keeps_a_constant(rng):
-    found = upsampling.joint_bilateral(
+    result = upsampling.joint_bilateral(
         np.full((8, 8, 3), 0.7), rng.random((8, 8)), rng.random((24, 24))
     )
-    np.testing.assert_allclose(found, 0.7, rtol=1e-5)
+    np.testing.assert_allclose(result, 0.7, rtol=1e-5)
 
 
 def test_a_guided_enlargement_of_what_is_linear_in_the_guide_is_linear_in_the_photograph(rng):
     guide_low = rng.random((16, 16)).astype(np.float32)
     guide = np.repeat(np.repeat(guide_low, 4, 0), 4, 1)
-    found = upsampling.guided(2.0 * guide_low[..., None] + 0.5, guide_low, guide)
+    result = upsampling.guided(2.0 * guide_low[..., None] + 0.5, guide_low, guide)
     # FLAT against a variance of 1/12
-    assert np.abs(found[..., 0] - (2.0 * guide + 0.5)).max() < 0.06
+    assert np.abs(result[..., 0] - (2.0 * guide + 0.5)).max() < 0.06
     still = upsampling.guided(np.full((16, 16, 1), 0.3, np.float32), guide_low, guide)
     np.testing.assert_allclose(still, 0.3, atol=1e-5)
 
@@ -53,10 +53,10 @@ def test_a_guided_enlargement_of_what_is_linear_in_the_guide_is_linear_in_the_ph
 def test_every_way_paints_a_smooth_object_alike_and_one_render_serves_all_details(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    found = decomposition.decompose(
+    result = decomposition.decompose(
         opened(radiance, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
     )
-    ways = upsampling.painters(found)
+    ways = upsampling.painters(result)
     rendered, render = [], decomposition.render
     monkeypatch.setattr(
         decomposition, "render", lambda *a, **k: rendered.append(a) or render(*a, **k)
@@ -80,10 +80,10 @@ def test_the_table_compares_with_the_way_in_use_on_the_same_edits(tmp_path):
         for shape in "abc"
     ]
     upsampling_study.written(tmp_path, rows, {"edits": 3})
-    told = json.loads((tmp_path / "enlarging.json").read_text())["parts"]
-    assert told["ours"]["detail 1"]["l2_ratio"] == pytest.approx([1.1] * 3)
-    assert told["true"]["detail 1"]["l2_ratio"] == pytest.approx([0.5] * 3)
-    assert told["true"]["detail 1"]["ssim_gain"] == pytest.approx([-0.1] * 3)
+    report = json.loads((tmp_path / "enlarging.json").read_text())["parts"]
+    assert report["ours"]["detail 1"]["l2_ratio"] == pytest.approx([1.1] * 3)
+    assert report["true"]["detail 1"]["l2_ratio"] == pytest.approx([0.5] * 3)
+    assert report["true"]["detail 1"]["ssim_gain"] == pytest.approx([-0.1] * 3)
 
 
 def test_the_truth_itself_has_no_error(rng):

@@ -86,8 +86,8 @@ def exact(camera, m, L):
     )
 
 
-def distance(found, right):
-    return ((found - right).abs().mean() / right.abs().mean()).item()
+def distance(result, right):
+    return ((result - right).abs().mean() / right.abs().mean()).item()
 
 
 def cameras(card):
