@@ -45,7 +45,7 @@ demo-small:
 	$(MAKE) --no-print-directory demo JOB=smallest WORKERS=1
 
 test: $(VENV)/installed
-	$(VENV)/bin/python -m pytest --numprocesses $(WORKERS) $(PYTEST_FLAGS)
+	$(VENV)/bin/python -m pytest --numprocesses $(WORKERS) --dist worksteal $(PYTEST_FLAGS)
 
 # Ten minutes by default. For longer: make fuzz FUZZ_FLAGS="--minutes 60 --seed 3".
 FUZZ_FLAGS ?=

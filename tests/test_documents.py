@@ -90,6 +90,7 @@ def test_python_blocks_of_a_document_run_from_top_to_bottom(root, document, tmp_
         exec(compile(block, document, "exec"), names)
 
 
+@pytest.mark.long
 @pytest.mark.blender
 def test_every_command_of_the_documents_runs(root, tmp_path):
     for module in ("bpy", "torch"):

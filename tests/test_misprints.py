@@ -114,8 +114,8 @@ def test_phi_over_pi_covers_half_the_sphere_and_over_two_pi_all_of_it(L, cost):
     theta, phi = printed_angles(centres=True)
     w = printed_directions(theta, phi)
     matte, chrome = (percent_range(image_errors(w, WEIGHT_OURS, m, L)) for m in (DIFFUSE, CHROME))
-    told = cost("test_phi_over_pi_covers_half_the_sphere_and_over_two_pi_all_of_it")
-    assert f"image error {matte} (matte), {chrome} (chrome) over three lights" in told
+    report = cost("test_phi_over_pi_covers_half_the_sphere_and_over_two_pi_all_of_it")
+    assert f"image error {matte} (matte), {chrome} (chrome) over three lights" in report
     whole = printed_directions(*printed_angles(full_turn=True, centres=True))
     assert image_errors(whole, WEIGHT_OURS, CHROME, L).max() < 1e-12
 
@@ -254,12 +254,12 @@ def test_a_gradient_summed_over_colours_is_right_only_for_a_loss_that_weighs_the
     blue, differences = printed_gradient_in_n(
         n, m, E, W_OURS, chain_factor=True, upstream=(0, 0, 1)
     )
-    told = cost(
+    report = cost(
         "test_a_gradient_summed_over_colours_is_right_only_for_a_loss_that_weighs_them_equally"
     )
     assert (
         f"off by a factor of {np.linalg.norm(summed) / np.linalg.norm(differences):.0f} for a blue"
-        " loss" in told
+        " loss" in report
     )
     assert relative(blue, differences) < 1e-4
 
@@ -377,10 +377,10 @@ def sum_against_integral(gamma):
 
 def test_the_papers_sum_is_right_for_lobes_wider_than_a_texel_and_wrong_for_narrower_ones(cost):
     wide, narrow, narrower = (100 * sum_against_integral(gamma) for gamma in (264, 5000, 30000))
-    told = cost(
+    report = cost(
         "test_the_papers_sum_is_right_for_lobes_wider_than_a_texel_and_wrong_for_narrower_ones"
     )
-    assert told.endswith(
+    assert report.endswith(
         f"{wide:.1f} % at γ = 264, {narrow:.1f} % at 5,000, {narrower:.0f} % at 30,000"
     )
 

@@ -120,8 +120,8 @@ def main():
             view_per_pixel=options.view_per_pixel,
         )
         name = f"{method}, view per pixel" if options.view_per_pixel else method
-        found = json.loads(options.out.read_text()) if options.out.exists() else {}
-        found[name] = {
+        result = json.loads(options.out.read_text()) if options.out.exists() else {}
+        result[name] = {
             "samples": options.samples,
             "seed": options.seed,
             "tolerance": options.tolerance,
@@ -133,7 +133,7 @@ def main():
             flush=True,
         )
         options.out.parent.mkdir(parents=True, exist_ok=True)
-        options.out.write_text(json.dumps(found, indent=1) + "\n")
+        options.out.write_text(json.dumps(result, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -183,8 +183,8 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(
 )
 def test_wrong_usage_is_told_with_the_remedy(command, tmp_path, monkeypatch, words, says, status):
     monkeypatch.chdir(tmp_path)
-    found, said = command(*words)
-    assert found == status and says in said
+    result, said = command(*words)
+    assert result == status and says in said
     assert status == 2 or one_line(said)
     assert not (tmp_path / "X").exists() and not (tmp_path / "nowhere").exists()
 

@@ -176,9 +176,9 @@ def test_damaged_geometry_whose_records_are_all_there_is_found_and_healed_by_ver
     folder, job = begun
     render(job, folder)
     emptied(folder / sorted(bytes_of(folder, "geometry"))[1])
-    found = faults(folder)
-    assert len(found) == 3 and all("geometry" in fault.text for fault in found)
-    assert repair(Store(folder), found) == (3, 4)  # with their pictures and the geometry
+    result = faults(folder)
+    assert len(result) == 3 and all("geometry" in fault.text for fault in result)
+    assert repair(Store(folder), result) == (3, 4)  # with their pictures and the geometry
     assert render(job, folder).made == 3
     assert faults(folder) == []
 
@@ -200,10 +200,10 @@ def test_records_that_name_geometry_which_no_render_gives_again_are_told_and_hea
     notes = []
     render(job, folder, lambda event, value: notes.append(value) if event == "note" else None)
     assert len(notes) == 2 and "verify --repair" in notes[1]
-    found = faults(folder)
-    assert {fault.record for fault in found} == {r.id for r in changed if r.geometry == altered}
-    repair(Store(folder), found)
-    assert render(job, folder).made == len(found)
+    result = faults(folder)
+    assert {fault.record for fault in result} == {r.id for r in changed if r.geometry == altered}
+    repair(Store(folder), result)
+    assert render(job, folder).made == len(result)
     assert faults(folder) == []
 
 

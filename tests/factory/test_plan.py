@@ -29,7 +29,7 @@ def stub(hash_of):
     def make(job, training=60, testing=20):
         names = list(dict.fromkeys(source.place for source in sources(job, None)))
         roles = splits.shape_roles([(n, n.split(":")[0], hash_of(n)) for n in names], job.split)
-        wanted = set(job.roles) or set(splits.SIDES)
+        expected = set(job.roles) or set(splits.SIDES)
         shapes = [
             Shape(
                 name=n,
@@ -43,7 +43,7 @@ def stub(hash_of):
                 report="",
             )
             for n in names
-            if roles[n] in wanted
+            if roles[n] in expected
         ]
         sides = ["train"] * (training if "merl/paper-train" in job.materials else 0) + ["test"] * (
             testing if "merl/test" in job.materials else 0

@@ -22,7 +22,7 @@ def every_pixel_against_every_face(vertices, faces, camera, size):
         (1 - seen[:, 1] / HALF_EXTENT) * size / 2 - 0.5,
     )
     row, column = np.mgrid[:size, :size]
-    found = {}
+    result = {}
     for number, (a, b, c) in enumerate(faces):
         area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
         if abs(area) <= 1e-12:
@@ -33,8 +33,8 @@ def every_pixel_against_every_face(vertices, faces, camera, size):
         ]
         depth = sum(w * seen[k, 2] for w, k in zip(weight, (a, b, c), strict=True))
         for place in zip(*np.nonzero(np.min(weight, axis=0) >= -1e-9), strict=True):
-            found.setdefault(place, []).append((depth[place], number))
-    return found
+            result.setdefault(place, []).append((depth[place], number))
+    return result
 
 
 def meshes(rng):
@@ -56,9 +56,9 @@ def test_each_pixel_sees_a_nearest_face_and_none_is_missed(rng):
         for azimuth, elevation in SIDES:
             camera = camera_from_world(azimuth, elevation)
             face, weight = look(vertices, faces, camera, 24)
-            found = every_pixel_against_every_face(vertices, faces, camera, 24)
-            assert set(zip(*np.nonzero(face >= 0), strict=True)) == set(found)
-            for place, several in found.items():
+            result = every_pixel_against_every_face(vertices, faces, camera, 24)
+            assert set(zip(*np.nonzero(face >= 0), strict=True)) == set(result)
+            for place, several in result.items():
                 nearest = max(depth for depth, _ in several)
                 # faces within rounding of the nearest, whose weights of slivers are no better than
                 # 1e-16 / 1e-9 of their area
@@ -88,9 +88,9 @@ def test_slivers_across_the_frame_cost_their_pixels_and_not_their_boxes(monkeypa
     candidates, tested = raster._candidates, []
 
     def counted(*arguments):
-        found = candidates(*arguments)
-        tested.append(len(found[0]))
-        return found
+        result = candidates(*arguments)
+        tested.append(len(result[0]))
+        return result
 
     monkeypatch.setattr(raster, "_candidates", counted)
     counts = back_faces(vertices, faces)

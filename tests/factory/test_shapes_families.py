@@ -52,13 +52,13 @@ def test_every_face_has_a_part_and_one_of_two_segments(meshes, family):
 def test_segments_are_what_the_parts_say(meshes, family):
     one, two = SEGMENT_OF[family]
     for segment, name in ((1, one), (2, two)):
-        found = [
+        result = [
             mesh.segment[mesh.part == mesh.parts.index(name)]
             for mesh in meshes
             if name in mesh.parts
         ]
-        assert found, f"no {name} among the first {FIRST}"
-        assert all((part == segment).all() for part in found)
+        assert result, f"no {name} among the first {FIRST}"
+        assert all((part == segment).all() for part in result)
 
 
 def test_every_piece_is_watertight_wound_alike_and_looks_outward(meshes):

@@ -135,10 +135,10 @@ def _lines(data, rng):
 def some_file(data: Path, rng: np.random.Generator) -> Path:
     """A picture, a geometry file, or a light's map."""
     kind = mutation.pick(rng, ("images", "geometry", "geometry", "lights"))
-    found = sorted(path for path in (data / kind).rglob("*") if path.is_file())
+    result = sorted(path for path in (data / kind).rglob("*") if path.is_file())
     return (
-        mutation.pick(rng, found)
-        if found
+        mutation.pick(rng, result)
+        if result
         else mutation.pick(rng, sorted((data / "geometry").rglob("*.exr")))
     )
 

@@ -609,10 +609,10 @@ def refusal_fault(call, error):
         return f"message of {len(message)} characters: {message[:200]!r}"
     named = {name for names, _ in call.changed for name in names}
     if isinstance(error, NotImplementedError):
-        told = message.startswith("derivatives:") and call.way in ("jvp", "batched gradients")
+        report = message.startswith("derivatives:") and call.way in ("jvp", "batched gradients")
         return (
             None
-            if told or (call.way == "traced" and "torch.jit.trace" in message)
+            if report or (call.way == "traced" and "torch.jit.trace" in message)
             else f"NotImplementedError: {message[:200]}"
         )
     # where two arguments must be alike, the message names the one that is not as n is

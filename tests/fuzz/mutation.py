@@ -304,7 +304,7 @@ def places(tree: Any, prefix: tuple = ()) -> list[tuple]:
     """Where values stand, as tuples of keys and indices; of long lists only the first few, so that
     numbers do not drown keys.
     """
-    found = [prefix]
+    result = [prefix]
     items = (
         list(tree.items())
         if isinstance(tree, dict)
@@ -313,8 +313,8 @@ def places(tree: Any, prefix: tuple = ()) -> list[tuple]:
         else []
     )
     for key, value in items:
-        found += places(value, (*prefix, key))
-    return found
+        result += places(value, (*prefix, key))
+    return result
 
 
 def changed(tree: Any, place: tuple, rng: np.random.Generator) -> tuple[Any, str]:
@@ -426,8 +426,8 @@ def duplicate_key(text: str, rng: np.random.Generator) -> bytes:
     keys = list(re.finditer(r'("[^"\n]*": [^{}\[\],\n]+),?\n', text))
     if not keys:
         return text.encode()
-    found = pick(rng, keys)
-    return (text[: found.start()] + found[1] + ",\n" + text[found.start() :]).encode()
+    result = pick(rng, keys)
+    return (text[: result.start()] + result[1] + ",\n" + text[result.start() :]).encode()
 
 
 def _short(value):

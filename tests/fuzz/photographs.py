@@ -105,8 +105,8 @@ def opened(role, path, room, exposure, balance):
     there = seeds.of(room)
     masks = [there / "mask.png"] if role == "photograph" else [path] if role == "mask" else []
     what = path if role in ("photograph", "material") else there / "photograph.png"
-    found = photograph.opened(what, masks, path if role == "regions" else None, balance, exposure)
-    return photographs.framed(found.balanced, found.mask, 32, found.exposure)
+    result = photograph.opened(what, masks, path if role == "regions" else None, balance, exposure)
+    return photographs.framed(result.balanced, result.mask, 32, result.exposure)
 
 
 def not_finite(result: Result) -> str | None:

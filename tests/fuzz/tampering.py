@@ -265,7 +265,7 @@ def _learned(folder):
         there = Folder(folder)
         dataset, labels = there.json("dataset.json"), there.json("materials.json")["materials"]
         labels = {e["name"]: (e["label"], e["mixture"]) for e in labels}
-        found = []
+        result = []
         for line in there.lines():
             shape = dataset["shapes"][line["shape"]]
             own = [line[key] for key in ("shape", "category", "viewpoint", "camera")]
@@ -297,13 +297,13 @@ def _learned(folder):
                     there.picture_of(line).tobytes(),
                     _map(folder, dataset["lights"][line["light"]]["file"]),
                 ]
-            found.append((json.dumps(own), *(hashlib.sha256(each).hexdigest() for each in pixels)))
+            result.append((json.dumps(own), *(hashlib.sha256(each).hexdigest() for each in pixels)))
         lights = {
             name: (entry["side"], _map(folder, entry["file"]))
             for name, entry in dataset["lights"].items()
         }
         return (
-            sorted(found),
+            sorted(result),
             lights,
             labels if there.kind == "views" else None,
             _packed_geometry(folder),
@@ -1367,13 +1367,13 @@ def faults_in(data: Path) -> list[str]:
     from manifests.verification import faults_of
 
     try:
-        found = [
+        result = [
             fault.text for fault in faults_of(Store(data), render_fingerprint(), reference_light)
         ]
     except InputError as problem:  # no dataset.json that can be read
-        found = [str(problem)]
-    assert all(line.isprintable() for line in found), found
-    return found
+        result = [str(problem)]
+    assert all(line.isprintable() for line in result), result
+    return result
 
 
 def refuses(data: Path) -> bool:
@@ -1605,8 +1605,8 @@ def main() -> int:
         else rendered((options.out / "bases").absolute())
     )
     for base in bases:
-        if found := faults_in(base):
-            print(f"{base}: not clean before anything was done to it: {found[0]}", file=sys.stderr)
+        if result := faults_in(base):
+            print(f"{base}: not clean before anything was done to it: {result[0]}", file=sys.stderr)
             return 2
     start, verdicts = time.perf_counter(), []
     room = options.out / "room"

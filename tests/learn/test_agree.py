@@ -93,8 +93,8 @@ def test_taps_are_added_until_small_lamps_are_seen_alike(rng, monkeypatch):
 
     true = by(65536)
 
-    def off(found):
-        return np.square(found - true).sum() / np.square(true).sum()
+    def off(result):
+        return np.square(result - true).sum() / np.square(true).sum()
 
     # 0.0005 where a tap sees the mean of what it stands for, 0.22 where it sees one texel
     assert off(by(1024)) < 0.01

@@ -341,19 +341,23 @@ def test_an_edit_is_refined_and_rendered_on_the_networks_device(weights, device,
     )
     level = Level(pixels=40, light=(8, 16), method="exact", rounds=1, iterations=1)
     settings = Settings(levels=(level,), passes=1)
-    found = decomposition.decompose(
+    result = decomposition.decompose(
         opened(SIZE), checkpoint.load_parts(weights, device)[0], SIZE, settings
     )
-    assert {tensor.device for tensor in (found.parts.n, found.parts.label, found.parts.light)} == {
-        device
-    }
+    assert {
+        tensor.device for tensor in (result.parts.n, result.parts.label, result.parts.light)
+    } == {device}
     # the grid that is rendered, for the reference sum is slow
     monkeypatch.setattr(compositor, "COARSEST", SIZE)
-    edited = compositor.Compositor(found, detail=0.25).edited([label_of("gold-paint")[0].numpy()])
+    edited = compositor.Compositor(result, detail=0.25).edited([label_of("gold-paint")[0].numpy()])
     assert rendered_on and set(rendered_on) == {device}
     assert edited.shape == (SIZE, SIZE, 3) and np.isfinite(edited).all()
     shown = spheres.material_sphere(
-        found.parts.label[0, 0], found.parts.light[0].movedim(0, -1), 16, found.batch.elevation, 1.0
+        result.parts.label[0, 0],
+        result.parts.light[0].movedim(0, -1),
+        16,
+        result.batch.elevation,
+        1.0,
     )
     assert shown.shape == (16, 16, 3)
 

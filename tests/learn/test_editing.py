@@ -37,10 +37,10 @@ def test_with_true_parts_an_edit_into_its_own_material_is_the_photograph(balance
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     seen = radiance / np.array(balance, np.float32)  # as a camera out of balance would have it
-    found = decomposition.decompose(
+    result = decomposition.decompose(
         opened(seen, inside.astype(np.int64), 2.0, balance), Knowing(label), NETWORK
     )
-    again = Compositor(found).edited([label[0]])
+    again = Compositor(result).edited([label[0]])
     core = ball(SIZE, 30)[0][..., 2] > 0.4  # at the rim 64² normals, enlarged, are a pixel off
     level = tone.auto_exposure(seen, inside)
     # of 65,025; the picture itself has a variance of a thousand
@@ -79,10 +79,10 @@ def test_a_soft_edge_mixes_edit_and_background_and_not_the_old_colour():
     coverage[20:70, 20:70], coverage[20:70, 70] = 1, 0.5
     # red through and through, edge included
     red = np.where(coverage[..., None] > 0, np.array([5.0, 0, 0], np.float32), ground)
-    found = photograph.Photograph(
+    result = photograph.Photograph(
         "square", red, coverage, (coverage >= 0.5).astype(np.int64), np.ones(3, np.float32), 1.0
     )
-    edited = Compositor(decomposition.decompose(found, Knowing(label), NETWORK)).edited([label[0]])
+    edited = Compositor(decomposition.decompose(result, Knowing(label), NETWORK)).edited([label[0]])
     edge, within = edited[45, 70], edited[45, 69]
     # the layer's picture changes a little from pixel to pixel
     np.testing.assert_allclose(edge, 0.5 * within + 0.5 * 0.25, atol=0.05)
@@ -104,12 +104,12 @@ def test_fine_shading_is_carried_over_when_asked():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
-    found = decomposition.decompose(
+    result = decomposition.decompose(
         opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
     )
     middle = (slice(40, 56), slice(40, 56))
     for detail, low, high in ((0.0, 0.0, 0.02), (1.0, 0.2, 0.35)):
-        edited = Compositor(found, detail=detail).edited([label_of("delrin")[0]])[middle]
+        edited = Compositor(result, detail=detail).edited([label_of("delrin")[0]])[middle]
         # 2 log 1.15 = 0.28 in the photograph
         contrast = abs(np.diff(np.log(edited[..., 1]), axis=0)).mean()
         assert low <= contrast <= high
@@ -152,12 +152,12 @@ def test_grey_balance_makes_the_background_grey_and_keeps_its_luminance(tmp_path
     values[mask > 0] = (0, 0, 255)
     Image.fromarray(values).save(tmp_path / "p.png")
     Image.fromarray(mask).save(tmp_path / "m.png")
-    found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance="grey")
-    mean = found.balanced[:5].mean((0, 1))
+    result = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance="grey")
+    mean = result.balanced[:5].mean((0, 1))
     np.testing.assert_allclose(mean, mean[0], rtol=1e-3)
     np.testing.assert_allclose(
         mean @ [0.2126, 0.7152, 0.0722],
-        found.radiance[:5].mean((0, 1)) @ [0.2126, 0.7152, 0.0722],
+        result.radiance[:5].mean((0, 1)) @ [0.2126, 0.7152, 0.0722],
         rtol=1e-3,
     )
 
@@ -166,11 +166,11 @@ def test_a_white_balance_that_is_given_keeps_luminance(tmp_path):
     Image.new("RGB", (40, 30), (90, 90, 90)).save(tmp_path / "p.png")
     Image.new("L", (40, 30), 255).save(tmp_path / "m.png")
     for wanted_factors in ((2.0, 2.0, 2.0), (1.4, 1.0, 0.7)):
-        found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance=wanted_factors)
+        result = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance=wanted_factors)
         # float32
-        np.testing.assert_allclose(found.balance @ [0.2126, 0.7152, 0.0722], 1, rtol=1e-5)
+        np.testing.assert_allclose(result.balance @ [0.2126, 0.7152, 0.0722], 1, rtol=1e-5)
         np.testing.assert_allclose(
-            found.balance / found.balance[1],
+            result.balance / result.balance[1],
             np.array(wanted_factors) / wanted_factors[1],
             rtol=1e-5,
         )
@@ -199,24 +199,24 @@ def test_several_masks_are_several_regions_and_where_they_overlap_the_later_one_
         mask = Image.new("L", (40, 30))
         mask.paste(255, box)
         mask.save(tmp_path / f"{name}.png")
-    found = photograph.opened(tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"])
-    assert (found.regions[:, :20] == 1).all() and (found.regions[:, 20:] == 2).all()
+    result = photograph.opened(tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"])
+    assert (result.regions[:, :20] == 1).all() and (result.regions[:, 20:] == 2).all()
 
 
 def test_a_record_is_seen_by_its_own_camera_at_its_own_exposure(tmp_path, rng):
     write_dataset(
         tmp_path, [matte("a", 0.2)], rng, size=32, seeds=1, rotations=(0,), method="quadrature"
     )
-    found = photograph.opened(tmp_path)
-    assert found.exposure == 1 and found.record is not None
+    result = photograph.opened(tmp_path)
+    assert result.exposure == 1 and result.record is not None
     assert photograph.opened(tmp_path, exposure=3.0).exposure == 3
-    camera = msgspec.structs.replace(found.record.camera, elevation_deg=50.0)
+    camera = msgspec.structs.replace(result.record.camera, elevation_deg=50.0)
     label = label_of("blue-rubber")
     for record, degrees in (
         (None, 20.0),
-        (msgspec.structs.replace(found.record, camera=camera), 50.0),
+        (msgspec.structs.replace(result.record, camera=camera), 50.0),
     ):
-        taken = decomposition.decompose(replace(found, record=record), Knowing(label), NETWORK)
+        taken = decomposition.decompose(replace(result, record=record), Knowing(label), NETWORK)
         assert np.degrees(taken.batch.elevation) == pytest.approx(degrees)
 
 
@@ -233,9 +233,9 @@ def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
     records = Records(tmp_path)
     by = {(r.materials, r.rotation_texels): r for r in records.records}
     for turn in (0, 5):
-        found = photograph.opened(tmp_path, record=by[("a",), turn].id)
-        np.testing.assert_array_equal(edit.truth_of(found, "b"), records.image(by[("b",), turn]))
-        assert edit.truth_of(found, "c") is None
+        result = photograph.opened(tmp_path, record=by[("a",), turn].id)
+        np.testing.assert_array_equal(edit.truth_of(result, "b"), records.image(by[("b",), turn]))
+        assert edit.truth_of(result, "c") is None
 
 
 def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was(tmp_path, rng):
@@ -248,14 +248,14 @@ def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was
         rotations=(0,),
         method="quadrature",
     )
-    found = photograph.opened(tmp_path)
+    result = photograph.opened(tmp_path)
     of = {
-        key: msgspec.structs.replace(found.record, id=" ".join(key), materials=key)
+        key: msgspec.structs.replace(result.record, id=" ".join(key), materials=key)
         for key in (("a", "b"), ("b", "a"), ("b", "b"))
     }
 
     known = SimpleNamespace(records=list(of.values()), image=lambda record: record.materials)
-    two = replace(found, records=known, record=of["b", "a"])
+    two = replace(result, records=known, record=of["b", "a"])
     assert edit.truth_of(two, "a+b") == ("a", "b")
     assert edit.truth_of(two, "b+a") == ("b", "a")
     assert edit.truth_of(two, "keep+b") == edit.truth_of(two, "b") == ("b", "b")
@@ -291,9 +291,9 @@ def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
         np.repeat(np.repeat(x, 4, 0), 4, 1) for x in (radiance, inside.astype(np.uint8))
     )
     regions[200:204, 201:205] = 2  # half a pixel of the network's, beside a pixel's middle
-    found = decomposition.decompose(opened(radiance, regions), Knowing(label), 32)
-    assert found.batch.segments.max() == 1 and found.parts.label.shape[1] == 2
-    edited = Compositor(found).edited([label_of("gold-paint")[0], None])
+    result = decomposition.decompose(opened(radiance, regions), Knowing(label), 32)
+    assert result.batch.segments.max() == 1 and result.parts.label.shape[1] == 2
+    edited = Compositor(result).edited([label_of("gold-paint")[0], None])
     np.testing.assert_array_equal(edited[regions == 2], radiance[regions == 2])
     assert abs(edited - radiance)[regions == 1].mean() > 0.02
     swapped = opened(radiance, np.where(regions > 0, 3 - regions, 0).astype(np.uint8))
@@ -311,8 +311,8 @@ def test_a_region_that_no_pixel_shows_has_a_label_in_every_network():
     for kind in (Compact, Paper, Separate):
         network = kind(Ranges(torch.zeros(108), torch.ones(108))).eval()
         with torch.no_grad():
-            found = network(image, mask, segments, ("normals", "material"), regions=3)
-        assert found.label.shape == (1, 3, 108) and found.label.isfinite().all()
+            result = network(image, mask, segments, ("normals", "material"), regions=3)
+        assert result.label.shape == (1, 3, 108) and result.label.isfinite().all()
 
 
 def test_what_lies_in_no_region_stays_as_it_is_but_for_a_rim(tmp_path):
@@ -321,12 +321,12 @@ def test_what_lies_in_no_region_stays_as_it_is_but_for_a_rim(tmp_path):
     regions = Image.new("L", (60, 40))
     regions.paste(1, (0, 0, 30, 40))
     regions.save(tmp_path / "r.png")
-    found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], tmp_path / "r.png")
-    assert (found.coverage[:, :30] > 0.99).all() and (found.coverage[:, 36:] == 0).all()
-    painter = Compositor(decomposition.decompose(found, Knowing(label_of("blue-rubber")), NETWORK))
+    result = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], tmp_path / "r.png")
+    assert (result.coverage[:, :30] > 0.99).all() and (result.coverage[:, 36:] == 0).all()
+    painter = Compositor(decomposition.decompose(result, Knowing(label_of("blue-rubber")), NETWORK))
     edited = painter.edited([label_of("gold-paint")[0]])
-    np.testing.assert_array_equal(edited[:, 36:], found.radiance[:, 36:])
-    assert abs(edited - found.radiance)[:, :30].mean() > 0.02
+    np.testing.assert_array_equal(edited[:, 36:], result.radiance[:, 36:])
+    assert abs(edited - result.radiance)[:, :30].mean() > 0.02
 
 
 def test_the_picture_rendered_again_has_none_of_the_photographs_own_detail():
@@ -398,20 +398,20 @@ def test_a_material_file_comes_back_as_it_was_written(tmp_path):
 
 
 def test_materials_are_given_to_regions_in_their_order():
-    found = edit.labels_of("brass+keep", 2, None)
-    np.testing.assert_array_equal(found[0], label_of("brass")[0])
-    assert found[1] is None
+    result = edit.labels_of("brass+keep", 2, None)
+    np.testing.assert_array_equal(result[0], label_of("brass")[0])
+    assert result[1] is None
     assert len(edit.labels_of("brass", 3, None)) == 3
     with pytest.raises(ValueError, match="one a region"):
         edit.labels_of("brass+keep+keep", 2, None)
 
 
 def test_mirrors_are_shown_by_the_integral_and_fabrics_by_the_sum():
-    found = {
+    result = {
         name: method_for(torch.from_numpy(label_of(name)))
         for name in ("chrome", "red-fabric", "blue-rubber")
     }
-    assert found == {"chrome": "quadrature", "red-fabric": "auto", "blue-rubber": "auto"}
+    assert result == {"chrome": "quadrature", "red-fabric": "auto", "blue-rubber": "auto"}
 
 
 def test_the_observed_reflectance_map_of_a_ball_is_its_picture():
@@ -449,8 +449,8 @@ def test_edit_and_transfer_write_what_they_say(tmp_path, capsys):
         )
         == 0
     )
-    told = json.loads((out / "edit.json").read_text())
-    assert told["refined"] is None and told["materials"] == ["red-fabric", str(b)]
+    report = json.loads((out / "edit.json").read_text())
+    assert report["refined"] is None and report["materials"] == ["red-fabric", str(b)]
     with Image.open(out / "edited-red-fabric.png") as picture:
         assert (picture.size, picture.mode) == ((SIZE, SIZE), "RGBA")
     assert {
@@ -508,6 +508,6 @@ def test_one_material_is_written_as_edited_and_compared_where_its_truth_is_known
     ]
     assert main("learn", "t", COMMANDS, words) == 0
     assert (tmp_path / "out" / "edited.png").exists()
-    told = json.loads((tmp_path / "out" / "edit.json").read_text())
-    assert set(told["display_l2"]) == {"delrin"} and told["display_l2"]["delrin"]["mask"] > 0
+    report = json.loads((tmp_path / "out" / "edit.json").read_text())
+    assert set(report["display_l2"]) == {"delrin"} and report["display_l2"]["delrin"]["mask"] > 0
     capsys.readouterr()

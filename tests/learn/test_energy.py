@@ -112,8 +112,8 @@ def test_the_energy_of_a_displaced_state_is_what_it_is_by_hand(monkeypatch):
         + 3 * expected["light"]
         + 5 * expected["material"]
     )
-    found = Energy(batch, start, replace(Settings(), a=2.0, b=3.0, c=5.0)).finest(moved)
-    assert found == pytest.approx(expected, rel=1e-5)  # float32
+    result = Energy(batch, start, replace(Settings(), a=2.0, b=3.0, c=5.0)).finest(moved)
+    assert result == pytest.approx(expected, rel=1e-5)  # float32
 
 
 @pytest.mark.parametrize("row", [0, 31, 63])
@@ -121,10 +121,10 @@ def test_a_row_of_light_counts_by_its_share_of_the_sphere(row):
     batch, start = flat()
     light = start.light.clone()
     light[:, :, row] = math.e**2 - 1
-    told = Energy(batch, start, Settings())
-    found = told.terms(replace(start, light=light), told.pixels(1), (2, 4), "exact")["light"]
+    report = Energy(batch, start, Settings())
+    result = report.terms(replace(start, light=light), report.pixels(1), (2, 4), "exact")["light"]
     share = (math.cos(math.pi * row / 64) - math.cos(math.pi * (row + 1) / 64)) / 2
-    assert float(found) == pytest.approx(share, rel=1e-4)  # float32
+    assert float(result) == pytest.approx(share, rel=1e-4)  # float32
 
 
 def test_a_step_that_raises_the_energy_is_taken_back_and_the_one_before_it_stays(dome, monkeypatch):
@@ -141,13 +141,13 @@ def test_a_step_that_raises_the_energy_is_taken_back_and_the_one_before_it_stays
 
     monkeypatch.setattr(descent, "minimize", good_then_bad)
     start = truth._replace(label=truth.label + 0.3)
-    found = refine(batch, start, replace(QUICK, order=("material", "light"), b=0.02, c=0.0))
-    good, bad = found.history
+    result = refine(batch, start, replace(QUICK, order=("material", "light"), b=0.02, c=0.0))
+    good, bad = result.history
     assert [good["accepted"], bad["accepted"]] == [True, False]
-    assert good["total"] == found.after["total"] < found.before["total"]
+    assert good["total"] == result.after["total"] < result.before["total"]
     # so the start alone would not have turned it back
-    assert good["total"] < bad["total"] < found.before["total"]
-    assert found.after["light"] == found.before["light"]
+    assert good["total"] < bad["total"] < result.before["total"]
+    assert result.after["light"] == result.before["light"]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -163,13 +163,13 @@ def test_light_has_unit_mean_luminance_wherever_its_coordinates_lie(dome, seed):
 
 def test_refined_light_has_unit_mean_luminance(dome):
     batch, truth = dome
-    found = refine(
+    result = refine(
         batch,
         truth._replace(label=truth.label - 0.3, light=truth.light.flip(-1)),
         replace(QUICK, order=("light",), b=0.0),
     )
-    assert found.history[0]["accepted"]
-    assert luminance(found.prediction.light) == pytest.approx(1, abs=1e-5)
+    assert result.history[0]["accepted"]
+    assert luminance(result.prediction.light) == pytest.approx(1, abs=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -186,11 +186,11 @@ def test_normals_stay_within_reach_wherever_their_coordinates_lie(dome, seed):
 def test_refined_normals_stay_within_reach(dome):
     batch, truth = dome
     start = F.normalize(truth.n + torch.tensor([0.3, 0.0, 0.0])[:, None, None], dim=1)
-    found = refine(
+    result = refine(
         batch, truth._replace(n=start), replace(QUICK, order=("normals",), reach=0.01, a=0.0)
     )
-    assert found.history[0]["accepted"]
-    assert (disk(found.prediction.n) - disk(start)).abs().max() < 0.01 + 1e-6  # float32
+    assert result.history[0]["accepted"]
+    assert (disk(result.prediction.n) - disk(start)).abs().max() < 0.01 + 1e-6  # float32
 
 
 def test_directions_of_the_materials_know_the_training_ones_alone(monkeypatch, rng):
@@ -214,32 +214,32 @@ def test_directions_of_the_materials_know_the_training_ones_alone(monkeypatch, r
 
 
 def test_defaults_are_those_that_the_documentation_tells(root):
-    told, s, paper = (
+    report, s, paper = (
         " ".join((root / "docs" / "editing.md").read_text(encoding="utf-8").split()),
         Settings(),
         NAMED["paper"],
     )
-    assert f"a = {s.a:g}, b = {s.b:g}, c = {s.c:g} and the passes were chosen" in told
-    assert f"The paper's a = {paper.a:g}, b = {paper.b:g} hold the light still" in told
-    assert f"paper: a = {paper.a:g}, b = {paper.b:g}, c = {paper.c:g}" in told
-    assert f"spherical harmonics up to degree {s.degree}," in told
-    assert f"each held within {s.reach:g} of where its pass began" in told
-    assert f"L-BFGS moves {', '.join(s.order)}, one after the other, then all at once" in told
-    assert f"under the whole map, at {100 * s.tolerance:g} %" in told
-    assert s.passes == 3 and "gone through three times" in told
+    assert f"a = {s.a:g}, b = {s.b:g}, c = {s.c:g} and the passes were chosen" in report
+    assert f"The paper's a = {paper.a:g}, b = {paper.b:g} hold the light still" in report
+    assert f"paper: a = {paper.a:g}, b = {paper.b:g}, c = {paper.c:g}" in report
+    assert f"spherical harmonics up to degree {s.degree}," in report
+    assert f"each held within {s.reach:g} of where its pass began" in report
+    assert f"L-BFGS moves {', '.join(s.order)}, one after the other, then all at once" in report
+    assert f"under the whole map, at {100 * s.tolerance:g} %" in report
+    assert s.passes == 3 and "gone through three times" in report
 
 
 def test_the_way_down_begins_under_few_lights_and_ends_under_all(root):
-    told = " ".join((root / "docs" / "editing.md").read_text(encoding="utf-8").split())
+    report = " ".join((root / "docs" / "editing.md").read_text(encoding="utf-8").split())
     first, last = Settings().levels
     assert (first.pixels, last.pixels) == (
         0,
         0,
-    ) and "at all pixels under 32 × 64 lights, then all at once under all of them" in told
+    ) and "at all pixels under 32 × 64 lights, then all at once under all of them" in report
     assert (first.light, last.light) == ((32, 64), (64, 128))
     assert first.rounds == 1 and first.iterations and first.together
     assert last.rounds == 0 and last.together
     assert all(
-        level.method == "auto" and f"keeps {100 * level.tolerance:g} %" in told
+        level.method == "auto" and f"keeps {100 * level.tolerance:g} %" in report
         for level in (first, last)
     )

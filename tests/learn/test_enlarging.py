@@ -23,28 +23,28 @@ def edge():
 
 def test_a_joint_bilateral_enlargement_steps_where_the_photograph_does(edge):
     guide, low = edge
-    found = upsampling_strategies.joint_bilateral(
+    result = upsampling_strategies.joint_bilateral(
         low, guide.reshape(8, 4, 8, 4).mean((1, 3)).round(), guide
     )[..., 0]
-    assert found[:, :14].max() < 0.05
-    assert found[:, 14:].min() > 0.95
+    assert result[:, :14].max() < 0.05
+    assert result[:, 14:].min() > 0.95
     flat = upsampling_strategies.joint_bilateral(low, np.zeros((8, 8)), np.zeros((32, 32)))[..., 0]
     assert 0.2 < flat[16, 15] < 0.8  # without a guide the step is smeared
 
 
 def test_a_joint_bilateral_enlargement_keeps_a_constant(rng):
-    found = upsampling_strategies.joint_bilateral(
+    result = upsampling_strategies.joint_bilateral(
         np.full((8, 8, 3), 0.7), rng.random((8, 8)), rng.random((24, 24))
     )
-    np.testing.assert_allclose(found, 0.7, rtol=1e-5)
+    np.testing.assert_allclose(result, 0.7, rtol=1e-5)
 
 
 def test_a_guided_enlargement_of_what_is_linear_in_the_guide_is_linear_in_the_photograph(rng):
     guide_low = rng.random((16, 16)).astype(np.float32)
     guide = np.repeat(np.repeat(guide_low, 4, 0), 4, 1)
-    found = upsampling_strategies.guided(2.0 * guide_low[..., None] + 0.5, guide_low, guide)
+    result = upsampling_strategies.guided(2.0 * guide_low[..., None] + 0.5, guide_low, guide)
     # FLAT against a variance of 1/12
-    assert np.abs(found[..., 0] - (2.0 * guide + 0.5)).max() < 0.06
+    assert np.abs(result[..., 0] - (2.0 * guide + 0.5)).max() < 0.06
     still = upsampling_strategies.guided(np.full((16, 16, 1), 0.3, np.float32), guide_low, guide)
     np.testing.assert_allclose(still, 0.3, atol=1e-5)
 
@@ -52,10 +52,10 @@ def test_a_guided_enlargement_of_what_is_linear_in_the_guide_is_linear_in_the_ph
 def test_every_way_paints_a_smooth_object_alike_and_one_render_serves_all_details(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    found = decomposition.decompose(
+    result = decomposition.decompose(
         opened(radiance, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
     )
-    ways = upsampling_strategies.painters(found)
+    ways = upsampling_strategies.painters(result)
     rendered, render = [], predictions.render
     monkeypatch.setattr(
         predictions, "render", lambda *a, **k: rendered.append(a) or render(*a, **k)

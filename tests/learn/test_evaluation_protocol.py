@@ -174,9 +174,9 @@ def test_a_refined_row_is_what_refinement_makes_of_that_methods_prediction(finis
     mask = batch.segments[0].numpy() > 0
     picture = methods.rendered(p.n, pairs.target_label(records, edit), p.light, batch)
     expected = metrics.compare(picture, records.image(edit.truth) * mask[..., None], mask)
-    told = finished.edit["methods"]
-    assert {key: told[f"{name}, refined"][key] for key in expected} == expected
-    assert told[f"{name}, refined"]["l2"] != told[name]["l2"]
+    message = finished.edit["methods"]
+    assert {key: message[f"{name}, refined"][key] for key in expected} == expected
+    assert message[f"{name}, refined"]["l2"] != message[name]["l2"]
 
 
 @pytest.mark.parametrize(("at", "name"), [(0, "Baseline 2"), (1, OURS)])
@@ -199,21 +199,21 @@ def test_a_refinement_with_one_value_that_is_not_finite_is_told_as_such(part, va
         torch.ones(1, 3, 2, 2), None, torch.ones(1, 1, 108), None, torch.ones(1, 3, 64, 128)
     )
     getattr(p, part).flatten()[-1] = value
-    told = bench.refinement(Refined(p, {"total": 2.0}, {"total": 1.0}, [], 3.0))
-    assert told == {"before": 2.0, "after": 1.0, "seconds": 3.0, "finite": False}
+    message = bench.refinement(Refined(p, {"total": 2.0}, {"total": 1.0}, [], 3.0))
+    assert message == {"before": 2.0, "after": 1.0, "seconds": 3.0, "finite": False}
 
 
 def test_each_part_is_rendered_again_with_all_else_true(finished):
     batch, p, _ = finished.refined[1]
-    told = finished.picture["methods"][OURS]
-    assert told["rendered_normals"] == figures(p.n, batch.label, batch.light, batch)
-    assert told["rendered_material"] == figures(batch.n, p.label, batch.light, batch)
-    assert told["rendered_light"] == figures(batch.n, batch.label, p.light, batch)
-    assert told["rendered_all_true_light"] == figures(p.n, p.label, batch.light, batch)
+    message = finished.picture["methods"][OURS]
+    assert message["rendered_normals"] == figures(p.n, batch.label, batch.light, batch)
+    assert message["rendered_material"] == figures(batch.n, p.label, batch.light, batch)
+    assert message["rendered_light"] == figures(batch.n, batch.label, p.light, batch)
+    assert message["rendered_all_true_light"] == figures(p.n, p.label, batch.light, batch)
     assert (
         len(
             {
-                told[f"rendered_{name}"]["l2"]
+                message[f"rendered_{name}"]["l2"]
                 for name in ("normals", "material", "light", "all", "all_true_light")
             }
         )
@@ -291,9 +291,11 @@ def test_the_mean_material_is_of_the_data_sets_own_unless_the_built_in_ones_are_
 
 
 def test_without_materials_for_training_the_mean_material_is_left_out_and_the_reason_told():
-    found = methods.entrants(None, None, [])
-    assert not any(isinstance(each, methods.MeanMaterial) for each in (*found.edits, *found.parts))
-    assert "--materials built-in" in found.left_out["mean material"]
+    result = methods.entrants(None, None, [])
+    assert not any(
+        isinstance(each, methods.MeanMaterial) for each in (*result.edits, *result.parts)
+    )
+    assert "--materials built-in" in result.left_out["mean material"]
 
 
 def test_constant_light_takes_normals_as_its_name_says(batch):

@@ -70,21 +70,21 @@ def test_pictures_like_the_truth_have_no_l2_and_the_frame_dilutes_the_rest():
     assert variants._compared(truth, truth, mask) == pytest.approx(
         {"l2": 0, "l2_frame": 0, "ssim": 1}
     )
-    found = variants._compared(truth * 0.9, truth, mask)
-    assert found["l2"] > 0
-    assert found["l2_frame"] == pytest.approx(found["l2"] / 4)
+    results = variants._compared(truth * 0.9, truth, mask)
+    assert results["l2"] > 0
+    assert results["l2_frame"] == pytest.approx(results["l2"] / 4)
 
 
 def test_a_variant_ends_by_its_clock_and_is_not_trained_again(data_splits, tmp_path):
     run = layer_ablation.settings("normals", "combined", Data(sharing=2), SIZE, 0.4, seed=1)
     tests = variants.held_out(data_splits, run.data, SIZE, 1)
-    found = variants.trained(run, data_splits, tests, tmp_path, workers=0)
-    assert found["seconds"] >= 0.4
-    assert 1 <= found["steps"] < 100  # of a million that it may make
-    assert {"l2", "l2_frame", "ssim", "angle_deg", "cosine"} <= set(found["rows"][0])
-    assert len(found["rows"]) == variants.BATCH
+    results = variants.trained(run, data_splits, tests, tmp_path, workers=0)
+    assert results["seconds"] >= 0.4
+    assert 1 <= results["steps"] < 100  # of a million that it may make
+    assert {"l2", "l2_frame", "ssim", "angle_deg", "cosine"} <= set(results["rows"][0])
+    assert len(results["rows"]) == variants.BATCH
     assert not (tmp_path / "checkpoint.safetensors").exists()
-    assert variants.trained(run, None, None, tmp_path) == found
+    assert variants.trained(run, None, None, tmp_path) == results
 
 
 def test_a_report_has_every_variant_with_its_interval():
@@ -158,15 +158,15 @@ def test_a_card_measures_relit_and_rendered_pictures_apart(data_splits, tmp_path
         SIZE,
         7,
     )
-    found = model_card.make(
+    results = model_card.make(
         tmp_path / "w.safetensors", data_splits, tmp_path, batches=1, note="a note to readers"
     )
     assert {"angle_deg", "irradiance", "image_l2", "target_l2", "control_l2"} <= set(
-        found["figures"]
+        results["figures"]
     )
-    assert set(found["cycles"]) == set(found["figures"])
-    told = json.loads((tmp_path / "card.json").read_text())
-    assert (told["pictures"], told["cycles_pictures"]) == (16, 4)
+    assert set(results["cycles"]) == set(results["figures"])
+    report = json.loads((tmp_path / "card.json").read_text())
+    assert (report["pictures"], report["cycles_pictures"]) == (16, 4)
     text = (tmp_path / "card.md").read_text()
     assert "a note to readers" in text
     assert f"7 of {run.schedule.steps} steps" in text
@@ -184,20 +184,20 @@ def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(data_split
         checkpoint.save_weights(
             path, network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7
         )
-    found = model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[1:2])
-    told = json.loads((tmp_path / "card.json").read_text())
-    assert told["seeds"] == [[1, "7"], [2, "7"]]
-    for name, of in told["figures_seeds"].items():
+    results = model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[1:2])
+    report = json.loads((tmp_path / "card.json").read_text())
+    assert report["seeds"] == [[1, "7"], [2, "7"]]
+    for name, of in report["figures_seeds"].items():
         assert len(of["each"]) == 2
-        assert of["each"][0] == pytest.approx(found["figures"][name][0])
+        assert of["each"][0] == pytest.approx(results["figures"][name][0])
         assert of["mean"][0] == pytest.approx(np.mean(of["each"]))
     assert (
-        told["figures_seeds"]["angle_deg"]["each"][0]
-        != told["figures_seeds"]["angle_deg"]["each"][1]
+        report["figures_seeds"]["angle_deg"]["each"][0]
+        != report["figures_seeds"]["angle_deg"]["each"][1]
     )
     assert (
-        told["figures_seeds"]["constant_irradiance"]["each"][0]
-        == told["figures_seeds"]["constant_irradiance"]["each"][1]
+        report["figures_seeds"]["constant_irradiance"]["each"][0]
+        == report["figures_seeds"]["constant_irradiance"]["each"][1]
     )
     assert "seed 2, 7 steps" in (tmp_path / "card.md").read_text()
     with pytest.raises(InputError, match="seed 2 twice"):
@@ -227,9 +227,9 @@ def test_step_times_cover_every_part_and_add_up(data_splits, tmp_path):
         losses=terms,
         schedule=Schedule(steps=4, batch=2),
     )
-    found = step_timing.profile(run, data_splits, tmp_path / "scratch", 1, 4)
+    result = step_timing.profile(run, data_splits, tmp_path / "scratch", 1, 4)
     parts = {"data", "network", "normals and material terms", "light terms", "layer", "optimiser"}
-    assert set(found["step"]) == parts | {"total"}
-    assert found["step"]["total"] == pytest.approx(sum(found["step"][part] for part in parts))
-    assert found["relit"]["images"] == 4
-    assert "| layer |" in step_profile.tables(found)
+    assert set(result["step"]) == parts | {"total"}
+    assert result["step"]["total"] == pytest.approx(sum(result["step"][part] for part in parts))
+    assert result["relit"]["images"] == 4
+    assert "| layer |" in step_profile.tables(result)

@@ -5,7 +5,7 @@ from learn.experiments import chart_drawing, pareto_front
 
 def rows():
     """auto: 2 s, right everywhere; quick: 1 s, right in most cases; rough: 0.1 s, never right."""
-    found = []
+    result = []
     for case, error in enumerate((1e-4, 2e-4, 0.5)):
         for method, seconds, wrong in (
             ("auto", 2.0, 1e-4),
@@ -14,7 +14,7 @@ def rows():
         ):
             times = {"seconds": seconds, "forward": 0.3 * seconds}
             errors = {"error": wrong, "integral": wrong, "forward_error": wrong}
-            found.append(
+            result.append(
                 {
                     "material": str(case),
                     "light": "sky",
@@ -26,7 +26,7 @@ def rows():
                 | times
                 | errors
             )
-    return found
+    return result
 
 
 def test_the_median_forgives_a_failure_and_the_worst_case_does_not():

@@ -84,7 +84,7 @@ def test_sigkill_in_a_step_in_a_save_and_after_a_log_line_changes_no_bit(tmp_pat
         timeout=900,
     )
     assert ran.returncode == 0, ran.stderr[-2000:]
-    found = json.loads(ran.stdout.splitlines()[-1])
-    assert found["different"] == []
-    assert found["steps"] == [[0, 1, 2, 3]] * 2  # each step is logged once
-    assert found["losses"][0] == found["losses"][1]
+    result = json.loads(ran.stdout.splitlines()[-1])
+    assert result["different"] == []
+    assert result["steps"] == [[0, 1, 2, 3]] * 2  # each step is logged once
+    assert result["losses"][0] == result["losses"][1]

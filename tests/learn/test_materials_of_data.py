@@ -84,8 +84,8 @@ def with_materials(folder, entries):
     return Records(folder)
 
 
-def named(found):
-    return {side: [m.name for m in of_side] for side, of_side in found.items()}
+def named(result):
+    return {side: [m.name for m in of_side] for side, of_side in result.items()}
 
 
 def test_a_data_set_of_three_metals_trains_on_exactly_these_three_metals(
@@ -172,8 +172,8 @@ def test_one_training_material_in_ten_is_for_validation_and_eight_at_most(
     tmp_path, entries, count, held_out
 ):
     training = [e for e in entries.values() if e.split == "train"][:count]
-    found, _ = sources.materials_of(Data(), with_materials(tmp_path, training))
-    assert [len(found[side]) for side in ("train", "validation", "test")] == [
+    result, _ = sources.materials_of(Data(), with_materials(tmp_path, training))
+    assert [len(result[side]) for side in ("train", "validation", "test")] == [
         count - held_out,
         held_out,
         0,
@@ -194,8 +194,8 @@ def test_a_damaged_material_stops_a_run_or_is_left_out_and_told(tmp_path, entrie
     records = with_materials(tmp_path, [msgspec.structs.replace(steel, hash="0" * 16), chrome])
     with pytest.raises(InputError, match=r"steel.*--skip-bad"):
         sources.materials_of(Data(), records)
-    found, bad = sources.materials_of(Data(), records, skip_bad=True)
-    assert [m.name for m in found["train"]] == ["chrome"]
+    result, bad = sources.materials_of(Data(), records, skip_bad=True)
+    assert [m.name for m in result["train"]] == ["chrome"]
     assert set(bad) == {"steel"}
 
 

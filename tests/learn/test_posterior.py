@@ -65,8 +65,8 @@ def test_a_posterior_adds_the_pictures_misfit_and_both_priors(batch, monkeypatch
 
 
 def test_baseline_1_draws_each_region_in_its_own_material(batch):
-    def flatly(image, mask, wanted):
-        return Edited(None, None, None, compressed(wanted[0, 0, 0]).expand(image.shape))
+    def flatly(image, mask, target):
+        return Edited(None, None, None, compressed(target[0, 0, 0]).expand(image.shape))
 
     label = torch.tensor([0.2, 0.7])[:, None].expand(2, 108)
     picture = methods.Swapped("Baseline 1", flatly, SIZE).edit(batch, label)

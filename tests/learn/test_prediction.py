@@ -71,13 +71,13 @@ def test_the_light_is_a_whole_map_of_unit_mean(predicted):
 
 
 def test_the_material_is_a_label_with_the_catalogues_nearest(predicted):
-    told = json.loads((predicted[0] / "material.json").read_text())
-    assert len(told["label"]) == 108
-    assert np.isfinite(told["label"]).all()
+    report = json.loads((predicted[0] / "material.json").read_text())
+    assert len(report["label"]) == 108
+    assert np.isfinite(report["label"]).all()
     catalogue = load_catalogue()
-    assert len(told["nearest"]) == material_file.NEAREST
-    assert set(told["nearest"]) <= set(catalogue)
-    assert told["run"] == "tiny"
+    assert len(report["nearest"]) == material_file.NEAREST
+    assert set(report["nearest"]) <= set(catalogue)
+    assert report["run"] == "tiny"
 
 
 def test_every_part_has_its_picture_and_the_sheet_all_of_them(predicted):
@@ -131,9 +131,9 @@ def test_the_material_file_tells_where_the_object_was_and_at_what_exposure(weigh
     Image.fromarray(values).save(tmp_path / "p.png")
     Image.fromarray(mask).save(tmp_path / "m.png")
     predict.run(tmp_path / "p.png", tmp_path / "m.png", weights, tmp_path / "out", exposure=0.7)
-    told = json.loads((tmp_path / "out" / "material.json").read_text())
-    top, left, side = told["box"]
-    assert told["exposure"] == 0.7
+    report = json.loads((tmp_path / "out" / "material.json").read_text())
+    top, left, side = report["box"]
+    assert report["exposure"] == 0.7
     # about the object's middle
     assert side >= 40 and (2 * top + side, 2 * left + side) == pytest.approx((60, 90), abs=1)
 

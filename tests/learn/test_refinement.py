@@ -103,14 +103,14 @@ def perturbed(prediction, seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_no_start_however_bad_ends_above_itself_or_leaves_the_domain(scene, seed):
     batch, truth = scene
-    found = refine(batch, perturbed(truth, seed), QUICK)
-    assert found.after["total"] <= found.before["total"]
-    n, inside = found.prediction.n[0], batch.segments[0] > 0
+    result = refine(batch, perturbed(truth, seed), QUICK)
+    assert result.after["total"] <= result.before["total"]
+    n, inside = result.prediction.n[0], batch.segments[0] > 0
     assert all(
         torch.isfinite(part).all()
-        for part in (found.prediction.label, found.prediction.light, n[:, inside])
+        for part in (result.prediction.label, result.prediction.light, n[:, inside])
     )
-    assert (found.prediction.light > 0).all()
+    assert (result.prediction.light > 0).all()
     np.testing.assert_allclose(n[:, inside].norm(dim=0), 1, atol=1e-5)  # float32
     assert (n[2, inside] > 0).all()
 
@@ -127,8 +127,8 @@ def test_a_stride_to_where_the_layer_cannot_follow_is_turned_back(scene, monkeyp
         return minimize(value_and_slope, x, **options)
 
     monkeypatch.setattr(descent, "minimize", far_first)
-    found = refine(batch, perturbed(truth, 1), replace(QUICK, order=("material",), passes=1))
-    assert strides and found.after["total"] < found.before["total"]
+    result = refine(batch, perturbed(truth, 1), replace(QUICK, order=("material",), passes=1))
+    assert strides and result.after["total"] < result.before["total"]
 
 
 def test_a_step_that_ends_there_is_taken_back(scene, monkeypatch):
@@ -136,8 +136,8 @@ def test_a_step_that_ends_there_is_taken_back(scene, monkeypatch):
     monkeypatch.setattr(
         descent, "minimize", lambda value_and_slope, x, **options: OptimizeResult(x=x + 1e4)
     )
-    found = refine(batch, truth, replace(QUICK, order=("material",), passes=1))
-    assert not found.history and found.after == found.before
+    result = refine(batch, truth, replace(QUICK, order=("material",), passes=1))
+    assert not result.history and result.after == result.before
 
 
 def test_a_prediction_that_is_not_finite_is_refused(scene):
@@ -149,11 +149,13 @@ def test_a_prediction_that_is_not_finite_is_refused(scene):
 
 def test_what_is_accepted_lowers_the_energy_each_time(scene):
     batch, truth = scene
-    found = refine(batch, perturbed(truth, 1), replace(QUICK, a=0.05, b=0.05, passes=1))
-    totals = [found.before["total"]] + [step["total"] for step in found.history if step["accepted"]]
+    result = refine(batch, perturbed(truth, 1), replace(QUICK, a=0.05, b=0.05, passes=1))
+    totals = [result.before["total"]] + [
+        step["total"] for step in result.history if step["accepted"]
+    ]
     assert len(totals) > 2
     assert all(b < a for a, b in pairwise(totals))
-    assert totals[-1] == found.after["total"]
+    assert totals[-1] == result.after["total"]
 
 
 def test_a_second_pass_comes_nearer_to_the_picture_and_stays_below_the_start(scene):
@@ -173,17 +175,19 @@ def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monke
 
     def lost(batch, state, *rest):
         calls.append(state)
-        found, told = plain(batch, state, *rest)
+        result, report = plain(batch, state, *rest)
         return (
-            (replace(found, light=found.light.roll(64, -1) ** 4), told)
+            (replace(result, light=result.light.roll(64, -1) ** 4), report)
             if len(calls) == 2
-            else (found, told)
+            else (result, report)
         )
 
     monkeypatch.setattr(descent, "passed", lost)
-    found = refine(batch, start, replace(QUICK, passes=2))
+    result = refine(batch, start, replace(QUICK, passes=2))
     assert len(calls) == 2
-    assert torch.equal(found.prediction.light, once.prediction.light) and found.after == once.after
+    assert (
+        torch.equal(result.prediction.light, once.prediction.light) and result.after == once.after
+    )
 
 
 def test_all_pixels_are_rendered_as_a_frame_and_some_as_a_list_to_the_same_picture(scene):
@@ -209,9 +213,9 @@ def test_all_pixels_are_rendered_as_a_frame_and_some_as_a_list_to_the_same_pictu
 
 def test_the_truth_is_left_where_it_is(scene):
     batch, truth = scene
-    found = refine(batch, truth, QUICK)
-    assert found.before["image"] < 1e-4  # auto at 5e-3 against the exact picture
-    assert (found.prediction.label - truth.label).abs().max() < 0.1
+    result = refine(batch, truth, QUICK)
+    assert result.before["image"] < 1e-4  # auto at 5e-3 against the exact picture
+    assert (result.prediction.label - truth.label).abs().max() < 0.1
 
 
 def test_a_wrong_albedo_is_found_again_when_only_the_material_may_move(scene):
@@ -220,12 +224,12 @@ def test_a_wrong_albedo_is_found_again_when_only_the_material_may_move(scene):
         label=truth.label - torch.tensor([0.5, 0.0]).repeat_interleave(6).repeat(9)
     )
     level = Level(pixels=0, light=(64, 128), method="exact", rounds=1, iterations=15)
-    found = refine(
+    result = refine(
         batch, dark, replace(Settings(), order=("material",), c=0.0, passes=1, levels=(level,))
     )
-    assert found.after["image"] < 0.02 * found.before["image"]
+    assert result.after["image"] < 0.02 * result.before["image"]
     assert torch.equal(
-        found.prediction.light,
+        result.prediction.light,
         refine(batch, dark, replace(Settings(), order=(), passes=1)).prediction.light,
     )
 
@@ -252,12 +256,12 @@ def test_regions_move_apart(scene):
     two = truth.label.repeat(1, 2, 1)
     brighter = two.clone()
     brighter[:, 1] += torch.tensor([0.6, 0.0]).repeat_interleave(6).repeat(9)
-    found = refine(
+    result = refine(
         replace(batch, segments=half),
         truth._replace(label=brighter),
         replace(QUICK, order=("material",), c=0.0),
     )
-    change = (log_albedo(found.prediction.label) - log_albedo(brighter)).abs().amax(-1)[0]
+    change = (log_albedo(result.prediction.label) - log_albedo(brighter)).abs().amax(-1)[0]
     # by albedo: no picture tells what moves a label and not its BRDF
     assert change[1] > 5 * change[0]
 
@@ -337,10 +341,10 @@ def test_a_study_has_a_row_a_picture_goes_on_where_it_was_and_refuses_other_weig
         lambda batch, start, settings: made.append(settings.a) or refine_(batch, start, QUICK),
     )
     start = perturbed(scene[1], 3)
-    told = refinement_sweep.sweep(
+    report = refinement_sweep.sweep(
         lambda _: start, known_cases(scene, 3), tmp_path, ["default", "a=1"]
     )
-    assert told["default"]["pictures"] == told["a=1"]["pictures"] == 3
+    assert report["default"]["pictures"] == report["a=1"]["pictures"] == 3
     assert made == [0.05] * 3 + [1.0] * 3
     made.clear()
     fewer = refinement_sweep.sweep(lambda _: start, known_cases(scene, 2), tmp_path, ["default"])
@@ -359,7 +363,7 @@ def test_a_weight_moved_beside_the_default_alone_is_charted():
 
 def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
     start = perturbed(scene[1], 3)
-    told = refinement_initialisations.measured(
+    report = refinement_initialisations.measured(
         lambda _: start, known_cases(scene, 4), 6, tmp_path, LABELS, QUICK
     )
     rows = [json.loads(line) for line in (tmp_path / "starts.jsonl").read_text().splitlines()]
@@ -367,31 +371,31 @@ def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
         *refinement_initialisations.KINDS,
         refinement_initialisations.KINDS[0],
     ]
-    assert list(told["by_kind"]) == list(refinement_initialisations.KINDS)
-    assert told["above_their_start"] == told["not_finite"] == 0
+    assert list(report["by_kind"]) == list(refinement_initialisations.KINDS)
+    assert report["above_their_start"] == report["not_finite"] == 0
 
 
 def test_a_studys_figures_are_of_the_parts_it_is_given(scene):
     (case,), start = known_cases(scene, 1), perturbed(scene[1], 3)
-    found, own = (
+    result, own = (
         refinement_sweep.figures(start, case.batch, case.truths),
         refinement_sweep.figures(scene[1], case.batch, case.truths),
     )
     label, truth = case.truths[0]
     mask = (case.batch.segments[0] > 0).numpy()
     level = tone.auto_exposure(truth, mask)
-    assert found["edit"] == pytest.approx(
+    assert result["edit"] == pytest.approx(
         tone.display_l2(refinement_sweep.picture(start, label, case.batch), truth, level, mask)
     )
-    assert found["image"] == pytest.approx(
+    assert result["image"] == pytest.approx(
         tone.display_l2(
             refinement_sweep.picture(start, start.label[0], case.batch), truth, level, mask
         )
     )
-    assert own["edit"] < 1 < 20 < found["edit"] and own["image"] < 1 < 20 < found["image"]
+    assert own["edit"] < 1 < 20 < result["edit"] and own["image"] < 1 < 20 < result["image"]
     assert (
-        own["angle_deg"] < 0.1 < 10 < found["angle_deg"]
-        and own["light"] == 0 < 0.1 < found["light"]
+        own["angle_deg"] < 0.1 < 10 < result["angle_deg"]
+        and own["light"] == 0 < 0.1 < result["light"]
     )
 
 
@@ -410,10 +414,10 @@ def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, m
         "picture",
         lambda parts, *_: np.zeros((SIZE, SIZE, 3), np.float32),
     )
-    told = refinement_initialisations.measured(
+    report = refinement_initialisations.measured(
         lambda _: start, known_cases(scene, 1), 4, tmp_path, LABELS
     )
-    assert (told["starts"], told["above_their_start"], told["not_finite"]) == (4, 2, 1)
+    assert (report["starts"], report["above_their_start"], report["not_finite"]) == (4, 2, 1)
 
 
 def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):

@@ -62,15 +62,17 @@ def test_tensorboard_when_asked_has_each_steps_loss_the_validation_and_the_sheet
 def test_a_run_says_what_made_it_and_from_what_and_writes_no_events_unasked(store, tmp_path):
     assert train(store, tmp_path / "out") == 0
     assert not (tmp_path / "out" / "tensorboard").exists()
-    told = json.loads((tmp_path / "out" / "made.json").read_text())
-    assert {"command", "commit", "date", "machine", "versions"} <= set(told["made_by"])
-    assert {side: (of["shapes"], of.get("pictures", 0)) for side, of in told["sides"].items()} == {
+    report = json.loads((tmp_path / "out" / "made.json").read_text())
+    assert {"command", "commit", "date", "machine", "versions"} <= set(report["made_by"])
+    assert {
+        side: (of["shapes"], of.get("pictures", 0)) for side, of in report["sides"].items()
+    } == {
         "train": (1, 4),
         "validation": (1, 4),
         "test": (1, 0),  # in training materials
     }
     last = json.loads((tmp_path / "out" / "log.jsonl").read_text().splitlines()[-1])
-    assert (told["step"], told["validation"]) == (2, last["validation"])
+    assert (report["step"], report["validation"]) == (2, last["validation"])
 
 
 def test_a_bad_record_stops_the_command_before_training_or_is_left_out_and_counted_when_asked(
@@ -78,13 +80,13 @@ def test_a_bad_record_stops_the_command_before_training_or_is_left_out_and_count
 ):
     path = damage(store, "not finite")
     assert train(store, tmp_path / "out") == 1
-    told = [
+    report = [
         line
         for line in capsys.readouterr().err.replace("\r", "\n").splitlines()
         if line.startswith("learn:")
     ]
-    assert len(told) == 1
-    assert path.name in told[0] and "--skip-bad" in told[0]
+    assert len(report) == 1
+    assert path.name in report[0] and "--skip-bad" in report[0]
     assert not (tmp_path / "out" / "weights.safetensors").exists()
     assert train(store, tmp_path / "out", "--skip-bad") == 0
     error = capsys.readouterr().err

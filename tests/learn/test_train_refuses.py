@@ -63,13 +63,13 @@ def run(**changes):
 
 def line(capsys):
     """The one line on stderr that is a message."""
-    found = [
+    result = [
         each
         for each in capsys.readouterr().err.replace("\r", "\n").splitlines()
         if each.startswith("learn:")
     ]
-    assert len(found) == 1
-    return found[0]
+    assert len(result) == 1
+    return result[0]
 
 
 # ------------------------------------------------------------------------------------------------

@@ -105,8 +105,8 @@ def test_files_hold_the_arrays_that_the_table_says(name, tmp_path):
     )
     if path.suffix == ".npz":
         with np.load(path) as stored:
-            found = {key: (stored[key].dtype, stored[key].shape) for key in stored.files}
-        assert found == {
+            result = {key: (stored[key].dtype, stored[key].shape) for key in stored.files}
+        assert result == {
             a.name: (a.type, arrays.LIGHT_MEMBERS[a.name][0]) for a in arrays.FILES[name]
         }
     else:

@@ -97,12 +97,12 @@ def test_what_is_missing_or_damaged_is_told_in_one_line_and_no_page_is_left(
     assert run(out, agreement) == 1
     (agreement / "report.json").unlink()
     assert run(out, agreement) == 1
-    told = capsys.readouterr().err.splitlines()
+    report = capsys.readouterr().err.splitlines()
     assert (
-        len(told) == 3
-        and "none.png" in told[0]
-        and "expected JSON" in told[1]
-        and "learn agree" in told[2]
+        len(report) == 3
+        and "none.png" in report[0]
+        and "expected JSON" in report[1]
+        and "learn agree" in report[2]
     )
     assert not out.exists()
 

@@ -98,12 +98,14 @@ def reference(scene, rotation=ROTATION):
         torch.as_tensor(rotation),
     )
     radiance = exact.radiance(batch, 1e-2)
-    found = torch.autograd.grad((radiance * torch.as_tensor(scene.g)).sum(), list(tensors.values()))
-    found = {name: by.numpy() for name, by in zip(names, found, strict=True)}
+    result = torch.autograd.grad(
+        (radiance * torch.as_tensor(scene.g)).sum(), list(tensors.values())
+    )
+    result = {name: by.numpy() for name, by in zip(names, result, strict=True)}
     for name in ("n", "view"):
-        if name in found:
-            found[name] = tangential(found[name], leaves[name])
-    return radiance.detach().numpy(), found
+        if name in result:
+            result[name] = tangential(result[name], leaves[name])
+    return radiance.detach().numpy(), result
 
 
 def engine(scene, workers=1, rotation=ROTATION):
@@ -112,14 +114,14 @@ def engine(scene, workers=1, rotation=ROTATION):
 
     arguments = scene.arguments(rotation)
     by_n, by_view, by_m, by_light = cpu.gradients(scene.g, *arguments, workers)
-    found = {
+    result = {
         "n": tangential(by_n.astype(np.float64), unit(scene.n.astype(np.float64))),
         "m": by_m[0],
         "light": by_light[0],
     }
     if by_view is not None:
-        found["view"] = tangential(by_view.astype(np.float64), unit(scene.view.astype(np.float64)))
-    return cpu.radiance(*arguments, workers), found
+        result["view"] = tangential(by_view.astype(np.float64), unit(scene.view.astype(np.float64)))
+    return cpu.radiance(*arguments, workers), result
 
 
 def errors(scene):

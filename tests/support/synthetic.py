@@ -233,15 +233,15 @@ def rename(store, change):
     dataset.json must hold by now what the records name.
     """
     dataset, (path,) = store.dataset(), store.record_files()
-    found = []
+    result = []
     for record in store.records():
         renamed = named(change(record), dataset)
         if renamed.image != record.image:
             (store.folder / renamed.image).parent.mkdir(exist_ok=True)
             (store.folder / record.image).rename(store.folder / renamed.image)
-        found.append(renamed)
-    path.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in found))
-    return found
+        result.append(renamed)
+    path.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in result))
+    return result
 
 
 def exchange(store, material, name=None):
@@ -282,17 +282,17 @@ def add_shape(store, name, side):
     )
     dataset = msgspec.structs.replace(dataset, shapes={**dataset.shapes, name: entry})
     store.write_json("dataset.json", dataset)
-    lines, found = Lines(path), []
+    lines, result = Lines(path), []
     for record in [record for record in store.records() if record.shape == "sphere"]:
         split = split_of(side, [dataset.materials[material].side for material in record.materials])
         words = {"shape": name, "shape_hash": entry.hash, "split": split}
         copy = named(msgspec.structs.replace(record, **words), dataset)
         digest = another_geometry(store, record, copy.geometry, len(dataset.shapes))
         store.place(copy.image, (store.folder / record.image).read_bytes(), "test")
-        found.append(msgspec.structs.replace(copy, geometry_hash=digest))
-        lines.append(found[-1])
+        result.append(msgspec.structs.replace(copy, geometry_hash=digest))
+        lines.append(result[-1])
     lines.close()
-    return found
+    return result
 
 
 def another_geometry(store, record, path, number):

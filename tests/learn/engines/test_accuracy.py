@@ -24,10 +24,10 @@ CAMERAS = pytest.mark.parametrize(
 
 
 def require_accurate(scene, **tolerances):
-    found = errors(scene)
+    result = errors(scene)
     wrong = {
         name: f"{error:.1e}"
-        for name, error in found.items()
+        for name, error in result.items()
         if not error <= tolerances.get(name, TOLERANCE)
     }
     assert not wrong, wrong

@@ -3,6 +3,7 @@ keep things in.
 """
 
 import hashlib
+import shutil
 import subprocess
 import sys
 
@@ -34,9 +35,25 @@ def run(cache, program=RENDER, **environment):
     )
 
 
-def test_first_use_compiles_and_says_so_and_the_second_loads_without_numba(tmp_path):
-    first, second = run(tmp_path), run(tmp_path)
-    assert "compiling the kernel distant.forward" in first.stderr and str(tmp_path) in first.stderr
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """(folder with the kernel of a first use, the process that compiled it); copy the folder before
+    you change it.
+    """
+    folder = tmp_path_factory.mktemp("compiled")
+    return folder, run(folder)
+
+
+@pytest.fixture
+def kernels(compiled, tmp_path):
+    """A copy of that folder."""
+    return shutil.copytree(compiled[0], tmp_path / "copy")
+
+
+def test_first_use_compiles_and_says_so_and_the_second_loads_without_numba(compiled):
+    folder, first = compiled
+    second = run(folder)
+    assert "compiling the kernel distant.forward" in first.stderr and str(folder) in first.stderr
     assert second.stderr == ""
     assert first.stdout.split() == ["True", second.stdout.split()[1]]
     assert second.stdout.split()[0] == "False"
@@ -52,12 +69,11 @@ def test_methods_are_imported_without_numba():
     assert done.stdout.split() == ["False"]
 
 
-def test_a_damaged_file_is_compiled_again(tmp_path):
-    run(tmp_path)
-    (kept,) = (tmp_path / "kernels").glob("distant.forward-*")
+def test_a_damaged_file_is_compiled_again(kernels):
+    (kept,) = (kernels / "kernels").glob("distant.forward-*")
     content = kept.read_bytes()
     kept.write_bytes(content[:-100])
-    again = run(tmp_path)
+    again = run(kernels)
     assert "compiling" in again.stderr
     assert (
         hashlib.sha256(kept.read_bytes()[machine_code.DIGEST :]).digest()
@@ -87,7 +103,7 @@ def test_a_folder_that_cannot_be_written_costs_time_and_nothing_else(tmp_path):
     assert float(done.stdout.split()[1]) > 0
 
 
-def test_without_numba_and_without_kept_code_the_layer_still_renders(tmp_path):
+def test_without_numba_and_without_kept_code_the_layer_still_renders(tmp_path, compiled):
     hide = "import sys; sys.modules['numba'] = None; sys.modules['llvmlite'] = None\n"
     hide += (
         "import importlib.util as u; find = u.find_spec; u.find_spec = lambda name, *a: None if"
@@ -101,7 +117,7 @@ def test_without_numba_and_without_kept_code_the_layer_still_renders(tmp_path):
         ),
     )
     assert float(done.stdout.split()[1]) == pytest.approx(
-        float(run(tmp_path).stdout.split()[1]), rel=1e-5
+        float(compiled[1].stdout.split()[1]), rel=1e-5
     )
     assert "numba is not installed" in done.stderr
 

@@ -61,8 +61,8 @@ def test_a_map_reproduces_quadratics_of_the_place():
         return torch.stack([1 + p[:, 0], p[:, 0] * p[:, 1], p[:, 1] ** 2], -1)
 
     for dtype, tolerance in ((torch.float64, 1e-12), (torch.float32, 3e-6)):
-        found = reflectance_map.with_nodes(n.to(dtype), 20, function)
-        torch.testing.assert_close(found, function(n).to(dtype), rtol=0, atol=tolerance)
+        result = reflectance_map.with_nodes(n.to(dtype), 20, function)
+        torch.testing.assert_close(result, function(n).to(dtype), rtol=0, atol=tolerance)
 
 
 def scattered(count, size, seed, dtype):
@@ -79,12 +79,12 @@ def scattered(count, size, seed, dtype):
 def test_a_maps_kernel_and_torch_agree_in_nodes_values_and_derivatives():
     n, values, nodes = scattered(200, 20, 6, torch.float32)
     assert torch.equal(nodes, reflectance_map.needed_nodes(n.double(), 20))
-    found = []
+    result = []
     for dtype in (torch.float32, torch.float64):
         leaves = [x.to(dtype).requires_grad_() for x in (n, values)]
         out = reflectance_map.look_up(*leaves, nodes, 20)
-        found.append([out, *torch.autograd.grad((out**2).sum(), leaves)])
-    for single, double in zip(*found, strict=True):
+        result.append([out, *torch.autograd.grad((out**2).sum(), leaves)])
+    for single, double in zip(*result, strict=True):
         # float32 sums of up to some hundred pixels
         torch.testing.assert_close(single.double(), double, rtol=1e-4, atol=1e-5)
 

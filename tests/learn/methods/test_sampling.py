@@ -216,8 +216,8 @@ def test_derivatives_are_those_of_the_integral_on_average(method, m="satin", L="
     picture, given = picture_of(method, m, L, gradients=True)
     weights = torch.tensor([1.0, 0.7, 0.4])
     means = (picture.reshape(parts, -1, 3).mean(1) * weights).sum(1)
-    found = [torch.autograd.grad(mean, tuple(given.values()), retain_graph=True) for mean in means]
-    for key, name, slopes in zip(("n", "m", "L"), given, zip(*found, strict=True), strict=True):
+    result = [torch.autograd.grad(mean, tuple(given.values()), retain_graph=True) for mean in means]
+    for key, name, slopes in zip(("n", "m", "L"), given, zip(*result, strict=True), strict=True):
         value = N if key == "n" else given[name].detach()[0].double().numpy()
         along = torch.as_tensor(direction(key, value))
         slopes = np.array([(slope.double() * along).sum() for slope in slopes])
