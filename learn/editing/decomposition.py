@@ -18,14 +18,14 @@ import torch.nn.functional as F
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn.data import photographs
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.editing import predict
 from learn.editing.photograph import Photograph
 from learn.layer import render
 from learn.layer.display_method import method_for
 from learn.networks.prediction import Prediction
-from learn.refinement import Refined, refine
+from learn.refinement import RefinementResult, refine
 
 # rows of the grid rendered: smaller objects are supersampled; normals have no detail finer than
 # this
@@ -37,15 +37,15 @@ LARGEST_DETAIL = 1.5  # factor
 
 @dataclass(frozen=True)
 class Decomposition:
-    """framed: what the network saw; batch: of one; start: Prediction; refined: Refined, or None
+    """framed: what the network saw; batch: of one; start: Prediction; refined: RefinementResult, or None
     where it was not asked for.
     """
 
     photograph: Photograph
     framed: photographs.Framed
-    batch: Batch
+    batch: ExampleBatch
     start: Prediction
-    refined: Refined | None
+    refined: RefinementResult | None
 
     @property
     def parts(self):

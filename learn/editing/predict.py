@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from learn.data import devices, photographs
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.records import Records
 from learn.figures.montage import rows as captioned
@@ -41,7 +41,7 @@ WRITTEN = (
 
 
 def of(framed, network, regions=None, count=1):
-    """(Batch of one, Prediction) of a learn.data.photographs.Framed, both on the network's device.
+    """(ExampleBatch of one, Prediction) of a learn.data.photographs.Framed, both on the network's device.
 
     regions  (size, size) 1 … S, None for one; count: S, of which a small one may have no pixel left
     at the network's size
@@ -53,7 +53,7 @@ def of(framed, network, regions=None, count=1):
     nothing = torch.zeros(1, 3, 64, 128) + 1
     label = torch.zeros(1, count, 108)
     normals = torch.zeros_like(image)
-    batch = Batch(
+    batch = ExampleBatch(
         image,
         mask[None, None].float(),
         normals,

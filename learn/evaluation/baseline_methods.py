@@ -1,7 +1,7 @@
 """The baselines as rows of a table: name, parts(batch), edit(batch, label), as
 learn.evaluation.methods.Method has them.
 
-batch  learn.data.batch.Batch of one; label (S, 108) natural logarithms
+batch  learn.data.batch.ExampleBatch of one; label (S, 108) natural logarithms
 
 Networks see every picture at the size they were trained on, and what they say by pixel is
 interpolated back.

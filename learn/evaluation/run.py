@@ -25,7 +25,7 @@ from learn.data.records import Records
 from learn.evaluation import report, rows
 from learn.evaluation.bench import Bench
 from learn.evaluation.methods import TOLERANCE
-from learn.refinement import Settings
+from learn.refinement import RefinementSettings
 from manifests import files, lock
 from manifests.errors import InputError
 from manifests.store import Lines, file_hash
@@ -129,7 +129,7 @@ def settings(options):
         "materials": file_hash(Path(options.data) / "materials.json"),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
         "baselines": of_baselines,
-        "refine": asdict(Settings()) if options.refine else False,
+        "refine": asdict(RefinementSettings()) if options.refine else False,
         "tolerance": TOLERANCE,
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),

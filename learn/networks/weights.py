@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import msgspec
 import torch
 
-from learn.data.settings import Part, Size, converted
+from learn.data.settings import converted
 from learn.networks import tensor_file
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL, Ranges
 from learn.networks.compact import Compact
@@ -24,6 +24,7 @@ from learn.networks.prediction import ThreeNetworks
 from learn.networks.separate import Separate
 from manifests.errors import InputError
 from manifests.reading import decode
+from manifests.training_runs import Part, Size
 from shaders.dsbrdf import SHAPE
 
 NETWORKS = {network.name: network for network in (Compact, Paper, Separate, EncoderDecoder)}
