@@ -115,7 +115,7 @@ class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Stage(Struct, frozen=True, forbid_unknown_fields=True):
-    """Training of some parts before the rest of the run, with a learning rate schedule of its own."""
+    """Training of some parts before the rest of the run; its learning rate starts afresh."""
 
     parts: Annotated[tuple[Part, ...], Meta(min_length=1)]
     steps: Count

@@ -72,7 +72,7 @@ def decompose(photograph, network, size, settings=None):
         framed,
         batch,
         start,
-        None if settings is None else refine(batch, start, settings),
+        None if settings is None else refine(batch, start, settings, network.training_labels),
     )
 
 

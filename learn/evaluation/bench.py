@@ -5,6 +5,7 @@ A row of figures is plain JSON: {"methods": {name: {group: {figure: value}}}, â€
 not do is left out of its row.
 """
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,9 @@ class Bench:
             perceptual.of_file(lpips),
         )
         if refine:
-            from learn.refinement import refine as work
+            from learn.refinement import refine as of_any
+
+            work = functools.partial(of_any, labels=net.training_labels)
         labels = methods.training_labels(self.records, materials)
         self.entrants = methods.entrants(
             net, work if refine else None, labels, baselines, self.device

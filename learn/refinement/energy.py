@@ -1,4 +1,4 @@
-"""The energy that refinement lowers (Eq. 6): misfit of the picture, and distance from the prediction.
+"""The energy that refinement lowers (Eq. 6): misfit of the picture and distance moved.
 
     E = image + a · normals + b · light + c · material
 
