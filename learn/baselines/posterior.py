@@ -40,7 +40,7 @@ class Estimate:
 
 
 class Posterior:
-    """The energy of one picture. batch: learn.data.batch.Batch of one, whose n is taken as true."""
+    """The energy of one picture. batch: learn.data.batch.ExampleBatch of one, whose n is taken as true."""
 
     def __init__(self, batch, priors):
         self.batch, self.priors = batch, priors

@@ -8,7 +8,7 @@ from learn.baselines import FILES, priors
 from learn.baselines.material_swap import SwapTraining
 from learn.data import settings, sources
 from learn.networks import tensor_file
-from learn.training import loop
+from learn.training import loop, processes
 from manifests.files import write_bytes
 
 FILE_OF = {
@@ -42,7 +42,7 @@ def make(name, preset, options, device="cpu"):
         return f"{target}: {len(data_split.labels)} materials, {len(data_split.maps)} light maps"
     kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
     folder = options.out / name
-    with loop.only_writer(folder):
+    with processes.only_writer(folder):
         figures = kind(run, data_splits, folder, workers=options.workers, device=device).train()
     write_bytes(target, (folder / "weights.safetensors").read_bytes())
     return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())

@@ -74,14 +74,14 @@ def edit_options(options):
     from learn.data import devices
     from learn.editing.edit import EditOptions
     from learn.editing.predict import WEIGHTS
-    from learn.refinement import Settings
+    from learn.refinement import RefinementSettings
 
     check(
         "--tolerance", 0 < options.tolerance < 1, "a number above 0 and below 1", options.tolerance
     )
     check("--detail", 0 <= options.detail <= 1, "a number from 0 to 1", options.detail)
     check_exposure(options.exposure)
-    settings = Settings() if options.refine else None
+    settings = RefinementSettings() if options.refine else None
     balance = balance_of(options.white_balance)
     device = devices.choose(options.device)
     return EditOptions(

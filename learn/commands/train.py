@@ -112,13 +112,13 @@ def run(options):
 
     from learn.baselines.material_swap import SwapTraining
     from learn.data import devices, settings, sources
-    from learn.training import loop
+    from learn.training import loop, processes
     from manifests.provenance import provenance
 
     device = devices.choose(options.device)
     chosen = settings.read_run(options.settings, options.steps, options.seed, options.materials)
     torch.set_num_threads(options.threads)
-    with loop.only_writer(options.out):
+    with processes.only_writer(options.out):
         data_splits = sources.data_splits(
             chosen.data,
             options.data,
@@ -137,7 +137,7 @@ def run(options):
             chosen, data_splits, options.out, *saving, options.workers, options.tensorboard, device
         )
         figures = training.train()
-        if training.rank == 0:
+        if training.journal:
             training.journal.made(
                 provenance(),
                 {side: data_split.sizes() for side, data_split in data_splits.items()},

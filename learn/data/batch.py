@@ -10,7 +10,7 @@ import torch
 
 
 @dataclass(frozen=True)
-class Batch:
+class ExampleBatch:
     """Truth in learn.data.records's frames and units, channels first.
 
     image         (B, 3, H, W) linear radiance as a network sees it, augmented
@@ -39,11 +39,11 @@ class Batch:
     picture: torch.Tensor | None = None
     target: torch.Tensor | None = None
 
-    def to(self, device: torch.device | str, non_blocking: bool = False) -> "Batch":
+    def to(self, device: torch.device | str, non_blocking: bool = False) -> "ExampleBatch":
         """The batch with its tensors on a device; the batch itself where they are there already."""
         return self._with_tensors(lambda tensor: tensor.to(device, non_blocking=non_blocking))
 
-    def pin_memory(self) -> "Batch":
+    def pin_memory(self) -> "ExampleBatch":
         """The batch in page-locked memory, from which copies to a CUDA device need not be waited
         for; DataLoader calls this.
         """
@@ -55,11 +55,11 @@ class Batch:
         """
         old = [getattr(self, field.name) for field in fields(self)]
         new = [function(value) if isinstance(value, torch.Tensor) else value for value in old]
-        return self if all(a is b for a, b in zip(old, new, strict=True)) else Batch(*new)
+        return self if all(a is b for a, b in zip(old, new, strict=True)) else ExampleBatch(*new)
 
 
 def joined(examples, elevation):
-    """A Batch of examples: tuples (image, mask, n, segments, label, light, target label, name),
+    """A ExampleBatch of examples: tuples (image, mask, n, segments, label, light, target label, name),
     arrays channels last.
 
     An example may end in two more, picture and target, but then all must.
@@ -72,7 +72,7 @@ def joined(examples, elevation):
     def pictures(arrays):
         return plain(arrays).movedim(-1, 1).contiguous()
 
-    return Batch(
+    return ExampleBatch(
         pictures(image),
         plain(mask)[:, None].float(),
         pictures(n),

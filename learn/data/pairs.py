@@ -18,7 +18,7 @@ from manifests.schema import Record
 
 
 @dataclass(frozen=True)
-class Edit:
+class EditPair:
     """source, truth: Records of one scene. several: whether the scene's pictures have a material
     for each segment.
     """
@@ -62,7 +62,7 @@ def edits_between(records):
         several = any(len(set(materials)) > 1 for materials in group)
         for source in group.values():
             edits[source.id] = [
-                Edit(source, truth, several) for truth in group.values() if truth is not source
+                EditPair(source, truth, several) for truth in group.values() if truth is not source
             ]
     return {id_: pairs for id_, pairs in edits.items() if pairs}
 

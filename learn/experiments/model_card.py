@@ -162,7 +162,7 @@ def measured(network, run, batches, constant_albedo, sheet_path=None):
         if sum(len(each.names) for each, _ in shown) < training_sheet.ROWS:
             shown.append((batch, prediction))
     if sheet_path:
-        cells = np.concatenate([training_sheet.cells(*each) for each in shown])[
+        cells = np.concatenate([training_sheet.contact_sheet(*each) for each in shown])[
             : training_sheet.ROWS * run.size
         ]
         files.write_image(sheet_path, cells, "JPEG", quality=90)

@@ -2,7 +2,7 @@
 
 rows.jsonl  a line for each picture and setting: a study is continued by what it holds
 settings.json  what those lines depend on: a folder made with others is not gone on with
-study.json  medians and means over pictures against a, b, c, how many passes and how many pixels (0:
+study.json  medians and means over pictures against a, b, c, outer iterations and how many pixels (0:
 all), one at a time about the defaults
 
 Display L2 over the mask, exposure from the truth; edit: the mean over the other materials that the
@@ -20,13 +20,14 @@ import torch
 from tqdm import tqdm
 
 from learn.data import pairs
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.layer import render
 from learn.metrics.radiometry import irradiance
-from learn.refinement import NAMED, Settings, refine
+from learn.refinement import NAMED, RefinementSettings, refine
 from manifests import files
 from manifests.errors import InputError
 from manifests.provenance import provenance
+from manifests.renamed_keys import current_name
 from manifests.store import Lines
 from shaders import tone
 
@@ -34,7 +35,7 @@ SWEEPS = {
     "a": (0.01, 0.05, 0.1, 1.0),
     "b": (0.002, 0.02, 0.2, 10.0),
     "c": (0.0, 0.05, 0.1, 1.0),
-    "passes": (1, 2, 3),
+    "outer_iterations": (1, 2, 3),
     "pixels": (0, 600),
 }
 FIGURES = ("image", "edit", "angle_deg", "light")
@@ -45,23 +46,34 @@ def settings_of(name):
     """Settings of a name such as "a=0.1", or of NAMED. Raises InputError."""
     if name in NAMED:
         return NAMED[name]
-    moved, _, value = name.partition("=")
+    moved, _, value = _current(name).partition("=")
     try:
         if moved == "pixels":
             return replace(
-                Settings(),
-                levels=tuple(replace(level, pixels=int(value)) for level in Settings().levels),
+                RefinementSettings(),
+                levels=tuple(
+                    replace(level, pixels=int(value)) for level in RefinementSettings().levels
+                ),
             )
         if moved not in SWEEPS:
             raise ValueError(moved)
-        return replace(Settings(), **{moved: int(value) if moved == "passes" else float(value)})
+        return replace(
+            RefinementSettings(),
+            **{moved: int(value) if moved == "outer_iterations" else float(value)},
+        )
     except ValueError:
         raise InputError(
             f"--only {name}", "a setting", "none of that name", f"one of {', '.join(names())}"
         ) from None
 
 
-def value_of(moved, settings=Settings()):  # noqa: B008 -- frozen
+def _current(name):
+    """A setting's name with its key of today: rows and commands may say "passes=3"."""
+    moved, sign, value = name.partition("=")
+    return f"{current_name(moved)}{sign}{value}"
+
+
+def value_of(moved, settings=RefinementSettings()):  # noqa: B008 -- frozen
     """What the settings have for a name of SWEEPS."""
     return settings.levels[0].pixels if moved == "pixels" else getattr(settings, moved)
 
@@ -81,7 +93,7 @@ class Case:
     """
 
     id: str
-    batch: Batch
+    batch: ExampleBatch
     truths: list
 
 
@@ -137,12 +149,14 @@ def figures(parts, batch, truths):
 def weights(predict, known, out, requested=None):
     """study.json in `out`, a row for each setting over Cases; returns its settings' figures.
 
-    predict  Batch → Prediction
+    predict  ExampleBatch → Prediction
     wanted   names of settings, None for all
     """
-    out, requested = Path(out), list(dict.fromkeys(requested or names()))
+    out, requested = Path(out), list(dict.fromkeys(map(_current, requested or names())))
     meant = {name: settings_of(name) for name in requested}
-    done = {(row["setting"], row["picture"]): row for row in files.read_lines(out / "rows.jsonl")}
+    rows = files.read_lines(out / "rows.jsonl")
+    rows = [row | {"setting": _current(row["setting"])} for row in rows]
+    done = {(row["setting"], row["picture"]): row for row in rows}
     todo = [(name, case) for name in requested for case in known if (name, case.id) not in done]
     with contextlib.closing(Lines(out / "rows.jsonl")) as lines:
         for name, case in tqdm(todo, unit="refinement"):
@@ -170,7 +184,9 @@ def pin_settings(out, about):
 
     about  {name: value} of data and weights
     """
-    files.pin_settings(Path(out) / "settings.json", about | {"defaults": asdict(Settings())})
+    files.pin_settings(
+        Path(out) / "settings.json", about | {"defaults": asdict(RefinementSettings())}
+    )
 
 
 def summary(rows):
@@ -197,7 +213,7 @@ def summary(rows):
     return result
 
 
-def timed(predict, batch, settings=Settings()):  # noqa: B008 -- frozen
+def timed(predict, batch, settings=RefinementSettings()):  # noqa: B008 -- frozen
     """Seconds of a prediction and of its refinement, the best of two: the first may compile."""
     results = []
     for _ in range(2):

@@ -17,7 +17,7 @@ from learn.data.records import Records
 from learn.experiments.refinement_ablation import picture, write
 from learn.metrics.pictures import display_l2
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, refine
+from learn.refinement import RefinementSettings, refine
 from manifests import files
 from manifests.materials import load_catalogue
 from manifests.store import Lines
@@ -35,7 +35,7 @@ def labels_of(records: Records, materials: str) -> list[np.ndarray]:
     return [records.label(name) for name in sorted(records.materials)]
 
 
-def measured(predict, known, count, out, labels, settings=Settings()):  # noqa: B008 -- frozen
+def measured(predict, known, count, out, labels, settings=RefinementSettings()):  # noqa: B008 -- frozen
     """starts.json: `count` refinements from starts of every kind in turn.
 
     known   Cases of learn.experiments.refinement_ablation, taken in turn

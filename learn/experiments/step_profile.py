@@ -104,7 +104,7 @@ def _one_step(training, batch, run, clock, k):
     clock.note("network")
     torch.nn.utils.clip_grad_norm_(training.network.parameters(), run.schedule.clip)
     training.optimiser.step()
-    schedule.follow(training.average, training.network, k, run.schedule.ema_decay)
+    schedule.update_average(training.average, training.network, k, run.schedule.ema_decay)
     clock.note("optimiser")
 
 

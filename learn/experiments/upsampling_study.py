@@ -21,7 +21,7 @@ from learn.metrics import bootstrap
 from learn.metrics.pictures import l2_and_ssim
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings
+from learn.refinement import RefinementSettings
 from manifests import files, lock
 from manifests.errors import InputError
 from manifests.provenance import provenance
@@ -55,8 +55,8 @@ def measure_upsampling(records, weights, out, count, seed=0):
 
 
 def _measured(records, weights, network, size, edits, out):
-    """enlarging.json of learn.data.pairs.Edits, as far as they are not there."""
-    settings, known = Settings(), {}
+    """enlarging.json of learn.data.pairs.EditPairs, as far as they are not there."""
+    settings, known = RefinementSettings(), {}
     files.pin_settings(
         out / "settings.json", {"weights": file_hash(weights), "refinement": asdict(settings)}
     )

@@ -17,7 +17,7 @@ from learn.data.relit import RelitDataset
 from learn.metrics import bootstrap
 from learn.metrics.pictures import l2_and_ssim
 from learn.networks import weights
-from learn.training import loop, validation
+from learn.training import loop, processes, validation
 from manifests.files import write_text
 from manifests.reading import read
 
@@ -41,7 +41,7 @@ def trained(run, data_splits, tests, folder, workers=1):
     folder = Path(folder)
     if (folder / "result.json").exists():
         return read(folder / "result.json", dict)
-    with loop.only_writer(folder):
+    with processes.only_writer(folder):
         training = loop.Training(run, data_splits, folder, sheet_every=0, workers=workers)
         training.train()
     weights.save_weights(

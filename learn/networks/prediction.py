@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch.nn import functional as F
 
@@ -40,9 +41,18 @@ def region_masks(mask, segments=None, regions=None):
 
 
 class Coded(torch.nn.Module):
-    """A network that knows the ranges of its material codes (learn.networks.coding.Ranges), which
-    are kept with its weights.
+    """A network with the ranges of its material codes, which are stored with its weights.
+
+    name             under which learn.networks.weights.NETWORKS lists it
+    training_labels  (M, 108) of the data set's materials that it was trained on, if its weights
+                     hold them; None: the built-in materials
     """
+
+    name: str
+    label_centre: torch.Tensor
+    label_half: torch.Tensor
+    row_solid_angle: torch.Tensor
+    training_labels: np.ndarray | None = None
 
     def __init__(self, ranges: Ranges):
         super().__init__()

@@ -32,7 +32,7 @@ def quick(monkeypatch):
         decomposition,
         "refine",
         lambda batch, start, settings: refine(
-            batch, start, replace(settings, passes=1, levels=settings.levels[:1])
+            batch, start, replace(settings, outer_iterations=1, levels=settings.levels[:1])
         ),
     )
 

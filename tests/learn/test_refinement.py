@@ -13,17 +13,17 @@ import torch.nn.functional as F
 from scipy.optimize import OptimizeResult, minimize
 from synthetic import entry, write_dataset
 
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.experiments import refinement_ablation, refinement_chart, refinement_initialisations
 from learn.experiments.__main__ import COMMANDS
 from learn.layer import render
 from learn.metrics.radiometry import log_albedo
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, descent, refine
+from learn.refinement import RefinementSettings, descent, refine
 from learn.refinement.coordinates import (
-    Light,
-    Material,
-    Normals,
+    LightCoordinates,
+    MaterialCoordinates,
+    NormalCoordinates,
     principal_directions,
     spherical_harmonics,
 )
@@ -36,7 +36,7 @@ from shaders import envmap, tone
 
 SIZE, ELEVATION = 24, 0.349
 LEVELS = (Level(pixels=120, light=(16, 32), method="exact", rounds=1, iterations=4),)
-QUICK = replace(Settings(), levels=LEVELS)
+QUICK = replace(RefinementSettings(), levels=LEVELS)
 
 
 def sky(seed=0):
@@ -73,7 +73,9 @@ def scene():
         method="exact",
     )
     image, mask = picture.movedim(-1, 1).contiguous(), inside[None, None].float()
-    batch = Batch(image, mask, n, inside[None].long(), label, light, label, ("ball",), ELEVATION)
+    batch = ExampleBatch(
+        image, mask, n, inside[None].long(), label, light, label, ("ball",), ELEVATION
+    )
     return batch, Prediction(n, None, label, None, light)
 
 
@@ -122,7 +124,9 @@ def test_a_stride_to_where_the_layer_cannot_follow_is_turned_back(scene, monkeyp
         return minimize(value_and_slope, x, **options)
 
     monkeypatch.setattr(descent, "minimize", far_first)
-    found = refine(batch, perturbed(truth, 1), replace(QUICK, order=("material",), passes=1))
+    found = refine(
+        batch, perturbed(truth, 1), replace(QUICK, order=("material",), outer_iterations=1)
+    )
     assert strides and found.after["total"] < found.before["total"]
 
 
@@ -131,7 +135,7 @@ def test_a_step_that_ends_there_is_taken_back(scene, monkeypatch):
     monkeypatch.setattr(
         descent, "minimize", lambda value_and_slope, x, **options: OptimizeResult(x=x + 1e4)
     )
-    found = refine(batch, truth, replace(QUICK, order=("material",), passes=1))
+    found = refine(batch, truth, replace(QUICK, order=("material",), outer_iterations=1))
     assert not found.history and found.after == found.before
 
 
@@ -144,7 +148,7 @@ def test_a_prediction_that_is_not_finite_is_refused(scene):
 
 def test_what_is_accepted_lowers_the_energy_each_time(scene):
     batch, truth = scene
-    found = refine(batch, perturbed(truth, 1), replace(QUICK, a=0.05, b=0.05, passes=1))
+    found = refine(batch, perturbed(truth, 1), replace(QUICK, a=0.05, b=0.05, outer_iterations=1))
     totals = [found.before["total"]] + [step["total"] for step in found.history if step["accepted"]]
     assert len(totals) > 2
     assert all(b < a for a, b in pairwise(totals))
@@ -154,7 +158,7 @@ def test_what_is_accepted_lowers_the_energy_each_time(scene):
 def test_a_second_pass_comes_nearer_to_the_picture_and_stays_below_the_start(scene):
     batch, truth = scene
     start = perturbed(truth, 1)
-    once, twice = (refine(batch, start, replace(QUICK, passes=passes)) for passes in (1, 2))
+    once, twice = (refine(batch, start, replace(QUICK, outer_iterations=count)) for count in (1, 2))
     assert {line["pass"] for line in twice.history} == {0, 1}
     assert twice.after["image"] < 0.9 * once.after["image"]
     assert twice.after["total"] < twice.before["total"] == once.before["total"]
@@ -163,8 +167,8 @@ def test_a_second_pass_comes_nearer_to_the_picture_and_stays_below_the_start(sce
 def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monkeypatch):
     batch, truth = scene
     start = perturbed(truth, 1)
-    once = refine(batch, start, replace(QUICK, passes=1))
-    plain, calls = descent.passed, []
+    once = refine(batch, start, replace(QUICK, outer_iterations=1))
+    plain, calls = descent.outer_iteration, []
 
     def lost(batch, state, *rest):
         calls.append(state)
@@ -175,8 +179,8 @@ def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monke
             else (found, told)
         )
 
-    monkeypatch.setattr(descent, "passed", lost)
-    found = refine(batch, start, replace(QUICK, passes=2))
+    monkeypatch.setattr(descent, "outer_iteration", lost)
+    found = refine(batch, start, replace(QUICK, outer_iterations=2))
     assert len(calls) == 2
     assert torch.equal(found.prediction.light, once.prediction.light) and found.after == once.after
 
@@ -193,7 +197,7 @@ def test_all_pixels_are_rendered_as_a_frame_and_some_as_a_list_to_the_same_pictu
         (batch, replace(two, label=two.label[:, :1])),
         (replace(batch, segments=half), two),
     ):
-        energy = Energy(scene_of, state, Settings())
+        energy = Energy(scene_of, state, RefinementSettings())
         frame = energy.image(state, energy.inside, (64, 128), "exact", 1e-3)
         parts = [
             energy.image(state, where, (64, 128), "exact", 1e-3) * len(where)
@@ -216,12 +220,18 @@ def test_a_wrong_albedo_is_found_again_when_only_the_material_may_move(scene):
     )
     level = Level(pixels=0, light=(64, 128), method="exact", rounds=1, iterations=15)
     found = refine(
-        batch, dark, replace(Settings(), order=("material",), c=0.0, passes=1, levels=(level,))
+        batch,
+        dark,
+        replace(
+            RefinementSettings(), order=("material",), c=0.0, outer_iterations=1, levels=(level,)
+        ),
     )
     assert found.after["image"] < 0.02 * found.before["image"]
     assert torch.equal(
         found.prediction.light,
-        refine(batch, dark, replace(Settings(), order=(), passes=1)).prediction.light,
+        refine(
+            batch, dark, replace(RefinementSettings(), order=(), outer_iterations=1)
+        ).prediction.light,
     )
 
 
@@ -230,7 +240,7 @@ def test_the_energy_does_not_grow_with_the_picture_or_the_map(scene):
     start = State(truth.label.double(), truth.light, truth.n, {"material": torch.zeros(1, 3)})
     n = F.normalize(truth.n + 0.1, dim=1)
     moved = State(truth.label.double() + 0.3, truth.light * 1.5, n, {"material": torch.ones(1, 3)})
-    energy = Energy(batch, start, Settings())
+    energy = Energy(batch, start, RefinementSettings())
     whole, part = (
         energy.terms(moved, energy.inside),
         energy.terms(moved, energy.pixels(100), (32, 64), "exact"),
@@ -273,11 +283,11 @@ def test_coordinates_at_zero_are_the_prediction(scene):
     inside = batch.segments > 0
     zero = [
         torch.zeros(part.shape, dtype=torch.float64)
-        for part in (Material(truth.label), Light(truth.light, 3))
+        for part in (MaterialCoordinates(truth.label), LightCoordinates(truth.light, 3))
     ]
-    assert torch.equal(Material(truth.label)(zero[0]).float(), truth.label)
-    np.testing.assert_allclose(Light(truth.light, 3)(zero[1]), truth.light, rtol=1e-4)
-    normals = Normals(truth.n, inside, 0.3)
+    assert torch.equal(MaterialCoordinates(truth.label)(zero[0]).float(), truth.label)
+    np.testing.assert_allclose(LightCoordinates(truth.light, 3)(zero[1]), truth.light, rtol=1e-4)
+    normals = NormalCoordinates(truth.n, inside, 0.3)
     again = normals(torch.zeros(normals.shape, dtype=torch.float64))
     seen = inside & (truth.n[:, 2] > 0.2)  # nearer the rim they are drawn in
     np.testing.assert_allclose(again.movedim(1, -1)[seen], truth.n.movedim(1, -1)[seen], atol=1e-6)
@@ -298,8 +308,8 @@ def test_more_than_one_picture_is_refused(scene):
 
 
 def test_a_studys_settings_are_read_from_their_names():
-    assert refinement_ablation.settings_of("default") == Settings()
-    assert refinement_ablation.settings_of("passes=1").passes == 1
+    assert refinement_ablation.settings_of("default") == RefinementSettings()
+    assert refinement_ablation.settings_of("passes=1").outer_iterations == 1
     assert {level.pixels for level in refinement_ablation.settings_of("pixels=600").levels} == {600}
     assert refinement_ablation.settings_of("c=0.1").c == 0.1
     for moved, values in refinement_ablation.SWEEPS.items():
@@ -401,7 +411,7 @@ def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, m
 
     def refined(batch, start, settings):
         prediction, after = next(ends)
-        return descent.Refined(prediction, {"total": 1.0}, {"total": after}, [], 0.0)
+        return descent.RefinementResult(prediction, {"total": 1.0}, {"total": after}, [], 0.0)
 
     monkeypatch.setattr(refinement_initialisations, "refine", refined)
     monkeypatch.setattr(
@@ -422,7 +432,7 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
             module,
             "refine",
             lambda batch, start, settings: refine(
-                batch, start, replace(settings, levels=LEVELS, passes=1)
+                batch, start, replace(settings, levels=LEVELS, outer_iterations=1)
             ),
         )
     catalogue = load_catalogue()

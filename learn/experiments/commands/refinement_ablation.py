@@ -14,7 +14,7 @@ def register(subparsers):
         description=(
             "Refines pictures of a dataset in which scenes were rendered in several materials, so"
             " that the truth of an edit is known. Writes study.json and study.png (re-rendering,"
-            " edit, normals and light against each weight, passes and pixels), starts.json (bad"
+            " edit, normals and light against each weight, outer iterations and pixels), starts.json (bad"
             " starts) and times.json. The same command again continues the study."
         ),
     )
@@ -48,7 +48,7 @@ def register(subparsers):
         nargs="*",
         metavar="SETTING",
         help=(
-            "default, paper, a=0.1, passes=3, pixels=600 …: these alone (default: all; none: no"
+            "default, paper, a=0.1, outer_iterations=3, pixels=600 …: these alone (default: all; none: no"
             " study)"
         ),
     )
