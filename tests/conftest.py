@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skips import unexpected
+
+from tests.skips import unexpected
 
 ROOT = Path(__file__).resolve().parent.parent
 SKIPPED = []  # (test or module, reason) of this run, in the process that reports

@@ -36,7 +36,7 @@ for module in pkgutil.walk_packages(root.__path__, package + "."):
         try:
             importlib.import_module(module.name)
         except ModuleNotFoundError as error:
-            if error.name not in {"triton"}:  # of the extra `cuda`: its kernels are imported only where it is
+            if error.name not in {"triton"}:  # of the extra `cuda`
                 raise
 """
 

@@ -256,7 +256,7 @@ def measure(
 
 def net_of_noise(
     D_C: np.ndarray, D_I: np.ndarray, D_S: np.ndarray, D_F: np.ndarray, layer: Layer
-) -> dict[str, float | None]:
+) -> dict:
     """Return a Row's figures that need two seeds; None each where there is one.
 
     D_C  (seeds, H, W, 3) of Cycles; D_I, D_S, D_F (H, W, 3) of the layer's integral, sum and

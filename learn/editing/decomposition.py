@@ -4,6 +4,7 @@ The network sees a square about the object, at its own size (128² as a rule).
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,6 +17,22 @@ from learn.networks.prediction import Prediction
 from learn.refinement import RefinementResult, RefinementSettings, refine
 from manifests.errors import InputError
 from shaders.frames import ELEVATION
+
+
+class Parts(NamedTuple):
+    """A Prediction with all of its parts: n, label and light, as Prediction has them."""
+
+    n: torch.Tensor
+    label: torch.Tensor
+    light: torch.Tensor
+
+
+def parts_of(prediction: Prediction) -> Parts:
+    """Return the parts of a prediction. Raises ValueError where one is missing."""
+    n, label, light = prediction.n, prediction.label, prediction.light
+    if n is None or label is None or light is None:
+        raise ValueError("prediction: expected normals, material and light, found fewer parts")
+    return Parts(n, label, light)
 
 
 @dataclass(frozen=True)
@@ -35,9 +52,9 @@ class Decomposition:
     refined: RefinementResult | None
 
     @property
-    def parts(self) -> Prediction:
-        """The Prediction to edit with."""
-        return self.start if self.refined is None else self.refined.prediction
+    def parts(self) -> Parts:
+        """The parts to edit with: the refined ones, if there are any."""
+        return parts_of(self.start if self.refined is None else self.refined.prediction)
 
     @property
     def exposure(self) -> np.ndarray:

@@ -7,7 +7,7 @@ import torch
 
 from learn.data.devices import array
 from learn.editing import targets
-from learn.editing.decomposition import Decomposition
+from learn.editing.decomposition import Decomposition, parts_of
 from learn.editing.photograph import Photograph
 from learn.figures import montage, spheres
 from learn.figures.montage import Tile
@@ -68,9 +68,9 @@ def reflectance_maps(found: Decomposition) -> list[Tile]:
     if found.refined:
         stages.append(("refined", found.refined.prediction))
     for name, prediction in stages:
-        light = prediction.light[0].movedim(0, -1)
+        _, label, light = parts_of(prediction)
         picture = spheres.material_sphere(
-            prediction.label[0, 0], light, SPHERE, elevation, exposure
+            label[0, 0], light[0].movedim(0, -1), SPHERE, elevation, exposure
         )
         tiles.append((f"{what}, {name}", picture))
     return tiles

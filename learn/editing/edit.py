@@ -100,7 +100,7 @@ def run(
     Raises     InputError
     """
     out = Path(out)
-    inputs = [path, *masks, *([regions] if regions else []), *materials]
+    inputs: list[str | Path] = [path, *masks, *([regions] if regions else []), *materials]
     names = edit_files.reserve(path, materials, inputs, out, overwrite)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
     opened = photograph.opened(
@@ -206,8 +206,8 @@ def truth_of(opened: Photograph, text: str) -> np.ndarray | None:
 
     It is the picture of a record of the same scene in the materials that the text requests.
     """
-    record = opened.record
-    if record is None:
+    record, records = opened.record, opened.records
+    if record is None or records is None:
         return None
     names = targets.parts_of(text)
     names = names * len(record.materials) if len(names) == 1 else names
@@ -218,8 +218,8 @@ def truth_of(opened: Photograph, text: str) -> np.ndarray | None:
     )
     same = (
         other
-        for other in opened.records.records
+        for other in records.records
         if pairs.scene(other) == pairs.scene(record)
         and other.materials[: len(requested)] == requested
     )
-    return next((opened.records.image(other) for other in same), None)
+    return next((records.image(other) for other in same), None)

@@ -15,7 +15,7 @@ from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.records import Records
 from learn.editing import material_file
-from learn.editing.decomposition import predict_framed
+from learn.editing.decomposition import Parts, parts_of, predict_framed
 from learn.editing.edit_files import save
 from learn.figures import montage
 from learn.layer import predictions
@@ -46,13 +46,15 @@ WRITTEN = (
 class PredictedPicture:
     """What `learn predict` computes: a framed picture as a batch of one, and what was read from it.
 
-    rendering  (H, W, 3) radiance of the predicted parts
+    parts      of the prediction
+    rendering  (H, W, 3) radiance of these parts
     metadata   of the network's weights
     """
 
     framed: photographs.Framed
     batch: ExampleBatch
     prediction: Prediction
+    parts: Parts
     rendering: np.ndarray
     metadata: dict
 
@@ -98,35 +100,29 @@ def compute(
     )
     framed = photographs.framed(radiance, covered, metadata["size"], exposure, image)
     batch, predicted = predict_framed(framed, network)
-    rendering = predictions.picture(
-        predicted.n,
-        predicted.label,
-        predicted.light,
-        batch.segments,
-        batch.elevation,
-        predictions.SHOWN,
-    )
-    return PredictedPicture(framed, batch, predicted, array(rendering[0]), metadata)
+    parts = parts_of(predicted)
+    rendering = predictions.picture(*parts, batch.segments, batch.elevation, predictions.SHOWN)
+    return PredictedPicture(framed, batch, predicted, parts, array(rendering[0]), metadata)
 
 
 def write(out: Path, result: PredictedPicture, weights: Path) -> None:
     """Write every file into the folder `out`, all or none."""
-    framed, predicted = result.framed, result.prediction
-    n = array((predicted.n[0] * result.batch.mask[0]).movedim(0, -1))
+    framed, parts = result.framed, result.parts
+    n = array((parts.n[0] * result.batch.mask[0]).movedim(0, -1))
     exposure = tone.auto_exposure(framed.radiance, framed.mask)
-    cells = training_montage.parts(result.batch, predicted, result.rendering, exposure)
+    cells = training_montage.parts(result.batch, result.prediction, result.rendering, exposure)
     row = [(CAPTIONS.get(name, name), cell) for name, cell in cells.items()]
     out.mkdir(parents=True, exist_ok=True)
     with files.transaction():
         photographs.write_exr(out / "normals.exr", n, "XYZ")
-        photographs.write_exr(out / "light.exr", array(predicted.light[0].movedim(0, -1)))
+        photographs.write_exr(out / "light.exr", array(parts.light[0].movedim(0, -1)))
         photographs.write_exr(out / "rendering.exr", result.rendering)
         for name, cell in cells.items():
             save(out / f"{name}.png", cell)
         save(out / "mask.png", 255.0 * framed.mask)
         save(out / "sheet.png", montage.contact_sheet([row], TILE))
         material_file.write(
-            out / "material.json", array(predicted.label[0]), framed, result.metadata, weights
+            out / "material.json", array(parts.label[0]), framed, result.metadata, weights
         )
 
 

@@ -31,17 +31,16 @@ def load(name: str, path: Path, device: str | torch.device = "cpu") -> Method:
         known = priors.load(path).to(device)
         return Layered(name, lambda batch: posterior.prediction(batch, known))
     net, metadata = weights.load_network(path, device)
+    if name == "Baseline 2" and isinstance(net, Separate):
+        return Layered(name, predicting(net, metadata["size"]))
+    if name == "Baseline 1" and isinstance(net, EncoderDecoder):
+        return Swapped(name, net, metadata["size"])
     expected = Separate if name == "Baseline 2" else EncoderDecoder
-    if not isinstance(net, expected):
-        raise InputError(
-            path,
-            f"weights of {name}: network '{expected.name}'",
-            f"'{net.name}'",
-            "train it: python -m learn train-baselines",
-        )
-    size = metadata["size"]
-    return (
-        Layered(name, predicting(net, size)) if name == "Baseline 2" else Swapped(name, net, size)
+    raise InputError(
+        path,
+        f"weights of {name}: network '{expected.name}'",
+        f"'{net.name}'",
+        "train it: python -m learn train-baselines",
     )
 
 
@@ -51,6 +50,8 @@ def predicting(net: Separate, size: int) -> Callable[[ExampleBatch], Prediction]
 
     def at_size(batch: ExampleBatch) -> Prediction:
         result = predict(resized(batch, size))
+        if result.n is None:
+            raise ValueError("Baseline 2: expected predicted normals, found none")
         return result._replace(n=F.normalize(interpolated(result.n, batch.image.shape[-2:]), dim=1))
 
     return at_size

@@ -123,7 +123,7 @@ class Bench:
         """
         inside = batch.segments[0] > 0
         result: dict[str, dict] = {}
-        predicted: dict[str, tuple] = {}
+        predicted: dict[str, tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
         if parts.n is not None and parts.n is not batch.n:
             result["normals"] = intrinsics.normals(parts.n[0].float(), batch.n[0], inside)
             predicted["normals"] = (parts.n, batch.label, batch.light)
@@ -144,12 +144,15 @@ class Bench:
             predicted["all"] = (parts.n, parts.label, parts.light)
             predicted["all_true_light"] = (parts.n, parts.label, batch.light)
         for name, three in predicted.items():
-            key = ("rendered", *map(id, three))
-            if key not in done:
-                done[key] = metrics.compare(
-                    methods.rendered(*three, batch), truth, array(inside), self.perceptual
+            tensors = ("rendered", *map(id, three))
+            if tensors not in done:
+                done[tensors] = metrics.compare(
+                    methods.rendered(three[0], three[1], three[2], batch),
+                    truth,
+                    array(inside),
+                    self.perceptual,
                 )
-            result[f"rendered_{name}"] = done[key]
+            result[f"rendered_{name}"] = done[tensors]
         return result
 
     def _edit_row(self, edit: EditPair, batch: ExampleBatch, folder: str | None) -> dict:
@@ -293,7 +296,8 @@ def with_truth(
 def refinement(refined: RefinementResult) -> dict[str, float | bool]:
     """Return a refinement's energies and time, and whether all of its parts are finite."""
     p = refined.prediction
-    finite = all(bool(torch.isfinite(x).all()) for x in (p.n, p.label, p.light))
+    parts = (part for part in (p.n, p.label, p.light) if part is not None)
+    finite = all(bool(torch.isfinite(part).all()) for part in parts)
     return {
         "before": refined.before["total"],
         "after": refined.after["total"],

@@ -79,8 +79,10 @@ class Layered:
 
     def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return the layer's radiance (H, W, 3) of the predicted parts in materials (S, 108)."""
-        result = self.parts(batch)
-        return rendered(result.n, label, result.light, batch)
+        n, light = self.parts(batch).n, self.parts(batch).light
+        if n is None or light is None:
+            raise ValueError(f"{self.name}: expected predicted normals and light, found fewer")
+        return rendered(n, label, light, batch)
 
 
 class Refined(Layered):
@@ -116,7 +118,7 @@ class MeanMaterial(Layered):
     method  whose normals and light are used; None: the true ones
     """
 
-    def __init__(self, labels: Sequence[np.ndarray], method: Method | None = None):
+    def __init__(self, labels: Sequence[np.ndarray], method: Layered | None = None):
         super().__init__(
             "mean material,"
             f" {'true normals and light' if method is None else 'the rest of ' + method.name}",
@@ -130,13 +132,14 @@ class MeanMaterial(Layered):
             if self.method is None
             else self.method.parts(batch)
         )
-        return result._replace(
-            code=None, label=self.label.to(batch.label.device).expand_as(batch.label)
-        )
+        return result._replace(code=None, label=self._label(batch))
+
+    def _label(self, batch: ExampleBatch) -> torch.Tensor:
+        return self.label.to(batch.label.device).expand_as(batch.label)
 
     def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return radiance (H, W, 3) of the object in the mean material."""
-        return super().edit(batch, self.parts(batch).label)
+        return super().edit(batch, self._label(batch))
 
 
 def training_labels(records: Records | None, materials: str) -> list[np.ndarray]:
@@ -148,6 +151,8 @@ def training_labels(records: Records | None, materials: str) -> list[np.ndarray]
     """
     if materials == "built-in":
         return [m.label.reshape(-1) for m in load_catalogue().values() if m.split == "train"]
+    if records is None:
+        raise ValueError("records: expected those of a dataset, found None")
     return [
         records.material(name).label.reshape(-1)
         for name in records.materials
@@ -168,7 +173,7 @@ def network(net: torch.nn.Module) -> Callable[[ExampleBatch], Prediction]:
     return predict
 
 
-def constant_light(method: Method | None = None) -> Layered:
+def constant_light(method: Layered | None = None) -> Layered:
     """Return a method with the same light from everywhere: the control for predicted light.
 
     Its normals are the true ones, or those of another method.
@@ -246,5 +251,5 @@ def entrants(
             "the data set has no material for training; --materials built-in takes the built-in"
             " ones"
         )
-    trivial = [Unchanged(), *mean[:1], constant_light(), constant_light(ours)]
+    trivial: list[Method] = [Unchanged(), *mean[:1], constant_light(), constant_light(ours)]
     return Entrants((*trivial, *rows, layer_alone()), tuple(mean[1:]), left_out)

@@ -11,7 +11,7 @@ import msgspec
 from learn.data.records import Records
 from learn.evaluation import page, tables
 from learn.evaluation.methods import OURS, OURS_REFINED, Entrants
-from learn.evaluation.table import Table
+from learn.evaluation.table import Cell, Table
 from learn.metrics.pictures import Perceptual
 from manifests import files
 from manifests.provenance import provenance
@@ -71,7 +71,7 @@ def about(
         ),
         "jobs": msgspec.to_builtins([order.job for order in records.dataset.orders]),
         "weights": file_hash(options.weights)[:12],
-        "lpips": None if perceptual is None else file_hash(options.lpips)[:12],
+        "lpips": None if options.lpips is None else file_hash(options.lpips)[:12],
         "tone curve": CURVE,
         "missing": missing,
     }
@@ -121,30 +121,33 @@ def headline(results: Mapping[str, Table]) -> list[str]:
     rows = {row["name"]: row["cells"] for row in edits}
     report: list[str] = []
     if OURS in rows:
-        mine = rows[OURS]["l2"]
-        report.append(
-            f"An edit differs from its truth by a display L2 of {mine[0]:.0f} [{mine[1]:.0f},"
-            f" {mine[2]:.0f}] over the mask"
+        mean, low, high = _interval(rows[OURS]["l2"])
+        sentence = (
+            f"An edit differs from its truth by a display L2 of {mean:.0f} [{low:.0f}, {high:.0f}]"
+            " over the mask"
         )
         if OURS_REFINED in rows:
-            refined = rows[OURS_REFINED]["l2"]
-            more = 100 * (refined[0] / mine[0] - 1)
-            report[-1] += (
-                f"; after refinement by {refined[0]:.0f} [{refined[1]:.0f}, {refined[2]:.0f}]:"
-                f" {more:+.0f} %"
+            after, low, high = _interval(rows[OURS_REFINED]["l2"])
+            change = 100 * (after / mean - 1)
+            sentence += (
+                f"; after refinement by {after:.0f} [{low:.0f}, {high:.0f}]: {change:+.0f} %"
             )
-        report[-1] += "."
-        given = [(key, rows[OURS].get(f"l2_true_{key}")) for key in ("light", "normals")]
+        report.append(f"{sentence}.")
         report += [
-            f"With true {key} instead of predicted it would be {cell[0]:.0f}."
-            for key, cell in given
-            if cell
+            f"With true {key} instead of predicted it would be {_interval(cell)[0]:.0f}."
+            for key in ("light", "normals")
+            if (cell := rows[OURS].get(f"l2_true_{key}"))
         ]
-    return (
-        [*report, _judged(results, OURS_REFINED if OURS_REFINED in rows else OURS)]
-        if "differences" in results
-        else report
-    )
+    if "differences" not in results:
+        return report
+    return [*report, _judged(results, OURS_REFINED if OURS_REFINED in rows else OURS)]
+
+
+def _interval(cell: Cell) -> list[float]:
+    """The [mean, low, high] that a cell of a display L2 is."""
+    if not isinstance(cell, list):
+        raise ValueError(f"cell: expected [mean, low, high], found {cell!r}")
+    return cell
 
 
 def _judged(results: Mapping[str, Table], mine: str) -> str:
@@ -153,7 +156,8 @@ def _judged(results: Mapping[str, Table], mine: str) -> str:
     for row in results["differences"]["rows"]:
         name, other = row["name"].split(" − ")
         if name == mine and other != "the layer alone":
-            said.setdefault(row["cells"]["verdict"].split(":")[0], []).append(f"“{other}”")
+            verdict = str(row["cells"]["verdict"]).split(":")[0]
+            said.setdefault(verdict, []).append(f"“{other}”")
     words = {"better": "better than", "worse": "worse than", "undecided": "not separable from"}
     judged = "; ".join(f"{words[verdict]} {', '.join(others)}" for verdict, others in said.items())
     return f"By 95 % intervals of the difference on the same edits, “{mine}” is {judged}."

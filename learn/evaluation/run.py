@@ -89,15 +89,16 @@ def make(options: Options) -> dict:
         bench = Bench(**arguments(options))
         files.pin_settings(out / "settings.json", settings(options))
         work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
-        lines = [
+        pictures, edits = (
             [row for id_, row in rows_of(out / name).items() if id_ in requested]
             for name, requested in ids_of(chosen).items()
-        ]
+        )
         families = {entry.name: entry.family for entry in records.materials.values()}
         about = report.about(options, records, used, bench.entrants.left_out, bench.perceptual)
         return report.write(
             out,
-            *lines,
+            pictures,
+            edits,
             [edit.id for edit in chosen[: options.gallery]],
             about,
             bench.entrants,
@@ -232,6 +233,9 @@ def results(
             ) from None
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+_bench: Bench  # of a worker process
 
 
 def _begin(options: dict, threads: int) -> None:

@@ -36,12 +36,9 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from full_disk_commands import COMMANDS, STEPS, prepared
-from kill_and_resume import compared
-
 from manifests.store import Store, readable_hash
+from tests.endurance.full_disk_commands import COMMANDS, STEPS, prepared
+from tests.endurance.kill_and_resume import compared
 
 JOB = {
     "name": "small",

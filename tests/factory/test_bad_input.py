@@ -374,11 +374,10 @@ def test_a_light_file_that_is_gone_is_named(command, a_job, catalogue, tmp_path,
 def test_a_mesh_that_changed_since_the_plan_is_a_failure_with_its_reason(
     plan_of, small_job, tmp_path, monkeypatch
 ):
-    from tetrahedron import FAKE, HERE, TETRAHEDRON
-
     from factory.execution.run import RunOptions, carry_out
+    from tests.support.tetrahedron import FAKE, ROOT, TETRAHEDRON
 
-    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
     mesh = tmp_path / "mesh.ply"
     mesh.write_bytes(TETRAHEDRON)
     plan = plan_of(

@@ -9,7 +9,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from tetrahedron import FAKE, HERE
 
 from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning.assets import resolve
@@ -20,6 +19,7 @@ from manifests.materials import read_catalogue
 from manifests.schema import Camera, Job
 from manifests.store import Store, file_hash
 from manifests.verification import Verification, faults_of, repair
+from tests.support.tetrahedron import FAKE, ROOT
 
 
 def faults(folder):
@@ -50,7 +50,7 @@ def template(catalogue, light_file, tmp_path_factory):
     )
     folder = tmp_path_factory.mktemp("template")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", str(HERE))
+        patch.setenv("PYTHONPATH", str(ROOT))
         first = msgspec.structs.replace(job, materials=("small/matte", "small/metal"))
         carry_out(
             planned(first, resolve(first, catalogues=[catalogue])), folder, RunOptions(studio=FAKE)

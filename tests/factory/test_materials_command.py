@@ -8,7 +8,6 @@ import struct
 
 import numpy as np
 import pytest
-from merl_file import smooth, write_binary
 from PIL import Image
 
 from factory.__main__ import COMMANDS
@@ -16,6 +15,7 @@ from factory.planning.material_names import chosen_entries
 from manifests import materials
 from manifests.cli import main
 from manifests.errors import InputError
+from tests.support.merl_file import smooth, write_binary
 
 
 def run(*arguments):

@@ -8,10 +8,10 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from merl_file import smooth, write_binary
 
 from factory.materials import abc, families, merl_binary, nbrdf, samples, sources
 from manifests.errors import InputError
+from tests.support.merl_file import smooth, write_binary
 
 
 def test_a_merl_file_is_read_at_its_cell_centres(tmp_path):

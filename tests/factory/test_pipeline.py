@@ -9,7 +9,6 @@ import sys
 import msgspec
 import numpy as np
 import pytest
-from tetrahedron import TETRAHEDRON
 
 from factory.execution.forecast import expected_events, probe_shots, probed
 from factory.execution.run import RunOptions, carry_out, planned
@@ -22,6 +21,7 @@ from manifests.store import Store
 from manifests.verification import faults_of
 from shaders import dsbrdf, envmap
 from shaders.frames import camera_from_light
+from tests.support.tetrahedron import TETRAHEDRON
 
 blender = pytest.mark.blender
 

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import msgspec
 import numpy as np
 import pytest
-import synthetic
 import torch
 
 from learn.__main__ import COMMANDS
@@ -16,6 +15,7 @@ from manifests.cli import main
 from shaders.envmap import directions
 from shaders.frames import camera_from_light
 from shaders.mixture import Mixture
+from tests.support import synthetic
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ from learn.networks.separate import Separate
 from learn.training.loop import Training
 from manifests.errors import InputError
 from shaders import envmap
-from tests.learn import synthetic
+from tests.support import synthetic
 
 SIZE = 32
 

@@ -21,9 +21,8 @@ from manifests import materials
 from manifests.errors import InputError
 from manifests.store import Store
 from shaders import envmap
-from tests.learn import synthetic
-
-SIZE = 32
+from tests.support import synthetic
+from tests.support.two_materials import SIZE, album_of, damage, first, written
 
 
 @pytest.fixture
@@ -35,18 +34,6 @@ def store(tmp_path):
 @pytest.fixture(scope="module")
 def rendered_split(tmp_path_factory):
     return album_of(written(tmp_path_factory.mktemp("pictures")).folder)
-
-
-def written(folder):
-    both = [synthetic.matte("dark", 0.2), synthetic.matte("light", 0.8)]
-    return synthetic.write_dataset(
-        folder, both, np.random.default_rng(3), size=SIZE, seeds=1, noise=0.0, category="sphere"
-    )
-
-
-def album_of(folder):
-    records = Records(folder)
-    return RenderedSplit(records, Geometry(folder, progress=False), records.records)
 
 
 def data_split(rendered_split, side="train"):
@@ -160,9 +147,10 @@ def test_records_of_more_materials_than_regions_do_not_fit(rendered_split):
 
 
 def test_the_source_is_what_the_run_says(rendered_split):
-    of = lambda **data: sources.source_of(
-        data_split(rendered_split), Run(name="t", size=SIZE, data=Data(sharing=2, **data)), 4, 1
-    )  # noqa: E731
+    def of(**data):
+        run = Run(name="t", size=SIZE, data=Data(sharing=2, **data))
+        return sources.source_of(data_split(rendered_split), run, 4, 1)
+
     assert isinstance(of(), RelitDataset)
     assert isinstance(of(source="pictures"), RenderedDataset)
     assert isinstance(of(source="mix"), MixedDataset)
@@ -202,27 +190,6 @@ def of_training(store, data, maps=None):
 def rewrite(store, records):
     (path,) = store.record_files()
     path.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
-
-
-def first(store):
-    return min(store.records(), key=lambda record: record.id)
-
-
-def damage(store, kind):
-    """Make one record's picture bad; returns the file."""
-    record = first(store)
-    path = store.folder / record.image
-    if kind == "missing":
-        path.unlink()
-    elif kind == "truncated":
-        path.write_bytes(path.read_bytes()[:-700])
-    elif kind == "not finite":
-        image = Records(store.folder).image(record)
-        image[SIZE // 2, SIZE // 2] = np.nan
-        synthetic.write_exr(
-            path, {name: image[..., k].astype(np.float16) for k, name in enumerate("RGB")}
-        )
-    return path
 
 
 @pytest.mark.parametrize("kind", ["missing", "truncated", "not finite"])

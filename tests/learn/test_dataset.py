@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-import synthetic
 import torch
 
 from learn.data.records import Records
 from learn.layer import render
 from manifests.errors import InputError
+from tests.support import synthetic
 
 
 @pytest.fixture

@@ -1,8 +1,8 @@
 """One option, one device: training, prediction, refinement, editing and the layer keep all their
 tensors where the user wants them.
 
-Most of this runs on the CPU, on a device that is simulated (tests/learn/fake_device.py): it refuses
-numpy and mixed devices as CUDA does. Tests marked gpu run where torch sees a CUDA device.
+Most of this runs on the CPU, on a device that is simulated (tests/support/fake_device.py): it
+refuses numpy and mixed devices as CUDA does. Tests marked gpu run where torch sees a CUDA device.
 """
 
 import math
@@ -33,7 +33,7 @@ from learn.training.loop import Training
 from manifests.cli import main
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
-from tests.learn import fake_device, synthetic
+from tests.support import fake_device, synthetic
 
 SIZE = 32
 CUDA = torch.cuda.is_available()

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from synthetic import matte, write_dataset
 
 from learn.__main__ import COMMANDS
 from learn.data import photographs
@@ -25,6 +24,7 @@ from manifests.errors import InputError
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
 from shaders import tone
+from tests.support.synthetic import matte, write_dataset
 
 SIZE = (48, 64)
 

@@ -11,16 +11,14 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 from PIL import Image
-from synthetic import entry, matte, write_dataset
 
 from learn.__main__ import COMMANDS
 from learn.data.records import Records
 from learn.editing import compositor, decomposition, drawing, edit, photograph, targets, transfer
 from learn.editing.compositor import Compositor
 from learn.figures import spheres
-from learn.layer import predictions, render
+from learn.layer import predictions
 from learn.layer.display_method import method_for
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -30,73 +28,8 @@ from learn.networks.separate import Separate
 from manifests.cli import main
 from manifests.materials import load_catalogue
 from shaders import tone
-
-SIZE, NETWORK = 96, 64
-
-
-def label_of(name):
-    return load_catalogue()[name].label.reshape(1, 108).astype(np.float32)
-
-
-def ball(side, radius):
-    """Normals (side, side, 3) of a ball in the middle of a picture, and its mask."""
-    at = (np.arange(side) + 0.5 - side / 2) / radius
-    x, y = np.meshgrid(at, -at)
-    inside = x * x + y * y < 1
-    z = np.sqrt(np.clip(1 - x * x - y * y, 1e-3, 1))
-    n = np.stack([x, y, z], -1)
-    return (n / np.linalg.norm(n, axis=-1, keepdims=True) * inside[..., None]).astype(
-        np.float32
-    ), inside
-
-
-class Knowing(torch.nn.Module):
-    """A network that says of every picture: a ball in its mask's square, of the given material, in
-    even light.
-    """
-
-    def __init__(self, label):
-        super().__init__()
-        self.label = torch.from_numpy(label)
-
-    def forward(self, image, mask, segments=None, regions=None):
-        _, rows, _ = torch.nonzero(mask[:, 0], as_tuple=True)
-        radius = (rows.max() - rows.min() + 1).item() / 2
-        n, _ = ball(len(image[0, 0]), radius)
-        x = torch.from_numpy(n).movedim(-1, 0)[None]
-        x = torch.where(mask > 0, x, torch.tensor([0.0, 0.0, 1.0])[:, None, None])
-        count = 1 if segments is None else regions
-        light = torch.ones(1, 3, 64, 128)
-        return Prediction(
-            F.normalize(x + torch.tensor([0, 0, 1e-6])[:, None, None], dim=1),
-            None,
-            self.label.repeat(1, count, 1),
-            None,
-            light,
-        )
-
-
-def lit(label, scale):
-    """A ball's picture (SIZE, SIZE, 3) in even light before a gradient, and its mask."""
-    n, inside = ball(SIZE, 30)
-    light = torch.ones(1, 64, 128, 3)
-    radiance = (
-        render(torch.from_numpy(n)[None], torch.from_numpy(label).exp(), light, method="exact")[
-            0
-        ].numpy()
-        * scale
-    )
-    ground = np.linspace(0.1, 0.4, SIZE, dtype=np.float32)[:, None, None] * np.array(
-        [1.0, 0.8, 0.6], np.float32
-    )
-    return np.where(inside[..., None], radiance, ground).astype(np.float32), inside
-
-
-def opened(radiance, regions, exposure=None, balance=(1, 1, 1), cut_out=False):
-    coverage = (regions > 0).astype(np.float32)
-    return photograph.Photograph(
-        "ball", radiance, coverage, regions, np.array(balance, np.float32), exposure, cut_out
-    )
+from tests.support.known_ball import NETWORK, SIZE, Knowing, ball, label_of, lit, opened
+from tests.support.synthetic import entry, matte, write_dataset
 
 
 @pytest.mark.parametrize("balance", [(1, 1, 1), (1.4, 1.0, 0.7)])
@@ -435,7 +368,8 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
     )
 
     def start():
-        return Prediction(None, None, torch.zeros(1, 1, 108), None, None)
+        nothing = torch.zeros(1, 3, 1, 1)
+        return Prediction(nothing, None, torch.zeros(1, 1, 108), None, nothing)
 
     Image.new("RGB", (40, 30), (90, 60, 90)).save(tmp_path / "p.png")
     Image.new("L", (40, 30), 255).save(tmp_path / "p.mask.png")

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from synthetic import entry, write_dataset
 
 from learn.__main__ import COMMANDS
 from learn.data.records import Records
@@ -20,6 +19,7 @@ from manifests import exr
 from manifests.cli import main
 from manifests.materials import load_catalogue
 from shaders import tone
+from tests.support.synthetic import entry, write_dataset
 
 
 @pytest.fixture(autouse=True)

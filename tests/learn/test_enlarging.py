@@ -10,7 +10,7 @@ import pytest
 from learn.editing import decomposition
 from learn.experiments import upsampling, upsampling_study
 from learn.layer import predictions
-from tests.learn.test_editing import NETWORK, SIZE, Knowing, label_of, lit, opened
+from tests.support.known_ball import NETWORK, SIZE, Knowing, label_of, lit, opened
 
 
 @pytest.fixture

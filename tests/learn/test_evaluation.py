@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-from synthetic import add_shape, matte, named, with_picture, write_dataset
 
 from learn.data import pairs
 from learn.data.records import Records
@@ -27,6 +26,7 @@ from manifests.errors import InputError
 from manifests.store import Lines
 from shaders import tone
 from shaders.mixture import Mixture
+from tests.support.synthetic import add_shape, matte, named, with_picture, write_dataset
 
 SIZE = 32
 ALBEDOS = {"dark": 0.1, "middle": 0.4, "bright": 0.8}

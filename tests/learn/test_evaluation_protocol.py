@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
-from synthetic import matte, write_dataset
 
 import learn.refinement
 from learn.commands import evaluate
@@ -31,6 +30,7 @@ from learn.refinement.settings import Level
 from manifests import files
 from manifests.errors import InputError
 from shaders import tone
+from tests.support.synthetic import matte, write_dataset
 
 SIZE = 32
 QUICK = replace(

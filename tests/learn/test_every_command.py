@@ -12,14 +12,14 @@ import json
 import numpy as np
 import pytest
 import torch
-from full_disk_case import RUN as SETTINGS
-from full_disk_case import SIZE, done, pictures
-from synthetic import add_shape, matte, write_dataset
 
 from learn.data.sources import VALIDATION_SHAPES, by_hash
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
+from tests.support.full_disk_case import RUN as SETTINGS
+from tests.support.full_disk_case import SIZE, done, pictures
+from tests.support.synthetic import add_shape, matte, write_dataset
 
 PROGRAMS = ("factory", "learn", "learn.experiments")
 RUN = {  # command: its words, and a file that it must leave; None: it writes nothing

@@ -17,7 +17,7 @@ from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from manifests.errors import InputError
-from tests.learn.test_cycles_source import album_of, written
+from tests.support.two_materials import album_of, written
 
 SIZE = 32
 
@@ -54,7 +54,7 @@ def result(l2, seed=0):
     return {"rows": rows, "steps": 1}
 
 
-def test_a_variant_twice_as_good_has_a_ratio_of_one_half_and_one_like_it_has_an_interval_about_one():
+def test_the_ratio_of_a_variant_twice_as_good_is_a_half_and_of_an_equal_one_about_one():
     a = [result(100.0, seed) for seed in (1, 2)]
     half = [{"rows": [row | {"l2": row["l2"] / 2} for row in each["rows"]]} for each in a]
     assert variants.ratio(a, half) == pytest.approx([0.5, 0.5, 0.5])

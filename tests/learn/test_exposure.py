@@ -10,7 +10,7 @@ import pytest
 from learn.data import photographs
 from learn.experiments import exposure
 from manifests.cli import main
-from tests.learn.test_cycles_source import written
+from tests.support.two_materials import written
 
 
 def test_a_brighter_scene_looks_the_same_in_its_file_and_needs_a_larger_factor(rng):

@@ -10,8 +10,6 @@ import json
 import numpy as np
 import pytest
 import torch
-from full_disk_case import RUN, SIZE, check, check_read_only, pictures
-from synthetic import add_shape, matte, write_dataset
 
 from learn.data.sources import VALIDATION_SHAPES, by_hash
 from learn.editing import drawing
@@ -20,6 +18,8 @@ from learn.layer import predictions
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
+from tests.support.full_disk_case import RUN, SIZE, check, check_read_only, pictures
+from tests.support.synthetic import add_shape, matte, write_dataset
 
 QUICK = (
     "agree",

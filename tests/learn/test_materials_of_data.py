@@ -21,7 +21,7 @@ from manifests.cli import main
 from manifests.errors import InputError
 from manifests.schema import Dataset, MaterialEntry
 from manifests.store import Store
-from tests.learn import synthetic
+from tests.support import synthetic
 
 SIZE = 32
 METALS = ("chrome", "nickel", "steel")  # of the training side

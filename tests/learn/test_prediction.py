@@ -19,7 +19,7 @@ from manifests import exr
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from shaders import envmap
-from tests.learn.test_cycles_source import written
+from tests.support.two_materials import written
 
 SIZE = 32
 

@@ -11,7 +11,6 @@ import pytest
 import torch
 import torch.nn.functional as F
 from scipy.optimize import OptimizeResult, minimize
-from synthetic import entry, write_dataset
 
 from learn.data.batch import ExampleBatch
 from learn.experiments import refinement_ablation, refinement_chart, refinement_initialisations
@@ -33,6 +32,7 @@ from manifests.cli import main
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from shaders import envmap, tone
+from tests.support.synthetic import entry, write_dataset
 
 SIZE, ELEVATION = 24, 0.349
 LEVELS = (Level(pixels=120, light=(16, 32), method="exact", rounds=1, iterations=4),)

@@ -216,7 +216,7 @@ def test_edits_that_share_a_truth_judge_the_layer_once():
     assert told["net_error"] == pytest.approx(0.3 / np.sqrt(2))
 
 
-def test_a_figure_that_a_row_lacks_is_left_out_of_the_mean_and_a_column_that_all_lack_of_the_table():
+def test_a_mean_leaves_out_missing_figures_and_the_table_a_column_that_all_rows_lack():
     found = tables.by_method(
         rows({OURS: [10, None, 10, None, 40, None]}), "t", "n", [((), tables.PICTURE, "")]
     )

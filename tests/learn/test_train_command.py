@@ -9,19 +9,8 @@ import sys
 
 import pytest
 
-from learn.data.sources import VALIDATION_SHAPES, by_hash
-from manifests.cli import main
-from tests.learn import synthetic
-from tests.learn.test_cycles_source import SIZE, damage, first, written
-
-RUN = {
-    "name": "tiny",
-    "size": SIZE,
-    "parts": ["normals"],
-    "data": {"sharing": 1, "source": "pictures"},
-    "losses": {"normals": 1, "material": 0},
-    "schedule": {"steps": 2, "batch": 4, "warm_up": 1},
-}
+from tests.support.tiny_run import RUN, train, two_sided
+from tests.support.two_materials import damage, first
 
 # Each step's samples and the weights after it, by process: PROGRAM FOLDER train …
 PROGRAM = """
@@ -36,7 +25,8 @@ step = loop.Training._one_step
 def watched(self, batch):
     record = step(self, batch)
     samples = [hashlib.sha256(image.numpy().tobytes()).hexdigest() for image in batch.image]
-    weights = hashlib.sha256(b"".join(p.detach().numpy().tobytes() for p in self.network.parameters())).hexdigest()
+    parameters = b"".join(p.detach().numpy().tobytes() for p in self.network.parameters())
+    weights = hashlib.sha256(parameters).hexdigest()
     with open(Path(sys.argv[1]) / f"{self.world}-{self.rank}.jsonl", "a") as file:
         file.write(json.dumps({"samples": samples, "weights": weights}) + "\\n")
     return record
@@ -49,28 +39,7 @@ sys.exit(main("learn", "", ("train",), sys.argv[2:]))
 @pytest.fixture
 def store(tmp_path):
     """A dataset with a shape for each side, four pictures of each."""
-    store = written(tmp_path / "data")
-    chosen = next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
-    for shape, side in ((chosen, "train"), ("cube:1", "test")):
-        synthetic.add_shape(store, shape, side)
-    return store
-
-
-def train(store, out, *options, run=RUN):
-    path = store.folder / "run.json"
-    path.write_text(json.dumps(run))
-    words = [
-        "train",
-        str(path),
-        "--data",
-        str(store.folder),
-        "--out",
-        str(out),
-        "--workers",
-        "0",
-        *options,
-    ]
-    return main("learn", "", ("train",), words)
+    return two_sided(tmp_path / "data")
 
 
 @pytest.mark.filterwarnings("ignore")  # of TensorBoard's own imports

@@ -20,10 +20,16 @@ from learn.training import loop, processes
 from learn.training.loop import Training
 from manifests.cli import main
 from manifests.errors import InputError
-from tests.learn import synthetic
-from tests.learn.test_train_command import RUN, store, train  # noqa: F401 -- a fixture
+from tests.support import synthetic
+from tests.support.tiny_run import RUN, train, two_sided
 
 SIZE = 32
+
+
+@pytest.fixture
+def store(tmp_path):
+    """A dataset with a shape for each side, four pictures of each."""
+    return two_sided(tmp_path / "data")
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +72,7 @@ def line(capsys):
     return found[0]
 
 
-# -------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # settings
 
 
@@ -170,13 +176,13 @@ def test_a_run_made_in_python_is_judged_as_one_from_a_file(data_splits, tmp_path
     Training(staged, data_splits, tmp_path, workers=0)
 
 
-# -----------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # lock
 
 
 def test_a_second_run_into_a_folder_is_refused_and_writes_nothing(
     store, tmp_path, capsys, monkeypatch
-):  # noqa: F811
+):
     monkeypatch.setattr(processes, "PATIENCE", 0.0)
     with processes.only_writer(tmp_path / "out"):
         before = sorted(os.listdir(tmp_path / "out"))
@@ -205,7 +211,7 @@ def test_the_processes_that_relight_let_the_folder_go(tmp_path):
             pass  # the run itself still holds it
 
 
-# -----------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # checkpoint
 
 
@@ -310,7 +316,7 @@ def test_a_run_holds_one_checkpoint_and_no_draft_of_it(half_way):
     assert sum("checkpoint" in name for name in os.listdir(half_way)) == 1
 
 
-# ---------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # not finite
 
 

@@ -25,7 +25,7 @@ from learn.training import losses, validation
 from learn.training.loop import Training
 from manifests.errors import InputError
 from shaders import envmap
-from tests.learn import synthetic
+from tests.support import synthetic
 
 SIZE = 32
 

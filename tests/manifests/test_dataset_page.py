@@ -12,7 +12,7 @@ import pytest
 from manifests import arrays, materials, publish, schema
 from manifests.store import Store
 from shaders import envmap
-from tests.manifests import whole_dataset
+from tests.support import whole_dataset
 
 STRUCTS = {
     each.__name__: each

@@ -3,7 +3,6 @@ stay inside.
 """
 
 import os
-import resource
 import subprocess
 import sys
 
@@ -14,6 +13,7 @@ from manifests.errors import InputError
 from manifests.schema import Record
 from manifests.store import Lines, Store, file_hash, geometry_path, image_path, inside, light_path
 from manifests.verification import Fault, repair
+from tests.support.work_count import calls
 
 
 def test_files_are_sharded_by_the_first_two_digits_of_their_id():
@@ -291,17 +291,14 @@ def test_on_a_full_disk_what_was_written_stays_and_the_error_names_the_cause(tin
 
 
 def test_ids_of_many_records_come_in_a_flash(tmp_path, a_record):
-    """720,000 must take seconds (docs/results/manifest-scale.md has the figure); here 20,000, with
-    room for a slow machine.
+    """720,000 must take seconds: no record is checked field by field (tests/endurance/timings.py
+    measures the time).
     """
-    import time
-
+    count = 2000
     lines = Lines(tmp_path / "records" / "worker-00.jsonl")
-    for k in range(20_000):
+    for k in range(count):
         lines.append(a_record(f"{k:024x}"))
     lines.close()
-    start = resource.getrusage(resource.RUSAGE_SELF).ru_utime, time.perf_counter()
-    assert len(Store(tmp_path).ids()) == 20_000
-    # measured 0.03 s; 720,000 in proportion 1 s
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - start[0] < 0.6
+    assert calls(lambda: Store(tmp_path).ids()) < 5 * count  # 3 for each line
+    assert len(Store(tmp_path).ids()) == count
     assert all(isinstance(record, Record) for record in Store(tmp_path).records())

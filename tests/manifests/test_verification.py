@@ -15,7 +15,7 @@ from manifests.materials import encode, read_catalogue
 from manifests.schema import Camera, Draw, Record
 from manifests.store import Store, file_hash, geometry_path, image_path
 from manifests.verification import Fault, Verification, faults_of, repair, shared_between, summary
-from tests.manifests.whole_dataset import JOB, RENDER, hash_of
+from tests.support.whole_dataset import JOB, RENDER, hash_of
 
 
 @pytest.fixture
@@ -578,11 +578,35 @@ def spoiled_places(store):
 
 
 SPOILED = (
-    "picture loop", "picture link", "picture pipe", "picture folder", "picture folder's folder", "geometry pipe", "geometry loop",
-    "picture folder's folder outside", "light pipe", "light loop", "images loop", "images file", "images outside", "geometry outside",
-    "lights pipe", "records loop", "records outside", "lines pipe", "lines loop", "lines folder", "views file", "failures pipe",
-    "stray loop", "stray pipe", "loop at the top", "pipe at the top", "lock loop", "draft pipe",
-)  # fmt: skip
+    "picture loop",
+    "picture link",
+    "picture pipe",
+    "picture folder",
+    "picture folder's folder",
+    "geometry pipe",
+    "geometry loop",
+    "picture folder's folder outside",
+    "light pipe",
+    "light loop",
+    "images loop",
+    "images file",
+    "images outside",
+    "geometry outside",
+    "lights pipe",
+    "records loop",
+    "records outside",
+    "lines pipe",
+    "lines loop",
+    "lines folder",
+    "views file",
+    "failures pipe",
+    "stray loop",
+    "stray pipe",
+    "loop at the top",
+    "pipe at the top",
+    "lock loop",
+    "draft pipe",
+)
 
 
 @pytest.mark.parametrize("name", SPOILED)

@@ -12,7 +12,7 @@ import torch
 
 from learn.engines import cpu, cuda
 from manifests import materials as catalogue
-from tests.learn.engines.conftest import (
+from tests.support.engine_scenes import (
     ROTATION,
     TOLERANCE,
     make_scene,

@@ -9,7 +9,7 @@ from learn.engines import cpu, distant, general
 from manifests import materials as catalogue
 from shaders.dsbrdf import half_angles
 from shaders.envmap import directions
-from tests.learn.engines.conftest import (
+from tests.support.engine_scenes import (
     ROTATION,
     TOLERANCE,
     errors,

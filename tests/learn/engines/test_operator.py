@@ -7,7 +7,7 @@ import torch
 from learn.engines import machine_code
 from learn.layer import RenderLayer, render
 from learn.methods import exact_operator
-from tests.learn.engines.conftest import ROTATION, TOLERANCE, make_scene, random_material
+from tests.support.engine_scenes import ROTATION, TOLERANCE, make_scene, random_material
 
 CAMERAS = pytest.mark.parametrize(
     "perspective", [False, True], ids=["orthographic", "view per pixel"]

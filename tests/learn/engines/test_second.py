@@ -1,9 +1,9 @@
 """The CPU engine's second derivatives against the reference's in float64, where sums of lobes are
 easy and where they break.
 
-Error as in conftest.py, for the derivative by each argument on its own. The direction n', view',
-m', light' is random, each of the size of what it belongs to, n' and view' tangential, as what comes
-through the scaling to unit length is.
+Error as in tests/support/engine_scenes.py, for the derivative by each argument on its own. The
+direction n', view', m', light' is random, each of the size of what it belongs to, n' and view'
+tangential, as what comes through the scaling to unit length is.
 """
 
 import numpy as np
@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from learn.engines import cpu, distant, distant_second, general, general_second, second
-from learn.methods import exact_second
+from learn.methods import HORIZON, exact_second
 from manifests import materials as catalogue
 from shaders.dsbrdf import half_angles
 from shaders.envmap import directions
-from tests.learn.engines import test_adversarial
-from tests.learn.engines.conftest import (
+from tests.support import awkward_scenes
+from tests.support.engine_scenes import (
     ROTATION,
     make_scene,
     material,
@@ -274,18 +274,18 @@ def test_adversarial_samples_stay_finite(rng, perspective, monkeypatch):
     """The first derivatives' own, a tenth of them: κ to 30, γ from 1e-3 to 1e5, lights to 1e6,
     silhouettes, horizons, peaks, corners.
     """
-    monkeypatch.setattr(test_adversarial, "GROUPS", 50)
-    w, drawn = directions(*test_adversarial.SIZE)[0].reshape(-1, 3) @ ROTATION.T, 100_000
+    monkeypatch.setattr(awkward_scenes, "GROUPS", 50)
+    w, drawn = directions(*awkward_scenes.SIZE)[0].reshape(-1, 3) @ ROTATION.T, 100_000
     v = (
-        test_adversarial.awkward_views(rng, w, drawn)
+        awkward_scenes.awkward_views(rng, w, drawn)
         if perspective
         else np.broadcast_to([0.0, 0.0, 1.0], (drawn, 3))
     )
-    n, v = (x.astype(np.float32) for x in (test_adversarial.awkward_normals(rng, w, v), v))
-    above = (n * v).sum(1) > test_adversarial.HORIZON
+    n, v = (x.astype(np.float32) for x in (awkward_scenes.awkward_normals(rng, w, v), v))
+    above = (n * v).sum(1) > HORIZON
     group = np.sort(rng.integers(50, size=drawn))[above]
     n, v = n[above].copy(), v[above].copy() if perspective else None
-    m, light = test_adversarial.awkward_materials(rng), test_adversarial.awkward_lights(rng)
+    m, light = awkward_scenes.awkward_materials(rng), awkward_scenes.awkward_lights(rng)
     along = [
         None if x is None else tangential(rng.normal(size=x.shape), x).astype(np.float32)
         for x in (n, v)

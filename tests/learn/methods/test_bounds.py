@@ -5,12 +5,12 @@ energy, maps are shared rightly.
 import numpy as np
 import pytest
 import torch
-from card_scenes import LIGHTS, MATERIALS, UNIT, light, material, sphere
 
 from learn import methods
 from learn.layer import render
 from learn.methods import directional, median_cut, reflectance_map
 from shaders.frames import camera_from_light
+from tests.support.card_scenes import LIGHTS, MATERIALS, UNIT, light, material, sphere
 
 ROTATION = torch.as_tensor(camera_from_light())
 HIGH = ((9.0, 0.3, 5.0), (40.0, 3000.0, 2000.0))

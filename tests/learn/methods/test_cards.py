@@ -8,11 +8,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from card_scenes import LIGHTS, MATERIALS, light, material, perspective, sphere
-from dense_integral import VIEWER, radiance
 
 from learn import methods
 from learn.layer import render
+from tests.support.card_scenes import LIGHTS, MATERIALS, light, material, perspective, sphere
+from tests.support.dense_integral import VIEWER, radiance
 
 TOLERANCE = 1e-2
 CAMERAS = ("orthographic", "perspective")

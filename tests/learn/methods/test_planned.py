@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 import torch
-from card_scenes import MATERIALS, light, material, sphere
 
 from learn.engines import pixel_selection
 from learn.experiments import chart_cases
@@ -15,6 +14,7 @@ from learn.layer import render
 from learn.methods import auto, coarse, directional, exact, lobe_shapes, planned
 from shaders.envmap import directions
 from shaders.frames import camera_from_light
+from tests.support.card_scenes import MATERIALS, light, material, sphere
 
 ROTATION = tuple(camera_from_light().flatten().tolist())
 RANDOM = np.random.default_rng(2)

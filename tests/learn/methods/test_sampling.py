@@ -10,14 +10,14 @@ import functools
 import numpy as np
 import pytest
 import torch
-from card_scenes import LIGHTS, MATERIALS, light, material
-from dense_integral import VIEWER, radiance
 from scipy.stats import chi2
 
 from learn.layer import render
 from learn.methods import sampling
 from shaders import envmap
 from shaders.frames import camera_from_light
+from tests.support.card_scenes import LIGHTS, MATERIALS, light, material
+from tests.support.dense_integral import VIEWER, radiance
 
 DRAWS = 200_000
 METHODS = ("monte_carlo", "monte_carlo_light", "monte_carlo_brdf")

@@ -1,5 +1,6 @@
-"""`python fake_render.py JOB OUT CATALOGUE`: carry a job out with the fake studio, as a process
-that can be killed.
+"""Carry a job out with the fake studio, as a process that can be killed.
+
+python -m tests.support.fake_render JOB OUT CATALOGUE
 """
 
 import sys
@@ -7,8 +8,9 @@ import sys
 from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning import jobs
 from factory.planning.assets import resolve
+from tests.support.tetrahedron import FAKE
 
 if __name__ == "__main__":
     job, folder = jobs.load(sys.argv[1])
     assets = resolve(job, folder, catalogues=[sys.argv[3]])
-    carry_out(planned(job, assets), sys.argv[2], RunOptions(workers=2, studio="fake_studio:Studio"))
+    carry_out(planned(job, assets), sys.argv[2], RunOptions(workers=2, studio=FAKE))

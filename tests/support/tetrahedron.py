@@ -1,9 +1,9 @@
-"""A tetrahedron as a file, and where the fake studio is: shared by several tests."""
+"""A tetrahedron as a file, and the fake studio's name for a worker that has ROOT on its path."""
 
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-FAKE = "fake_studio:Studio"
+ROOT = Path(__file__).resolve().parents[2]
+FAKE = "tests.support.fake_studio:Studio"
 TETRAHEDRON = b"""ply
 format ascii 1.0
 element vertex 4

@@ -7,15 +7,10 @@ import errno
 import io
 import os
 import random
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parent / "endurance"))
-
-from full_disk import bad_records, contents, drafts
-from full_disk_commands import COMMANDS, RUN, SIZE, mesh, pictures
 
 from manifests.cli import main
+from tests.endurance.full_disk import bad_records, contents, drafts
+from tests.endurance.full_disk_commands import COMMANDS, RUN, SIZE, mesh, pictures
 
 __all__ = [
     "BY_NAME",

@@ -1,8 +1,8 @@
 """A million adversarial pixels through a method: how many values or derivatives are not finite. Run
 by hand, the result is kept.
 
-    python tests/learn/methods/stress.py --samples 1000000 --out docs/results/layer/stress.json
-    [--method NAME …] [--view-per-pixel]
+    PYTHONPATH=. python tests/endurance/layer_stress.py --samples 1000000
+        --out docs/results/layer/stress.json [--method NAME …] [--view-per-pixel]
 
 Each picture is rendered with derivatives and without. It has 2,000 pixels whose normals lie at the
 silhouette, at right angles to a light, at a lobe's peak, at the poles or anywhere; κ up to 30, γ
