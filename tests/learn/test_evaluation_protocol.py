@@ -118,8 +118,8 @@ def finished(data, weights, others, tmp_path_factory):
     )
     refine, threads = learn.refinement.refine, torch.get_num_threads()
 
-    def noted(batch, prediction):
-        calls.append((batch, prediction, refine(batch, prediction, QUICK)))
+    def noted(batch, prediction, labels):
+        calls.append((batch, prediction, refine(batch, prediction, QUICK, labels)))
         return calls[-1][-1]
 
     with pytest.MonkeyPatch.context() as patch:
