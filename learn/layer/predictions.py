@@ -10,10 +10,10 @@ segments  (B, H, W) integers 1 … S, 0 in the background
 Two errors of pictures can be compared only if both pictures were rendered by one policy, that is
 by one method and one tolerance. The policies differ because their purposes do:
 
-MEASURED     every display L2 in a report: edits, re-renderings, ablations
+MEASURED     every display L2 in the report of an evaluation: edits and re-renderings
 SHOWN        what people look at: edited photographs, predictions, material spheres
-VALIDATION   figures during training and in the card of the weights, which are of the same
-             code: a validation must not cost more than the steps between two of them
+VALIDATION   figures during training, which must cost less than the steps between two validations,
+             and in the card of the weights, which holds the same figures
 PIXEL_LOSS   training losses at sampled pixels, where the sum over texels costs least
 FRAME_LOSS   training losses of whole frames
 TEXEL_SUM    the paper's sum over texels itself, for comparisons with it

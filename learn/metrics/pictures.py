@@ -2,8 +2,11 @@
 
 Both pictures are brought to display values in [0, 255]: times one exposure, which brings the 99th
 percentile of the truth's luminance over the mask to 1, clipped, and through the sRGB curve
-(shaders.tone). All figures are of display values. The layer's pictures are rendered by a policy
-of `learn.layer.predictions`; figures of different policies are not compared.
+(shaders.tone). All figures are of display values.
+
+An "image L2" is `l2` of a picture by the layer against a true picture. The layer's picture is
+rendered by a policy of learn.layer.predictions: MEASURED in evaluations, VALIDATION in training and
+in the card of weights. Figures of different policies are not compared.
 
 l2          the paper's: mean over the mask's pixels of the mean over channels of the squared
             difference; l2_frame: over the full frame
