@@ -26,6 +26,7 @@ from learn.metrics.pictures import display_l2
 from learn.networks.coding import Ranges, compressed
 from learn.networks.encoder_decoder import Edited, EncoderDecoder, radiance
 from learn.networks.features import Features
+from learn.networks.prediction import required
 from learn.training.loop import VALIDATION_BATCHES, Training
 from learn.training.losses import compared_by
 from manifests.files import write_image
@@ -117,7 +118,7 @@ def terms(
     features  needed where target_features has a weight
     """
     inside = (batch.segments > 0)[:, None] * batch.mask
-    truth = compressed(batch.target)
+    truth = compressed(required(batch.target))
     read = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean()
     embedded = ((edited.embedded - ranges.code(batch.target_label[:, :1])) ** 2).mean()
     result = {"material": read + embedded}
@@ -138,7 +139,7 @@ def figures(edited: Edited, batch: ExampleBatch, ranges: Ranges) -> dict[str, fl
     """
     drawn = array(radiance(edited.picture).movedim(1, -1))
     result: dict[str, list[float]] = {"target_l2": [], "unchanged_l2": []}
-    for i, truth in enumerate(array(batch.target.movedim(1, -1))):
+    for i, truth in enumerate(array(required(batch.target).movedim(1, -1))):
         mask = array(batch.segments[i] > 0)
         for name, picture in (
             ("target_l2", drawn[i]),
@@ -154,7 +155,7 @@ def write_montage(path: Path, batch: ExampleBatch, edited: Edited) -> None:
     rows = []
     drawn = array((radiance(edited.picture) * batch.mask).movedim(1, -1))
     for i in range(min(ROWS, len(drawn))):
-        truth = array(batch.target[i].movedim(0, -1))
+        truth = array(required(batch.target)[i].movedim(0, -1))
         exposure = tone.auto_exposure(truth, array(batch.segments[i] > 0))
         cells = (array(batch.image[i].movedim(0, -1)), drawn[i], truth)
         rows.append([tone.display(cell, exposure) for cell in cells])

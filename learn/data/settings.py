@@ -133,7 +133,7 @@ def require_trainable(run: Run, where: str | Path) -> None:
     for stage, (parts, losses) in phases.items():
         key = f"{where}: {stage}{'.' * bool(stage)}losses"
         if run.network == "encoder-decoder":
-            terms, what = ENCODER_DECODER_TERMS, "this network"
+            terms, what = list(ENCODER_DECODER_TERMS), "this network"
         else:
             terms = [name for name, trained in TRAINED_PARTS.items() if set(trained) & set(parts)]
             what = " and ".join(dict.fromkeys(parts))

@@ -8,8 +8,8 @@ checkpoint.safetensors  what a run needs to continue (learn.training.checkpoints
 
 import contextlib
 import hashlib
-import os
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -32,7 +32,7 @@ from shaders.dsbrdf import SHAPE, SIZE
 NETWORKS: dict[str, type[Coded]] = {
     network.name: network for network in (Compact, Paper, Separate, EncoderDecoder)
 }
-PARTS = ("normals", "material", "light")
+PARTS: tuple[Part, ...] = ("normals", "material", "light")
 FORMAT = "brdfactory weights 1"
 TRAINING_LABELS = "training_labels"  # a tensor beside the network's
 MOST_MATERIALS = 100_000
@@ -70,14 +70,14 @@ class Progress(msgspec.Struct, frozen=True):
 
 
 def save(
-    path: str | os.PathLike, tensors: Mapping[str, torch.Tensor], metadata: Mapping[str, str]
+    path: str | Path, tensors: Mapping[str, torch.Tensor], metadata: Mapping[str, str]
 ) -> None:
     """Write tensors and text, whole or not at all. Raises as manifests.files.replacing."""
     tensor_file.write(path, tensors, metadata)
 
 
 def save_weights(
-    path: str | os.PathLike,
+    path: str | Path,
     network: Coded,
     state: Mapping[str, torch.Tensor],
     run_json: str,
@@ -101,7 +101,7 @@ def save_weights(
 
 
 def load_network(
-    path: str | os.PathLike, device: torch.device | str = "cpu"
+    path: str | Path, device: torch.device | str = "cpu"
 ) -> tuple[Coded, dict[str, Any]]:
     """Return (network ready to predict, metadata) of a weights file.
 
@@ -134,7 +134,7 @@ def load_network(
 
 
 def load_parts(
-    path: str | os.PathLike, device: torch.device | str = "cpu"
+    path: str | Path, device: torch.device | str = "cpu"
 ) -> tuple[Coded, dict[str, Any]]:
     """Return as `load_network`, for a network that predicts normals, material and light.
 
@@ -157,7 +157,7 @@ def load_parts(
     return network, metadata
 
 
-def run_of(metadata: Mapping[str, str], path: str | os.PathLike) -> dict[str, Any]:
+def run_of(metadata: Mapping[str, str], path: str | Path) -> dict[str, Any]:
     """Return the run's settings as a dict; {} where the metadata have none.
 
     Only its name and parts are checked. Raises InputError.
@@ -232,11 +232,11 @@ def digest_of(named: Mapping[str, torch.Tensor]) -> str:
     for name, tensor in sorted(named.items()):
         flat = tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8)
         result.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
-        result.update(memoryview(flat.numpy()))
+        result.update(flat.numpy().data)
     return result.hexdigest()
 
 
-def _require_ranges(ranges: Ranges, path: str | os.PathLike) -> None:
+def _require_ranges(ranges: Ranges, path: str | Path) -> None:
     """Raise InputError for ranges of labels that a material cannot have."""
     ends = torch.stack([ranges.label(torch.full((108,), code)) for code in (-1.0, 1.0)])
     largest = torch.full(SHAPE, LARGEST_IN_RANGE)

@@ -75,15 +75,17 @@ def refine(
                 not finite
     """
     began = time.perf_counter()
-    parts = (prediction.n, prediction.label, prediction.light)
-    if len(batch.image) != 1 or any(part is None for part in parts):
+    if len(batch.image) != 1 or (
+        prediction.n is None or prediction.label is None or prediction.light is None
+    ):
         raise ValueError(
             "refine: expected one picture with normals, material and light, found others (predict"
             " all three, and refine one by one)"
         )
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
     directions = principal_directions(labels)
-    current = starting_state(coordinates(prediction, inside, settings, directions))
+    predicted = State(prediction.label, prediction.light, prediction.n, {})
+    current = starting_state(coordinates(predicted, inside, settings, directions))
     if not current.is_renderable:
         raise ValueError(
             "refine: expected finite normals and light, and a label whose exp is finite and above"
@@ -93,7 +95,7 @@ def refine(
     before = after = energy.finest(current)
     history: list[dict[str, Any]] = []
     for number in range(settings.outer_iterations):
-        start = current if number else prediction
+        start = current if number else predicted
         state, steps = outer_iteration(batch, start, inside, settings, directions)
         state = replace(state, z={"material": current.z["material"] + state.z["material"]})
         terms = energy.finest(state)
@@ -109,7 +111,7 @@ def refine(
 
 def outer_iteration(
     batch: ExampleBatch,
-    start: Prediction | State,
+    start: State,
     inside: torch.Tensor,
     settings: RefinementSettings,
     directions: np.ndarray | None = None,
@@ -143,12 +145,12 @@ def outer_iteration(
 
 
 def coordinates(
-    start: Prediction | State,
+    start: State,
     inside: torch.Tensor,
     settings: RefinementSettings,
     directions: np.ndarray | None = None,
 ) -> Coordinates:
-    """Return {property: map from z} about a Prediction or a State."""
+    """Return {property: map from z} about a State, of which z is not read."""
     return {
         "material": MaterialCoordinates(start.label, directions),
         "light": LightCoordinates(start.light, settings.degree),

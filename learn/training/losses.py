@@ -35,7 +35,7 @@ from learn.layer import predictions
 from learn.metrics.radiometry import log_albedo, log_rendered
 from learn.networks.coding import Ranges, compressed
 from learn.networks.features import Features, difference
-from learn.networks.prediction import Prediction
+from learn.networks.prediction import Prediction, required
 from shaders import envmap
 
 # texels of half the sharpest lobe's width; with four times as many this is the costliest term
@@ -93,26 +93,25 @@ def material_terms(
 ) -> Terms:
     """Return the terms of a predicted material."""
     result = {}
-    label = batch.label[:, : prediction.label.shape[1]]
+    code, label = required(prediction.code), required(prediction.label)
+    truth = batch.label[:, : label.shape[1]]
     if losses.material:
-        result["material"] = ((prediction.code - ranges.code(label)) ** 2).mean()
+        result["material"] = ((code - ranges.code(truth)) ** 2).mean()
     if losses.albedo:
-        result["albedo"] = ((log_albedo(prediction.label) - log_albedo(label)) ** 2).mean()
+        result["albedo"] = ((log_albedo(label) - log_albedo(truth)) ** 2).mean()
     return result
 
 
 def light_terms(prediction: Prediction, batch: ExampleBatch, losses: Losses) -> Terms:
     """Return the terms of a predicted light."""
     result = {}
+    lights = required(prediction.light), batch.light
     if losses.light_log:
-        mine, its = (
-            torch.log1p(with_unit_mean(light)) for light in (prediction.light, batch.light)
-        )
+        mine, its = (torch.log1p(with_unit_mean(light)) for light in lights)
         result["light_log"] = ((mine - its) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()
     if losses.light_rendered:
         mine, its = (
-            log_rendered(reduced(with_unit_mean(light), RENDERED_LIGHT))
-            for light in (prediction.light, batch.light)
+            log_rendered(reduced(with_unit_mean(light), RENDERED_LIGHT)) for light in lights
         )
         result["light_rendered"] = ((mine - its) ** 2).mean()
     return result

@@ -13,7 +13,7 @@ from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.figures import montage
 from learn.figures.spheres import preview_sphere
-from learn.networks.prediction import Prediction
+from learn.networks.prediction import Prediction, required
 from learn.training.validation import picture
 from manifests.files import write_image
 from shaders import tone
@@ -74,9 +74,9 @@ def parts(
     mask = array(batch.mask[0, 0]) > 0
     return {
         "picture": tone.display(array(batch.image[0].movedim(0, -1)), exposure),
-        "normals": _normals(prediction.n[0], mask),
-        "light": _light(prediction.light[0], len(mask)),
-        "material": preview_sphere(prediction.label[0, 0], len(mask), batch.elevation),
+        "normals": _normals(required(prediction.n)[0], mask),
+        "light": _light(required(prediction.light)[0], len(mask)),
+        "material": preview_sphere(required(prediction.label)[0, 0], len(mask), batch.elevation),
         "rendering": tone.display(rendering, exposure),
     }
 
