@@ -41,8 +41,8 @@ def with_current_names(values: Any, where: object = "settings", path: str = "") 
         return values
     for old, new in CURRENT_NAMES.items():
         if old in values and new in values:
-            rule, found = f"one of '{old}' and '{new}', its name of today", "both"
-            raise InputError(f"{where}: {path}{old}", rule, found, f"leave out '{old}'")
+            rule, both = f"one of '{old}' and '{new}', its name of today", "both"
+            raise InputError(f"{where}: {path}{old}", rule, both, f"leave out '{old}'")
     return {
         current_name(name): with_current_names(value, where, f"{path}{name}.")
         for name, value in values.items()

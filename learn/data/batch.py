@@ -4,7 +4,7 @@ B pictures, S regions, H, W picture
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,11 @@ class ExampleBatch:
         """Return the batch of function(tensor); the batch itself if no tensor changes."""
         old = [getattr(self, field.name) for field in fields(self)]
         new = [function(value) if isinstance(value, torch.Tensor) else value for value in old]
-        return self if all(a is b for a, b in zip(old, new, strict=True)) else ExampleBatch(*new)
+        if all(a is b for a, b in zip(old, new, strict=True)):
+            return self
+        return replace(
+            self, **{field.name: value for field, value in zip(fields(self), new, strict=True)}
+        )
 
 
 def joined(examples: Sequence[tuple], elevation: float) -> ExampleBatch:

@@ -19,7 +19,7 @@ Tensors = dict[str, torch.Tensor]
 MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
-def save(
+def write(
     path: Path,
     run: Run,
     network: Coded,

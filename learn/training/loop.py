@@ -345,7 +345,7 @@ class Training:
     def _save(self) -> None:
         progress = {"step": self.step, "skipped": self.skipped, "used": self.used}
         path = self.out / "checkpoint.safetensors"
-        checkpoints.save(path, self.run, self.network, self.average, self.optimiser, progress)
+        checkpoints.write(path, self.run, self.network, self.average, self.optimiser, progress)
 
 
 def _copies(network: torch.nn.Module) -> dict[str, torch.Tensor]:
