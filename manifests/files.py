@@ -357,13 +357,14 @@ def pin_settings(path: Path, requested: Mapping[str, Any]) -> None:
     Raises     InputError if the file holds other settings
     """
     from manifests.reading import read
+    from manifests.renamed_keys import with_current_names
 
-    requested = json.loads(json.dumps(requested))
+    requested = with_current_names(json.loads(json.dumps(requested)), path)
     if not os.path.lexists(path):
         write_json(path, requested)
         return
     try:
-        there = read(path, dict[str, Any])
+        there = with_current_names(read(path, dict[str, Any]), path)
     except InputError as problem:
         raise InputError(
             problem.where, "settings as JSON", problem.found, "give another --out"

@@ -9,6 +9,7 @@ import msgspec
 from manifests.files import write_text
 from manifests.materials import Catalogue
 from manifests.schema import Dataset, Failure, Job, Record, View
+from manifests.training_runs import Run
 
 FOLDER = Path(__file__).parent / "json-schema"
 TYPES = {
@@ -18,6 +19,7 @@ TYPES = {
     "dataset": Dataset,
     "failure": Failure,
     "materials": Catalogue,
+    "run": Run,
 }
 
 

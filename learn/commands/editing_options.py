@@ -61,7 +61,7 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
     from learn.data import devices
     from learn.editing.edit import EditOptions
     from learn.editing.predict import WEIGHTS
-    from learn.refinement import Settings
+    from learn.refinement import RefinementSettings
 
     check(
         "--tolerance",
@@ -71,7 +71,7 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
     )
     check("--detail", 0 <= arguments.detail <= 1, "a number from 0 to 1", arguments.detail)
     check_exposure(arguments.exposure)
-    settings = Settings() if arguments.refine else None
+    settings = RefinementSettings() if arguments.refine else None
     balance = balance_of(arguments.white_balance)
     device = devices.choose(arguments.device)
     return EditOptions(

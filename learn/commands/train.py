@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     from learn.baselines.material_swap import SwapTraining
     from learn.data import devices, settings, sources
-    from learn.training import loop
+    from learn.training import loop, processes
     from manifests.provenance import provenance
 
     device = devices.choose(arguments.device)
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.settings, arguments.steps, arguments.seed, arguments.materials
     )
     torch.set_num_threads(arguments.threads)
-    with loop.only_writer(arguments.out):
+    with processes.only_writer(arguments.out):
         data_splits = sources.data_splits(
             chosen.data,
             arguments.data,

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 
 from learn.data import devices, photographs
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.editing.photograph import Photograph
 from learn.layer.inputs import LENGTH_TOLERANCE
 from learn.networks.prediction import Prediction
-from learn.refinement import Refined, Settings, refine
+from learn.refinement import RefinementResult, RefinementSettings, refine
 from manifests.errors import InputError
 from shaders.frames import ELEVATION
 
@@ -47,9 +47,9 @@ class Decomposition:
 
     photograph: Photograph
     framed: photographs.Framed
-    batch: Batch
+    batch: ExampleBatch
     start: Prediction
-    refined: Refined | None
+    refined: RefinementResult | None
 
     @property
     def parts(self) -> Parts:
@@ -68,7 +68,10 @@ class Decomposition:
 
 
 def decompose(
-    photograph: Photograph, network: torch.nn.Module, size: int, settings: Settings | None = None
+    photograph: Photograph,
+    network: torch.nn.Module,
+    size: int,
+    settings: RefinementSettings | None = None,
 ) -> Decomposition:
     """Return the Decomposition of a photograph.
 
@@ -80,7 +83,7 @@ def decompose(
     batch, start = predict_framed(framed, network, regions, photograph.count)
     if photograph.record is not None:  # a photograph's camera is not known, a record's is
         batch = replace(batch, elevation=float(np.radians(photograph.record.camera.elevation_deg)))
-    refined = None if settings is None else refine(batch, start, settings)
+    refined = None if settings is None else refine(batch, start, settings, network.training_labels)
     return Decomposition(photograph, framed, batch, start, refined)
 
 
@@ -89,7 +92,7 @@ def predict_framed(
     network: torch.nn.Module,
     regions: np.ndarray | None = None,
     count: int = 1,
-) -> tuple[Batch, Prediction]:
+) -> tuple[ExampleBatch, Prediction]:
     """Return a framed picture as a batch of one, and its prediction, on the network's device.
 
     regions  (size, size) 1 … S, None for one region
@@ -100,7 +103,7 @@ def predict_framed(
     mask = torch.from_numpy(framed.mask)
     segments = mask[None].long() if regions is None else torch.from_numpy(regions)[None]
     unknown_light, unknown_label = torch.ones(1, 3, 64, 128), torch.zeros(1, count, 108)
-    batch = Batch(
+    batch = ExampleBatch(
         image,
         mask[None, None].float(),
         torch.zeros_like(image),

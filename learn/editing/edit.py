@@ -17,7 +17,7 @@ from learn.editing.compositor import Compositor
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import Photograph
 from learn.networks import weights as checkpoint
-from learn.refinement import Settings
+from learn.refinement import RefinementSettings
 from manifests.errors import InputError
 
 
@@ -35,7 +35,7 @@ class EditOptions:
     """
 
     weights: Path
-    settings: Settings | None
+    settings: RefinementSettings | None
     tolerance: float
     detail: float
     exposure: float | None = None

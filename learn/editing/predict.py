@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from learn.data import photographs
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.records import Records
 from learn.editing import material_file
@@ -52,7 +52,7 @@ class PredictedPicture:
     """
 
     framed: photographs.Framed
-    batch: Batch
+    batch: ExampleBatch
     prediction: Prediction
     parts: Parts
     rendering: np.ndarray

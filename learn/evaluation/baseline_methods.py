@@ -15,7 +15,7 @@ import torch
 from torch.nn import functional as F
 
 from learn.baselines import FILES, posterior, priors
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.evaluation.methods import Layered, Method, network
 from learn.networks import weights
@@ -44,11 +44,11 @@ def load(name: str, path: Path, device: str | torch.device = "cpu") -> Method:
     )
 
 
-def predicting(net: Separate, size: int) -> Callable[[Batch], Prediction]:
-    """Return Batch → Prediction of a network that was trained at `size`."""
+def predicting(net: Separate, size: int) -> Callable[[ExampleBatch], Prediction]:
+    """Return ExampleBatch → Prediction of a network that was trained at `size`."""
     predict = network(net)
 
-    def at_size(batch: Batch) -> Prediction:
+    def at_size(batch: ExampleBatch) -> Prediction:
         result = predict(resized(batch, size))
         if result.n is None:
             raise ValueError("Baseline 2: expected predicted normals, found none")
@@ -57,7 +57,7 @@ def predicting(net: Separate, size: int) -> Callable[[Batch], Prediction]:
     return at_size
 
 
-def resized(batch: Batch, size: int) -> Batch:
+def resized(batch: ExampleBatch, size: int) -> ExampleBatch:
     """Return the batch with its picture, mask and segments at another size.
 
     The object's colour is averaged over the object alone; the other truth stays as it is.
@@ -93,7 +93,7 @@ class Swapped:
     def __init__(self, name: str, net: EncoderDecoder, size: int):
         self.name, self.net, self.size = name, net, size
 
-    def parts(self, batch: Batch) -> Prediction:
+    def parts(self, batch: ExampleBatch) -> Prediction:
         """Return a Prediction with nothing but the material."""
         seen = resized(batch, self.size)
         with torch.no_grad():
@@ -106,7 +106,7 @@ class Swapped:
         )
         return Prediction(None, code, label, None, None)
 
-    def edit(self, batch: Batch, label: torch.Tensor) -> np.ndarray:
+    def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return linear radiance (H, W, 3), zeros outside the mask."""
         seen, picture = resized(batch, self.size), torch.zeros_like(batch.image)
         with torch.no_grad():
@@ -120,7 +120,7 @@ class Swapped:
         return array(picture[0].movedim(0, -1))
 
 
-def regions(batch: Batch) -> list[torch.Tensor]:
+def regions(batch: ExampleBatch) -> list[torch.Tensor]:
     """Return [(1, 1, H, W) float]: the mask, or its part in each segment."""
     count = batch.label.shape[1]
     return (

@@ -4,6 +4,7 @@ A row of figures is plain JSON: {"methods": {name: {group: {figure: value}}}, â€
 not predict is left out of its row.
 """
 
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,9 +13,9 @@ import torch
 
 from learn.agreement import causes, surface
 from learn.data import pairs
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
-from learn.data.pairs import Edit
+from learn.data.pairs import EditPair
 from learn.data.records import Records, Sample
 from learn.evaluation import gallery, methods
 from learn.layer import render
@@ -25,7 +26,7 @@ from learn.metrics import pictures as metrics
 from learn.metrics.pictures import squared_difference, squared_net_of_noise
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
-from learn.refinement import Refined as RefinementResult
+from learn.refinement import RefinementResult
 from manifests.errors import InputError
 from manifests.provenance import provenance
 from manifests.schema import Record
@@ -70,14 +71,16 @@ class Bench:
             perceptual.of_file(lpips),
         )
         if refine:
-            from learn.refinement import refine as work
+            from learn.refinement import refine as of_any
+
+            work = functools.partial(of_any, labels=net.training_labels)
         labels = methods.training_labels(self.records, materials)
         self.entrants = methods.entrants(
             net, work if refine else None, labels, baselines, self.device
         )
 
     def work(
-        self, first: Edit, edits: Sequence[Edit], whole: bool, folder: str | None = None
+        self, first: EditPair, edits: Sequence[EditPair], whole: bool, folder: str | None = None
     ) -> tuple[dict | None, list[dict]]:
         """Return the row of the source picture, or None, and the rows of its edits.
 
@@ -98,7 +101,7 @@ class Bench:
         row = self._picture_row(first.source, batch) if whole else None
         return row, [self._edit_row(edit, batch, folder) for edit in edits]
 
-    def _picture_row(self, record: Record, batch: Batch) -> dict:
+    def _picture_row(self, record: Record, batch: ExampleBatch) -> dict:
         truth = array(batch.image[0].movedim(0, -1))
         row: dict = {"id": record.id, "commit": self.commit, "methods": {}} | summary_of(record)
         done: dict[tuple, dict] = {}  # many methods share a part, which is then measured once
@@ -112,7 +115,7 @@ class Bench:
         return row
 
     def _parts(
-        self, parts: Prediction, batch: Batch, truth: np.ndarray, done: dict[tuple, dict]
+        self, parts: Prediction, batch: ExampleBatch, truth: np.ndarray, done: dict[tuple, dict]
     ) -> dict[str, dict]:
         """The figures of a Prediction, without what was given to the method or not predicted.
 
@@ -152,7 +155,7 @@ class Bench:
             result[f"rendered_{name}"] = done[tensors]
         return result
 
-    def _edit_row(self, edit: Edit, batch: Batch, folder: str | None) -> dict:
+    def _edit_row(self, edit: EditPair, batch: ExampleBatch, folder: str | None) -> dict:
         label, truth = pairs.target_label(self.records, edit), self.records.image(edit.truth)
         mask = array(batch.segments[0] > 0)
         truth = truth * mask[..., None]
@@ -178,7 +181,7 @@ class Bench:
             gallery.write(Path(folder) / f"{edit.id}.png", batch, truth, shown, mask)
         return row
 
-    def _layer(self, edit: Edit, picture: np.ndarray, mask: np.ndarray) -> dict:
+    def _layer(self, edit: EditPair, picture: np.ndarray, mask: np.ndarray) -> dict:
         """The error of the layer's edit from true parts, beside the catalogue's node fit.
 
         The error is over the mask and away from edges; where the truth has a second seed, the
@@ -260,7 +263,7 @@ def summary_of(record: Record) -> dict[str, object]:
 
 def with_truth(
     method: methods.Method,
-    batch: Batch,
+    batch: ExampleBatch,
     label: torch.Tensor,
     truth: np.ndarray,
     mask: np.ndarray,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.figures.montage import eight_bit, grid
 from manifests.files import write_image
@@ -23,7 +23,7 @@ STOPS = ((0, 0, 0), (70, 15, 110), (180, 50, 90), (245, 125, 20), (252, 255, 200
 
 def write(
     path: Path,
-    batch: Batch,
+    batch: ExampleBatch,
     truth: np.ndarray,
     pictures: Mapping[str, np.ndarray],
     mask: np.ndarray,

@@ -16,12 +16,12 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.records import Records
 from learn.layer import predictions
 from learn.networks.prediction import Prediction
-from learn.refinement import Refined as RefinementResult
+from learn.refinement import RefinementResult
 from manifests.materials import load_catalogue
 
 REFINED = ("Baseline 2",)  # of the baselines, those that the paper refines too
@@ -29,7 +29,7 @@ REFINED = ("Baseline 2",)  # of the baselines, those that the paper refines too
 GIVEN_TRUTH = ("the layer alone", "Lombardi-like")
 
 
-Refine = Callable[[Batch, Prediction | None], RefinementResult]
+Refine = Callable[[ExampleBatch, Prediction | None], RefinementResult]
 
 
 class Method(Protocol):
@@ -37,20 +37,22 @@ class Method(Protocol):
 
     name: str
 
-    def parts(self, batch: Batch) -> Prediction | None:
+    def parts(self, batch: ExampleBatch) -> Prediction | None:
         """Return normals, material and light of a batch of one.
 
         A field is None, or the whole result, where the method does not predict it.
         """
 
-    def edit(self, batch: Batch, label: torch.Tensor) -> np.ndarray:
+    def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return radiance (H, W, 3) of the object in other materials, zeros outside the mask.
 
         label  (S, 108)
         """
 
 
-def rendered(n: torch.Tensor, label: torch.Tensor, light: torch.Tensor, batch: Batch) -> np.ndarray:
+def rendered(
+    n: torch.Tensor, label: torch.Tensor, light: torch.Tensor, batch: ExampleBatch
+) -> np.ndarray:
     """Return radiance (H, W, 3) by the layer, rendered by learn.layer.predictions.MEASURED.
 
     n (1, 3, H, W), label (S, 108) or (1, S, 108), light (1, 3, 64, 128)
@@ -65,17 +67,17 @@ class Layered:
     predict  returns a Prediction with n and light at least
     """
 
-    def __init__(self, name: str, predict: Callable[[Batch], Prediction]):
+    def __init__(self, name: str, predict: Callable[[ExampleBatch], Prediction]):
         self.name, self.predict = name, predict
-        self._last: tuple[Batch, Prediction] | None = None
+        self._last: tuple[ExampleBatch, Prediction] | None = None
 
-    def parts(self, batch: Batch) -> Prediction:
+    def parts(self, batch: ExampleBatch) -> Prediction:
         """Return the prediction of a batch of one, the same object for the same batch."""
         if self._last is None or self._last[0] is not batch:
             self._last = batch, self.predict(batch)
         return self._last[1]
 
-    def edit(self, batch: Batch, label: torch.Tensor) -> np.ndarray:
+    def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return the layer's radiance (H, W, 3) of the predicted parts in materials (S, 108)."""
         n, light = self.parts(batch).n, self.parts(batch).light
         if n is None or light is None:
@@ -91,7 +93,7 @@ class Refined(Layered):
         self.start, self._work = method, refine
         self.refined: RefinementResult | None = None
 
-    def _refine(self, batch: Batch) -> Prediction:
+    def _refine(self, batch: ExampleBatch) -> Prediction:
         self.refined = self._work(batch, self.start.parts(batch))
         return self.refined.prediction
 
@@ -101,10 +103,10 @@ class Unchanged:
 
     name = "input unchanged"
 
-    def parts(self, batch: Batch) -> None:
+    def parts(self, batch: ExampleBatch) -> None:
         """Return None: nothing is predicted."""
 
-    def edit(self, batch: Batch, label: torch.Tensor) -> np.ndarray:
+    def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return the input's radiance (H, W, 3), zeros outside the mask."""
         return array((batch.image * batch.mask)[0].movedim(0, -1))
 
@@ -124,7 +126,7 @@ class MeanMaterial(Layered):
         )
         self.label, self.method = torch.from_numpy(np.mean(labels, 0)).float(), method
 
-    def _predict(self, batch: Batch) -> Prediction:
+    def _predict(self, batch: ExampleBatch) -> Prediction:
         result = (
             Prediction(batch.n, None, None, None, batch.light)
             if self.method is None
@@ -132,10 +134,10 @@ class MeanMaterial(Layered):
         )
         return result._replace(code=None, label=self._label(batch))
 
-    def _label(self, batch: Batch) -> torch.Tensor:
+    def _label(self, batch: ExampleBatch) -> torch.Tensor:
         return self.label.to(batch.label.device).expand_as(batch.label)
 
-    def edit(self, batch: Batch, label: torch.Tensor) -> np.ndarray:
+    def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return radiance (H, W, 3) of the object in the mean material."""
         return super().edit(batch, self._label(batch))
 
@@ -158,10 +160,10 @@ def training_labels(records: Records | None, materials: str) -> list[np.ndarray]
     ]
 
 
-def network(net: torch.nn.Module) -> Callable[[Batch], Prediction]:
-    """Return Batch → Prediction by a network, over regions where the picture has several."""
+def network(net: torch.nn.Module) -> Callable[[ExampleBatch], Prediction]:
+    """Return ExampleBatch → Prediction by a network, over regions where the picture has several."""
 
-    def predict(batch: Batch) -> Prediction:
+    def predict(batch: ExampleBatch) -> Prediction:
         regions = batch.label.shape[1]
         with torch.no_grad():
             return net(
@@ -177,7 +179,7 @@ def constant_light(method: Layered | None = None) -> Layered:
     Its normals are the true ones, or those of another method.
     """
 
-    def predict(batch: Batch) -> Prediction:
+    def predict(batch: ExampleBatch) -> Prediction:
         n = batch.n if method is None else method.parts(batch).n
         return Prediction(n, None, None, None, torch.ones_like(batch.light))
 

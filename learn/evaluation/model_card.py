@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from learn.data import devices
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.relit import DataSplit, RelitDataset
 from learn.data.rendered import RenderedDataset
 from learn.data.settings import Run, decode_run
@@ -154,7 +154,7 @@ def _under(where, found):
 def measured(
     network: Any,
     run: Run,
-    batches: Iterable[Batch],
+    batches: Iterable[ExampleBatch],
     constant_albedo: Any,
     sheet_path: Path | None = None,
 ) -> tuple[dict[str, np.ndarray], list[str]]:
@@ -164,7 +164,7 @@ def measured(
     """
     rows: list[dict[str, np.ndarray]] = []
     names: list[str] = []
-    shown: list[tuple[Batch, Prediction]] = []
+    shown: list[tuple[ExampleBatch, Prediction]] = []
     device = devices.of(network)
     for batch in batches:
         batch = batch.to(device)
@@ -178,7 +178,7 @@ def measured(
         if sum(len(each.names) for each, _ in shown) < training_montage.ROWS:
             shown.append((batch, prediction))
     if sheet_path:
-        cells = np.concatenate([training_montage.cells(*each) for each in shown])[
+        cells = np.concatenate([training_montage.contact_sheet(*each) for each in shown])[
             : training_montage.ROWS * run.size
         ]
         files.write_image(sheet_path, cells, "JPEG", quality=90)

@@ -21,12 +21,12 @@ import torch
 from tqdm import tqdm
 
 from learn.data import pairs
-from learn.data.pairs import Edit
+from learn.data.pairs import EditPair
 from learn.data.records import Records
 from learn.evaluation import report, rows
 from learn.evaluation.bench import Bench
 from learn.layer.predictions import MEASURED
-from learn.refinement import Settings
+from learn.refinement import RefinementSettings
 from manifests import files, lock
 from manifests.errors import InputError
 from manifests.schema import Record
@@ -34,7 +34,7 @@ from manifests.store import Lines, file_hash
 
 # an edit of the source picture, the edits to measure, whether the picture itself is to be measured,
 # and the folder for pictures of the edits, or None
-Unit = tuple[Edit, list[Edit], bool, str | None]
+Unit = tuple[EditPair, list[EditPair], bool, str | None]
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def make(options: Options) -> dict:
         )
 
 
-def ids_of(chosen: Sequence[Edit]) -> dict[str, set[str]]:
+def ids_of(chosen: Sequence[EditPair]) -> dict[str, set[str]]:
     """Return {file: ids of its lines}."""
     return {
         "pictures.jsonl": {edit.source.id for edit in chosen},
@@ -142,7 +142,7 @@ def settings(options: Options) -> dict:
         "materials": file_hash(Path(options.data) / "materials.json"),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
         "baselines": of_baselines,
-        "refine": asdict(Settings()) if options.refine else False,
+        "refine": asdict(RefinementSettings()) if options.refine else False,
         "tolerance": MEASURED.tolerance,
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),
@@ -156,7 +156,7 @@ def settings(options: Options) -> dict:
 
 
 def units(
-    out: Path, chosen: Sequence[Edit], gallery: int, repeats: dict[tuple, list[Record]]
+    out: Path, chosen: Sequence[EditPair], gallery: int, repeats: dict[tuple, list[Record]]
 ) -> list[Unit]:
     """Return the work that is still to do, one unit per source picture.
 
@@ -168,7 +168,7 @@ def units(
     pictures, done = rows_of(out / "pictures.jsonl"), rows_of(out / "edits.jsonl")
     shown = {edit.id for edit in chosen[:gallery]}
 
-    def finished(edit: Edit) -> bool:
+    def finished(edit: EditPair) -> bool:
         drawn = edit.id not in shown or (out / "gallery" / f"{edit.id}.png").exists()
         seeds = len(repeats[pairs.scene(edit.truth), edit.truth.materials])
         judged = edit.id in done and (
@@ -177,7 +177,7 @@ def units(
         )
         return drawn and judged
 
-    grouped: dict[str, list[Edit]] = {}
+    grouped: dict[str, list[EditPair]] = {}
     for edit in chosen:
         grouped.setdefault(edit.source.id, []).append(edit)
     work: list[Unit] = []

@@ -20,7 +20,7 @@ from manifests.option_types import positive, whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from learn.data.batch import Batch
+    from learn.data.batch import ExampleBatch
     from learn.data.records import Records
     from learn.networks.prediction import Prediction
 
@@ -56,8 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         metavar="SETTING",
         help=(
-            "only these of default, paper, a=0.1, passes=3, pixels=600 … (default: all; without a"
-            " name: none)"
+            "only these of default, paper, a=0.1, outer_iterations=3, pixels=600 … (default: all;"
+            " without a name: none)"
         ),
     )
     options.add_materials(
@@ -94,7 +94,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
 
 def _measure(
-    arguments: argparse.Namespace, predict: Callable[[Batch], Prediction], records: Records
+    arguments: argparse.Namespace, predict: Callable[[ExampleBatch], Prediction], records: Records
 ) -> dict[str, Any]:
     from learn.experiments import refinement_initialisations, refinement_sweep
 

@@ -19,7 +19,7 @@ from learn.experiments import runner
 from learn.experiments.refinement_sweep import Case, Predict, picture
 from learn.metrics.pictures import display_l2
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, refine
+from learn.refinement import RefinementSettings, refine
 from manifests.materials import load_catalogue
 
 KINDS = ("network", "random material", "mean light", "noisy normals", "untrained")
@@ -41,7 +41,7 @@ def measured(
     count: int,
     out: Path,
     labels: Sequence[np.ndarray],
-    settings: Settings = Settings(),  # noqa: B008 -- frozen
+    settings: RefinementSettings = RefinementSettings(),  # noqa: B008 -- frozen
 ) -> dict[str, Any]:
     """Return how `count` refinements ended, from initialisations of every kind in turn.
 

@@ -21,51 +21,59 @@ import numpy as np
 import torch
 
 from learn.data import pairs
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.records import Records
 from learn.experiments import runner
 from learn.experiments.refinement_ablation import FIGURES
-from learn.layer import render
+from learn.layer import predictions
 from learn.metrics.radiometry import irradiance
 from learn.networks.prediction import Prediction
-from learn.refinement import NAMED, Settings, refine
+from learn.refinement import NAMED, RefinementSettings, refine
 from manifests import files
 from manifests.errors import InputError
+from manifests.renamed_keys import current_name
 from shaders import tone
 
 SWEEPS = {
     "a": (0.01, 0.05, 0.1, 1.0),
     "b": (0.002, 0.02, 0.2, 10.0),
     "c": (0.0, 0.05, 0.1, 1.0),
-    "passes": (1, 2, 3),
+    "outer_iterations": (1, 2, 3),
     "pixels": (0, 600),
 }
-TOLERANCE = 2e-2
-Predict = Callable[[Batch], Prediction]
+Predict = Callable[[ExampleBatch], Prediction]
 
 
-def settings_of(name: str) -> Settings:
+def settings_of(name: str) -> RefinementSettings:
     """Return the settings of a name such as "a=0.1", or of NAMED. Raises InputError."""
     if name in NAMED:
         return NAMED[name]
-    moved, _, value = name.partition("=")
+    moved, _, value = _current(name).partition("=")
     try:
         if moved == "pixels":
             return replace(
-                Settings(),
-                levels=tuple(replace(level, pixels=int(value)) for level in Settings().levels),
+                RefinementSettings(),
+                levels=tuple(
+                    replace(level, pixels=int(value)) for level in RefinementSettings().levels
+                ),
             )
         if moved not in SWEEPS:
             raise ValueError(moved)
-        number = int(value) if moved == "passes" else float(value)
-        return replace(Settings(), **{moved: number})  # type: ignore[arg-type]  # of SWEEPS
+        number = int(value) if moved == "outer_iterations" else float(value)
+        return replace(RefinementSettings(), **{moved: number})  # type: ignore[arg-type]  # of SWEEPS
     except ValueError:
         raise InputError(
             f"--only {name}", "a setting", "none of that name", f"one of {', '.join(names())}"
         ) from None
 
 
-def value_of(moved: str, settings: Settings = Settings()) -> float:  # noqa: B008 -- frozen
+def _current(name: str) -> str:
+    """Return a setting's name with its key of today: rows and commands may say "passes=3"."""
+    moved, sign, value = name.partition("=")
+    return f"{current_name(moved)}{sign}{value}"
+
+
+def value_of(moved: str, settings: RefinementSettings = RefinementSettings()) -> float:  # noqa: B008 -- frozen
     """Return what the settings have for a name of SWEEPS."""
     return settings.levels[0].pixels if moved == "pixels" else getattr(settings, moved)
 
@@ -88,7 +96,7 @@ class Case:
     """
 
     id: str
-    batch: Batch
+    batch: ExampleBatch
     truths: list[tuple[torch.Tensor, np.ndarray]]
 
 
@@ -104,24 +112,16 @@ def cases(records: Records, count: int, seed: int) -> list[Case]:
     return results
 
 
-def picture(parts: Prediction, label: torch.Tensor, batch: Batch) -> np.ndarray:
+def picture(parts: Prediction, label: torch.Tensor, batch: ExampleBatch) -> np.ndarray:
     """Return radiance (H, W, 3) of a prediction's normals and light in a material (S, 108)."""
     assert parts.n is not None and parts.light is not None  # refined networks predict all parts
-    several = len(label) > 1
-    with torch.no_grad():
-        return render(
-            parts.n.movedim(1, -1).contiguous(),
-            (label if several else label[0]).float().exp()[None],
-            parts.light.movedim(1, -1).contiguous(),
-            segments=batch.segments if several else None,
-            mask=batch.segments > 0,
-            tolerance=TOLERANCE,
-            elevation=batch.elevation,
-        )[0].numpy()
+    return predictions.picture(
+        parts.n, label[None], parts.light, batch.segments, batch.elevation, predictions.ABLATION
+    )[0].numpy()
 
 
 def figures(
-    parts: Prediction, batch: Batch, truths: Sequence[tuple[torch.Tensor, np.ndarray]]
+    parts: Prediction, batch: ExampleBatch, truths: Sequence[tuple[torch.Tensor, np.ndarray]]
 ) -> dict[str, float]:
     """Return {figure: value} of a prediction."""
     assert parts.n is not None and parts.label is not None  # as above
@@ -151,7 +151,7 @@ def sweep(
 
     Rows that `out` has are not measured again.
     """
-    requested = list(dict.fromkeys(requested or names()))
+    requested = list(dict.fromkeys(map(_current, requested or names())))
     settings = {name: settings_of(name) for name in requested}
 
     def measure(chosen: tuple[str, Case]) -> dict[str, Any]:
@@ -170,7 +170,13 @@ def sweep(
         for name in requested
         for case in known
     ]
-    return summary(runner.resume(Path(out) / "rows.jsonl", todo, measure, "refinement"))
+    rows = runner.resume(Path(out) / "rows.jsonl", todo, measure, "refinement", _with_current_name)
+    return summary(rows)
+
+
+def _with_current_name(row: dict[str, Any]) -> dict[str, Any]:
+    """Return a row of rows.jsonl, its setting by its name of today."""
+    return row | {"setting": _current(row["setting"])}
 
 
 def pin_settings(out: Path, about: dict[str, Any]) -> None:
@@ -178,7 +184,9 @@ def pin_settings(out: Path, about: dict[str, Any]) -> None:
 
     Raises InputError where they depend on something else.
     """
-    files.pin_settings(Path(out) / "settings.json", about | {"defaults": asdict(Settings())})
+    files.pin_settings(
+        Path(out) / "settings.json", about | {"defaults": asdict(RefinementSettings())}
+    )
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -208,8 +216,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def timed(
     predict: Predict,
-    batch: Batch,
-    settings: Settings = Settings(),  # noqa: B008 -- frozen
+    batch: ExampleBatch,
+    settings: RefinementSettings = RefinementSettings(),  # noqa: B008 -- frozen
 ) -> dict[str, float]:
     """Return seconds of a prediction and of its refinement, the best of two (one may compile)."""
     results = []
@@ -221,7 +229,7 @@ def timed(
     return dict(zip(("predict", "refine"), map(min, zip(*results, strict=True)), strict=True))
 
 
-def doubled(batch: Batch) -> Batch:
+def doubled(batch: ExampleBatch) -> ExampleBatch:
     """Return the same picture at twice the size, with each pixel four times."""
 
     def larger(x: torch.Tensor) -> torch.Tensor:

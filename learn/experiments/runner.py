@@ -157,12 +157,14 @@ def resume(
     cases: Sequence[tuple[dict[str, Any], Case]],
     measure: Callable[[Case], dict[str, Any]],
     unit: str,
+    current: Callable[[dict[str, Any]], dict[str, Any]] = lambda row: row,
 ) -> list[dict[str, Any]]:
     """Return a row for each case; rows that the file at `path` has are read, not measured again.
 
     cases    pairs of what identifies a row, as {key: value}, and what `measure` receives
     measure  returns the rest of the row; the whole row is then appended to the file as one line
     unit     what the progress bar counts
+    current  brings a row that an earlier version wrote up to date
     """
     import contextlib
 
@@ -171,7 +173,8 @@ def resume(
     from manifests.store import Lines
 
     keys = list(cases[0][0]) if cases else []
-    done = {tuple(row[key] for key in keys): row for row in files.read_lines(path)}
+    kept = [current(row) for row in files.read_lines(path)]
+    done = {tuple(row[key] for key in keys): row for row in kept}
     missing = [(each, case) for each, case in cases if tuple(each.values()) not in done]
     with contextlib.closing(Lines(path)) as lines:
         for identity, case in tqdm(missing, unit=unit):

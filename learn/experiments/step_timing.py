@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import torch
 
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.relit import DataSplit, RelitDataset
 from learn.data.settings import Losses, Run
 from learn.training import losses, schedule
@@ -59,7 +59,7 @@ def of_step(
     return result | {"total": sum(result.values())}
 
 
-def _one_step(training: Training, batch: Batch, run: Run, clock: Clock, k: int) -> None:
+def _one_step(training: Training, batch: ExampleBatch, run: Run, clock: Clock, k: int) -> None:
     """Make a step as learn.training.loop does, but term by term.
 
     Each term's gradient by the prediction is computed first, and then the network's.
@@ -92,7 +92,7 @@ def _one_step(training: Training, batch: Batch, run: Run, clock: Clock, k: int) 
     clock.note("network")
     torch.nn.utils.clip_grad_norm_(training.network.parameters(), run.schedule.clip)
     training.optimiser.step()
-    schedule.follow(training.average, training.network, k, run.schedule.ema_decay)
+    schedule.update_average(training.average, training.network, k, run.schedule.ema_decay)
     clock.note("optimiser")
 
 

@@ -22,7 +22,7 @@ from learn.metrics import bootstrap
 from learn.metrics.pictures import l2_and_ssim
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings
+from learn.refinement import RefinementSettings
 from manifests import files
 from manifests.errors import InputError
 from manifests.store import file_hash
@@ -53,13 +53,13 @@ def compare(
             " × ".join(map(str, edits[0].source.camera.size)),
             'render them with "size"',
         )
-    settings = Settings()
+    settings = RefinementSettings()
     files.pin_settings(
         out / "settings.json", {"weights": file_hash(weights), "refinement": asdict(settings)}
     )
     painters: dict[str, dict] = {}  # of the last picture: {its id: {"ours" | "true": painters}}
 
-    def measure(edit: pairs.Edit) -> dict[str, Any]:
+    def measure(edit: pairs.EditPair) -> dict[str, Any]:
         if edit.source.id not in painters:
             painters.clear()
             opened = photograph.opened(records.folder, record=edit.source.id)
@@ -77,7 +77,7 @@ def compare(
     return {"about": about, "parts": summary(rows)}
 
 
-def _row(records: Records, edit: pairs.Edit, painters: dict[str, dict]) -> dict[str, Any]:
+def _row(records: Records, edit: pairs.EditPair, painters: dict[str, dict]) -> dict[str, Any]:
     """An edit's shape and material, and each strategy's figures."""
     label, truth = pairs.target_label(records, edit)[0].numpy(), records.image(edit.truth)
     row: dict[str, Any] = {"shape": edit.source.shape, "material": edit.truth.materials[0]}

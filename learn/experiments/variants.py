@@ -16,13 +16,13 @@ import msgspec
 import numpy as np
 import torch
 
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.relit import DataSplit, RelitDataset
 from learn.data.settings import Data, Run
 from learn.metrics import bootstrap
 from learn.metrics.pictures import l2_and_ssim
 from learn.networks import weights
-from learn.training import loop, validation
+from learn.training import loop, processes, validation
 from manifests.files import write_text
 from manifests.reading import read
 
@@ -33,7 +33,9 @@ BATCH = 16
 Result = dict[str, Any]  # of one training: steps, seconds, run, and rows of figures
 
 
-def held_out(data_splits: dict[str, DataSplit], data: Data, size: int, batches: int) -> list[Batch]:
+def held_out(
+    data_splits: dict[str, DataSplit], data: Data, size: int, batches: int
+) -> list[ExampleBatch]:
     """Return batches of the test split; their pictures are the truth, as the layer made them."""
     source = RelitDataset(data_splits["test"], data, BATCH, size, TEST_SEED)
     return [replace(batch, picture=batch.image) for batch in (source[k] for k in range(batches))]
@@ -42,7 +44,7 @@ def held_out(data_splits: dict[str, DataSplit], data: Data, size: int, batches: 
 def trained(
     run: Run,
     data_splits: dict[str, DataSplit],
-    tests: Sequence[Batch],
+    tests: Sequence[ExampleBatch],
     folder: Path,
     workers: int = 1,
 ) -> Result:
@@ -53,7 +55,7 @@ def trained(
     """
     if (folder / "result.json").exists():
         return read(folder / "result.json", dict)
-    with loop.only_writer(folder):
+    with processes.only_writer(folder):
         training = loop.Training(run, data_splits, folder, sheet_every=0, workers=workers)
         training.train()
     weights.save_weights(
@@ -73,7 +75,7 @@ def trained(
     return json.loads(text)
 
 
-def _rows(training: loop.Training, network: Any, batch: Batch) -> Iterator[dict]:
+def _rows(training: loop.Training, network: Any, batch: ExampleBatch) -> Iterator[dict]:
     with torch.no_grad():
         prediction = training.predict(network, batch)
     figures = {}

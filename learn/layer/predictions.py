@@ -14,6 +14,7 @@ MEASURED     every display L2 in the report of an evaluation: edits and re-rende
 SHOWN        what people look at: edited photographs, predictions, material spheres
 VALIDATION   figures during training, which must cost less than the steps between two validations,
              and in the card of the weights, which holds the same figures
+ABLATION     figures of refinement's ablation, which renders thousands of pictures
 PIXEL_LOSS   training losses at sampled pixels, where the sum over texels costs least
 FRAME_LOSS   training losses of whole frames
 TEXEL_SUM    the paper's sum over texels itself, for comparisons with it
@@ -39,6 +40,7 @@ class Policy(NamedTuple):
 MEASURED = Policy("quadrature", 5e-3)
 SHOWN = Policy(None, 1e-2)
 VALIDATION = Policy("hybrid", 2e-2)
+ABLATION = Policy("auto", 2e-2)
 PIXEL_LOSS = Policy("exact", 1e-2)
 # all pixels at 2e-2 would take a quarter longer
 FRAME_LOSS = Policy("auto", 5e-2)

@@ -154,7 +154,7 @@ def test_the_three_networks_share_nothing():
 
 
 def test_the_true_target_is_the_layers_picture_in_the_target_material(data_splits):
-    pair = material_swap.Paired(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
+    pair = material_swap.PairedDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     for i in range(4):
         expected = rendered(
             pair.n[i : i + 1],
@@ -167,7 +167,7 @@ def test_the_true_target_is_the_layers_picture_in_the_target_material(data_split
 
 
 def test_a_true_edit_has_no_loss(data_splits):
-    pair = material_swap.Paired(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
+    pair = material_swap.PairedDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     network = EncoderDecoder(Ranges(torch.zeros(108), torch.ones(108)))
     edited = network(pair.image, pair.mask, pair.target_label)
     code, embedded = network.ranges.code(pair.label), network.ranges.code(pair.target_label)

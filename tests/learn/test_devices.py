@@ -14,7 +14,7 @@ import torch.nn.functional as F
 
 from learn.__main__ import COMMANDS
 from learn.data import devices, lights
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.geometry import Geometry
 from learn.data.photographs import Framed
 from learn.data.relit import DataSplit
@@ -27,7 +27,7 @@ from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, refine
+from learn.refinement import RefinementSettings, refine
 from learn.refinement.settings import Level
 from learn.training.loop import Training
 from manifests.cli import main
@@ -340,7 +340,7 @@ def test_an_edit_is_refined_and_rendered_on_the_networks_device(weights, device,
         lambda n, *given, **named: rendered_on.append(n.device) or render(n, *given, **named),
     )
     level = Level(pixels=40, light=(8, 16), method="exact", rounds=1, iterations=1)
-    settings = Settings(levels=(level,), passes=1)
+    settings = RefinementSettings(levels=(level,), outer_iterations=1)
     result = decomposition.decompose(
         opened(SIZE), checkpoint.load_parts(weights, device)[0], SIZE, settings
     )
@@ -363,12 +363,12 @@ def test_an_edit_is_refined_and_rendered_on_the_networks_device(weights, device,
 
 
 def scene_to_refine(size=12):
-    """A Batch of a ball, and a start that is 10 % off in its light and another rubber in its
-    material.
+    """An ExampleBatch of a ball, and a start whose light is 10 % off and whose material is another
+    rubber.
     """
     picture, n, label, L, inside = ball(size)
     image, n, light = (tensor.movedim(-1, 1).contiguous() for tensor in (picture, n, L))
-    batch = Batch(
+    batch = ExampleBatch(
         image,
         inside[:, None].float(),
         n,
@@ -386,7 +386,7 @@ def refined_on(device):
     batch, start = scene_to_refine()
     moved = Prediction(*(None if part is None else part.to(device) for part in start))
     level = Level(pixels=0, light=(8, 16), method="exact", rounds=1, iterations=3)
-    return refine(batch.to(device), moved, Settings(levels=(level,), passes=1))
+    return refine(batch.to(device), moved, RefinementSettings(levels=(level,), outer_iterations=1))
 
 
 def test_refinement_goes_down_on_its_device_as_far_as_on_the_cpu(device):

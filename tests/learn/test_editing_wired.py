@@ -31,8 +31,8 @@ def quick(monkeypatch):
     monkeypatch.setattr(
         decomposition,
         "refine",
-        lambda batch, start, settings: refine(
-            batch, start, replace(settings, passes=1, levels=settings.levels[:1])
+        lambda batch, start, settings, labels: refine(
+            batch, start, replace(settings, outer_iterations=1, levels=settings.levels[:1]), labels
         ),
     )
 

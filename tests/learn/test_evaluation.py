@@ -20,7 +20,7 @@ from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.prediction import Prediction
 from learn.networks.weights import save_weights
-from learn.refinement import Settings
+from learn.refinement import RefinementSettings
 from manifests import exr, files
 from manifests.errors import InputError
 from manifests.store import Lines
@@ -471,7 +471,7 @@ def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, t
     files.pin_settings(tmp_path / "settings.json", refined)
     # what a file gives back is the same
     files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
-    monkeypatch.setattr(run, "Settings", lambda: replace(Settings(), a=0.5))
+    monkeypatch.setattr(run, "RefinementSettings", lambda: replace(RefinementSettings(), a=0.5))
     with pytest.raises(InputError, match="other refine"):
         files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
     assert run.settings(options)["refine"] is False

@@ -25,7 +25,7 @@ from learn.networks.encoder_decoder import EncoderDecoder
 from learn.networks.prediction import Prediction
 from learn.networks.separate import Separate
 from learn.networks.weights import save_weights
-from learn.refinement import Refined, Settings
+from learn.refinement import RefinementResult, RefinementSettings
 from learn.refinement.settings import Level
 from manifests import files
 from manifests.errors import InputError
@@ -34,8 +34,8 @@ from tests.support.synthetic import matte, write_dataset
 
 SIZE = 32
 QUICK = replace(
-    Settings(),
-    passes=1,
+    RefinementSettings(),
+    outer_iterations=1,
     levels=(Level(pixels=60, light=(16, 32), method="exact", rounds=1, iterations=2),),
 )
 
@@ -97,8 +97,8 @@ def batch(data):
 
 
 class Finished(NamedTuple):
-    """options, the row of the picture, the row of its edit, and (batch, start, Refined) of each
-    refinement in turn.
+    """Options, the row of the picture, the row of its edit, and (batch, start, RefinementResult) of
+    each refinement in turn.
     """
 
     options: run.Options
@@ -118,8 +118,8 @@ def finished(data, weights, others, tmp_path_factory):
     )
     refine, threads = learn.refinement.refine, torch.get_num_threads()
 
-    def noted(batch, prediction):
-        calls.append((batch, prediction, refine(batch, prediction, QUICK)))
+    def noted(batch, prediction, labels):
+        calls.append((batch, prediction, refine(batch, prediction, QUICK, labels)))
         return calls[-1][-1]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -199,7 +199,7 @@ def test_a_refinement_with_one_value_that_is_not_finite_is_told_as_such(part, va
         torch.ones(1, 3, 2, 2), None, torch.ones(1, 1, 108), None, torch.ones(1, 3, 64, 128)
     )
     getattr(p, part).flatten()[-1] = value
-    message = bench.refinement(Refined(p, {"total": 2.0}, {"total": 1.0}, [], 3.0))
+    message = bench.refinement(RefinementResult(p, {"total": 2.0}, {"total": 1.0}, [], 3.0))
     assert message == {"before": 2.0, "after": 1.0, "seconds": 3.0, "finite": False}
 
 

@@ -9,11 +9,10 @@ import msgspec
 import pytest
 import torch
 
-from learn.data.settings import Data, Losses, Run, Schedule, Stage
+from learn.data.settings import Data, Losses, Run, Schedule, Stage, read_run
 from learn.training import schedule, validation
 from learn.training.journal import Journal
 from manifests.errors import InputError
-from manifests.reading import read
 
 STAGED = Run(
     name="staged",
@@ -86,7 +85,7 @@ def test_a_run_from_before_sources_and_stages_means_what_it_meant(tmp_path):
         "seed": 1,
     }
     (tmp_path / "run.json").write_text(json.dumps(old))
-    run = read(tmp_path / "run.json", Run)
+    run = read_run(tmp_path / "run.json")
     assert (run.data.source, run.data.gloss_curriculum, run.stages, run.schedule.seconds) == (
         "relit",
         0,

@@ -12,7 +12,7 @@ import torch
 from learn.baselines import posterior, priors
 from learn.baselines import training as making
 from learn.data import lights
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.settings import Data, Run
 from learn.editing.predict import WEIGHTS
 from learn.evaluation import baseline_methods as methods
@@ -33,7 +33,7 @@ def batch():
     n = torch.tensor([0.0, 0.0, 1.0])[None, :, None, None].expand(1, 3, SIZE, SIZE)
     label, light = torch.zeros(1, 2, 108), torch.ones(1, 3, 64, 128)
     mask = (segments > 0)[:, None].float()
-    return Batch(
+    return ExampleBatch(
         torch.zeros(1, 3, SIZE, SIZE), mask, n, segments, label, light, label, ("plane",), 0.349
     )
 

@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from scipy.optimize import OptimizeResult, minimize
 
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.experiments import (
     refinement_ablation,
     refinement_chart,
@@ -23,11 +23,11 @@ from learn.experiments.__main__ import COMMANDS
 from learn.layer import render
 from learn.metrics.radiometry import log_albedo
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, descent, refine
+from learn.refinement import RefinementSettings, descent, refine
 from learn.refinement.coordinates import (
-    Light,
-    Material,
-    Normals,
+    LightCoordinates,
+    MaterialCoordinates,
+    NormalCoordinates,
     principal_directions,
     spherical_harmonics,
 )
@@ -41,7 +41,7 @@ from tests.support.synthetic import entry, write_dataset
 
 SIZE, ELEVATION = 24, 0.349
 LEVELS = (Level(pixels=120, light=(16, 32), method="exact", rounds=1, iterations=4),)
-QUICK = replace(Settings(), levels=LEVELS)
+QUICK = replace(RefinementSettings(), levels=LEVELS)
 
 
 def sky(seed=0):
@@ -78,7 +78,9 @@ def scene():
         method="exact",
     )
     image, mask = picture.movedim(-1, 1).contiguous(), inside[None, None].float()
-    batch = Batch(image, mask, n, inside[None].long(), label, light, label, ("ball",), ELEVATION)
+    batch = ExampleBatch(
+        image, mask, n, inside[None].long(), label, light, label, ("ball",), ELEVATION
+    )
     return batch, Prediction(n, None, label, None, light)
 
 
@@ -127,7 +129,9 @@ def test_a_stride_to_where_the_layer_cannot_follow_is_turned_back(scene, monkeyp
         return minimize(value_and_slope, x, **options)
 
     monkeypatch.setattr(descent, "minimize", far_first)
-    result = refine(batch, perturbed(truth, 1), replace(QUICK, order=("material",), passes=1))
+    result = refine(
+        batch, perturbed(truth, 1), replace(QUICK, order=("material",), outer_iterations=1)
+    )
     assert strides and result.after["total"] < result.before["total"]
 
 
@@ -136,7 +140,7 @@ def test_a_step_that_ends_there_is_taken_back(scene, monkeypatch):
     monkeypatch.setattr(
         descent, "minimize", lambda value_and_slope, x, **options: OptimizeResult(x=x + 1e4)
     )
-    result = refine(batch, truth, replace(QUICK, order=("material",), passes=1))
+    result = refine(batch, truth, replace(QUICK, order=("material",), outer_iterations=1))
     assert not result.history and result.after == result.before
 
 
@@ -149,7 +153,7 @@ def test_a_prediction_that_is_not_finite_is_refused(scene):
 
 def test_what_is_accepted_lowers_the_energy_each_time(scene):
     batch, truth = scene
-    result = refine(batch, perturbed(truth, 1), replace(QUICK, a=0.05, b=0.05, passes=1))
+    result = refine(batch, perturbed(truth, 1), replace(QUICK, a=0.05, b=0.05, outer_iterations=1))
     totals = [result.before["total"]] + [
         step["total"] for step in result.history if step["accepted"]
     ]
@@ -161,7 +165,7 @@ def test_what_is_accepted_lowers_the_energy_each_time(scene):
 def test_a_second_pass_comes_nearer_to_the_picture_and_stays_below_the_start(scene):
     batch, truth = scene
     start = perturbed(truth, 1)
-    once, twice = (refine(batch, start, replace(QUICK, passes=passes)) for passes in (1, 2))
+    once, twice = (refine(batch, start, replace(QUICK, outer_iterations=count)) for count in (1, 2))
     assert {line["pass"] for line in twice.history} == {0, 1}
     assert twice.after["image"] < 0.9 * once.after["image"]
     assert twice.after["total"] < twice.before["total"] == once.before["total"]
@@ -170,8 +174,8 @@ def test_a_second_pass_comes_nearer_to_the_picture_and_stays_below_the_start(sce
 def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monkeypatch):
     batch, truth = scene
     start = perturbed(truth, 1)
-    once = refine(batch, start, replace(QUICK, passes=1))
-    plain, calls = descent.passed, []
+    once = refine(batch, start, replace(QUICK, outer_iterations=1))
+    plain, calls = descent.outer_iteration, []
 
     def lost(batch, state, *rest):
         calls.append(state)
@@ -182,8 +186,8 @@ def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monke
             else (result, report)
         )
 
-    monkeypatch.setattr(descent, "passed", lost)
-    result = refine(batch, start, replace(QUICK, passes=2))
+    monkeypatch.setattr(descent, "outer_iteration", lost)
+    result = refine(batch, start, replace(QUICK, outer_iterations=2))
     assert len(calls) == 2
     assert (
         torch.equal(result.prediction.light, once.prediction.light) and result.after == once.after
@@ -202,7 +206,7 @@ def test_all_pixels_are_rendered_as_a_frame_and_some_as_a_list_to_the_same_pictu
         (batch, replace(two, label=two.label[:, :1])),
         (replace(batch, segments=half), two),
     ):
-        energy = Energy(scene_of, state, Settings())
+        energy = Energy(scene_of, state, RefinementSettings())
         frame = energy.image(state, energy.inside, (64, 128), "exact", 1e-3)
         parts = [
             energy.image(state, where, (64, 128), "exact", 1e-3) * len(where)
@@ -225,12 +229,18 @@ def test_a_wrong_albedo_is_found_again_when_only_the_material_may_move(scene):
     )
     level = Level(pixels=0, light=(64, 128), method="exact", rounds=1, iterations=15)
     result = refine(
-        batch, dark, replace(Settings(), order=("material",), c=0.0, passes=1, levels=(level,))
+        batch,
+        dark,
+        replace(
+            RefinementSettings(), order=("material",), c=0.0, outer_iterations=1, levels=(level,)
+        ),
     )
     assert result.after["image"] < 0.02 * result.before["image"]
     assert torch.equal(
         result.prediction.light,
-        refine(batch, dark, replace(Settings(), order=(), passes=1)).prediction.light,
+        refine(
+            batch, dark, replace(RefinementSettings(), order=(), outer_iterations=1)
+        ).prediction.light,
     )
 
 
@@ -239,7 +249,7 @@ def test_the_energy_does_not_grow_with_the_picture_or_the_map(scene):
     start = State(truth.label.double(), truth.light, truth.n, {"material": torch.zeros(1, 3)})
     n = F.normalize(truth.n + 0.1, dim=1)
     moved = State(truth.label.double() + 0.3, truth.light * 1.5, n, {"material": torch.ones(1, 3)})
-    energy = Energy(batch, start, Settings())
+    energy = Energy(batch, start, RefinementSettings())
     whole, part = (
         energy.terms(moved, energy.inside),
         energy.terms(moved, energy.pixels(100), (32, 64), "exact"),
@@ -282,11 +292,11 @@ def test_coordinates_at_zero_are_the_prediction(scene):
     inside = batch.segments > 0
     zero = [
         torch.zeros(part.shape, dtype=torch.float64)
-        for part in (Material(truth.label), Light(truth.light, 3))
+        for part in (MaterialCoordinates(truth.label), LightCoordinates(truth.light, 3))
     ]
-    assert torch.equal(Material(truth.label)(zero[0]).float(), truth.label)
-    np.testing.assert_allclose(Light(truth.light, 3)(zero[1]), truth.light, rtol=1e-4)
-    normals = Normals(truth.n, inside, 0.3)
+    assert torch.equal(MaterialCoordinates(truth.label)(zero[0]).float(), truth.label)
+    np.testing.assert_allclose(LightCoordinates(truth.light, 3)(zero[1]), truth.light, rtol=1e-4)
+    normals = NormalCoordinates(truth.n, inside, 0.3)
     again = normals(torch.zeros(normals.shape, dtype=torch.float64))
     seen = inside & (truth.n[:, 2] > 0.2)  # nearer the rim they are drawn in
     np.testing.assert_allclose(again.movedim(1, -1)[seen], truth.n.movedim(1, -1)[seen], atol=1e-6)
@@ -307,8 +317,8 @@ def test_more_than_one_picture_is_refused(scene):
 
 
 def test_a_studys_settings_are_read_from_their_names():
-    assert refinement_sweep.settings_of("default") == Settings()
-    assert refinement_sweep.settings_of("passes=1").passes == 1
+    assert refinement_sweep.settings_of("default") == RefinementSettings()
+    assert refinement_sweep.settings_of("passes=1").outer_iterations == 1
     assert {level.pixels for level in refinement_sweep.settings_of("pixels=600").levels} == {600}
     assert refinement_sweep.settings_of("c=0.1").c == 0.1
     for moved, values in refinement_sweep.SWEEPS.items():
@@ -406,7 +416,7 @@ def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, m
 
     def refined(batch, start, settings):
         prediction, after = next(ends)
-        return descent.Refined(prediction, {"total": 1.0}, {"total": after}, [], 0.0)
+        return descent.RefinementResult(prediction, {"total": 1.0}, {"total": after}, [], 0.0)
 
     monkeypatch.setattr(refinement_initialisations, "refine", refined)
     monkeypatch.setattr(
@@ -426,7 +436,7 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
             module,
             "refine",
             lambda batch, start, settings: refine(
-                batch, start, replace(settings, levels=LEVELS, passes=1)
+                batch, start, replace(settings, levels=LEVELS, outer_iterations=1)
             ),
         )
     catalogue = load_catalogue()

@@ -365,13 +365,13 @@ def test_a_photographed_picture_keeps_its_radiance_but_for_exposure_and_noise(rn
     assert abs(np.mean(ratios)) < 4 * sigma
 
 
-def test_a_nibbled_mask_loses_its_rim_at_most(rng):
+def test_an_eroded_mask_loses_its_rim_at_most(rng):
     mask = np.zeros((16, 16), bool)
     mask[4:12, 4:12] = True
     for _ in range(8):
-        nibbled = augmentation.nibbled(rng, mask)
-        assert (nibbled <= mask).all()
-        assert nibbled[5:11, 5:11].all()
+        eroded = augmentation.eroded_mask(rng, mask)
+        assert (eroded <= mask).all()
+        assert eroded[5:11, 5:11].all()
 
 
 def test_what_stays_in_register_moves_with_the_picture():
