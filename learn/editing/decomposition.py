@@ -37,8 +37,8 @@ LARGEST_DETAIL = 1.5  # factor
 
 @dataclass(frozen=True)
 class Decomposition:
-    """framed: what the network saw; batch: of one; start: Prediction; refined: RefinementResult, or None
-    where it was not asked for.
+    """framed: what the network saw; batch: of one; start: Prediction; refined: RefinementResult,
+    or None where it was not asked for.
     """
 
     photograph: Photograph

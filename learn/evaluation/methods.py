@@ -1,8 +1,8 @@
 """The methods that the tables compare, under one protocol: what a picture is made of, and what it
 looks like in another material.
 
-batch   learn.data.batch.ExampleBatch of one picture; its truth (n, label, light) is for metrics, and for
-methods that are said to be given it
+batch   learn.data.batch.ExampleBatch of one picture; its truth (n, label, light) is for metrics,
+and for methods that are said to be given it
 label   (S, 108) natural logarithms of the wanted material, one a region
 A method remembers the parts of the last batch it saw: the edits of one picture share its prediction
 and its refinement.

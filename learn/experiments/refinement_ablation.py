@@ -2,8 +2,8 @@
 
 rows.jsonl  a line for each picture and setting: a study is continued by what it holds
 settings.json  what those lines depend on: a folder made with others is not gone on with
-study.json  medians and means over pictures against a, b, c, outer iterations and how many pixels (0:
-all), one at a time about the defaults
+study.json  medians and means over pictures against a, b, c, outer iterations and how many
+pixels (0: all), one at a time about the defaults
 
 Display L2 over the mask, exposure from the truth; edit: the mean over the other materials that the
 dataset has of the same scene.

@@ -359,8 +359,8 @@ def test_an_edit_is_refined_and_rendered_on_the_networks_device(weights, device,
 
 
 def scene_to_refine(size=12):
-    """An ExampleBatch of a ball, and a start that is 10 % off in its light and another rubber in its
-    material.
+    """An ExampleBatch of a ball, and a start that is 10 % off in its light and another rubber in
+    its material.
     """
     picture, n, label, L, inside = ball(size)
     image, n, light = (tensor.movedim(-1, 1).contiguous() for tensor in (picture, n, L))

@@ -97,8 +97,8 @@ def batch(data):
 
 
 class Finished(NamedTuple):
-    """options, the row of the picture, the row of its edit, and (batch, start, RefinementResult) of each
-    refinement in turn.
+    """options, the row of the picture, the row of its edit, and (batch, start, RefinementResult) of
+    each refinement in turn.
     """
 
     options: run.Options

@@ -14,8 +14,8 @@ def register(subparsers):
         description=(
             "Refines pictures of a dataset in which scenes were rendered in several materials, so"
             " that the truth of an edit is known. Writes study.json and study.png (re-rendering,"
-            " edit, normals and light against each weight, outer iterations and pixels), starts.json (bad"
-            " starts) and times.json. The same command again continues the study."
+            " edit, normals and light against each weight, outer iterations and pixels), starts.json"
+            " (bad starts) and times.json. The same command again continues the study."
         ),
     )
     parser.add_argument(
@@ -48,8 +48,8 @@ def register(subparsers):
         nargs="*",
         metavar="SETTING",
         help=(
-            "default, paper, a=0.1, outer_iterations=3, pixels=600 …: these alone (default: all; none: no"
-            " study)"
+            "default, paper, a=0.1, outer_iterations=3, pixels=600 …: these alone (default: all;"
+            " none: no study)"
         ),
     )
     parser.add_argument(
