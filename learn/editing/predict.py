@@ -41,7 +41,7 @@ WRITTEN = (
 
 
 def of(framed, network, regions=None, count=1):
-    """(ExampleBatch of one, Prediction) of a learn.data.photographs.Framed, on the network's device.
+    """(ExampleBatch of one, Prediction) of a learn.data.photographs.Framed, on its device.
 
     regions  (size, size) 1 … S, None for one; count: S, of which a small one may have no pixel left
     at the network's size

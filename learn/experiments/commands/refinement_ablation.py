@@ -14,7 +14,8 @@ def register(subparsers):
         description=(
             "Refines pictures of a dataset in which scenes were rendered in several materials, so"
             " that the truth of an edit is known. Writes study.json and study.png (re-rendering,"
-            " edit, normals and light against each weight, outer iterations and pixels), starts.json"
+            " edit, normals and light against each weight, outer iterations and pixels), "
+            "starts.json"
             " (bad starts) and times.json. The same command again continues the study."
         ),
     )
