@@ -54,13 +54,13 @@ class ExampleBatch:
 
     def _with_tensors(self, function: Callable[[torch.Tensor], torch.Tensor]) -> "ExampleBatch":
         """Return the batch of function(tensor); the batch itself if no tensor changes."""
-        old = [getattr(self, field.name) for field in fields(self)]
-        new = [function(value) if isinstance(value, torch.Tensor) else value for value in old]
-        if all(a is b for a, b in zip(old, new, strict=True)):
+        old = {field.name: getattr(self, field.name) for field in fields(self)}
+        new: dict[str, Any] = {
+            name: function(value) for name, value in old.items() if isinstance(value, torch.Tensor)
+        }
+        if all(value is old[name] for name, value in new.items()):
             return self
-        return replace(
-            self, **{field.name: value for field, value in zip(fields(self), new, strict=True)}
-        )
+        return replace(self, **new)
 
 
 def joined(examples: Sequence[tuple], elevation: float) -> ExampleBatch:
