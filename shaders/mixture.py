@@ -96,15 +96,19 @@ class Mixture:
         )
 
     def evaluate(
-        self, cos_i: np.ndarray, cos_o: np.ndarray, cos_h: np.ndarray, cos_d: np.ndarray
+        self,
+        cos_i: np.ndarray,
+        cos_o: np.ndarray | float,
+        cos_h: np.ndarray,
+        cos_d: np.ndarray,
     ) -> np.ndarray:
         """Return the BRDF (…, 3) in 1/sr, without cosine; the cosines broadcast, cos_i > 0."""
-        cos_i, cos_o, cos_h, cos_d = np.broadcast_arrays(cos_i, cos_o, cos_h, cos_d)
-        log_alpha, tilt, weights = self.at(cos_o)
+        cos_i, view_cos, cos_h, cos_d = np.broadcast_arrays(cos_i, cos_o, cos_h, cos_d)
+        log_alpha, tilt, weights = self.at(view_cos)
         f = np.zeros((*cos_i.shape, 3))
         for k, kind in enumerate(self.kinds):
             value = closures.evaluate(
-                kind, np.exp(log_alpha[..., k]), tilt[..., k], cos_i, cos_o, cos_h, cos_d
+                kind, np.exp(log_alpha[..., k]), tilt[..., k], cos_i, view_cos, cos_h, cos_d
             )
             f += weights[..., k, :] * value[..., None]
         return f

@@ -8,7 +8,7 @@ code. A second call reads them from there; another recipe makes others.
 import concurrent.futures
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -186,7 +186,7 @@ def duplicates(entries: Sequence[Entry]) -> list[list[str]]:
 
 
 def write_catalogue(
-    entries: Sequence[Entry], path: str | Path, title: str, credit: str, light_maps: Sequence[str]
+    entries: Sequence[Entry], path: str | Path, title: str, credit: str, light_maps: Iterable[str]
 ) -> None:
     """Write the catalogue of these entries, with their nearest training materials, to `path`."""
     catalogue.write(

@@ -73,8 +73,8 @@ def _socket(sockets: Any, identifier: str) -> bpy.types.NodeSocket:
 def _node(tree: bpy.types.NodeTree, node: nodes.Node) -> bpy.types.Node:
     built = tree.nodes.new(node.type)
     built.name = node.name
-    for path, value in node.properties.items():
-        assign(built, path, value)
+    for path, text in node.properties.items():
+        assign(built, path, text)
     if node.ramp:
         _fill_ramp(built.color_ramp, node.ramp)
     for identifier, value in node.inputs.items():

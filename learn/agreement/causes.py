@@ -126,8 +126,8 @@ def texels(sample: Sample) -> tuple[Directions, int]:
 
     Texels below the horizon have a solid angle of 0; the radiance is (T, 3).
     """
-    w, solid_angle = directions(*sample.light.shape[:2])
-    w = torch.as_tensor(w.reshape(-1, 3) @ camera_from_light(sample.elevation).T)
+    centres, solid_angle = directions(*sample.light.shape[:2])
+    w = torch.as_tensor(centres.reshape(-1, 3) @ camera_from_light(sample.elevation).T)
     weight, L = (
         torch.as_tensor(solid_angle.reshape(1, -1)),
         sample.light.reshape(-1, 3).double().numpy(),
@@ -158,7 +158,7 @@ def lobe_samples(sample: Sample, m: torch.Tensor, count: int) -> tuple[Direction
         n: torch.Tensor, view: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
         w, weight, _ = quadrature.place(
-            n, view, half, solid_angle, rotation, sample.light.shape[:2]
+            n, view, half, solid_angle, rotation, (sample.light.shape[0], sample.light.shape[1])
         )
         texel, share = quadrature.footprint(w @ rotation, weight, *sample.light.shape[:2])
         return w, weight, torch.einsum("pic,pick->pik", share, light[texel]).numpy()

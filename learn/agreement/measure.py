@@ -127,9 +127,9 @@ def rendered(sample: Sample, tolerance: float, device: str | torch.device = "cpu
     pixel = 2 * camera.half_extent / max(camera.size)
     view = np.array([0.0, 0.0, 1.0]) if sample.view is None else sample.view.numpy()
     inner = surface.inner(n, segments, depth, pixel)
-    integral = array(integral.double())
-    spread = footprint(sample, integral, inner, tolerance, device)
-    return Layer(integral, spread, array(total.double()), segments > 0, inner, (n * view).sum(-1))
+    centre = array(integral.double())
+    spread = footprint(sample, centre, inner, tolerance, device)
+    return Layer(centre, spread, array(total.double()), segments > 0, inner, (n * view).sum(-1))
 
 
 def narrow(m: torch.Tensor) -> bool:

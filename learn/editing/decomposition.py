@@ -83,7 +83,8 @@ def decompose(
     batch, start = predict_framed(framed, network, regions, photograph.count)
     if photograph.record is not None:  # a photograph's camera is not known, a record's is
         batch = replace(batch, elevation=float(np.radians(photograph.record.camera.elevation_deg)))
-    refined = None if settings is None else refine(batch, start, settings, network.training_labels)
+    labels: np.ndarray | None = getattr(network, "training_labels", None)
+    refined = None if settings is None else refine(batch, start, settings, labels)
     return Decomposition(photograph, framed, batch, start, refined)
 
 

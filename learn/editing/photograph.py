@@ -148,7 +148,7 @@ def opened(
         radiance, coverage, alpha = photographs.read_soft(
             path, masks[0] if masks else None, regions, remedy
         )
-        labels = (coverage >= 0.5).astype(np.uint8)
+        labels: np.ndarray = (coverage >= 0.5).astype(np.uint8)
     else:
         radiance, _, alpha = photographs.read_soft(path, masks[0])
         coverage, labels = _several(masks, radiance.shape[:2])
@@ -202,7 +202,7 @@ def _require_none(path, rule, masks, regions, balance):
         raise InputError(option, rule, f"the dataset {path}", f"leave {option} out")
 
 
-def _several(masks, size):
+def _several(masks: Sequence[Path], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Coverage and regions from one mask per region; where two overlap the later one counts."""
     each = np.stack([photographs.read_mask(mask, size) for mask in masks])
     labels = np.zeros(size, np.uint8)

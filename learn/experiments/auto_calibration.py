@@ -62,11 +62,8 @@ def map_error(size: int) -> dict[str, float]:
             m = one_lobe(g)
             truth = directional.radiance(n, None, m, E, lights)
             for nodes in SIZES:
-                seen = reflectance_map.with_nodes(
-                    n,
-                    nodes,
-                    lambda at, m=m, E=E, k=lights: directional.radiance(at, None, m, E, k),
-                )
+                render = functools.partial(_radiance, m=m, E=E, lights=lights)
+                seen = reflectance_map.with_nodes(n, nodes, render)
                 points.append(
                     (
                         2 * np.sqrt(2) / (nodes - 5),
@@ -150,12 +147,19 @@ def seconds(size: int) -> dict[str, float]:
     return {name: float(f"{value:.3g}") for name, value in result.items()}
 
 
+def _radiance(
+    n: torch.Tensor, m: torch.Tensor, E: torch.Tensor, lights: directional.Lights
+) -> torch.Tensor:
+    """Return radiance (P, 3) of normals (P, 3) seen by a distant viewer."""
+    return directional.radiance(n, None, m, E, lights)
+
+
 def summed(
     n: torch.Tensor,
     m: torch.Tensor,
     E: torch.Tensor,
     lights: directional.Lights,
-    allowed: torch.Tensor,
+    allowed: float,
 ) -> torch.Tensor:
     """Return the culled sum's radiance (P, 3)."""
     return directional.radiance(n, None, m, E, lights, allowed)

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 from learn.experiments import ablation_options, runner
 
 if TYPE_CHECKING:
-    from learn.data.settings import Data, Part, Run
+    from learn.data.settings import Data, Run
+    from manifests.training_runs import Part
 
 VARIANTS: dict[Part, dict[str, dict[str, float]]] = {
     "material": {

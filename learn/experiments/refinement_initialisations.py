@@ -58,7 +58,7 @@ def measured(
         parts = (report.prediction.label, report.prediction.light, report.prediction.n)
         seen = batch.image[0].movedim(0, -1).numpy()
         mask = (batch.segments[0] > 0).numpy()
-        finite = all(bool(torch.isfinite(part).all()) for part in parts)
+        finite = all(bool(torch.isfinite(part).all()) for part in parts if part is not None)
         return {
             "kind": kind,
             "energy": [report.before["total"], report.after["total"]],

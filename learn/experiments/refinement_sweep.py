@@ -124,7 +124,7 @@ def figures(
     parts: Prediction, batch: ExampleBatch, truths: Sequence[tuple[torch.Tensor, np.ndarray]]
 ) -> dict[str, float]:
     """Return {figure: value} of a prediction."""
-    assert parts.n is not None and parts.label is not None  # as above
+    assert parts.n is not None and parts.label is not None and parts.light is not None
     inside = batch.segments[0] > 0
     seen = batch.image[0].movedim(0, -1).numpy()
 

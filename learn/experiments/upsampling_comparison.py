@@ -95,6 +95,7 @@ def with_truth(records: Records, ours: decomposition.Decomposition) -> decomposi
 
     Normals are at the network's size.
     """
+    assert ours.photograph.record is not None  # it is one of the data set's
     sample, mask = records.load(ours.photograph.record), ours.framed.mask
     square = photographs.placed(sample.n.numpy(), ours.framed.box)
     n = F.normalize(torch.from_numpy(photographs.resized(square, len(mask))), dim=-1).movedim(
@@ -112,7 +113,7 @@ def with_truth(records: Records, ours: decomposition.Decomposition) -> decomposi
 def compared(picture: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
     """Return display L2 and SSIM over the mask."""
     figures = l2_and_ssim(picture, truth, mask)
-    return {name: figures[name] for name in ("l2", "ssim")}
+    return {name: value for name in ("l2", "ssim") if (value := figures[name]) is not None}
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:

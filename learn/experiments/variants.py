@@ -108,7 +108,9 @@ def _rows(training: loop.Training, network: Any, batch: ExampleBatch) -> Iterato
 def _compared(mine: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
     """Display L2 over mask and frame, SSIM over the mask, at the truth's exposure."""
     figures = l2_and_ssim(mine, truth, mask)
-    return {name: figures[name] for name in ("l2", "l2_frame", "ssim")}
+    return {
+        name: value for name in ("l2", "l2_frame", "ssim") if (value := figures[name]) is not None
+    }
 
 
 def figures(results: Sequence[Result]) -> dict[str, list[float]]:

@@ -54,9 +54,9 @@ def texels(
 
     light  (Hl, Wl, 3)
     """
-    w, solid_angle = directions(*light.shape[:2])
-    w = (torch.as_tensor(w).reshape(-1, 3) @ camera_from_light.T).to(light)
-    solid_angle = torch.as_tensor(solid_angle, dtype=light.dtype, device=light.device)
+    centres, areas = directions(*light.shape[:2])
+    w = (torch.as_tensor(centres).reshape(-1, 3) @ camera_from_light.T).to(light)
+    solid_angle = torch.as_tensor(areas, dtype=light.dtype, device=light.device)
     return w, (light * solid_angle[..., None]).reshape(-1, 3)
 
 
