@@ -304,8 +304,8 @@ def run_preview(options: argparse.Namespace) -> int:
 
     from PIL import Image
 
-    sheet = contact_sheet(meshes(), len(chosen), size=options.size, azimuths=azimuths)
-    write_image(options.out, sheet.quantize(128, dither=Image.Dither.NONE), "PNG", optimize=True)
+    montage = contact_sheet(meshes(), len(chosen), size=options.size, azimuths=azimuths)
+    write_image(options.out, montage.quantize(128, dither=Image.Dither.NONE), "PNG", optimize=True)
     return 1 if failed else 0
 
 

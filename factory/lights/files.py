@@ -261,22 +261,22 @@ def _rgb(arrays, requested, size, broken):
     arrays  {name: (H, W) or (H, W, 3 or 4)}: channels by themselves, or R, G, B and perhaps A
             together
     """
-    together = (
+    joined = (
         next((array for name, array in arrays.items() if name in ("RGB", "RGBA")), None)
         if requested != ("Y",)
         else None
     )
     planes = (
         [arrays.get(name) for name in requested]
-        if together is None
-        else [together[..., k] for k in range(3)]
+        if joined is None
+        else [joined[..., k] for k in range(3)]
     )
     if any(
         plane is None or plane.shape != size or plane.dtype.kind not in "fu" for plane in planes
     ):
         raise broken
-    if together is not None and together.dtype == np.float32:
-        return together[..., :3]
+    if joined is not None and joined.dtype == np.float32:
+        return joined[..., :3]
     pixels = np.empty((*size, 3), np.float32)
     for rows in envmap.bands(size[0]):
         for k in range(3):

@@ -31,8 +31,8 @@ def contact_sheet(
         1, min(count, round(10 / len(azimuths)), int(np.ceil(count**0.5 * 1.3)))
     )
     rows, wide, label = -(-count // columns), size * len(azimuths), 14
-    sheet = Image.new("RGB", (columns * wide, max(rows, 1) * (size + label)), "white")
-    pen = ImageDraw.Draw(sheet)
+    montage = Image.new("RGB", (columns * wide, max(rows, 1) * (size + label)), "white")
+    pen = ImageDraw.Draw(montage)
     for k, mesh in enumerate(meshes):
         x, y = k % columns * wide, k // columns * (size + label)
         if isinstance(mesh, str):
@@ -40,6 +40,6 @@ def contact_sheet(
             continue
         for j, azimuth in enumerate(azimuths):
             pixels = (picture(mesh, azimuth, size=size) * 255 + 0.5).astype(np.uint8)
-            sheet.paste(Image.fromarray(pixels), (x + j * size, y))
+            montage.paste(Image.fromarray(pixels), (x + j * size, y))
         pen.text((x + 3, y + size), mesh.name[-(wide // 6) :], fill=(90, 90, 90))
-    return sheet
+    return montage

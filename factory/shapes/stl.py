@@ -82,11 +82,11 @@ def _from_text(file, where, maximum):
     except InputError:
         raise
     except (ValueError, IndexError):
-        found = glimpse(b" ".join(words))
+        words_found = glimpse(b" ".join(words))
         raise InputError(
             f"{where}: line {line}",
             "a triangle between 'outer loop' and 'endloop'",
-            f"'{found}'",
+            f"'{words_found}'",
             AGAIN,
         ) from None
     if solids or inside is not None:

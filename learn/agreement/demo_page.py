@@ -211,7 +211,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         sheets = (*options.sheet, *options.prediction, *options.edit)
-        absent = [sheet for sheet in sheets if not sheet.is_file()]
+        absent = [picture for picture in sheets if not picture.is_file()]
         if absent:
             raise InputError(
                 absent[0], "a picture", "none", "run `python -m factory preview DIR` first"

@@ -43,30 +43,30 @@ def on_ground(picture: np.ndarray, opened: Photograph) -> np.ndarray:
     return montage.GROUND + (picture - montage.GROUND) * opened.opacity[..., None]
 
 
-def cropped(picture: np.ndarray, found: Decomposition) -> np.ndarray:
+def cropped(picture: np.ndarray, decomposed: Decomposition) -> np.ndarray:
     """Return the part of a picture inside the square about the object."""
-    top, left, side = found.framed.box
+    top, left, side = decomposed.framed.box
     return picture[max(top, 0) : top + side, max(left, 0) : left + side]
 
 
-def material_sphere(label: np.ndarray | torch.Tensor, found: Decomposition) -> np.ndarray:
+def material_sphere(label: np.ndarray | torch.Tensor, decomposed: Decomposition) -> np.ndarray:
     """Return the display picture of a material (108,), seen by a Decomposition's camera."""
-    return spheres.preview_sphere(label, SPHERE, found.batch.elevation)
+    return spheres.preview_sphere(label, SPHERE, decomposed.batch.elevation)
 
 
-def reflectance_maps(found: Decomposition) -> list[Tile]:
+def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
     """Return tiles of the first region's reflectance map: observed, predicted and refined."""
-    first, elevation = array(found.batch.segments[0]) == 1, found.batch.elevation
+    first, elevation = array(decomposed.batch.segments[0]) == 1, decomposed.batch.elevation
     # at the network's size the region may be too small to be seen
-    mask = first if first.any() else found.framed.mask
-    exposure = tone.auto_exposure(found.framed.radiance, mask)
-    n = array(found.parts.n[0].movedim(0, -1))
-    what = "reflectance map" if found.photograph.count == 1 else "reflectance map 1"
-    observed = spheres.observed_reflectance(found.framed.radiance, n, mask, TILE, exposure)
+    mask = first if first.any() else decomposed.framed.mask
+    exposure = tone.auto_exposure(decomposed.framed.radiance, mask)
+    n = array(decomposed.parts.n[0].movedim(0, -1))
+    what = "reflectance map" if decomposed.photograph.count == 1 else "reflectance map 1"
+    observed = spheres.observed_reflectance(decomposed.framed.radiance, n, mask, TILE, exposure)
     tiles: list[Tile] = [(f"{what}, observed", observed)]
-    stages = [("predicted", found.start)]
-    if found.refined:
-        stages.append(("refined", found.refined.prediction))
+    stages = [("predicted", decomposed.start)]
+    if decomposed.refined:
+        stages.append(("refined", decomposed.refined.prediction))
     for name, prediction in stages:
         _, label, light = parts_of(prediction)
         picture = spheres.material_sphere(
@@ -78,8 +78,8 @@ def reflectance_maps(found: Decomposition) -> list[Tile]:
 
 def rows(result: "EditResult", exposure: float) -> list[list[Tile]]:
     """Return the rows of a contact sheet: the parts, the reflectance maps, and each edit."""
-    found, opened = result.decomposition, result.decomposition.photograph
-    parts, mask = found.parts, found.framed.mask
+    decomposed, opened = result.decomposition, result.decomposition.photograph
+    parts, mask = decomposed.parts, decomposed.framed.mask
     before: Tile = ("photograph", on_ground(tone.display(opened.radiance, exposure), opened))
     names = [
         f"material {number}" if opened.count > 1 else "material"
@@ -91,28 +91,28 @@ def rows(result: "EditResult", exposure: float) -> list[list[Tile]]:
         ("normals", montage.normals_picture(array(parts.n[0].movedim(0, -1)), mask)),
         ("light", montage.light_picture(array(parts.light[0].movedim(0, -1)))),
         *(
-            (name, material_sphere(label, found))
+            (name, material_sphere(label, decomposed))
             for name, label in zip(names, parts.label[0], strict=True)
         ),
     ]
-    of_edits = [edit_row(edit, found, before, exposure) for edit in result.edits]
-    return [first, reflectance_maps(found), *of_edits]
+    of_edits = [edit_row(edit, decomposed, before, exposure) for edit in result.edits]
+    return [first, reflectance_maps(decomposed), *of_edits]
 
 
-def edit_row(edit: "Edit", found: Decomposition, before: Tile, exposure: float) -> list[Tile]:
+def edit_row(edit: "Edit", decomposed: Decomposition, before: Tile, exposure: float) -> list[Tile]:
     """Return a contact sheet's row of one edit.
 
     It shows the photograph, the edit, its target materials, and the truth with the difference from
     it where there is one; the edit is then under the truth's exposure.
     """
-    opened = found.photograph
+    opened = decomposed.photograph
     if edit.truth is not None:
         exposure = tone.auto_exposure(edit.truth, opened.mask)
     shown = tone.display(edit.picture, exposure)
     named = targets.parts_of(edit.text)
     names = named if len(named) == len(edit.labels) else [edit.text] * len(edit.labels)
     materials = {
-        targets.caption_of(name): material_sphere(label, found)
+        targets.caption_of(name): material_sphere(label, decomposed)
         for name, label in zip(names, edit.labels, strict=True)
         if label is not None
     }

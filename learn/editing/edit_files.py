@@ -61,8 +61,8 @@ def write(
     out: Path, names: Sequence[str], result: "EditResult", edit_options: "EditOptions"
 ) -> dict:
     """Write every file into the folder `out`, all or none, and return what edit.json holds."""
-    found, opened = result.decomposition, result.decomposition.photograph
-    parts, mask = found.parts, found.framed.mask
+    decomposed, opened = result.decomposition, result.decomposition.photograph
+    parts, mask = decomposed.parts, decomposed.framed.mask
     n, L = array(parts.n[0].movedim(0, -1)), array(parts.light[0].movedim(0, -1))
     exposure = drawing.exposure_of(opened)
     report = report_of(result, edit_options)
@@ -73,15 +73,15 @@ def write(
         save(out / "normals.png", montage.normals_picture(n, mask))
         save(out / "light.png", montage.light_picture(L))
         save(out / "rendering.png", tone.display(result.rendering, exposure))
-        save(out / "ball.png", drawing.material_sphere(parts.label[0, 0], found))
+        save(out / "ball.png", drawing.material_sphere(parts.label[0, 0], decomposed))
         save(
             out / "reflectance.png",
-            montage.contact_sheet([drawing.reflectance_maps(found)], drawing.TILE),
+            montage.contact_sheet([drawing.reflectance_maps(decomposed)], drawing.TILE),
         )
         material_file.write(
             out / "material.json",
             array(parts.label[0]),
-            found.framed,
+            decomposed.framed,
             result.metadata,
             edit_options.weights,
         )
@@ -100,13 +100,13 @@ def write(
 
 def report_of(result: "EditResult", edit_options: "EditOptions") -> dict:
     """Return what edit.json holds."""
-    found, opened = result.decomposition, result.decomposition.photograph
-    refined = found.refined
+    decomposed, opened = result.decomposition, result.decomposition.photograph
+    refined = decomposed.refined
     return {
         "photograph": opened.name,
         "size": opened.mask.shape,
         "materials": [edit.text for edit in result.edits],
-        "exposure": found.framed.exposure,
+        "exposure": decomposed.framed.exposure,
         "white_balance": [float(x) for x in opened.balance],
         "regions": opened.count,
         "refined": (

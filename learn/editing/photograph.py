@@ -202,7 +202,7 @@ def _require_none(path, rule, masks, regions, balance):
         raise InputError(option, rule, f"the dataset {path}", f"leave {option} out")
 
 
-def _several(masks: Sequence[Path], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def _several(masks: Sequence[Path], size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Coverage and regions from one mask per region; where two overlap the later one counts."""
     each = np.stack([photographs.read_mask(mask, size) for mask in masks])
     labels = np.zeros(size, np.uint8)

@@ -113,17 +113,17 @@ def run(
     ):
         for group, name in zip(groups, grids, strict=True):
             pictures = {path: opened(path, mask_folder, edit_options) for path in group}
-            found = compute(pictures, network, metadata["size"], edit_options, progress)
-            sheet = [head(found)]
+            decompositions = compute(pictures, network, metadata["size"], edit_options, progress)
+            tiles_by_row = [head(decompositions)]
             for shape in group:
                 tiles = {}
-                for material, picture in edits_of(shape, found, edit_options):
+                for material, picture in edits_of(shape, decompositions, edit_options):
                     save_edit(out / pair_name(shape, material), picture, pictures[shape])
-                    tiles[material] = tile(picture, found[shape])
+                    tiles[material] = tile(picture, decompositions[shape])
                     progress.update()
-                sheet.append(row(shape, found, tiles))
-            save(out / name, montage.contact_sheet(sheet, drawing.TILE))
-            report += metadata_of(found, name)
+                tiles_by_row.append(row(shape, decompositions, tiles))
+            save(out / name, montage.contact_sheet(tiles_by_row, drawing.TILE))
+            report += metadata_of(decompositions, name)
         files.write_json(out / "transfer.json", {"pictures": report} | edit_options.as_metadata())
 
 
@@ -178,20 +178,20 @@ def compute(
     progress: tqdm,
 ) -> dict[Path, Decomposition]:
     """Return {path: Decomposition} of the pictures of one grid."""
-    found = {}
+    decompositions = {}
     for path, photo in pictures.items():
         progress.set_description(f"decomposing {path.stem}"[:30])
-        found[path] = decomposition.decompose(photo, network, size, edit_options.settings)
+        decompositions[path] = decomposition.decompose(photo, network, size, edit_options.settings)
         progress.update()
-    return found
+    return decompositions
 
 
 def edits_of(
-    shape: Path, found: Mapping[Path, Decomposition], edit_options: EditOptions
+    shape: Path, decompositions: Mapping[Path, Decomposition], edit_options: EditOptions
 ) -> Iterator[tuple[Path, np.ndarray]]:
     """Yield (path of the material, edited picture (H, W, 3), linear) of one picture's object."""
-    compositor = Compositor(found[shape], edit_options.tolerance, edit_options.detail)
-    for material, other in found.items():
+    compositor = Compositor(decompositions[shape], edit_options.tolerance, edit_options.detail)
+    for material, other in decompositions.items():
         if material is not shape:
             yield material, compositor.edited([other.label[0]])
 
@@ -202,36 +202,39 @@ def save_edit(path: Path, picture: np.ndarray, photo: Photograph) -> None:
     save(path, drawing.with_alpha(shown, photo))
 
 
-def tile(picture: np.ndarray, found: Decomposition) -> np.ndarray:
+def tile(picture: np.ndarray, decompositions: Decomposition) -> np.ndarray:
     """Return the object's square of a linear picture, as a contact sheet shows it."""
-    shown = tone.display(picture, drawing.exposure_of(found.photograph))
-    return drawing.cropped(drawing.on_ground(shown, found.photograph), found)
+    shown = tone.display(picture, drawing.exposure_of(decompositions.photograph))
+    return drawing.cropped(drawing.on_ground(shown, decompositions.photograph), decompositions)
 
 
-def head(found: Mapping[Path, Decomposition]) -> list[Tile]:
+def head(decompositions: Mapping[Path, Decomposition]) -> list[Tile]:
     """Return a grid's first row: a material sphere above each column."""
     corner: Tile = ("", np.full((8, 8, 3), montage.GROUND / 2))
     return [
         corner,
         *(
             (path.stem, drawing.material_sphere(each.label[0], each))
-            for path, each in found.items()
+            for path, each in decompositions.items()
         ),
     ]
 
 
 def row(
-    shape: Path, found: Mapping[Path, Decomposition], tiles: Mapping[Path, np.ndarray]
+    shape: Path, decompositions: Mapping[Path, Decomposition], tiles: Mapping[Path, np.ndarray]
 ) -> list[Tile]:
     """Return a grid's row of one object; tiles: {path of the material: tile of the edit}."""
-    before = tile(found[shape].photograph.radiance, found[shape])
-    return [(shape.stem, before), *(("", tiles.get(material, before)) for material in found)]
+    before = tile(decompositions[shape].photograph.radiance, decompositions[shape])
+    return [
+        (shape.stem, before),
+        *(("", tiles.get(material, before)) for material in decompositions),
+    ]
 
 
-def metadata_of(found: Mapping[Path, Decomposition], name: str) -> list[dict]:
+def metadata_of(decompositions: Mapping[Path, Decomposition], name: str) -> list[dict]:
     """Return what transfer.json says of the pictures of the grid `name`."""
     report = []
-    for path, each in found.items():
+    for path, each in decompositions.items():
         refined = each.refined
         energies = None if refined is None else [refined.before["total"], refined.after["total"]]
         report.append(

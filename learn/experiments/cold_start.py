@@ -48,19 +48,19 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from tqdm import tqdm
 
-    starts: dict[str, dict[str, list]] = {
+    seconds_of: dict[str, dict[str, list]] = {
         case: {kernels: [] for kernels in KERNELS} for case in arguments.case
     }
-    with tqdm(total=arguments.rounds * len(starts), unit="start", desc="startup") as progress:
+    with tqdm(total=arguments.rounds * len(seconds_of), unit="start", desc="startup") as progress:
         for _ in range(arguments.rounds):
-            for case, of_case in starts.items():
+            for case, of_case in seconds_of.items():
                 with tempfile.TemporaryDirectory() as folder:
                     for kernels in KERNELS:
                         of_case[kernels].append(start(case, arguments.threads, folder))
                 progress.update()
     seconds = {
         case: {kernels: medians(times) for kernels, times in of_case.items()}
-        for case, of_case in starts.items()
+        for case, of_case in seconds_of.items()
     }
     return {"threads": arguments.threads, "rounds": arguments.rounds, "seconds": seconds}
 

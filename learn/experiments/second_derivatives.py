@@ -48,13 +48,13 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
 def tables(report: runner.Report) -> str:
     """Return seconds of each pass and the ratio of second to first derivatives."""
-    passes = ("forward", "backward", "kept", "second")
-    head = ["case", "pixels", *(f"{name}, s" for name in passes), "second ÷ backward"]
+    phases = ("forward", "backward", "kept", "second")
+    head = ["case", "pixels", *(f"{name}, s" for name in phases), "second ÷ backward"]
     rows = [
         [
             name,
             case["pixels"],
-            *(f"{case[each]:.2f}" for each in passes),
+            *(f"{case[each]:.2f}" for each in phases),
             f"{case['second ÷ backward']:.2f}",
             ", ".join(f"{mib:.0f}" for mib in case["memory"]),
         ]

@@ -324,7 +324,7 @@ def few_lights(batch: Batch, tolerance: float) -> torch.Tensor:
             (
                 strategy
                 for strategy in strategies
-                if all(check.passes(strategy) for check in checks)
+                if all(check.keeps_tolerance(strategy) for check in checks)
             ),
             None,
         )
@@ -352,7 +352,7 @@ class Check:
         """The exact radiance (S, 3)."""
         return load("exact").radiance(self.batch, self.tolerance)
 
-    def passes(self, strategy: Callable[[Batch], torch.Tensor]) -> bool:
+    def keeps_tolerance(self, strategy: Callable[[Batch], torch.Tensor]) -> bool:
         """Whether strategy(batch) keeps the tolerance there."""
         return good(
             (strategy(self.batch) - self.truth).abs().numpy(),

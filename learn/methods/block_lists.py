@@ -178,18 +178,18 @@ def tile_size(pixels: int) -> int:
 
 def select(n: np.ndarray, tables: Tables, cones: np.ndarray, left_out: float) -> Lists:
     """Each tile's list; cones: the tables' own, or those of their backward pass."""
-    size, room = tile_size(len(n)), tables.lights.blocks
+    size, capacity = tile_size(len(n)), tables.lights.blocks
     tiles = -(-len(n) // size)
     budget = np.array([min(left_out, np.finfo(np.float32).max)], np.float32)
     lists = Lists(
-        np.empty((tiles, room, CUTS), np.float32),
+        np.empty((tiles, capacity, CUTS), np.float32),
         np.empty(tiles, np.int32),
-        np.empty((tiles, room), np.int32),
+        np.empty((tiles, capacity), np.int32),
     )
 
     def kernel(first: int, last: int) -> None:
         scratch = np.empty(cones.shape[0] * SELECT_ROWS * LANES, np.float32)
-        sizes = first, last, len(n), size, len(cones), room, tables.many
+        sizes = first, last, len(n), size, len(cones), capacity, tables.many
         machine_code.call("culled.select", *sizes, budget, n, cones, scratch, *lists)
 
     workers = threads.worth(torch.get_num_threads(), tiles * len(cones) * TESTED)
@@ -235,10 +235,10 @@ def run_backward(
     energy_sums = np.empty((chunks, blocks, 3, LANES), np.float32)
     lobe_sums = np.empty((chunks, blocks, many, 3, 2, LANES), np.float32)
     scratch = np.empty(chunks * CULLED_SCRATCH, np.float32)
-    tiles, room = lists.entries.shape
+    tiles, capacity = lists.entries.shape
 
     def kernel(first: int, last: int) -> None:
-        sizes = len(n), tile_size(len(n)), tiles, blocks, room, many, chunks, int(with_n)
+        sizes = len(n), tile_size(len(n)), tiles, blocks, capacity, many, chunks, int(with_n)
         inputs = n, lights.axes, lights.geometry, tables.energy, tables.lobes, scratch, g
         outputs = by_n, energy_sums, lobe_sums
         machine_code.call("culled.backward", first, last, *sizes, *inputs, *outputs, *lists)

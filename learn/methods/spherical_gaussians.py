@@ -86,9 +86,9 @@ def chunk(
     )
     both = sharp[:, None] * light_sharpness[:, None, None]
     total = sharp[:, None] + light_sharpness[:, None, None]
-    apart = ((mirror[:, None] - mu) ** 2).sum(-1)[..., None, None]
-    d = (total * total - both * apart).clamp(min=1e-12).sqrt()
-    below = both * apart / (d + total)  # λ_a + λ_b − d without its cancellation
+    squared_distance = ((mirror[:, None] - mu) ** 2).sum(-1)[..., None, None]
+    d = (total * total - both * squared_distance).clamp(min=1e-12).sqrt()
+    below = both * squared_distance / (d + total)  # λ_a + λ_b − d without its cancellation
     overlap = 2 * math.pi * torch.exp(-below) * -torch.expm1(-2 * d) / d
     at_axis = ((axes * n[:, None, None, None]).sum(-1) / d).clamp(min=0)
     light = (E * (light_sharpness / (2 * math.pi * -torch.expm1(-2 * light_sharpness)))[:, None])[

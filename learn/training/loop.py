@@ -315,9 +315,11 @@ class Training:
             figures |= dead.figures()
             source = source_of(data_split, self.run, self.run.schedule.batch, 1)
             batch = source[0].to(self.device)
-            sheet = montage.write(self._sheet_path(), batch, self._predicted(network, batch))
+            contact_sheet = montage.write(
+                self._sheet_path(), batch, self._predicted(network, batch)
+            )
             if self.journal:
-                self.journal.show(self.step - 1, sheet)
+                self.journal.show(self.step - 1, contact_sheet)
         self._save_weights()
         return figures
 

@@ -23,9 +23,9 @@ ROWS = 6
 
 def write(path: Path, batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
     """Write the contact sheet of a batch as a JPEG; return it as `contact_sheet` does."""
-    sheet = contact_sheet(batch, prediction)
-    write_image(path, sheet, "JPEG", quality=90)
-    return sheet
+    picture = contact_sheet(batch, prediction)
+    write_image(path, picture, "JPEG", quality=90)
+    return picture
 
 
 def contact_sheet(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from full_disk_case import RUN as SETTINGS
 from synthetic import add_shape, matte, write_dataset
 
 import learn.__main__
@@ -21,7 +20,8 @@ from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
 from learn.training import allocator
 from manifests.cli import main
-from tests.learn.test_cycles_source import written
+from tests.support.full_disk_case import RUN as SETTINGS
+from tests.support.two_materials import written
 
 SIZE = 32
 TRAINING = "--data {room}/data --size 32 --seconds 0.05 --seeds 1 --batches 1 --workers 0"
