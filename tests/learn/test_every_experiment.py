@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from synthetic import add_shape, matte, write_dataset
 
 import learn.__main__
 import learn.experiments.__main__
@@ -21,6 +20,7 @@ from learn.networks.weights import save_weights
 from learn.training import allocator
 from manifests.cli import main
 from tests.support.full_disk_case import RUN as SETTINGS
+from tests.support.synthetic import add_shape, matte, write_dataset
 from tests.support.two_materials import written
 
 SIZE = 32
@@ -83,7 +83,10 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
     "refinement-ablation": (
         "--data {room}/pictures --weights {room}/weights.safetensors --pictures 1"
         " --only passes=1 --initialisations 0",
-        lambda r: r["settings"]["passes=1"]["image"][1] <= r["settings"]["passes=1"]["image"][0],
+        lambda r: (
+            r["settings"]["outer_iterations=1"]["image"][1]
+            <= r["settings"]["outer_iterations=1"]["image"][0]
+        ),
     ),
     "upsampling": (
         "--data {room}/large --weights {room}/weights.safetensors --edits 1",
