@@ -1,4 +1,4 @@
-# Two commands for a newcomer: `make demo` and `make test`. Everything they make lies in .venv/ and out/.
+# Two commands for a newcomer: `make demo` and `make test`. They write only to .venv/ and out/.
 
 PYTHON ?= python3.11
 VENV   ?= .venv
@@ -8,27 +8,27 @@ WORKERS ?= 2
 
 .PHONY: help demo demo-small test fuzz lint clean
 help:
-	@echo "make demo    install into $(VENV)/, render a small data set, check that two renderers agree, edit a picture and a photograph; then open $(OUT)/index.html"
-	@echo "make demo-small  the same with the smallest job: sixteen pictures"
-	@echo "make test    install into $(VENV)/ and run the tests"
-	@echo "make fuzz    feed damaged files and odd options to every command for ten minutes"
-	@echo "make lint    check the code's style and its types"
-	@echo "make clean   delete $(VENV)/, out/ and build/"
+	@echo "make demo        install into $(VENV)/, render a small data set, compare the two renderers, edit a picture and a photograph; then open $(OUT)/index.html"
+	@echo "make demo-small  the same with the smallest job, which has sixteen pictures"
+	@echo "make test        install into $(VENV)/ and run the tests"
+	@echo "make fuzz        feed damaged files and unusual options to every command for ten minutes"
+	@echo "make lint        check the code's style and its types"
+	@echo "make clean       delete $(VENV)/, out/ and build/"
 
-# Installed once, again when the requirements change. A stamp tells, because an interrupted install leaves a folder behind.
+# Install once, and again when the requirements change. The stamp file marks a complete installation; an interrupted one leaves only a folder.
 $(VENV)/installed: pyproject.toml constraints.txt
-	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: Blender's wheel needs Python 3.11; install it or say where it is: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)"; exit 1; }
-	@echo "Installing into $(VENV)/: about 1 GB of downloads the first time (Blender 370 MB, torch 200 MB), then two minutes."
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: Blender's wheel needs Python 3.11; install it, or give its path: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)"; exit 1; }
+	@echo "Installing into $(VENV)/. The first time this downloads about 1 GB (Blender 370 MB, torch 200 MB) and takes two minutes more."
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) --constraint constraints.txt --editable ".[factory,learn,dev]"
 	@touch $@
 
-# AGREE_FLAGS bounds the comparison, which takes longer than the rendering.
+# AGREE_FLAGS can limit the comparison, for example AGREE_FLAGS="--limit 20", because it takes longer than the rendering.
 JOB         ?= demo
 AGREE_FLAGS ?=
 
 demo: $(VENV)/installed
-	@echo "Rendering and comparing: eight to fifteen minutes on two cores. Stopped at any time, the same command continues."
+	@echo "Rendering and comparing takes eight to fifteen minutes on two cores. If it is interrupted, the same command continues."
 	$(VENV)/bin/python -m factory render $(JOB) --out $(OUT)/data --workers $(WORKERS)
 	$(VENV)/bin/python -m factory verify $(OUT)/data
 	$(VENV)/bin/python -m factory preview $(OUT)/data --out $(OUT)/preview --overwrite
@@ -45,9 +45,9 @@ demo-small:
 	$(MAKE) --no-print-directory demo JOB=smallest WORKERS=1
 
 test: $(VENV)/installed
-	$(VENV)/bin/python -m pytest --numprocesses $(WORKERS) $(PYTEST_FLAGS)
+	$(VENV)/bin/python -m pytest --numprocesses $(WORKERS) --dist worksteal $(PYTEST_FLAGS)
 
-# Ten minutes unless FUZZ_FLAGS says otherwise, as in make fuzz FUZZ_FLAGS="--minutes 60 --seed 3".
+# Ten minutes by default. For longer: make fuzz FUZZ_FLAGS="--minutes 60 --seed 3".
 FUZZ_FLAGS ?=
 fuzz: $(VENV)/installed
 	$(VENV)/bin/python -m tests.fuzz $(FUZZ_FLAGS)

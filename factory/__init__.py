@@ -1,3 +1,1 @@
-"""A job in, records out: meshes, lights and materials rendered by Cycles through bpy. No torch
-here.
-"""
+"""The data factory: it renders the records of a job with Cycles, through bpy. No torch here."""

@@ -1,11 +1,13 @@
-"""`python -m factory`: plan and render datasets, look at them, and keep the assets they are made
-of.
-"""
+"""`python -m factory`: plan and render data sets, look at them, and manage their assets."""
 
 import sys
 
 from manifests.cli import main
 
+DESCRIPTION = (
+    "Plans, renders, checks and exports data sets, and manages the materials, shapes and lights"
+    " that they use."
+)
 COMMANDS = (
     "plan",
     "render",
@@ -19,4 +21,4 @@ COMMANDS = (
 )
 
 if __name__ == "__main__":
-    sys.exit(main("factory", __doc__.split(": ", 1)[1], COMMANDS))
+    sys.exit(main("factory", DESCRIPTION, COMMANDS))

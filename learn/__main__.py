@@ -1,10 +1,7 @@
-"""`python -m learn`: train networks, edit photographs with them, and check the two renderers
-against each other.
-"""
+"""`python -m learn`: train networks, edit photographs with them, and compare the two renderers."""
 
 import sys
 
-from learn.training.allocator import keep_freed
 from manifests.cli import main
 
 COMMANDS = (
@@ -35,5 +32,13 @@ MOVED = {  # earlier names of commands, and what to type now
     "study": "python -m learn.experiments normals-ablation",
 }
 
+
+def prepare() -> None:
+    """Keep freed memory for the next step; called before a command runs, not for --help."""
+    from learn.training.allocator import keep_freed
+
+    keep_freed()
+
+
 if __name__ == "__main__":
-    sys.exit(main("learn", __doc__.split(": ", 1)[1], COMMANDS, moved=MOVED, prepare=keep_freed))
+    sys.exit(main("learn", __doc__.split(": ", 1)[1], COMMANDS, moved=MOVED, prepare=prepare))

@@ -1,6 +1,4 @@
-"""What is written down: the contract on disk between the factory that renders and the networks that
-learn.
-"""
+"""The contract on disk between the factory, which renders, and the networks, which learn."""
 
 from pathlib import Path
 

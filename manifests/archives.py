@@ -1,9 +1,8 @@
-"""Zip files from outside (.npz of numpy, furniture libraries) and the arrays in them, read within
-bounds.
+"""Zip files from outside (.npz of numpy, furniture libraries) and their arrays, read within limits.
 
-A zip's directory and an array's header say how large things are before memory is taken; both may
-lie, so what is read is counted, too. Whatever the zip library raises for a damaged, encrypted or
-unknown member ends as an InputError.
+A zip's directory and an array's header state sizes before memory is allocated. Both may be wrong,
+so the bytes that are read are counted, too. Whatever the zip library raises for a damaged,
+encrypted or unknown member becomes an InputError.
 """
 
 import lzma
@@ -24,8 +23,8 @@ from manifests.errors import InputError
 from manifests.inputs import require_file
 
 # What zipfile and its decompressors raise, by version and by kind of damage: RuntimeError for
-# encrypted members, NotImplementedError for unknown methods, ValueError for names that are no text
-# and headers that are none
+# encrypted members, NotImplementedError for unknown methods, ValueError for damaged names
+# and headers
 DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -38,7 +37,7 @@ DAMAGE = (
     NotImplementedError,
     OverflowError,
 )
-# besides ValueError, by numpy's parser
+# what numpy's parser of headers raises besides ValueError
 NO_HEADER = (SyntaxError, TypeError, MemoryError, RecursionError, tokenize.TokenError)
 MOST_MEMBERS = 20_000
 
@@ -47,10 +46,9 @@ MOST_MEMBERS = 20_000
 def opened_zip(
     path: str | os.PathLike, expected: str, remedy: str, most: int = MOST_MEMBERS
 ) -> Iterator[zipfile.ZipFile]:
-    """An open zip of at most `most` members; damage that is met inside the block is an InputError,
-    too.
+    """Open a zip of at most `most` members; damage found inside the block is an InputError, too.
 
-    expected, remedy  what should lie at `path`, with its article, and what to do about it
+    expected, remedy  what should lie at `path`, with its article, and what to do otherwise
     Raises            InputError
     """
     require_file(path, expected, remedy)
@@ -71,13 +69,13 @@ def opened_zip(
 
 
 def _reason(error):
-    """An error in one short line."""
+    """Return an error as one short line."""
     first = (str(error).splitlines() or [""])[0][:100]
     return f"'{first}'" if first else f"a damaged one ({type(error).__name__})"
 
 
 class ArrayHeader:
-    """What the head of an .npy stream says; the stream stands at the first value afterwards.
+    """The header of an .npy stream, which is left at the first value.
 
     shape    whole numbers ≥ 0
     dtype    of numbers alone: no objects, no records
@@ -107,13 +105,14 @@ class ArrayHeader:
 
     @property
     def bytes(self) -> int:
-        """How many bytes the values take."""
+        """Number of bytes that the values take."""
         return math.prod(self.shape) * self.dtype.itemsize
 
 
 def read_array(archive: zipfile.ZipFile, name: str, most_bytes: int) -> np.ndarray:
-    """An array of an .npz, without unpickling. Raises KeyError if it is not there, ValueError if it
-    is too large or damaged.
+    """Return an array of an .npz without unpickling.
+
+    Raises  KeyError if it is missing; ValueError if it is too large or damaged
     """
     with archive.open(name if name in archive.namelist() else f"{name}.npy") as stream:
         header = ArrayHeader(stream)
@@ -128,7 +127,7 @@ def read_array(archive: zipfile.ZipFile, name: str, most_bytes: int) -> np.ndarr
 
 
 def read_exactly(stream: IO[bytes], count: int) -> bytes:
-    """The next `count` bytes. Raises EOFError if there are fewer."""
+    """Return the next `count` bytes. Raises EOFError if there are fewer."""
     pieces, left = [], count
     while left:
         piece = stream.read(min(left, 1 << 24))

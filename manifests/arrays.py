@@ -1,25 +1,23 @@
-"""The arrays of a dataset on disk: channel names, types, units, frames and rounding. The one home
-of all of them.
+"""The arrays of a data set on disk: channel names, types, units, frames and rounding.
 
-The constants FILES and PACKED say each array in a line; docs/dataset.md repeats the table for
-people, and a test compares the two.
+This is their only home. The constants FILES and PACKED state each array in a line; docs/dataset.md
+repeats the table for people, and a test compares the two.
 
 picture    OpenEXR, half: R, G, B. Linear Rec.709 radiance under the light scaled to unit mean
-luminance; row 0 at the top.
+           luminance; row 0 at the top.
 geometry   OpenEXR, float32: normal.X, normal.Y, normal.Z, unit vectors in the camera frame (x
-right, y up, z towards
-           the viewer), 0 in the background; depth.Z, distance along the optical axis behind the
-           plane through the object's centre, in radii of the sphere that the object fills, negative
-           in front of it, 0 in the background. Both are rounded to 2^-15: a normal turns by .001°
-           at most (in half precision by .03°, a tenth of chrome's lobe), and files shrink by 20 to
-           60 %. uint32: segment, 1 … S, 0 in the background; mask = segment > 0.
+           right, y up, z towards the viewer), 0 in the background; depth.Z, distance along the
+           optical axis behind the plane through the object's centre, in radii of the sphere that
+           the object fills, negative in front of the plane, 0 in the background. Both are rounded
+           to 2^-15: a normal turns by .001° at most (in half precision by .03°, a tenth of chrome's
+           lobe), and files shrink by 20 to 60 %. uint32: segment, 1 … S, 0 in the background; mask
+           = segment > 0.
 light map  npz: L, (64, 128, 3) float32, linear Rec.709 radiance of unit mean luminance, rows from
-the zenith down,
-           columns around the vertical axis, as the camera sees it at rotation 0; scale, the factor
-           taken off.
+           the zenith down, columns around the vertical axis, as the camera sees it at rotation 0;
+           scale, the mean luminance by which the map was divided.
 
-height, width are those of the picture. Whatever reads a file refuses what another program may have
-left there: missing channels, other shapes, values that are no radiance. Each reader raises
+height, width are those of the picture. Readers refuse what another program may have written:
+missing channels, other shapes, values that are no radiance. Each reader raises
 manifests.errors.InputError.
 """
 
@@ -27,7 +25,7 @@ import hashlib
 import io
 import zipfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -35,7 +33,8 @@ from manifests import archives, exr
 from manifests.errors import InputError
 from manifests.files import npz_bytes
 from manifests.inputs import require_file
-from shaders.envmap import LUMINANCE, mean_radiance
+from shaders.envmap import mean_radiance
+from shaders.tone import LUMINANCE
 
 PICTURE_CHANNELS = ("R", "G", "B")
 NORMAL_CHANNELS = ("normal.X", "normal.Y", "normal.Z")
@@ -47,15 +46,16 @@ MOST_SEGMENTS = 255
 PACKED_UNIT = 32767  # of packed normals
 LIGHT_SHAPE = (64, 128, 3)
 LIGHT_BYTES = 4 << 20  # a stored map takes a tenth of it
-LIGHT_MEMBERS = {"L": (LIGHT_SHAPE, np.dtype(np.float32)), "scale": ((), np.dtype(np.float64))}
+LIGHT_MEMBERS: dict[str, tuple[tuple[int, ...], np.dtype]] = {
+    "L": (LIGHT_SHAPE, np.dtype(np.float32)),
+    "scale": ((), np.dtype(np.float64)),
+}
 # names in the cache of geometry that training keeps
 PACKED_NORMALS, PACKED_SEGMENTS = "normals.npy", "segments.npy"
 
 
 class Array(NamedTuple):
-    """How one array is written: a channel of an OpenEXR file, a member of an .npz file, or an .npy
-    file.
-    """
+    """How one array is written: an OpenEXR channel, a member of an .npz, or an .npy file."""
 
     name: str
     type: np.dtype
@@ -155,8 +155,24 @@ HEADER_BYTES = 1 << 20
 UNIT_LENGTH = 1e-2  # of |n|; what is written keeps it to 1e-4
 UNIT_MEAN = 1e-4  # of a light's mean luminance; float32 sums keep it to 1e-6
 AGAIN = "render or copy it again"
-LIGHT_AGAIN = "render or copy the dataset again"
+LIGHT_AGAIN = "render or copy the data set again"
 _NO_ARCHIVE = (*archives.DAMAGE, KeyError)  # KeyError: a member is missing
+
+
+class SeenGeometry(Protocol):
+    """What a geometry file is encoded from: the arrays of Geometry, and the mask beside them."""
+
+    @property
+    def normals(self) -> np.ndarray: ...
+
+    @property
+    def depth(self) -> np.ndarray: ...
+
+    @property
+    def segments(self) -> np.ndarray: ...
+
+    @property
+    def mask(self) -> np.ndarray: ...
 
 
 class Geometry(NamedTuple):
@@ -178,7 +194,10 @@ class Geometry(NamedTuple):
 
 
 def encode_picture(radiance: np.ndarray) -> bytes:
-    """A picture's file. radiance (height, width, 3); values above 65504 are held there."""
+    """Return the bytes of a picture's file.
+
+    radiance  (height, width, 3); values above 65504 are clipped to it
+    """
     half = np.clip(radiance, 0.0, LARGEST_HALF).astype(np.float16)
     return exr.encode({name: half[..., k] for k, name in enumerate(PICTURE_CHANNELS)})
 
@@ -189,7 +208,7 @@ def read_picture(
     file_hash: str | None = None,
     exact: bool = False,
 ) -> np.ndarray:
-    """Radiance (height, width, 3) float32, finite and not negative.
+    """Return radiance (height, width, 3) float32, finite and not negative.
 
     size       (height, width) that the picture must have, None: any
     file_hash  sha256 that the file must have, None: any
@@ -203,8 +222,8 @@ def read_picture(
     return radiance
 
 
-def encode_geometry(geometry: Any) -> bytes:
-    """A geometry file. geometry: a Geometry, or anything with its three arrays."""
+def encode_geometry(geometry: SeenGeometry) -> bytes:
+    """Return the bytes of a geometry file."""
     layers = dict(zip(NORMAL_CHANNELS, np.moveaxis(geometry.normals, -1, 0), strict=True))
     layers[DEPTH_CHANNEL] = geometry.depth
     rounded = {
@@ -220,8 +239,9 @@ def read_geometry(
     file_hash: str | None = None,
     exact: bool = False,
 ) -> Geometry:
-    """The Geometry of a file: normals and depth finite, normals of unit length wherever there is a
-    segment.
+    """Return the Geometry of a file.
+
+    Normals and depth must be finite, and normals of unit length wherever there is a segment.
 
     size       (height, width) that it must have, None: any
     file_hash  sha256 that the file must have, None: any
@@ -258,12 +278,16 @@ def read_geometry(
 
 
 def encode_light(L: np.ndarray, scale: float) -> bytes:
-    """A stored light's file. L (64, 128, 3); scale: what L was divided by."""
+    """Return the bytes of a stored light's file.
+
+    L      (64, 128, 3)
+    scale  what L was divided by
+    """
     return npz_bytes({"L": np.asarray(L, np.float32), "scale": np.float64(scale)})
 
 
 def read_light(path: str | Path, file_hash: str | None = None) -> np.ndarray:
-    """L (64, 128, 3) float32 of a stored light: finite, not negative, of unit mean luminance.
+    """Return L (64, 128, 3) float32 of a stored light: finite, not negative, mean luminance 1.
 
     file_hash  sha256 that the file must have, None: any
     Raises     InputError
@@ -281,8 +305,9 @@ def read_light(path: str | Path, file_hash: str | None = None) -> np.ndarray:
 
 
 def read_scale(path: str | Path) -> float:
-    """The factor that was taken off a stored light. Raises InputError: no such file, other members
-    or types than are written.
+    """Return the number by which a stored light was divided.
+
+    Raises  InputError: no such file, other members or types than `encode_light` writes
     """
     arrays, _ = _light_arrays(path, tuple(LIGHT_MEMBERS), exact=True)
     scale = float(arrays["scale"])
@@ -294,8 +319,9 @@ def read_scale(path: str | Path) -> float:
 def _light_arrays(
     path: str | Path, names: tuple[str, ...], exact: bool = False
 ) -> tuple[dict[str, np.ndarray], bytes]:
-    """Members of a stored light, and the file's bytes; exact: no other members, and the types that
-    are written.
+    """Return members of a stored light, and the file's bytes.
+
+    exact  refuse other members, and other types than `encode_light` writes
     """
     data = require_file(path, "a stored light map", LIGHT_AGAIN, LIGHT_BYTES).read_bytes()
     try:
@@ -323,7 +349,7 @@ def _light_arrays(
 
 
 def _light_member(path: str | Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """One array of a stored light; its size is known from its header before memory is taken."""
+    """Return one array of a stored light; its size is checked before memory is allocated."""
     expected = LIGHT_MEMBERS[name][0]
     what = f"radiance of shape {expected}" if name == "L" else f"one number {name}"
     with archive.open(f"{name}.npy") as stored:
@@ -335,23 +361,22 @@ def _light_member(path: str | Path, archive: zipfile.ZipFile, name: str) -> np.n
 
 
 def pack_normals(normals: np.ndarray) -> np.ndarray:
-    """x and y of normals (…, 3) that face the viewer as (…, 2) int16 in units of 1/32767: what
-    caches of geometry hold.
+    """Return x and y of normals (…, 3) as (…, 2) int16 in units of 1/32767, as caches store them.
+
+    The normals must face the viewer.
     """
     return np.rint(normals[..., :2] * PACKED_UNIT).astype(np.int16)
 
 
 def unpack_normals(packed: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Unit normals (…, 3) float32 of packed ones (…, 2); 0 outside the mask (…) bool."""
+    """Return unit normals (…, 3) float32 of packed ones (…, 2); 0 outside the mask (…) bool."""
     xy = packed.astype(np.float32) / PACKED_UNIT
     z = np.sqrt(np.clip(1.0 - (xy * xy).sum(-1, keepdims=True), 0.0, 1.0))
     return np.concatenate([xy, z], -1) * mask[..., None]
 
 
 def table() -> str:
-    """The arrays of a dataset's files as a Markdown table, a line for each array, as
-    docs/dataset.md holds it.
-    """
+    """Return the arrays of a data set's files as the Markdown table that docs/dataset.md holds."""
     lines = [
         "| file | array | type | shape | unit | frame | rounding |",
         "|---|---|---|---|---|---|---|",
@@ -372,7 +397,7 @@ def _channels(
     file_hash: str | None,
     exact: bool,
 ) -> dict[str, np.ndarray]:
-    """The channels of a file, all of one size; types: {name: type as it is written}."""
+    """Return the channels of a file, all of one size; types: {name: type as it is written}."""
     data = None
     if file_hash is not None:
         pixels = exr.MAX_PIXELS if size is None else size[0] * size[1]
@@ -401,8 +426,10 @@ def _channels(
 
 
 def _require_hash(path: str | Path, data: bytes | None, expected: str | None) -> None:
-    """Raises InputError if a file's bytes are not those whose sha256 a manifest holds."""
-    if expected is not None and (result := hashlib.sha256(data).hexdigest()) != expected:
+    """Raise InputError if a file's sha256 is not the one that a manifest holds."""
+    if expected is None or data is None:
+        return
+    if (result := hashlib.sha256(data).hexdigest()) != expected:
         raise InputError(
             path, f"hash {expected[:12]}", f"{result[:12]}: the file was altered", AGAIN
         )

@@ -1,10 +1,10 @@
 """How `python -m factory` and `python -m learn` find their commands and end.
 
 A command is a module with `register(subparsers)`, which adds its parser and sets `run=` to a
-function of the parsed arguments that returns an exit status: 0 done, 1 failed, 2 wrong usage,
-another one where the command's help says what it means; and `continues=False` where a second run
-does not go on from what is there. Only argparse and the standard library may be imported at its
-top: heavy libraries load inside `run`, so that `--help` is quick.
+function of the parsed arguments. That function returns an exit status: 0 done, 1 failed, 2 wrong
+usage, or another one that the command's help explains. A command sets `continues=False` if a second
+run does not continue the first. Only argparse and the standard library may be imported at its top:
+heavy libraries are imported inside `run`, so that `--help` is quick.
 """
 
 import argparse
@@ -21,35 +21,45 @@ from manifests.errors import InputError, printable
 def main(
     program: str,
     description: str,
-    commands: Sequence[str],
+    commands: Sequence[str] | Mapping[str, Callable[[argparse._SubParsersAction], None]],
     arguments: list[str] | None = None,
     moved: Mapping[str, str] | None = None,
     prepare: Callable[[], Any] | None = None,
 ) -> int:
-    """Parse, run, and return the exit status; one line for a user's mistake, a trace only with
-    --debug.
+    """Parse, run and return the exit status; a user's mistake is printed as one line.
 
-    program    package whose `commands` folder holds the modules, and what follows `python -m`
-    commands   names in the order of the help; "evaluate-network" lives in evaluate_network.py
-    arguments  words, None: this process's
+    description  printed as it is where it holds an empty line, wrapped otherwise
+    program    package whose `commands` folder holds the modules; it follows `python -m`
+    commands   names in the order of the help; "evaluate-network" lives in evaluate_network.py.
+               Or {name: its `register`}, for commands that are not in that folder
+    arguments  words, None: those of this process
     moved      {earlier name: what to type now}
     prepare    called before a command runs, and not for --help
     """
-    # as stderr: what a terminal has no character for is escaped, no error
+    # as for stderr, characters that the terminal lacks are escaped and are no error
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
-    parser = argparse.ArgumentParser(prog=f"python -m {program}", description=description)
+    layout = (
+        argparse.RawDescriptionHelpFormatter if "\n\n" in description else argparse.HelpFormatter
+    )
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {program}", description=description, formatter_class=layout
+    )
     parser.add_argument("--debug", action="store_true", help="show the whole trace of an error")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     words = sys.argv[1:] if arguments is None else arguments
     # one command needs only its own module; --help and mistakes need all
     named = [word for word in words if word in commands][:1]
     first = next((word for word in words if not word.startswith("-")), None)
-    if moved and not named and first in moved:
+    if moved and not named and first is not None and first in moved:
         print(f"{program}: '{first}' has a new name; type `{moved[first]}`", file=sys.stderr)
         return 2
     for name in named or commands:
-        importlib.import_module(f"{program}.commands.{name.replace('-', '_')}").register(subparsers)
+        if isinstance(commands, Mapping):
+            commands[name](subparsers)
+        else:
+            folder = f"{program}.commands"
+            importlib.import_module(f"{folder}.{name.replace('-', '_')}").register(subparsers)
     debug, options = "--debug" in words, None
     try:
         try:
@@ -58,11 +68,11 @@ def main(
             if prepare:
                 prepare()
             return options.run(options) or 0
-        finally:  # here, where a full disk or a reader that has gone still has a line and a status
+        finally:  # inside the outer try, so that a full disk or a closed pipe ends in one line
             _flush_output()
     except InputError as problem:
         return _failed(program, problem, debug)
-    # full disk, missing file, no permission: the system's own words name the file
+    # full disk, missing file, no permission: the system's message names the file
     except OSError as error:
         return _failed(program, error, debug)
     except KeyboardInterrupt as interrupt:
@@ -77,10 +87,10 @@ def main(
 
 
 def _refuse_empty(parser: argparse.ArgumentParser, words: list[str]) -> None:
-    """End with the usage and status 2 where an argument is empty.
+    """End with the usage and status 2 if an argument is empty.
 
-    An empty one is a shell variable that was not set: as a path it would mean the current folder,
-    and as --shard every picture.
+    An empty argument is a shell variable that was not set: as a path it would mean the current
+    folder, and as --shard every picture.
     """
     for before, word in zip(["", *words], words, strict=False):
         if not word or (word.startswith("--") and word.endswith("=")):
@@ -91,8 +101,9 @@ def _refuse_empty(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 
 def _flush_output() -> None:
-    """Write what was printed. Raises OSError; what cannot be written is then dropped, or Python
-    would end with 120.
+    """Write what was printed. Raises OSError.
+
+    What cannot be written is dropped after the error, or Python would end with status 120.
     """
     if sys.stdout is None:  # closed by the caller
         return
@@ -106,10 +117,10 @@ def _flush_output() -> None:
 
 
 def _failed(program: str, error: Exception, debug: bool) -> int:
-    """1, the exit status, after one line of what is wrong; with `debug` after the whole trace, too.
+    """Print an error as one line, with `debug` after the whole trace; return the exit status 1.
 
-    The frames that the error passed through are cleared first, which closes their progress bars:
-    the line then stands below them and not behind one.
+    The frames that the error passed through are cleared first. This closes their progress bars, so
+    that the line is printed below them.
     """
     if debug:
         traceback.print_exception(error)

@@ -1,14 +1,13 @@
-"""What is wrong with something a user gave, said in one line: where, what was expected, what was
-found, the remedy.
-"""
+"""Errors in what a user gave, as one line: where, what was expected, what was found, the remedy."""
 
 import difflib
 from collections.abc import Iterable
 
 
 class InputError(ValueError):
-    """An error in data or arguments from outside. The command line prints it as one line; `--debug`
-    shows the trace.
+    """An error in data or arguments from outside.
+
+    The command line prints it as one line; `--debug` shows the trace.
 
     where     the file, record or argument
     expected  what should stand there
@@ -25,8 +24,9 @@ class InputError(ValueError):
 
 
 def printable(text: str) -> str:
-    """The text on one line that any terminal can show: control characters and halves of characters
-    as escapes.
+    """Return the text as one line that any terminal can show.
+
+    Control characters and unpaired surrogates become escapes.
     """
     if text.isprintable():
         return text
@@ -34,8 +34,9 @@ def printable(text: str) -> str:
 
 
 def closest(name: object, names: Iterable[object], count: int = 3) -> str:
-    """The known names nearest to one that is not known, as text: 'did you mean chair, hair?', or
-    the first few there are.
+    """Return the known names closest to an unknown one, as text: "did you mean chair, hair?".
+
+    If none is close, the text lists the first few known names.
     """
     near = difflib.get_close_matches(str(name), [str(n) for n in names], n=count, cutoff=0.5)
     if near:

@@ -1,8 +1,8 @@
-"""A dataset for other programs: records as one Parquet table, pictures as WebDataset tar files.
+"""A data set for other programs: records as one Parquet table, pictures as WebDataset tar files.
 
-Ids are hashes, so records in the order of their ids are shuffled, and shuffled alike everywhere. In
-a tar, each record is three files that share its id: ID.json (the record), ID.image.exr,
-ID.geometry.exr; dataset.json, materials.json and lights/ are copied beside.
+Ids are hashes, so records in the order of their ids are shuffled, and in the same way everywhere.
+In a tar, each record is three files that share its id: ID.json (the record), ID.image.exr,
+ID.geometry.exr; dataset.json, materials.json and lights/ are copied beside the tars.
 """
 
 import contextlib
@@ -25,15 +25,16 @@ ROWS = 50_000  # of a Parquet row group
 
 
 def chosen(store: Store, split: str | None = None) -> list[Record]:
-    """The records of a split (None: all), in the order of their ids."""
+    """Return the records of a split (None: all), in the order of their ids."""
     return sorted(
         store.records(lambda record: split in (None, record.split)), key=lambda record: record.id
     )
 
 
 def to_parquet(store: Store, path: str | os.PathLike, split: str | None = None) -> int:
-    """Write the records as a table, nested keys as columns such as `camera.size`; returns how many.
-    Raises InputError without pyarrow.
+    """Write the records as a table, and return their number. Raises InputError without pyarrow.
+
+    Nested keys become columns such as `camera.size`.
     """
     try:
         import pyarrow
@@ -63,9 +64,9 @@ def to_parquet(store: Store, path: str | os.PathLike, split: str | None = None) 
     return len(records)
 
 
-def _flat(value, prefix=""):
-    """A nested dictionary with dotted keys."""
-    flat = {}
+def _flat(value: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return a nested dictionary as a flat one with dotted keys."""
+    flat: dict[str, Any] = {}
     for key, inner in value.items():
         flat |= (
             _flat(inner, f"{prefix}{key}.")
@@ -82,11 +83,10 @@ def to_tars(
     each: int = 1000,
     watch: Callable[[], Any] | None = None,
 ) -> int:
-    """Write the records and their files as numbered tars of `each` records; returns how many tars.
-    Files are checked to be inside.
+    """Write the records and their files as numbered tars of `each` records; return how many tars.
 
-    Raises  InputError if the folder holds tars: those beyond the new ones' numbers would pass for
-    records of this export
+    Raises  InputError if the folder holds tars, because those with higher numbers than the new ones
+            would be taken for records of this export; if a file lies outside the data set's folder
     """
     folder, records = Path(folder), chosen(store, split)
     if earlier := sorted(folder.glob("*.tar")):
@@ -102,7 +102,7 @@ def to_tars(
         )
     folder.mkdir(parents=True, exist_ok=True)
     starts = range(0, len(records), each)
-    with transaction():  # some of the tars would pass for all of them
+    with transaction():  # some of the tars would be taken for all of them
         for name in ("dataset.json", "materials.json"):
             write_bytes(folder / name, _bytes(store, name, name))
         for name, entry in store.dataset().lights.items():
@@ -122,8 +122,9 @@ def to_tars(
 
 
 def _bytes(store, path, expected):
-    """A file that a manifest names. Raises InputError if it lies elsewhere than it should, or is no
-    ordinary file.
+    """Return the bytes of a file that a manifest names.
+
+    Raises  InputError if its path is not the expected one, or it is no ordinary file
     """
     if path != expected:
         raise InputError(
@@ -133,13 +134,14 @@ def _bytes(store, path, expected):
             "do not trust this manifest: verify names all faults",
         )
     return require_file(
-        inside(store.folder, path), "a file of the dataset", "render or copy it again"
+        inside(store.folder, path), "a file of the data set", "render or copy it again"
     ).read_bytes()
 
 
 def _add(tar, store, record):
-    """A record's three files; nothing of the machine in their headers, so that the same records
-    give the same tar.
+    """Add a record's three files to a tar.
+
+    Their headers hold nothing of this machine, so that the same records give the same tar.
     """
     parts = (
         ("json", msgspec.json.encode(record)),

@@ -1,6 +1,4 @@
-"""OpenEXR files read and written the same way on both sides of the contract: whole or not there at
-all.
-"""
+"""OpenEXR files, read and written in the same way by the factory and by training."""
 
 import contextlib
 import io
@@ -20,14 +18,13 @@ MAX_BYTES = 16 * MAX_PIXELS  # of all channels of all parts
 
 
 class Part:
-    """What the header of a part says, before memory is taken for its pixels.
+    """The header of a part, read before memory is allocated for its pixels.
 
-    height, width  of the data window; 0 where it is turned inside out
+    height, width  of the data window; 0 where it is inverted
     channels       names
     flat           not deep
     sampled        some channel is smaller than the picture
-    bytes          that the library takes to read it, at most: for the pixels, and for a tile where
-    there are tiles
+    bytes          the most that the library allocates to read the part: for pixels, and for a tile
     """
 
     def __init__(self, header: dict[str, Any]):
@@ -48,16 +45,14 @@ class Part:
 
 
 def parts_of(file: Any) -> list[Part]:
-    """The Part of each part of an OpenEXR.File that is open; the library reads them all, whichever
-    is asked for.
-    """
+    """Return the Part of each part of an open OpenEXR.File; the library always reads all."""
     return [Part(file.header(k)) for k in range(len(file.parts))]
 
 
 def read(path: str | os.PathLike, data: bytes | None = None) -> dict[str, np.ndarray]:
-    """Channels of a file, name → (height, width) array of the file's own type.
+    """Return the channels of a file: {name: (height, width) array of the file's own type}.
 
-    data    the file's bytes, where they are in memory already; `path` only names them then
+    data    the file's bytes if they are in memory; `path` then only names them
     Raises  InputError for a file that is missing, truncated, no EXR, or larger than MAX_PIXELS
     """
     if data is None:
@@ -102,13 +97,14 @@ def _read(path, data):
 
 
 def encode(channels: Mapping[str, np.ndarray]) -> bytes:
-    """The bytes of an OpenEXR file of channels, name → (height, width) array of float16, float32 or
-    uint32.
+    """Return the bytes of an OpenEXR file.
+
+    channels  {name: (height, width) array of float16, float32 or uint32}
     """
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    # not a path: the library passes over the error of its last flush to a file
+    # not a path: the library ignores the error of its last flush to a file
     buffer = io.BytesIO()
     contiguous = {name: np.ascontiguousarray(values) for name, values in channels.items()}
     with OpenEXR.File(header, contiguous) as file:
@@ -117,7 +113,8 @@ def encode(channels: Mapping[str, np.ndarray]) -> bytes:
 
 
 def write(path: str | os.PathLike, channels: Mapping[str, np.ndarray]) -> None:
-    """Writes channels as `encode` takes them, whole or not at all. Raises OSError with the system's
-    reason.
+    """Write channels as `encode` takes them, whole or not at all.
+
+    Raises  OSError with the system's reason
     """
     write_bytes(path, encode(channels))

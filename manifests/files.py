@@ -1,13 +1,12 @@
-"""Files that results are kept in: written whole or not at all, and continued only by the settings
-that made them.
+"""Result files: written whole or not at all, and continued only under the settings that made them.
 
-Every writer of the project goes through `replacing` or `write_bytes`. Libraries write into memory,
-or into the plain stream that `replacing` yields, never to a path: OpenEXR, numpy and others pass
-over the error of their last flush, so that a full disk would leave a short or empty file which
-looks finished.
+Every writer of the project uses `replacing` or `write_bytes`. Libraries write into memory, or into
+the plain stream that `replacing` yields, never to a path: OpenEXR, numpy and others ignore the
+error of their last flush, so that a full disk would leave a short or empty file that looks
+finished.
 
 Unfinished files (drafts) are hidden beside their target, and their names say which process writes
-them. What a killed program left, the next one that writes into the same folder removes.
+them. The drafts of killed programs are removed by the next one that writes into the same folder.
 """
 
 import contextlib
@@ -21,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, cast
 
 from manifests.errors import InputError
 from manifests.inputs import kind_of, require_file
@@ -30,11 +29,12 @@ MOST_LINE_BYTES = 256 << 20  # of a file of result lines: a thousand edits take 
 
 _DRAFT = itertools.count()  # two threads of one process never write one file's draft
 _DRAFT_NAME = re.compile(r"\..*\.(?P<machine>\w+)-(?P<process>\d{1,9})-\d+\.part", re.DOTALL)
-_SWEPT = set()  # folders in which this process has looked for the drafts of killed programs
+# folders in which this process has looked for the drafts of killed programs
+_SWEPT: set[str] = set()
 
 
 class _Waiting(NamedTuple):
-    """A whole draft that takes its place when the block of `together` ends."""
+    """A finished draft that is renamed when the block of `transaction` ends."""
 
     draft: Path
     target: Path
@@ -44,10 +44,10 @@ _TRANSACTION: ContextVar[list[_Waiting] | None] = ContextVar("together", default
 
 
 class _Draft(io.RawIOBase):
-    """A stream that writes every byte it is given or raises OSError with the final file's name.
+    """A stream that writes every byte, or raises OSError with the final file's name.
 
-    It is no `io.FileIO`, so numpy writes through it and not past it by C, whose late errors are
-    lost.
+    It is no `io.FileIO`, so that numpy writes through it and not directly in C, where late errors
+    are lost.
     """
 
     def __init__(self, descriptor: int, target: Path):
@@ -76,17 +76,15 @@ class _Draft(io.RawIOBase):
 
 @contextmanager
 def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[BinaryIO]:
-    """A binary stream whose content takes the place of the file at `path` when the block ends
-    without an error.
+    """Yield a stream whose content replaces the file at `path` if the block ends without an error.
 
     draft   where the unfinished file lies, on the same file system; None: beside `path`, under a
-    hidden name
+            hidden name
     Raises  OSError with the system's reason; InputError if a folder, a device or a pipe lies at
-    `path`. The earlier
-            file is then still there, and no draft is left behind
+            `path`. The earlier file is then still there, and no draft is left behind.
 
     The bytes are on the disk before the name is (fsync, then rename). An empty file is refused: no
-    format of this project has one, and writers that swallow errors leave them.
+    format of this project has one, and libraries that ignore errors leave them.
     """
     path = Path(path)
     require_place_for_file(path)
@@ -102,7 +100,7 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
     whole = False
     try:
         try:
-            yield _Draft(descriptor, path)
+            yield cast(BinaryIO, _Draft(descriptor, path))
             with _named(path):
                 if not os.fstat(descriptor).st_size:
                     raise ValueError(f"{path}: nothing was written; an empty file is never kept")
@@ -120,13 +118,13 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
 
 @contextmanager
 def transaction() -> Iterator[None]:
-    """A block whose files take their places when it ends without an error: all of them, or none.
+    """Rename the files that are written inside the block when it ends: all of them, or none.
 
-    For results of several files, so that a full disk leaves neither half of them nor new ones
-    beside old ones. Within the block the new files cannot be read yet. An inner block belongs to
-    the outer one.
+    This is for results of several files, so that a full disk leaves neither half of them nor new
+    ones beside old ones. Inside the block the new files cannot be read yet. An inner block belongs
+    to the outer one.
 
-    Raises  OSError of a file that cannot take its place; the others have taken theirs
+    Raises  OSError for a file that cannot be renamed; the others have been
     """
     if _TRANSACTION.get() is not None:
         yield
@@ -145,7 +143,7 @@ def transaction() -> Iterator[None]:
 
 
 def _finish(draft: Path, target: Path, whole: bool) -> None:
-    """Give a draft its place, or remove it if it is not whole."""
+    """Rename a draft to its target, or remove it if it is not whole."""
     try:
         if whole:
             with _named(target):
@@ -157,7 +155,7 @@ def _finish(draft: Path, target: Path, whole: bool) -> None:
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """OSErrors of the block name the file that was to be written, not its draft."""
+    """Make OSErrors of the block name the file that is being written, not its draft."""
     try:
         yield
     except OSError as error:
@@ -165,7 +163,7 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _remove_abandoned_drafts(folder: Path) -> None:
-    """Remove what killed programs of this machine left unfinished. Looks once into each folder."""
+    """Remove the drafts of killed programs on this machine, once per folder."""
     place = os.path.abspath(folder)
     if place in _SWEPT:
         return
@@ -183,9 +181,7 @@ def _remove_abandoned_drafts(folder: Path) -> None:
 
 
 def _machine() -> str:
-    """This machine's name as drafts carry it: what a process's number means elsewhere, nobody knows
-    here.
-    """
+    """Return this machine's name, which is part of drafts' names: process ids are local to it."""
     return re.sub(r"[^A-Za-z0-9]+", "", os.uname().nodename)[:32] or "machine"
 
 
@@ -200,28 +196,28 @@ def _is_alive(process: int) -> bool:
 
 
 def require_place_for_file(path: Path) -> None:
-    """Raises InputError if something lies at `path` that is no file: a rename would take a device's
-    place.
+    """Raise InputError if something other than a file lies at `path`.
+
+    A rename would replace a device.
     """
     try:
         result = kind_of(os.stat(path).st_mode)
-    except OSError:  # nothing there; whatever else is wrong shows when the draft is opened
+    except OSError:  # nothing there; other errors occur again when the draft is opened
         return
     if result is not None:
         raise InputError(path, "a file, or a name for a new one", result, "give another name")
 
 
 def write_bytes(path: str | os.PathLike, data: bytes) -> None:
-    """Put `data` at `path`, whole or not at all. Raises as `replacing`."""
+    """Write `data` to `path`, whole or not at all. Raises as `replacing`."""
     with replacing(path) as file:
         file.write(data)
 
 
 def write_with(path: str | os.PathLike, save: Callable[[BinaryIO], Any]) -> None:
-    """Put at `path` what `save(file)` writes, by way of memory: for libraries that lose the errors
-    of a disk.
+    """Write what `save(file)` writes to `path`, for libraries that ignore disk errors.
 
-    Use `replacing` for what is too large to be held in memory. Raises as `replacing`.
+    Use `replacing` for what is too large for memory. Raises as `replacing`.
     """
     buffer = io.BytesIO()
     save(buffer)
@@ -251,7 +247,7 @@ def write_figure(path: str | os.PathLike, figure: Any, **options: Any) -> None:
 
 
 def npz_bytes(arrays: Mapping[str, Any], compressed: bool = True) -> bytes:
-    """The bytes of an .npz file of `arrays`, {name: array}."""
+    """Return the bytes of an .npz file of `arrays`, {name: array}."""
     import numpy as np
 
     buffer = io.BytesIO()
@@ -259,16 +255,11 @@ def npz_bytes(arrays: Mapping[str, Any], compressed: bool = True) -> bytes:
     return buffer.getvalue()
 
 
-def write_npz(path: str | os.PathLike, arrays: Mapping[str, Any], compressed: bool = True) -> None:
-    """Write an .npz file of `arrays`, {name: array}. Raises as `replacing`."""
-    write_bytes(path, npz_bytes(arrays, compressed))
-
-
 def write_lines(path: str | os.PathLike, lines: Iterable[bytes], draft: Path | None = None) -> None:
-    """Write lines, each with its newline, to `path`; none at all give no file, and an earlier one
-    goes.
+    """Write lines, each with its newline, to `path`; without lines, an existing file is removed.
 
-    draft   as `replacing` takes it. Raises as `replacing`
+    draft   as `replacing` takes it
+    Raises  as `replacing`
     """
     data = b"".join(lines)
     if data:
@@ -284,8 +275,12 @@ def reserve_outputs(
     overwrite: bool,
     inputs: Iterable[str | os.PathLike | None] = (),
 ) -> None:
-    """Raises InputError if one of the files is there and may not be replaced, or is one of the
-    inputs, which never may.
+    """Raise InputError if one of the files exists and may not be replaced, or is an input.
+
+    folder     of the results
+    names      of the files in it
+    overwrite  whether existing files may be replaced; inputs never may
+    inputs     files that the results are computed from
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(
@@ -306,17 +301,16 @@ def reserve_outputs(
 
 
 def write_text(path: str | os.PathLike, text: str) -> None:
-    """UTF-8 text, whole or not at all: a kill or a full disk leaves the earlier file. Raises as
-    `replacing`.
+    """Write UTF-8 text, whole or not at all: a kill or a full disk leaves the earlier file.
 
-    Bytes of file names that are no UTF-8 (surrogates in Python) are written as \\udcXX, which JSON
-    reads back as they were.
+    Bytes of file names that are not UTF-8 (surrogates in Python) are written as \\udcXX, which JSON
+    reads back unchanged. Raises as `replacing`.
     """
     write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_json(path: str | os.PathLike, value: Any) -> None:
-    """As `write_text`; null stands for what JSON has no number for: NaN, infinity."""
+    """Write JSON as `write_text` does; null stands for NaN and infinity, which JSON lacks."""
     write_text(
         path, json.dumps(_finite(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     )
@@ -331,12 +325,12 @@ def _finite(value):
 
 
 def read_lines(path: str | os.PathLike, line_type: Any = dict[str, Any]) -> list[dict[str, Any]]:
-    """The whole lines of a JSONL file as dictionaries; a torn last one is passed over; none if
-    there is no file.
+    """Return the lines of a JSONL file as dictionaries; an unfinished last line is left out.
 
-    line_type  what msgspec checks each line against; keys that it does not know are kept
-    Raises     InputError for a damaged line, for what is no ordinary file, and for one above
-    MOST_LINE_BYTES
+    line_type  what msgspec checks each line against; unknown keys are kept
+    Returns    [] if there is no file
+    Raises     InputError for a damaged line, for what is no ordinary file, and for a file larger
+               than MOST_LINE_BYTES
     """
     import msgspec
 
@@ -357,19 +351,20 @@ def read_lines(path: str | os.PathLike, line_type: Any = dict[str, Any]) -> list
 
 
 def pin_settings(path: Path, requested: Mapping[str, Any]) -> None:
-    """Write down what the figures beside `path` depend on, or check that it is what is there.
-    Raises InputError.
+    """Write the settings of the results beside `path`, or check that they are the ones in the file.
 
-    wanted  {name: value} that JSON can hold; a tuple is a list there
+    requested  {name: value} that JSON can hold; a tuple becomes a list
+    Raises     InputError if the file holds other settings
     """
     from manifests.reading import read
+    from manifests.renamed_keys import with_current_names
 
-    requested = json.loads(json.dumps(requested))
+    requested = with_current_names(json.loads(json.dumps(requested)), path)
     if not os.path.lexists(path):
         write_json(path, requested)
         return
     try:
-        there = read(path, dict[str, Any])
+        there = with_current_names(read(path, dict[str, Any]), path)
     except InputError as problem:
         raise InputError(
             problem.where, "settings as JSON", problem.found, "give another --out"

@@ -1,18 +1,16 @@
-"""What a picture, its geometry and its noise are named and drawn by: hashes of everything that
-determines them.
+"""Ids, seeds and draws: hashes of everything that determines a picture, its geometry and its noise.
 
-The one home of these functions, for the factory that gives ids and for whoever checks them. An id
-is a hash of inputs, never of pixels: two renders of one shot differ by 2e-6. Whatever changes a
-value here orphans every data set.
+The factory, which assigns ids, and `verify`, which checks them, both use these functions. An id is
+a hash of inputs, never of pixels: two renders of one shot differ by 2e-6. A change of a value here
+invalidates every existing data set.
 
-render      fingerprint of the render settings in force (factory.planning.fingerprint): a key of
-`settings` in dataset.json
-materials   one hash for each segment, in the order of segment ids
+render      fingerprint of the render settings (factory.planning.fingerprint): a key of `settings`
+            in dataset.json
+materials   one hash per segment, in the order of segment ids
 rotations   texels by which a light map is rolled, 0 … 127
-key         spawn key of a combination of shape, materials and light: what a job leaves to chance
-comes from
-            SeedSequence(job.seed, spawn_key=key), so that adding a shape, a light or a view alters
-            nobody else's draws
+key         spawn key of a combination of shape, materials and light. What a job leaves to chance
+            comes from SeedSequence(job.seed, spawn_key=key), so that a shape, light or view that is
+            added does not change the draws of the others.
 """
 
 import hashlib
@@ -30,9 +28,7 @@ ID_DIGITS = 24  # 96 bits: two of a million shots meet by chance once in 1e17 da
 
 
 def camera_words(camera: Camera) -> str:
-    """The camera as text that hashes alike wherever it comes from (20 and 20.0 are one
-    elevation).
-    """
+    """Return the camera as text for hashes; 20 and 20.0 degrees give the same text."""
     height, width = camera.size
     fov = "orthographic" if camera.fov_deg is None else f"{float(camera.fov_deg)!r}"
     # older data sets had no choice; their ids stay
@@ -45,7 +41,10 @@ def camera_words(camera: Camera) -> str:
 
 @lru_cache(maxsize=4096)
 def geometry_id(shape_hash: str, camera: str, viewpoint: int, render: str) -> str:
-    """Id of the geometry of a shape from a viewpoint; camera as words."""
+    """Return the id of the geometry of a shape from a viewpoint.
+
+    camera  as `camera_words` gives it
+    """
     digest = _digest(
         b"brdfactory geometry 1", render, shape_hash, camera, azimuths_deg()[viewpoint]
     )
@@ -60,7 +59,10 @@ def shots_digest(
     camera: str,
     samples: int,
 ) -> Any:
-    """The hash of what a group of shots shares, for `shot_id` to go on from; camera as words."""
+    """Return the hash of what a group of shots has in common, which `shot_id` continues.
+
+    camera  as `camera_words` gives it
+    """
     return _digest(
         b"brdfactory shot 1", render, shape_hash, *materials, light_hash, camera, samples
     )
@@ -69,7 +71,10 @@ def shots_digest(
 def shot_id(
     shared: Any, viewpoint: int, rotation: int, tier: str, light_resolution: str, seed: int
 ) -> str:
-    """Id of one shot; shared: of `shots_digest`, left as it is."""
+    """Return the id of one shot.
+
+    shared  of `shots_digest`; it is not changed
+    """
     digest = shared.copy()
     digest.update(
         f"{azimuths_deg()[viewpoint]} {rotation} {tier} {light_resolution} {seed}".encode()
@@ -84,11 +89,11 @@ def combination_key(
     occurrence: int,
     choice: int | None = None,
 ) -> tuple[int, ...]:
-    """The spawn key of a combination.
+    """Return the spawn key of a combination.
 
     occurrence  0 where the job names the light first, 1 where it names it again
-    choice      number of the draw of materials, None where the job names one material for the whole
-    shape
+    choice      number of the draw of materials, None where the job gives the whole shape one
+                material
     """
     key = (
         hash_word(shape_hash),
@@ -100,14 +105,17 @@ def combination_key(
 
 
 def draws(job: Job, key: tuple[int, ...]) -> tuple[int, Sequence[int], Sequence[Sequence[int]]]:
-    """What a job leaves to chance for one combination: the word of its seeds, its views, the
-    rotations of each view.
+    """Return what a job draws for one combination: a word for seeds, views and rotations.
+
+    Returns  word, views, and for each view its rotations
     """
     sequence = np.random.SeedSequence(job.seed, spawn_key=key)
     rng, word = np.random.default_rng(sequence), sequence.generate_state(1)[0].item()
-    views = job.views
+    views: Sequence[int]
     if isinstance(job.views, Draw):
         views = np.sort(rng.permutation(COUNT)[: job.views.random]).tolist()
+    else:
+        views = job.views
     if not isinstance(job.rotations, Draw):
         return word, views, (job.rotations,) * len(views)
     every = np.broadcast_to(np.arange(TEXELS), (len(views), TEXELS))
@@ -115,7 +123,7 @@ def draws(job: Job, key: tuple[int, ...]) -> tuple[int, Sequence[int], Sequence[
 
 
 def views_alone(job: Job, shape_hash: str) -> Sequence[int]:
-    """The views of one shape in a job without pictures."""
+    """Return the views of one shape in a job without pictures."""
     if not isinstance(job.views, Draw):
         return job.views
     rng = np.random.default_rng(
@@ -125,14 +133,12 @@ def views_alone(job: Job, shape_hash: str) -> Sequence[int]:
 
 
 def shot_place(viewpoint: int, rotation: int, tier: str, light_resolution: str, repeat: int) -> str:
-    """A shot's place within its combination, as `shot_seed` takes it."""
+    """Return a shot's place within its combination, as `shot_seed` takes it."""
     return f"{viewpoint} {rotation} {tier} {light_resolution} {repeat}"
 
 
 def shot_seed(word: int, place: str) -> int:
-    """31 bits for Cycles: a hash of a combination's word and of the shot's place within the
-    combination.
-    """
+    """Return 31 bits for Cycles: a hash of a combination's word and the shot's place within it."""
     return (
         int.from_bytes(hashlib.blake2b(f"{word} {place}".encode(), digest_size=4).digest(), "big")
         >> 1
@@ -140,7 +146,7 @@ def shot_seed(word: int, place: str) -> int:
 
 
 def hash_word(hash_: str) -> int:
-    """32 bits of a hash, for a spawn key."""
+    """Return 32 bits of a hash, for a spawn key."""
     return int(hash_[:8], 16)
 
 

@@ -1,6 +1,4 @@
-"""Files that a user names as input: looked at before they are opened, so that no command waits,
-fills memory or crashes.
-"""
+"""Checks of input files before they are opened, so that no command hangs or fills memory."""
 
 import os
 import stat
@@ -23,14 +21,13 @@ def require_file(
     remedy: str = "check the path",
     maximum_bytes: int | None = None,
 ) -> Path:
-    """The path, if an ordinary file of bounded size lies there.
+    """Return the path, if an ordinary file of bounded size lies there.
 
     expected       what should lie there, with its article: "a mesh file"
-    remedy         what to do where nothing of this kind lies there
+    remedy         what to do if there is no such file
     maximum_bytes  size above which the file is refused unread; None: any size
-    Raises         InputError: missing, a folder, a pipe, a device, a socket, a name no file can
-    have, links that
-                   lead in a circle, no permission, too large
+    Raises         InputError: missing, a folder, a pipe, a device, a socket, a name that no file
+                   can have, links in a circle, no permission, too large
     """
     try:
         status = os.stat(path)
@@ -54,16 +51,18 @@ def require_file(
 
 
 def kind_of(mode: int) -> str | None:
-    """What lies there, with its article, by its mode of `os.stat`; None for an ordinary file."""
+    """Return what a mode of `os.stat` means, with its article; None for an ordinary file."""
     if stat.S_ISREG(mode):
         return None
     return next((name for test, name in _KINDS if test(mode)), "something else")
 
 
 def _size(count: int) -> str:
-    """A count of bytes for people."""
-    for unit in ("bytes", "KiB", "MiB", "GiB"):
-        if count < 1024 or unit == "GiB":
-            return f"{count:.0f} {unit}" if unit == "bytes" else f"{count:.1f} {unit}"
-        count /= 1024
-    raise AssertionError
+    """Return a number of bytes in a readable unit."""
+    if count < 1024:
+        return f"{count} bytes"
+    amount, unit = count / 1024, "KiB"
+    for larger in ("MiB", "GiB"):
+        if amount >= 1024:
+            amount, unit = amount / 1024, larger
+    return f"{amount:.1f} {unit}"

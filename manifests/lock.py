@@ -1,9 +1,8 @@
-"""Who may write into a dataset's folder: one plain run, or any number of the parts of one job
-array, each part once.
+"""Locks of a data set's folder: one run may write, or any number of parts of one job array.
 
-A lock is the kernel's (flock): it ends with the processes that hold it, however they end, so
-nothing is ever left locked. A run hands its lock on to its workers: while one still finishes its
-shot after the run was killed, nobody else starts.
+A lock is the kernel's (flock): it ends with the processes that hold it, however they end, so that
+nothing stays locked. A run passes its lock on to its workers: while one of them still finishes its
+shot after the run was killed, no other run starts.
 """
 
 import fcntl
@@ -20,14 +19,14 @@ from manifests.errors import InputError
 def writing(
     folder: str | os.PathLike, shard: tuple[int, int] | None = None, patience: float = 20.0
 ) -> Iterator[list[int]]:
-    """Hold the right to write; yields the descriptors to hand on to workers.
+    """Hold the right to write; yield the descriptors to pass on to workers.
 
     shard     None, or (i, n): part i of n, 1 ≤ i ≤ n; parts run side by side
-    patience  seconds to wait for a killed run's last worker
-    Raises    InputError if another run holds it
+    patience  seconds to wait for the last worker of a killed run
+    Raises    InputError if another run holds the lock
 
     A folder in which nothing can be written (a read-only file system, another user's) is locked as
-    far as its lock files are there: enough for whoever reads it.
+    far as its lock files exist, which suffices for a reader.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -50,7 +49,7 @@ def writing(
 
 @contextmanager
 def changing(folder: str | os.PathLike) -> Iterator[None]:
-    """Hold dataset.json for a read, a change and a write: parts of a job array take turns."""
+    """Hold dataset.json while it is read, changed and written: parts of a job array take turns."""
     Path(folder).mkdir(parents=True, exist_ok=True)
     descriptor = os.open(Path(folder) / ".lock-dataset", os.O_RDWR | os.O_CREAT, 0o666)
     try:
@@ -61,7 +60,7 @@ def changing(folder: str | os.PathLike) -> Iterator[None]:
 
 
 def _locked(path, kind, folder, patience):
-    """[a descriptor that holds the lock], or [] where nobody can write and no lock is left."""
+    """Return [descriptor of the lock], or [] if nobody can write and no lock file exists."""
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError:

@@ -1,6 +1,4 @@
-"""What a material's name that is not known may mean: an everyday word, a part of a name, a slip of
-the pen.
-"""
+"""Suggestions for an unknown material: an everyday word, part of a name, or a typing error."""
 
 import difflib
 from collections.abc import Collection
@@ -8,7 +6,7 @@ from collections.abc import Collection
 from manifests.errors import closest
 
 NEAR = 0.75  # of difflib: one wrong letter in a word of five has 0.8
-# no material is called just so; these look like it on a sphere (judged by eye), the likest first
+# no material has such a name; these look similar on a sphere (judged by eye), most similar first
 ALIKE = {
     "leather": ("natural-209", "special-walnut-224", "black-soft-plastic"),
     "copper": ("alum-bronze", "brass"),
@@ -33,8 +31,10 @@ ALIKE = {
 
 
 def suggestion(name: object, known: Collection[str]) -> str:
-    """What to try instead, as text: materials that look like an everyday word, names that have the
-    word, or the closest names.
+    """Return what to try instead of an unknown name, as text.
+
+    The text lists materials that look like an everyday word, names that contain the word, or the
+    closest names.
 
     known  every name that would be understood
     """

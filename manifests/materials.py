@@ -1,16 +1,14 @@
-"""The materials: labels, the mixtures that render them, how well they agree, where they come from
-and who may learn from them.
+"""Materials: labels, the mixtures that render them, their fit errors, sources, licences and splits.
 
 label    (3, 3, 2, 6) natural logarithms: channel, lobe (ascending mean log γ), (κ, γ), spline
-control values; 108 numbers
-mixture  shaders.mixture.Mixture: what Cycles renders
-errors   on view angles that no fit saw (0.5, 15, 30, 45, 60, 75°): relative L1 of f · cos, and the
-display L2 of a sphere under
-         three light maps (mean squared difference of values in [0, 255], exposure from the 99th
-         percentile)
+         control values; 108 numbers
+mixture  shaders.mixture.Mixture, which Cycles renders
+errors   at view angles that no fit used (0.5, 15, 30, 45, 60, 75°): relative L1 of f · cos, and the
+         display L2 of a sphere under three light maps (mean squared difference of values in [0,
+         255], exposure from the 99th percentile)
 
-A catalogue is one JSON file, a material a line. `materials.json` holds MERL's hundred,
-`materials-rgl.json` EPFL's isotropic ones.
+A catalogue is one JSON file with one line per material. `materials.json` holds the hundred of MERL,
+`materials-rgl.json` the isotropic ones of EPFL.
 """
 
 import functools
@@ -46,8 +44,10 @@ DisplayError = Annotated[float, Meta(ge=0, le=255.0**2)]  # mean square of diffe
 
 
 class Distance(Struct, frozen=True, forbid_unknown_fields=True):
-    """l1: at 0.5, 15, 30, 45, 60, 75° (fractions of the reference); display_l2: a value a light
-    map.
+    """How far two descriptions of a material differ.
+
+    l1          relative L1 at 0.5, 15, 30, 45, 60, 75°
+    display_l2  one value per light map
     """
 
     l1: Annotated[tuple[RelativeError, ...], Meta(min_length=6, max_length=6)]
@@ -55,17 +55,17 @@ class Distance(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def mean(self) -> float:
-        """L1 over the six views."""
+        """Mean L1 of the six views."""
         return float(np.mean(self.l1))
 
     @property
     def worst(self) -> float:
-        """L1 at the worst view."""
+        """L1 of the worst view."""
         return max(self.l1)
 
 
 class Errors(Struct, frozen=True, forbid_unknown_fields=True):
-    """What stands apart by how much: the reference is named last."""
+    """The differences of mixture (nodes), label and measurement; the reference is named second."""
 
     nodes_vs_label: Distance
     nodes_vs_source: Distance
@@ -73,8 +73,9 @@ class Errors(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Neighbour(Struct, frozen=True, forbid_unknown_fields=True):
-    """The training material nearest to a test one; distance: relative L1 of their labels' f · cos,
-    mean of the six views.
+    """The training material that is closest to a test material.
+
+    distance  relative L1 of their labels' f · cos, mean of the six views
     """
 
     name: str
@@ -94,10 +95,9 @@ class MixtureData(Struct, frozen=True, forbid_unknown_fields=True):
 class Entry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One material as it is written.
 
-    family       metal, metallic paint, paint, plastic, phenolic, rubber, fabric, wood, …
-    split        train or test; which 60 of the training ones the `paper` preset keeps is said by
-    manifests.splits
-    hash         of label and mixture: twins share it
+    family  metal, metallic paint, paint, plastic, phenolic, rubber, fabric, wood, …
+    split   train or test; manifests.splits says which 60 training materials the `paper` preset uses
+    hash    of label and mixture; duplicates share it
     """
 
     name: str
@@ -113,7 +113,7 @@ class Entry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Catalogue(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A file of materials; light_maps name those under which display_l2 was measured."""
+    """A file of materials; light_maps are those under which display_l2 was measured."""
 
     version: int = VERSION
     title: str
@@ -124,8 +124,11 @@ class Catalogue(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Material:
-    """An entry ready for use: label (3, 3, 2, 6) float64 logarithms, mixture a Mixture; the rest as
-    in Entry.
+    """An entry ready for use.
+
+    label    (3, 3, 2, 6) float64 logarithms
+    mixture  a Mixture
+    The other fields are those of Entry.
     """
 
     name: str
@@ -141,20 +144,19 @@ class Material:
 
     @property
     def m(self) -> np.ndarray:
-        """κ and γ control values (3, 3, 2, 6): exp(label), what shaders.dsbrdf evaluates."""
+        """κ and γ control values (3, 3, 2, 6): exp(label), as shaders.dsbrdf takes them."""
         return np.exp(self.label)
 
 
 def material_hash(label: tuple[float, ...], mixture: MixtureData) -> str:
-    """Hash of a material: of its label (108 numbers) and the mixture (MixtureData) that renders it,
-    as an Entry holds them.
-    """
+    """Return the hash of a material's label (108 numbers) and mixture, as an Entry holds them."""
     return hashlib.sha256(msgspec.json.encode([label, mixture])).hexdigest()[:HASH_DIGITS]
 
 
 def require_own_hash(entry: Entry, where: object) -> None:
-    """Raises InputError if an entry's hash is not that of its label and mixture: one of the three
-    was altered; `where` names the file.
+    """Raise InputError if an entry's hash is not that of its label and mixture.
+
+    where  the file, for the error
     """
     if entry.hash != (own := material_hash(entry.label, entry.mixture)):
         remedy = "copy the file again, or fit the material again"
@@ -164,8 +166,10 @@ def require_own_hash(entry: Entry, where: object) -> None:
 
 
 def material(entry: Entry, where: object) -> Material:
-    """The entry ready for use. Raises InputError if its numbers do not fit together, or its hash
-    not to them; `where` names the file.
+    """Return the entry ready for use.
+
+    where   the file, for the error
+    Raises  InputError if its numbers or its hash do not fit together
     """
     label = np.asarray(entry.label)
     if label.size != dsbrdf.SIZE or not np.isfinite(label).all():
@@ -200,7 +204,7 @@ def material(entry: Entry, where: object) -> Material:
 
 
 def read_catalogue(path: str | os.PathLike) -> Catalogue:
-    """The catalogue file at `path`, checked against its type. Raises InputError, one line."""
+    """Return the catalogue in a file. Raises InputError."""
     catalogue = reading.read(path, Catalogue)
     if catalogue.version != VERSION:
         raise InputError(
@@ -213,9 +217,7 @@ def read_catalogue(path: str | os.PathLike) -> Catalogue:
 
 
 def encode(catalogue: Catalogue) -> bytes:
-    """The bytes of a catalogue's file: one line for each material, keys in the order of the
-    type.
-    """
+    """Return the bytes of a catalogue: one line per material, keys in the type's order."""
     head = msgspec.to_builtins(catalogue)
     entries = head.pop("materials")
     lines = ",\n".join(json.dumps(entry, separators=(",", ":")) for entry in entries)
@@ -224,7 +226,7 @@ def encode(catalogue: Catalogue) -> bytes:
 
 
 def write(catalogue: Catalogue, path: str | os.PathLike) -> None:
-    """Writes the file, whole or not at all."""
+    """Write a catalogue's file, whole or not at all."""
     write_bytes(path, encode(catalogue))
 
 
@@ -234,8 +236,9 @@ def _loaded(path: Path, _stamp: int) -> dict[str, Material]:
 
 
 def load_catalogue(*paths: str | os.PathLike) -> dict[str, Material]:
-    """{name: Material} of the files given, or of the built-in ones; a later file's material takes
-    the place of an earlier one's name.
+    """Return {name: Material} of the given files, or of the built-in ones.
+
+    If two files have a material of one name, the later file's is returned.
     """
     materials = {}
     for path in map(Path, paths or [p for p in BUILT_IN if p.exists()]):
@@ -244,8 +247,9 @@ def load_catalogue(*paths: str | os.PathLike) -> dict[str, Material]:
 
 
 def find(name: str, materials: Mapping[str, Material] | None = None) -> Material:
-    """The material of that name. Raises InputError that lists the closest names, or what an
-    everyday word may mean.
+    """Return the material of that name.
+
+    Raises  InputError that lists the closest names, or materials that look like an everyday word
     """
     materials = load_catalogue() if materials is None else materials
     if name not in materials:

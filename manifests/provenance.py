@@ -1,6 +1,4 @@
-"""What has to stand beside any published figure: the command, commit, date, machine and versions
-that made it.
-"""
+"""The provenance of a published figure: command, commit, date, machine and versions."""
 
 import importlib.metadata
 import os
@@ -14,10 +12,10 @@ LIBRARIES = ("numpy", "torch", "numba", "llvmlite", "bpy")
 
 
 def provenance(command: str | None = None) -> dict:
-    """{"command", "commit", "date", "machine", "versions"} of this process.
+    """Return {"command", "commit", "date", "machine", "versions"} of this process.
 
     command  as a reader would type it; None: this process's own, with paths of this machine
-    shortened
+             shortened
     """
     return {
         "command": command or own_command(),
@@ -29,20 +27,21 @@ def provenance(command: str | None = None) -> dict:
 
 
 def own_command() -> str:
-    """The command line of this process: `python -m PROGRAM ARGUMENT …`."""
+    """Return the command line of this process: `python -m PROGRAM ARGUMENT …`."""
     program = getattr(sys.modules.get("__main__"), "__spec__", None)
     name = program.name.removesuffix(".__main__") if program else "brdfactory"
     return " ".join([f"python -m {name}", *map(shortened, sys.argv[1:])])
 
 
 def shortened(argument: str) -> str:
-    """An argument as it is published: only the last part of a path on this machine."""
+    """Return an argument as it is published: only the last part of a path on this machine."""
     return f"…/{Path(argument).name}" if os.path.isabs(argument) else argument
 
 
 def commit() -> str:
-    """The short hash of this checkout's commit, "none" outside a checkout; asked in this file's
-    folder, not the caller's.
+    """Return the short hash of this checkout's commit, "none" outside a checkout.
+
+    Git is run in this file's folder, not in the caller's.
     """
     command = ["git", "rev-parse", "--short", "HEAD"]
     try:
@@ -55,7 +54,7 @@ def commit() -> str:
 
 
 def versions() -> dict:
-    """{library: version} of those libraries that figures depend on and that are installed."""
+    """Return {library: version} of the installed libraries that figures depend on."""
     result = {}
     for name in LIBRARIES:
         try:
@@ -66,7 +65,7 @@ def versions() -> dict:
 
 
 def processor() -> str:
-    """The processor's name, and the widest vectors it has."""
+    """Return the processor's name and its widest vector instructions."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

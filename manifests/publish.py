@@ -1,6 +1,4 @@
-"""The JSON Schemas of the contract, made from its types: `python -m manifests.publish` writes
-manifests/json-schema/ anew.
-"""
+"""The JSON Schemas of the contract; `python -m manifests.publish` writes manifests/json-schema/."""
 
 import inspect
 import sys
@@ -11,6 +9,7 @@ import msgspec
 from manifests.files import write_text
 from manifests.materials import Catalogue
 from manifests.schema import Dataset, Failure, Job, Record, View
+from manifests.training_runs import Run
 
 FOLDER = Path(__file__).parent / "json-schema"
 TYPES = {
@@ -20,30 +19,30 @@ TYPES = {
     "dataset": Dataset,
     "failure": Failure,
     "materials": Catalogue,
+    "run": Run,
 }
 
 
 def documents() -> dict[str, str]:
-    """{file name: text} of every schema."""
+    """Return {file name: text} of every schema."""
     return {f"{name}.schema.json": _document(name, type_) for name, type_ in TYPES.items()}
 
 
-def _document(name, type_):
+def _document(name: str, type_: type) -> str:
     schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": name,
         **msgspec.json.schema(type_),
     }
-    schema = _with_dedented_descriptions(schema)
-    return (
-        msgspec.json.format(msgspec.json.encode(schema, order="deterministic"), indent=1).decode()
-        + "\n"
-    )
+    dedented = _with_dedented_descriptions(schema)
+    text = msgspec.json.format(msgspec.json.encode(dedented, order="deterministic"), indent=1)
+    return text.decode() + "\n"
 
 
 def _with_dedented_descriptions(part: object) -> object:
-    """A part of a schema whose descriptions, which are docstrings, have lost their indentation:
-    from Python 3.13 on they have none.
+    """Return a part of a schema whose descriptions, which are docstrings, have no indentation.
+
+    Python removes the indentation of docstrings itself from version 3.13 on.
     """
     if isinstance(part, list):
         return [_with_dedented_descriptions(each) for each in part]
@@ -60,7 +59,7 @@ def _with_dedented_descriptions(part: object) -> object:
 
 
 def main() -> int:
-    """Write the files."""
+    """Write the files; return 0."""
     FOLDER.mkdir(exist_ok=True)
     for name, text in documents().items():
         write_text(FOLDER / name, text)

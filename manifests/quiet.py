@@ -1,5 +1,6 @@
-"""Prints of C libraries kept off the terminal: they pass sys.stdout by, so the file descriptors
-themselves are turned away.
+"""Output of C libraries kept off the terminal.
+
+C libraries bypass sys.stdout, so the file descriptors themselves are redirected.
 """
 
 import contextlib
@@ -10,8 +11,8 @@ import sys
 import threading
 from collections.abc import Iterator
 
-# two threads that turn the same descriptor would restore each other's nowhere
-_TURNING = {1: threading.Lock(), 2: threading.Lock()}
+# two threads that redirect one descriptor would restore each other's redirection
+_REDIRECTING = {1: threading.Lock(), 2: threading.Lock()}
 
 
 @functools.cache
@@ -20,20 +21,18 @@ def _c():
 
 
 def _flush():
-    """What Python and C hold back is written now, to where it belongs."""
+    """Write what Python and C have buffered to where it belongs."""
     sys.stdout.flush()
     _c().fflush(None)
 
 
 @contextlib.contextmanager
 def silenced(*descriptors: int) -> Iterator[None]:
-    """Everything written to these file descriptors (1: stdout, 2: stderr) inside the block, from C
-    or Python, is dropped.
-    """
+    """Drop all that is written to file descriptors (1: stdout, 2: stderr) inside the block."""
     for descriptor in descriptors:
-        _TURNING[descriptor].acquire()
+        _REDIRECTING[descriptor].acquire()
     _flush()
-    kept = [os.dup(descriptor) for descriptor in descriptors]
+    originals = [os.dup(descriptor) for descriptor in descriptors]
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
         for descriptor in descriptors:
@@ -41,9 +40,9 @@ def silenced(*descriptors: int) -> Iterator[None]:
         yield
     finally:
         _flush()
-        for descriptor, copy in zip(descriptors, kept, strict=True):
+        for descriptor, copy in zip(descriptors, originals, strict=True):
             os.dup2(copy, descriptor)
             os.close(copy)
         os.close(nowhere)
         for descriptor in descriptors:
-            _TURNING[descriptor].release()
+            _REDIRECTING[descriptor].release()

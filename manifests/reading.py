@@ -1,5 +1,4 @@
-"""JSON from outside into the types of manifests.schema, or one line that says what is wrong and
-where.
+"""JSON from outside, decoded into the types of manifests.schema, with one-line errors.
 
 path  the key's place as msgspec gives it, "$.camera.size[0]"; a user sees "camera.size[0]"
 """
@@ -16,22 +15,23 @@ from manifests.errors import InputError, closest
 from manifests.inputs import require_file
 
 T = TypeVar("T")
-# a job is a page of text, dataset.json some MiB; what is far larger is another file under this name
+# a job is a page of text and dataset.json has a few MiB; a far larger file is something else
 MAXIMUM_BYTES = 64 << 20
 
 
 def read(path: str | os.PathLike, type_: type[T], maximum_bytes: int = MAXIMUM_BYTES) -> T:
-    """The file as a `type_`.
+    """Return the file as a `type_`.
 
     Raises  InputError: missing, too large, malformed, unknown key (with the closest one), wrong
-    type
+            type
     """
     return decode(read_bytes(path, maximum_bytes), type_, path)
 
 
 def read_bytes(path: str | os.PathLike, maximum_bytes: int = MAXIMUM_BYTES) -> bytes:
-    """The bytes of a JSON file, without a mark of their order. Raises InputError: missing, no
-    ordinary file, too large.
+    """Return the bytes of a JSON file, without a byte order mark.
+
+    Raises  InputError: missing, no ordinary file, too large
     """
     path = Path(path)
     require_file(path, "a JSON file", _remedy(path), maximum_bytes)
@@ -39,7 +39,7 @@ def read_bytes(path: str | os.PathLike, maximum_bytes: int = MAXIMUM_BYTES) -> b
 
 
 def _remedy(path):
-    """What to do where a file is missing: the names like it, if there are any."""
+    """Return what to do about a missing file: similar names, if there are any."""
     try:
         if not path.parent.is_dir():
             return "the folder is missing too"
@@ -50,7 +50,7 @@ def _remedy(path):
 
 
 def decode(data: bytes, type_: type[T], where: object) -> T:
-    """JSON bytes as a `type_`; `where` names their origin in an InputError."""
+    """Return JSON bytes as a `type_`; `where` names their origin in an InputError."""
     try:
         return msgspec.json.decode(data, type=type_)
     except msgspec.ValidationError as error:
@@ -60,7 +60,7 @@ def decode(data: bytes, type_: type[T], where: object) -> T:
         raise InputError(where, "JSON", result, "check commas, quotes and brackets there") from None
     try:
         problem = _explained(reason, data, type_, where)
-    except (msgspec.DecodeError, RecursionError):  # right so far as the types went, broken behind
+    except (msgspec.DecodeError, RecursionError):  # no JSON behind the place of the wrong type
         problem = InputError(
             where, "JSON", reason.split(" - at ")[0], "check commas, quotes and brackets there"
         )
@@ -68,7 +68,7 @@ def decode(data: bytes, type_: type[T], where: object) -> T:
 
 
 def _explained(message, data, type_, where):
-    """The InputError behind msgspec's message."""
+    """Return the InputError that says what msgspec's message means."""
     message, _, path = message.partition(" - at ")
     path = path.strip("`")
     place = (
@@ -104,7 +104,7 @@ def _explained(message, data, type_, where):
 
 
 def _steps(path):
-    """Keys and indices of a path."""
+    """Return the keys and indices of a path."""
     return [
         key if key else int(index) if index.isdigit() else ...
         for key, index in re.findall(r"\.(\w+)|\[([^\]]*)\]", path)
@@ -112,7 +112,7 @@ def _steps(path):
 
 
 def _at(data, path):
-    """The raw value at a path; itself where a step is not named."""
+    """Return the raw value at a path, as far as the steps of the path are named."""
     value = msgspec.json.decode(data)
     for step in _steps(path):
         if step is ...:
@@ -127,7 +127,7 @@ def _shown(value):
 
 
 def _types(type_, path):
-    """The types that may stand at a path: unions are followed on every branch."""
+    """Return the types that may stand at a path; unions are followed on every branch."""
     results = _branches(type_)
     for step in _steps(path):
         inner = []
@@ -145,7 +145,7 @@ def _types(type_, path):
 
 
 def _branches(type_):
-    """A union's members, Annotated taken off."""
+    """Return a union's members, without Annotated."""
     if hasattr(type_, "__metadata__"):
         return _branches(type_.__origin__)
     if type(type_).__name__ in ("UnionType", "_UnionGenericAlias"):

@@ -1,9 +1,9 @@
-"""The contract on disk as types: what a job asks for, what a record says, what a dataset is.
+"""The contract on disk as types: jobs, records, views and data sets.
 
-Written and read by msgspec (manifests.reading): unknown keys and wrong types are refused with the
-key's path, and the JSON Schema in manifests/json-schema comes from these types. Angles are degrees
-here, as in every file, and the key says so. Paths are relative to the dataset's folder and stay
-inside it.
+msgspec reads and writes them (manifests.reading): unknown keys and wrong types are refused with the
+key's path, and the JSON Schema in manifests/json-schema is generated from these types. Angles are
+in degrees here, as in every file, and the key says so. Paths are relative to the data set's folder
+and stay inside it.
 """
 
 from typing import Annotated, Any, Literal
@@ -28,7 +28,7 @@ Texels = Annotated[int, Meta(ge=0, le=127)]
 Samples = Annotated[int, Meta(ge=1, le=1_048_576)]
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Name = Annotated[str, Meta(min_length=1, max_length=1000)]
-# ids become names of files; "$" alone admits a newline behind
+# ids become names of files; the length rules out a newline, which "$" admits at the end
 Id = Annotated[str, Meta(pattern="^[0-9a-f]{24}$", max_length=24)]
 Hash = Annotated[str, Meta(pattern="^[0-9a-f]{64}$", max_length=64)]  # sha256
 # of label and mixture (manifests.materials)
@@ -39,13 +39,15 @@ Amount = Annotated[float, Meta(ge=0)]
 
 
 class Camera(Struct, frozen=True, forbid_unknown_fields=True):
-    """size (height, width) in pixels; fov_deg across the longer side, None: orthographic; elevation
-    above the horizon.
+    """The camera. The object lies in the unit sphere.
 
-    The object lies in the unit sphere; the frame's longer side spans 2 × half_extent at the
-    object's centre. pixel: "square", the mean over the pixel's square, as a camera has it;
-    "centre", the one point that geometry files hold: jagged edges, but both renderers then look at
-    the same points of the surface.
+    size           (height, width) in pixels
+    fov_deg        field of view across the longer side, None: orthographic
+    elevation_deg  above the horizon
+    half_extent    the frame's longer side spans 2 × half_extent at the object's centre
+    pixel          "square": the mean over the pixel's square, as in a camera; "centre": the one
+                   point that geometry files hold, which gives jagged edges, but lets both renderers
+                   look at the same points of the surface
     """
 
     size: tuple[Pixels, Pixels] = (256, 256)
@@ -56,35 +58,35 @@ class Camera(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Draw(Struct, frozen=True, forbid_unknown_fields=True):
-    """`{"random": 5}`: that many different ones, drawn anew for each shape, material and light."""
+    """`{"random": 5}`: that many different numbers, drawn for each shape, material and light."""
 
     random: Count
 
 
 class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What to render, as a person writes it. Every shape meets every material under every light, in
-    every view.
+    """What to render. Every shape meets every material under every light, in every view.
 
-    name, about        for people; they alter nothing
+    name, about        for people; they do not affect pictures
     shapes             "chair:17" a family and its number, "chair:0-39" a range, "sphere",
-    "meshes/stool.obj" or a folder of mesh files
-                       (relative to the job's file, or to --assets)
+                       "meshes/stool.obj" or a folder of mesh files (relative to the job's file, or
+                       to --assets)
     materials          names, or sets of them: "merl", "merl/train", "merl/test", "merl/paper-train"
     lights             names of bundled maps, or .hdr and .exr files; one named twice is drawn
-    twice, with rotations of its own
+                       twice, with different rotations
     views              numbers 0–23 (azimuth 15° each; manifests/viewpoints.json), or {"random": 5}
-    rotations          texels 0–127 the light is turned by, as the camera sees it, or {"random": 1}
-    repeats            pictures of each shot that differ in nothing but the seed: two show the noise
-    segment_materials  None: one material over the whole shape; a number: so many draws of a
-    material for each segment, a shape and light
-    split, roles       which rule says what is for training and what for testing
-    (manifests/splits.json), and which roles to keep
-    mixed              keep shots whose shape is for training and whose material is for testing, or
-    the reverse
-    pictures           False: geometry alone, of every shape in every view once; materials and
-    lights come along with the dataset, for
-                       whoever relights it; rotations, tiers, samples and what else is about
-                       pictures says nothing then
+    rotations          texels 0–127 by which the light is turned, as the camera sees it, or
+                       {"random": 1}
+    repeats            number of pictures of each shot, which differ in the seed alone: two show the
+                       noise
+    segment_materials  None: one material for the whole shape; a number: that many draws of one
+                       material per segment, for each shape and light
+    split, roles       the rule that says what is for training and what for testing
+                       (manifests/splits.json), and the roles to render, none: all
+    mixed              render shots whose shape is for training and whose material is for testing,
+                       or the reverse
+    pictures           False: geometry alone, of every shape in every view once. The data set
+                       includes the materials and lights, for relighting; rotations, tiers, samples
+                       and other settings of pictures are ignored
     """
 
     version: Literal[1] = 1
@@ -109,8 +111,10 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Statistics(Struct, frozen=True, forbid_unknown_fields=True):
-    """coverage: share of the frame that the object covers; mean and max of linear radiance over the
-    mask.
+    """Figures of a picture.
+
+    coverage   share of the frame that the object covers
+    mean, max  of linear radiance over the mask
     """
 
     coverage: Share
@@ -119,15 +123,15 @@ class Statistics(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=False):
-    """One picture and all that determines it.
+    """One picture and everything that determines it.
 
-    id               hash of all that determines the pixels
-    materials        one name a segment, in the order of segment ids 1, 2, …; labels stand in the
-    dataset's materials.json
+    id               hash of everything that determines the pixels
+    materials        one name per segment, in the order of segment ids 1, 2, …; labels are in the
+                     data set's materials.json
     rotation_texels  the light as the camera sees it is the stored 64×128 map rolled by this many
-    columns
-    image            linear Rec.709 radiance under the unit-mean light, half EXR; geometry: normals
-    (camera frame), depth, segments
+                     columns
+    image            linear Rec.709 radiance under the unit-mean light, half EXR
+    geometry         normals (camera frame), depth, segments
     split            train or test where shape and materials agree, else mixed
     """
 
@@ -161,16 +165,16 @@ class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=F
 
     @property
     def segments(self) -> int:
-        """How many the shape has."""
+        """Number of segments of the shape."""
         return len(self.materials)
 
 
 class View(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=False):
-    """One shape seen from one viewpoint, without a picture: what there is to relight.
+    """One shape seen from one viewpoint, without a picture, for relighting.
 
     id        of the geometry file
-    segments  how many the shape has; from here not all of them need be seen
-    side      the shape's
+    segments  number of segments of the shape; not all of them need be visible
+    side      of the shape
     coverage  share of the frame that the object covers
     """
 
@@ -190,11 +194,11 @@ class View(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=Fal
 
 
 class ShapeEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A shape of a dataset.
+    """A shape of a data set.
 
-    side      of the split, where its hash stands
-    segments  how many regions take materials
-    report    what was mended in its mesh
+    side      of the split
+    segments  number of regions that take a material each
+    report    what was repaired in its mesh
     """
 
     hash: Hash
@@ -207,10 +211,10 @@ class ShapeEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class LightEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A light of a dataset: its stored 64×128 map (manifests.arrays: LIGHT).
+    """A light of a data set: its stored 64×128 map (manifests.arrays: LIGHT).
 
-    side  by its hash; None in datasets from before lights had sides: manifests.splits.light_side
-    gives it then
+    side  by its hash; None in data sets from before lights had sides, where
+          manifests.splits.light_side gives it
     """
 
     hash: Hash
@@ -223,8 +227,9 @@ class LightEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class MaterialEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A material of a dataset; its label stands in materials.json. hash: of label and closures
-    together.
+    """A material of a data set, whose label is in materials.json.
+
+    hash  of label and mixture together
     """
 
     hash: MaterialHash
@@ -234,7 +239,11 @@ class MaterialEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Order(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A job that was begun in this folder, whole, and how many shots it means."""
+    """A job that was begun in this folder.
+
+    shots  number of shots of the whole job
+    begun  date and time in UTC
+    """
 
     job: Job
     shots: Annotated[int, Meta(ge=0)]
@@ -242,10 +251,10 @@ class Order(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Dataset(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """dataset.json: what the folder is, what was asked for, with which settings and assets it was
-    made.
+    """dataset.json: the jobs that were rendered, with their settings and assets.
 
-    settings  by render version: every Cycles setting that alters pixels, as it was in force
+    orders    the jobs
+    settings  {render version: every Cycles setting that alters pixels, with its value and reason}
     """
 
     version: int = VERSION
@@ -258,7 +267,7 @@ class Dataset(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Failure(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A shot that did not come out, twice: why, and what it was."""
+    """A shot that failed twice, and the reason."""
 
     id: Id
     shape: str

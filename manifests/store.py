@@ -1,20 +1,17 @@
-"""A dataset's folder: the only place that knows where things lie in it, and how they get there
-without half a file ever being seen.
+"""A data set's folder: where files lie in it, and how they are written whole.
 
-    dataset.json  materials.json   what was asked for, with which assets; the labels of the
-    materials used
+    dataset.json  materials.json   the jobs with their assets; the labels of the materials used
     images/ab/ID.exr  geometry/ab/ID.exr  lights/NAME-HASH.npz
-    records/worker-NN.jsonl        one line a picture, appended after its files are in place; one
-    writer a file
-    views/worker-NN.jsonl          the same of geometry alone, one line a view of a shape: jobs
-    without pictures
-    failures.jsonl                 what did not come out, and why (failures-SHARD.jsonl in job
-    arrays)
-    partial/                       files being written; whatever lies there after a run is rubbish
+    records/worker-NN.jsonl        one line per picture, appended after its files have been
+                                   written; one writer per file
+    views/worker-NN.jsonl          the same for geometry alone, one line per view of a shape, in
+                                   jobs without pictures
+    failures.jsonl                 what failed, and why (failures-SHARD.jsonl in job arrays)
+    partial/                       unfinished files; what is there after a run can be deleted
     .lock*                         held by a run while it writes
 
-A kill at any moment loses at most the shot in flight: a file is written under partial/ and renamed,
-a torn last line is passed over by readers and cut off by the next writer.
+A kill at any moment loses at most the current shot: a file is written under partial/ and renamed,
+and readers ignore an unfinished last line, which the next writer cuts off.
 """
 
 import contextlib
@@ -59,25 +56,24 @@ class _Version(msgspec.Struct):
 
 
 def image_path(id_: str) -> str:
-    """Where a record's picture lies, relative to the folder: sharded by the id's first two
-    digits.
-    """
+    """Return where a record's picture lies in the folder: below the id's first two digits."""
     return f"images/{id_[:2]}/{id_}.exr"
 
 
 def geometry_path(id_: str) -> str:
-    """Where a shape's normals, depth and segments from one view lie."""
+    """Return where a shape's normals, depth and segments from one view lie."""
     return f"geometry/{id_[:2]}/{id_}.exr"
 
 
 def light_path(name: str, hash_: str) -> str:
-    """Where a light's stored 64×128 map lies."""
+    """Return where a light's stored 64×128 map lies."""
     return f"lights/{NAME.sub('-', name).strip('-.')[:60] or 'light'}-{hash_[:12]}.npz"
 
 
 def file_hash(path: str | os.PathLike) -> str:
-    """sha256 (hex) of a file's bytes. Raises FileNotFoundError; InputError for a folder, a pipe or
-    a device.
+    """Return the sha256 (hex) of a file's bytes.
+
+    Raises  FileNotFoundError; InputError for a folder, a pipe or a device
     """
     if os.path.exists(path):
         require_file(path, "a file")  # opening a pipe would wait for its writer
@@ -86,10 +82,9 @@ def file_hash(path: str | os.PathLike) -> str:
 
 
 def inside(folder: str | os.PathLike, relative: str) -> Path:
-    """The path of a file that a manifest names.
+    """Return the path of a file that a manifest names.
 
-    Raises  InputError if it is absolute, climbs out by "..", or leads out of the folder through a
-    link
+    Raises  InputError if it is absolute, has "..", or leads out of the folder through a link
     """
     pure = PurePosixPath(relative)
     target = Path(folder) / pure
@@ -103,7 +98,7 @@ def inside(folder: str | os.PathLike, relative: str) -> Path:
     if escapes or not _leads_inside(target, folder):
         raise InputError(
             f"{folder}: '{relative}'",
-            "a path inside the dataset's folder",
+            "a path inside the data set's folder",
             "one that leaves it",
             "do not trust this manifest",
         )
@@ -111,8 +106,9 @@ def inside(folder: str | os.PathLike, relative: str) -> Path:
 
 
 def _leads_inside(target: Path, folder: str | os.PathLike) -> bool:
-    """Whether a path, its links followed, ends inside a folder; links in a circle and names that no
-    file can have do not.
+    """Return whether a path, with links followed, ends inside a folder.
+
+    Links in a circle and names that no file can have do not.
     """
     try:
         return target.resolve().is_relative_to(Path(folder).resolve())
@@ -121,11 +117,10 @@ def _leads_inside(target: Path, folder: str | os.PathLike) -> bool:
 
 
 def lines_of(path: str | os.PathLike) -> Iterator[tuple[int, bytes]]:
-    """Each line of a file with its number from 1; the last one without its newline where a kill has
-    torn it.
+    """Yield each line of a file with its number from 1; an unfinished last line has no newline.
 
-    Raises  InputError: no ordinary file, a line longer than any that a writer leaves; OSError where
-    it cannot be read
+    Raises  InputError: no ordinary file, a line longer than any writer leaves; OSError if it cannot
+            be read
     """
     with open(require_file(path, "a file of lines", REPAIR), "rb") as file:
         for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), 1):
@@ -140,22 +135,21 @@ def lines_of(path: str | os.PathLike) -> Iterator[tuple[int, bytes]]:
 
 
 class Store:
-    """A dataset on disk. Reading needs nothing but the folder; a worker places files by `place` and
-    appends lines by its own `Lines`.
+    """A data set on disk.
+
+    Reading needs the folder alone. A worker writes files by `place` and lines by `Lines`.
     """
 
     def __init__(self, folder: str | os.PathLike):
         self.folder = Path(folder)
 
     def dataset(self) -> Dataset:
-        """dataset.json as a Dataset. Raises InputError if it is missing, damaged or of another
-        schema version.
-        """
+        """Return dataset.json. Raises InputError: missing, damaged or of another schema version."""
         path = self.folder / "dataset.json"
         if not os.path.lexists(path):
             raise InputError(
                 self.folder,
-                "a dataset (dataset.json)",
+                "a data set (dataset.json)",
                 "none",
                 "make one with: python -m factory render JOB --out DIR",
             )
@@ -177,15 +171,16 @@ class Store:
         )
 
     def record_files(self, kind: str = "records") -> list[Path]:
-        """The files of one kind of lines, one a worker, in order of name. Raises InputError where
-        their folder is none.
+        """Return the files of one kind of lines, one per worker, in order of name.
+
+        Raises  InputError if their folder is no folder
         """
         folder = self.folder / kind
         try:
             names = os.listdir(folder)
         except FileNotFoundError:
             return []
-        # a file, links in a circle, no permission: never to be taken for an empty folder
+        # a file, links in a circle, no permission: none of them is an empty folder
         except OSError as error:
             raise InputError(
                 folder, f"a folder of {kind}", str(error.strerror or error).lower(), REPAIR
@@ -193,8 +188,10 @@ class Store:
         return [folder / name for name in sorted(names) if name.endswith(".jsonl")]
 
     def records(self, keep: Callable[[Record], Any] | None = None) -> Iterator[Record]:
-        """Each Record, file after file; keep(record) filters. Raises InputError at a line that no
-        writer can have left.
+        """Yield each Record, file after file.
+
+        keep    called with each Record; those for which it is false are left out
+        Raises  InputError for a line that no writer leaves
         """
         return (
             filter(keep, self._decoded(Record, "records"))
@@ -203,22 +200,21 @@ class Store:
         )
 
     def views(self, keep: Callable[[View], Any] | None = None) -> Iterator[View]:
-        """Each View, as `records` gives each Record."""
+        """Yield each View, as `records` yields each Record."""
         return filter(keep, self._decoded(View, "views")) if keep else self._decoded(View, "views")
 
     def ids(self, kind: str = "records") -> set[str]:
-        """The set of ids of all lines of a kind: what a run that continues leaves out. Reads
-        nothing else of a line.
-        """
+        """Return the ids of all lines of a kind, without decoding the rest of a line."""
         return {line.id for line in self._decoded(_Id, kind)}
 
     def known(self, kind: str = "records") -> tuple[set[str], dict[str, str]]:
-        """(ids, hashes): the ids of all lines of a kind; the hash of each geometry file that a
-        record or a view names.
+        """Return (ids, hashes): the ids of all lines of a kind, and the hashes of geometry files.
 
-        hashes  {path: hash}, the first that is named where lines disagree
+        hashes  {path: hash} of each file that a record or a view names; the first where lines
+                disagree
         """
-        ids, hashes = set(), {}
+        ids: set[str] = set()
+        hashes: dict[str, str] = {}
         for each in LINES:
             for line in self._decoded(_Known, each):
                 hashes.setdefault(line.geometry, line.geometry_hash)
@@ -227,7 +223,7 @@ class Store:
         return ids, hashes
 
     def failures(self) -> Iterator[Failure]:
-        """Every Failure written down."""
+        """Yield every Failure."""
         for path in sorted(self.folder.glob("failures*.jsonl")):
             for number, line in lines_of(path):
                 if line.endswith(b"\n"):
@@ -243,7 +239,7 @@ class Store:
         for path in self.record_files(kind):
             for number, line in lines_of(path):
                 if not line.endswith(b"\n"):
-                    break  # torn by a kill: its shot counts as not made
+                    break  # unfinished: its shot counts as not made
                 try:
                     record = decoder.decode(line)
                 except (msgspec.DecodeError, UnicodeDecodeError):
@@ -255,19 +251,19 @@ class Store:
                 yield record
 
     def write_json(self, name: str, value: Any, worker: str = "main") -> None:
-        """Write a small JSON file by way of partial/."""
+        """Write a small JSON file through partial/."""
         text = msgspec.json.format(msgspec.json.encode(value, order="deterministic"), indent=1)
         self.place(name, text + b"\n", worker)
 
     def place(self, relative: str, data: bytes, worker: str, keep_first: bool = False) -> str:
-        """Put a file in place whole, and return the sha256 of what lies there then.
+        """Write a file whole, and return the sha256 of the file that is in place afterwards.
 
         relative    its path in the folder
         data        bytes of the whole file
-        worker      who writes: temporary names of two workers never meet
-        keep_first  a file that is already there stays (two workers made the same geometry): its
-        hash is returned
-        Raises      OSError (full disk) with the earlier file still there and nothing left behind
+        worker      who writes: temporary names of two workers differ
+        keep_first  a file that exists is not replaced (two workers made the same geometry)
+        Raises      OSError (full disk); the earlier file is then unchanged, and nothing is left
+                    behind
         """
         target = self.folder / relative
         temporary = self.folder / "partial" / f"{worker}-{target.name}"
@@ -290,11 +286,11 @@ class Store:
             whole.unlink(missing_ok=True)
 
     def place_instead(self, relative: str, data: bytes, worker: str, damaged: str | None) -> str:
-        """Put a file in the place of a damaged one, and return the sha256 of what lies there then.
+        """Replace a damaged file, and return the sha256 of the file that is in place afterwards.
 
-        damaged  sha256 of the damaged file, None if it cannot be read. If another file lies there
-        by now, another worker
-                 has put it there, and it stays. Raises OSError as `place`
+        damaged  sha256 of the damaged file, None if it cannot be read. A file with another sha256
+                 was written by another worker meanwhile, and stays.
+        Raises   OSError as `place`
         """
         with lock.changing(self.folder):
             result = readable_hash(self.folder / relative)
@@ -303,8 +299,9 @@ class Store:
             return self.place(relative, data, worker)
 
     def sweep(self, prefix: str = "") -> None:
-        """Remove what killed runs left half-written, files and lines; `prefix` of the workers'
-        names confines it to one shard's.
+        """Remove what killed runs left unfinished, files and lines.
+
+        prefix  of workers' names, to clean up after one shard alone
         """
         partial = self.folder / "partial"
         for path in partial.glob(f"{prefix}*") if partial.is_dir() else ():
@@ -315,7 +312,7 @@ class Store:
 
 
 def readable_hash(path: str | os.PathLike) -> str | None:
-    """sha256 (hex) of a file's bytes; None if nothing is there that can be read."""
+    """Return the sha256 (hex) of a file's bytes; None if there is nothing that can be read."""
     try:
         return file_hash(path)
     except (OSError, InputError):
@@ -323,7 +320,7 @@ def readable_hash(path: str | os.PathLike) -> str | None:
 
 
 def _line(line, type_, where, remedy):
-    """A line as a `type_`. Raises InputError with the remedy of its file."""
+    """Return a line as a `type_`. Raises InputError with the given remedy."""
     try:
         return decode(line, type_, where)
     except InputError as problem:
@@ -331,7 +328,7 @@ def _line(line, type_, where, remedy):
 
 
 def _link(temporary, target):
-    """Give the file its final name unless that is taken; False if it is."""
+    """Give the file its final name unless that exists; return whether it was given."""
     try:
         os.link(temporary, target)
     except FileExistsError:
@@ -344,10 +341,11 @@ def _link(temporary, target):
 
 
 class Lines:
-    """An append-only file of JSON lines with one writer. Opening cuts off a torn last line; a line
-    is written whole or not at all.
+    """An append-only file of JSON lines with one writer.
 
-    Raises  InputError if another process has the file open to write into it
+    Opening it cuts off an unfinished last line; a line is written whole or not at all.
+
+    Raises  InputError if another process has the file open for writing
     """
 
     def __init__(self, path: str | os.PathLike):
@@ -357,14 +355,14 @@ class Lines:
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         self._closed = weakref.finalize(self, os.close, self._descriptor)
         self._own()
-        self._torn = False  # a part of a line may lie behind the last whole one
+        self._torn = False  # whether a part of a line may follow the last whole one
         self._length = self._end_of_last_line()
         if self._length < os.fstat(self._descriptor).st_size:
             os.ftruncate(self._descriptor, self._length)
 
     def _own(self):
         try:
-            # not flock: a forked helper does not go on holding it
+            # not flock, which a forked process would go on holding
             fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError):
             self.close()
@@ -376,13 +374,14 @@ class Lines:
             pass
 
     def append(self, value: Any) -> None:
-        """Write one value as a line. Raises OSError (full disk) with nothing of the line left
-        behind.
+        """Write one value as a line.
+
+        Raises  OSError (full disk), after which nothing of the line is left
         """
         self.append_line(msgspec.json.encode(value) + b"\n")
 
     def append_line(self, line: bytes) -> None:
-        """As `append`, of a line as bytes with its newline."""
+        """Write a line, given as bytes with its newline, as `append` does."""
         try:
             if self._torn:
                 os.ftruncate(self._descriptor, self._length)
@@ -392,7 +391,7 @@ class Lines:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
         except OSError as error:
             self._torn = True
-            # a disk that fails altogether: the next line or the next opening cuts the rest off
+            # if this fails too, the next line or the next opening cuts the rest off
             with contextlib.suppress(OSError):
                 os.ftruncate(self._descriptor, self._length)
                 self._torn = False
@@ -400,11 +399,11 @@ class Lines:
         self._length += len(line)
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._closed()
 
     def _end_of_last_line(self):
-        """Where the last whole line ends."""
+        """Return where the last whole line ends."""
         end = os.fstat(self._descriptor).st_size
         while end:
             start = max(0, end - 65536)

@@ -10,7 +10,7 @@ COUNT = 24
 
 @cache
 def azimuths_deg() -> tuple[float, ...]:
-    """Azimuth of each viewpoint, degrees about world z; 0 looks at the object's front."""
+    """Return each viewpoint's azimuth, degrees about world z; 0 looks at the object's front."""
     return tuple(
         float(a) for a in read(Path(__file__).parent / "viewpoints.json", dict)["azimuth_deg"]
     )

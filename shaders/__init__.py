@@ -1,3 +1,1 @@
-"""What a surface does with light: the one definition, in numpy, through which torch tensors pass as
-well.
-"""
+"""The single definitions of reflectance and light, in numpy; torch tensors pass as well."""

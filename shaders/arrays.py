@@ -1,28 +1,31 @@
-"""Which array library a formula runs in: numpy, or torch when a tensor is among its arguments.
+"""Selection of the array library in which a formula runs: numpy, or torch for tensors.
 
 torch is used only if the caller has already loaded it, so that a process without torch never
-imports it. Formulas keep to names that both have: exp, log, sqrt, sin, cos, arccos, arctan2, clip,
-where, einsum, stack, cumsum.
+imports it. Formulas keep to names that both libraries have: exp, log, sqrt, sin, cos, arccos,
+arctan2, clip, where, einsum, stack, cumsum.
 """
 
 import sys
+from typing import Any, TypeAlias
 
 import numpy as np
 
+# numpy.ndarray or torch.Tensor; torch itself may not be imported here, so that its type is open
+Array: TypeAlias = Any
 
-def namespace(*arrays):
-    """The module whose functions apply to the arrays: torch if one of them is a tensor, else
-    numpy.
-    """
+
+def namespace(*arrays: object) -> Any:
+    """Return the library whose functions apply: torch if one array is a tensor, else numpy."""
     torch = sys.modules.get("torch")
     if torch is not None and any(isinstance(a, torch.Tensor) for a in arrays):
         return torch
     return np
 
 
-def like(values, array):
-    """`values` (anything numpy can read) as a constant of the same library, dtype and device as
-    `array`.
+def like(values: Any, array: Array) -> Array:
+    """Return `values` as a constant of the same library, dtype and device as `array`.
+
+    values  anything that numpy can read
     """
     if namespace(array) is np:
         dtype = array.dtype if isinstance(array, np.ndarray | np.floating) else np.float64

@@ -1,15 +1,16 @@
-"""Closed forms of the Cycles closures that materials are made of, with a normal that may be tilted
-in the plane of incidence.
+"""Closed forms of the Cycles closures of which materials are made.
 
-cos_i   n·w_i, towards the light;  cos_o  n·w_o, towards the viewer;  cos_h  n·h;  cos_d  h·w_i =
-h·w_o
+Their normal may be tilted in the plane of incidence.
+
+cos_i   n·w_i, towards the light;  cos_o  n·w_o, towards the viewer;  cos_h  n·h;
+        cos_d  h·w_i = h·w_o
 alpha   width of a closure: the square of the Glossy node's Roughness, the Sheen node's Roughness
-itself; unused by diffuse
+        itself; unused by diffuse
 tilt    t of the closure's own normal n' = normalize(n + t (w_o − (w_o·n) n)), so that tan(angle) =
-t sin θ_o; 0: n' = n
-f       BRDF in 1/sr such that f · cos_i is what Cycles multiplies with the light
+        t sin θ_o; 0: n' = n
+f       BRDF in 1/sr such that f · cos_i is the factor by which Cycles multiplies the light
 
-All arrays broadcast; numpy or torch. They hold for the plain distributions GGX, BECKMANN,
+All arrays broadcast; numpy or torch. The formulas hold for the plain distributions GGX, BECKMANN,
 ASHIKHMIN_SHIRLEY (Glossy) and ASHIKHMIN (Sheen), no multiple scattering, and for materials without
 bump-map correction.
 
@@ -19,7 +20,7 @@ intern/cycles/kernel/closure/bsdf_{diffuse,microfacet,ashikhmin_shirley,ashikhmi
 
 import numpy as np
 
-from shaders.arrays import namespace
+from shaders.arrays import Array, namespace
 
 PI = float(np.pi)
 # exp(−745) is the last float64 above 0: lobes that are dead there must not raise underflow
@@ -28,13 +29,13 @@ MIN_EXPONENT = -700.0
 MIN_COS = 1e-4
 
 
-def diffuse(alpha, cos_i, cos_o, cos_h, cos_d):
-    """Lambert: 1/π."""
+def diffuse(alpha: Array, cos_i: Array, cos_o: Array, cos_h: Array, cos_d: Array) -> Array:
+    """Return Lambert's 1/π."""
     return 0 * cos_i + 1 / PI
 
 
-def ggx(alpha, cos_i, cos_o, cos_h, cos_d):
-    """GGX with height-correlated Smith shadowing: D / ((1 + Λ_i + Λ_o) 4 cos_i cos_o)."""
+def ggx(alpha: Array, cos_i: Array, cos_o: Array, cos_h: Array, cos_d: Array) -> Array:
+    """Return GGX with height-correlated Smith shadowing: D / ((1 + Λ_i + Λ_o) 4 cos_i cos_o)."""
     xp = namespace(alpha, cos_i, cos_o, cos_h)
     a2 = alpha * alpha
     # = 1 + (α² − 1) cos²: written so that nothing cancels at the peak
@@ -45,8 +46,8 @@ def ggx(alpha, cos_i, cos_o, cos_h, cos_d):
     return d / (0.5 * (root_i + root_o)) / (4 * cos_i * cos_o)
 
 
-def beckmann(alpha, cos_i, cos_o, cos_h, cos_d):
-    """Beckmann with Cycles' rational Λ: D / ((1 + Λ_i + Λ_o) 4 cos_i cos_o)."""
+def beckmann(alpha: Array, cos_i: Array, cos_o: Array, cos_h: Array, cos_d: Array) -> Array:
+    """Return Beckmann with Cycles' rational Λ: D / ((1 + Λ_i + Λ_o) 4 cos_i cos_o)."""
     xp = namespace(alpha, cos_i, cos_o, cos_h)
     c2 = cos_h * cos_h
     d = xp.exp(xp.clip(-(1 - c2) / (c2 * alpha * alpha), MIN_EXPONENT, None)) / (
@@ -66,17 +67,20 @@ def beckmann(alpha, cos_i, cos_o, cos_h, cos_d):
     return d / (1 + smith(cos_i) + smith(cos_o)) / (4 * cos_i * cos_o)
 
 
-def ashikhmin_shirley(alpha, cos_i, cos_o, cos_h, cos_d):
-    """Phong-like lobe: (n + 1)/(8π) · cos_h^n / (cos_d max(cos_i, cos_o)), n = 2/α² − 2."""
+def ashikhmin_shirley(
+    alpha: Array, cos_i: Array, cos_o: Array, cos_h: Array, cos_d: Array
+) -> Array:
+    """Return a Phong-like lobe (n + 1)/(8π) · cos_h^n / (cos_d max(cos_i, cos_o)), n = 2/α² − 2."""
     xp = namespace(alpha, cos_i, cos_o, cos_h)
     n = 2 / (alpha * alpha) - 2
     power = xp.exp(xp.clip(n * xp.log(cos_h), MIN_EXPONENT, None))
     return (n + 1) / (8 * PI) * power / (cos_d * xp.where(cos_i > cos_o, cos_i, cos_o + 0 * cos_i))
 
 
-def sheen(alpha, cos_i, cos_o, cos_h, cos_d):
-    """Ashikhmin's velvet: D · G / (4 cos_i cos_o), D = exp(−cot²θ_h/α²)/(π α² sin⁴θ_h), V-cavity
-    G.
+def sheen(alpha: Array, cos_i: Array, cos_o: Array, cos_h: Array, cos_d: Array) -> Array:
+    """Return Ashikhmin's velvet, D · G / (4 cos_i cos_o).
+
+    D = exp(−cot²θ_h/α²)/(π α² sin⁴θ_h); G is that of V-cavities.
     """
     xp = namespace(alpha, cos_i, cos_o, cos_h)
     s2 = xp.clip(1 - cos_h * cos_h, 1e-9, None)  # at the pole the exponential is 0 anyway
@@ -97,11 +101,13 @@ CLOSURES = {
 }
 
 
-def tilted(tilt, cos_i, cos_o, cos_h, cos_d):
-    """The cosines seen from the tilted normal n' = normalize(n + t (w_o − (w_o·n) n)).
+def tilted(
+    tilt: Array, cos_i: Array, cos_o: Array, cos_h: Array, cos_d: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return the cosines about the tilted normal n' = normalize(n + t (w_o − (w_o·n) n)).
 
     Returns  cos_i', cos_o', cos_h' and a mask, False where light, view or half vector lie behind n'
-    (cosines are then held at 1e-4)
+             (cosines are then held at 1e-4)
     """
     xp = namespace(tilt, cos_i, cos_o, cos_h, cos_d)
     sin2_o = 1 - cos_o * cos_o
@@ -119,9 +125,10 @@ def tilted(tilt, cos_i, cos_o, cos_h, cos_d):
     return xp.clip(ci, MIN_COS, 1.0), xp.clip(co, MIN_COS, 1.0), xp.clip(ch, MIN_COS, 1.0), seen
 
 
-def evaluate(kind, alpha, tilt, cos_i, cos_o, cos_h, cos_d):
-    """f of one closure, its normal tilted: f(cos_i', …) · cos_i'/cos_i, and 0 behind the tilted
-    normal.
+def evaluate(
+    kind: str, alpha: Array, tilt: Array, cos_i: Array, cos_o: Array, cos_h: Array, cos_d: Array
+) -> Array:
+    """Return f of one closure with a tilted normal: f(cos_i', …) · cos_i'/cos_i, 0 behind it.
 
     kind     a key of CLOSURES
     cosines  positive; cos_i ≥ 1e-4

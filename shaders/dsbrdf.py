@@ -1,10 +1,11 @@
-"""The directional-statistics BRDF: the material label, three lobes of hemispherical exponential
-power distributions.
+"""The directional-statistics BRDF (DSBRDF), which is the material's label.
 
-m      (..., 3, 3, 2, 6): channel k, lobe s, (κ, γ), spline control values over θ_d; the paper's 108
-numbers
+It is a sum of three lobes of hemispherical exponential power distributions.
+
+m      (..., 3, 3, 2, 6): channel k, lobe s, (κ, γ), spline control values over θ_d; the paper's
+       108 numbers
 label  the same shape, natural logarithms of m: what is stored, fitted and predicted; κ, γ > 0 by
-construction
+       construction
 c      h·n, cosine between half vector and normal
 f      (..., 3) BRDF in 1/sr, no cosine:  f_k = Σ_s exp(κ_ks(θ_d) c^γ_ks(θ_d)) − 1
 
@@ -14,7 +15,7 @@ paper, κ ≥ 0.
 
 import numpy as np
 
-from shaders.arrays import namespace
+from shaders.arrays import Array, namespace
 from shaders.spline import CONTROL_VALUES, basis
 
 SHAPE = (3, 3, 2, CONTROL_VALUES)
@@ -23,8 +24,8 @@ SIZE = int(np.prod(SHAPE))  # 108
 MAX_EXPONENT = 50.0
 
 
-def coefficients(m, theta_d):
-    """κ and γ at the angles given.
+def coefficients(m: Array, theta_d: Array) -> tuple[Array, Array]:
+    """Return κ and γ at the given angles.
 
     m        (..., 3, 3, 2, 6), or (..., 108) flat
     theta_d  (P,) radians
@@ -36,11 +37,11 @@ def coefficients(m, theta_d):
     return curves[..., 0], curves[..., 1]
 
 
-def evaluate(m, cos_h, theta_d):
-    """BRDF values of one material.
+def evaluate(m: Array, cos_h: Array, theta_d: Array) -> Array:
+    """Return BRDF values of one material.
 
     m        (3, 3, 2, 6) or (108,): κ and γ control values, not logarithms
-    cos_h    (P,) h·n; ≤ 0 gives the limit 0 of c^γ
+    cos_h    (P,) h·n; values ≤ 0 give the limit 0 of c^γ
     theta_d  (P,) radians, half the angle between light and view
     Returns  f (P, 3) in 1/sr
     """
@@ -52,12 +53,23 @@ def evaluate(m, cos_h, theta_d):
     return xp.expm1(xp.clip(kappa * power, 0.0, MAX_EXPONENT)).sum(-1)
 
 
-def half_angles(w_i, w_o):
-    """Half vector and difference angle.
+def lobe_sharpness(kappa: Array, gamma: Array) -> Array:
+    """Return the exponent g of a lobe: it falls as c^g about its peak.
+
+    For a lobe expm1(κ c^γ), g = γ κ / (1 − e^−κ). Near the peak the lobe is a Gaussian of the
+    half-vector angle with standard deviation 1/√g; g is γ for a dark lobe and κγ for a high one.
+    """
+    xp = namespace(kappa, gamma)
+    steepening = xp.where(kappa > 1e-4, kappa / -xp.expm1(-xp.clip(kappa, 1e-4, None)), 1.0)
+    return gamma * steepening
+
+
+def half_angles(w_i: Array, w_o: Array) -> tuple[Array, Array]:
+    """Return half vector and difference angle.
 
     w_i, w_o  (..., 3) unit vectors of one frame, towards the light and towards the viewer
-    Returns   h (..., 3) unit, 0 where w_i = −w_o; theta_d (...) in [0, π/2], by arctan2 so that its
-    slope is finite at 0
+    Returns   h (..., 3) unit, 0 where w_i = −w_o; theta_d (...) in [0, π/2], exact near 0 because
+              arctan2 gives it
     """
     xp = namespace(w_i, w_o)
     s, d = w_i + w_o, w_i - w_o
@@ -66,3 +78,14 @@ def half_angles(w_i, w_o):
     opposite = length_s < 1e-6
     h = s / xp.where(opposite, 0 * length_s + 1, length_s)[..., None]
     return xp.where(opposite[..., None], 0 * s, h), xp.arctan2(length_d, length_s)
+
+
+def differentiable_half_angles(w_i: Array, w_o: Array) -> tuple[Array, Array]:
+    """Return `half_angles` with derivatives that stay finite where w_i = w_o or w_i = −w_o.
+
+    Both lengths are held at 1e-12 or above, so that the slope of θ_d is 0 at its corner θ_d = 0.
+    """
+    xp = namespace(w_i, w_o)
+    s, d = w_i + w_o, w_i - w_o
+    length_s, length_d = (xp.sqrt(xp.clip(xp.square(x).sum(-1), 1e-24, None)) for x in (s, d))
+    return s / length_s[..., None], xp.arctan2(length_d, length_s)

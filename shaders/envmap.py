@@ -1,5 +1,4 @@
-"""Environment maps: where a texel points, how much of the sphere it covers, turning and shrinking
-without losing energy.
+"""Environment maps: texel directions, solid angles, rotation, and resampling that conserves energy.
 
 L      (height, width, 3) linear Rec.709 radiance; row 0 at the zenith, columns around the vertical
 w      unit directions, light frame (x right, y up, z towards the viewer; shaders.frames)
@@ -11,10 +10,11 @@ Source: supplement, "Illumination". Deviates: φ spans 2π, texel centres, exact
 """
 
 import numpy as np
+from numpy.typing import DTypeLike
 
-from shaders.arrays import namespace
+from shaders.arrays import Array, namespace
+from shaders.tone import LUMINANCE
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 BAND = 64  # rows of a map that are looked at together: 12 MB in float64 of a map of 8192 × 4096
 WHOLE = 1024  # rows up to which a map is copied to float64 whole
 DENSE = 4096  # columns and rows up to which a table of all pairs is made: 134 MB
@@ -25,8 +25,8 @@ SAME_SOURCE = (
 )
 
 
-def directions(height, width):
-    """Unit directions and solid angles of an environment map's texels.
+def directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return unit directions and solid angles of an environment map's texels.
 
     Returns  w (height, width, 3), light frame; solid_angle (height, width) in sr, sums to 4π
     """
@@ -37,14 +37,17 @@ def directions(height, width):
     return w, np.repeat(row_solid_angles(height, width)[:, None], width, axis=1)
 
 
-def row_solid_angles(height, width):
-    """Solid angle (height,) in sr of one texel in each row: (2π/W)(cos θ_top − cos θ_bottom)."""
+def row_solid_angles(height: int, width: int) -> np.ndarray:
+    """Return the solid angle (height,) in sr of one texel of each row.
+
+    It is (2π/W)(cos θ_top − cos θ_bottom).
+    """
     edges = np.cos(np.pi * np.arange(height + 1) / height)
     return (edges[:-1] - edges[1:]) * (2 * np.pi / width)
 
 
-def texel(w, height, width):
-    """Row and column (integers) of the texel that holds each direction w (..., 3), light frame."""
+def texel(w: np.ndarray, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return row and column of the texel that holds each direction w (..., 3), light frame."""
     theta = np.arctan2(np.hypot(w[..., 0], w[..., 2]), w[..., 1])
     phi = np.arctan2(w[..., 2], w[..., 0])
     row = np.clip(np.floor(theta / np.pi * height), 0, height - 1).astype(int)
@@ -52,16 +55,17 @@ def texel(w, height, width):
     return row, column
 
 
-def roll(L, texels):
-    """The map turned by whole texels: column j of the result is column j − texels of L; L (...,
-    height, width, 3).
+def roll(L: Array, texels: int) -> Array:
+    """Return the map L (..., height, width, 3) rotated by whole texels about the vertical.
+
+    Column j of the result is column j − texels of L.
     """
     xp = namespace(L)
     return xp.roll(L, texels, -2) if xp is not np else np.roll(L, texels, axis=-2)
 
 
-def mean_radiance(L):
-    """Solid-angle mean (3,) of L (height, width, 3). It takes the memory of BAND rows."""
+def mean_radiance(L: np.ndarray) -> np.ndarray:
+    """Return the mean (3,) of L (height, width, 3) over solid angle, in the memory of BAND rows."""
     weight = row_solid_angles(*L.shape[:2])[:, None, None] / (4 * np.pi)
     total = np.zeros(L.shape[2:])
     for rows in bands(L.shape[0]):
@@ -72,15 +76,13 @@ def mean_radiance(L):
     return total
 
 
-def bands(height):
-    """Slices of BAND rows that cover a map: what is done band by band needs no copy of a large
-    map.
-    """
+def bands(height: int) -> list[slice]:
+    """Return slices of BAND rows that cover a map, for work on large maps without a copy."""
     return [slice(first, min(first + BAND, height)) for first in range(0, height, BAND)]
 
 
-def unit_mean(L):
-    """L scaled to a solid-angle mean luminance of 1, and the scale: L = scaled × scale.
+def unit_mean(L: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return L scaled to a solid-angle mean luminance of 1, and the scale: L = scaled × scale.
 
     Raises  ValueError if L has no positive mean luminance
     """
@@ -94,15 +96,16 @@ def unit_mean(L):
 
 
 def _overlaps(edges_from, edges_to):
-    """(to, from): the part of each source interval that lies in each target interval."""
+    """Return (to, from): the length of each source interval's overlap with each target interval."""
     low = np.maximum(edges_to[:-1, None], edges_from[None, :-1])
     high = np.minimum(edges_to[1:, None], edges_from[None, 1:])
     return np.maximum(high - low, 0.0)
 
 
-def resize(L, height, width, dtype=np.float64):
-    """The map averaged by solid angle into another size: energy in each region of the sphere is
-    kept, up or down.
+def resize(L: np.ndarray, height: int, width: int, dtype: DTypeLike = np.float64) -> np.ndarray:
+    """Return the map resampled to another size by averages over solid angle.
+
+    The energy in each region of the sphere is conserved, in both directions of scale.
 
     L        (any height, any width, 3)
     dtype    of the result; sums are float64
@@ -139,14 +142,15 @@ def resize(L, height, width, dtype=np.float64):
 
 
 def _shares(edges_from, edges_to):
-    """(to, from): which share of each target interval each source interval is."""
+    """Return (to, from): each source interval's share of each target interval; rows sum to 1."""
     shares = _overlaps(edges_from, edges_to)
     return shares / shares.sum(1, keepdims=True)
 
 
 def _sparsely(L, edges_from, edges_to):
-    """Means of L (any, from, 3) over target intervals: (any, to, 3). For so many intervals that
-    `_shares` would fill the memory.
+    """Return means of L (any, from, 3) over target intervals: (any, to, 3).
+
+    This form serves numbers of intervals for which the table of `_shares` would fill the memory.
     """
     first = np.searchsorted(edges_from, edges_to[:-1], side="right") - 1
     last = np.searchsorted(edges_from, edges_to[1:], side="left") - 1
@@ -163,16 +167,18 @@ def _sparsely(L, edges_from, edges_to):
     return total / weight[:, None]
 
 
-def is_same_source(L, other):
-    """True if two maps of one size show one place, however scaled or turned: a copy must not train
-    where the other one tests.
+def is_same_source(L: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether two maps of one size show the same place, however scaled or rotated.
+
+    Such a copy must not train where the other map tests.
     """
     return likeness(L, other) > SAME_SOURCE
 
 
-def likeness(L, other):
-    """The highest correlation, over all turns by whole texels, of two maps' log radiance; (height,
-    width, 3) of one size, any scale.
+def likeness(L: np.ndarray, other: np.ndarray) -> float:
+    """Return the highest correlation of two maps' log radiance over all rotations by whole texels.
+
+    L, other  (height, width, 3) of one size, any scale
     """
 
     def spectrum(L):

@@ -1,16 +1,16 @@
-"""The three frames, and how one leads to another.
+"""The three frames and the rotations between them.
 
 world   Blender's: x forward (the object's front), y left, z up; metres
-light   gravity-aligned, turned with the camera's azimuth: x right, y up, z horizontally towards the
-viewer.
-        The paper's frame for environment maps: w = (cos φ sin θ, cos θ, sin φ sin θ)
-camera  x right in the picture, y up in the picture, z towards the viewer. Normals live here
+light   gravity-aligned, rotated with the camera's azimuth: x right, y up, z horizontally towards
+        the viewer. The paper's frame for environment maps: w = (cos φ sin θ, cos θ, sin φ sin θ)
+camera  x right in the picture, y up in the picture, z towards the viewer. Normals are given in it
 
-A matrix is named by where it leads and where it starts: `n_camera = camera_from_world @ n_world`.
+A matrix is named by its target and its source: `n_camera = camera_from_world @ n_world`.
+
 azimuth    radians about world z, 0 in front of the object (the camera on +x), counter-clockwise
-seen from above
+           seen from above
 elevation  radians above the horizon; fixed over a dataset, so that camera_from_light is one
-constant
+           constant
 """
 
 import numpy as np
@@ -18,16 +18,15 @@ import numpy as np
 ELEVATION = np.radians(20.0)  # our choice: the paper says "fixed elevation" and gives no number
 
 
-def world_from_light(azimuth):
-    """Rotation (3, 3) that takes light-frame vectors to the world, for a camera at `azimuth`."""
+def world_from_light(azimuth: float) -> np.ndarray:
+    """Return the rotation (3, 3) from the light frame of a camera at `azimuth` to the world."""
     s, c = np.sin(azimuth), np.cos(azimuth)
     right, up, towards_viewer = (-s, c, 0.0), (0.0, 0.0, 1.0), (c, s, 0.0)
     return np.stack([right, up, towards_viewer], axis=-1)
 
 
-def camera_from_light(elevation=ELEVATION):
-    """Rotation (3, 3) about x that takes light-frame vectors to the camera frame, for a camera at
-    `elevation`.
+def camera_from_light(elevation: float = ELEVATION) -> np.ndarray:
+    """Return the rotation (3, 3) from the light frame to the frame of a camera at `elevation`.
 
     The camera looks down by `elevation`: the light frame's (0, sin e, cos e) is the camera's +z.
     """
@@ -35,14 +34,15 @@ def camera_from_light(elevation=ELEVATION):
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
-def camera_from_world(azimuth, elevation=ELEVATION):
-    """Rotation (3, 3) that takes world vectors to the camera frame."""
+def camera_from_world(azimuth: float, elevation: float = ELEVATION) -> np.ndarray:
+    """Return the rotation (3, 3) that takes world vectors to the camera frame."""
     return camera_from_light(elevation) @ world_from_light(azimuth).T
 
 
-def pixel_grid(height, width):
-    """Picture-plane coordinates of pixel centres: x (height, width) rightwards, y upwards, both in
-    [-1, 1] over the longer side.
+def pixel_grid(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return picture-plane coordinates x, y (height, width) of pixel centres.
+
+    x points right and y up; both lie in [-1, 1] over the longer side.
     """
     longer = max(height, width)
     x = (2.0 * np.arange(width) + 1.0 - width) / longer
@@ -50,13 +50,14 @@ def pixel_grid(height, width):
     return np.broadcast_to(x, (height, width)), np.broadcast_to(y[:, None], (height, width))
 
 
-def view_vectors(height, width, fov=None, focus=(0.0, 0.0)):
-    """Unit vectors from the surface to the camera, one a pixel, camera frame.
+def view_vectors(
+    height: int, width: int, fov: float | None = None, focus: tuple[float, float] = (0.0, 0.0)
+) -> np.ndarray:
+    """Return the unit vector from the surface to the camera per pixel, camera frame.
 
     height, width  pixels
     fov            radians across the longer side; None: orthographic, (0, 0, 1) everywhere
     focus          (x, y) of the optical axis in the coordinates of `pixel_grid`
-    Returns        (height, width, 3)
     """
     v = np.zeros((height, width, 3))
     v[..., 2] = 1.0

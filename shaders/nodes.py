@@ -1,23 +1,32 @@
-"""The node graph of a mixture as data: nodes, their properties, the numbers in their sockets, and
-the links between them.
+"""The node graph of a mixture as data: nodes, their properties, socket values, and links.
 
-Sockets go by Blender's identifiers (`socket.identifier`), which are unique within a node: a Math
-node's inputs are `Value`, `Value_001`, `Value_002`, an Add Shader's `Shader`, `Shader_001`. A
-builder in the factory turns a Graph into real nodes; nothing here imports bpy. The material itself
-must have `material.cycles.use_bump_map_correction = False`: Cycles would "correct" tilted normals.
+Sockets are named by Blender's identifiers (`socket.identifier`), which are unique within a node: a
+Math node's inputs are `Value`, `Value_001`, `Value_002`, an Add Shader's `Shader`, `Shader_001`.
+The factory builds real nodes from a Graph; nothing here imports bpy. The material itself must have
+`material.cycles.use_bump_map_correction = False`: Cycles would "correct" tilted normals.
 
-For each closure:  Facing ─ colour ramp ─ × scale ─► Color;   Facing ─ ramp ─ multiply-add ─
-exponent ─► Roughness;
-                   Facing ─ ramp ─ multiply-add ─ t;  normalize(N + t (I − (I·N) N)) ─► Normal;
-                   all summed by Add Shader.
-A ramp that would be flat is a number in the socket instead, and a closure that never weighs
-anything is left out.
+For each closure:  Facing ─ colour ramp ─ × scale ─► Color
+                   Facing ─ ramp ─ multiply-add ─ exponent ─► Roughness
+                   Facing ─ ramp ─ multiply-add ─ t;  normalize(N + t (I − (I·N) N)) ─► Normal
+                   and an Add Shader sums all closures.
+
+A ramp that would be flat is a number in the socket instead, and a closure whose weight is 0
+everywhere is left out.
 """
 
+from __future__ import annotations
+
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from shaders.mixture import Mixture
+
+Socket: TypeAlias = tuple[str, str]  # a node's name, and an identifier of one of its sockets
+Value: TypeAlias = float | tuple[float, ...]  # of a socket without a link; RGBA for a colour
+Ramp: TypeAlias = tuple[tuple[float, tuple[float, ...]], ...]  # (position, RGBA)
 LAYER_WEIGHT, GEOMETRY = "facing", "geometry"
 GLOSSY = {"ggx": "GGX", "beckmann": "BECKMANN", "ashikhmin_shirley": "ASHIKHMIN_SHIRLEY"}
 
@@ -29,21 +38,21 @@ class Node:
     name        unique in its graph
     type        Blender's bl_idname
     properties  attributes of the node (`distribution`, `operation`); for a colour ramp
-    `color_ramp.interpolation`
+                `color_ramp.interpolation`
     inputs      socket identifier → default_value: a float or a tuple (RGBA for a colour)
     ramp        colour ramps only: ((position, (r, g, b, 1)), …), at most 32
     """
 
     name: str
     type: str
-    properties: dict = field(default_factory=dict)
-    inputs: dict = field(default_factory=dict)
-    ramp: tuple = ()
+    properties: dict[str, str] = field(default_factory=dict)
+    inputs: dict[str, Value] = field(default_factory=dict)
+    ramp: Ramp = ()
 
 
 @dataclass(frozen=True)
 class Link:
-    """From an output socket to an input socket; nodes by name, sockets by identifier."""
+    """A link from an output socket to an input socket; nodes by name, sockets by identifier."""
 
     source: str
     output: str
@@ -53,15 +62,13 @@ class Link:
 
 @dataclass(frozen=True)
 class Graph:
-    """nodes: tuple of Node; links: tuple of Link. The surface leaves at the node named `output`,
-    input `Surface`.
-    """
+    """Nodes and links; the surface leaves at the node named `output`, input `Surface`."""
 
-    nodes: tuple
-    links: tuple
+    nodes: tuple[Node, ...]
+    links: tuple[Link, ...]
 
-    def node(self, name):
-        """The node of that name."""
+    def node(self, name: str) -> Node:
+        """Return the node of that name."""
         return next(n for n in self.nodes if n.name == name)
 
 
@@ -69,31 +76,39 @@ OUTPUT = Node("output", "ShaderNodeOutputMaterial")
 
 
 class _Drawing:
-    """Nodes and links while they are being put down; the facing and geometry nodes appear once,
-    when first needed.
-    """
+    """A graph under construction; the facing and geometry nodes are added when first needed."""
 
-    def __init__(self):
-        self.nodes, self.links = [], []
+    def __init__(self) -> None:
+        self.nodes: list[Node] = []
+        self.links: list[Link] = []
 
-    def add(self, name, kind, properties=None, inputs=None, ramp=(), **feeds):
-        """Puts a node down. feeds: input identifier = (node name, output identifier). Returns its
-        name.
+    def add(
+        self,
+        name: str,
+        kind: str,
+        properties: dict[str, str] | None = None,
+        inputs: Mapping[str, Value] | None = None,
+        ramp: Ramp = (),
+        **feeds: Socket,
+    ) -> str:
+        """Add a node and return its name.
+
+        feeds  input identifier = (node name, output identifier)
         """
-        self.nodes.append(Node(name, kind, properties or {}, inputs or {}, ramp))
+        self.nodes.append(Node(name, kind, properties or {}, dict(inputs or {}), ramp))
         self.links += [Link(*source, name, socket) for socket, source in feeds.items()]
         return name
 
-    def once(self, name, kind, **keywords):
-        """The node of that name, put down if it is not there yet."""
+    def once(self, name: str, kind: str, **keywords: Any) -> str:
+        """Return the name of a node, which is added if it is not there yet."""
         return name if any(n.name == name for n in self.nodes) else self.add(name, kind, **keywords)
 
-    def facing(self):
-        """Source of 1 − cos_o: Layer Weight with Blend ½."""
+    def facing(self) -> Socket:
+        """Return the source of 1 − cos_o: Layer Weight with Blend ½."""
         return self.once(LAYER_WEIGHT, "ShaderNodeLayerWeight", inputs={"Blend": 0.5}), "Facing"
 
-    def ramp(self, name, stops, rgb):
-        """Colour ramp over the facing; rgb (V, 3) in [0, 1]. Returns its colour output."""
+    def ramp(self, name: str, stops: np.ndarray, rgb: np.ndarray) -> Socket:
+        """Add a colour ramp over the facing and return its colour output; rgb (V, 3) in [0, 1]."""
         colours = tuple((float(x), (*map(float, c), 1.0)) for x, c in zip(stops, rgb, strict=True))
         self.add(
             name,
@@ -105,14 +120,11 @@ class _Drawing:
         return name, "Color"
 
 
-def graph(mixture):
-    """The nodes and links whose surface is `mixture` (shaders.mixture.Mixture).
-
-    Returns  Graph; its `output` node is an OutputMaterial
-    """
+def graph(mixture: Mixture) -> Graph:
+    """Return the graph whose surface is `mixture`; its node `output` is an OutputMaterial."""
     drawing = _Drawing()
     drawing.nodes.append(OUTPUT)
-    surface = None
+    surface: Socket | None = None
     for k in range(len(mixture.kinds)):
         if not (mixture.weights[:, k] > 0).any() and (surface or k + 1 < len(mixture.kinds)):
             continue  # weighs nothing anywhere; a wholly black mixture keeps its last closure
@@ -124,13 +136,17 @@ def graph(mixture):
                 drawing.add(f"sum {k}", "ShaderNodeAddShader", Shader=surface, Shader_001=shader),
                 "Shader",
             )
-    drawing.links.append(Link(*surface, OUTPUT.name, "Surface"))
+    if surface is not None:  # a mixture has at least one closure
+        drawing.links.append(Link(*surface, OUTPUT.name, "Surface"))
     return Graph(tuple(drawing.nodes), tuple(drawing.links))
 
 
-def _closure(drawing, mixture, k):
-    """Puts closure k down with all that feeds it; returns its node's name."""
-    kind, inputs, feeds, properties = mixture.kinds[k], {}, {}, {}
+def _closure(drawing: _Drawing, mixture: Mixture, k: int) -> str:
+    """Add closure k with all nodes that feed it; return its node's name."""
+    kind = mixture.kinds[k]
+    inputs: dict[str, Value] = {}
+    feeds: dict[str, Socket] = {}
+    properties: dict[str, str] = {}
     colour = _colour(drawing, f"colour {k}", mixture.stops, mixture.weights[:, k])
     _feed(inputs, feeds, "Color", colour)
     if kind == "diffuse":
@@ -149,20 +165,23 @@ def _closure(drawing, mixture, k):
         inputs["Anisotropy"] = 0.0
     if np.abs(mixture.tilt[:, k]).max() > 1e-6:
         feeds["Normal"] = _normal(drawing, k, mixture.stops, mixture.tilt[:, k])
-    return drawing.add(f"closure {k}", bl_idname, properties, inputs, **feeds)
+    return drawing.add(f"closure {k}", bl_idname, properties, inputs, (), **feeds)
 
 
-def _feed(inputs, feeds, socket, value):
-    """A value that is a source becomes a link, any other a number in the socket."""
+def _feed(
+    inputs: dict[str, Value], feeds: dict[str, Socket], socket: str, value: Socket | Value
+) -> None:
+    """Link a socket to a value that is a source, or set the socket to any other value."""
     if isinstance(value, tuple) and isinstance(value[0], str):
-        feeds[socket] = value
+        feeds[socket] = value[0], str(value[1])
     else:
         inputs[socket] = value
 
 
-def _colour(drawing, name, stops, rgb):
-    """RGB weights (V, 3) over the facing: a ramp of values up to 1, times their largest; or one
-    RGBA if they never change.
+def _colour(drawing: _Drawing, name: str, stops: np.ndarray, rgb: np.ndarray) -> Socket | Value:
+    """Return a source of the RGB weights (V, 3) over the facing, or one RGBA if they are constant.
+
+    The source is a ramp of values up to 1, times their maximum.
     """
     if np.ptp(rgb, axis=0).max() == 0:
         return (*map(float, rgb[0]), 1.0)
@@ -176,9 +195,10 @@ def _colour(drawing, name, stops, rgb):
     )
 
 
-def _scalar(drawing, name, stops, values):
-    """Values (V,) over the facing: a grey ramp in [0, 1], then × range + lowest; or a float if they
-    never change.
+def _scalar(drawing: _Drawing, name: str, stops: np.ndarray, values: np.ndarray) -> Socket | float:
+    """Return a source of the values (V,) over the facing, or a float if they are constant.
+
+    The source is a grey ramp in [0, 1], then × range + minimum.
     """
     low, span = float(values.min()), float(np.ptp(values))
     if span < 1e-9:
@@ -194,16 +214,18 @@ def _scalar(drawing, name, stops, values):
     )
 
 
-def _roughness(drawing, name, stops, log_roughness):
-    """exp of the logarithms (V,) over the facing."""
+def _roughness(
+    drawing: _Drawing, name: str, stops: np.ndarray, log_roughness: np.ndarray
+) -> Socket | float:
+    """Return a source of the logarithms' exp over the facing, or a float if they are constant."""
     source = _scalar(drawing, name, stops, log_roughness)
     if isinstance(source, float):
         return float(np.exp(source))
     return drawing.add(name, "ShaderNodeMath", {"operation": "EXPONENT"}, Value=source), "Value"
 
 
-def _normal(drawing, k, stops, tilt):
-    """Source of normalize(N + t (I − (I·N) N)); I: Incoming, towards the viewer."""
+def _normal(drawing: _Drawing, k: int, stops: np.ndarray, tilt: np.ndarray) -> Socket:
+    """Return the source of normalize(N + t (I − (I·N) N)); I: Incoming, towards the viewer."""
 
     def vector(name, operation, inputs=None, **feeds):
         return drawing.add(name, "ShaderNodeVectorMath", {"operation": operation}, inputs, **feeds)

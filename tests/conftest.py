@@ -5,14 +5,37 @@ import os
 import resource
 import signal
 import subprocess
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from skips import unexpected
+from hypothesis import settings
+
+from tests.skips import unexpected
 
 ROOT = Path(__file__).resolve().parent.parent
+settings.register_profile("tests", database=None)  # which would lie in the source tree
+settings.load_profile("tests")
 SKIPPED = []  # (test or module, reason) of this run, in the process that reports
+
+
+def kernels_folder():
+    """A folder for compiled kernels that all workers and later runs share; it is ours alone."""
+    folder = Path(tempfile.gettempdir()) / f"brdfactory-tests-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.stat()
+    own = status.st_uid == os.getuid() and not status.st_mode & 0o022
+    return folder if own else Path(tempfile.mkdtemp(prefix="brdfactory-tests-"))
+
+
+# workers and commands that tests start inherit it
+os.environ.setdefault("BRDFACTORY_CACHE", str(kernels_folder()))
+
+
+def pytest_collection_modifyitems(items):
+    """Start with the longest tests, so that no worker is left alone with one at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
 
 
 def pytest_runtest_logreport(report):

@@ -36,7 +36,7 @@ for module in pkgutil.walk_packages(root.__path__, package + "."):
         try:
             importlib.import_module(module.name)
         except ModuleNotFoundError as error:
-            if error.name not in {"triton"}:  # of the extra `cuda`: its kernels are imported only where it is
+            if error.name not in {"triton"}:  # of the extra `cuda`
                 raise
 """
 
@@ -145,23 +145,23 @@ def imports(path):
 def test_no_module_names_a_forbidden_import_even_inside_a_function(root, package):
     """A lazy import would pass the fresh interpreter above and fail a user later."""
     forbidden = set(ABSENT[package])
-    found = [
+    result = [
         f"{path}:{line}: {name}"
         for path in sorted((root / package).rglob("*.py"))
         for line, name in imports(path)
         if name in forbidden
     ]
-    assert not found
+    assert not result
 
 
 def test_only_the_rendering_modules_import_blender(root):
-    found = {
+    result = {
         path.relative_to(root).parts[:2]
         for path in (root / "factory").rglob("*.py")
         for _, name in imports(path)
         if name == "bpy"
     }
-    assert found <= {("factory", "render")}
+    assert result <= {("factory", "render")}
 
 
 # Calls that write files past manifests.files, and why they may: (module, the call without its
@@ -183,7 +183,7 @@ WRITERS = {
         "tempfile.TemporaryDirectory",
     ): "pictures made to be timed",
     (
-        "learn/experiments/commands/step_profile.py",
+        "learn/experiments/step_profile.py",
         "tempfile.TemporaryDirectory",
     ): "a run made to be timed",
     ("learn/experiments/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",
@@ -229,16 +229,16 @@ def test_every_file_is_written_by_the_one_home_of_writing(root):
     """A library, or a plain open(), may pass over the error of a full disk, and leaves half a file
     where it does not.
     """
-    found = {}
+    result = {}
     for package in ABSENT:
         for path in sorted((root / package).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Call) and (text := writing(node)):
-                    found.setdefault((path.relative_to(root).as_posix(), text), []).append(
+                    result.setdefault((path.relative_to(root).as_posix(), text), []).append(
                         node.lineno
                     )
-    assert {key: lines for key, lines in found.items() if key not in WRITERS} == {}
-    assert WRITERS.keys() - found.keys() == set()  # an exception that nobody needs is taken back
+    assert {key: lines for key, lines in result.items() if key not in WRITERS} == {}
+    assert WRITERS.keys() - result.keys() == set()  # an exception that nobody needs is taken back
 
 
 @pytest.mark.parametrize(

@@ -90,6 +90,7 @@ def test_python_blocks_of_a_document_run_from_top_to_bottom(root, document, tmp_
         exec(compile(block, document, "exec"), names)
 
 
+@pytest.mark.long
 @pytest.mark.blender
 def test_every_command_of_the_documents_runs(root, tmp_path):
     for module in ("bpy", "torch"):
@@ -170,9 +171,10 @@ def told_commands(root):
     """
     for document in pages(root):
         text = (root / document).read_text(encoding="utf-8")
-        inline = re.findall(r"`python -m (factory|learn) ([^`]*)`", text)
+        programs = r"(factory|learn(?:\.experiments)?)"
+        inline = re.findall(rf"`python -m {programs} ([^`]*)`", text)
         lines = re.findall(
-            r"^(?: {4}|)(?:for .*; do )?python -m (factory|learn) (.*)$", text, flags=re.M
+            rf"^(?: {{4}}|)(?:for .*; do )?python -m {programs} (.*)$", text, flags=re.M
         )
         for program, line in inline + lines:
             words = shlex.split(re.split(r"\s{2,}#|; done", line)[0])
@@ -184,9 +186,14 @@ def test_every_command_that_a_document_names_can_be_given_so(root, capsys):
     ran, refused = [], []
     for document, program, words in told_commands(root):
         commands = importlib.import_module(f"{program}.__main__").COMMANDS
-        module = importlib.import_module(f"{program}.commands.{words[0].replace('-', '_')}")
         parser = argparse.ArgumentParser()
-        module.register(parser.add_subparsers(required=True))
+        subparsers = parser.add_subparsers(required=True)
+        if program == "learn.experiments":
+            commands[words[0]](subparsers)
+        else:
+            folder = f"{program}.commands"
+            module = importlib.import_module(f"{folder}.{words[0].replace('-', '_')}")
+            module.register(subparsers)
         assert words[0] in commands
         try:
             parser.parse_args(words)

@@ -1,7 +1,7 @@
 """Where the paper's text must not be followed to the letter: each test shows the printed form
 failing and ours holding.
 
-The README's table "Deviations from the paper" has a row for each test here, with its figures.
+The table "Misprints" of docs/deviations.md has a row for each test here, with its figures.
 Printed forms are written out below as the supplement has them; ours come from shaders/ and learn/.
 """
 
@@ -74,7 +74,7 @@ def image_errors(w, weight, m, L):
 
 
 def percent_range(values, digits=0):
-    """The least and the largest value as the README writes them: "26–61 %"."""
+    """The least and the largest value as docs/deviations.md writes them: "26–61 %"."""
     low, high = (f"{100 * value:.{digits}f}" for value in (min(values), max(values)))
     return f"{low}–{high} %"
 
@@ -95,7 +95,7 @@ def L():
 
 @pytest.fixture(scope="module")
 def cost(root):
-    """A function of a test's name: what the README's table says that the printed form costs."""
+    """A function of a test's name: what docs/deviations.md says that the printed form costs."""
     return lambda name: next(row[3] for row in table(root) if f"`{name}`" in row[-1])
 
 
@@ -114,8 +114,8 @@ def test_phi_over_pi_covers_half_the_sphere_and_over_two_pi_all_of_it(L, cost):
     theta, phi = printed_angles(centres=True)
     w = printed_directions(theta, phi)
     matte, chrome = (percent_range(image_errors(w, WEIGHT_OURS, m, L)) for m in (DIFFUSE, CHROME))
-    told = cost("test_phi_over_pi_covers_half_the_sphere_and_over_two_pi_all_of_it")
-    assert f"image error {matte} (matte), {chrome} (chrome) over three lights" in told
+    report = cost("test_phi_over_pi_covers_half_the_sphere_and_over_two_pi_all_of_it")
+    assert f"image error {matte} (matte), {chrome} (chrome) over three lights" in report
     whole = printed_directions(*printed_angles(full_turn=True, centres=True))
     assert image_errors(whole, WEIGHT_OURS, CHROME, L).max() < 1e-12
 
@@ -254,12 +254,12 @@ def test_a_gradient_summed_over_colours_is_right_only_for_a_loss_that_weighs_the
     blue, differences = printed_gradient_in_n(
         n, m, E, W_OURS, chain_factor=True, upstream=(0, 0, 1)
     )
-    told = cost(
+    report = cost(
         "test_a_gradient_summed_over_colours_is_right_only_for_a_loss_that_weighs_them_equally"
     )
     assert (
         f"off by a factor of {np.linalg.norm(summed) / np.linalg.norm(differences):.0f} for a blue"
-        " loss" in told
+        " loss" in report
     )
     assert relative(blue, differences) < 1e-4
 
@@ -377,21 +377,21 @@ def sum_against_integral(gamma):
 
 def test_the_papers_sum_is_right_for_lobes_wider_than_a_texel_and_wrong_for_narrower_ones(cost):
     wide, narrow, narrower = (100 * sum_against_integral(gamma) for gamma in (264, 5000, 30000))
-    told = cost(
+    report = cost(
         "test_the_papers_sum_is_right_for_lobes_wider_than_a_texel_and_wrong_for_narrower_ones"
     )
-    assert told.endswith(
+    assert report.endswith(
         f"{wide:.1f} % at γ = 264, {narrow:.1f} % at 5,000, {narrower:.0f} % at 30,000"
     )
 
 
-# The README's table
+# The table of docs/deviations.md
 
 
 def table(root):
-    """Rows of the README's table of deviations, as lists of cells."""
-    text = (root / "README.md").read_text(encoding="utf-8")
-    section = text.split("## Deviations from the paper", 1)[1].split("\n## ", 1)[0]
+    """Rows of the page's table of misprints, as lists of cells."""
+    text = (root / "docs" / "deviations.md").read_text(encoding="utf-8")
+    section = text.split("## Misprints", 1)[1].split("\n## ", 1)[0]
     return [
         [cell.strip() for cell in line.strip("|").split("|")]
         for line in section.splitlines()
@@ -399,10 +399,10 @@ def table(root):
     ][2:]
 
 
-def test_each_row_of_the_readmes_table_names_its_test_and_each_test_has_its_row(root):
+def test_each_row_of_the_pages_table_names_its_test_and_each_test_has_its_row(root):
     named = set(re.findall(r"`(test_\w+)`", "\n".join(row[-1] for row in table(root))))
     here = {
         name for name, value in globals().items() if name.startswith("test_") and callable(value)
     }
-    here -= {"test_each_row_of_the_readmes_table_names_its_test_and_each_test_has_its_row"}
+    here -= {"test_each_row_of_the_pages_table_names_its_test_and_each_test_has_its_row"}
     assert named == here

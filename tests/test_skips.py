@@ -5,7 +5,8 @@ import subprocess
 import sys
 
 import pytest
-from skips import EXPECTED, unexpected
+
+from tests.skips import EXPECTED, unexpected
 
 SKIPS = {
     "in a test": "import pytest\ndef test_a():\n    pytest.skip({reason!r})\n",
@@ -22,10 +23,12 @@ def ended(root, folder, text):
     """The finished pytest process of one module beside a passing test, with this repository's
     conftest.py.
     """
-    for name in ("conftest.py", "skips.py"):
-        shutil.copy(root / "tests" / name, folder)
-    (folder / "test_one.py").write_text(text)
-    (folder / "test_two.py").write_text("def test_b():\n    pass\n")
+    tests = folder / "tests"
+    tests.mkdir()
+    for name in ("__init__.py", "conftest.py", "skips.py"):
+        shutil.copy(root / "tests" / name, tests)
+    (tests / "test_one.py").write_text(text)
+    (tests / "test_two.py").write_text("def test_b():\n    pass\n")
     words = [
         sys.executable,
         "-m",

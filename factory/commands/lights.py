@@ -1,87 +1,165 @@
-"""`lights`: list, look at and add environment maps."""
+"""`lights`: list, preview, add and make the environment maps that light the scenes."""
+
+from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from factory.commands.actions import add_action, add_command, add_library, add_picture_output
+from factory.planning.shape_names import OWN_LICENCE
+from manifests.option_types import positive, whole
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from factory.lights.light import Light
 
 EPILOG = """examples:
   python -m factory lights list
   python -m factory lights preview city softboxes-3 --out lights.png
   python -m factory lights add ~/Downloads/harbour.exr --library my-lights --licence CC0
-  python -m factory lights add maps.npz --library my-lights --licence CC0     many maps in one file of numpy
-A light is a name from the list (computed ones take a seed: softboxes-3) or an .hdr, .exr or .npz file, twice as wide as high."""
+  python -m factory lights add maps.npz --library my-lights --licence CC0
+  python -m factory lights make --count 20 --library my-lights
+
+A light is a name from the list or an .hdr, .exr or .npz file, twice as wide as it is high. The name
+of a computed light takes a seed: softboxes-3. An .npz file holds one map per array."""
 
 
-def register(subparsers):
-    parser = subparsers.add_parser(
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the parser of `lights`."""
+    actions = add_command(
+        subparsers,
         "lights",
-        help="environment maps that light the scenes: list, preview, add",
-        description=(
-            "The environment maps that light the scenes. Every map is scaled to a mean luminance of"
-            " 1 over the sphere."
-        ),
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "list, preview, add and make the environment maps that light the scenes",
+        "Lists, previews, adds and makes the environment maps that light the scenes. Every map is"
+        " scaled to a mean luminance of 1 over the sphere.",
+        EPILOG,
     )
-    actions = parser.add_subparsers(required=True, metavar="ACTION")
-
-    one = actions.add_parser(
-        "list", help="names, sizes, how strong their brightest spot is, licences"
+    one = add_action(
+        actions,
+        "list",
+        run_list,
+        "print the name, size, contrast and licence of each light",
+        "python -m factory lights list my-lights",
     )
     one.add_argument(
         "folder",
         nargs="?",
         type=Path,
         metavar="FOLDER",
-        help="a folder of your own .hdr and .exr files, besides the built-in ones",
+        help="a folder of your own .hdr and .exr files, which are listed with the built-in lights",
     )
-    one.set_defaults(run=run_list)
 
-    one = actions.add_parser(
-        "preview", help="a picture of each light: the map, a diffuse and a mirror ball under it"
+    one = add_action(
+        actions,
+        "preview",
+        run_preview,
+        "draw each light: its map, and a diffuse and a mirror sphere under it",
+        "python -m factory lights preview city softboxes-3 --out lights.png",
     )
     one.add_argument(
         "lights",
         nargs="*",
         metavar="LIGHT",
-        help="names or files; all built-in ones if none is given",
+        help="names or files of lights (default: all built-in lights)",
     )
     one.add_argument(
-        "--library", type=Path, metavar="DIR", help="a folder of your own maps to look names up in"
+        "--library",
+        type=Path,
+        metavar="DIR",
+        help="a folder of your own maps, in which names are looked up too",
     )
     one.add_argument(
         "--size",
         type=int,
         default=128,
         metavar="N",
-        help="height of a row in pixels (default: %(default)s)",
+        help="height of each row in pixels (default: %(default)s)",
     )
-    one.add_argument("--out", required=True, type=Path, metavar="PNG", help="the picture to write")
-    one.set_defaults(run=run_preview)
+    add_picture_output(one)
 
-    one = actions.add_parser("add", help="check maps and copy them into a folder of your own")
+    one = add_action(
+        actions,
+        "add",
+        run_add,
+        "check light maps and copy them into a folder of your own",
+        "python -m factory lights add harbour.exr --library my-lights --licence CC0",
+    )
     one.add_argument(
         "files",
         nargs="+",
         type=Path,
         metavar="FILE",
-        help=".hdr or .exr, twice as wide as high; or .npz of such maps by name",
+        help=(
+            "an .hdr or .exr file, twice as wide as it is high, or an .npz file with one array per"
+            " map"
+        ),
+    )
+    add_library(one)
+
+    one = add_action(
+        actions,
+        "make",
+        run_make,
+        "render rooms and open skies, drawn from seeds, as light maps of 64×128 (needs Blender)",
+        "python -m factory lights make --count 20 --library my-lights --workers 2",
+    )
+    one.add_argument(
+        "--count", type=positive, default=20, metavar="N", help="number of maps (default 20)"
+    )
+    one.add_argument(
+        "--first", type=whole, default=0, metavar="SEED", help="seed of the first map (default 0)"
     )
     one.add_argument(
         "--library",
         required=True,
         type=Path,
         metavar="DIR",
-        help="the folder; made if it is not there",
+        help="the folder of the maps, created if it does not exist; maps it has are not made again",
     )
     one.add_argument(
-        "--licence",
-        default="unknown",
-        help="the maps' licence, kept with every data set they light",
+        "--workers", type=positive, default=1, metavar="N", help="number of processes (default 1)"
     )
-    one.set_defaults(run=run_add)
 
 
-def run_list(options):
+def run_make(options: argparse.Namespace) -> None:
+    """Render the maps that the library lacks and add them to it, each as soon as it is done."""
+    import concurrent.futures
+    import multiprocessing
+
+    from tqdm import tqdm
+
+    from factory.lights import interiors, library
+
+    names = {
+        f"interior-{seed}": seed for seed in range(options.first, options.first + options.count)
+    }
+    known = library.read_list(options.library)
+    missing = {name: seed for name, seed in names.items() if name not in known}
+    # in processes of their own: Blender's memory and its exit stay away from this one
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(options.workers, context) as pool:
+        pending = {pool.submit(_render, seed): name for name, seed in missing.items()}
+        progress = tqdm(
+            concurrent.futures.as_completed(pending), total=len(pending), unit="map", disable=None
+        )
+        for done in progress:
+            name = pending[done]
+            library.add_made(name, done.result(), options.library, OWN_LICENCE, interiors.SOURCE)
+    print(f"{options.library}: {len(missing)} maps made, {len(names) - len(missing)} were there")
+
+
+def _render(seed: int) -> np.ndarray:
+    """Return the light map of a seed; called in a process of its own."""
+    from factory.lights import interiors
+    from factory.render import panorama
+
+    return panorama.render(interiors.draw(seed), seed)
+
+
+def run_list(options: argparse.Namespace) -> int:
+    """Print one line for each light; return 1 if a file could not be read, else 0."""
     from factory.lights import load, names
 
     print(f"{'name':<16} {'size':>10} {'brightest':>10} {'its share':>10}  {'licence':<12} source")
@@ -95,25 +173,26 @@ def run_list(options):
             continue
         print(_line(light))
     print(
-        "brightest: radiance of the brightest texel over the mean; its share: of all the light, at"
-        " 64×128"
+        "brightest: radiance of the brightest texel, relative to the mean; its share: the part of"
+        " all light that comes from the brightest texel of the 64×128 map"
     )
     return 1 if failed else 0
 
 
-def _line(light):
-    from shaders import envmap
+def _line(light: Light) -> str:
+    from shaders import envmap, tone
 
-    energy = (light.L64 @ envmap.LUMINANCE) * envmap.row_solid_angles(*light.L64.shape[:2])[:, None]
+    energy = (light.L64 @ tone.LUMINANCE) * envmap.row_solid_angles(*light.L64.shape[:2])[:, None]
     size = f"{light.L_full.shape[1]}×{light.L_full.shape[0]}"
-    peak, share = float((light.L_full @ envmap.LUMINANCE).max()), float(energy.max() / energy.sum())
+    peak, share = float((light.L_full @ tone.LUMINANCE).max()), float(energy.max() / energy.sum())
     return (
         f"{light.name:<16} {size:>10} {peak:>10.1f} {share:>10.1%}  {light.licence:<12}"
         f" {light.source}"
     )
 
 
-def run_preview(options):
+def run_preview(options: argparse.Namespace) -> None:
+    """Write one picture with a row for each light."""
     import numpy as np
     from tqdm import tqdm
 
@@ -123,7 +202,7 @@ def run_preview(options):
     from manifests.files import write_image
 
     if not 8 <= options.size <= 1024:
-        raise InputError("--size", "8 to 1024 pixels", str(options.size), "choose a size within")
+        raise InputError("--size", "8 to 1024 pixels", str(options.size), "128 suits most")
     requested = options.lights or names(options.library)
     rows = [
         picture(load(name, options.library), options.size)
@@ -134,7 +213,8 @@ def run_preview(options):
     print(f"{options.out}: {len(rows)} lights, from the top: {', '.join(map(str, requested))}")
 
 
-def run_add(options):
+def run_add(options: argparse.Namespace) -> None:
+    """Copy each file, and each map of an .npz file, into the folder."""
     from factory.lights import load
     from factory.lights.catalogue import library_maps, wheel_maps
     from factory.lights.files import is_collection
@@ -150,9 +230,7 @@ def run_add(options):
                     for name in {**wheel_maps(), **own}
                 }
             for inner, name, added in add_maps(path, options.library, options.licence, known):
-                print(
-                    f"{path}: {inner}:"
-                    f" {f'{name} in {options.library}' if added else f'{name} again, left out'}"
-                )
+                outcome = f"{name} in {options.library}" if added else f"{name} again, left out"
+                print(f"{path}: {inner}: {outcome}")
             continue
         print(f"{path}: {add(path, options.library, options.licence)} in {options.library}")

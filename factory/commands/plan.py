@@ -1,33 +1,40 @@
-"""`plan JOB`: what a job means, before it starts: how many pictures, for training and for testing,
-how long, how large.
-"""
+"""`plan JOB`: how many pictures a job has, by split, and the time and disk space it takes."""
 
+from __future__ import annotations
+
+import argparse
 import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-EPILOG = """examples
+from factory.commands import job_options
+from manifests.help_format import HelpFormatter
+
+if TYPE_CHECKING:
+    from factory.planning.plan import Plan
+
+EPILOG = """examples:
   python -m factory plan demo
   python -m factory plan my-job.json --workers 2
   python -m factory plan pretrain --no-probe
   python -m factory plan --presets            the jobs that come with the program"""
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
     """Add the parser of `plan`."""
-    import argparse
-
-    from factory.commands.render import add_making, add_naming
-
     parser = subparsers.add_parser(
         "plan",
-        help="show how many pictures a job has, and how long and how large it will be",
+        help="show how many pictures a job has, and how much time and space it takes",
         description=(
-            "Counts the pictures of a job and of its splits, and forecasts time and disk space "
-            "from three pictures that it renders. Writes nothing."
+            "Counts the pictures of a job and of its splits, and forecasts time and disk space"
+            " from three pictures that it renders. Writes nothing."
         ),
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=HelpFormatter,
     )
-    parser.add_argument("job", nargs="?", help="a job file (JSON), or a preset's name")
+    parser.add_argument(
+        "job", nargs="?", metavar="JOB", help="a job file (JSON), or the name of a preset"
+    )
     parser.add_argument(
         "--presets", action="store_true", help="list the jobs that come with the program"
     )
@@ -35,31 +42,28 @@ def register(subparsers):
         "--probe",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="render three shots for the forecast (default)",
+        help="render three pictures for the forecast (the default), or give no forecast",
     )
-    parser.add_argument("--schema", action="store_true", help="print the JSON Schema of a job")
-    add_making(parser)
-    add_naming(parser)
+    parser.add_argument("--schema", action="store_true", help="print the JSON Schema of job files")
+    job_options.add(parser)
     parser.set_defaults(run=run)
 
 
-def run(options):
-    """Print the plan; 0."""
+def run(options: argparse.Namespace) -> int:
+    """Print the plan; return 0."""
     from factory.execution.run import planned
     from factory.planning import jobs
     from manifests.errors import InputError
 
     if options.presets or options.schema:
-        print(_presets(jobs) if options.presets else _schema())
+        print(_presets() if options.presets else _schema())
         return 0
     if not options.job:
         raise InputError(
             "plan", "a job", "none", "name a file or a preset; plan --presets lists them"
         )
-    from factory.commands.render import resolve_assets
-
     job, folder = jobs.load(options.job)
-    plan = planned(job, resolve_assets(job, options.assets or folder, options))
+    plan = planned(job, job_options.resolve_assets(job, options.assets or folder, options))
     for note in plan.assets.notes:
         print(f"factory: {note}", file=sys.stderr)
     for line in described(plan):
@@ -69,17 +73,17 @@ def run(options):
     return 0
 
 
-def described(plan):
-    """Counts and splits of a plan, a line each."""
+def described(plan: Plan) -> Iterator[str]:
+    """Yield the lines that say how many shapes, materials, lights and pictures a plan has."""
     from collections import Counter
+
+    from manifests.schema import Draw
 
     job, assets = plan.job, plan.assets
     categories = Counter((s.category, s.role) for s in assets.shapes)
-    views = f"{job.views.random} random" if hasattr(job.views, "random") else f"{len(job.views)}"
-    turns = (
-        f"{job.rotations.random} random"
-        if hasattr(job.rotations, "random")
-        else f"{len(job.rotations)}"
+    views, rotations = (
+        f"{numbers.random} random" if isinstance(numbers, Draw) else str(len(numbers))
+        for numbers in (job.views, job.rotations)
     )
     height, width = job.camera.size
     lens = "orthographic" if job.camera.fov_deg is None else f"{job.camera.fov_deg:g}° wide"
@@ -106,21 +110,19 @@ def described(plan):
         )
         return
     kinds = f"{'/'.join(job.tiers)} × {'/'.join(job.light_resolutions)}"
-    yield f"  each       {views} views × {turns} rotations × {kinds} × {job.repeats} seeds"
+    yield f"  each       {views} views × {rotations} rotations × {kinds} × {job.repeats} seeds"
     yield "  split      " + ", ".join(
         f"{count} {split}" for split, count in split_counts(plan).items()
     )
 
 
-def split_counts(plan):
-    """How many pictures are for training, for testing and mixed: from the sides alone, without
-    making the shots.
-    """
+def split_counts(plan: Plan) -> dict[str, int]:
+    """Return {split: number of pictures}, from the assets' sides without making the shots."""
     from collections import Counter
 
     from manifests.splits import split_of
 
-    counts = Counter()
+    counts: Counter[str] = Counter()
     each = plan.each * len(plan.lights)
     for shape in plan.assets.shapes:
         for choice in plan.choices(shape):
@@ -133,7 +135,8 @@ def split_counts(plan):
     return dict(sorted(counts.items(), reverse=True))
 
 
-def _forecast(plan, options):
+def _forecast(plan: Plan, options: argparse.Namespace) -> str:
+    """Return two lines: time and disk space."""
     from factory.execution.forecast import probed
     from factory.execution.run import RunOptions
 
@@ -153,24 +156,22 @@ def _forecast(plan, options):
     )
 
 
-def _time(hours):
+def _time(hours: float) -> str:
     minutes = hours * 60
     if minutes < 2:
         return f"{minutes * 60:.0f} s"
-    return (
-        f"{minutes:.0f} min"
-        if minutes < 120
-        else f"{hours:.1f} h"
-        if hours < 72
-        else f"{hours / 24:.1f} days"
-    )
+    if minutes < 120:
+        return f"{minutes:.0f} min"
+    return f"{hours:.1f} h" if hours < 72 else f"{hours / 24:.1f} days"
 
 
-def _bytes(size):
+def _bytes(size: float) -> str:
     return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
 
 
-def _presets(jobs):
+def _presets() -> str:
+    from factory.planning import jobs
+
     lines = []
     for name, path in jobs.presets().items():
         job, _ = jobs.load(path)
@@ -178,7 +179,7 @@ def _presets(jobs):
     return "\n".join(lines)
 
 
-def _schema():
+def _schema() -> str:
     from manifests.publish import documents
 
     return documents()["job.schema.json"].rstrip()

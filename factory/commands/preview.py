@@ -1,42 +1,65 @@
-"""`preview DIR`: a contact sheet of a dataset, as a picture and as a page."""
+"""`preview DIR`: a contact sheet of a data set, as a picture and as a web page."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from manifests.help_format import HelpFormatter
+
+if TYPE_CHECKING:
+    from manifests.schema import Record
+    from manifests.store import Store
+
+EPILOG = """examples:
+  python -m factory preview out/demo
+  python -m factory preview out/demo --material brass --count 6 --out brass-preview"""
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
     """Add the parser of `preview`."""
-    from pathlib import Path
-
     parser = subparsers.add_parser(
         "preview",
-        help="a contact sheet: image, normals, mask, light, label, difference",
+        help="draw a contact sheet of a data set's pictures, normals, lights and labels",
         description=(
-            "A contact sheet of records spread evenly over a dataset: image, normals, mask"
-            " (segments in greys), the light as a mirror ball, the picture that the label alone"
-            " gives (no shadow, no interreflection), and the difference, four times as bright."
+            "Draws records spread evenly over a data set, one per row: the picture, its normals,"
+            " its mask with segments in greys, the light on a mirror sphere, the rendering that the"
+            " label alone gives (without shadows or interreflection), and the difference of picture"
+            " and rendering, four times as bright."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
-    parser.add_argument("folder", type=Path, metavar="DIR", help="the dataset's folder")
+    parser.add_argument("folder", type=Path, metavar="DIR", help="the data set's folder")
     parser.add_argument(
         "--out",
         type=Path,
         metavar="DIR2",
-        help="where sheet.png and index.html go (default: DIR-preview)",
+        help="folder for the results, sheet.png and index.html (default: DIR-preview)",
     )
     parser.add_argument(
-        "--count", type=int, default=24, metavar="N", help="how many records (default 24)"
+        "--count", type=int, default=24, metavar="N", help="number of records (default 24)"
     )
     parser.add_argument(
-        "--size", type=int, default=128, metavar="PIXELS", help="of each picture (default 128)"
+        "--size",
+        type=int,
+        default=128,
+        metavar="PIXELS",
+        help="width and height of each picture (default 128)",
     )
-    parser.add_argument("--material", metavar="NAME", help="only records with this material")
+    parser.add_argument("--material", metavar="NAME", help="show only records with this material")
     parser.add_argument(
-        "--tier", choices=("direct", "shadow", "full"), help="only records of this tier"
+        "--tier", choices=("direct", "shadow", "full"), help="show only records of this tier"
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace what is there")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace results that exist already"
+    )
     parser.set_defaults(run=run)
 
 
-def run(options):
-    """Write sheet.png and index.html; 0."""
+def run(options: argparse.Namespace) -> int:
+    """Write sheet.png and index.html; return 0."""
     from tqdm import tqdm
 
     from factory.preview.contact_sheet import caption, draw, page, row
@@ -53,14 +76,17 @@ def run(options):
             "preview",
             "--count 1 to 1000 and --size 16 to 2048",
             f"{options.count} and {options.size}",
-            "choose smaller ones",
+            "--count 24 --size 128 suits most",
         )
     out = options.out or options.folder.with_name(options.folder.name + "-preview")
     files.reserve_outputs(out, ("sheet.png", "index.html"), options.overwrite)
     chosen = spread(store, options)
     if not chosen:
         raise InputError(
-            options.folder, "records", "none that fit", "render some, or drop --material and --tier"
+            options.folder,
+            "records",
+            "none that fit",
+            "render some, or leave out --material and --tier",
         )
     rows = [
         row(store, dataset, materials, record, options.size)
@@ -77,9 +103,11 @@ def run(options):
     return 0
 
 
-def spread(store, options):
-    """Records that fit, at most --count: one of each of so many equal strata of their order, at the
-    golden ratio's places within it.
+def spread(store: Store, options: argparse.Namespace) -> list[Record]:
+    """Return at most --count records of the requested material and tier, spread over the data set.
+
+    The sorted records are divided into --count equal strata; the place of the chosen record within
+    its stratum follows the golden ratio.
     """
     fits = [
         r

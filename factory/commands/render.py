@@ -1,107 +1,144 @@
-"""`render JOB --out DIR`, or `render --mesh … --material … --light … --out DIR`: pictures, normals
-and labels into a dataset.
-"""
+"""`render JOB --out DIR`: render a job, or meshes named by options, into a data set."""
 
+from __future__ import annotations
+
+import argparse
 import sys
 import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
 
+from factory.commands import job_options
 from manifests.errors import InputError
+from manifests.help_format import HelpFormatter
+from manifests.option_types import positive
 
-EPILOG = """examples
-  python -m factory render demo --out out/demo                         a preset (all are named below)
-  python -m factory render my-job.json --out out/mine --workers 2      your own job
-  python -m factory render geometry --out out/geometry --workers 2     geometry alone, with materials and lights to relight it
-  python -m factory render my-job.json --out out/mine --shard 3/8      part 3 of a job array of 8; all write into one folder
-  python -m factory render --mesh chair.obj --material brass --light city --views 0,6 --size 128 --out out/chair
+if TYPE_CHECKING:
+    from factory.execution.run import Outcome
+    from manifests.schema import Job
 
-Presets: agreement, demo, finetune, geometry, multi-material, pretrain, smallest, test; `plan --presets` says what each is for.
-Run the same command again to continue: what is there is not rendered twice, and a second job into the same folder adds to it.
+EPILOG = """examples:
+  a preset:
+    python -m factory render demo --out out/demo
+  your own job, with two processes:
+    python -m factory render my-job.json --out out/mine --workers 2
+  geometry alone, with the materials and lights to relight it:
+    python -m factory render geometry --out out/geometry
+  part 3 of a job array of 8, whose tasks all write into one folder:
+    python -m factory render my-job.json --out out/mine --shard 3/8
+  no job file:
+    python -m factory render --mesh chair.obj --material brass --light city --out out/chair
+
+Presets: agreement, demo, finetune, geometry, multi-material, pretrain, smallest, test;
+  `plan --presets` says what each is for.
+Run the same command again to continue: pictures that exist are not rendered twice.
+A second job into the same folder adds to the data set.
 Exit status: 0 all pictures made, 1 some failed (failures.jsonl says why), 2 wrong usage."""
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
     """Add the parser of `render`."""
-    import argparse
-
     parser = subparsers.add_parser(
         "render",
-        help="render a job into a dataset",
-        description=__doc__,
+        help="render a job, or a few meshes, into a data set",
+        description=(
+            "Renders pictures, normals and labels into a data set's folder: of a job, or of the"
+            " meshes, materials and lights that options name."
+        ),
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=HelpFormatter,
     )
-    parser.add_argument("job", nargs="?", help="a job file (JSON), or a preset's name")
+    parser.add_argument(
+        "job", nargs="?", metavar="JOB", help="a job file (JSON), or the name of a preset"
+    )
     parser.add_argument(
         "--out",
         required=True,
         metavar="DIR",
-        help="the dataset's folder; made if it is not there, added to if it is",
+        help="the data set's folder; it is made if it does not exist, and added to if it does",
     )
-    add_making(parser)
-    add_naming(parser)
+    job_options.add(parser)
     parser.add_argument(
-        "--limit", type=_whole, metavar="N", help="make at most N pictures in this run"
+        "--limit", type=positive, metavar="N", help="make at most N pictures in this run"
     )
-    parser.add_argument("--shard", metavar="I/N", help="make only part I of N (job arrays)")
+    parser.add_argument(
+        "--shard",
+        metavar="I/N",
+        help="make only part I of N parts of the job, for the tasks of a job array",
+    )
     parser.add_argument(
         "--geometry-only",
         action="store_true",
-        help="normals, depth and segments of every view, no pictures: for relighting",
+        help=(
+            "render normals, depth and segments of every view and no pictures, for training that"
+            " relights"
+        ),
     )
-    single = parser.add_argument_group("without a job file")
+    _add_job_without_file(parser)
+    parser.set_defaults(run=run)
+
+
+def _add_job_without_file(parser: argparse.ArgumentParser) -> None:
+    single = parser.add_argument_group("options in place of a job file")
     single.add_argument(
         "--mesh",
         action="append",
         default=[],
         metavar="FILE",
-        help="a mesh file, or a shape such as chair:17 or sphere",
+        help="a mesh file, or a shape such as chair:17 or sphere; repeat the option for several",
     )
     single.add_argument(
         "--material",
         action="append",
         default=[],
         metavar="NAME",
-        help="a material, or a set such as merl/test",
+        help="a material, or a set such as merl/test; repeat the option for several",
     )
     single.add_argument(
         "--light",
         action="append",
         default=[],
         metavar="NAME",
-        help="a light's name, or an .hdr or .exr file",
+        help="a light's name, or an .hdr or .exr file; repeat the option for several",
     )
     single.add_argument(
         "--views",
         default="0",
         metavar="LIST",
-        help="viewpoints 0 to 23, 15° apart: 0,6 or random:5 (default 0)",
+        help="viewpoints from 0 to 23, 15° apart, such as 0,6 or random:5 (default 0)",
     )
     single.add_argument(
         "--rotations",
         default="0",
         metavar="LIST",
-        help="texels 0 to 127 that the light is turned by (default 0)",
+        help=(
+            "rotations of the light in texels from 0 to 127 (128 are a full turn), such as 0,32 or"
+            " random:2 (default 0)"
+        ),
     )
     single.add_argument(
         "--size",
         default="256",
         metavar="PIXELS",
-        help="128, or 128x256 for height and width (default 256)",
+        help="size of the pictures: 128, or 128x256 for height and width (default 256)",
     )
     single.add_argument(
-        "--samples", type=_whole, default=64, metavar="N", help="samples per pixel (default 64)"
+        "--samples", type=positive, default=64, metavar="N", help="samples per pixel (default 64)"
     )
     single.add_argument(
         "--tier",
         action="append",
         choices=("direct", "shadow", "full"),
-        help="light transport (default full)",
+        help=(
+            "light transport: direct (neither shadows nor interreflection), shadow, or full"
+            " (default); repeat the option for several"
+        ),
     )
     single.add_argument(
         "--light-resolution",
         action="append",
         choices=("64x128", "full"),
-        help="resolution of the light's map (default 64x128)",
+        help="resolution of the light map (default 64x128); repeat the option for both",
     )
     single.add_argument(
         "--fov",
@@ -114,67 +151,21 @@ def register(subparsers):
         type=int,
         default=0,
         metavar="N",
-        help="random seed of all draws and of the noise (default 0)",
-    )
-    parser.set_defaults(run=run)
-
-
-def add_making(parser):
-    """Options that say how to carry a job out."""
-    parser.add_argument(
-        "--workers",
-        type=_whole,
-        default=1,
-        metavar="N",
-        help="number of worker processes (default 1, which uses all threads)",
-    )
-    parser.add_argument(
-        "--device",
-        default="auto",
-        choices=("auto", "cpu", "cuda", "optix", "hip", "metal", "oneapi"),
-        help="device that renders (default auto)",
+        help="random seed of drawn views and rotations, and of the noise (default 0)",
     )
 
 
-def add_naming(parser):
-    """Options that say where names and relative paths lead."""
-    parser.add_argument(
-        "--assets",
-        metavar="DIR",
-        help="folder that a job's relative paths start from (default: the job file's folder)",
-    )
-    parser.add_argument(
-        "--lights", metavar="DIR", help="a folder of light maps whose names may be used"
-    )
-    parser.add_argument(
-        "--catalogue",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="a file of materials besides the built-in ones",
-    )
-
-
-def _whole(text):
-    import argparse
-
-    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 10**9):
-        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, found '{text}'")
-    return int(text)
-
-
-def run(options):
-    """Render; 0 if every picture came out."""
+def run(options: argparse.Namespace) -> int:
+    """Render; return 0 if every picture was made, else 1."""
     from msgspec import structs
 
     from factory.execution.run import RunOptions, carry_out, parsed_shard, planned
-    from factory.planning import jobs
 
-    job, folder = chosen(options, jobs)
+    job, folder = chosen_job(options)
     if options.geometry_only:
         job = structs.replace(job, pictures=False)
     shard = None if options.shard is None else parsed_shard(options.shard)
-    plan = planned(job, resolve_assets(job, folder, options))
+    plan = planned(job, job_options.resolve_assets(job, folder, options))
     for note in plan.assets.notes:
         print(f"factory: {note}", file=sys.stderr)
     run_options = RunOptions(
@@ -191,11 +182,16 @@ def run(options):
     return 1 if outcome.failed else 0
 
 
-def chosen(options, jobs):
-    """The job that the options name, and where its paths start."""
+def chosen_job(options: argparse.Namespace) -> tuple[Job, str | Path | None]:
+    """Return the job that the options name, and the folder in which its relative paths start.
+
+    The folder is None where the options stand in place of a job file: paths may lead anywhere.
+    """
+    from factory.planning import jobs
+
     if options.job and (options.mesh or options.material or options.light):
         raise InputError(
-            "render", "a job, or --mesh with --material and --light", "both", "leave one out"
+            "render", "a job, or --mesh, --material and --light", "both", "leave one out"
         )
     if options.job:
         job, folder = jobs.load(options.job)
@@ -205,29 +201,17 @@ def chosen(options, jobs):
         raise InputError(
             "render",
             "a job, or --mesh, --material and --light",
-            f"no {', '.join(missing)}",
+            " and ".join(f"no {option}" for option in missing),
             "python -m factory render --help shows examples",
         )
     return jobs.from_options(options), None
 
 
-def resolve_assets(job, folder, options):
-    """The job's assets, read with a progress bar when there are many."""
-    from functools import partial
-
-    from tqdm import tqdm
-
-    from factory.planning.assets import resolve
-
-    watch = partial(tqdm, leave=False, delay=1.0, mininterval=0.1 if sys.stderr.isatty() else 10.0)
-    return resolve(job, folder, options.lights, options.catalogue, watch)
-
-
-def outcome_line(outcome, folder, what="pictures"):
-    """What a run came to, in one line."""
+def outcome_line(outcome: Outcome, folder: str, what: str = "pictures") -> str:
+    """Return one line that says how many pictures (or views) were made, skipped and failed."""
     line = f"{outcome.made} {what} made in {folder}"
     if outcome.already_there:
-        line += f", {outcome.already_there} were there"
+        line += f", {outcome.already_there} were there already"
     if outcome.failed:
         line += (
             f"; {outcome.failed} FAILED, see {folder}/failures.jsonl; the same command tries them"
@@ -237,32 +221,34 @@ def outcome_line(outcome, folder, what="pictures"):
 
 
 class Progress:
-    """One bar over a run: pictures (or views), rate, time left. What was there already takes no
-    time and is taken off the total.
+    """A progress bar over a run, with rate and time left.
+
+    Pictures that exist already take no time, so they do not count towards the total.
     """
 
-    def __init__(self, limit=None, unit="picture"):
+    def __init__(self, limit: int | None = None, unit: str = "picture"):
         self.unit = unit
         self.limit, self.failed, self.total, self.drawn = limit, 0, 0, 0.0
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         from tqdm import tqdm
 
-        calm = 0.1 if sys.stderr.isatty() else 10.0  # a log file wants few lines
+        interval = 0.1 if sys.stderr.isatty() else 10.0  # few lines in a log file
         self.bar = tqdm(
             total=0,
             unit=self.unit,
             desc="rendering",
             dynamic_ncols=True,
-            mininterval=calm,
+            mininterval=interval,
             delay=0.5,
         )
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self.bar.close()
 
-    def __call__(self, event, value):
+    def __call__(self, event: str, value: Any) -> None:
+        """Show an event; see factory.execution.run.carry_out."""
         if event == "note":
             self.bar.write(f"factory: {value}", file=sys.stderr)
             return

@@ -1,7 +1,16 @@
-"""`shapes`: list, look at and add the objects that are rendered."""
+"""`shapes`: list, preview and add the objects that are rendered."""
+
+from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from factory.commands.actions import add_action, add_command, add_library, add_picture_output
+
+if TYPE_CHECKING:
+    from factory.shapes.mesh import Mesh
 
 CATEGORIES = ("car", "chair", "sofa", "monitor")
 EPILOG = """examples:
@@ -10,166 +19,211 @@ EPILOG = """examples:
   python -m factory shapes preview --family chair --count 20 --out chairs.png
   python -m factory shapes preview car:3 sphere my/kettle.obj --out three.png
   python -m factory shapes add my/kettle.obj --category object --library my-shapes --licence CC0
-A shape is FAMILY:SEED (car, chair, sofa, monitor; any whole number), a primitive (sphere, cube, torus, disc, blob), or a mesh file:
-OBJ, PLY, GLB, STL, OFF, or LIBRARY.sh3f#NAME of Sweet Home 3D's furniture libraries."""
+
+A shape is FAMILY:SEED (car, chair, sofa or monitor, and any whole number), a primitive (sphere,
+cube, torus, disc or blob), or a mesh file: OBJ, PLY, GLB, STL, OFF, or LIBRARY.sh3f#NAME of Sweet
+Home 3D's furniture libraries."""
 
 
-def register(subparsers):
-    parser = subparsers.add_parser(
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the parser of `shapes`."""
+    actions = add_command(
+        subparsers,
         "shapes",
-        help="objects to render: list, preview, add",
-        description=(
-            "The objects that are rendered: made by the program from a seed, or read from your mesh"
-            " files."
-        ),
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "list, preview and add the objects that are rendered",
+        "Lists, previews and adds the objects that are rendered. The program makes them from a"
+        " seed, or reads them from your mesh files.",
+        EPILOG,
     )
-    actions = parser.add_subparsers(required=True, metavar="ACTION")
+    _add_list(actions)
+    _add_preview(actions)
+    _add_add(actions)
 
-    one = actions.add_parser(
-        "list", help="the families and primitives, or every mesh of a folder with a report of each"
+
+def _add_list(actions: argparse._SubParsersAction) -> None:
+    one = add_action(
+        actions,
+        "list",
+        run_list,
+        "list the families and primitives, or check and list every mesh of a folder",
+        "python -m factory shapes list --category chair ~/meshes",
     )
     one.add_argument(
         "folder",
         nargs="?",
         type=Path,
         metavar="FOLDER",
-        help="a folder of meshes (ShapeNet's layout too), a .sh3f, or one file",
+        help="a folder of meshes (ShapeNet's layout is understood), a .sh3f library, or one file",
     )
-    one.add_argument("--category", help="only this one: car, chair, sofa, monitor, object")
-    _reading(one)
-    one.set_defaults(run=run_list)
+    one.add_argument(
+        "--category", help="list only this category: car, chair, sofa, monitor or object"
+    )
+    _add_reading(one)
 
-    one = actions.add_parser("preview", help="a picture of many shapes, drawn without Blender")
+
+def _add_preview(actions: argparse._SubParsersAction) -> None:
+    one = add_action(
+        actions,
+        "preview",
+        run_preview,
+        "draw a picture of many shapes, without Blender",
+        "python -m factory shapes preview --family chair --count 20 --out chairs.png",
+    )
     one.add_argument(
         "shapes",
         nargs="*",
         metavar="SHAPE",
-        help="FAMILY:SEED, a primitive, a mesh file, or a folder of them",
+        help="FAMILY:SEED, a primitive, a mesh file, or a folder of mesh files",
     )
-    one.add_argument("--family", choices=CATEGORIES, help="show the first seeds of a family")
+    one.add_argument(
+        "--family", metavar="FAMILY", help="draw successive seeds of this family as well"
+    )
     one.add_argument(
         "--count",
         type=int,
         metavar="N",
-        help="how many seeds of the family (default: the paper's number of models)",
+        help="number of seeds of the family (default: the paper's number of models)",
     )
     one.add_argument(
-        "--first", type=int, default=0, metavar="SEED", help="the first seed (default: %(default)s)"
+        "--first",
+        type=int,
+        default=0,
+        metavar="SEED",
+        help="first seed of the family (default: %(default)s)",
     )
     one.add_argument(
         "--size",
         type=int,
         default=160,
         metavar="N",
-        help="pixels along one picture (default: %(default)s)",
+        help="width and height of each picture in pixels (default: %(default)s)",
     )
     one.add_argument(
         "--azimuths",
         default="37",
         metavar="A,…",
         help=(
-            "degrees from the object's front; several: each shape from several sides (default:"
-            " %(default)s)"
+            "viewing directions in degrees from the object's front, with commas between them; each"
+            " shape is drawn from all of them (default: %(default)s)"
         ),
     )
-    one.add_argument("--out", required=True, type=Path, metavar="PNG", help="the picture to write")
-    _reading(one)
-    one.set_defaults(run=run_preview)
-
-    one = actions.add_parser(
-        "add", help="check and clean mesh files and copy them into a folder of your own"
-    )
-    one.add_argument("files", nargs="+", metavar="FILE", help="mesh files, or LIBRARY.sh3f#NAME")
-    one.add_argument(
-        "--library",
-        required=True,
-        type=Path,
-        metavar="DIR",
-        help="the folder; made if it is not there",
-    )
-    one.add_argument("--name", help="its name there (one FILE only; default: the file's)")
-    one.add_argument(
-        "--category", help="car, chair, sofa, monitor or object (default: guessed from the path)"
-    )
-    one.add_argument(
-        "--licence",
-        default="unknown",
-        help="the licence, kept with every data set it appears in (default: %(default)s)",
-    )
-    _reading(one)
-    one.set_defaults(run=run_add)
+    add_picture_output(one)
+    _add_reading(one)
 
 
-def _reading(parser):
-    group = parser.add_argument_group("how mesh files are read")
+def _add_add(actions: argparse._SubParsersAction) -> None:
+    one = add_action(
+        actions,
+        "add",
+        run_add,
+        "check and repair mesh files, and copy them into a folder of your own",
+        "python -m factory shapes add my/kettle.obj --library my-shapes --licence CC0",
+    )
+    one.add_argument("files", nargs="+", metavar="FILE", help="a mesh file, or LIBRARY.sh3f#NAME")
+    one.add_argument(
+        "--name",
+        help="the shape's name in the folder, for a single FILE (default: the file's name)",
+    )
+    one.add_argument(
+        "--category",
+        help="car, chair, sofa, monitor or object (default: the one that the path suggests)",
+    )
+    add_library(one)
+    _add_reading(one)
+
+
+def _add_reading(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("options for reading mesh files")
     group.add_argument(
         "--up",
         metavar="AXIS",
         help=(
-            "the file's axis that points up, such as y or -z (default: y for OBJ and GLB, z for"
-            " others)"
+            "the axis that points up in the file, such as y or -z (default: y for OBJ and GLB, z"
+            " for others)"
         ),
     )
     group.add_argument(
         "--front",
         metavar="AXIS",
-        help="the file's axis to the object's front (default: z for OBJ and GLB, x for others)",
+        help=(
+            "the axis that points to the object's front in the file (default: z for OBJ and GLB, x"
+            " for others)"
+        ),
     )
     group.add_argument(
         "--crease",
         type=float,
         metavar="DEG",
-        help="faces that meet at less look smooth (default: 45)",
+        help=(
+            "angle between neighbouring faces below which their common edge is shaded smooth"
+            " (default: 45)"
+        ),
     )
     group.add_argument(
         "--segments",
         choices=("one", "materials"),
-        help="materials: each material of an OBJ becomes a region of its own (default: one)",
+        help=(
+            "one: the whole mesh is one segment (default); materials: each material of an OBJ file"
+            " is a segment"
+        ),
     )
     group.add_argument(
-        "--max-triangles", type=int, metavar="N", help="refuse larger meshes (default: 2,000,000)"
+        "--max-triangles",
+        type=int,
+        metavar="N",
+        help="refuse meshes with more triangles (default: 2,000,000)",
     )
 
 
-def _options(options):
+def _reading_options(options: argparse.Namespace) -> dict[str, Any]:
+    """Return those arguments of factory.shapes.mesh_import.open_mesh that the user gave."""
     named = {
         "up": options.up,
         "front": options.front,
         "crease_deg": options.crease,
         "segments": options.segments,
+        "maximum_triangles": options.max_triangles,
     }
-    named["maximum_triangles"] = options.max_triangles
     return {key: value for key, value in named.items() if value is not None}
 
 
-def _is_file(spec):
-    from factory.shapes.catalogue import FAMILIES, PRIMITIVES
+def _is_file(spec: str) -> bool:
+    from factory.shapes.catalogue import FAMILIES, GENERAL, PRIMITIVES
 
-    return spec.partition(":")[0] not in FAMILIES + PRIMITIVES
+    return spec.partition(":")[0] not in (*FAMILIES, *GENERAL, *PRIMITIVES)
 
 
-def run_list(options):
-    from factory.shapes.catalogue import PAPER_COUNTS, PRIMITIVES
-
+def run_list(options: argparse.Namespace) -> int:
+    """Print the families, or one line for each mesh; return 1 if a mesh was refused, else 0."""
     if options.folder is None:
-        print("family   a shape is FAMILY:SEED, any seed; segments")
-        regions = {
-            "car": "body | wheels, glass, trim",
-            "chair": "seat, back | frame",
-            "sofa": "upholstery | feet, frame",
-            "monitor": "screen | casing",
-        }
-        for family, count in PAPER_COUNTS.items():
-            if options.category in (None, family):
-                print(
-                    f"{family:<8} {family}:0 … {family}:{count - 1} in the paper's number;"
-                    f" {regions[family]}"
-                )
-        if options.category in (None, "primitive"):
-            print(f"primitives: {', '.join(PRIMITIVES)} (sphere:LEVEL, blob:SEED)")
+        _print_families(options.category)
         return 0
+    return _print_meshes(options)
+
+
+def _print_families(requested: str | None) -> None:
+    from factory.shapes.catalogue import GENERAL, PAPER_COUNTS, PRIMITIVES
+
+    print("family   a shape is FAMILY:SEED, with any seed; the family's segments")
+    regions = {
+        "car": "body | wheels, glass, trim",
+        "chair": "seat, back | frame",
+        "sofa": "upholstery | feet, frame",
+        "monitor": "screen | casing",
+    }
+    for family, count in PAPER_COUNTS.items():
+        if requested in (None, family):
+            print(
+                f"{family:<8} {family}:0 … {family}:{count - 1} are as many as the paper uses;"
+                f" {regions[family]}"
+            )
+    if requested is None:
+        print(f"general families, for variety: {', '.join(GENERAL)}")
+    if requested in (None, "primitive"):
+        print(f"primitives: {', '.join(PRIMITIVES)} (sphere:LEVEL, blob:SEED)")
+
+
+def _print_meshes(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     from factory.shapes.libraries import find
@@ -179,28 +233,34 @@ def run_list(options):
     entries = [
         entry for entry in find(options.folder) if options.category in (None, entry.category)
     ]
-    failed, hashes = 0, {}
+    failed = 0
+    hashes: dict[str, str] = {}
     for entry in tqdm(entries, unit="mesh", disable=None):
         try:
             mesh = open_mesh(
-                entry.place, category=entry.category, name=entry.name, **_options(options)
+                entry.place,
+                category=entry.category,
+                name=entry.name,
+                **_reading_options(options),
             )
         except InputError as problem:
             tqdm.write(f"{entry.name}: {problem}")
             failed += 1
             continue
-        twin = f"; the same as {hashes[mesh.hash]}" if mesh.hash in hashes else ""
+        duplicate = f"; the same as {hashes[mesh.hash]}" if mesh.hash in hashes else ""
         hashes.setdefault(mesh.hash, entry.name)
         licence = f" [{entry.licence}]" if entry.licence else ""
         tqdm.write(
             f"{entry.category:<8} {entry.name:<36} {mesh.hash[:12]} "
-            f" {mesh.report.line()}{twin}{licence}"
+            f" {mesh.report.line()}{duplicate}{licence}"
         )
-    print(f"{len(entries)} meshes, {failed} refused, {len(entries) - failed - len(hashes)} twins")
+    duplicates = len(entries) - failed - len(hashes)
+    print(f"{len(entries)} meshes, {failed} refused, {duplicates} duplicates")
     return 1 if failed else 0
 
 
-def run_preview(options):
+def run_preview(options: argparse.Namespace) -> int:
+    """Write the picture; return 1 if a shape could not be read, else 0."""
     import numpy as np
     from tqdm import tqdm
 
@@ -218,7 +278,7 @@ def run_preview(options):
             "--count and --first",
             "a count ≥ 1 and a seed ≥ 0",
             f"{options.count} and {options.first}",
-            "name others",
+            "--count 20 --first 0 draws the seeds 0 to 19",
         )
     try:
         azimuths = tuple(np.radians([float(a) for a in options.azimuths.split(",")]))
@@ -226,19 +286,19 @@ def run_preview(options):
         raise InputError(
             "--azimuths", "degrees with commas between", f"'{options.azimuths}'", "write 0,90,180"
         ) from None
-    chosen = [place for shape in options.shapes for place in _unfolded(shape)]
+    chosen = [place for shape in options.shapes for place in _places(shape)]
     if options.family:
         chosen += specs(options.family, options.count, options.first)
     if not chosen:
         raise InputError(
             "preview", "shapes or --family", "neither", "see python -m factory shapes list"
         )
-    failed = []
+    failed: list[InputError] = []
 
-    def meshes():
+    def meshes() -> Iterator[Mesh | str]:
         for spec in tqdm(chosen, unit="shape", disable=None):
             try:
-                yield load(spec, **(_options(options) if _is_file(spec) else {}))
+                yield load(spec, **(_reading_options(options) if _is_file(spec) else {}))
             except InputError as problem:
                 failed.append(problem)
                 tqdm.write(f"factory: {problem}")
@@ -246,13 +306,13 @@ def run_preview(options):
 
     from PIL import Image
 
-    sheet = contact_sheet(meshes(), len(chosen), size=options.size, azimuths=azimuths)
-    write_image(options.out, sheet.quantize(128, dither=Image.Dither.NONE), "PNG", optimize=True)
+    montage = contact_sheet(meshes(), len(chosen), size=options.size, azimuths=azimuths)
+    write_image(options.out, montage.quantize(128, dither=Image.Dither.NONE), "PNG", optimize=True)
     return 1 if failed else 0
 
 
-def _unfolded(shape):
-    """A folder's or a library's meshes, or the shape itself."""
+def _places(shape: str) -> list[str]:
+    """Return the meshes of a folder or a library, or the shape itself."""
     path = Path(shape)
     if path.is_dir() or (path.suffix.lower() == ".sh3f" and path.is_file()):
         from factory.shapes.libraries import find
@@ -261,7 +321,8 @@ def _unfolded(shape):
     return [shape]
 
 
-def run_add(options):
+def run_add(options: argparse.Namespace) -> int:
+    """Copy each mesh into the folder; return 0."""
     from tqdm import tqdm
 
     from factory.shapes.library import add
@@ -273,7 +334,9 @@ def run_add(options):
             "--name", "one FILE", str(len(options.files)), "add them one by one, or without --name"
         )
     for file in tqdm(options.files, unit="mesh", disable=None):
-        mesh = open_mesh(file, name=options.name, category=options.category, **_options(options))
+        mesh = open_mesh(
+            file, name=options.name, category=options.category, **_reading_options(options)
+        )
         source = Path(file.partition("?")[0]).name
         path = add(mesh, options.library, source=source, licence=options.licence)
         tqdm.write(

@@ -1,32 +1,42 @@
-"""`status DIR`: how far a dataset is, what it holds, what failed."""
+"""`status DIR`: how much of a data set is made, what it holds, and what failed."""
+
+import argparse
+from typing import Any
+
+from manifests.help_format import HelpFormatter
+
+EPILOG = """examples:
+  python -m factory status out/demo
+  python -m factory status out/demo --json"""
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
     """Add the parser of `status`."""
     parser = subparsers.add_parser(
         "status",
         help="show how much of a data set is made, and what failed",
         description=(
-            "Counts the pictures and views of a data set, and lists what failed. Opens no picture."
+            "Counts the pictures and views of a data set by split, category, tier and light, and"
+            " lists the failures. Reads the records alone and opens no picture."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
-    parser.add_argument("folder", metavar="DIR", help="the dataset's folder")
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("folder", metavar="DIR", help="the data set's folder")
+    parser.add_argument("--json", action="store_true", help="print the counts as JSON")
     parser.set_defaults(run=run)
 
 
-def run(options):
-    """Print the counts; 0 always, a folder that is no dataset is an InputError."""
+def run(options: argparse.Namespace) -> int:
+    """Print the counts; return 0. Raises InputError for a folder that is no data set."""
     import json
 
     report = counted(options.folder)
     if options.json:
         print(json.dumps(report, indent=1))
         return 0
-    made, what = (
-        report["records"] + report["views"],
-        ("pictures and views" if report["views"] else "pictures"),
-    )
+    made = report["records"] + report["views"]
+    what = "pictures and views" if report["views"] else "pictures"
     print(f"{options.folder}: {made} of {report['planned']} {what}, {report['failed']} failed")
     for job in report["jobs"]:
         print(f"  job {job['name']}: {job['shots']} {job['of']}, begun {job['begun']}")
@@ -53,8 +63,8 @@ def run(options):
     return 0
 
 
-def counted(folder):
-    """The counts, as a dictionary."""
+def counted(folder: str) -> dict[str, Any]:
+    """Return the counts of a data set, as `status --json` prints them."""
     from collections import Counter
 
     import msgspec
@@ -64,8 +74,11 @@ def counted(folder):
     store = Store(folder)
     dataset = store.dataset()
     kinds = ("split", "category", "tier", "light_resolution", "light")
-    counts = {kind: Counter() for kind in kinds}
-    shapes, materials, done, seconds = set(), set(), set(), 0.0
+    counts: dict[str, Counter[str]] = {kind: Counter() for kind in kinds}
+    shapes: set[str] = set()
+    materials: set[str] = set()
+    done: set[str] = set()
+    seconds = 0.0
     for record in store.records():
         for kind in kinds:
             counts[kind][getattr(record, kind)] += 1
@@ -73,7 +86,7 @@ def counted(folder):
         materials.update(record.materials)
         done.add(record.id)
         seconds += record.seconds
-    views = Counter()
+    views: Counter[str] = Counter()
     for view in store.views():
         views[view.side] += 1
         counts["category"][view.category] += 1

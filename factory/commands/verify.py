@@ -1,48 +1,70 @@
-"""`verify DIR`: is every record there once, the one that its id means, every file whole and
-possible, nothing shared between sides?
-"""
+"""`verify DIR`: check the records, ids, files and splits of data sets, and repair them."""
 
+from __future__ import annotations
+
+import argparse
 import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from manifests.errors import InputError
+from manifests.help_format import HelpFormatter
 
-SHOWN = 20
+if TYPE_CHECKING:
+    import numpy as np
+
+    from manifests.schema import Dataset
+    from manifests.store import Store
+    from manifests.verification import Fault, Verification
+
+SHOWN = 20  # faults that are printed
+EPILOG = """examples:
+  python -m factory verify out/demo
+  python -m factory verify out/train out/test --quick
+  python -m factory verify out/demo --repair
+
+Exit status: 0 clean or repaired, 1 faults remain, 2 wrong usage."""
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
     """Add the parser of `verify`."""
     parser = subparsers.add_parser(
         "verify",
-        help="check a dataset: records, ids, files, hashes, contents, splits",
+        help="check the records, ids, files and splits of data sets",
         description=(
-            "Check datasets: every line against its id, which is a hash of all that determines a"
-            " picture; every file against its hash; every picture, normal and light map against"
-            " what it can be. With several folders, also that nothing one trains on is what another"
-            " tests on. Exit status: 0 clean, or repaired; 1 faults, or faults that only a person"
-            " can mend."
+            "Compares every record with its id, which is a hash of everything that determines the"
+            " picture, and every file with its hash, and checks that pictures, normals and light"
+            " maps are physically possible. With several folders, checks also that none trains on"
+            " what another tests on."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
-    parser.add_argument("folders", nargs="+", metavar="DIR", help="a dataset's folder")
+    parser.add_argument("folders", nargs="+", metavar="DIR", help="a data set's folder")
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="records only: seconds, even for 720,000; no picture is opened",
+        help="check the records alone and open no picture: seconds, even for 720,000 records",
     )
     parser.add_argument(
         "--repair",
         action="store_true",
-        help="take broken records and stray files away; `render` then makes them again",
+        help=(
+            "remove broken records and stray files, so that the same `render` makes the records"
+            " again"
+        ),
     )
     parser.set_defaults(run=run)
 
 
-def run(options):
-    """0 if every folder is clean."""
+def run(options: argparse.Namespace) -> int:
+    """Return 0 if every folder is clean or was repaired, else 1."""
     from manifests.store import Store
     from manifests.verification import shared_between
 
-    dirty, datasets = 0, {}
+    dirty = 0
+    datasets: dict[str, Dataset] = {}
     for folder in options.folders:
         try:
             dirty += not _is_clean(folder, options)
@@ -59,15 +81,15 @@ def run(options):
     return 1 if dirty else 0
 
 
-def _is_clean(folder, options):
-    """Report on one folder; True if it is clean, or was mended."""
+def _is_clean(folder: str, options: argparse.Namespace) -> bool:
+    """Print a report on one folder; return whether it is clean or was repaired."""
     from factory.planning.fingerprint import render_fingerprint
     from manifests.store import Store
     from manifests.verification import Verification, repair, summary
 
     store = Store(folder)
     verification = Verification(store, render_fingerprint(), reference_light)
-    with _held(store, options.repair):
+    with _locked(store, options.repair):
         faults = _faults(verification, options.quick)
         for fault in faults[:SHOWN]:
             print(f"{folder}: {fault.text}", file=sys.stderr)
@@ -85,37 +107,36 @@ def _is_clean(folder, options):
             f" files, {others} others"
         )
         if not options.repair:
-            remedy = "verify --repair takes what is broken away, render makes it again"
+            remedy = "verify --repair removes what is broken, and render makes it again"
             print(
                 "factory:"
-                f" {InputError(folder, 'a clean dataset', f'{len(faults)} faults', remedy)}",
+                f" {InputError(folder, 'a clean data set', f'{len(faults)} faults', remedy)}",
                 file=sys.stderr,
             )
             return False
         removed, unlinked = repair(store, faults)
         left = sum(not fault.mendable for fault in faults)
         print(
-            f"{folder}: {removed} lines and {unlinked} files taken away; run the same `render`"
-            " again"
+            f"{folder}: {removed} lines and {unlinked} files removed; run the same `render` again"
         )
         if left:
             print(
-                f"{folder}: {left} faults are not for --repair: the same `render` or a copy of the"
-                " folder may mend them",
+                f"{folder}: --repair cannot mend {left} faults; run the same `render` again, or"
+                " copy the folder again",
                 file=sys.stderr,
             )
         return not left
 
 
-def _counted(verification):
-    """How many records and views there are, and how many the orders ask for where it is more."""
+def _counted(verification: Verification) -> str:
+    """Return the number of records and views, and that of the orders where it is larger."""
     planned = sum(order.shots for order in verification.dataset.orders)
-    owed = f" of at most {planned} that its orders ask for" if planned > verification.count else ""
-    return f"{verification.count} records{owed}"
+    rest = f" of at most {planned} that its orders ask for" if planned > verification.count else ""
+    return f"{verification.count} records{rest}"
 
 
-def _faults(verification, quick):
-    """All faults."""
+def _faults(verification: Verification, quick: bool) -> list[Fault]:
+    """Return all faults of one folder."""
     from tqdm import tqdm
 
     faults = list(verification.in_records())
@@ -129,18 +150,18 @@ def _faults(verification, quick):
 
 
 @contextmanager
-def _held(store, repair):
-    """Hold the folder's lock, so that no run writes meanwhile; a folder that nobody can write to is
-    read without it.
+def _locked(store: Store, repair: bool) -> Iterator[None]:
+    """Hold the folder's lock, so that no run writes meanwhile.
+
+    A folder whose .lock is no ordinary file is read without it; that is a fault, too.
     """
     from manifests import lock
     from manifests.verification.strays import kind_of
 
     if repair:
         for path in store.folder.glob(".lock*"):
-            if kind_of(path) != "a file":  # a link, a pipe: it would be opened
+            if kind_of(path) != "a file":  # a link or a pipe would be opened
                 path.rmdir() if kind_of(path) == "a folder" else path.unlink()
-    # its fault is listed with the others
     elif kind_of(store.folder / ".lock") not in ("a file", None):
         yield
         return
@@ -148,14 +169,12 @@ def _held(store, repair):
         yield
 
 
-def reference_light(name, hash_):
-    """(L, scale) of a light as the program makes it itself; None for a name or a hash that it does
-    not know.
-    """
+def reference_light(name: str, hash_: str) -> tuple[np.ndarray, float] | None:
+    """Return (L, scale) of a built-in light; None for a name or hash that the program lacks."""
     from factory.lights.catalogue import load
     from factory.lights.files import is_light_path
 
-    if is_light_path(name):  # a name out of a manifest is no path to be opened
+    if is_light_path(name):  # a name in a manifest is never opened as a path
         return None
     try:
         light = load(name)

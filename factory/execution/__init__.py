@@ -1,1 +1,1 @@
-"""A plan carried out by worker processes, resumable at any moment."""
+"""Carries out a plan by worker processes; a run can be stopped and continued at any moment."""

@@ -1,10 +1,9 @@
-"""What a job will take, from three of its shots made for real: seconds by kind of work, bytes by
-kind of file.
+"""The time and disk space that a job will take, estimated from three of its shots.
 
-kind    shape (load and set up), light (set and checked), materials, geometry, picture, writing:
-what a worker spends time on
-events  how often each kind happens: counted on the job's first shots, for it follows from their
-order
+kind    of work that a worker spends time on: shape (load and set up), light (set and checked),
+        materials, geometry, picture, writing
+events  how often each kind of work occurs. This follows from the order of the shots, and is counted
+        on the job's first ones.
 """
 
 import tempfile
@@ -13,8 +12,10 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from factory.execution.pool import Pool, config_for_worker
-from factory.execution.run import RunOptions, assign, processors, register
+from factory.execution.pool import Pool
+from factory.execution.registration import register
+from factory.execution.run import RunOptions, assign, worker_config
+from factory.planning.plan import Plan, Shot
 from manifests.errors import InputError
 from manifests.schema import Draw
 from manifests.store import Store
@@ -26,29 +27,29 @@ RECORD_BYTES = 1100  # a line of records/*.jsonl
 
 @dataclass(frozen=True)
 class Forecast:
-    """seconds by kind for the whole job on one worker; bytes by kind of file; workers that share
-    the time; start: one worker's.
+    """What a whole job takes.
+
+    seconds  {kind of work: seconds on one worker}
+    bytes    {kind of file: bytes on disk}
+    workers  number of processes, among which the seconds are divided
+    start    seconds until a worker has started
     """
 
-    seconds: dict
-    bytes: dict
+    seconds: dict[str, float]
+    bytes: dict[str, float]
     workers: int
     start: float
 
     @property
-    def hours(self):
-        """Of the whole job, workers side by side."""
+    def hours(self) -> float:
+        """Hours until the whole job is done."""
         return (sum(self.seconds.values()) / self.workers + self.start) / 3600
 
-    @property
-    def gigabytes(self):
-        """On disk."""
-        return sum(self.bytes.values()) / 1e9
 
-
-def probe_shots(plan):
-    """Three shots: of the first, the middle and the last shape, under different lights."""
-    shapes, result = plan.assets.shapes, []
+def probe_shots(plan: Plan) -> list[Shot]:
+    """Return three shots: of the first, middle and last shape, under different lights."""
+    shapes = plan.assets.shapes
+    result: list[Shot] = []
     if not plan.job.pictures:
         return [
             shot
@@ -59,38 +60,26 @@ def probe_shots(plan):
         group = list(
             islice(plan.group(shapes[place], *plan.lights[k * (len(plan.lights) - 1) // 2]), 200)
         )
-        result.append(
-            next(
-                (
-                    shot
-                    for shot in group[k * len(group) // 3 :]
-                    if shot.id not in {s.id for s in result}
-                ),
-                None,
-            )
-        )
-    return [shot for shot in result if shot is not None]
+        known = {shot.id for shot in result}
+        result += islice((s for s in group[k * len(group) // 3 :] if s.id not in known), 1)
+    return result
 
 
-def probed(plan, run_options: RunOptions):
-    """The Forecast of a plan. Raises InputError for a shot that fails, OSError: a probe tells
-    before anything long starts.
+def probed(plan: Plan, run_options: RunOptions) -> Forecast:
+    """Return the Forecast of a plan, after rendering three of its shots.
+
+    Raises  InputError for a shot that fails; OSError
     """
     import time
 
     cost, sizes, start = defaultdict(list), defaultdict(list), time.perf_counter()
-    threads = run_options.threads or (
-        None if run_options.workers == 1 else max(1, processors() // run_options.workers)
-    )
     with tempfile.TemporaryDirectory(prefix="brdfactory-probe-") as folder:
         store = Store(folder)
         register(store, plan)
         assignment = assign(plan, run_options.library)
         pool = Pool(
             1,
-            lambda _: config_for_worker(
-                folder, "probe", run_options.device, threads, assignment, run_options.studio
-            ),
+            lambda _: worker_config(store, "probe", assignment, run_options),
             (),
             Path(folder) / "partial",
         )
@@ -104,8 +93,8 @@ def probed(plan, run_options: RunOptions):
                 )
             if plan.job.pictures:
                 sizes["images"].append(reply.bytes)
-            for kind, seconds in reply.spent.items():
-                cost[kind].append(seconds)
+            for kind, spent in (reply.spent or {}).items():
+                cost[kind].append(spent)
         sizes["geometry"] = [
             path.stat().st_size for path in (store.folder / "geometry").rglob("*.exr")
         ]
@@ -114,26 +103,26 @@ def probed(plan, run_options: RunOptions):
     events = expected_events(plan)
     seconds = {kind: _typical(values) * events[kind] for kind, values in cost.items()}
     files = {"images": events["picture"], "geometry": events["geometry"]}
-    taken = {
-        kind: sum(result) / max(len(result), 1) * files[kind] for kind, result in sizes.items()
-    }
+    space = {kind: sum(of) / max(len(of), 1) * files[kind] for kind, of in sizes.items()}
     return Forecast(
         seconds,
-        {**taken, "records": RECORD_BYTES * len(plan)},
+        {**space, "records": RECORD_BYTES * len(plan)},
         run_options.workers,
         max(start, 0.0),
     )
 
 
-def _typical(values):
-    """The mean, the first left out where there are more: it warms Cycles up."""
+def _typical(values: list[float]) -> float:
+    """Return the mean, without the first of several values, which includes Cycles' warm-up."""
     later = values[1:] or values
     return sum(later) / len(later)
 
 
-def expected_events(plan):
-    """How often each kind of work happens in a plan: exact where it follows from the job, else
-    counted on its first shots and scaled.
+def expected_events(plan: Plan) -> dict[str, float]:
+    """Return {kind of work: how often it occurs in a plan}.
+
+    The numbers are exact where they follow from the job; others are counted on the first shots and
+    scaled.
     """
     total, job = len(plan), plan.job
     if not job.pictures:
@@ -147,10 +136,11 @@ def expected_events(plan):
         for kind in changed:
             changed[kind] += last is None or now[kind] != last[kind]
         last, counted = now, counted + 1
-    drawn = isinstance(job.views, Draw)
     combinations = total / len(plan.assets.shapes) / max(plan.each, 1)
     views = (
-        COUNT * (1 - (1 - job.views.random / COUNT) ** combinations) if drawn else len(job.views)
+        COUNT * (1 - (1 - job.views.random / COUNT) ** combinations)
+        if isinstance(job.views, Draw)
+        else len(job.views)
     )
     scaled = {kind: count * total / max(counted, 1) for kind, count in changed.items()}
     return {

@@ -1,18 +1,22 @@
-"""One worker's work: shots in, records out. It holds a studio, and what the studio shows, so that
-nothing is set up twice.
+"""What a worker does with a shot: render it, check it, write its files and return its record.
 
-studio    factory.render.studio.Studio, or anything with its methods
-geometry  of a shape from a view is rendered once a dataset: it is read back if another worker, or
-an earlier run, made it, and
-          rendered again in the place of a file that is damaged
-light     stored map and rotation; a whole map is averaged to a width that is a multiple of 128, for
-rotations are whole texels
+The pipeline keeps a studio and remembers what the studio shows, so that nothing is set up twice.
+
+geometry  of a shape from a view is rendered once per data set. It is read back if another worker or
+          an earlier run made it, and rendered again where the file is damaged.
+light     the stored map and its rotation. A map of full resolution is averaged to a width that is a
+          multiple of 128, because rotations are in whole texels.
 """
+
+from __future__ import annotations
 
 import os
 import time
 from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 import numpy as np
@@ -20,19 +24,39 @@ import numpy as np
 from factory.planning.plan import TEXELS, Shot
 from factory.planning.shape_names import Source, load_mesh
 from factory.render import checks
-from manifests.arrays import encode_geometry, encode_picture, read_geometry
+from manifests.arrays import Geometry, SeenGeometry, encode_geometry, encode_picture, read_geometry
 from manifests.errors import InputError
-from manifests.schema import Job, Record, Statistics, View
-from manifests.store import geometry_path, image_path, readable_hash
+from manifests.schema import Camera, Job, Record, Statistics, View
+from manifests.store import Store, geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap
-from shaders.envmap import LUMINANCE
+from shaders.mixture import Mixture
+from shaders.tone import LUMINANCE
 
-HELD = 48  # geometries whose masks stay in memory: two shapes' 24 views
+if TYPE_CHECKING:
+    from factory.lights.light import Light
+    from factory.shapes.mesh import Mesh
+
+MOST_GEOMETRIES = 48  # whose masks stay in memory: two shapes' 24 views
+
+
+class Studio(Protocol):
+    """What the pipeline calls: factory.render.studio.Studio, or a substitute without Blender."""
+
+    settings: Any
+    versions: dict[str, str]
+
+    def set_camera(self, lens: Camera) -> None: ...
+    def set_shape(self, mesh: Mesh) -> None: ...
+    def set_view(self, azimuth: float) -> None: ...
+    def set_light(self, L: np.ndarray, rotation_texels: int, light_resolution: str) -> None: ...
+    def set_materials(self, mixtures: list[Mixture]) -> None: ...
+    def geometry(self) -> SeenGeometry: ...
+    def picture(self, samples: int, seed: int, tier: str) -> tuple[np.ndarray, np.ndarray]: ...
 
 
 class ShapeSource(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a shape is read from, and what it must turn out to be."""
+    """Where a shape is read from, and the hash that it must have."""
 
     source: Source
     hash: str
@@ -40,15 +64,17 @@ class ShapeSource(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LightSource(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a light is read from, and what it must turn out to be."""
+    """Where a light is read from, and the hash that it must have."""
 
     source: str
     hash: str
 
 
 class Assignment(msgspec.Struct, frozen=True, kw_only=True):
-    """What a worker needs to know besides its shots: the job's common part, and where shapes and
-    lights come from.
+    """What a worker needs to know besides its shots.
+
+    shapes, lights  by the names that shots use
+    library         a folder of light maps, or None
     """
 
     job: Job
@@ -61,7 +87,9 @@ class BadShot(RuntimeError):
     """A shot whose pixels, normals or light are not what they should be."""
 
 
-class _Geometry(msgspec.Struct, frozen=True):
+class _StoredGeometry(msgspec.Struct, frozen=True):
+    """A geometry file in place; coverage: share of the frame inside the mask."""
+
     path: str
     hash: str
     mask: np.ndarray
@@ -69,41 +97,56 @@ class _Geometry(msgspec.Struct, frozen=True):
 
 
 class Pipeline:
-    """Makes shots of one assignment and puts them in place.
+    """Makes the shots of one assignment and writes their files.
 
-    store, worker  manifests.store.Store and this worker's name
-    append         called with each finished Record or View
-    mixtures       material name → shaders.mixture.Mixture
+    worker    this worker's name
+    append    called with each finished Record or View
+    mixtures  {material's name: Mixture}
+    spent     {kind of work: seconds} of the last shot
+    notes     lines for the user about the last shot
     """
 
-    def __init__(self, studio, assignment, store, worker, append, mixtures):
+    def __init__(
+        self,
+        studio: Studio,
+        assignment: Assignment,
+        store: Store,
+        worker: str,
+        append: Callable[[Record | View], None],
+        mixtures: Mapping[str, Mixture],
+    ):
         self.studio, self.assignment, self.store, self.worker = studio, assignment, store, worker
         self._append, self._mixtures = append, mixtures
-        self._shape = self._view = self._light = self._materials = None
-        self._light_map = (None, None)
+        # what the studio shows
+        self._shape: str | None = None
+        self._view: int | None = None
+        self._light: tuple[str, str, int] | None = None
+        self._materials: tuple[str, ...] | None = None
         self._segments = 0
-        self._geometries = OrderedDict()
-        self.spent, self.notes = {}, []
+        self._light_map: tuple[tuple[str, str], np.ndarray] | None = None
+        self._geometries: OrderedDict[str, _StoredGeometry] = OrderedDict()
+        self.spent: dict[str, float] = {}
+        self.notes: list[str] = []
         studio.set_camera(assignment.job.camera)
 
-    def make(self, shot: Shot):
-        """Render one shot, check it, write it, append its record, return the record (of a shot
-        without a picture: its View).
+    def make(self, shot: Shot) -> Record | View:
+        """Render, check and write one shot, and append and return its record.
 
-        `spent` then holds the seconds by kind of work, `notes` what the user should know.
+        The record of a shot without a picture is a View.
 
-        Raises  BadShot; OSError if it cannot be written
+        Raises  BadShot; OSError if a file cannot be written
         """
         start, self.spent, self.notes = time.perf_counter(), {}, []
-        record = self._pictured(shot, start) if shot.picture else self._viewed(shot, start)
-        self._append(record)
-        return record
+        line = self._make_record(shot, start) if shot.picture else self._make_view(shot, start)
+        self._append(line)
+        return line
 
-    def _viewed(self, shot, start):
-        """The View of a shot without a picture, its geometry in place."""
+    def _make_view(self, shot: Shot, start: float) -> View:
+        """Return the View of a shot without a picture, after its geometry has been written."""
         self._show_shape(shot)
         self._show_view(shot)
         geometry = self._geometry(shot)
+        assert shot.split != "mixed"  # of a shot without a picture it is the shape's side
         return View(
             **self._shared(View, shot, geometry, start),
             segments=self._segments,
@@ -111,10 +154,12 @@ class Pipeline:
             coverage=round(geometry.coverage, 6),
         )
 
-    def _shared(self, line, shot, geometry, start):
-        """{field: value} that a Record and a View of a shot have alike.
+    def _shared(
+        self, line: type[Record | View], shot: Shot, geometry: _StoredGeometry, start: float
+    ) -> dict[str, Any]:
+        """Return the fields {name: value} that a shot's Record and View have in common.
 
-        line   Record or View; start: when the shot was begun, by time.perf_counter
+        start  time.perf_counter when the shot was begun
         """
         shape = self.assignment.shapes[shot.shape]
         return shot.repeated_in(line) | {
@@ -127,8 +172,8 @@ class Pipeline:
             "seconds": round(time.perf_counter() - start, 4),
         }
 
-    def _pictured(self, shot, start):
-        """The Record of a shot, its picture and geometry in place."""
+    def _make_record(self, shot: Shot, start: float) -> Record:
+        """Return the Record of a shot, after its picture and geometry have been written."""
         self._show(shot)
         geometry = self._geometry(shot)
         with self._timed("picture"):
@@ -149,14 +194,14 @@ class Pipeline:
         )
 
     @contextmanager
-    def _timed(self, what):
-        """Add the block's seconds to `spent`: what a forecast is made of."""
+    def _timed(self, what: str) -> Iterator[None]:
+        """Add the block's seconds to `spent`, from which forecasts are computed."""
         start = time.perf_counter()
         yield
         self.spent[what] = self.spent.get(what, 0.0) + time.perf_counter() - start
 
-    def _show(self, shot):
-        """Give the studio shape, light, materials and view, each only if it is another."""
+    def _show(self, shot: Shot) -> None:
+        """Set the studio's shape, light, materials and view, each only if it changes."""
         self._show_shape(shot)
         light = (shot.light, shot.light_resolution, shot.rotation_texels)
         if light != self._light:
@@ -170,7 +215,7 @@ class Pipeline:
             self._materials = shot.materials
         self._show_view(shot)
 
-    def _show_shape(self, shot):
+    def _show_shape(self, shot: Shot) -> None:
         if shot.shape != self._shape:
             with self._timed("shape"):
                 mesh = load_shape(self.assignment.shapes[shot.shape])
@@ -178,14 +223,14 @@ class Pipeline:
             self._shape, self._segments = shot.shape, mesh.segments
             self._view = self._materials = None
 
-    def _show_view(self, shot):
+    def _show_view(self, shot: Shot) -> None:
         if shot.viewpoint != self._view:
             self.studio.set_view(np.radians(azimuths_deg()[shot.viewpoint]))
             self._view = shot.viewpoint
 
-    def _map(self, name, resolution):
-        """The stored map of a light, kept until another is asked for."""
-        if self._light_map[0] != (name, resolution):
+    def _map(self, name: str, resolution: str) -> np.ndarray:
+        """Return the map of a light; the last one is remembered."""
+        if self._light_map is None or self._light_map[0] != (name, resolution):
             entry = self.assignment.lights[name]
             light = load_light(entry, self.assignment.library)
             L = light.L64
@@ -197,93 +242,98 @@ class Pipeline:
             self._light_map = ((name, resolution), L)
         return self._light_map[1]
 
-    def _geometry(self, shot):
-        """Geometry of the shot's shape and view: from memory, from the folder, or rendered."""
+    def _geometry(self, shot: Shot) -> _StoredGeometry:
+        """Return the geometry of the shot's shape and view: remembered, read or rendered."""
         if shot.geometry in self._geometries:
             self._geometries.move_to_end(shot.geometry)
             return self._geometries[shot.geometry]
         path = geometry_path(shot.geometry)
         file = self.store.folder / path
+        seen: SeenGeometry
+        digest: str | None
         if not os.path.lexists(file):
             seen = self._rendered_geometry()
             digest = self.store.place(path, encode_geometry(seen), self.worker, keep_first=True)
         else:
             digest = readable_hash(file)
-            seen, fault = self._whole_geometry(file, digest, shot.geometry_hash)
-            if fault:
+            stored, fault = self._stored_geometry(file, digest, shot.geometry_hash)
+            if stored is None or digest is None or fault:
                 seen = self._rendered_geometry()
                 digest = self.store.place_instead(path, encode_geometry(seen), self.worker, digest)
-                self.notes += _replaced(path, fault, digest, shot.geometry_hash)
-        held = _Geometry(path, digest, seen.mask, float(seen.mask.mean()))
-        self._geometries[shot.geometry] = held
-        if len(self._geometries) > HELD:
+                self.notes += _replacement_notes(path, fault, digest, shot.geometry_hash)
+            else:
+                seen = stored
+        result = _StoredGeometry(path, digest, seen.mask, float(seen.mask.mean()))
+        self._geometries[shot.geometry] = result
+        if len(self._geometries) > MOST_GEOMETRIES:
             self._geometries.popitem(last=False)
-        return held
+        return result
 
-    def _rendered_geometry(self):
-        """What the studio shows, checked. Raises BadShot."""
+    def _rendered_geometry(self) -> SeenGeometry:
+        """Return the geometry that the studio shows, after checks. Raises BadShot."""
         with self._timed("geometry"):
             seen = self.studio.geometry()
         if faults := checks.geometry(seen, self._segments):
             raise BadShot("; ".join(faults))
         return seen
 
-    def _whole_geometry(self, file, digest, expected):
-        """(Geometry, "") of a file that is there; (None, what is wrong with it) if it is not what
-        was rendered.
+    def _stored_geometry(
+        self, file: Path, digest: str | None, expected: str | None
+    ) -> tuple[Geometry | None, str]:
+        """Return the geometry of a file, and what is wrong with it ("" for nothing).
 
-        digest, expected  its sha256, and the one that records name or None
+        digest    sha256 of the file, None if it cannot be read
+        expected  sha256 that records name, or None
         """
         if expected is not None and digest != expected:
             return None, "another content than its records name"
         try:
-            seen = read_geometry(file, tuple(self.assignment.job.camera.size))
+            seen = read_geometry(file, self.assignment.job.camera.size)
         except InputError as problem:
             return None, problem.found
         except OSError as error:
             return None, error.strerror or str(error)
+        if digest is None:
+            return None, "it could not be read"
         return seen, "; ".join(checks.geometry(seen, self._segments))
 
 
-def _replaced(path, fault, digest, expected):
-    """What the user should know of a geometry file that was rendered again."""
+def _replacement_notes(path: str, fault: str, digest: str, expected: str | None) -> Iterator[str]:
+    """Yield what the user should know about a geometry file that was rendered again."""
     yield f"{path} was damaged ({fault}) and has been rendered again"
     if expected not in (None, digest):
         yield (
-            f"{path} has other bits than its earlier records name: verify --repair takes those"
-            " away, the same render makes them again"
+            f"{path} has another hash than its earlier records name: verify --repair removes those"
+            " records, and the same render makes them again"
         )
 
 
-def load_shape(entry):
-    """The Mesh of an assignment's shape. Raises BadShot if the file has changed since the plan was
-    made.
-    """
-    mesh = load_mesh(entry.source)
-    if mesh.hash != entry.hash:
-        raise BadShot(
-            f"{entry.source.place}: expected the mesh with hash {entry.hash[:12]}, found"
-            f" {mesh.hash[:12]}: it changed meanwhile"
-        )
+def load_shape(source: ShapeSource) -> Mesh:
+    """Return the Mesh of an assignment's shape. Raises BadShot if the file has changed."""
+    mesh = load_mesh(source.source)
+    _require_unchanged(source.source.place, "mesh", source.hash, mesh.hash)
     return mesh
 
 
-def load_light(entry, library):
-    """The Light of an assignment's light. Raises BadShot if the file has changed since the plan was
-    made.
-    """
+def load_light(source: LightSource, library: str | None) -> Light:
+    """Return the Light of an assignment's light. Raises BadShot if the file has changed."""
     from factory.lights import load
 
-    light = load(entry.source, library)
-    if light.hash != entry.hash:
-        raise BadShot(
-            f"{entry.source}: expected the map with hash {entry.hash[:12]}, found"
-            f" {light.hash[:12]}: it changed meanwhile"
-        )
+    light = load(source.source, library)
+    _require_unchanged(source.source, "map", source.hash, light.hash)
     return light
 
 
-def _statistics(radiance, geometry):
+def _require_unchanged(place: str, what: str, expected: str, digest: str) -> None:
+    """Raise BadShot if the hash of an asset is not the one that it had when the plan was made."""
+    if digest != expected:
+        raise BadShot(
+            f"{place}: expected the {what} with hash {expected[:12]}, found {digest[:12]} (the file"
+            " has changed since the plan was made)"
+        )
+
+
+def _statistics(radiance: np.ndarray, geometry: _StoredGeometry) -> Statistics:
     inside = radiance[geometry.mask]
     return Statistics(
         coverage=round(geometry.coverage, 6),

@@ -1,9 +1,9 @@
-"""Workers at work: chunks of shots handed out, answers gathered, the dead replaced. Nothing here
-knows what a shot looks like.
+"""A pool of worker processes: it hands out chunks of shots, gathers replies and replaces workers.
 
-A bad shot is tried once more in a fresh worker, and then given up. A worker that dies takes the
-first shot it had not finished with it as suspect; the rest of its chunk goes to another. A worker
-is judged by what it made: how its process ends is nobody's concern.
+A shot that fails is tried once more in a new worker, and then given up. Where a worker dies, the
+first shot that it had not finished is suspected of having killed it and is tried once more; the
+rest of its chunk goes to another worker. Only a worker's replies count: how its process ends does
+not matter.
 """
 
 import contextlib
@@ -13,24 +13,26 @@ import subprocess
 import sys
 import time
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
+from pathlib import Path
 
 import msgspec
 
-from factory.execution.worker import STUDIO, Chunk, Reply, WorkerConfig
+from factory.execution.worker import Chunk, Reply, WorkerConfig
+from factory.planning.plan import Shot
 from manifests.errors import InputError
 
-# shots handed out at once: long enough that nobody waits, short enough that all end together
+# shots handed out at once: enough that no worker waits, few enough that all end at the same time
 CHUNK = 32
-BARREN = 8  # deaths with no picture in between after which the machine is to blame, not the shots
-# seconds of silence before a worker counts as hung, or 50 times the longest shot so far
+# deaths without a picture in between, after which the machine is at fault and not the shots
+MOST_DEATHS = 8
+# seconds of silence after which a worker counts as hung; 50 times the longest shot, if that is more
 PATIENCE = 600.0
 
 
-def _line(message):
-    """A message as a line of JSON. Raises InputError where a name of a file or folder in it is no
-    text.
-    """
+def _line(message: WorkerConfig | Chunk) -> bytes:
+    """Return a message as a line of JSON. Raises InputError for a file name that is not UTF-8."""
     try:
         return msgspec.json.encode(message) + b"\n"
     except UnicodeEncodeError as error:
@@ -41,60 +43,67 @@ def _line(message):
 
 
 class _Worker:
-    """A process and what it still owes."""
+    """A process, and the shots that it has not finished.
 
-    def __init__(self, config, descriptors, log):
-        self.config, self.log = config, log
-        first = _line(config)  # before there is a process that would have to be ended
-        self.made, self.failed, self.owed, self.heard = 0, 0, deque(), time.monotonic()
-        with open(log, "wb") as complaints:
+    made, failed  numbers of its shots
+    pending       shots that it was given and has not replied to
+    heard         time.monotonic of its last sign of life
+    """
+
+    def __init__(self, config: WorkerConfig, descriptors: Sequence[int], log: Path):
+        self.log = log
+        first = _line(config)  # may raise, so before the process is started
+        self.made, self.failed, self.heard = 0, 0, time.monotonic()
+        self.pending: deque[Shot] = deque()
+        with open(log, "wb") as errors:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "factory.execution.worker"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=complaints,
+                stderr=errors,
                 pass_fds=descriptors,
                 env={**os.environ, "PYTHONUNBUFFERED": "1"},
             )
+        assert self.process.stdin and self.process.stdout  # pipes, as requested
+        self._input, self.output = self.process.stdin, self.process.stdout
         self._rest = b""
         self._send(first)
 
-    def hand(self, shots):
-        """Give it shots to make."""
-        self.owed.extend(shots)
+    def assign(self, shots: Sequence[Shot]) -> None:
+        """Send shots to be made."""
+        self.pending.extend(shots)
         self.heard = time.monotonic()
         self._send(_line(Chunk(list(shots))))
 
-    def _send(self, line):
-        try:
-            self.process.stdin.write(line)
-            self.process.stdin.flush()
-        except BrokenPipeError:
-            pass  # it has died: its output ends, and that is where the dead are noticed
+    def _send(self, line: bytes) -> None:
+        # a worker that has died is noticed where its output ends
+        with contextlib.suppress(BrokenPipeError):
+            self._input.write(line)
+            self._input.flush()
 
-    def replies(self):
-        """Replies that have come, or None if it has died."""
-        data = os.read(self.process.stdout.fileno(), 1 << 20)
+    def replies(self) -> list[Reply] | None:
+        """Return the replies that have arrived, or None if the worker has died."""
+        data = os.read(self.output.fileno(), 1 << 20)
         if not data:
             return None
         self.heard = time.monotonic()
         *whole, self._rest = (self._rest + data).split(b"\n")
         return [msgspec.json.decode(line, type=Reply) for line in whole]
 
-    def end(self, patience=10.0):
-        """Let it finish and go; kill it if it will not."""
+    def end(self, patience: float = 10.0) -> None:
+        """Let the worker end by itself; kill it after `patience` seconds."""
         with contextlib.suppress(BrokenPipeError):
-            self.process.stdin.close()
+            self._input.close()
         try:
             self.process.wait(patience)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
-        self.process.stdout.close()
+        self.output.close()
         self.log.unlink(missing_ok=True)
 
-    def last_words(self):
-        """How it ended, with the last line it complained."""
+    def reason_of_death(self) -> str:
+        """Return how the process ended, with the last line of its standard error."""
         status = self.process.wait()
         how = f"ended by signal {-status}" if status < 0 else f"ended with status {status}"
         with open(self.log, "rb") as log:
@@ -103,26 +112,34 @@ class _Worker:
 
 
 class Pool:
-    """`count` workers over a stream of shots.
+    """`count` workers that make a stream of shots.
 
-    setup        called with a worker's number: its Setup
-    descriptors  the run's locks, handed on
-    folder       where workers' complaints are kept while they live
+    config       called with a worker's number, returns its WorkerConfig
+    descriptors  the run's locks, which workers hold too
+    folder       where the standard error of running workers is written
     """
 
-    def __init__(self, count, config, descriptors, folder):
-        self._setup, self._descriptors, self._folder = config, tuple(descriptors), folder
+    def __init__(
+        self,
+        count: int,
+        config: Callable[[int], WorkerConfig],
+        descriptors: Iterable[int],
+        folder: Path,
+    ):
+        self._config, self._descriptors, self._folder = config, tuple(descriptors), folder
         self._folder.mkdir(parents=True, exist_ok=True)
-        self._count, self._workers = count, {}
+        self._count = count
+        self._workers: dict[int, _Worker] = {}
         self._selector = selectors.DefaultSelector()
-        self._again = deque()  # shots whose chunk was cut short
-        self._suspects = deque()  # shots for a second try in a fresh worker
-        self._tried, self._longest, self._barren = set(), 0.0, 0
+        self._interrupted: deque[Shot] = deque()  # shots whose chunk was cut short
+        self._suspects: deque[Shot] = deque()  # shots for a second try in a new worker
+        self._tried: set[str] = set()  # ids of shots that have failed once
+        self._longest, self._deaths = 0.0, 0  # seconds of a shot; deaths since the last picture
 
-    def run(self, shots):
-        """Make all shots; yields (shot, Reply) for each that is made or given up.
+    def run(self, shots: Iterable[Shot]) -> Iterator[tuple[Shot, Reply]]:
+        """Make all shots; yield (shot, Reply) for each that is made or given up.
 
-        Raises  InputError or OSError for what no shot would survive: a full disk, a missing file
+        Raises  InputError or OSError where every shot would fail: a full disk, a missing file
         """
         shots = iter(shots)
         try:
@@ -132,110 +149,97 @@ class Pool:
             for number in list(self._workers):
                 self._drop(number)
 
-    def _give_out(self, shots):
-        """Hand chunks to the idle; False when nothing is owed and nothing is left."""
+    def _give_out(self, shots: Iterator[Shot]) -> bool:
+        """Send chunks to idle workers; return whether any shot is pending."""
         for number in range(self._count):
             worker = self._workers.get(number)
-            if worker is not None and worker.owed:
+            if worker is not None and worker.pending:
                 continue
-            chunk = self._chunk(shots, worker)
+            chunk = self._chunk(shots)
             if chunk and worker is not None and chunk[0].id in self._tried and worker.made:
                 self._drop(number)
                 worker = None
             if chunk:
                 worker = worker or self._start(number)
-                worker.hand(chunk)
-        return any(worker.owed for worker in self._workers.values())
+                worker.assign(chunk)
+        return any(worker.pending for worker in self._workers.values())
 
-    def _chunk(self, shots, worker):
+    def _chunk(self, shots: Iterator[Shot]) -> list[Shot]:
+        """Return the next shots to be made: a suspect alone, else interrupted or new ones."""
         if self._suspects:
             return [self._suspects.popleft()]
-        chunk = [self._again.popleft() for _ in range(min(CHUNK, len(self._again)))]
+        chunk = [self._interrupted.popleft() for _ in range(min(CHUNK, len(self._interrupted)))]
         return chunk or list(islice(shots, CHUNK))
 
-    def _start(self, number):
-        worker = _Worker(
-            self._setup(number),
-            self._descriptors,
-            self._folder / f"{self._setup(number).worker}.log",
-        )
+    def _start(self, number: int) -> _Worker:
+        config = self._config(number)
+        worker = _Worker(config, self._descriptors, self._folder / f"{config.worker}.log")
         self._workers[number] = worker
-        self._selector.register(worker.process.stdout, selectors.EVENT_READ, number)
+        self._selector.register(worker.output, selectors.EVENT_READ, number)
         return worker
 
-    def _drop(self, number):
+    def _drop(self, number: int) -> None:
+        """End a worker; one with pending shots is killed."""
         worker = self._workers.pop(number)
-        self._selector.unregister(worker.process.stdout)
-        if worker.owed:
+        self._selector.unregister(worker.output)
+        if worker.pending:
             worker.process.kill()
         worker.end()
 
-    def _gather(self):
-        """Wait for answers; yields what they settle."""
+    def _gather(self) -> Iterator[tuple[Shot, Reply]]:
+        """Wait for replies; yield the shots that are made or given up."""
         for key, _ in self._selector.select(timeout=5.0):
             number = key.data
             worker = self._workers[number]
             replies = worker.replies()
             if replies is None:
-                yield from self._buried(number, worker.last_words())
+                yield from self._replaced(number, worker.reason_of_death())
                 continue
             for reply in replies:
                 if reply.fatal:
                     raise InputError(*reply.problem) if reply.problem else OSError(reply.reason)
-                yield from self._settled(number, worker, reply)
+                yield from self._received(number, worker, reply)
         for number, worker in list(self._workers.items()):
-            if worker.owed and time.monotonic() - worker.heard > max(PATIENCE, 50 * self._longest):
+            silence = time.monotonic() - worker.heard
+            if worker.pending and silence > max(PATIENCE, 50 * self._longest):
                 worker.process.kill()
-                yield from self._buried(
-                    number, f"the worker said nothing for {time.monotonic() - worker.heard:.0f} s"
-                )
+                yield from self._replaced(number, f"the worker sent nothing for {silence:.0f} s")
 
-    def _settled(self, number, worker, reply):
-        shot = worker.owed.popleft()
+    def _received(self, number: int, worker: _Worker, reply: Reply) -> Iterator[tuple[Shot, Reply]]:
+        """Handle a reply about a worker's first pending shot."""
+        shot = worker.pending.popleft()
         if reply.made:
-            worker.made, self._barren = worker.made + 1, 0
+            worker.made, self._deaths = worker.made + 1, 0
             self._longest = max(self._longest, reply.seconds)
             yield shot, reply
             return
-        rest = list(worker.owed)
-        worker.owed.clear()
-        self._again.extendleft(reversed(rest))
-        # a fresh worker that has failed before and made nothing: the fault is in the shots
+        rest = list(worker.pending)
+        worker.pending.clear()
+        self._interrupted.extendleft(reversed(rest))
+        # a new worker that has failed before and made nothing: the fault is in the shots
         if worker.failed and not worker.made:
             self._tried.add(shot.id)
         worker.failed += 1
-        yield from self._judged(shot, reply.reason)
+        yield from self._suspect_or_give_up(shot, reply.reason)
         if shot.id in (s.id for s in self._suspects):
             self._drop(number)
 
-    def _buried(self, number, reason):
-        """A worker has died: another takes its place when there is work."""
-        owed = list(self._workers[number].owed)
-        self._workers[number].owed.clear()
+    def _replaced(self, number: int, reason: str) -> Iterator[tuple[Shot, Reply]]:
+        """Remove a worker that has died; another is started when there is work."""
+        pending = list(self._workers[number].pending)
+        self._workers[number].pending.clear()
         self._drop(number)
-        self._again.extendleft(reversed(owed[1:]))
-        self._barren += 1
-        if self._barren > BARREN:
-            raise OSError(f"{self._barren} workers in a row made nothing; {reason}")
-        if owed:
-            yield from self._judged(owed[0], reason)
+        self._interrupted.extendleft(reversed(pending[1:]))
+        self._deaths += 1
+        if self._deaths > MOST_DEATHS:
+            raise OSError(f"{self._deaths} workers in a row made nothing; {reason}")
+        if pending:
+            yield from self._suspect_or_give_up(pending[0], reason)
 
-    def _judged(self, shot, reason):
-        """A second try for a shot, or its end."""
+    def _suspect_or_give_up(self, shot: Shot, reason: str) -> Iterator[tuple[Shot, Reply]]:
+        """Queue a shot for a second try, or yield it as given up after that."""
         if shot.id not in self._tried:
             self._tried.add(shot.id)
             self._suspects.append(shot)
             return
         yield shot, Reply(bad=shot.id, reason=reason)
-
-
-def config_for_worker(folder, worker, device, threads, assignment, studio=STUDIO):
-    """The Setup of a worker of this process."""
-    return WorkerConfig(
-        folder=str(folder),
-        worker=worker,
-        device=device,
-        threads=threads,
-        studio=studio,
-        assignment=assignment,
-    )

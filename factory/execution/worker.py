@@ -1,35 +1,45 @@
-"""A worker: one process, one Blender, many shots. Started by factory.execution.pool as `python -m
-factory.execution.worker`.
+"""A worker: one process with one Blender, which makes many shots.
 
-It reads messages, a JSON line each, from its standard input, and answers on what was its standard
-output; Blender's own prints go nowhere, its complaints to standard error. It ends when its input or
-its reader ends, after the shot in hand (it holds the run's lock, so nobody else begins meanwhile),
-and by os._exit: some Blenders crash while they clean up.
+factory.execution.pool starts it as `python -m factory.execution.worker`. It reads messages, one
+line of JSON each, from its standard input and writes replies to its standard output; what Blender
+prints is dropped, and Blender's errors go to standard error. It ends after the current shot when
+its input or its reader ends. Until then it holds the run's lock, so that no other run begins. It
+ends by os._exit, because some Blenders crash while they clean up.
 
-in   Setup, then any number of Chunk
-out  Reply: `made` or `bad` a shot (a bad one ends the chunk), or `fatal`: what no other shot would
-survive
+in   a WorkerConfig, then any number of Chunks
+out  Replies: a shot was `made`, or is `bad` (which ends the chunk), or an error is `fatal` (every
+     other shot would fail as well)
 """
+
+from __future__ import annotations
 
 import importlib
 import os
 import signal
 import sys
+from collections.abc import Callable
+from typing import Any
 
 import msgspec
 
-from factory.execution.pipeline import Assignment, BadShot, Pipeline
+from factory.execution.pipeline import Assignment, BadShot, Pipeline, Studio
 from factory.planning.plan import Shot
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
+from manifests.schema import Record
 from manifests.store import Lines, Store
 
 STUDIO = "factory.render.studio:Studio"
 
 
 class WorkerConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Where to write, under which name, and with what; studio: module:class of the studio, called
-    with (device, threads).
+    """The configuration of a worker.
+
+    folder   the data set's folder
+    worker   the worker's name, which is that of its file of records
+    device   one of factory.render.device.NAMES
+    threads  CPU threads, None: all
+    studio   module:class of the studio, called with (device, threads)
     """
 
     folder: str
@@ -47,10 +57,15 @@ class Chunk(msgspec.Struct, frozen=True):
 
 
 class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """made, bad: a shot's id; settings and versions come with the first picture.
+    """What a worker says about one shot, or about an error that ends it.
 
-    bytes: what the picture, or the geometry alone, takes on disk; spent: seconds by kind; notes:
-    what the user should know.
+    made, bad           id of the shot that was made or has failed
+    problem, reason     of an InputError its parts; of any error a line
+    seconds             that the shot took
+    bytes               that the picture, or the geometry alone, takes on disk
+    spent               {kind of work: seconds}
+    notes               lines for the user
+    settings, versions  those of the studio, with the first shot
     """
 
     made: str = ""
@@ -66,14 +81,14 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     versions: dict[str, str] | None = None
 
 
-def main():
-    """Serve until the input ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, who decides
+def main() -> None:
+    """Make shots until the input ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     answers = os.fdopen(os.dup(1), "wb", buffering=0)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
 
-    def answer(**reply):
+    def answer(**reply: Any) -> None:
         try:
             answers.write(msgspec.json.encode(Reply(**reply)) + b"\n")
         except BrokenPipeError:
@@ -95,13 +110,14 @@ def main():
                 remedy,
             ),
         )
-    except Exception as error:  # whatever else it is, the parent says it in one line
+    except Exception as error:  # the parent shows any other error in one line
         answer(fatal=True, reason=f"worker {type(error).__name__}: {error}".replace("\n", " "))
     sys.stderr.flush()
     os._exit(0)
 
 
-def _serve(config, answer):
+def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
+    """Make the shots of every chunk, and answer for each."""
     store = Store(config.folder)
     pictures = config.assignment.job.pictures
     lines = Lines(store.folder / ("records" if pictures else "views") / f"{config.worker}.jsonl")
@@ -129,7 +145,8 @@ def _serve(config, answer):
                 else {}
             )
             first = False
-            size = (store.folder / (record.image if pictures else record.geometry)).stat().st_size
+            file = record.image if isinstance(record, Record) else record.geometry
+            size = (store.folder / file).stat().st_size
             answer(
                 made=shot.id,
                 seconds=record.seconds,
@@ -140,7 +157,7 @@ def _serve(config, answer):
             )
 
 
-def _studio(config):
+def _studio(config: WorkerConfig) -> Studio:
     module, name = config.studio.split(":")
     return getattr(importlib.import_module(module), name)(config.device, config.threads)
 

@@ -1,5 +1,6 @@
-"""Lights: environment maps from the Blender wheel, from a user's files, or computed; each scaled to
-a mean luminance of 1.
+"""Lights: environment maps from the Blender wheel, from a user's files, or computed.
+
+Each is scaled to a mean luminance of 1.
 """
 
 from factory.lights.catalogue import load, names

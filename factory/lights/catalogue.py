@@ -1,5 +1,6 @@
-"""Lights by name: the eight CC0 maps inside the Blender wheel, computed families, a user's library
-folder, or a path.
+"""Lights by name: maps of the Blender wheel, computed families, a user's library folder, or a path.
+
+The wheel holds eight maps under CC0.
 """
 
 import hashlib
@@ -8,19 +9,21 @@ from pathlib import Path
 
 from factory.lights import files, procedural
 from factory.lights.library import entry
-from factory.lights.light import from_pixels
+from factory.lights.light import Light, from_pixels
 from manifests.errors import InputError, closest
 
 WHEEL_LICENCE = "CC0"
 WHEEL_SOURCE = "Greg Zaal, Poly Haven; shipped with Blender as"
 
 
-def load(name_or_path, library=None):
-    """The Light of a name (`city`, `softboxes-7`, one in the `library` folder) or of an .hdr, .exr
-    or .npz file.
+def load(name_or_path: str | Path, library: str | Path | None = None) -> Light:
+    """Return the Light of a name or of an .hdr, .exr or .npz file.
+
+    A name is one of the wheel's (`city`), of a computed light (`softboxes-7`), or in the `library`
+    folder.
 
     Raises  InputError for an unknown name (with the closest ones) or a file that holds no usable
-    light
+            light
     """
     text = str(name_or_path)
     if files.is_light_path(text):
@@ -49,10 +52,8 @@ def load(name_or_path, library=None):
     )
 
 
-def names(library=None):
-    """Every name that `load` knows, in a stable order: the wheel's, the computed families', the
-    library's.
-    """
+def names(library: str | Path | None = None) -> list[str]:
+    """Return every name known to `load`, in a stable order: wheel, computed families, library."""
     own = library_maps(library) if library is not None else {}
     return [
         *wheel_maps(),
@@ -61,10 +62,8 @@ def names(library=None):
     ]
 
 
-def wheel_maps():
-    """{name: path} of the maps inside the bpy wheel, found without importing it; empty where it is
-    not installed.
-    """
+def wheel_maps() -> dict[str, Path]:
+    """Return {name: path} of the maps inside the bpy wheel, {} without it; bpy is not imported."""
     spec = importlib.util.find_spec("bpy")
     if spec is None or spec.origin is None:
         return {}
@@ -74,8 +73,8 @@ def wheel_maps():
     }
 
 
-def library_maps(folder):
-    """{name: path} of the .hdr, .exr and .npz files in a folder, not below it."""
+def library_maps(folder: str | Path) -> dict[str, Path]:
+    """Return {name: path} of the .hdr, .exr and .npz files in a folder, without its subfolders."""
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(

@@ -1,5 +1,4 @@
-"""A light map's file: told apart by its first bytes, bounded by its header before memory is taken,
-then read.
+"""Light map files: recognised by their first bytes, bounded by their header, then read.
 
 Radiance .hdr and OpenEXR .exr, (H, 2H) pixels of an equirectangular map; .npz of numpy, arrays (H,
 2H, 3) whose columns are as in the other two: one map where a light is read, any number where maps
@@ -8,6 +7,7 @@ are added to a library.
 
 import contextlib
 import hashlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -42,16 +42,15 @@ PICTURES = {
 }
 
 
-def is_light_path(text):
-    """True if a text means a file rather than a name: it has a folder in it or a light map's
-    ending.
-    """
+def is_light_path(text: str | Path) -> bool:
+    """Return whether a text is a path rather than a name: it has a folder or a map's ending."""
     return "/" in str(text) or "\\" in str(text) or Path(text).suffix.lower() in SUFFIXES
 
 
-def read(path):
-    """Pixels (H, W, 3) float32 as stored, and the SHA-256 of the file. Raises InputError; OSError
-    if it cannot be opened.
+def read(path: str | Path) -> tuple[np.ndarray, str]:
+    """Return pixels (H, W, 3) float32 as stored, and the SHA-256 of the file.
+
+    Raises  InputError; OSError if the file cannot be opened
     """
     path = Path(path)
     kind = _kind(path)
@@ -83,15 +82,13 @@ def read(path):
     return pixels, digest(path)
 
 
-def is_collection(path):
-    """True for an .npz, which may hold many maps."""
+def is_collection(path: str | Path) -> bool:
+    """Return whether a file is an .npz, which may hold many maps."""
     return Path(path).is_file() and _kind(Path(path)) == "npz"
 
 
-def maps_in(path):
-    """(name, pixels (H, 2H, 3) float32) of each map in an .npz, one after another. Raises
-    InputError.
-    """
+def maps_in(path: str | Path) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield (name, pixels (H, 2H, 3) float32) of each map in an .npz. Raises InputError."""
     with opened_zip(
         path, "a whole .npz file of arrays (H, 2H, 3)", "export it again with numpy.savez"
     ) as archive:
@@ -123,8 +120,9 @@ def _check_map(path, name, shape, dtype):
 
 
 def _floats(file, header):
-    """The values of an array (H, W, 3) as float32, a band at a time: no copy in the file's own type
-    is held.
+    """Return the values of an array (H, W, 3) as float32.
+
+    They are read band by band, so that no copy in the file's own type is held.
     """
     height, width, channels = header.shape
     pixels = np.empty(header.shape, np.float32)
@@ -149,7 +147,7 @@ def _floats(file, header):
 
 
 def _read_npz(path, check_size):
-    """The one map of an .npz."""
+    """Return the one map of an .npz."""
     maps = maps_in(path)
     _, pixels = next(maps)
     check_size(*pixels.shape[:2], pixels.nbytes)
@@ -165,8 +163,8 @@ def _read_npz(path, check_size):
     return pixels
 
 
-def digest(path):
-    """SHA-256 of a file, hex."""
+def digest(path: str | Path) -> str:
+    """Return the SHA-256 of a file, hex."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -197,7 +195,7 @@ def _kind(path):
 
 
 def _read_exr(path, check_size):
-    """R, G, B, or one grey channel three times, of an OpenEXR file's first part."""
+    """Return R, G, B, or one grey channel three times, of an OpenEXR file's first part."""
     import OpenEXR
 
     broken = InputError(
@@ -247,8 +245,9 @@ def _read_exr(path, check_size):
 
 
 def _exr_arrays(path, separately):
-    """{name: array} of the first part: each channel (H, W) by itself, or "RGB" and "RGBA" together,
-    (H, W, 3 or 4).
+    """Return {name: array} of the first part.
+
+    Each channel (H, W) stands by itself, or "RGB" and "RGBA" stand together, (H, W, 3 or 4).
     """
     import OpenEXR
 
@@ -257,28 +256,27 @@ def _exr_arrays(path, separately):
 
 
 def _rgb(arrays, requested, size, broken):
-    """Pixels (H, W, 3) float32 of what the library read, without a second copy of those that are
-    float32 already.
+    """Return pixels (H, W, 3) float32 from the library's arrays, without a copy of float32 ones.
 
     arrays  {name: (H, W) or (H, W, 3 or 4)}: channels by themselves, or R, G, B and perhaps A
-    together
+            together
     """
-    together = (
+    joined = (
         next((array for name, array in arrays.items() if name in ("RGB", "RGBA")), None)
         if requested != ("Y",)
         else None
     )
     planes = (
         [arrays.get(name) for name in requested]
-        if together is None
-        else [together[..., k] for k in range(3)]
+        if joined is None
+        else [joined[..., k] for k in range(3)]
     )
     if any(
         plane is None or plane.shape != size or plane.dtype.kind not in "fu" for plane in planes
     ):
         raise broken
-    if together is not None and together.dtype == np.float32:
-        return together[..., :3]
+    if joined is not None and joined.dtype == np.float32:
+        return joined[..., :3]
     pixels = np.empty((*size, 3), np.float32)
     for rows in envmap.bands(size[0]):
         for k in range(3):

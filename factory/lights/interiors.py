@@ -1,4 +1,6 @@
-"""Plans of rooms and skies, drawn from a seed: what factory.render.panorama renders into light maps.
+"""Plans of rooms and open skies, drawn from a seed.
+
+factory.render.panorama renders them into light maps.
 
 World axes: x east, y north, z up; metres. The panorama is taken at the origin, so that everything
 is placed about it; the floor lies at z = −height of the eye.
@@ -9,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 Triple = tuple[float, float, float]
+SOURCE = "brdfactory lights make"
 
 FURNITURE = ("sofa", "chair", "table", "lamp", "monitor", "vessel", "cushion", "toy")
 SIZES = {  # radius in metres of the sphere about a piece of furniture

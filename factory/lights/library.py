@@ -1,14 +1,17 @@
-"""A user's folder of light maps with a list beside them: lights.json holds licence and source for
-each name.
+"""A user's folder of light maps with a list beside them.
 
-Maps may be put into the folder by hand too; then their licence is simply unknown.
+lights.json holds licence and source for each name. Maps may be put into the folder by hand too;
+their licence is then unknown.
 """
 
 import hashlib
 import json
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
+
+import numpy as np
 
 from factory.lights import files
 from factory.lights.light import checked, from_pixels
@@ -20,15 +23,13 @@ from shaders import envmap
 LIST = "lights.json"
 
 
-def entry(folder, name):
-    """What the folder's list says of a name: {file, hash, licence, source}, or {} if it says
-    nothing.
-    """
+def entry(folder: str | Path, name: str) -> dict[str, str]:
+    """Return {file, hash, licence, source} of a name in the folder's list, or {} without it."""
     return read_list(folder).get(name, {})
 
 
-def read_list(folder):
-    """The folder's list, {} where there is none. Raises InputError if it is damaged."""
+def read_list(folder: str | Path) -> dict[str, dict[str, str]]:
+    """Return the folder's list, or {} where there is none. Raises InputError if it is damaged."""
     path = Path(folder) / LIST
     if not os.path.lexists(path):
         return {}
@@ -39,12 +40,11 @@ def read_list(folder):
         raise InputError(problem.where, problem.expected, problem.found, remedy) from None
 
 
-def add(path, folder, licence, source=None):
-    """Checks a map, copies it into the folder and lists it; returns its name, or the older name of
-    the same map.
+def add(path: str | Path, folder: str | Path, licence: str, source: str | None = None) -> str:
+    """Check a map, copy it into the folder and list it; return its name.
 
-    The name is the file's, in lower case with dashes. Raises InputError if another map already has
-    it
+    The name is the file's, in lower case with dashes, or the older name of the same map. Raises
+    InputError if another map already has the name.
     """
     path, folder = Path(path), Path(folder)
     pixels, digest = files.read(path)
@@ -58,13 +58,15 @@ def add(path, folder, licence, source=None):
     return _place(target, data, licence, source or path.name, listed)
 
 
-def add_maps(path, folder, licence, known):
-    """Adds each map of an .npz as a file of its own; yields (its name there, name added or of the
-    light it repeats, True if added).
+def add_maps(
+    path: str | Path, folder: str | Path, licence: str, known: dict[str, np.ndarray]
+) -> Iterator[tuple[str, str, bool]]:
+    """Add each map of an .npz as a file of its own.
 
-    known  {name: L64} of lights that there are already: a second copy of one would stand on another
-    side of the split than the first;
-           grows by what is added
+    Yields (its name in the .npz, the name added or that of the light it repeats, True if added).
+
+    known  {name: L64} of existing lights, to which added ones are added: a second copy of one could
+           fall into another split than the first
     """
     folder = Path(folder)
     for inner, pixels in files.maps_in(path):
@@ -73,9 +75,11 @@ def add_maps(path, folder, licence, known):
         # a run was killed before it had listed it
         unlisted = _name(inner) not in listed and _holds(folder / f"{_name(inner)}.npz", data)
         if not unlisted and (
-            twin := next((name for name, L in known.items() if envmap.is_same_source(L64, L)), None)
+            duplicate := next(
+                (name for name, L in known.items() if envmap.is_same_source(L64, L)), None
+            )
         ):
-            yield inner, twin, False
+            yield inner, duplicate, False
             continue
         target = _free(f"{path}: {inner}", inner, ".npz", folder, listed, data)
         name = _place(target, data, licence, f"{Path(path).name}: {inner}", listed)
@@ -83,13 +87,23 @@ def add_maps(path, folder, licence, known):
         yield inner, name, True
 
 
+def add_made(name: str, pixels: np.ndarray, folder: str | Path, licence: str, source: str) -> None:
+    """Write a map (H, 2H, 3) that this program made, as `name`.npz, and list it.
+
+    Raises InputError if the name is taken.
+    """
+    folder = Path(folder)
+    listed, data = read_list(folder), npz_bytes({"L": pixels})
+    _place(_free(name, name, ".npz", folder, listed, data), data, licence, source, listed)
+
+
 def _name(stem):
-    """The name of a map in a library by that of its file."""
+    """Return the name of a map in a library by the stem of its file."""
     return re.sub(r"[^a-z0-9]+", "-", stem.lower()).strip("-") or "light"
 
 
 def _free(where, stem, suffix, folder, listed, data):
-    """The path of a new map's file of these bytes. Raises InputError if its name is taken."""
+    """Return the path for the file of a new map. Raises InputError if its name is taken."""
     name = _name(stem)
     if name in listed:
         raise InputError(
@@ -111,14 +125,12 @@ def _free(where, stem, suffix, folder, listed, data):
 
 
 def _holds(path, data):
-    """Whether a file holds these bytes."""
+    """Return whether a file holds these bytes."""
     return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
 
 
 def _place(target, data, licence, source, listed):
-    """Put a map's file and its line of the list in place, both or neither; returns the map's
-    name.
-    """
+    """Write a map's file and its line of the list, both or neither; return the map's name."""
     folder, name = target.parent, target.stem
     digest = hashlib.sha256(data).hexdigest()
     with transaction():

@@ -1,21 +1,21 @@
 """One light: an environment map in our convention, at its own size and at the layer's 64×128.
 
 pixels  (height, width, 3) linear Rec.709 radiance as a file stores them: row 0 at the zenith, the
-picture's centre column where
-        Blender and most programs look for world +x (u = ½ − atan2(y, x) / 2π, at rotation 0)
+        picture's centre column where Blender and most programs look for world +x
+        (u = ½ − atan2(y, x) / 2π, at rotation 0)
 L       the same in the light frame of a camera at azimuth 0 (shaders.envmap): u_file = u + ¼, so
-our column j is the file's
-        column j + width/4. A file whose width is no multiple of 4 is first averaged by solid angle
-        to the next one that is.
+        our column j is the file's column j + width/4. A file whose width is no multiple of 4 is
+        first averaged by solid angle to the next one that is.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from manifests.arrays import LIGHT_SHAPE
 from manifests.errors import InputError
-from shaders import envmap
+from shaders import envmap, tone
 
 LAYER_SIZE = LIGHT_SHAPE[:2]  # the paper's map
 # negative radiance up to this share of the mean is lossy compression's ripple, set to 0; Blender's
@@ -33,9 +33,9 @@ class Light:
     """A light ready for both renderers.
 
     L64      (64, 128, 3) float32, solid-angle mean luminance 1, light frame at azimuth 0: what the
-    layer sees
+             layer sees
     L_full   (H, W, 3) float32, the same light at its own size, divided by the same scale; W is a
-    multiple of 4
+             multiple of 4
     scale    the file's mean luminance: file = L × scale
     hash     SHA-256 (hex) of the file's bytes, or of a computed light's name and version
     licence, source  as credits need them
@@ -50,11 +50,13 @@ class Light:
     source: str
 
 
-def from_pixels(pixels, name, digest, licence, source, in_place=False):
-    """The Light of a map as a file stores it; (H, W, 3) any scale, checked here.
+def from_pixels(
+    pixels: np.ndarray, name: str, digest: str, licence: str, source: str, in_place: bool = False
+) -> Light:
+    """Return the Light of a map as a file stores it: (H, W, 3) of any scale, checked here.
 
     in_place  True: `pixels`, float32 and writable, become the light's own L_full: no second map of
-    that size is made
+              that size is made
     Raises    InputError
     """
     pixels = np.asarray(pixels, np.float32) if in_place else np.array(pixels, np.float32)
@@ -68,16 +70,17 @@ def from_pixels(pixels, name, digest, licence, source, in_place=False):
         )
     for rows in envmap.bands(height):
         pixels[rows] = envmap.roll(pixels[rows], -(width // 4))
-    scale = float(envmap.mean_radiance(pixels) @ envmap.LUMINANCE)
+    scale = float(envmap.mean_radiance(pixels) @ tone.LUMINANCE)
     pixels /= scale
     pixels = pixels.astype(np.float32, copy=False)
     L64 = envmap.resize(pixels, *LAYER_SIZE, np.float32)
     return Light(name, L64, pixels, scale, digest, licence, source)
 
 
-def checked(pixels, where):
-    """The map (H, W, 3) itself. Raises InputError if its values are no light: not finite, black,
-    negative, or an 8-bit picture's.
+def checked(pixels: np.ndarray, where: str | Path) -> np.ndarray:
+    """Return the map (H, W, 3) itself if its values are those of a light.
+
+    Raises  InputError for values that are not finite, black, negative, or an 8-bit picture's
     """
     rows = [pixels[band] for band in envmap.bands(len(pixels))]
     broken = sum(int((~np.isfinite(each)).any(-1).sum()) for each in rows)
@@ -88,7 +91,7 @@ def checked(pixels, where):
             f"NaN or infinity in {broken} texels",
             "paint them out or export the map again",
         )
-    mean = float(envmap.mean_radiance(pixels) @ envmap.LUMINANCE)
+    mean = float(envmap.mean_radiance(pixels) @ tone.LUMINANCE)
     lowest, highest = float(pixels.min()), float(pixels.max())
     if lowest == highest == 0:
         raise InputError(
@@ -108,7 +111,7 @@ def checked(pixels, where):
             "scale the map and save it again",
         )
     if looks_like_eight_bits(pixels):
-        result = "at most 256 levels a channel and none above 1, as in an 8-bit picture"
+        result = "at most 256 levels per channel and none above 1, as in an 8-bit picture"
         raise InputError(
             where,
             "high-dynamic-range radiance",
@@ -118,9 +121,10 @@ def checked(pixels, where):
     return pixels
 
 
-def looks_like_eight_bits(pixels):
-    """True if a map has the levels of an 8-bit picture: 17 to 256 a channel (fewer: a drawn test
-    map), none above 1.
+def looks_like_eight_bits(pixels: np.ndarray) -> bool:
+    """Return whether a map has the levels of an 8-bit picture.
+
+    Such a map has 17 to 256 levels per channel, none above 1; one with fewer is a drawn test map.
     """
     if pixels.size < 3 * 4096 or pixels.max() > 1.0:
         return False
@@ -132,8 +136,9 @@ def looks_like_eight_bits(pixels):
     return max(len(known) for known in levels) > 16
 
 
-def to_file_columns(L):
-    """A light-frame map (H, W, 3) with the columns a file has: what an image viewer or Blender
-    expects at rotation 0.
+def to_file_columns(L: np.ndarray) -> np.ndarray:
+    """Return a light-frame map (H, W, 3) with the columns of a file.
+
+    An image viewer, and Blender at rotation 0, expect these columns.
     """
     return envmap.roll(L, L.shape[1] // 4)

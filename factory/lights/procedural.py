@@ -1,9 +1,8 @@
-"""Lights computed from a seed: for tests, for training on more lights than there are photographs
-of, and where no file is at hand.
+"""Lights computed from a seed: for tests, for training, and where no file is available.
 
-Each returns (height, width, 3) float64 radiance, rows and columns as in a file
-(factory.lights.light), any scale. A name may carry a seed after a dash: `softboxes-7`. A change
-that alters pixels raises VERSION, so that hashes tell.
+Each function returns (height, width, 3) float64 radiance, rows and columns as in a file
+(factory.lights.light), any scale. A name may carry a seed after a dash: `softboxes-7`. Raise
+VERSION with any change that alters pixels, because it enters the lights' hashes.
 """
 
 import numpy as np
@@ -17,22 +16,24 @@ GROUND = np.array([0.22, 0.19, 0.16])
 SUN = np.array([1.0, 0.9, 0.75])
 
 
-def constant(rng, height, width):
-    """1 everywhere: a white sphere under it shows its albedo."""
+def constant(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
+    """Return 1 everywhere: a white sphere under it shows its albedo."""
     return np.ones((height, width, 3))
 
 
-def gradient(rng, height, width):
-    """Bright zenith to dark nadir, linear in the height above the horizon: the smoothest light that
-    tells up from down.
+def gradient(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
+    """Return a gradient from bright zenith to dark nadir, linear in the height above the horizon.
+
+    It is the smoothest light that distinguishes up from down.
     """
     up = envmap.directions(height, width)[0][..., 1]
     return np.repeat((1.0 + 0.9 * up)[..., None], 3, axis=-1)
 
 
-def one_texel(rng, height, width):
-    """One texel of a 64×128 map lit, white, above the horizon; which one is drawn: the probe of
-    every convention.
+def one_texel(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
+    """Return a map with one white texel of 64×128 lit above the horizon, to test every convention.
+
+    The texel is drawn at random.
     """
     row, column = int(rng.integers(8, 32)), int(rng.integers(0, 128))
     L = np.zeros((64, 128, 3))
@@ -40,9 +41,10 @@ def one_texel(rng, height, width):
     return np.repeat(np.repeat(L, height // 64, axis=0), width // 128, axis=1)
 
 
-def sun_and_sky(rng, height, width):
-    """A clear sky, over a dull ground; the sun's disc carries a fifth to two thirds of the
-    light.
+def sun_and_sky(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
+    """Return a clear sky over dull ground, with a sun.
+
+    The sun's disc carries a fifth to two thirds of the light.
     """
     w, _ = envmap.directions(height, width)
     elevation, azimuth = np.radians(rng.uniform(10, 70)), rng.uniform(0, 2 * np.pi)
@@ -57,15 +59,15 @@ def sun_and_sky(rng, height, width):
     haze = np.clip(1.0 - up, 0.0, 1.0) ** 3
     sky = SKY_ZENITH + (SKY_HORIZON - SKY_ZENITH) * haze
     away = np.arccos(np.clip(w @ sun, -1.0, 1.0))[..., None]
-    glow = 2.0 * np.exp(-away / np.radians(12.0)) * SUN
+    aureole = 2.0 * np.exp(-away / np.radians(12.0)) * SUN
     disc = SUN * np.where(away < np.radians(1.5), rng.uniform(1000, 5000), 0.0)
     # four rows wide, so that no edge is a staircase
     horizon = np.clip(up * height / 4 + 0.5, 0.0, 1.0)
-    return GROUND + horizon * (sky + glow - GROUND) + disc
+    return GROUND + horizon * (sky + aureole - GROUND) + disc
 
 
-def softboxes(rng, height, width):
-    """A photographer's dark room: two to four rectangular lamps with soft rims on a dim grey."""
+def softboxes(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
+    """Return a dark studio: two to four rectangular lamps with soft rims on dim grey."""
     w, _ = envmap.directions(height, width)
     L = np.full((height, width, 3), rng.uniform(0.02, 0.08))
     for _ in range(int(rng.integers(2, 5))):
@@ -95,8 +97,8 @@ FAMILIES = {
 }
 
 
-def parse(name):
-    """(family, seed) of a name such as `softboxes` or `softboxes-7`, or None."""
+def parse(name: str) -> tuple[str, int] | None:
+    """Return (family, seed) of a name such as `softboxes` or `softboxes-7`, or None."""
     family, dash, seed = name.rpartition("-")
     if name in FAMILIES:
         return name, 0
@@ -105,7 +107,7 @@ def parse(name):
     return None
 
 
-def pixels(family, seed):
-    """The map (256, 512, 3) of a family and seed."""
+def pixels(family: str, seed: int) -> np.ndarray:
+    """Return the map (256, 512, 3) of a family and seed."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(VERSION,)))
     return FAMILIES[family](rng, *SIZE)

@@ -1,14 +1,16 @@
-"""Radiance's .hdr pictures: four bytes a pixel, a shared exponent e: value = mantissa · 2^(e −
-136), 0 where e = 0.
+"""Radiance's .hdr pictures: four bytes per pixel with a shared exponent e.
 
-A scanline is flat, old-style (a pixel 1 1 1 n repeats the one before n times, successive ones shift
-n by 8 bits), or new-style (2 2 and the width in two bytes, then each of the four components by
-itself: a count above 128 repeats one byte count − 128 times, another is followed by that many
-bytes). Source: Greg Ward, "Real Pixels", Graphics Gems II. Radiance itself adds ½ to the mantissa;
-Blender, whose picture this must be, does not (a test asks it).
+value = mantissa · 2^(e − 136), 0 where e = 0. A scanline is flat, old-style (a pixel 1 1 1 n
+repeats the one before n times, successive ones shift n by 8 bits), or new-style (2 2 and the width
+in two bytes, then each of the four components by itself: a count above 128 repeats one byte count
+− 128 times, another is followed by that many bytes). Source: Greg Ward, "Real Pixels", Graphics
+Gems II. Radiance itself adds ½ to the mantissa; Blender, whose picture this must be, does not (a
+test compares the two).
 """
 
 import re
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -22,13 +24,14 @@ LONGEST = 20
 REMEDY = "export the map again as Radiance .hdr or OpenEXR"
 
 
-def read(path, check_size):
-    """Pixels (H, W, 3) float32 of a Radiance file.
+def read(path: Path, check_size: Callable[[int, int, int], None]) -> np.ndarray:
+    """Return the pixels (H, W, 3) float32 of a Radiance file.
 
-    check_size(height, width, bytes_needed) raises InputError before memory is taken for a picture
-    too large Raises  InputError
+    check_size  function of (height, width, bytes needed) that raises InputError before memory is
+                taken for a picture that is too large
+    Raises      InputError
 
-    Takes the memory of the picture, of ROWS scanlines and of PIECE bytes of the file.
+    It takes the memory of the picture, of ROWS scanlines and of PIECE bytes of the file.
     """
     with open(path, "rb") as file:
         data = file.read(MAX_HEADER)
@@ -57,8 +60,9 @@ def read(path, check_size):
 
 
 def _header(data, path):
-    """Where the pixels start, height, width, and the product of EXPOSURE lines, by which the pixels
-    were multiplied.
+    """Return the offset of the pixels, height, width, and the product of EXPOSURE lines.
+
+    The pixels were multiplied by that product.
     """
     end = data.find(b"\n\n", 0, MAX_HEADER)
     line_end = data.find(b"\n", end + 2, end + 2 + 100)
@@ -84,9 +88,7 @@ def _header(data, path):
 
 
 def _positive(text, path):
-    """A number from text, or a product of such numbers, within what float32 can divide by. Raises
-    InputError.
-    """
+    """Return a positive number by which float32 can be divided. Raises InputError otherwise."""
     try:
         value = float(text)
     except ValueError:
@@ -108,7 +110,7 @@ def _truncated(path, found):
 
 
 def _scanline(data, start, row, path, number):
-    """Fills row (width, 4) from the bytes at `start`; returns where the next scanline starts."""
+    """Fill row (width, 4) from the bytes at `start`; return the offset of the next scanline."""
     width = row.shape[0]
     head = data[start : start + 4]
     new = 8 <= width < 32768 and head[:2] == b"\x02\x02" and len(head) == 4 and head[2] < 128

@@ -1,1 +1,1 @@
-"""Materials: measured BRDFs in, labels and the closure mixtures that render them out."""
+"""Materials: measured BRDFs are fitted by labels and by the closure mixtures that render them."""

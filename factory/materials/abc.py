@@ -1,5 +1,4 @@
-"""The ABC microfacet fits of MERL's hundred: a second witness of the same measurements, to set the
-neural ones against.
+"""The ABC microfacet fits of MERL's hundred, a second witness beside the neural fits.
 
 f = k_d/π + F D G / (π cos_i cos_o);  D = A / (1 + B (1 − cos_h))^C;  F unpolarised dielectric
 Fresnel at cos_d; G = min(1, 2 cos_h cos_i / cos_d, 2 cos_h cos_o / cos_d). Source: Löw, Kronander,
@@ -9,11 +8,15 @@ parameters as in dj_brdf's table (CSV: name, kd_r, kd_g, kd_b, A_r, A_g, A_b, B,
 
 import csv
 import math
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from factory.materials.errors import relative_l1
 from factory.materials.samples import held_out
+from factory.materials.sources import Source
 from manifests.errors import InputError
 from manifests.inputs import require_file
 
@@ -22,12 +25,14 @@ COLUMNS = ("kd_r", "kd_g", "kd_b", "A_r", "A_g", "A_b", "B", "C", "ior")
 
 
 class ABC:
-    """One material of the table: call it with the four cosines to get f (…, 3)."""
+    """One material of the table, callable with the four cosines; it returns f (…, 3)."""
 
-    def __init__(self, k_d, A, B, C, ior):
+    def __init__(self, k_d: ArrayLike, A: ArrayLike, B: float, C: float, ior: float) -> None:
         self.k_d, self.A, self.B, self.C, self.ior = np.asarray(k_d), np.asarray(A), B, C, ior
 
-    def __call__(self, cos_i, cos_o, cos_h, cos_d):
+    def __call__(
+        self, cos_i: np.ndarray, cos_o: np.ndarray, cos_h: np.ndarray, cos_d: np.ndarray
+    ) -> np.ndarray:
         g = np.sqrt(self.ior**2 - 1 + cos_d**2)
         parallel, crossed = (
             (g - cos_d) / (g + cos_d),
@@ -39,8 +44,8 @@ class ABC:
         return self.k_d / np.pi + D * (F * G / (np.pi * cos_i * cos_o))[..., None]
 
 
-def load(path):
-    """{name: ABC} of the table at `path`. Raises InputError for a row that is not one."""
+def load(path: Path) -> dict[str, ABC]:
+    """Return {name: ABC} of the table at `path`. Raises InputError for a malformed row."""
     require_file(path, "the ABC table", "give it as a CSV file", MAXIMUM_BYTES)
     materials = {}
     with open(path, newline="", encoding="utf-8-sig") as file:
@@ -62,9 +67,12 @@ def load(path):
     return materials
 
 
-def relative_distances(sources, table):
-    """{name: (6,)}: relative L1 of f · cos between a measurement and the table's fit, at each
-    held-out view; names in both.
+def relative_distances(
+    sources: Mapping[str, Source], table: Mapping[str, ABC]
+) -> dict[str, np.ndarray]:
+    """Return the relative L1 of f · cos (6,) between measurement and table at the held-out views.
+
+    Only names that both have are compared.
     """
     samples = held_out()
     return {

@@ -1,12 +1,14 @@
-"""What kind of stuff each measured material is, and who may learn from it.
+"""The family of each measured material, and its split.
 
-MERL's hundred carry their family in the name, more or less; the rest is listed. The paper holds out
-20 of 80 materials and names none: the twenty here are our choice, drawn from every family. Which 60
-of the other 80 the `paper` preset keeps is said by manifests.splits.
+Most of MERL's hundred carry their family in the name; the rest is listed. The paper holds out 20 of
+80 materials and names none: the twenty here are our choice, drawn from every family.
+manifests.splits says which 60 of the other 80 the `paper` preset keeps.
 """
 
 import hashlib
+from typing import Literal, TypeAlias
 
+Split: TypeAlias = Literal["train", "test"]
 HELD_OUT = frozenset(
     [
         *(
@@ -85,29 +87,29 @@ RGL_FAMILIES = {  # by the name's first part, as EPFL's database groups them
 }
 
 
-def family(name):
-    """The family of a MERL material; "other" for a name that says nothing."""
+def family(name: str) -> str:
+    """Return the family of a MERL material; "other" for a name that says nothing."""
     for kind, names in NAMED.items():
         if name in names.split():
             return kind
     return next((kind for word, kind in BY_WORD if word in name), "other")
 
 
-def rgl_family(name):
-    """The family of an EPFL material."""
+def rgl_family(name: str) -> str:
+    """Return the family of an EPFL material."""
     return RGL_FAMILIES.get(name.split("_")[0], "other")
 
 
-def split(name):
-    """train or test, of a MERL material."""
+def split(name: str) -> Split:
+    """Return the split of a MERL material, train or test."""
     return "test" if name in HELD_OUT else "train"
 
 
-def rgl_split(name):
-    """train or test, of an EPFL material: about a fifth by a hash of the name's first part, so that
-    one maker's colours keep together.
+def rgl_split(name: str) -> Split:
+    """Return the split of an EPFL material, train or test.
 
-    Our choice: the paper has MERL alone.
+    The test split has about a fifth, by a hash of the name's first part, so that one maker's
+    colours stay together. This is our choice: the paper has MERL alone.
     """
     group = hashlib.sha256(name.split("_")[0].encode()).hexdigest()
     return "test" if int(group[:8], 16) / 2**32 < 0.2 else "train"

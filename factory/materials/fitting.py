@@ -1,14 +1,16 @@
-"""Fits many materials, keeps each as it is done, and gathers them into a catalogue.
+"""Fits of many materials, each kept when it is done, and their catalogue.
 
-Beside the catalogue FILE a folder FILE.fits/ holds one entry a material, named by a hash of all
-that determines its fit: the measurement, the recipe, the light maps and this program's fitting
-code. A second call takes them from there; another recipe makes others.
+Beside the catalogue FILE a folder FILE.fits/ holds one entry per material, named by a hash of all
+that determines its fit: the measurement, the recipe, the light maps and the version of the fitting
+code. A second call reads them from there; another recipe makes others.
 """
 
 import concurrent.futures
 import hashlib
 import os
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -16,6 +18,7 @@ from tqdm import tqdm
 
 from factory.materials import errors, recipe
 from factory.materials.samples import held_out
+from factory.materials.sources import Source
 from factory.materials.sphere import Sphere
 from manifests import materials as catalogue
 from manifests.errors import InputError
@@ -29,13 +32,11 @@ VERSION = 2
 # cos_h, cos_d at which a measurement is hashed
 PROBE = np.linspace(0.01, 0.999, 64)[:, None], np.linspace(0.05, 0.999, 16)
 
-_WORKER = {}  # what each worker process holds: sources, recipe, sphere
+_WORKER: dict[str, Any] = {}  # of each worker process: sources, recipe, sphere
 
 
-def key(source, recipe_, maps):
-    """Names the fit of one source by one recipe, these light maps and this version of the fitting
-    code.
-    """
+def key(source: Source, recipe_: recipe.Recipe, maps: Mapping[str, np.ndarray]) -> str:
+    """Return the hash that names the fit of a source by a recipe under light maps."""
     digest = hashlib.sha256(
         repr(recipe_).encode() + source.name.encode() + source.measured(*PROBE).tobytes()
     )
@@ -45,11 +46,17 @@ def key(source, recipe_, maps):
     return digest.hexdigest()[:16]
 
 
-def fit_all(sources, recipe_, maps, out, workers=1):
-    """Entries of all sources, in their order; each is kept under OUT.fits as soon as it is done.
+def fit_all(
+    sources: Mapping[str, Source],
+    recipe_: recipe.Recipe,
+    maps: Mapping[str, np.ndarray],
+    out: str | Path,
+    workers: int = 1,
+) -> list[Entry]:
+    """Return entries of all sources, in their order; each is kept under OUT.fits when it is done.
 
-    sources  {name: Source};  maps {name: (height, width, 3)} light maps for the display errors, may
-    be empty
+    sources  {name: Source}
+    maps     {name: (height, width, 3)} light maps for the display errors, may be empty
     """
     folder = Path(f"{out}.fits")
     folder.mkdir(parents=True, exist_ok=True)
@@ -77,8 +84,9 @@ def fit_all(sources, recipe_, maps, out, workers=1):
 
 
 def _kept(file):
-    """The entry of a fit that was kept; None if there is none, or a damaged one. Raises InputError
-    where something else lies there.
+    """Return the entry of a kept fit; None if there is none, or a damaged one.
+
+    Raises  InputError where something else than a file lies at its path
     """
     if not os.path.lexists(file):
         return None
@@ -92,7 +100,7 @@ def _kept(file):
 
 
 def _each(names, workers):
-    """Fits the names, in this process or in a pool of forked ones; yields each as it is done."""
+    """Fit the names, in this process or in a pool of forked ones; yield each when it is done."""
     if workers <= 1:
         for name in names:
             yield _fit_one(name)
@@ -117,15 +125,13 @@ def _fit_one(name):
     return name
 
 
-def write_entry(entry_, path):
-    """One entry as JSON, whole or not at all."""
+def write_entry(entry_: Entry, path: str | Path) -> None:
+    """Write one entry as JSON, completely or not at all."""
     write_bytes(path, msgspec.json.encode(entry_))
 
 
-def entry(source, fit, sphere=None):
-    """The catalogue's entry of a source and its fit; display errors if there is a sphere to
-    draw.
-    """
+def entry(source: Source, fit: recipe.Fit, sphere: Sphere | None = None) -> Entry:
+    """Return the catalogue's entry of a fit, with display errors if a sphere is given."""
     shown = recipe.display(fit, source.measured, sphere) if sphere else ((), (), ())
     distances = [
         Distance(_short(l1), _short(l2))
@@ -152,9 +158,10 @@ def _short(values):
     return tuple(float(f"{v:.4g}") for v in values)
 
 
-def with_neighbours(entries):
-    """The entries, each test one with the nearest training one: relative L1 of their labels' f ·
-    cos, mean over the held-out views.
+def with_neighbours(entries: Sequence[Entry]) -> list[Entry]:
+    """Return the entries, each of the test split with the nearest one of the training split.
+
+    The distance is the relative L1 of their labels' f · cos, mean over the held-out views.
     """
     samples = held_out()
     f = {e.name: errors.label_values(np.reshape(e.label, (3, 3, 2, 6)), samples) for e in entries}
@@ -164,22 +171,24 @@ def with_neighbours(entries):
         if e.split == "train" or not train:
             return None
         distance = {name: errors.relative_l1(f[name], f[e.name], samples).mean() for name in train}
-        name = min(distance, key=distance.get)
+        name = min(distance, key=distance.__getitem__)
         return Neighbour(name, float(f"{distance[name]:.4g}"))
 
     return [msgspec.structs.replace(e, nearest_train=nearest(e)) for e in entries]
 
 
-def duplicates(entries):
-    """Groups of names that share a hash: the same fit under several names."""
-    groups = {}
+def duplicates(entries: Sequence[Entry]) -> list[list[str]]:
+    """Return groups of names that share a hash: the same fit under several names."""
+    groups: dict[str, list[str]] = {}
     for e in entries:
         groups.setdefault(e.hash, []).append(e.name)
     return [names for names in groups.values() if len(names) > 1]
 
 
-def write_catalogue(entries, path, title, credit, light_maps):
-    """The catalogue of these entries, nearest training materials found, written to `path`."""
+def write_catalogue(
+    entries: Sequence[Entry], path: str | Path, title: str, credit: str, light_maps: Iterable[str]
+) -> None:
+    """Write the catalogue of these entries, with their nearest training materials, to `path`."""
     catalogue.write(
         catalogue.Catalogue(
             title=title,

@@ -1,31 +1,41 @@
-"""The fit of a label and a mixture to a measured material and to each other, all at once.
+"""The joint fit of a label and a mixture to a measured material and to each other.
 
-M  measured, L label, N mixture (nodes); λ, μ small.  Least:  |L − N|² + λ |L − M|² + μ |N − M|²  +
-ties,
-|·|² a weighted sum over samples, views and channels. For given L and closures the weights X ≥ 0 of
-N solve a small least-squares
-problem a view and channel (variable projection), because  |L − N|² + μ|N − M|² = (1 + μ)|N − T|² +
-μ/(1 + μ) |L − M|²,
-T = (L + μM)/(1 + μ). What is left, the label's 108 numbers and log α and tilt a view and closure,
-moves by Levenberg–Marquardt. Ties keep neighbouring views' log α and tilt together, so that nothing
-jumps between the stops of a colour ramp.
+M  measured, L label, N mixture (nodes); λ, μ small. It minimises
+|L − N|² + λ |L − M|² + μ |N − M|² + ties,
+where |·|² is a weighted sum over samples, views and channels. For given L and closures the weights
+X ≥ 0 of N solve a small least-squares problem per view and channel (variable projection), because
+|L − N|² + μ|N − M|² = (1 + μ)|N − T|² + μ/(1 + μ) |L − M|², T = (L + μM)/(1 + μ). The other
+variables, the label's 108 numbers and log α and tilt per view and closure, move by
+Levenberg–Marquardt. Ties keep neighbouring views' log α and tilt together, so that nothing jumps
+between the stops of a colour ramp.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from factory.materials import label_model, nnls, node_model
+from factory.materials.samples import Samples
 
+# columns, weights, active sides, normal matrices, residuals N − T, and L − M
+Projection: TypeAlias = tuple[
+    np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray
+]
 LABEL = 108
 
 
 @dataclass(frozen=True)
 class Settings:
-    """mu, mu_label: pull of nodes and label towards the measurement; tie_alpha, tie_tilt: between
-    neighbouring views, and upright: of tilts towards 0, all three relative to the measurement's
-    weighted square; prior, smooth: of the label, towards `prior_label` and against second
-    differences; iterations at most, and the relative gain below which three in a row end it.
+    """Weights of the cost's terms, and when to stop.
+
+    mu, mu_label          weights of nodes and label against the measurement
+    tie_alpha, tie_tilt   between neighbouring views, and upright: of tilts towards 0, all three
+                          relative to the measurement's weighted square
+    prior, smooth         of the label, towards `prior_label` and against second differences
+    iterations            at most
+    tolerance             relative gain below which three iterations in a row end the fit
     """
 
     mu: float = 0.1
@@ -41,24 +51,30 @@ class Settings:
 
 @dataclass(frozen=True)
 class State:
-    """label (3, 3, 2, 6), kinds (K,), log_alpha and tilt (V, K), weights (V, K, 3); cost is what
-    was minimised.
+    """Variables of the fit and their cost.
+
+    label (3, 3, 2, 6), kinds (K,), log_alpha and tilt (V, K), weights (V, K, 3)
     """
 
     label: np.ndarray
-    kinds: tuple
+    kinds: tuple[str, ...]
     log_alpha: np.ndarray
     tilt: np.ndarray
-    weights: np.ndarray = None
+    weights: np.ndarray = field(default_factory=lambda: np.zeros(0))  # set when a fit is done
     cost: float = np.inf
 
 
 class JointFit:
-    """The problem: samples, measured values (V, P, 3), weights (V, P, 3) of squared differences,
-    settings.
-    """
+    """The problem: samples, measured values, weights of squared differences, and settings."""
 
-    def __init__(self, samples, measured, weight, settings, prior_label):
+    def __init__(
+        self,
+        samples: Samples,
+        measured: np.ndarray,
+        weight: np.ndarray,
+        settings: Settings,
+        prior_label: np.ndarray,
+    ) -> None:
         # W (V, 3, P)
         self.samples, self.M, self.W, self.settings = (
             samples,
@@ -69,13 +85,13 @@ class JointFit:
         basis, self.log_cos_h = samples.spline()
         self.basis, self.prior_label = basis, prior_label
         self.energy = (weight * measured**2).sum((1, 2))  # (V,)
-        self.pull = settings.mu_label + settings.mu / (1 + settings.mu)
+        self.label_weight = settings.mu_label + settings.mu / (1 + settings.mu)
         self.scale = 1 / max(self.energy.sum(), 1e-12)
 
     # --- values and cost
 
     def _project(self, state):
-        """Columns, weights, active sides and residual N − T (V, 3, P) at a state."""
+        """Return columns, weights, active sides and residual N − T (V, 3, P) at a state."""
         mu = self.settings.mu
         L = label_model.values(state.label, self.basis, self.log_cos_h)
         T = (L + mu * self.M) / (1 + mu)
@@ -91,10 +107,9 @@ class JointFit:
         return A, x, active, G, r, np.moveaxis(L - self.M, -1, 1)
 
     def _ties(self, state):
-        """Quadratic penalty: its value, gradient (V·2K,) and matrix over [log α, tilt] of all
-        views.
-        """
-        s, V, K = self.settings, *state.log_alpha.shape
+        """Return the quadratic penalty's value, gradient (V·2K,) and matrix over [log α, tilt]."""
+        s = self.settings
+        V, K = state.log_alpha.shape
         energy = 0.5 * (self.energy[1:] + self.energy[:-1])
         D = np.diff(np.eye(V), axis=0)
         chain = (D.T * energy) @ D * 0.5
@@ -113,7 +128,7 @@ class JointFit:
         return value * self.scale, g.ravel() * self.scale, H.reshape(V * 2 * K, -1) * self.scale
 
     def _label_prior(self, label):
-        """Value, gradient (108,) and matrix of the label's own penalty."""
+        """Return value, gradient (108,) and matrix of the label's own penalty."""
         s = self.settings
         d = (label - self.prior_label).reshape(-1, 6)
         curves = label.reshape(-1, 6)
@@ -123,14 +138,12 @@ class JointFit:
         H = np.kron(np.eye(18), s.smooth * label_model.ROUGHNESS + s.prior * np.eye(6))
         return value, (s.prior * d + s.smooth * curves @ label_model.ROUGHNESS).ravel(), H
 
-    def cost(self, state, projected=None):
-        """What is minimised, relative to the measurement's weighted square, and the projection it
-        came from.
-        """
+    def cost(self, state: State, projected: Projection | None = None) -> tuple[float, Projection]:
+        """Return the cost, relative to the measurement's weighted square, and its projection."""
         mu = self.settings.mu
         projected = projected or self._project(state)
-        r, pull = projected[4], projected[5]
-        data = (1 + mu) * (self.W * r * r).sum() + self.pull * (self.W * pull * pull).sum()
+        r, off = projected[4], projected[5]
+        data = (1 + mu) * (self.W * r * r).sum() + self.label_weight * (self.W * off * off).sum()
         return (
             data * self.scale + self._ties(state)[0] + self._label_prior(state.label)[0],
             projected,
@@ -139,9 +152,9 @@ class JointFit:
     # --- one Gauss–Newton system
 
     def _system(self, state, projected):
-        """Gradient and matrix over [label (108), (log α, tilt) by view and closure]."""
+        """Return gradient and matrix over [label (108), (log α, tilt) by view and closure]."""
         mu = self.settings.mu
-        A, x, active, G, r, pull = projected
+        A, x, active, G, r, off = projected
         V, P, K = A.shape
         _, dL = label_model.slopes(state.label, self.basis.reshape(-1, 6), self.log_cos_h.ravel())
         dL = np.moveaxis(dL.reshape(3, V, P, 36), 0, 1)  # (V, 3, P, 36)
@@ -166,18 +179,19 @@ class JointFit:
         C = np.where(active[..., None], S[:, :, n:, :n], 0.0)
         S = S[:, :, :n, :n]
         # (V, 3, 36 + 3K, 2): slopes against both residuals
-        both_r = np.swapaxes(Z, 2, 3) @ np.stack([root * r, root * pull], -1)
+        both_r = np.swapaxes(Z, 2, 3) @ np.stack([root * r, root * off], -1)
         gradient = both_r[:, :, :n, 0]
         projected_S = S - np.swapaxes(C, 2, 3) @ np.linalg.solve(inner, C)
         size = LABEL + V * 2 * K
         H, g = np.zeros((size, size)), np.zeros(size)
-        pull_gradient = both_r[:, :, :36, 1].sum(0) * (-self.pull * (1 + mu))  # Z holds −dL/(1 + μ)
+        # Z holds −dL/(1 + μ)
+        label_gradient = both_r[:, :, :36, 1].sum(0) * (-self.label_weight * (1 + mu))
         for c in range(3):
             own = slice(36 * c, 36 * c + 36)
-            H[own, own] += (1 + mu) * projected_S[:, c, :36, :36].sum(0) + self.pull * (
+            H[own, own] += (1 + mu) * projected_S[:, c, :36, :36].sum(0) + self.label_weight * (
                 1 + mu
             ) ** 2 * S[:, c, :36, :36].sum(0)
-            g[own] += (1 + mu) * gradient[:, c, :36].sum(0) + pull_gradient[c]
+            g[own] += (1 + mu) * gradient[:, c, :36].sum(0) + label_gradient[c]
             for v in range(V):
                 nodes = slice(LABEL + 2 * K * v, LABEL + 2 * K * (v + 1))
                 H[nodes, nodes] += (1 + mu) * projected_S[v, c, 36:, 36:]
@@ -194,8 +208,9 @@ class JointFit:
         return g, H
 
     def _moved(self, state, step):
-        """The state after a step, inside its bounds; steps are clipped to what a linear model can
-        be trusted for.
+        """Return the state after a step, inside its bounds.
+
+        Steps are clipped to the range in which a linear model can be trusted.
         """
         V, K = state.log_alpha.shape
         low, high, least, most = node_model.bounds(state.kinds, self.samples.view_cos)
@@ -209,9 +224,12 @@ class JointFit:
             tilt=np.clip(state.tilt + np.clip(nodes[:, 1], -0.15, 0.15), least, most),
         )
 
-    def run(self, state, frozen=(), iterations=None):
-        """Levenberg–Marquardt from a state; `frozen` may hold "label" and "nodes". Returns the best
-        state, its weights set.
+    def run(
+        self, state: State, frozen: Collection[str] = (), iterations: int | None = None
+    ) -> State:
+        """Return the best state of Levenberg–Marquardt from a state, its weights set.
+
+        frozen  may hold "label", "nodes" and "tilt"
         """
         V, K = state.log_alpha.shape
         free = np.ones(LABEL + 2 * K * V, bool)

@@ -1,32 +1,41 @@
-"""A label fitted to a measured material alone, channel by channel: the start of the joint fit."""
+"""The fit of a label to a measured material alone, channel by channel, before the joint fit."""
 
 import numpy as np
 
 from factory.materials import label_model
+from factory.materials.samples import Samples
 
 # towards the start, and against second differences; relative to the target's weighted square
 PRIOR, SMOOTH = 1e-5, 1e-5
 
 
-def fit(target, weight, samples, starts, tries=12, iterations=60):
-    """The label (3, 3, 2, 6) of least weighted squared difference; every start is tried, the best
-    goes on.
+def fit(
+    target: np.ndarray,
+    weight: np.ndarray,
+    samples: Samples,
+    initial: np.ndarray,
+    tries: int = 12,
+    iterations: int = 60,
+) -> np.ndarray:
+    """Return the label (3, 3, 2, 6) of least weighted squared difference.
 
-    target, weight  (V, P, 3);  starts (S, 3, 3, 2, 6)
+    Every initialisation is descended for `tries` iterations, the best one for `iterations` more.
+
+    target, weight  (V, P, 3);  initial (S, 3, 3, 2, 6)
     """
     basis, log_cos_h = samples.spline()
     points = basis.reshape(-1, 6), log_cos_h.ravel()
-    label = np.empty(starts.shape[1:])
+    label = np.empty(initial.shape[1:])
     for c in range(3):
         channel = target[..., c].ravel(), weight[..., c].ravel()
-        first = [_descend(start[c], *channel, *points, tries) for start in starts]
+        first = [_descend(start[c], *channel, *points, tries) for start in initial]
         best = min(first, key=lambda result: result[1])[0]
         label[c] = _descend(best, *channel, *points, iterations)[0]
     return label
 
 
 def _descend(start, target, weight, basis, log_cos_h, iterations):
-    """Levenberg–Marquardt for one channel (3, 2, 6). Returns it and its cost."""
+    """Return one channel (3, 2, 6) after Levenberg–Marquardt, and its cost."""
     root = np.sqrt(weight / max((weight * target**2).sum(), 1e-12))
     regular = np.kron(np.eye(6), SMOOTH * label_model.ROUGHNESS + PRIOR * np.eye(6))
 

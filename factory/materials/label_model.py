@@ -1,11 +1,11 @@
-"""The label as something to fit: DSBRDF values and their slopes at samples, start values from data,
-bounds and priors.
+"""The label as a model to fit: DSBRDF values, derivatives, initialisations, bounds and priors.
 
 label  (3, 3, 2, 6): channel, lobe, (log κ, log γ), spline control values over θ_d
 """
 
 import numpy as np
 
+from factory.materials.samples import Measured
 from shaders.dsbrdf import MAX_EXPONENT
 from shaders.spline import greville
 
@@ -17,21 +17,23 @@ _D2 = np.diff(np.eye(6), 2, axis=0)
 ROUGHNESS = _D2.T @ _D2  # (6, 6): squared second differences of one curve's control values
 
 
-def bounded(label):
-    """The label with every number inside its bounds."""
+def bounded(label: np.ndarray) -> np.ndarray:
+    """Return the label with every number inside its bounds."""
     return np.clip(label, LOW, HIGH)
 
 
-def values(label, basis, log_cos_h):
-    """f (…, C): label (C, 3, 2, 6) at basis (…, 6), log cos_h (…)."""
+def values(label: np.ndarray, basis: np.ndarray, log_cos_h: np.ndarray) -> np.ndarray:
+    """Return f (…, C) of a label (C, 3, 2, 6) at basis (…, 6) and log cos_h (…)."""
     curves = np.exp(label) @ np.moveaxis(basis, -1, 0).reshape(6, -1)  # (C, 3, 2, points)
     exponent = curves[:, :, 0] * np.exp(np.maximum(curves[:, :, 1] * log_cos_h.ravel(), -700.0))
     f = np.expm1(np.minimum(exponent, MAX_EXPONENT)).sum(1)
     return np.moveaxis(f.reshape(-1, *log_cos_h.shape), 0, -1)
 
 
-def slopes(label, basis, log_cos_h):
-    """f (C, points) and its derivatives (C, points, 36) by the label's numbers.
+def slopes(
+    label: np.ndarray, basis: np.ndarray, log_cos_h: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return f (C, points) and its derivatives (C, points, 36) by the label's numbers.
 
     label (C, 3, 2, 6), basis (points, 6), log_cos_h (points,)
     """
@@ -46,9 +48,10 @@ def slopes(label, basis, log_cos_h):
     return np.expm1(exponent).sum(1), slope.reshape(len(label), len(log_cos_h), 36)
 
 
-def initial_labels(source):
-    """Three labels (3, 3, 3, 2, 6) read off the data: how much of the peak each sharp lobe is given
-    differs.
+def initial_labels(source: Measured) -> np.ndarray:
+    """Return three initial labels (3, 3, 3, 2, 6) estimated from the data.
+
+    They differ in the share of the peak that each sharp lobe has.
 
     source  callable (cos_h, cos_d) → f (…, 3)
     """
@@ -79,6 +82,6 @@ def initial_labels(source):
     return bounded(np.array(labels))
 
 
-def in_canonical_order(label):
-    """The label with its lobes by ascending mean log γ, all three channels together."""
+def in_canonical_order(label: np.ndarray) -> np.ndarray:
+    """Return the label with its lobes by ascending mean log γ, all three channels together."""
     return label[:, np.argsort(label[:, :, 1].mean((0, 2)), kind="stable")]

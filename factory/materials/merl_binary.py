@@ -1,17 +1,18 @@
 """A user's own MERL measurements: a folder of `.binary` files, or one of them.
 
 File     int32 n_h, n_d, n_φ (90, 90, 180), then n_h · n_d · n_φ doubles for each of red, green,
-blue, φ_d fastest, then θ_d, then θ_h
+         blue, φ_d fastest, then θ_d, then θ_h
 Index    θ_h bin = sqrt(θ_h / (π/2)) n_h, θ_d bin = θ_d / (π/2) n_d, φ_d over [0, π) (f is the same
-at φ_d + π)
+         at φ_d + π)
 Scale    red 1/1500, green 1.15/1500, blue 1.66/1500; negative: not measured
 
-Averaged over φ_d like every source here: a function of (θ_h, θ_d). Cells without any measurement
-take the nearest one at the same θ_d. Source: Matusik, Pfister, Brand, McMillan 2003 and the reader
-that comes with the data.
+Values are averaged over φ_d as for every source here: a function of (θ_h, θ_d). Cells without any
+measurement take the nearest one at the same θ_d. Source: Matusik, Pfister, Brand, McMillan 2003 and
+the reader that comes with the data.
 """
 
 import struct
+from pathlib import Path
 
 import numpy as np
 
@@ -26,14 +27,12 @@ MAX_CELLS = 4 * 90 * 90 * 180
 
 
 class TabulatedBRDF:
-    """One material: call it with cos_h, cos_d to get f (…, 3) in 1/sr, bilinear between cell
-    centres.
-    """
+    """One material, callable with cos_h, cos_d; f (…, 3) in 1/sr, bilinear between cells."""
 
-    def __init__(self, table):
+    def __init__(self, table: np.ndarray) -> None:
         self.table = table  # (n_h, n_d, 3)
 
-    def __call__(self, cos_h, cos_d):
+    def __call__(self, cos_h: np.ndarray, cos_d: np.ndarray) -> np.ndarray:
         n_h, n_d = self.table.shape[:2]
         theta_h, theta_d = (
             np.arccos(np.clip(np.asarray(c, float), 0, 1))
@@ -48,15 +47,16 @@ class TabulatedBRDF:
 
 
 def _between(position, count):
-    """Lower cell and fraction; held at the ends."""
+    """Return lower cell and fraction; clamped at the ends."""
     position = np.clip(position, 0, count - 1)
     low = np.minimum(position.astype(int), count - 2)
     return low, position - low
 
 
-def read(path):
-    """The TabulatedBRDF of one file. Raises InputError, one line, for what is no such file; nothing
-    is read before its size is checked.
+def read(path: Path) -> TabulatedBRDF:
+    """Return the TabulatedBRDF of one file.
+
+    Raises  InputError, one line, for any other file; values are read after the size is checked
     """
     require_file(path, "a MERL .binary file")
     size = path.stat().st_size
@@ -103,8 +103,9 @@ def read(path):
 
 
 def _filled(table, known):
-    """(3, n_h, n_d) with unknown cells taken from the nearest known θ_h of the same channel and
-    θ_d.
+    """Return (3, n_h, n_d) with unknown cells filled.
+
+    They take the value of the nearest known θ_h of the same channel and θ_d.
     """
     rows = np.arange(table.shape[1])
     filled = table.copy()
@@ -114,9 +115,10 @@ def _filled(table, known):
     return filled
 
 
-def files(path):
-    """{name: path} of a folder's `.binary` files, or of the one file. Raises InputError where there
-    are none.
+def files(path: Path) -> dict[str, Path]:
+    """Return {name: path} of a folder's `.binary` files, or of the one file.
+
+    Raises  InputError where there are none
     """
     result = [path] if path.is_file() else sorted(path.glob(f"*{SUFFIX}"))
     if not result:

@@ -1,14 +1,16 @@
-"""Measured materials as small networks: Neural-BRDF's fits of MERL (100) and of EPFL RGL's
-isotropic ones (51).
+"""Measured materials as small networks: Neural-BRDF's fits.
 
-A network takes (h_x, 0, h_z, d_x, d_y, d_z), Rusinkiewicz's half and difference vectors with φ_h =
-0, through 6-21-21-3 with relu, to f = exp(out) − 1: an absolute BRDF per channel, no cosine. Two of
-its flaws are mended here: values below 0 are held at 0, and it is averaged over φ_d, which makes it
+They are fits of MERL (100) and of EPFL RGL's isotropic materials (51). A network takes
+(h_x, 0, h_z, d_x, d_y, d_z), Rusinkiewicz's half and difference vectors with φ_h = 0, through
+6-21-21-3 with relu, to f = exp(out) − 1: an absolute BRDF per channel, no cosine. Two of its flaws
+are corrected here: values below 0 are clamped to 0, and it is averaged over φ_d, which makes it
 symmetric in light and view and a function of (θ_h, θ_d) alone, as a DSBRDF is.
 
 Source: Sztrajman, Rainer, Ritschel, Weyrich, "Neural BRDF Representation and Importance Sampling",
 CGF 2021 (MIT).
 """
+
+from pathlib import Path
 
 import numpy as np
 
@@ -23,9 +25,9 @@ MAX_MATERIALS = 10_000
 
 
 class NeuralBRDF:
-    """One material: call it with cos_h, cos_d to get f (…, 3) in 1/sr."""
+    """One material, callable with cos_h, cos_d; it returns f (…, 3) in 1/sr."""
 
-    def __init__(self, weights, n_phi=16):
+    def __init__(self, weights: np.ndarray, n_phi: int = 16) -> None:
         self.layers, self.n_phi, at = [], n_phi, 0
         for a, b in LAYERS:
             self.layers.append(
@@ -36,9 +38,10 @@ class NeuralBRDF:
             )
             at += a * b + b
 
-    def __call__(self, cos_h, cos_d):
-        """Mean over φ_d of the clamped network, over those directions where light and view are
-        above the horizon.
+    def __call__(self, cos_h: np.ndarray, cos_d: np.ndarray) -> np.ndarray:
+        """Return the mean of the clamped network over φ_d.
+
+        The mean runs over those directions where light and view are above the horizon.
         """
         cos_h, cos_d = np.broadcast_arrays(np.asarray(cos_h, float), np.asarray(cos_d, float))
         sin_h, sin_d = np.sqrt(np.clip(1 - cos_h**2, 0, 1)), np.sqrt(np.clip(1 - cos_d**2, 0, 1))
@@ -62,10 +65,10 @@ class NeuralBRDF:
         return np.expm1(np.minimum(np.maximum(x, 0) @ w3 + b3, 50.0))
 
 
-def load(path):
-    """{name: NeuralBRDF} of an npz with `names` (N,) and `weights` (N, 675).
+def load(path: Path) -> dict[str, NeuralBRDF]:
+    """Return {name: NeuralBRDF} of an npz with `names` (N,) and `weights` (N, 675).
 
-    Raises  InputError, one line, if the file is not such a one
+    Raises  InputError, one line, for any other file
     """
     expected, remedy = "an npz with `names` and `weights`", "give NBRDF weights"
     require_file(path, expected, remedy, MAX_BYTES)

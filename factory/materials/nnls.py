@@ -1,9 +1,9 @@
 """Many small non-negative least-squares problems at once, on their normal equations.
 
-minimise x·G x − 2 b·x over x ≥ 0 for each of N problems: G (N, K, K), b (N, K).
+It minimises x·G x − 2 b·x over x ≥ 0 for each of N problems: G (N, K, K), b (N, K).
 Block principal pivoting (Kim and Park 2011): all of a problem's wrong signs change sides together;
 a problem that does not improve for three rounds changes only its last wrong one, which is known to
-end.
+terminate.
 """
 
 import numpy as np
@@ -11,17 +11,19 @@ import numpy as np
 RIDGE = 1e-9  # relative, on the diagonal: closures can be nearly the same at some views
 
 
-def solve(G, b, start=None):
-    """Minimisers and the sides they lie on.
+def solve(
+    G: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the minimisers, and which of their numbers are above 0.
 
-    G (N, K, K) positive semi-definite, b (N, K), start (N, K) bool: which are guessed to be > 0
+    G (N, K, K) positive semi-definite, b (N, K); initial (N, K) bool: a guess of those above 0
     Returns  x (N, K) ≥ 0, active (N, K) bool
     """
     n, k = b.shape
     scale = 1 / np.sqrt(np.einsum("nkk->nk", G) + 1e-300)
     G = G * scale[:, :, None] * scale[:, None, :] + RIDGE * np.eye(k)
     b = b * scale
-    active = np.ones((n, k), bool) if start is None else start.copy()
+    active = np.ones((n, k), bool) if initial is None else initial.copy()
     fewest, patience = np.full(n, k + 1), np.full(n, 3)
     x, todo = np.zeros((n, k)), np.arange(n)
     for _ in range(20 * k):
@@ -43,7 +45,7 @@ def solve(G, b, start=None):
 
 
 def _on_side(G, b, active):
-    """Solution (N, K) with the inactive held at 0, and the slope (N, K) of the objective there."""
+    """Return the solution (N, K) with the inactive held at 0, and the objective's slope there."""
     both = active[:, :, None] & active[:, None, :]
     x = np.linalg.solve(np.where(both, G, np.eye(b.shape[1])), np.where(active, b, 0.0)[..., None])[
         ..., 0

@@ -1,13 +1,15 @@
-"""The closures as something to fit: columns of a linear model at samples, their slopes, and a first
-choice among them.
+"""The closures as a model to fit: columns at samples, derivatives, and a first choice among them.
 
-alpha, tilt  (V, K): one width and one tilt a view stop and closure
+alpha, tilt  (V, K): one width and one tilt per view stop and closure
 columns      (V, P, K): closure k at the samples of view v; a mixture is columns · weights (V, K, 3)
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from factory.materials import nnls
+from factory.materials.samples import Samples
 from shaders import closures
 
 # what Cycles renders without clamping; Ashikhmin–Shirley ends where its exponent reaches 0
@@ -23,16 +25,18 @@ TILT_MOST, TILT_LEAST = 0.6, -0.3
 STEP_ALPHA, STEP_TILT = 0.01, 0.004
 
 
-def dictionary():
-    """Closures to choose from: (kind, alpha), diffuse first."""
+def dictionary() -> list[tuple[str, float]]:
+    """Return the closures to choose from: (kind, alpha), diffuse first."""
     atoms = [("diffuse", 1.0)]
     atoms += [(kind, a) for kind in ("ggx", "beckmann") for a in np.geomspace(0.003, 1.0, 18)]
     atoms += [("ashikhmin_shirley", a) for a in np.geomspace(0.004, 0.985, 18)]
     return atoms + [("sheen", a) for a in (0.25, 0.5, 0.9)]
 
 
-def columns(kinds, log_alpha, tilt, samples):
-    """(V, P, K) closures at the samples; log_alpha, tilt (V, K)."""
+def columns(
+    kinds: Sequence[str], log_alpha: np.ndarray, tilt: np.ndarray, samples: Samples
+) -> np.ndarray:
+    """Return the closures (V, P, K) at the samples; log_alpha, tilt (V, K)."""
     parts = [
         (
             closures.evaluate(
@@ -46,9 +50,14 @@ def columns(kinds, log_alpha, tilt, samples):
     return np.stack(parts, -1)
 
 
-def slopes(kinds, log_alpha, tilt, samples, at):
-    """Differences of `at` (V, P, K), the columns, by log α and by tilt: two arrays (V, P, K);
-    diffuse has no α, sheen is not tilted.
+def slopes(
+    kinds: Sequence[str], log_alpha: np.ndarray, tilt: np.ndarray, samples: Samples, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return finite differences of the columns by log α and by tilt, two arrays (V, P, K).
+
+    Diffuse has no α, and sheen is not tilted.
+
+    at  (V, P, K) the columns
     """
     by_alpha, by_tilt = np.zeros_like(at), np.zeros_like(at)
     for k, kind in enumerate(kinds):
@@ -66,8 +75,10 @@ def slopes(kinds, log_alpha, tilt, samples, at):
     return by_alpha, by_tilt
 
 
-def bounds(kinds, view_cos):
-    """Lowest and highest log α (K,), and tilt (V, K)."""
+def bounds(
+    kinds: Sequence[str], view_cos: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return lowest and highest log α (K,), and lowest and highest tilt (V, K)."""
     low, high = np.array([LOG_ALPHA[kind] for kind in kinds]).T
     movable = np.array([kind != "sheen" for kind in kinds], float)
     return (
@@ -78,9 +89,12 @@ def bounds(kinds, view_cos):
     )
 
 
-def choose(target, weight, samples, count):
-    """Greedy choice from the dictionary with one local swap a round: lists of (kind, alpha), one
-    for each size 1 … count.
+def choose(
+    target: np.ndarray, weight: np.ndarray, samples: Samples, count: int
+) -> list[list[tuple[str, float]]]:
+    """Return a greedy choice from the dictionary for each size 1 … count.
+
+    Each choice is a list of (kind, alpha); each round adds a closure and tries one local swap.
 
     target (V, P, 3), weight (V, P, 3) of the squared differences
     """
@@ -102,7 +116,8 @@ def choose(target, weight, samples, count):
         gain = np.einsum("ni,ni->n", x, 2 * y) - np.einsum("ni,nij,nj->n", x, g, x)
         return -gain.reshape(3 * V, len(subsets)).sum(0)
 
-    chosen, sizes = [], []
+    chosen: list[int] = []
+    sizes: list[list[tuple[str, float]]] = []
     for _ in range(count):
         trials = [[*chosen, j] for j in range(len(atoms)) if j not in chosen]
         cost = costs(trials)

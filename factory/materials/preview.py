@@ -1,6 +1,9 @@
-"""A contact sheet of materials: a ball of each under one light map, from the label or from the
-mixture that Cycles renders.
+"""A contact sheet of materials: a sphere of each under one light map.
+
+The spheres show the label or the mixture that Cycles renders.
 """
+
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -8,21 +11,29 @@ from scipy.ndimage import map_coordinates
 
 from factory.materials.recipe import label_on
 from factory.materials.sphere import Sphere
+from manifests.materials import Material
 from shaders import tone
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
-CAPTION = 12  # pixels below a ball
-GROUND = 24  # display value around the balls
-# percentile of a ball's luminance that reaches white, if the ball is brighter than a white one
+CAPTION = 12  # pixels below a sphere
+GROUND = 24  # display value around the spheres
+# percentile of a sphere's luminance that reaches white, if it is brighter than a white sphere
 WHITE_AT = 98.0
 
 
-def contact_sheet(materials, L, size, columns, of, watch=lambda items: items):
-    """The contact sheet as a PIL image.
+def contact_sheet(
+    materials: Sequence[Material],
+    L: np.ndarray,
+    size: int,
+    columns: int,
+    of: str,
+    watch: Callable[[Iterable[Material]], Iterable[Material]] = lambda items: items,
+) -> Image.Image:
+    """Return the contact sheet as a PIL image.
 
-    materials  [Material], in the order of the sheet
+    materials  in the order of the sheet
     L          (height, width, 3) light map, light frame, unit mean
-    of         "label", "nodes" or "both" (label left half, nodes right half)
+    of         "label", "nodes" or "both" (label in the upper half, nodes in the lower half)
     watch      wraps the iterable, to show progress
     """
     rings = max(16, size // 3)
@@ -48,8 +59,10 @@ def contact_sheet(materials, L, size, columns, of, watch=lambda items: items):
     return picture
 
 
-def material_sphere(sphere, material, size, of, exposure):
-    """(size, size, 3) uint8."""
+def material_sphere(
+    sphere: Sphere, material: Material, size: int, of: str, exposure: float
+) -> np.ndarray:
+    """Return a picture (size, size, 3) uint8 of a sphere of one material."""
     nodes = sphere.nodes()
     label = (
         on_pixels(sphere.picture(label_on(material.label, nodes))[:, :, 0], size)
@@ -76,19 +89,22 @@ def material_sphere(sphere, material, size, of, exposure):
 
 
 def _polar(size):
-    """Radius and angle of pixel centres, row 0 at the top; the ball fills 94 % of the square."""
+    """Return radius and angle of pixel centres, row 0 at the top.
+
+    The sphere fills 94 % of the square.
+    """
     x = ((np.arange(size) + 0.5) / size * 2 - 1) / 0.94
     x, y = np.meshgrid(x, -x)
     return np.hypot(x, y), np.arctan2(y, x) % (2 * np.pi)
 
 
-def coverage(size):
-    """(size, size): share of each pixel inside the ball, for a soft edge."""
+def coverage(size: int) -> np.ndarray:
+    """Return the share (size, size) of each pixel inside the sphere, for a soft edge."""
     return np.clip((1 - _polar(size)[0]) * size * 0.47 + 0.5, 0, 1)
 
 
-def on_pixels(rings, size):
-    """A picture (R, A, 3) in rings and azimuths as (size, size, 3), bilinear."""
+def on_pixels(rings: np.ndarray, size: int) -> np.ndarray:
+    """Return a picture (R, A, 3) in rings and azimuths as (size, size, 3), bilinear."""
     R, A = rings.shape[:2]
     radius, angle = _polar(size)
     wrapped = np.concatenate([rings[:, -1:], rings, rings[:, :1]], axis=1)

@@ -1,4 +1,4 @@
-"""From one measured material to its label and its mixture, and how far they stand apart.
+"""From one measured material to its label and its mixture, and their errors.
 
 The steps: samples over the view stops; a label fitted to the data; closures chosen for that label;
 label and mixture fitted to each other, first by weighted squares, then reweighted towards least L1;
@@ -7,11 +7,13 @@ fitted.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from factory.materials import errors, joint_fit, label_fit, label_model, node_model
-from factory.materials.samples import Samples, held_out, view_stops
+from factory.materials.samples import Measured, Samples, held_out, view_stops
+from factory.materials.sphere import Sphere
 from shaders.mixture import Mixture
 from shaders.spline import basis
 
@@ -53,17 +55,17 @@ VIEWS_DEG = (
 
 @dataclass(frozen=True)
 class Recipe:
-    """What to aim at, on view angles between the stops that are neither fitted nor reported
-    (CHECK_DEG).
+    """The tolerances of a fit, on view angles that are neither fitted nor reported (CHECK_DEG).
 
-    closures        the counts to try, fewest first; the first that keeps the tolerance wins
+    closures        counts to try, fewest first; the first that keeps the tolerance is used
     l1, worst       nodes against label: relative L1 of the views' mean, and of the worst view
     drift           nodes against the measurement, L1 of the mean
-    pulls           μ to go through: a fit that agrees well may follow the measurement more closely
-    hard_*          for what keeps no tolerance with the most closures: less pull until hard_l1 and
-    hard_worst are kept; or, where the
-                    drift is above hard_drift, more (hard_pulls), if that brings it below within
-                    bought_l1; else it stays as it is
+    pulls           weights μ of the measurement to try: a fit whose label and nodes agree well may
+                    follow the measurement more closely
+    hard_*          for a material that keeps no tolerance with the most closures: μ falls until
+                    hard_l1 and hard_worst are kept; or, where the drift is above hard_drift, it
+                    rises (hard_pulls), if that brings the drift below within bought_l1; otherwise
+                    it stays
     """
 
     closures: tuple[int, ...] = (4, 6, 8)
@@ -82,8 +84,10 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Fit:
-    """label (3, 3, 2, 6) logarithms in canonical order; the three L1 are (6,), one a held-out
-    view.
+    """A label and a mixture with their errors.
+
+    label          (3, 3, 2, 6) logarithms in canonical order
+    …_vs_…         (6,) relative L1 per held-out view
     """
 
     label: np.ndarray
@@ -93,9 +97,18 @@ class Fit:
     label_vs_source: np.ndarray
 
 
-def fit(source, recipe):
-    """The Fit of a source (callable (cos_h, cos_d) → f (…, 3)) with the fewest closures that keep
-    the tolerance, else with the most.
+class Check(NamedTuple):
+    """Relative L1 at the check angles."""
+
+    agreement: float  # nodes against label, mean of the views
+    worst: float  # the same at the worst view
+    drift: float  # nodes against measurement, mean of the views
+
+
+def fit(source: Measured, recipe: Recipe) -> Fit:
+    """Return the Fit of a source with the fewest closures that keep the tolerance, or the most.
+
+    source  callable (cos_h, cos_d) → f (…, 3)
     """
     problem = FittingProblem(source, recipe)
     for count in recipe.closures:
@@ -106,11 +119,9 @@ def fit(source, recipe):
 
 
 class FittingProblem:
-    """One material: its samples, its start label, the closures chosen for each count, and fits with
-    different pulls.
-    """
+    """One material: its samples, its initial label, and the closures chosen for each count."""
 
-    def __init__(self, source, recipe):
+    def __init__(self, source: Measured, recipe: Recipe) -> None:
         self.recipe = recipe
         self.stops = view_stops(recipe.views_deg)
         self.samples = Samples(np.arccos(1 - self.stops))
@@ -126,14 +137,16 @@ class FittingProblem:
         self.check = Samples(np.radians(CHECK_DEG), 80, 16)
         self.check_measured = source(self.check.cos_h, self.check.cos_d)
 
-    def parts(self, state):
-        """Label in canonical order and mixture."""
+    def parts(self, state: joint_fit.State) -> tuple[np.ndarray, Mixture]:
+        """Return label in canonical order and mixture."""
         return label_model.in_canonical_order(state.label), Mixture(
             state.kinds, self.stops, state.log_alpha, state.tilt, state.weights
         )
 
-    def start(self, count):
-        """The chosen closures, their widths fitted to the start label, upright."""
+    def start(self, count: int) -> joint_fit.State:
+        """Return the state of `count` chosen closures, untilted, with fitted widths.
+
+        The widths are fitted to the initial label."""
         atoms = self.sizes[count - 1]
         log_alpha = np.log(np.tile([alpha for _, alpha in atoms], (len(self.stops), 1)))
         state = joint_fit.State(
@@ -141,9 +154,12 @@ class FittingProblem:
         )
         return self.joint(self.recipe.joint).run(state, frozen=("label", "tilt"), iterations=6)
 
-    def joint(self, settings, weight=None):
-        """The joint fit under these settings; weight: of squared differences, the first metric if
-        None.
+    def joint(
+        self, settings: joint_fit.Settings, weight: np.ndarray | None = None
+    ) -> joint_fit.JointFit:
+        """Return the joint fit under these settings.
+
+        weight  of squared differences; None: the first metric
         """
         return joint_fit.JointFit(
             self.samples,
@@ -153,12 +169,10 @@ class FittingProblem:
             self.label,
         )
 
-    def with_prior_weight(self, state, mu, iterations, rounds=1):
-        """The joint fit from a state with pull μ, reweighted each round, and its check.
-
-        The check is three L1: nodes against label, the same at the worst view, nodes against
-        measurement.
-        """
+    def with_measurement_weight(
+        self, state: joint_fit.State, mu: float, iterations: int, rounds: int = 1
+    ) -> tuple[joint_fit.State, Check]:
+        """Return the joint fit from a state with weight μ, reweighted each round, and its check."""
         for _ in range(rounds):
             columns = node_model.columns(state.kinds, state.log_alpha, state.tilt, self.samples)
             weight = errors.reweighted(self.measured, columns @ state.weights, self.samples)
@@ -167,80 +181,79 @@ class FittingProblem:
             )
         return state, self.checked(state)
 
-    def checked(self, state):
-        """The three L1 of `with_pull`, at the check angles."""
+    def checked(self, state: joint_fit.State) -> Check:
+        """Return the L1 errors of a state at the check angles."""
         label, mixture = self.parts(state)
         L, N = errors.label_values(label, self.check), mixture.evaluate(*self.check.cosines)
         agreement = errors.relative_l1(N, L, self.check)
-        return (
-            agreement.mean(),
-            agreement.max(),
-            errors.relative_l1(N, self.check_measured, self.check).mean(),
-        )
+        drift = errors.relative_l1(N, self.check_measured, self.check)
+        return Check(agreement.mean(), agreement.max(), drift.mean())
 
-    def search(self, count, last):
-        """The fit with `count` closures under the strongest pull that keeps the tolerance, and
-        whether it is kept.
+    def search(self, count: int, last: bool) -> tuple[joint_fit.State, bool]:
+        """Return the fit with `count` closures, and whether it keeps the tolerance.
 
-        last  no more closures will be tried: what keeps none gives up agreement for drift, or the
-        other way round
+        It has the highest weight of the measurement that keeps the tolerance.
+
+        last  no more closures will be tried: a fit that keeps no tolerance trades agreement for
+              drift, or drift for agreement
         """
         r = self.recipe
         middle = r.joint.mu
         state = self.joint(r.joint).run(self.start(count), iterations=15)
-        if not last and self.checked(state)[0] > HOPELESS * r.l1:
+        if not last and self.checked(state).agreement > HOPELESS * r.l1:
             return state, False
-        state, figures = self.with_prior_weight(state, middle, iterations=15, rounds=2)
+        state, check = self.with_measurement_weight(state, middle, iterations=15, rounds=2)
 
-        def keeps(f):
-            return f[0] <= r.l1 and f[1] <= r.worst
+        def keeps(check: Check) -> bool:
+            return check.agreement <= r.l1 and check.worst <= r.worst
 
-        if keeps(figures):
-            stronger = [mu for mu in r.pulls if mu > middle]
-            state, figures = self._follow(state, figures, stronger, keeps)
-            return state, figures[2] <= r.drift
+        if keeps(check):
+            higher = [mu for mu in r.pulls if mu > middle]
+            state, check = self._raised(state, check, higher, keeps)
+            return state, check.drift <= r.drift
         if not last:
             return state, False
-        if figures[0] > r.hard_l1 or figures[1] > r.hard_worst:
-            return self._loosened(state, figures), False
-        if figures[2] > r.hard_drift:
-            return self._bought(state), False
+        if check.agreement > r.hard_l1 or check.worst > r.hard_worst:
+            return self._lowered(state, check), False
+        if check.drift > r.hard_drift:
+            return self._traded(state), False
         return state, False
 
-    def _follow(self, state, figures, pulls, allowed):
-        """Goes through the pulls as long as what is figures is allowed."""
-        for mu in pulls:
-            trial, result = self.with_prior_weight(state, mu, iterations=12)
+    def _raised(self, state, check, weights, allowed):
+        """Return the last state, with rising weights, whose errors are allowed."""
+        for mu in weights:
+            trial, result = self.with_measurement_weight(state, mu, iterations=12)
             if not allowed(result):
                 break
-            state, figures = trial, result
-        return state, figures
+            state, check = trial, result
+        return state, check
 
-    def _loosened(self, state, figures):
-        """Less and less pull until label and nodes agree well enough."""
+    def _lowered(self, state, check):
+        """Return the first state, with falling weights, whose label and nodes agree well enough."""
         r = self.recipe
         for mu in sorted((mu for mu in r.pulls if mu < r.joint.mu), reverse=True):
-            if figures[0] <= r.hard_l1 and figures[1] <= r.hard_worst:
+            if check.agreement <= r.hard_l1 and check.worst <= r.hard_worst:
                 break
-            state, figures = self.with_prior_weight(state, mu, iterations=15)
+            state, check = self.with_measurement_weight(state, mu, iterations=15)
         return state
 
-    def _bought(self, state):
-        """More pull until the drift is bearable; the state as it was if that costs too much
-        agreement.
+    def _traded(self, state):
+        """Return the state whose higher weight brings the drift below its limit.
+
+        The state is the given one if that costs too much agreement.
         """
         r, trial = self.recipe, state
         for mu in r.hard_pulls:
-            trial, figures = self.with_prior_weight(trial, mu, iterations=12)
-            if figures[0] > r.bought_l1:
+            trial, check = self.with_measurement_weight(trial, mu, iterations=12)
+            if check.agreement > r.bought_l1:
                 break
-            if figures[2] <= r.hard_drift:
+            if check.drift <= r.hard_drift:
                 return trial
         return state
 
 
-def measure(label, mixture, source):
-    """The Fit of a label and mixture, their errors taken at the held-out views."""
+def measure(label: np.ndarray, mixture: Mixture, source: Measured) -> Fit:
+    """Return the Fit of a label and mixture, with errors at the held-out views."""
     samples = held_out()
     L, N, M = (
         errors.label_values(label, samples),
@@ -256,9 +269,12 @@ def measure(label, mixture, source):
     )
 
 
-def display(fit_, source, sphere):
-    """Display L2 on the sphere, one a light map: nodes against label, nodes against source, label
-    against source.
+def display(
+    fit_: Fit, source: Measured, sphere: Sphere
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return display L2 on the sphere per light map.
+
+    The three are nodes against label, nodes against source, label against source.
     """
     nodes = sphere.nodes()
     L, N = (
@@ -269,15 +285,15 @@ def display(fit_, source, sphere):
     return sphere.display_l2(N, L), sphere.display_l2(N, M), sphere.display_l2(L, M)
 
 
-def label_on(label, cosines):
-    """BRDF values of a label at (cos_i, cos_o, cos_h, cos_d)."""
+def label_on(label: np.ndarray, cosines: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Return BRDF values of a label at (cos_i, cos_o, cos_h, cos_d)."""
     return label_model.values(
         label, basis(np.arccos(np.clip(cosines[3], 0, 1))), np.log(cosines[2])
     )
 
 
-def rounded(fit_, source):
-    """The Fit with its numbers as the catalogue will hold them, and errors of those numbers."""
+def rounded(fit_: Fit, source: Measured) -> Fit:
+    """Return the Fit of the numbers as rounded for the catalogue, with errors of those."""
     label = np.array([float(f"{x:.{DIGITS + 1}g}") for x in fit_.label.ravel()]).reshape(
         fit_.label.shape
     )

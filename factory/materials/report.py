@@ -1,5 +1,6 @@
-"""The fit errors of a catalogue as a table, plots and JSON, beside the limits they are to keep."""
+"""The fit errors of a catalogue as a table, plots and JSON, compared with their limits."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from factory.materials.samples import HELD_OUT_DEG
 from manifests.errors import InputError
 from manifests.files import transaction, write_figure, write_json, write_text
-from manifests.materials import read_catalogue
+from manifests.materials import Entry, read_catalogue
 from manifests.provenance import provenance
 
 LIMITS = (  # name, key of the figure, limit, what the prototype reached
@@ -22,10 +23,8 @@ LIMITS = (  # name, key of the figure, limit, what the prototype reached
 )
 
 
-def figures(entries):
-    """{key: value}: the figures of LIMITS, and those of label against measurement and of
-    closures.
-    """
+def figures(entries: Sequence[Entry]) -> dict[str, float]:
+    """Return the figures of LIMITS, and those of label against measurement and of closures."""
     agreement = np.array([e.errors.nodes_vs_label.l1 for e in entries])
     drift = np.array([e.errors.nodes_vs_source.l1 for e in entries])
     label = np.array([e.errors.label_vs_source.l1 for e in entries])
@@ -49,16 +48,15 @@ def figures(entries):
     return {key: float(f"{value:.4g}") for key, value in result.items()}
 
 
-def by_view(entries):
-    """Median L1 (6,) of label against nodes at each held-out view angle."""
+def by_view(entries: Sequence[Entry]) -> np.ndarray:
+    """Return the median L1 (6,) of label against nodes at each held-out view angle."""
     return np.median([e.errors.nodes_vs_label.l1 for e in entries], axis=0)
 
 
-def write(path, out, source=None, abc=None):
-    """Writes report.md, report.json and errors.png into the folder `out`; returns the table of
-    limits as text.
+def write(path: str | Path, out: Path, source: Path | None = None, abc: Path | None = None) -> str:
+    """Write report.md, report.json and errors.png into `out`; return the table of limits as text.
 
-    source, abc  measurements and ABC parameters to set against each other, or None
+    source, abc  measurements and ABC parameters to compare with each other, or None
     """
     from factory.materials import abc as microfacets
     from factory.materials import sources
@@ -102,19 +100,19 @@ def write(path, out, source=None, abc=None):
     return f"{table}\n{out}: report.md, report.json, errors.png"
 
 
-def limits_table(found):
-    """Markdown: each limit, what was reached, whether it is kept."""
+def limits_table(reached: Mapping[str, float]) -> str:
+    """Return a Markdown table of each limit, the figure reached, and whether it is kept."""
     rows = ["| what | prototype | reached | limit | kept |", "|---|---|---|---|---|"]
     for text, key, limit, before in LIMITS:
-        if key in found:
+        if key in reached:
             rows.append(
-                f"| {text} | {before} | {found[key]:g} | ≤ {limit:g} |"
-                f" {'yes' if found[key] <= limit else '**no**'} |"
+                f"| {text} | {before} | {reached[key]:g} | ≤ {limit:g} |"
+                f" {'yes' if reached[key] <= limit else '**no**'} |"
             )
     return "\n".join(rows)
 
 
-def _page(catalogue, table, found, made, witnesses):
+def _page(catalogue, table, reached, made, witnesses):
     entries = catalogue.materials
     views = ", ".join(
         f"{d:g}°: {v:.3f}" for d, v in zip(HELD_OUT_DEG, by_view(entries), strict=True)
@@ -130,8 +128,8 @@ def _page(catalogue, table, found, made, witnesses):
         "",
         (
             f"Label against nodes, median by view angle: {views}. Label against measurement: median"
-            f" {found['label_drift_median']:g}, 95th percentile {found['label_drift_p95']:g}."
-            f" Closures a material: {found['closures_mean']:g}."
+            f" {reached['label_drift_median']:g}, 95th percentile {reached['label_drift_p95']:g}."
+            f" Closures per material: {reached['closures_mean']:g}."
         ),
         "",
         "![errors](errors.png)",
@@ -173,8 +171,8 @@ def _page(catalogue, table, found, made, witnesses):
     return "\n".join(lines) + "\n"
 
 
-def plot(entries, path):
-    """Sorted errors with their limits, and agreement over drift by family."""
+def plot(entries: Sequence[Entry], path: Path) -> None:
+    """Draw sorted errors with their limits, and agreement over drift by family."""
     import matplotlib
 
     matplotlib.use("Agg")

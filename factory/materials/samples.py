@@ -1,29 +1,38 @@
-"""Where a BRDF is compared: points of the light's hemisphere, in half-vector space, for several
-view angles.
+"""Sample points at which BRDFs are compared.
 
-V  view angles, P  points a view
-θ_h = (π/2) u^power, u = (i + ½)/n: points crowd at the peak, where measured lobes are 0.2–0.5°
-wide; φ_h in (0, π), mirrored cos_d = cos_o cos_h + sin_o sin_h cos φ_h;  cos_i = 2 cos_d cos_h −
-cos_o;  dω_i = 4 cos_d sin θ_h dθ_h dφ_h, twice for the mirror image
+They lie in the light's hemisphere, in half-vector space, for several view angles.
+
+V  view angles, P  points per view
+θ_h = (π/2) u^power, u = (i + ½)/n: points are dense at the peak, where measured lobes are 0.2–0.5°
+wide; φ_h in (0, π), mirrored
+cos_d = cos_o cos_h + sin_o sin_h cos φ_h;  cos_i = 2 cos_d cos_h − cos_o;
+dω_i = 4 cos_d sin θ_h dθ_h dφ_h, twice for the mirror image
 """
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from shaders.mixture import TABLE_SIZE
 from shaders.spline import basis
 
+# a measured material: (cos_h, cos_d) → f (…, 3) in 1/sr
+Measured: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray]
 POWER = 2.5  # u² is too coarse for chrome
 MIN_COS_I = 1e-3
 HELD_OUT_DEG = (0.5, 15.0, 30.0, 45.0, 60.0, 75.0)  # never fitted: errors are reported there
 
 
 class Samples:
-    """cos_i, cos_o, cos_h, cos_d, solid_angle (V, P), all float64; points below the horizon have
-    solid angle 0 and harmless cosines.
+    """cos_i, cos_o, cos_h, cos_d, solid_angle (V, P), all float64.
+
+    Points below the horizon have solid angle 0 and harmless cosines.
     """
 
-    def __init__(self, theta_o, n_theta=44, n_phi=10):
-        """theta_o (V,) radians from the normal."""
+    def __init__(self, theta_o: ArrayLike, n_theta: int = 44, n_phi: int = 10) -> None:
+        """Place the samples for view angles theta_o (V,), radians from the normal."""
         self.theta_o = np.atleast_1d(np.asarray(theta_o, dtype=np.float64))
         u = (np.arange(n_theta) + 0.5) / n_theta
         theta_h = np.pi / 2 * u**POWER
@@ -47,30 +56,31 @@ class Samples:
         self.measure = self.solid_angle * self.cos_i  # cosine-weighted
 
     @property
-    def cosines(self):
-        """(cos_i, cos_o, cos_h, cos_d), in the order of shaders.closures."""
+    def cosines(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return (cos_i, cos_o, cos_h, cos_d), in the order of shaders.closures."""
         return self.cos_i, self.cos_o, self.cos_h, self.cos_d
 
-    def spline(self):
-        """Spline basis (V, P, 6) at θ_d and log cos_h (V, P): what the label needs."""
+    def spline(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the spline basis (V, P, 6) at θ_d and log cos_h (V, P), which the label needs."""
         return basis(np.arccos(np.clip(self.cos_d, 0, 1))), np.log(self.cos_h)
 
-    def thinned(self, step):
-        """Every step-th view."""
+    def thinned(self, step: int) -> "Samples":
+        """Return every step-th view."""
         part = object.__new__(Samples)
         for name, value in vars(self).items():
             setattr(part, name, value[::step])
         return part
 
 
-def held_out():
-    """The samples at the view angles that no fit sees; finer than those of the fit."""
+def held_out() -> Samples:
+    """Return the samples at the view angles that no fit sees; finer than those of the fit."""
     return Samples(np.radians(HELD_OUT_DEG), 120, 24)
 
 
-def view_stops(theta_deg):
-    """Facings (V,) nearest to 1 − cos θ among multiples of 1/255, where a colour ramp's table is
-    exact; each once.
+def view_stops(theta_deg: ArrayLike) -> np.ndarray:
+    """Return the facings (V,) nearest to 1 − cos θ at which a colour ramp's table is exact.
+
+    They are multiples of 1/255, each once.
     """
     return np.unique(np.round((1 - np.cos(np.radians(theta_deg))) * (TABLE_SIZE - 1))) / (
         TABLE_SIZE - 1

@@ -1,15 +1,17 @@
-"""Where measured materials come from: what a path holds, and what to write beside each name.
+"""Sources of measured materials: the contents of a path, and the credits of each name.
 
-An npz of Neural-BRDF weights (MERL's hundred or EPFL's fifty-one, told apart by their names) or a
-folder of MERL `.binary` files.
+A path is an npz of Neural-BRDF weights (MERL's hundred or EPFL's fifty-one, recognised by their
+names) or a folder of MERL `.binary` files.
 """
 
 import re
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from factory.materials import families, merl_binary, nbrdf
+from factory.materials.samples import Measured
 from manifests.errors import InputError, closest
 from manifests.inputs import require_file
 
@@ -29,35 +31,33 @@ RGL_LICENCE = "neural fits MIT; numbers fitted here MIT"
 
 @dataclass(frozen=True)
 class Source:
-    """measured: callable (cos_h, cos_d) → f (…, 3); the rest as a catalogue entry has it."""
+    """A measured material, a callable (cos_h, cos_d) → f (…, 3), with facts for the catalogue."""
 
     name: str
-    measured: Any
+    measured: Measured
     family: str
     source: str
     licence: str
-    split: str
+    split: families.Split
 
 
-def load(path, only=()):
-    """{name: Source} of an npz or a folder; only: names to keep, all if empty.
+def load(path: str | Path, only: Collection[str] = ()) -> dict[str, Source]:
+    """Return {name: Source} of an npz or a folder; only: names to keep, all if empty.
 
-    Raises  InputError for what is neither, and for a name that is not there
+    Raises  InputError for any other path, and for a name that is not there
     """
     path = Path(path)
+    make: dict[str, partial[Source]]
     if not path.is_dir():
         require_file(path, "an npz of Neural-BRDF weights or a folder of MERL .binary files")
     if path.is_dir() or path.suffix == merl_binary.SUFFIX:
-        names, make = merl_binary.files(path), _of_file
+        make = {n: partial(_of_file, n, file) for n, file in merl_binary.files(path).items()}
     else:
-        names, make = (
-            {
-                name.removesuffix("_rgb"): (name, network)
-                for name, network in nbrdf.load(path).items()
-            },
-            _of_network,
-        )
-    for name in names:  # a file is named after it
+        make = {
+            stored.removesuffix("_rgb"): partial(_of_network, stored, network)
+            for stored, network in nbrdf.load(path).items()
+        }
+    for name in make:  # a file is named after it
         if not NAME.fullmatch(name):
             raise InputError(
                 path,
@@ -66,19 +66,19 @@ def load(path, only=()):
                 "rename it there",
             )
     for name in only:
-        if name not in names:
+        if name not in make:
             raise InputError(
-                path, f"a material named {name!r}", "none of that name", closest(name, names)
+                path, f"a material named {name!r}", "none of that name", closest(name, make)
             )
-    return {name: make(name, names[name]) for name in sorted(names) if not only or name in only}
+    return {name: make[name]() for name in sorted(make) if not only or name in only}
 
 
-def credit(sources):
-    """Whom a catalogue of these sources thanks."""
+def credit(sources: Mapping[str, Source]) -> str:
+    """Return the credit of a catalogue of these sources."""
     return RGL_CREDIT if any(s.source.startswith("EPFL") for s in sources.values()) else MERL_CREDIT
 
 
-def _of_file(name, path):
+def _of_file(name: str, path: Path) -> Source:
     return Source(
         name,
         merl_binary.read(path),
@@ -89,17 +89,17 @@ def _of_file(name, path):
     )
 
 
-def _of_network(name, found):
-    stored, network = found
+def _of_network(stored: str, network: nbrdf.NeuralBRDF) -> Source:
+    name = stored.removesuffix("_rgb")
     if stored.endswith("_rgb"):  # EPFL's names end so in Neural-BRDF's archive
-        side = families.rgl_split(name)
+        split = families.rgl_split(name)
         return Source(
             name,
             network,
             families.rgl_family(name),
             "EPFL RGL through Neural-BRDF",
             RGL_LICENCE,
-            side,
+            split,
         )
     return Source(
         name,

@@ -1,23 +1,26 @@
-"""Pictures of a sphere under light maps, fast for any isotropic material: the light is gathered
-once, materials then cost a product.
+"""Pictures of a sphere under light maps, fast for any isotropic material.
+
+The light is gathered once; each material then costs one product.
 
 The sphere is seen orthographically from the usual elevation and sampled in rings (same angle to the
-view, cos_o) and azimuths: R × A "pixels", each weighing its area. About each pixel's normal the
+view, cos_o) and azimuths: R × A "pixels", weighted by their area. About each pixel's normal the
 light, times cos_i, is gathered onto nodes in half-vector space, θ_h = (π/2) u^2.5 by φ_h in [0, π]
 (a bivariate BRDF is the same at ±φ_h): Q nodes. A picture is then Σ_q f(ring, q) gathered(pixel,
 q), that is f interpolated bilinearly between the nodes and summed exactly over the light.
 
-Light comes in by two samplings, each weighing where it is the finer one (power heuristic, exponent
-4): one sample a texel for broad lobes, a jittered half-vector grid with nearest look-up for lobes
+The light is sampled in two ways, each weighted where it is the finer one (power heuristic, exponent
+4): one sample per texel for broad lobes, a jittered half-vector grid with nearest look-up for lobes
 narrower than a texel.
 
 maps   {name: (height, width, 3)} linear radiance, light frame (shaders.envmap)
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from shaders import envmap, frames, tone
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 POWER = 2.5
 HORIZON = 1e-3
@@ -32,7 +35,16 @@ LOWEST = 0.02
 class Sphere:
     """The gathered light; pictures are (R, A, maps, 3) linear radiance."""
 
-    def __init__(self, maps, rng, rings=32, azimuths=64, n_theta=128, n_phi=13, oversample=(1, 4)):
+    def __init__(
+        self,
+        maps: Mapping[str, np.ndarray],
+        rng: np.random.Generator,
+        rings: int = 32,
+        azimuths: int = 64,
+        n_theta: int = 128,
+        n_phi: int = 13,
+        oversample: tuple[int, int] = (1, 4),
+    ) -> None:
         self.names = tuple(maps)
         self.rings, self.azimuths, self.shape = rings, azimuths, (n_theta, n_phi)
         radius = (np.arange(rings) + 0.5) / rings
@@ -42,9 +54,10 @@ class Sphere:
         self.theta_h, self.phi_h = theta_h, np.tile(phi, n_theta)
         self.gathered = self._gather(maps, rng, radius, oversample)
 
-    def nodes(self):
-        """cos_i, cos_o, cos_h, cos_d (R, Q) at the nodes; cos_i is held at 0.02 near and below the
-        horizon.
+    def nodes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return cos_i, cos_o, cos_h, cos_d (R, Q) at the nodes.
+
+        cos_i is held at 0.02 near and below the horizon.
         """
         cos_o, sin_o = self.view_cos[:, None], np.sqrt(1 - self.view_cos[:, None] ** 2)
         ch, sh = np.maximum(np.cos(self.theta_h), 1e-6), np.sin(self.theta_h)
@@ -52,32 +65,31 @@ class Sphere:
         cos_i = np.clip(2 * cos_d * ch - cos_o, LOWEST, 1)
         return cos_i, np.broadcast_to(cos_o, cos_i.shape), np.broadcast_to(ch, cos_i.shape), cos_d
 
-    def picture(self, f):
-        """Radiance (R, A, maps, 3) of BRDF values f (R, Q, 3) at the nodes."""
+    def picture(self, f: np.ndarray) -> np.ndarray:
+        """Return the radiance (R, A, maps, 3) of BRDF values f (R, Q, 3) at the nodes."""
         response = np.ascontiguousarray(np.moveaxis(f, -1, 1), np.float32)  # (R, 3, Q)
         radiance = self.gathered @ response[..., None]  # (R, 3, A·maps, 1)
         return np.moveaxis(
             radiance[..., 0].reshape(self.rings, 3, self.azimuths, -1), 1, -1
         ).astype(float)
 
-    def display_l2(self, picture, reference):
-        """(maps,): mean over the sphere's area of the squared display difference; exposure: 99th
-        percentile of the reference → 1.
+    def display_l2(self, picture: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        """Return the mean squared display difference (maps,) over the sphere's area.
+
+        The exposure brings the 99th percentile of the reference to 1.
         """
         results = []
         for m in range(len(self.names)):
             a, b = picture[:, :, m].reshape(-1, 3), reference[:, :, m].reshape(-1, 3)
             exposure = 1 / max(weighted_percentile(b @ LUMINANCE, self.area, 99.0), 1e-12)
-            squared = ((tone.display(a, exposure) - tone.display(b, exposure)) ** 2).mean(-1)
+            squared = tone.squared_difference(tone.display(a, exposure), tone.display(b, exposure))
             results.append((self.area * squared).sum() / self.area.sum())
         return np.array(results)
 
     # --- gathering
 
     def _gather(self, maps, rng, radius, oversample):
-        """(R, 3, A·maps, Q) float32: light times cos_i times solid angle that falls on each
-        node.
-        """
+        """Return the light (R, 3, A·maps, Q) float32, times cos_i and solid angle, on each node."""
         height, width = next(iter(maps.values())).shape[:2]
         # (texels, maps·3)
         light = np.stack([np.asarray(L, np.float64) for L in maps.values()], 2).reshape(
@@ -123,7 +135,7 @@ class Sphere:
         return gathered.reshape(self.rings, 3, self.azimuths * len(maps), -1)
 
     def _onto_nodes(self, theta_h, phi_h, weight, texel):
-        """Bilinear shares: node indices, weights and texels, four a sample."""
+        """Return node indices, weights and texels of the bilinear shares, four per sample."""
         n_theta, n_phi = self.shape
         u = np.minimum((theta_h * 2 / np.pi) ** (1 / POWER), 1) * (n_theta - 1)
         q = np.abs(phi_h) / np.pi * (n_phi - 1)
@@ -138,14 +150,14 @@ class Sphere:
 
 
 def _grid_density(theta_h, cos_d, n_theta, n_phi):
-    """Solid angle of light that one cell of the half-vector grid covers."""
+    """Return the solid angle of light that one cell of the half-vector grid covers."""
     u = (theta_h * 2 / np.pi) ** (1 / POWER)
     d_theta = np.pi / 2 * POWER * u ** (POWER - 1) / n_theta
     return 4 * cos_d * np.sin(theta_h) * d_theta * (np.pi / n_phi)
 
 
 def _from_texels(texels, n, x, y, n_theta, n_phi):
-    """One sample a texel above the horizon: θ_h, φ_h, weight (cos_i sr), texel."""
+    """Return one sample per texel above the horizon: θ_h, φ_h, weight (cos_i sr), texel."""
     cos_i = texels["w"] @ n
     above = np.flatnonzero((cos_i > HORIZON) & (texels["cos_d"] > 1e-3))
     h = texels["h"][above]
@@ -163,8 +175,9 @@ def _from_texels(texels, n, x, y, n_theta, n_phi):
 
 
 def _from_grid(n, x, y, view, n_theta, n_phi, rng, size, row_solid_angle):
-    """One jittered sample a cell of the half-vector grid over the whole turn: θ_h, φ_h, weight
-    (cos_i sr), texel looked up.
+    """Return one jittered sample per cell of the half-vector grid over the full turn.
+
+    Returns  θ_h, φ_h, weight (cos_i sr), and the texel of its direction
     """
     u = (np.arange(n_theta)[:, None] + rng.random((n_theta, 2 * n_phi))) / n_theta
     phi_h = (np.arange(2 * n_phi) + rng.random((n_theta, 2 * n_phi))) / n_phi * np.pi - np.pi
@@ -186,9 +199,10 @@ def _from_grid(n, x, y, view, n_theta, n_phi, rng, size, row_solid_angle):
     return theta_h[keep], phi_h[keep], weight, row * size[1] + column
 
 
-def weighted_percentile(values, weight, percent):
-    """The value below which `percent` of the weight lies; equal weights give numpy's percentile but
-    for half a step.
+def weighted_percentile(values: np.ndarray, weight: np.ndarray, percent: float) -> float:
+    """Return the value below which `percent` of the weight lies.
+
+    With equal weights it is numpy's percentile but for half a step.
     """
     order = np.argsort(values)
     cumulative = np.cumsum(weight[order])

@@ -1,3 +1,1 @@
-"""From a job to its shots: names, assets, ids and a forecast. Nothing is rendered here but the
-forecast's probe.
-"""
+"""From a job to its shots: names, assets, ids and draws. Nothing is rendered here."""

@@ -1,12 +1,16 @@
-"""What a job names, found: shapes, materials and lights with their hashes, sides and licences.
-Meshes and maps are read, then let go.
+"""The shapes, materials and lights that a job names, with their hashes, sides and licences.
 
-source  where a shape or a light is read from: a spec such as "chair:17", or a path
-twin    the same mesh, fit or map under a second name: left out, since its pictures would be the
-first one's again
+Meshes and light maps are read to be hashed, and are not kept.
+
+source     where a shape or a light is read from: a spec such as "chair:17", or a path
+duplicate  the same mesh, fit or map under a second name. It is left out, because its pictures would
+           be those of the first.
 """
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -16,11 +20,11 @@ from factory.planning.shape_names import Source, load_mesh, local, sources
 from manifests import splits
 from manifests.errors import InputError
 from manifests.materials import Entry
-from manifests.schema import Draw, Role, Side
+from manifests.schema import Draw, Job, Role, Side
 
 
 class Shape(msgspec.Struct, frozen=True, kw_only=True):
-    """A shape of a job; segments: how many regions get a material of their own."""
+    """A shape of a job; segments: number of regions that get a material each."""
 
     name: str
     source: Source
@@ -34,9 +38,7 @@ class Shape(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Material(msgspec.Struct, frozen=True, kw_only=True):
-    """A material of a job; entry: its line of the catalogue, which the dataset's materials.json
-    repeats.
-    """
+    """A material of a job; entry: its entry in a catalogue, which materials.json repeats."""
 
     name: str
     hash: str
@@ -48,8 +50,10 @@ class Material(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A light of a job; origin: where it comes from, for credits; L64 (64, 128, 3): the map that
-    the dataset keeps.
+    """A light of a job.
+
+    origin  where the map comes from, for credits
+    L64     (64, 128, 3), the map that the data set stores
     """
 
     name: str
@@ -63,8 +67,10 @@ class Light:
 
 @dataclass(frozen=True)
 class Assets:
-    """Everything a job names; lights by the name the job uses. notes: what was left out, and why,
-    one line each.
+    """Everything that a job names.
+
+    lights  by the names that the job uses
+    notes   one line for each asset that was left out
     """
 
     shapes: list[Shape]
@@ -73,19 +79,29 @@ class Assets:
     notes: list[str] = field(default_factory=list)
 
 
-def resolve(job, folder=None, library=None, catalogues=(), watch=None):
-    """The Assets of a job.
+Asset = TypeVar("Asset", Shape, Material)
+Watch = Callable[..., Iterable]  # as tqdm: (items, desc=, unit=) → items
 
-    folder      where the job's relative paths start and end: a path that leaves it is refused;
-    None: paths may lead anywhere
+
+def resolve(
+    job: Job,
+    folder: str | Path | None = None,
+    library: str | None = None,
+    catalogues: Sequence[str | Path] = (),
+    watch: Watch | None = None,
+) -> Assets:
+    """Return the Assets of a job.
+
+    folder      where the job's relative paths start; a path that leaves it is refused. None: paths
+                may lead anywhere
     library     a folder of the user's light maps, or None
     catalogues  files of materials besides the built-in ones
-    watch       wraps an iterable to show its progress, tqdm-like, or None
+    watch       wraps an iterable to show its progress, as tqdm does, or None
     Raises      InputError: an unknown name, a broken file, a path that leaves the folder, a job
-    that leaves nothing to render
+                without shapes
     """
     check(job)
-    notes = []
+    notes: list[str] = []
     materials = _without_duplicates(_materials(job, catalogues), "material", notes)
     lights = _lights(job, folder, library)
     shapes = _without_duplicates(_shapes(job, folder, watch or _unwatched), "shape", notes)
@@ -99,10 +115,8 @@ def resolve(job, folder=None, library=None, catalogues=(), watch=None):
     return Assets(shapes, materials, lights, notes)
 
 
-def check(job):
-    """What types cannot say: raises InputError for values that repeat, and for draws of more than
-    there are.
-    """
+def check(job: Job) -> None:
+    """Raise InputError for values that repeat, and for draws of more values than there are."""
     for key, most in (("views", 24), ("rotations", 128)):
         value = getattr(job, key)
         if isinstance(value, Draw):
@@ -118,20 +132,20 @@ def check(job):
                 f"job: {key}",
                 "each number once",
                 f"{sorted({v for v in value if value.count(v) > 1})} twice",
-                "drop the second",
+                "name each once",
             )
     for key in ("tiers", "light_resolutions"):
         value = getattr(job, key)
         if len(set(value)) < len(value):
-            raise InputError(f"job: {key}", "each name once", ", ".join(value), "drop what repeats")
+            raise InputError(f"job: {key}", "each name once", ", ".join(value), "name each once")
 
 
-def _unwatched(items, **_):
+def _unwatched(items: Iterable, **_: Any) -> Iterable:
     return items
 
 
-def _shapes(job, folder, watch):
-    result = {}
+def _shapes(job: Job, folder: str | Path | None, watch: Watch) -> list[Shape]:
+    result: dict[str, tuple[Source, str, str, int, str]] = {}
     for source in watch(
         list(dict.fromkeys(sources(job, folder))), desc="reading shapes", unit="shape"
     ):
@@ -167,7 +181,7 @@ def _shapes(job, folder, watch):
     ]
 
 
-def _materials(job, catalogues):
+def _materials(job: Job, catalogues: Sequence[str | Path]) -> list[Material]:
     chosen = chosen_entries(job.materials, catalogues)
     sides = splits.material_sides([(e.name, e.split, e.hash) for e in chosen])
     return [
@@ -177,14 +191,14 @@ def _materials(job, catalogues):
             side=sides[e.name],
             licence=e.licence,
             source=e.source,
-            # a twin that is left out may have lifted it to test
+            # a duplicate that is left out may have moved it to the test side
             entry=msgspec.structs.replace(e, split=sides[e.name]),
         )
         for e in chosen
     ]
 
 
-def _lights(job, folder, library):
+def _lights(job: Job, folder: str | Path | None, library: str | None) -> dict[str, Light]:
     from factory.lights import load
     from factory.lights.files import is_light_path
 
@@ -204,9 +218,10 @@ def _lights(job, folder, library):
     return result
 
 
-def _without_duplicates(assets, kind, notes):
-    """Each hash once, each name once. Raises InputError for two different things under one name."""
-    by_hash, by_name = {}, {}
+def _without_duplicates(assets: Iterable[Asset], kind: str, notes: list[str]) -> list[Asset]:
+    """Return each asset once by its hash. Raises InputError for two assets of one name."""
+    by_hash: dict[str, Asset] = {}
+    names: set[str] = set()
     for asset in assets:
         if asset.hash in by_hash:
             if asset.name != by_hash[asset.hash].name:
@@ -214,12 +229,13 @@ def _without_duplicates(assets, kind, notes):
                     f"{kind} '{asset.name}' is '{by_hash[asset.hash].name}' again, left out"
                 )
             continue
-        if asset.name in by_name:
+        if asset.name in names:
             raise InputError(
                 f"{kind} '{asset.name}'",
                 "one thing under a name",
                 "two that differ",
                 "rename one of the files",
             )
-        by_hash[asset.hash] = by_name[asset.name] = asset
+        by_hash[asset.hash] = asset
+        names.add(asset.name)
     return list(by_hash.values())

@@ -1,21 +1,24 @@
-"""The settings in force as one short hash: part of every shot's id, so that a changed setting means
-new pictures, never mixed ones.
+"""The render settings as one short hash, which is part of every shot's id.
+
+A changed setting therefore means new pictures; old and new ones are never mixed.
 """
 
 import hashlib
 import json
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 
 @cache
-def render_fingerprint():
-    """Hash of every render setting's value (not its reason), the light-transport tiers and
-    Blender's version up to the minor one.
+def render_fingerprint() -> str:
+    """Return the hash of the render settings, the light-transport tiers and Blender's version.
+
+    Of a setting, path and value count, not the reason; of the version, the first two numbers.
     """
     from factory.render import settings
 
-    def values(group):
+    def values(group: Iterable[settings.Setting]) -> list[list[object]]:
         return [[s.path, s.value] for s in group]
 
     groups = (settings.ALWAYS, *settings.PIXELS.values(), settings.GEOMETRY)

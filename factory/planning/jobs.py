@@ -1,7 +1,6 @@
-"""A job from a file, from a preset's name, or from the command line's --mesh, --material and
---light.
-"""
+"""Jobs: read from a file, from a preset, or from the options --mesh, --material and --light."""
 
+import argparse
 import json
 import math
 from pathlib import Path
@@ -14,7 +13,7 @@ from manifests.reading import decode, read
 from manifests.schema import Camera, Draw, Job
 
 MAXIMUM_BYTES = 1 << 20
-# What a job's keys are called on the command line, where it is not --KEY
+# the options that a job's keys come from, where they are not --KEY
 OPTIONS = {
     "camera.fov_deg": "--fov",
     "shapes": "--mesh",
@@ -24,15 +23,15 @@ OPTIONS = {
 }
 
 
-def presets():
-    """{name: path} of the jobs that come with the program."""
+def presets() -> dict[str, Path]:
+    """Return {name: path} of the jobs that come with the program."""
     return {path.stem: path for path in sorted(JOBS.glob("*.json"))}
 
 
-def load(name_or_path):
-    """The Job of a file or of a preset, and the folder in which its relative paths start.
+def load(name_or_path: str | Path) -> tuple[Job, Path]:
+    """Return the Job of a file or a preset, and the folder in which its relative paths start.
 
-    Raises  InputError: no such file or preset, or anything wrong in it
+    Raises  InputError: no such file or preset, or a fault in it
     """
     path = Path(name_or_path)
     if not path.exists() and path.suffix != ".json" and len(path.parts) == 1:
@@ -45,14 +44,14 @@ def load(name_or_path):
     return read(path, Job, MAXIMUM_BYTES), path.parent
 
 
-def from_options(options):
-    """The Job that `render --mesh … --material … --light …` means; options as argparse leaves them.
+def from_options(options: argparse.Namespace) -> Job:
+    """Return the Job that `render --mesh … --material … --light …` means.
 
-    Raises  InputError for what a job file would be refused for: dataset.json holds jobs, and is
-    read back under the same limits
+    Raises  InputError under the limits of a job file, because dataset.json holds the job and is
+            read back under these limits
     """
     height, width = size(options.size)
-    if options.fov is not None and not math.isfinite(options.fov):  # no JSON can say so
+    if options.fov is not None and not math.isfinite(options.fov):  # JSON has no such number
         raise InputError(
             "--fov",
             "degrees from 1 to 120",
@@ -84,8 +83,11 @@ def from_options(options):
         ) from None
 
 
-def numbers(text, option, most):
-    """ "0,6" as (0, 6); "random:5" as a Draw. Raises InputError for anything else."""
+def numbers(text: str, option: str, most: int) -> tuple[int, ...] | Draw:
+    """Return "0,6" as (0, 6) and "random:5" as a Draw. Raises InputError for other text.
+
+    most  the largest number
+    """
     word, colon, count = text.partition(":")
     if word == "random" and colon and _is_number(count) and 1 <= int(count) <= most + 1:
         return Draw(random=int(count))
@@ -100,13 +102,13 @@ def numbers(text, option, most):
     return tuple(int(p) for p in parts)
 
 
-def _is_number(text):
-    """True for digits alone, and not so many that int refuses them."""
+def _is_number(text: str) -> bool:
+    """Return whether a text has digits alone, and few enough for int."""
     return text.isascii() and text.isdigit() and len(text) < 20
 
 
-def size(text):
-    """ "128" as (128, 128), "128x256" as height and width. Raises InputError."""
+def size(text: str) -> tuple[int, int]:
+    """Return "128" as (128, 128) and "128x256" as height and width. Raises InputError."""
     parts = text.lower().split("x")
     if len(parts) > 2 or not all(_is_number(p) and 4 <= int(p) <= 8192 for p in parts):
         raise InputError(

@@ -1,27 +1,28 @@
-"""The materials that a job names, found in catalogues: "brass", "merl", "merl/test",
-"merl/paper-train", "mine/felt".
+"""The materials that a job's names mean: "brass", "merl", "merl/test", "mine/felt".
 
-A set is a catalogue's file: "merl" and "rgl" are built in, a user's own goes by its stem.
+A set is a catalogue's file: "merl" and "rgl" are built in, and the set of a user's own file is
+named by the file's stem. "merl/paper-train" means as many training materials as the paper had.
 """
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from manifests import splits
 from manifests.errors import InputError
 from manifests.material_words import suggestion
-from manifests.materials import BUILT_IN, read_catalogue, require_own_hash
+from manifests.materials import BUILT_IN, Entry, read_catalogue, require_own_hash
 
 SETS = {"materials": "merl", "materials-rgl": "rgl"}
 PARTS = ("train", "test", "paper-train")
 
 
-def chosen_entries(names, catalogues=()):
-    """The catalogues' entries that the names mean, each once, in the order of the names.
+def chosen_entries(names: Iterable[str], catalogues: Sequence[str | Path] = ()) -> list[Entry]:
+    """Return the catalogue entries that the names mean, each once, in the order of the names.
 
-    names       of materials, of sets, or SET/PART, SET/NAME
+    names       of materials or sets, or SET/PART, or SET/NAME
     catalogues  files besides the built-in ones
-    Raises      InputError: a name or set that no catalogue has, with the closest ones; a material
-    whose hash is not its own
+    Raises      InputError: a name that no catalogue has, with the closest ones; a material whose
+                hash is not that of its label and mixture
     """
     files = {
         SETS.get(Path(path).stem, Path(path).stem): Path(path) for path in (*BUILT_IN, *catalogues)
@@ -32,7 +33,7 @@ def chosen_entries(names, catalogues=()):
         if path.exists() or path not in BUILT_IN
     }
     known = {entry.name: entry for result in sets.values() for entry in result}
-    chosen = {}
+    chosen: dict[str, Entry] = {}
     for name in names:
         set_, _, part = name.partition("/")
         result = _part(sets[set_], part) if set_ in sets else [known[name]] if name in known else []
@@ -45,14 +46,14 @@ def chosen_entries(names, catalogues=()):
                 suggestion(name, every),
             )
         chosen |= {entry.name: entry for entry in result}
-    # ids hash it: another label under the same hash would pass for the same pictures
+    # ids are computed from the hash: another label with the same hash would get the same ids
     for entry in chosen.values():
         require_own_hash(entry, "catalogue")
     return list(chosen.values())
 
 
-def _part(entries, part):
-    """All of a set, its training or test part, the paper's 60, or one material."""
+def _part(entries: Sequence[Entry], part: str) -> list[Entry]:
+    """Return all of a set, its training or test part, the paper's 60, or one material."""
     if part == "paper-train":
         names = splits.paper_training([entry.name for entry in entries if entry.split == "train"])
         return [entry for entry in entries if entry.name in names]

@@ -1,18 +1,17 @@
-"""A job as shots: pure data, made one after another and never all held, so that 720,000 of them
-need no memory.
+"""A job as shots: pure data, generated one after another, so that 720,000 shots need no memory.
 
-shot      one picture to make; its id is the hash of all that determines its pixels (inputs, never
-pixels: two runs differ by 2e-6)
-draw      what a job leaves to chance comes from SeedSequence(job.seed, spawn_key=(shape, materials,
-light, occurrence)), each a hash
-          of what it is: adding a shape, a material, a light or a view to a job alters nobody else's
-          draws
-view      a shot without a picture, of a job that wants geometry alone: shape and viewpoint; its id
-is the geometry file's
-order     shape, light, light resolution, tier, materials, rotation, view: what is dear to change
-changes least (persistent data pays)
+shot   one picture to make. Its id is the hash of all inputs that determine its pixels; the pixels
+       themselves are not hashed, because two runs differ by 2e-6.
+draw   what a job leaves to chance. Draws come from SeedSequence(job.seed, spawn_key=(shape,
+       materials, light, occurrence)), where each part is a word of a hash: a shape, material, light
+       or view that is added to a job does not change the draws of the others.
+view   a shot without a picture, in a job of geometry alone: shape and viewpoint. Its id is that of
+       the geometry file.
+order  shape, light, light resolution, tier, materials, rotation, view: what is expensive to change
+       in Cycles changes least often.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -21,17 +20,16 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from factory.planning.assets import Assets
+from factory.planning.assets import Assets, Light, Material, Shape
 from manifests import ids
 from manifests.ids import TEXELS, camera_words, geometry_id, shot_seed
-from manifests.schema import Draw, Failure, Job, LightResolution, Record, Tier, View
+from manifests.schema import Draw, Failure, Job, LightResolution, Record, Split, Tier, View
 from manifests.splits import split_of
 
 __all__ = ["TEXELS", "Plan", "Shot", "camera_words", "geometry_id", "shot_seed"]
 
 
-# Fields of a Shot that the lines of a data set repeat as they are; its geometry is an id, theirs a
-# path
+# fields that a data set's lines have under the same name; a Shot's geometry is an id, theirs a path
 REPEATED = (
     "id",
     "shape",
@@ -47,13 +45,13 @@ REPEATED = (
 
 
 class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
-    """One picture to make. Shape, materials (one a segment) and light are names in the plan's
-    assets; geometry is a geometry file's id.
+    """One picture to make.
 
-    picture        False: geometry alone; materials and light are empty then, and split is the
-    shape's side
-    geometry_hash  sha256 of the geometry file where a record of the folder names it already; None:
-    no record does
+    geometry       id of the geometry file
+    materials      one per segment; these, the shape and the light are names in the plan's assets
+    picture        False: geometry alone; materials and light are then empty, and split is the
+                   shape's side
+    geometry_hash  sha256 of the geometry file if a record in the folder names it already, else None
     """
 
     id: str
@@ -66,28 +64,27 @@ class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     tier: Tier
     light_resolution: LightResolution
     seed: int
-    split: str
+    split: Split
     picture: bool = True
     geometry_hash: str | None = None
 
     def repeated_in(self, line: type[Record | View | Failure]) -> dict[str, Any]:
-        """{field: value} of what a line of this kind repeats of its shot, under the same names."""
+        """Return the fields {name: value} that a line of this kind has in common with its shot."""
         return {name: getattr(self, name) for name in REPEATED if name in line.__struct_fields__}
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A job whose names are resolved.
+    """A job with its assets; iterating over it yields its shots.
 
-    assets  shapes, materials and lights of the job, hashed
-    render  fingerprint of the settings in force (factory.planning.fingerprint)
+    render  fingerprint of the render settings (factory.planning.fingerprint)
     """
 
     job: Job
     assets: Assets
     render: str
 
-    def __len__(self):
+    def __len__(self) -> int:
         if not self.job.pictures:
             return len(self.assets.shapes) * self._views
         return (
@@ -97,28 +94,29 @@ class Plan:
         )
 
     @property
-    def each(self):
-        """Shots of one shape, one choice of materials and one light."""
+    def each(self) -> int:
+        """Number of shots per shape, choice of materials and light."""
         job = self.job
         rotations = job.rotations.random if isinstance(job.rotations, Draw) else len(job.rotations)
         return self._views * rotations * len(job.tiers) * len(job.light_resolutions) * job.repeats
 
     @property
-    def _views(self):
-        """Viewpoints of each combination."""
+    def _views(self) -> int:
+        """Number of viewpoints per shape, choice of materials and light."""
         return self.job.views.random if isinstance(self.job.views, Draw) else len(self.job.views)
 
-    def choices(self, shape):
-        """What a shape may be made of: (materials, one a segment; or a number, of a draw not yet
-        made).
+    def choices(self, shape: Shape) -> Sequence[int | tuple[Material, ...]]:
+        """Return the choices of materials for a shape.
+
+        A choice is a tuple with one material per segment, or the number of a draw of materials.
         """
         if self.job.segment_materials:
             return range(self.job.segment_materials)
-        kept = [m for m in self.assets.materials if self.job.mixed or m.side == shape.side]
-        return [(m,) * shape.segments for m in kept]
+        allowed = [m for m in self.assets.materials if self.job.mixed or m.side == shape.side]
+        return [(m,) * shape.segments for m in allowed]
 
-    def __iter__(self):
-        """Every shot, in the order in which they are best made."""
+    def __iter__(self) -> Iterator[Shot]:
+        """Yield every shot, in the order in which rendering them is fastest."""
         for shape in self.assets.shapes:
             if not self.job.pictures:
                 yield from self.views_alone(shape)
@@ -126,8 +124,8 @@ class Plan:
             for light, occurrence in self.lights:
                 yield from self.group(shape, light, occurrence)
 
-    def views_alone(self, shape):
-        """The shots of one shape in a job without pictures."""
+    def views_alone(self, shape: Shape) -> Iterator[Shot]:
+        """Yield the shots of one shape in a job without pictures."""
         for view in ids.views_alone(self.job, shape.hash):
             id_ = geometry_id(shape.hash, self._camera, view, self.render)
             yield Shot(
@@ -145,24 +143,26 @@ class Plan:
                 picture=False,
             )
 
-    def group(self, shape, light, occurrence=0):
-        """The shots of one shape under one light, in order."""
+    def group(self, shape: Shape, light: Light, occurrence: int = 0) -> list[Shot]:
+        """Return the shots of one shape under one light, in order."""
         return sorted(self._under(shape, light, occurrence), key=_order)
 
     @cached_property
-    def lights(self):
-        """(light, occurrence) of each name in the job: a light named twice, or under two names,
-        occurs as 0 and 1.
+    def lights(self) -> list[tuple[Light, int]]:
+        """(light, occurrence) of each name in the job.
+
+        A light that the job names twice, or by two names, has the occurrences 0 and 1.
         """
-        result, seen = [], {}
+        result: list[tuple[Light, int]] = []
+        seen: dict[str, int] = {}
         for name in self.job.lights:
             light = self.assets.lights[name]
             occurrence = seen[light.hash] = seen.get(light.hash, -1) + 1
             result.append((light, occurrence))
         return result
 
-    def _under(self, shape, light, occurrence):
-        """The shots of one shape under one light, unordered."""
+    def _under(self, shape: Shape, light: Light, occurrence: int) -> Iterator[Shot]:
+        """Yield the shots of one shape under one light, unordered."""
         for choice in self.choices(shape):
             materials = (
                 self._drawn_materials(shape, light, occurrence, choice)
@@ -171,13 +171,16 @@ class Plan:
             )
             draw = choice if isinstance(choice, int) else None
             key = ids.combination_key(
-                shape.hash, [m.hash for m in materials], light.hash, occurrence, draw
+                shape.hash, tuple(m.hash for m in materials), light.hash, occurrence, draw
             )
             yield from self._shots(shape, materials, light, key)
 
-    def _drawn_materials(self, shape, light, occurrence, draw):
-        """One material a segment, different ones while there are enough, all of the shape's own
-        side while there is one.
+    def _drawn_materials(
+        self, shape: Shape, light: Light, occurrence: int, draw: int
+    ) -> tuple[Material, ...]:
+        """Return one drawn material per segment.
+
+        They are of the shape's side if there are any, and different if there are enough.
         """
         pool = [m for m in self.assets.materials if m.side == shape.side] or list(
             self.assets.materials
@@ -189,29 +192,34 @@ class Plan:
             for i in rng.choice(len(pool), shape.segments, replace=shape.segments > len(pool))
         )
 
-    def _shots(self, shape, materials, light, key):
-        """The shots of one shape, one choice of materials and one light."""
+    def _shots(
+        self, shape: Shape, materials: tuple[Material, ...], light: Light, key: tuple[int, ...]
+    ) -> Iterator[Shot]:
+        """Yield the shots of one shape, one choice of materials and one light.
+
+        key  spawn key of their draws
+        """
         job, names = self.job, tuple(m.name for m in materials)
-        word, views, turns = ids.draws(job, key)
+        word, views, rotations = ids.draws(job, key)
         split = split_of(shape.side, [m.side for m in materials])
         hashes = tuple(m.hash for m in materials)
         shared = ids.shots_digest(
             self.render, shape.hash, hashes, light.hash, self._camera, job.samples
         )
-        for view, rotations in zip(views, turns, strict=True):
+        for view, of_view in zip(views, rotations, strict=True):
             geometry = geometry_id(shape.hash, self._camera, view, self.render)
-            for turn, tier, resolution, repeat in product(
-                rotations, job.tiers, job.light_resolutions, range(job.repeats)
+            for rotation, tier, resolution, repeat in product(
+                of_view, job.tiers, job.light_resolutions, range(job.repeats)
             ):
-                seed = shot_seed(word, ids.shot_place(view, turn, tier, resolution, repeat))
+                seed = shot_seed(word, ids.shot_place(view, rotation, tier, resolution, repeat))
                 yield Shot(
-                    id=ids.shot_id(shared, view, turn, tier, resolution, seed),
+                    id=ids.shot_id(shared, view, rotation, tier, resolution, seed),
                     geometry=geometry,
                     shape=shape.name,
                     materials=names,
                     light=light.name,
                     viewpoint=view,
-                    rotation_texels=turn,
+                    rotation_texels=rotation,
                     tier=tier,
                     light_resolution=resolution,
                     seed=seed,
@@ -219,13 +227,14 @@ class Plan:
                 )
 
     @cached_property
-    def _camera(self):
+    def _camera(self) -> str:
         return camera_words(self.job.camera)
 
 
-def _order(shot):
-    """Sort key of shots under one shape and light. Materials before rotations: new nodes cost twice
-    what a new light does (docs/log.md).
+def _order(shot: Shot) -> tuple:
+    """Return the sort key of a shot among those of one shape and light.
+
+    Materials come before rotations: new nodes cost twice as much as a new light (docs/log.md).
     """
     return (
         shot.light_resolution,

@@ -1,14 +1,23 @@
-"""The shapes that a job names, one by one: "chair:0-39" a range, "meshes/" a folder,
-"stool.obj?up=z" a file with reading options.
+"""The shapes that a job's names mean.
+
+"chair:0-39" is a range, "meshes/" a folder, "stool.obj?up=z" a file with reading options.
 """
 
+from __future__ import annotations
+
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from manifests import splits
 from manifests.errors import InputError
+from manifests.schema import Job
+
+if TYPE_CHECKING:
+    from factory.shapes.mesh import Mesh
 
 RANGE = re.compile(r"^(\w+):([0-9]{1,100})-([0-9]{1,100})$")
 MARK = re.compile(r"[#?]")
@@ -17,8 +26,10 @@ MOST_SHAPES = 1_000_000
 
 
 class Source(msgspec.Struct, frozen=True):
-    """Where a mesh is read from: what factory.shapes.catalogue.load takes; name and category: None,
-    the mesh's own.
+    """Where a mesh is read from.
+
+    place           what factory.shapes.catalogue.load takes
+    name, category  None: those of the mesh itself
     """
 
     place: str
@@ -27,23 +38,21 @@ class Source(msgspec.Struct, frozen=True):
     licence: str = OWN_LICENCE
 
 
-def load_mesh(source):
-    """The Mesh of a Source."""
+def load_mesh(source: Source) -> Mesh:
+    """Return the Mesh of a Source."""
     from factory.shapes.catalogue import load
 
-    return load(
-        source.place,
-        **{
-            k: v for k, v in (("name", source.name), ("category", source.category)) if v is not None
-        },
-    )
+    options = {"name": source.name, "category": source.category}
+    return load(source.place, **{k: v for k, v in options.items() if v is not None})
 
 
-def sources(job, folder):
-    """The Source of every shape of a job; what a number alone rules out is not even named.
+def sources(job: Job, folder: str | Path | None) -> Iterator[Source]:
+    """Yield the Source of every shape of a job.
 
-    folder  where relative paths start and end, None: paths may lead anywhere
-    Raises  InputError: a range that is none, a path that leaves the folder or leads nowhere
+    Shapes whose number alone gives them a role that the job leaves out are not yielded.
+
+    folder  where relative paths start, None: paths may lead anywhere
+    Raises  InputError: a malformed range, a path that leaves the folder or does not exist
     """
     for spec in job.shapes:
         if span := RANGE.match(spec):
@@ -52,16 +61,18 @@ def sources(job, folder):
             yield from _files(spec.removeprefix("file:"), folder)
             continue
         else:
-            specs = [spec]  # of an unknown name the catalogue says which are near
+            specs = [spec]  # for an unknown name the catalogue's error lists close ones
         for one in specs:
             role = splits.numbered_role(one, job.split)
             if role is None or not job.roles or role in job.roles:
                 yield Source(one)
 
 
-def local(path, folder, where):
-    """A path of a job file, within its folder. Raises InputError if it leaves it; folder None: any
-    path.
+def local(path: str, folder: str | Path | None, where: str) -> Path:
+    """Return a path of a job file. Raises InputError if it leaves the folder.
+
+    folder  None: any path is allowed
+    where   the key of the job, for the error
     """
     if folder is None:
         return Path(path)
@@ -77,9 +88,10 @@ def local(path, folder, where):
     return target
 
 
-def _lies_in(target, folder):
-    """Whether a path leads into a folder, links followed; a name that no file can have, or links in
-    a circle, lead nowhere.
+def _lies_in(target: Path, folder: Path) -> bool:
+    """Return whether a path, with links followed, leads into a folder.
+
+    A name that no file can have and links in a circle do not.
     """
     try:
         return target.resolve().is_relative_to(folder.resolve())
@@ -87,7 +99,8 @@ def _lies_in(target, folder):
         return False
 
 
-def _numbers(spec, family, first, last):
+def _numbers(spec: str, family: str, first: int, last: int) -> list[str]:
+    """Return the specs of a range. Raises InputError."""
     if not first <= last < first + MOST_SHAPES:
         raise InputError(
             f"job: shapes '{spec}'",
@@ -98,20 +111,21 @@ def _numbers(spec, family, first, last):
     return [f"{family}:{number}" for number in range(first, last + 1)]
 
 
-def _is_family(spec):
+def _is_family(spec: str) -> bool:
     from factory.shapes.catalogue import FAMILIES, GENERAL, PRIMITIVES
 
     return spec.partition(":")[0] in (*FAMILIES, *GENERAL, *PRIMITIVES)
 
 
-def _files(place, folder):
-    """A mesh file, with its member and options if it has any; or all that lie in a folder or a
-    library.
+def _files(place: str, folder: str | Path | None) -> Iterator[Source]:
+    """Yield one mesh file, or every mesh of a folder or a library.
+
+    place  a path, with a member ("#NAME") and reading options ("?up=z") if there are any
     """
     from factory.shapes.libraries import find
 
     target = local(place, folder, "job: shapes")
-    # a '#' or '?' of an existing path stays in it
+    # a '#' or '?' in the name of an existing file is part of the name
     rest = "" if target.exists() else place[len(MARK.split(place)[0]) :]
     target = local(place.removesuffix(rest), folder, "job: shapes")
     if target.is_dir() or (target.suffix.lower() == ".sh3f" and not rest.startswith("#")):

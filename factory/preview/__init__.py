@@ -1,1 +1,1 @@
-"""A data set as pictures: contact sheet and web page."""
+"""A data set as pictures: a contact sheet and a web page."""

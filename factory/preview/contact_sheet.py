@@ -1,15 +1,14 @@
-"""A dataset at a glance: for each record image, normals, mask, light ball, the label's own
-rendering, and the difference.
+"""A contact sheet of records: picture, normals, mask, light, the label's rendering, the difference.
 
-Tiles are (size, size, 3) uint8. The label is shaded at every k-th pixel only, enough to look at
-(factory.preview.shading). The difference is
-|display − display| × GAIN: noise, shadows and interreflection included, which only `learn agree`
-takes apart.
+Tiles are (size, size, 3) uint8. The label is shaded at every k-th pixel only, which suffices to
+look at (factory.preview.shading). The difference is |display − display| × GAIN. It includes noise,
+shadows and interreflection, which `learn agree` separates.
 """
 
 import base64
 import html
 import io
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -17,22 +16,33 @@ from PIL import Image, ImageDraw
 from factory.preview.shading import mirror_sphere, shade
 from manifests.arrays import read_geometry, read_light, read_picture
 from manifests.errors import InputError
-from manifests.store import inside
+from manifests.materials import Material
+from manifests.schema import Dataset, Record
+from manifests.store import Store, inside
 from shaders import frames, tone
 from shaders.envmap import roll
 
 COLUMNS = ("image", "normals", "mask", "light", "label", "difference x 4")
 GAIN = 4.0
-SHADED = 56  # pixels a side at which the label is shaded
+SHADED = 56  # pixels per side at which the label is shaded
 MARGIN, TEXT = 4, 26
 STYLE = (
     "body{background:#181818;color:#ddd;font:14px sans-serif}td{padding:2px 4px}code{color:#9c9}"
 )
 
 
-def row(store, dataset, materials, record, size):
-    """The tiles of one record, in the order of COLUMNS. Raises InputError for files that are
-    missing, damaged or altered.
+def row(
+    store: Store,
+    dataset: Dataset,
+    materials: Mapping[str, Material],
+    record: Record,
+    size: int,
+) -> list[np.ndarray]:
+    """Return the tiles of one record, in the order of COLUMNS.
+
+    materials  {name: Material} of the data set
+    size       of the tiles, pixels
+    Raises     InputError for files that are missing, damaged or altered
     """
     require_named(store, dataset, materials, record)
     picture = read_picture(
@@ -50,38 +60,31 @@ def row(store, dataset, materials, record, size):
     label = labelled(
         record, normals[seen], segments[seen], view(record)[seen], materials, light, elevation
     )
-    ours, theirs = (
-        tone.display(label, exposure),
-        tone.display(picture[seen], exposure) * mask[seen][..., None],
-    )
+    ours = tone.display(label, exposure)
+    theirs = tone.display(picture[seen], exposure) * mask[seen][..., None]
+    sphere = mirror_sphere(light, size, elevation)
+    light_exposure = tone.auto_exposure(light, np.ones(light.shape[:2], bool), 98)
     return [
         tile(tone.display(picture, exposure), size),
         tile(np.where(mask[..., None], 127.5 + 127.5 * normals, 0), size),
         tile(np.repeat(segments[..., None] * (255.0 / max(segments.max(), 1)), 3, axis=-1), size),
-        tile(
-            tone.display(
-                mirror_sphere(light, size, elevation),
-                tone.auto_exposure(light, np.ones(light.shape[:2], bool), 98),
-            ),
-            size,
-        ),
+        tile(tone.display(sphere, light_exposure), size),
         tile(ours, size),
         tile(np.clip(np.abs(ours - theirs) * GAIN, 0, 255), size),
     ]
 
 
-def require_named(store, dataset, materials, record):
-    """Raises InputError if the dataset does not describe the light or a material that a record
-    names.
-    """
+def require_named(
+    store: Store, dataset: Dataset, materials: Mapping[str, Material], record: Record
+) -> None:
+    """Raise InputError if the data set lacks the light or a material that a record names."""
     missing = [
         ("materials.json", f"material '{name}'")
         for name in record.materials
         if name not in materials
     ]
-    missing += (
-        [] if record.light in dataset.lights else [("dataset.json", f"light '{record.light}'")]
-    )
+    if record.light not in dataset.lights:
+        missing.append(("dataset.json", f"light '{record.light}'"))
     for file, what in missing:
         raise InputError(
             store.folder / file,
@@ -91,8 +94,21 @@ def require_named(store, dataset, materials, record):
         )
 
 
-def labelled(record, normals, segments, views, materials, light, elevation):
-    """Radiance of the label over the pixels given, 0 outside the object."""
+def labelled(
+    record: Record,
+    normals: np.ndarray,
+    segments: np.ndarray,
+    views: np.ndarray,
+    materials: Mapping[str, Material],
+    light: np.ndarray,
+    elevation: float,
+) -> np.ndarray:
+    """Return the radiance (…, 3) that the labels give to pixels, 0 outside the object.
+
+    normals, views  (…, 3), segments (…): of the pixels
+    light           (64, 128, 3) as the camera sees it
+    elevation       of the camera, radians
+    """
     out = np.zeros(normals.shape)
     for number, name in enumerate(record.materials, 1):
         here = segments == number
@@ -102,24 +118,23 @@ def labelled(record, normals, segments, views, materials, light, elevation):
     return out
 
 
-def view(record):
-    """Unit vectors (height, width, 3) from surface to camera."""
+def view(record: Record) -> np.ndarray:
+    """Return the unit vectors (height, width, 3) from surface to camera."""
+    height, width = record.camera.size
     fov = None if record.camera.fov_deg is None else np.radians(record.camera.fov_deg)
-    return frames.view_vectors(*record.camera.size, fov=fov)
+    return frames.view_vectors(height, width, fov=fov)
 
 
-def stored_light(store, dataset, record):
-    """The light (64, 128, 3) as the camera of a record sees it."""
+def stored_light(store: Store, dataset: Dataset, record: Record) -> np.ndarray:
+    """Return the light (64, 128, 3) as the camera of a record sees it."""
     entry = dataset.lights[record.light]
     return roll(
         read_light(inside(store.folder, entry.file), entry.file_hash), record.rotation_texels
     )
 
 
-def tile(display, size):
-    """Display values (height, width, 3) in [0, 255] as a square of `size`, the longer side filling
-    it.
-    """
+def tile(display: np.ndarray, size: int) -> np.ndarray:
+    """Return display values (height, width, 3) in [0, 255], scaled to fit a square of `size`."""
     height, width = display.shape[:2]
     image = Image.fromarray(np.clip(np.rint(display), 0, 255).astype(np.uint8))
     scale = size / max(height, width)
@@ -132,8 +147,8 @@ def tile(display, size):
     return np.asarray(square)
 
 
-def caption(record):
-    """What a record is, in one line."""
+def caption(record: Record) -> str:
+    """Return one line that describes a record."""
     materials = ", ".join(dict.fromkeys(record.materials))
     where = f"{record.light} +{record.rotation_texels}, view {record.viewpoint}"
     return (
@@ -142,8 +157,8 @@ def caption(record):
     )
 
 
-def draw(rows, captions, size):
-    """One picture of all rows under their captions."""
+def draw(rows: Sequence[Sequence[np.ndarray]], captions: Sequence[str], size: int) -> Image.Image:
+    """Return one picture of all rows with their captions."""
     width = len(COLUMNS) * (size + MARGIN) + MARGIN
     height = TEXT + len(rows) * (size + MARGIN + TEXT) + MARGIN
     image = Image.new("RGB", (width, height), (24, 24, 24))
@@ -158,8 +173,13 @@ def draw(rows, captions, size):
     return image
 
 
-def page(title, rows, captions, ids):
-    """The same as HTML that needs no other file."""
+def page(
+    title: str,
+    rows: Sequence[Sequence[np.ndarray]],
+    captions: Sequence[str],
+    ids: Sequence[str],
+) -> str:
+    """Return an HTML page of all rows, which needs no other file."""
     parts = [
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>",
         f"<style>{STYLE}</style>",
@@ -183,7 +203,8 @@ def page(title, rows, captions, ids):
     return "\n".join([*parts, "</table></html>\n"])
 
 
-def _png(pixels):
+def _png(pixels: np.ndarray) -> str:
+    """Return pixels as a PNG file in base64."""
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "PNG")
     return base64.b64encode(buffer.getvalue()).decode()

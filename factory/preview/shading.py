@@ -1,9 +1,11 @@
-"""A record re-rendered from its label by the plain sum over the light's texels, at a few thousand
-pixels: the preview's second opinion.
+"""A record rendered from its label by the plain sum over the light's texels, at a few pixels.
 
-P pixels, T texels with positive radiance. The layer in learn/ does this properly; here it must only
-need numpy. n (P, 3) unit normals, camera frame; L (64, 128, 3) the light as the camera sees it; v
-(P, 3) towards the viewer, or None: (0, 0, 1)
+This needs numpy alone; the rendering layer in learn/ does it faster and with derivatives.
+
+P  pixels; T: texels with positive radiance
+n  (P, 3), unit normals, camera frame
+L  (64, 128, 3), the light as the camera sees it
+v  (P, 3), towards the viewer, or None: (0, 0, 1)
 """
 
 import numpy as np
@@ -11,23 +13,24 @@ import numpy as np
 from shaders import dsbrdf, envmap
 from shaders.frames import camera_from_light
 
-CHUNK = 1 << 21  # pixels × texels at a time: 16 MB an array of float64
+CHUNK = 1 << 21  # pixels × texels at a time: 16 MB per array of float64
 
 
-def lights(L, elevation):
-    """Directions (T, 3), camera frame, and radiance × solid angle (T, 3) of the texels that
-    shine.
-    """
+def lights(L: np.ndarray, elevation: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return directions (T, 3), camera frame, and radiance × solid angle (T, 3) of lit texels."""
     w, solid_angle = envmap.directions(*L.shape[:2])
     power = (L * solid_angle[..., None]).reshape(-1, 3).astype(np.float64)
     lit = power.max(-1) > 0
     return w.reshape(-1, 3)[lit] @ camera_from_light(elevation).T, power[lit]
 
 
-def shade(n, m, L, elevation, v=None):
-    """Radiance (P, 3) of pixels of one material, neither shadow nor interreflection.
+def shade(
+    n: np.ndarray, m: np.ndarray, L: np.ndarray, elevation: float, v: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the radiance (P, 3) of pixels of one material, without shadow or interreflection.
 
-    m  (3, 3, 2, 6) κ and γ control values
+    m          (3, 3, 2, 6), control values of κ and γ
+    elevation  of the camera, radians
     """
     w, power = lights(L, elevation)
     out = np.empty((len(n), 3))
@@ -39,12 +42,15 @@ def shade(n, m, L, elevation, v=None):
     return out
 
 
-def _sum(n, m, w, power, v):
-    """The sum for a few pixels: Σ_t f(h·n, θ_d) max(0, n·w) L dω; v (3,) for all of them, or (P,
-    3).
+def _sum(
+    n: np.ndarray, m: np.ndarray, w: np.ndarray, power: np.ndarray, v: np.ndarray
+) -> np.ndarray:
+    """Return Σ_t f(h·n, θ_d) max(0, n·w) L dω (P, 3) for a few pixels.
+
+    v  (3,) for all pixels, or (P, 3)
     """
     cosine = np.maximum(n @ w.T, 0.0)
-    if v.ndim == 1:  # a distant viewer: h and θ_d belong to the texel alone
+    if v.ndim == 1:  # a distant viewer: h and θ_d depend on the texel alone
         h, theta_d = dsbrdf.half_angles(w, v)
         kappa, gamma = (c[None] for c in dsbrdf.coefficients(m, theta_d))
         cos_h = n @ h.T
@@ -68,10 +74,8 @@ def _sum(n, m, w, power, v):
     return radiance
 
 
-def mirror_sphere(L, size, elevation):
-    """The light as a mirror ball shows it to the camera: (size, size, 3), black outside the
-    ball.
-    """
+def mirror_sphere(L: np.ndarray, size: int, elevation: float) -> np.ndarray:
+    """Return a picture (size, size, 3) of a mirror sphere under the light, black around it."""
     y, x = np.mgrid[0:size, 0:size]
     x, y = (2 * x + 1 - size) / size, (size - 1 - 2 * y) / size
     r2 = x**2 + y**2

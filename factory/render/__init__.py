@@ -1,5 +1,5 @@
-"""Blender and Cycles: shapes, materials and light go in; radiance and geometry come out. The only
-package that imports bpy.
+"""Blender and Cycles: shapes, materials and light go in; radiance and geometry come out.
 
-Importing a module of this package imports bpy; importing the package itself does not.
+No other package imports bpy. Importing a module of this package imports bpy; importing the package
+itself does not.
 """

@@ -1,16 +1,20 @@
-"""A Mesh as a Blender mesh whose normals are the given ones, to the last float32 digit.
+"""A Mesh as a Blender mesh with exactly the same float32 normals.
 
-Blender's split normals are 16-bit numbers relative to the face. Vertex normals given as the free
-attribute `custom_normal` (Blender 4.5) are float32 and used as they are, so each vertex is doubled
-where its corners' normals differ.
+Blender's split normals are 16-bit numbers relative to the face. The free attribute `custom_normal`
+(Blender 4.5) holds float32 vertex normals, which are used without change, so each vertex is
+duplicated where its corners' normals differ.
 """
 
 import bpy
 import numpy as np
 
+from factory.shapes.mesh import Mesh
 
-def split_by_normal(vertices, faces, corner_normals):
-    """Vertices doubled so that each has one normal.
+
+def split_by_normal(
+    vertices: np.ndarray, faces: np.ndarray, corner_normals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return vertices, normals and faces with vertices duplicated so that each has one normal.
 
     vertices (V, 3), faces (F, 3), corner_normals (F, 3, 3)
     Returns  vertices (U, 3) float32, normals (U, 3) float32, faces (F, 3) int32
@@ -28,8 +32,8 @@ def split_by_normal(vertices, faces, corner_normals):
     )
 
 
-def build(mesh):
-    """A new bpy mesh; face i has material index segment − 1."""
+def build(mesh: Mesh) -> bpy.types.Mesh:
+    """Return a new Blender mesh; face i has the material index segment − 1."""
     vertices, normals, faces = split_by_normal(mesh.vertices, mesh.faces, mesh.corner_normals)
     body = bpy.data.meshes.new("shape")
     body.vertices.add(len(vertices))

@@ -1,43 +1,42 @@
-"""Where the camera stands: fixed at azimuth 0, above the horizon by the elevation; the object turns
-instead.
+"""The camera's pose: fixed at azimuth 0 and at the elevation above the horizon; the object turns.
 
-distance  from the camera to the object's centre, world units. A matter of choice for an
-orthographic camera; for a perspective
-          one it follows from fov and half_extent: the frame spans 2 half_extent at the object's
-          centre.
+distance  from the camera to the object's centre, in world units. It is arbitrary for an
+          orthographic camera. For a perspective one it follows from fov and half_extent: the frame
+          spans 2 half_extent at the object's centre.
 """
 
+import bpy
 import mathutils
 import numpy as np
 
 from factory.render.settings import assign
+from manifests.schema import Camera
 from shaders import frames
 
 ORTHOGRAPHIC_DISTANCE = 4.0  # outside the unit sphere, near enough for float32 depths good to 5e-7
 
 
-def distance(camera):
-    """From the camera to the object's centre; camera: manifests.schema.Camera."""
+def distance(camera: Camera) -> float:
+    """Return the distance from the camera to the object's centre."""
     if camera.fov_deg is None:
         return ORTHOGRAPHIC_DISTANCE
     return camera.half_extent / np.tan(np.radians(camera.fov_deg) / 2)
 
 
-def camera_from_fixed_world(camera):
-    """Rotation (3, 3) from the world in which the camera stands at azimuth 0 to the camera
-    frame.
-    """
+def camera_from_fixed_world(camera: Camera) -> np.ndarray:
+    """Return the rotation (3, 3) from the world, where the camera is at azimuth 0, to its frame."""
     return frames.camera_from_world(0.0, np.radians(camera.elevation_deg))
 
 
-def view_vectors(camera):
-    """Unit vectors (height, width, 3) from surface to camera, camera frame."""
+def view_vectors(camera: Camera) -> np.ndarray:
+    """Return the unit vectors (height, width, 3) from surface to camera, in the camera frame."""
+    height, width = camera.size
     fov = None if camera.fov_deg is None else np.radians(camera.fov_deg)
-    return frames.view_vectors(*camera.size, fov=fov)
+    return frames.view_vectors(height, width, fov=fov)
 
 
-def place(scene, camera):
-    """Gives the scene's camera object the place, lens and frame that `camera` describes."""
+def place(scene: bpy.types.Scene, camera: Camera) -> None:
+    """Give the scene's camera object the pose, lens and frame that `camera` describes."""
     away, world_from_camera = distance(camera), camera_from_fixed_world(camera).T
     pose = np.eye(4)
     pose[:3, :3] = world_from_camera

@@ -1,20 +1,27 @@
-"""What is wrong with a shot, found by looking at its pixels: Cycles fails silently.
+"""Checks of rendered pixels, which find the errors that Cycles does not report.
 
-Each function returns a list of lines, each saying what was expected and what was found; an empty
-list is a good shot.
+Each function returns a list of lines that say what was expected and what was found; the list of a
+good shot is empty.
 """
 
 import numpy as np
 
+from manifests.arrays import SeenGeometry
+
 UNIT_TOLERANCE = 1e-3  # of |n|: ten times float16's rounding of a unit vector's parts
 
 
-def picture(radiance, coverage_expected=None, alpha=None):
-    """Finite, not negative, not Cycles' magenta for a missing texture, not all black, covering what
-    the geometry covers.
+def picture(
+    radiance: np.ndarray, coverage_expected: float | None = None, alpha: np.ndarray | None = None
+) -> list[str]:
+    """Return what is wrong with a picture.
 
-    radiance           (height, width, 3); alpha (height, width) or None
-    coverage_expected  share of the frame that the geometry's mask covers, or None
+    It must be finite, not negative, not Cycles' magenta for a missing texture, and cover the part
+    of the frame that the geometry covers.
+
+    radiance           (height, width, 3)
+    coverage_expected  share of the frame inside the geometry's mask, or None
+    alpha              (height, width), or None
     """
     results = []
     if not np.isfinite(radiance).all():
@@ -28,8 +35,8 @@ def picture(radiance, coverage_expected=None, alpha=None):
         results.append("expected the light's colours, found magenta: Cycles has no light map")
     if alpha is not None and coverage_expected is not None:
         coverage = float(alpha.mean())
-        # a silhouette pixel is in the mask or not, in the picture it is a share: half a pixel along
-        # a boundary of ≤ 8 frame widths
+        # a pixel at the silhouette is in the mask or not, but in the picture it counts in part: the
+        # error is half a pixel along a boundary of at most 8 frame widths
         if abs(coverage - coverage_expected) > 4.0 / min(alpha.shape):
             results.append(
                 f"expected coverage {coverage_expected:.4f}, as in the geometry, found"
@@ -38,24 +45,26 @@ def picture(radiance, coverage_expected=None, alpha=None):
     return results
 
 
-def magenta(radiance):
-    """True if red and blue shine and green nowhere: Cycles' (1, 0, 1) for a missing texture, times
-    the material's colour.
+def magenta(radiance: np.ndarray) -> bool:
+    """Return whether a picture has red and blue light, but no green light anywhere.
+
+    That is Cycles' (1, 0, 1) for a missing texture, times the material's colour.
     """
-    return (
-        not radiance[..., 1].any() and bool(radiance[..., 0].any()) and bool(radiance[..., 2].any())
-    )
+    red, green, blue = (bool(radiance[..., k].any()) for k in range(3))
+    return red and blue and not green
 
 
-def geometry(shot, segments):
-    """Unit normals that face the viewer, segments 1 … segments, something in the frame.
+def geometry(shot: SeenGeometry, segments: int) -> list[str]:
+    """Return what is wrong with geometry.
 
-    shot      Geometry
-    segments  how many the shape has
+    The object must be in the frame, normals must have unit length, and segments must be 1 to
+    `segments` inside the mask and 0 outside.
+
+    segments  number of segments of the shape
     """
-    results = []
     if not shot.mask.any():
         return ["expected the object in the frame, found an empty mask"]
+    results = []
     if not np.isfinite(shot.normals).all() or not np.isfinite(shot.depth).all():
         results.append("expected finite normals and depth, found others")
     normals = shot.normals[shot.mask]
@@ -68,5 +77,5 @@ def geometry(shot, segments):
     if shot.segments.max() > segments:
         results.append(f"expected segments 1 to {segments}, found {shot.segments.max()}")
     if not np.array_equal(shot.segments > 0, shot.mask):
-        results.append("expected segment 0 outside the mask, and there alone, found others")
+        results.append("expected segment 0 outside the mask and nowhere else, found others")
     return results

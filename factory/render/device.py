@@ -9,8 +9,8 @@ BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")
 NAMES = ("auto", "cpu", *(name.lower() for name in BACKENDS))
 
 
-def choose(device):
-    """Makes Cycles ready for a device and says which it is.
+def choose(device: str) -> tuple[str, str, tuple[str, ...]]:
+    """Make Cycles render on a device, and return which one it is.
 
     device   one of NAMES; auto: the first back end that has a GPU, else the CPU
     Returns  ("CPU" or "GPU", back end or "CPU", names of the processors)
@@ -31,19 +31,17 @@ def choose(device):
             "--device",
             f"a GPU that Cycles can use through {device}",
             "none",
-            "take --device cpu or auto, or check the driver",
+            "use --device cpu or auto, or check the driver",
         )
     preferences.compute_device_type = "NONE"
     return "CPU", "CPU", ()
 
 
-def _gpus(preferences, backend):
-    """The GPUs of one back end; Blender refuses the name of a back end that it was built
-    without.
-    """
+def _gpus(preferences: bpy.types.AddonPreferences, backend: str) -> list:
+    """Return the GPUs of one back end."""
     try:
         preferences.compute_device_type = backend
-    except TypeError:
+    except TypeError:  # Blender was built without this back end
         return []
     preferences.refresh_devices()
     return [processor for processor in preferences.devices if processor.type == backend]

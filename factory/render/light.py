@@ -1,12 +1,12 @@
-"""An environment map as a Blender world, turned so that the camera at azimuth 0 sees it as the
-layer does.
+"""An environment map as a Blender world, turned so that the camera sees it as the layer does.
 
 L  (height, width, 3) float32, the stored layout of shaders.envmap: row 0 at the zenith, light frame
-u  Blender's texture coordinate, ½ − atan2(y, x)/2π: at azimuth 0 the light frame's x is the world's
-y, hence u_blender = u_ours + ¼.
-   A whole-column roll of the pixels, so that texels stay where importance sampling and nearest
-   look-up have their cells: turning the world's Mapping by 15° instead puts a sun astride two cells
-   and raises noise 28-fold (docs/rendering.md).
+u  Blender's texture coordinate, ½ − atan2(y, x)/2π. At azimuth 0 the light frame's x axis is the
+   world's y axis, hence u_blender = u_ours + ¼.
+
+The pixels are rolled by whole columns, so that texels coincide with the cells of importance
+sampling and of nearest look-up. Turning the world's Mapping by 15° instead would put a sun on the
+border of two cells, which raises the noise 28-fold (docs/rendering.md).
 """
 
 import bpy
@@ -19,10 +19,10 @@ from shaders import envmap
 TEXELS = 128
 
 
-def as_seen(L, rotation_texels):
-    """The map as the camera at azimuth 0 sees it: rolled by rotation_texels/128 of a turn.
+def as_seen(L: np.ndarray, rotation_texels: int) -> np.ndarray:
+    """Return the map as the camera at azimuth 0 sees it: rolled by rotation_texels/128 of a turn.
 
-    Raises  ValueError for a width in which that is no whole number of columns
+    Raises  ValueError if the width is no multiple of 128
     """
     width = L.shape[1]
     if width % TEXELS:
@@ -33,38 +33,39 @@ def as_seen(L, rotation_texels):
     return envmap.roll(L, rotation_texels * (width // TEXELS))
 
 
-def blender_pixels(seen):
-    """RGBA float32 (height, width, 4) in Blender's order: bottom row first, columns from u = 0."""
+def blender_pixels(seen: np.ndarray) -> np.ndarray:
+    """Return RGBA (height, width, 4) in Blender's order: bottom row first, columns from u = 0."""
     height, width = seen.shape[:2]
     pixels = np.ones((height, width, 4), np.float32)
     pixels[..., :3] = envmap.roll(seen, width // 4)[::-1]
     return pixels
 
 
-def settings(width):
-    """World settings, by path from the scene, for a map of that width."""
+def settings(width: int) -> tuple[Setting, ...]:
+    """Return the world's settings, by path from the scene, for a map of that width."""
     return (
         Setting(
             "world.cycles.sampling_method",
             "MANUAL",
-            "AUTOMATIC builds its own map size, 1.2 s a time",
+            "AUTOMATIC chooses the size itself, which takes 1.2 s each time",
         ),
         Setting(
             "world.cycles.sample_map_resolution",
             min(width, 2048),
-            "one importance cell a texel: exact for nearest look-up",
+            "one importance cell per texel: exact for nearest look-up",
         ),
         Setting("world.cycles.is_caustics_light", False, "no manifold caustics"),
-        Setting("world.cycles.max_bounces", 1024, "the light is seen after every bounce"),
+        Setting("world.cycles.max_bounces", 1024, "the light is visible after every bounce"),
     )
 
 
-def build(scene, seen, nearest):
-    """A new world with a new image datablock (persistent data never notices edited pixels); the old
-    world and image are removed.
+def build(scene: bpy.types.Scene, seen: np.ndarray, nearest: bool) -> None:
+    """Give the scene a new world with a new image; the old world and image are removed.
+
+    The image is new because persistent data does not notice edited pixels.
 
     seen     (height, width, 3) from `as_seen`
-    nearest  True: nearest look-up, what the layer sees; False: bilinear
+    nearest  True: nearest look-up, as in the layer; False: bilinear
     """
     height, width = seen.shape[:2]
     image = bpy.data.images.new("light", width, height, float_buffer=True, is_data=True)
@@ -75,15 +76,10 @@ def build(scene, seen, nearest):
     tree = world.node_tree
     tree.nodes.clear()
     texture = tree.nodes.new("ShaderNodeTexEnvironment")
-    texture.image, texture.interpolation, texture.projection = (
-        image,
-        "Closest" if nearest else "Linear",
-        "EQUIRECTANGULAR",
-    )
-    background, output = (
-        tree.nodes.new("ShaderNodeBackground"),
-        tree.nodes.new("ShaderNodeOutputWorld"),
-    )
+    texture.image, texture.projection = image, "EQUIRECTANGULAR"
+    texture.interpolation = "Closest" if nearest else "Linear"
+    background = tree.nodes.new("ShaderNodeBackground")
+    output = tree.nodes.new("ShaderNodeOutputWorld")
     tree.links.new(texture.outputs["Color"], background.inputs["Color"])
     tree.links.new(background.outputs["Background"], output.inputs["Surface"])
     old, scene.world = scene.world, world

@@ -1,10 +1,11 @@
-"""A node graph (shaders.nodes.Graph) as a group of Blender nodes, and the materials that show such
-groups.
+"""Node graphs (shaders.nodes.Graph) as groups of Blender nodes, and materials that show a group.
 
-A fitted mixture has some 80 nodes and 500 colour stops, which Blender takes some 40 ms to put down:
-each mixture is built once, as a node group, and a material of one node shows whichever group it is
-told to.
+A fitted mixture has about 80 nodes and 500 colour stops, which take Blender about 40 ms to build.
+Each mixture is therefore built once, as a node group, and a material of one node shows a group.
 """
+
+from collections.abc import Sequence
+from typing import Any
 
 import bpy
 
@@ -12,15 +13,13 @@ from factory.render.settings import assign
 from shaders import nodes
 
 
-def new(name):
-    """A material that shows a node group, none as yet; tilted normals are left alone, and it is
-    never taken for a lamp.
-    """
+def new(name: str) -> bpy.types.Material:
+    """Return a new material that shows no node group yet."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
-    # else Cycles bends tilted normals back
+    # otherwise Cycles bends tilted normals back
     assign(material, "cycles.use_bump_map_correction", False)
-    # else a glowing mesh becomes a lamp with a tree of its own
+    # otherwise Cycles samples a mesh that emits as a light source
     assign(material, "cycles.emission_sampling", "NONE")
     assign(material, "displacement_method", "BUMP")
     material.node_tree.nodes.clear()
@@ -30,8 +29,8 @@ def new(name):
     return material
 
 
-def show(material, group):
-    """Lets the material show a group from `build`."""
+def show(material: bpy.types.Material, group: bpy.types.NodeTree) -> None:
+    """Make the material show a group from `build`."""
     tree = material.node_tree
     shown = tree.nodes["shown"]
     if shown.node_tree is group:
@@ -42,26 +41,26 @@ def show(material, group):
         tree.links.new(shown.outputs[0], tree.nodes["output"].inputs["Surface"])
 
 
-def build(graph):
-    """A node group with the nodes of `graph`, its one output the surface."""
+def build(graph: nodes.Graph) -> bpy.types.NodeTree:
+    """Return a new node group with the nodes of `graph`; its only output is the surface."""
     tree = bpy.data.node_groups.new("mixture", "ShaderNodeTree")
     tree.interface.new_socket("Surface", in_out="OUTPUT", socket_type="NodeSocketShader")
-    drawn = {node.name: _node(tree, node) for node in graph.nodes if node.name != nodes.OUTPUT.name}
+    built = {node.name: _node(tree, node) for node in graph.nodes if node.name != nodes.OUTPUT.name}
     surface = tree.nodes.new("NodeGroupOutput").inputs["Surface"]
     for link in graph.links:
-        source = _socket(drawn[link.source].outputs, link.output)
+        source = _socket(built[link.source].outputs, link.output)
         tree.links.new(
             source,
             (
                 surface
                 if link.target == nodes.OUTPUT.name
-                else _socket(drawn[link.target].inputs, link.input)
+                else _socket(built[link.target].inputs, link.input)
             ),
         )
     return tree
 
 
-def _socket(sockets, identifier):
+def _socket(sockets: Any, identifier: str) -> bpy.types.NodeSocket:
     for socket in sockets:
         if socket.identifier == identifier:
             return socket
@@ -71,21 +70,23 @@ def _socket(sockets, identifier):
     )
 
 
-def _node(tree, node):
-    drawn = tree.nodes.new(node.type)
-    drawn.name = node.name
-    for path, value in node.properties.items():
-        assign(drawn, path, value)
+def _node(tree: bpy.types.NodeTree, node: nodes.Node) -> bpy.types.Node:
+    built = tree.nodes.new(node.type)
+    built.name = node.name
+    for path, text in node.properties.items():
+        assign(built, path, text)
     if node.ramp:
-        _ramp(drawn.color_ramp, node.ramp)
+        _fill_ramp(built.color_ramp, node.ramp)
     for identifier, value in node.inputs.items():
-        _socket(drawn.inputs, identifier).default_value = value
-    return drawn
+        _socket(built.inputs, identifier).default_value = value
+    return built
 
 
-def _ramp(ramp, stops):
-    """Fills a colour ramp. All values go in at once: set one by one, each makes Blender look
-    through all its trees (ten times slower).
+def _fill_ramp(ramp: bpy.types.ColorRamp, stops: Sequence[tuple[float, Sequence[float]]]) -> None:
+    """Give a colour ramp its stops (position, RGBA).
+
+    All values are set at once. Set one by one, each makes Blender search all its node trees, which
+    is ten times slower.
     """
     while len(ramp.elements) > len(stops):
         ramp.elements.remove(ramp.elements[-1])
@@ -95,12 +96,11 @@ def _ramp(ramp, stops):
     ramp.elements.foreach_set("color", [value for _, colour in stops for value in colour])
 
 
-def emit_id(level):
-    """A node group that emits `level` in red, green and blue: how geometry carries a segment's
-    number.
+def id_emission(level: int) -> bpy.types.NodeTree:
+    """Return a node group that emits `level` in all channels, to render a segment's number.
 
-    It has no closure with a normal of its own: the Normal pass, which averages closures' normals,
-    then gives the surface's.
+    It has no closure with a normal of its own, so the Normal pass, which averages the closures'
+    normals, shows the surface's normal.
     """
     emission = nodes.Node(
         "emission",

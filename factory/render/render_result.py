@@ -1,26 +1,26 @@
-"""Pixels as Cycles leaves them on its film: float32, read in memory, through no file and no view
-transform.
+"""The passes of a render as float32 arrays, copied in memory without a file or a view transform.
 
-Blender offers a background process no way to the Render Result but a file (5 ms for 256², and an
-EXR to parse) or the compositor's viewer (gone in Blender 5). A render engine, however, may ask for
-its own result: Cycles' `render` method is wrapped so that, when Cycles is done, the passes are
-copied (0.15 ms). The copy equals what Blender would have written to a float EXR, bit for bit
+A background process can read Blender's Render Result through a file only (5 ms for 256², and an EXR
+to parse) or through the compositor's viewer (which Blender 5 no longer has). A render engine,
+however, can read its own result: Cycles' `render` method is wrapped so that the passes are copied
+when Cycles is done (0.15 ms). The copy has the bits that Blender would have written to a float EXR
 (tests/render/test_film.py).
 """
 
 import contextlib
+from collections.abc import Iterator
 
 import bpy
 import numpy as np
 
 from manifests.quiet import silenced
 
-_passes = {}
-_tapping = True
+_passes: dict[str, np.ndarray] = {}  # of the last render: name → (height, width, channels)
+_copying = True
 
 
-def _copy_passes(engine):
-    """The result's passes: name → (height, width, channels) float32, row 0 at the top."""
+def _copy_passes(engine: bpy.types.RenderEngine) -> None:
+    """Copy the passes of the engine's result, with row 0 at the top."""
     result = engine.get_result()
     _passes.clear()
     for layer in result.layers:
@@ -32,41 +32,40 @@ def _copy_passes(engine):
             )[::-1]
 
 
-def hook_cycles():
-    """Wraps Cycles' render method, once a process, so that each render's passes are kept."""
+def hook_cycles() -> None:
+    """Wrap Cycles' render method, once per process, so that each render's passes are copied."""
     (cycles,) = (
         c
         for c in bpy.types.RenderEngine.__subclasses__()
         if getattr(c, "bl_idname", "") == "CYCLES"
     )
-    if hasattr(cycles, "render_untapped"):
+    if hasattr(cycles, "render_without_hook"):
         return
-    cycles.render_untapped = cycles.render
+    cycles.render_without_hook = cycles.render
 
-    def render(engine, depsgraph):
-        engine.render_untapped(depsgraph)
-        if _tapping:
+    def render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
+        engine.render_without_hook(depsgraph)
+        if _copying:
             _copy_passes(engine)
 
     cycles.render = render
 
 
 @contextlib.contextmanager
-def untapped():
-    """Inside the block nothing is copied: for timing Blender as it comes."""
-    global _tapping
-    _tapping = False
+def without_copies() -> Iterator[None]:
+    """Copy nothing inside the block, to time Blender alone."""
+    global _copying
+    _copying = False
     try:
         yield
     finally:
-        _tapping = True
+        _copying = True
 
 
-def render_passes(scene):
-    """Renders a scene; returns its passes, name → (height, width, channels) float32, row 0 at the
-    top.
+def render_passes(scene: bpy.types.Scene) -> dict[str, np.ndarray]:
+    """Render a scene; return {pass: (height, width, channels) float32}, row 0 at the top.
 
-    Raises  RuntimeError if Cycles left nothing
+    Raises  RuntimeError if Cycles has not finished
     """
     # Persistent data misses new samples, seeds and bounces: Cycles' own properties tag nothing.
     # TIME is the tag that costs least: without `refresh` every mesh would be sent to Cycles again.

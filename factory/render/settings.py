@@ -1,18 +1,19 @@
-"""Every Cycles setting that alters pixels: its value, the reason, and the one setter that may
-change it.
+"""Every Cycles setting that alters pixels, with its value and the reason, and their only setter.
 
-Cycles accepts `scene.cycles.<typo> = x` in silence, and clamps what lies outside a property's
-range: `assign` refuses both. A setting is named by the path from its scene: `cycles.samples`,
+Blender accepts `scene.cycles.<typo> = x` without an error, and clamps a value outside a property's
+range; `assign` refuses both. A setting is named by its path from the scene: `cycles.samples`,
 `render.film_transparent`, `world.cycles.sampling_method`.
 """
 
 import difflib
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One property of a Blender scene, by path, and why it has that value."""
+    """One property of a Blender scene by its path, its value, and the reason for the value."""
 
     path: str
     value: object
@@ -32,8 +33,8 @@ ALWAYS = (
         True,
         "the next view, light or material of a shape needs no new scene",
     ),
-    Setting("render.use_compositing", False, "nothing between the film and the file"),
-    Setting("render.use_sequencer", False, "nothing between the film and the file"),
+    Setting("render.use_compositing", False, "nothing alters the rendered pixels"),
+    Setting("render.use_sequencer", False, "nothing alters the rendered pixels"),
     Setting("render.use_motion_blur", False, "nothing moves"),
     Setting("render.use_simplify", False, "shapes as they are"),
     Setting("render.dither_intensity", 0.0, "the default 1 adds noise"),
@@ -101,8 +102,7 @@ ALWAYS = (
     ),
 )
 
-# By manifests.schema.Camera.pixel. Of BOX, Cycles ignores the width: a pixel's centre needs another
-# filter.
+# by manifests.schema.Camera.pixel; "centre" is no BOX, because Cycles ignores the width of one
 PIXELS = {
     "square": (
         Setting(
@@ -139,9 +139,9 @@ GEOMETRY = (
     ),
 )
 
-# Light transport: what each tier follows. `visible_*` belong to the object (factory.render.studio):
-# without them light passes through it.
-TIERS = {
+# The light transport of each tier. Without `unoccluded` the object blocks light: the studio sets
+# its `visible_*` properties accordingly.
+TIERS: dict[str, dict[str, Any]] = {
     "direct": {
         "unoccluded": True,
         "bounces": 0,
@@ -158,21 +158,20 @@ TIERS = {
 }
 
 
-def _owner(root, path):
+def _owner(root: Any, path: str) -> tuple[Any, str]:
+    """Return the object that has the property at a path, and the property's name."""
     *owners, name = path.split(".")
     for step in owners:
         root = getattr(root, step)
     return root, name
 
 
-def assign(root, path, value):
-    """Sets one property and reads it back.
+def assign(root: Any, path: str, value: Any) -> Any:
+    """Set one property, read it back, and return the value that Blender holds.
 
-    root     a Blender object, mostly a scene
-    path     dotted, from root
-    Returns  the value as Blender holds it
-    Raises   AttributeError for a name that Blender does not know, ValueError for a value that it
-    does not take
+    root    a Blender object, mostly a scene
+    path    dotted, from root
+    Raises  AttributeError for an unknown property; ValueError for a value that Blender refuses
     """
     owner, name = _owner(root, path)
     known = owner.bl_rna.properties
@@ -200,16 +199,16 @@ def assign(root, path, value):
     return held
 
 
-def apply(root, settings):
-    """Sets each Setting on a scene."""
+def apply(root: Any, settings: Iterable[Setting]) -> None:
+    """Apply each Setting to a scene."""
     for setting in settings:
         assign(root, setting.path, setting.value)
 
 
-def effective(root, settings):
-    """path → {value, reason} as Blender holds them now, for dataset.json."""
+def effective(root: Any, settings: Iterable[Setting]) -> dict[str, dict[str, Any]]:
+    """Return {path: {"value", "reason"}} with the values that Blender holds, for dataset.json."""
 
-    def held(path):
+    def held(path: str) -> Any:
         owner, name = _owner(root, path)
         value = getattr(owner, name)
         return round(value, 6) if isinstance(value, float) else value

@@ -1,17 +1,18 @@
-"""A studio: one process, one Blender, shot after shot; shape, light, materials and view are
-exchanged between shots.
+"""A studio: a Blender scene that renders shot after shot with the given shape, light and materials.
 
-One scene, shown in two ways: as a picture, with light and materials, and as geometry, where each
-segment glows with its own number. (Two scenes would be simpler, but when Blender renders one it
-drops what persistent data holds of the other.) Camera and light stand still, the object turns by
-−azimuth (shaders.frames: the light turns with the camera).
+The one scene is rendered in two ways: as a picture, with light and materials, and as geometry,
+where each segment emits its own number. (Two scenes would be simpler, but when Blender renders one
+of them it drops the persistent data of the other.) Camera and light are fixed, and the object turns
+by −azimuth, because the light turns with the camera (shaders.frames).
 
 radiance  (height, width, 3) float32, linear Rec.709, black outside the object; row 0 at the top
 """
 
 import platform
 from collections import OrderedDict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import bpy
 import numpy as np
@@ -37,22 +38,26 @@ from factory.render.settings import (
     assign,
     effective,
 )
+from factory.shapes.mesh import Mesh
 from manifests.arrays import LIGHT_SHAPE
+from manifests.schema import Camera, LightResolution, Tier
 from shaders import nodes
+from shaders.mixture import Mixture
 
-HELD = 512  # node groups kept: more than there are materials in a catalogue
-# least n·v of a normal: smooth normals lean over the horizon near a coarse mesh's silhouette
+Purpose = Literal["picture", "geometry"]
+MOST_GROUPS = 512  # node groups in memory: more than there are materials in a catalogue
+# least n·v of a normal: near a coarse mesh's silhouette smooth normals may face away
 FACING = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """What is seen in each pixel's centre, un-antialiased.
+    """What is visible at each pixel's centre, without antialiasing.
 
     normals   (height, width, 3) float32, camera frame, unit, n·v ≥ 1e-3; 0 outside the mask
     mask      (height, width) bool
-    depth     (height, width) float32: distance behind the plane through the object's centre, along
-    the optical axis; 0 outside the mask
+    depth     (height, width) float32, distance behind the plane through the object's centre, along
+              the optical axis; 0 outside the mask
     segments  (height, width) uint8: 1, 2, …; 0 outside the mask
     """
 
@@ -63,31 +68,43 @@ class Geometry:
 
 
 class Studio:
-    """See the module. Set camera, shape, light and materials (and again any of them), then take
-    `geometry()` and `render()`.
+    """See the module. Set camera, shape, light and materials, then call `geometry` and `picture`.
 
-    settings  path → {value, reason} of all that alters pixels; tiers, device and threads among them
-    versions  of Blender, numpy and Python
+    Each of them can be set again at any time.
+
+    device_name  one of factory.render.device.NAMES
+    threads      number of CPU threads, None: all
+    versions     {"blender", "numpy", "python"}
     """
 
-    def __init__(self, device_name="auto", threads=None):
-        """device_name: one of factory.render.device.NAMES; threads: CPU threads, None: all."""
+    def __init__(self, device_name: str = "auto", threads: int | None = None):
         bpy.ops.wm.read_factory_settings(use_empty=True)
         render_result.hook_cycles()
         kind, backend, processors = device.choose(device_name)
         self._always = (
             *ALWAYS,
-            Setting("cycles.device", kind, f"asked for: {device_name}"),
-            Setting("render.threads_mode", "FIXED" if threads else "AUTO", "asked for"),
-            *((Setting("render.threads", threads, "asked for"),) if threads else ()),
+            Setting("cycles.device", kind, f"requested: {device_name}"),
+            Setting("render.threads_mode", "FIXED" if threads else "AUTO", "requested"),
+            *((Setting("render.threads", threads, "requested"),) if threads else ()),
         )
         self._scene = _scene(self._always)
-        self._lens = self._body = self._object = self._twin = self._shown = self._seen = (
-            self._vertices
-        ) = None
-        self._azimuth = 0.0
-        self._segments, self._tier = 0, None
-        self._surfaces, self._glows, self._worn, self._groups = [], [], [], OrderedDict()
+        self._lens: Camera | None = None
+        self._purpose: Purpose | None = None
+        self._tier: str | None = None
+        self._seen: np.ndarray | None = None  # the light map as the camera sees it
+        self._azimuth, self._segments = 0.0, 0
+        # of the shape
+        self._body: Any = None
+        self._object: Any = None
+        self._second_object: Any = None
+        self._vertices = np.zeros((0, 3), np.float32)
+        # one material per segment, and the node groups that it shows for each purpose
+        self._surfaces: list[Any] = []
+        self._id_groups: list[Any] = []
+        self._material_groups: list[Any] = []
+        self._groups: OrderedDict[tuple, Any] = (
+            OrderedDict()
+        )  # by mixture, least recently used first
         self.versions = {
             "blender": bpy.app.version_string,
             "numpy": np.__version__,
@@ -96,80 +113,87 @@ class Studio:
         self._device = {"backend": backend, "processors": list(processors)}
 
     @property
-    def settings(self):
-        """All that alters pixels, as Blender holds it now."""
+    def settings(self) -> dict[str, Any]:
+        """Everything that alters pixels, with the values that Blender holds."""
         world = light.settings(self._seen.shape[1]) if self._seen is not None else ()
-        held = {}
-        for purpose in ("picture", "geometry"):
+        values: dict[str, Any] = {}
+        purposes: tuple[Purpose, ...] = ("picture", "geometry")
+        for purpose in purposes:
             self._show(purpose)
-            held[purpose] = effective(
+            values[purpose] = effective(
                 self._scene,
                 (*self._always, *self._own(purpose), *(world if purpose == "picture" else ())),
             )
-        return {**held, "tiers": TIERS, "device": self._device}
+        return {**values, "tiers": TIERS, "device": self._device}
 
-    def set_camera(self, lens):
-        """lens: manifests.schema.Camera."""
+    def set_camera(self, lens: Camera) -> None:
+        """Set the camera."""
         if lens != self._lens:
             camera.place(self._scene, lens)
-            self._lens, self._shown = lens, None  # another lens may have other pixels
+            self._lens, self._purpose = lens, None  # another lens may need another pixel filter
 
-    def set_shape(self, mesh):
-        """mesh: factory.shapes.mesh.Mesh. Persistent data is dropped in between: with it, memory
-        grows by every mesh ever shown.
+    def set_shape(self, mesh: Mesh) -> None:
+        """Set the shape.
+
+        Persistent data is dropped, because otherwise memory grows by every mesh that was rendered.
         """
         assign(self._scene, "render.use_persistent_data", False)
         if self._object is not None:
-            for each in (self._object, self._twin):
+            for each in (self._object, self._second_object):
                 bpy.data.objects.remove(each)
             bpy.data.meshes.remove(self._body)
-        self._segments, self._tier, self._worn = int(mesh.segment.max()), None, []
-        self._slots(self._segments)
+        self._segments, self._tier, self._material_groups = int(mesh.segment.max()), None, []
+        self._add_surfaces(self._segments)
         self._vertices = mesh.vertices.astype(np.float32)
         self._body = body.build(mesh)
         for surface in self._surfaces[: self._segments]:
             self._body.materials.append(surface)
         self._object = _put(self._scene, self._body)
-        self._twin = _twin(self._scene, self._body)
+        self._second_object = _put_unseen(self._scene, self._body)
         assign(self._scene, "render.use_persistent_data", True)
 
-    def _slots(self, count):
-        """At least `count` materials, and as many glowing groups; they are kept, never removed."""
+    def _add_surfaces(self, count: int) -> None:
+        """Make sure that there are at least `count` materials, and as many groups that emit ids."""
         for number in range(len(self._surfaces) + 1, count + 1):
             self._surfaces.append(materials.new(f"surface {number}"))
-            self._glows.append(materials.emit_id(number))
+            self._id_groups.append(materials.id_emission(number))
 
-    def _show(self, purpose):
-        """Shows the scene as "picture" or as "geometry"."""
-        if purpose != self._shown:
+    def _show(self, purpose: Purpose) -> None:
+        """Prepare the scene for a picture or for geometry."""
+        if purpose != self._purpose:
             apply(self._scene, self._own(purpose))
             for each in ("use_pass_normal", "use_pass_z"):
                 assign(self._scene.view_layers[0], each, purpose == "geometry")
-            self._shown = purpose
-        for surface, group in zip(
-            self._surfaces, self._glows if purpose == "geometry" else self._worn, strict=False
-        ):
+            self._purpose = purpose
+        groups = self._id_groups if purpose == "geometry" else self._material_groups
+        for surface, group in zip(self._surfaces, groups, strict=False):
             materials.show(surface, group)
 
-    def _own(self, purpose):
-        """The settings that a way of showing the scene has for itself."""
-        return (
-            GEOMETRY
-            if purpose == "geometry"
-            else PIXELS[self._lens.pixel if self._lens else "square"]
-        )
+    def _own(self, purpose: Purpose) -> tuple[Setting, ...]:
+        """Return the settings that differ between pictures and geometry."""
+        if purpose == "geometry":
+            return GEOMETRY
+        return PIXELS[self._lens.pixel if self._lens else "square"]
 
-    def set_view(self, azimuth):
-        """azimuth: radians, counter-clockwise from above, 0 in front of the object."""
+    def set_view(self, azimuth: float) -> None:
+        """Set the view.
+
+        azimuth  radians, counter-clockwise as seen from above, 0 in front of the object
+        """
         self._azimuth = float(azimuth)
 
-    def set_light(self, L, rotation_texels=0, light_resolution="64x128"):
-        """A new light, checked to have arrived.
+    def set_light(
+        self,
+        L: np.ndarray,
+        rotation_texels: int = 0,
+        light_resolution: LightResolution = "64x128",
+    ) -> None:
+        """Set the light, and check through Cycles that it is the one that is used.
 
         L                 (height, width, 3) float32, stored layout; (64, 128, 3) for "64x128"
         rotation_texels   columns of the 64×128 map by which the camera sees it rolled
-        light_resolution  "64x128": nearest look-up, what the layer sees; "full": bilinear
-        Raises            RuntimeError if Cycles shows another light than this
+        light_resolution  "64x128": nearest look-up, as in the layer; "full": bilinear
+        Raises            RuntimeError if Cycles uses another light
         """
         seen = light.as_seen(np.asarray(L, np.float32), rotation_texels)
         nearest = light_resolution == "64x128"
@@ -183,35 +207,36 @@ class Studio:
         self._show("picture")
         canary.check(self._scene, seen, nearest)
 
-    def set_materials(self, mixtures):
-        """mixtures: one shaders.mixture.Mixture a segment, in the order of their ids."""
+    def set_materials(self, mixtures: Sequence[Mixture]) -> None:
+        """Set the materials: one mixture per segment, in the order of the segments' ids."""
         if len(mixtures) != self._segments:
             raise ValueError(
-                f"materials: expected one a segment, {self._segments}, found {len(mixtures)} (name"
-                " each segment's material)"
+                f"materials: expected {self._segments}, one per segment, found {len(mixtures)}"
+                " (name each segment's material)"
             )
-        self._worn = [self._group(mixture) for mixture in mixtures]
+        self._material_groups = [self._group(mixture) for mixture in mixtures]
 
-    def _group(self, mixture):
-        """The node group of a mixture, built when it is first asked for; the one longest unused
-        makes room.
+    def _group(self, mixture: Mixture) -> Any:
+        """Return the node group of a mixture, built on first use.
+
+        The least recently used group is removed where there are too many.
         """
         arrays = (mixture.stops, mixture.log_alpha, mixture.tilt, mixture.weights)
         key = mixture.kinds, *(array.tobytes() for array in arrays)
         if key not in self._groups:
             self._groups[key] = materials.build(nodes.graph(mixture))
         self._groups.move_to_end(key)
-        if len(self._groups) > HELD:
+        if len(self._groups) > MOST_GROUPS:
             bpy.data.node_groups.remove(self._groups.popitem(last=False)[1])
         return self._groups[key]
 
-    def geometry(self):
-        """The Geometry of shape and view, by one ray through each pixel's centre."""
+    def geometry(self) -> Geometry:
+        """Return the Geometry of shape and view, by one ray through each pixel's centre."""
         self._show("geometry")
-        opening, passes = self._render_passes()
-        size = self._lens.size
-        mask = window.paste(passes["Combined"][..., 3] > 0.5, opening, size)
-        inside = mask[opening[0] : opening[1], opening[2] : opening[3]]
+        lens = self._require_camera()
+        (top, bottom, left, right), passes = self._render_passes(lens)
+        mask = window.paste(passes["Combined"][..., 3] > 0.5, (top, bottom, left, right), lens.size)
+        inside = mask[top:bottom, left:right]
         world = passes["Normal"][inside]
         squares = np.einsum("pi,pi->p", world, world)
         if squares.size and np.abs(squares - 1).max() > 2 * checks.UNIT_TOLERANCE:
@@ -219,52 +244,56 @@ class Studio:
                 "geometry: expected unit normals, found n·n"
                 f" {squares.min():.3f}–{squares.max():.3f} (the filter mixes pixels)"
             )
-        view = (
-            None
-            if self._lens.fov_deg is None
-            else camera.view_vectors(self._lens)[mask].astype(np.float32)
-        )
+        view = None if lens.fov_deg is None else camera.view_vectors(lens)[mask].astype(np.float32)
         shot = Geometry(
-            np.zeros((*size, 3), np.float32),
+            np.zeros((*lens.size, 3), np.float32),
             mask,
-            np.zeros(size, np.float32),
-            np.zeros(size, np.uint8),
+            np.zeros(lens.size, np.float32),
+            np.zeros(lens.size, np.uint8),
         )
         shot.normals[mask] = _facing(
-            world @ camera.camera_from_fixed_world(self._lens).T.astype(np.float32), view
+            world @ camera.camera_from_fixed_world(lens).T.astype(np.float32), view
         )
-        shot.depth[mask] = passes["Depth"][inside][:, 0] - np.float32(camera.distance(self._lens))
+        shot.depth[mask] = passes["Depth"][inside][:, 0] - np.float32(camera.distance(lens))
         shot.segments[mask] = np.rint(passes["Combined"][inside][:, 0])
         return shot
 
-    def render(self, samples, seed, tier="direct"):
-        """Radiance (height, width, 3).
-
-        samples  paths a pixel;  seed: any non-negative integer, its lowest 31 bits are used;  tier:
-        a key of TIERS
-        """
+    def render(self, samples: int, seed: int, tier: Tier = "direct") -> np.ndarray:
+        """Return radiance (height, width, 3); arguments as `picture` takes them."""
         return self.picture(samples, seed, tier)[0]
 
-    def picture(self, samples, seed, tier="direct"):
-        """Radiance (height, width, 3) and the share (height, width) of each pixel that the object
-        covers; see `render`.
+    def picture(
+        self, samples: int, seed: int, tier: Tier = "direct"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return radiance (height, width, 3) and the object's coverage (height, width) per pixel.
+
+        samples  samples per pixel
+        seed     any non-negative integer, of which the lowest 31 bits are used
+        tier     a key of TIERS
         """
         self._show("picture")
         self._set_tier(tier)
         assign(self._scene, "cycles.samples", int(samples))
         assign(self._scene, "cycles.seed", int(seed) & 0x7FFFFFFF)
-        opening, passes = self._render_passes()
-        rgba = window.paste(passes["Combined"], opening, self._lens.size)
+        lens = self._require_camera()
+        visible, passes = self._render_passes(lens)
+        rgba = window.paste(passes["Combined"], visible, lens.size)
         return np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3])
 
-    def _render_passes(self):
-        """The window on the object as it stands now, and the scene's passes in it."""
-        self._object.rotation_euler = (0.0, 0.0, -self._azimuth)
-        opening = window.around(self._vertices, self._azimuth, self._lens)
-        window.open_on(self._scene, opening)
-        return opening, render_result.render_passes(self._scene)
+    def _require_camera(self) -> Camera:
+        """Return the camera. Raises RuntimeError before camera and shape have been set."""
+        if self._lens is None or self._object is None:
+            raise RuntimeError("studio: expected a camera and a shape, found none (set both first)")
+        return self._lens
 
-    def _set_tier(self, tier):
+    def _render_passes(self, lens: Camera) -> tuple[window.Window, dict[str, np.ndarray]]:
+        """Return the window around the object, and the scene's render passes inside it."""
+        self._object.rotation_euler = (0.0, 0.0, -self._azimuth)
+        visible = window.around(self._vertices, self._azimuth, lens)
+        window.open_on(self._scene, visible)
+        return visible, render_result.render_passes(self._scene)
+
+    def _set_tier(self, tier: Tier) -> None:
         if tier == self._tier:
             return
         bounces = TIERS[tier]["bounces"]
@@ -275,8 +304,8 @@ class Studio:
         self._tier = tier
 
 
-def _scene(settings):
-    """A new scene with a camera."""
+def _scene(settings: Iterable[Setting]) -> bpy.types.Scene:
+    """Return a new scene with a camera."""
     scene = bpy.data.scenes.new("studio")
     apply(scene, settings)
     scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -284,31 +313,32 @@ def _scene(settings):
     return scene
 
 
-def _put(scene, mesh):
-    """An object of `mesh` in `scene`."""
+def _put(scene: bpy.types.Scene, mesh: bpy.types.Mesh) -> bpy.types.Object:
+    """Return a new object of `mesh` in `scene`."""
     each = bpy.data.objects.new("object", mesh)
     scene.collection.objects.link(each)
     return each
 
 
-def _twin(scene, mesh):
-    """A second object of the same mesh that no ray sees.
+def _put_unseen(scene: bpy.types.Scene, mesh: bpy.types.Mesh) -> bpy.types.Object:
+    """Return a second object of the same mesh that no ray sees.
 
-    Of a mesh with one object Cycles bakes the object's place into the vertices: each turn would
-    send it all again and rebuild its tree (33 ms of work for 80,000 triangles). Of a mesh with two
-    it moves a matrix, unless materials belong to the objects, not the mesh.
+    If a mesh has one object, Cycles bakes the object's transform into the vertices: each turn would
+    transfer them again and rebuild their tree (33 ms of work for 80,000 triangles). If a mesh has
+    two objects, Cycles changes a matrix, provided that materials belong to the mesh.
     """
-    twin = _put(scene, mesh)
-    twin.location = (0.0, 0.0, -10.0)
+    unseen = _put(scene, mesh)
+    unseen.location = (0.0, 0.0, -10.0)
+    # visible to volume scattering, which does not occur: Cycles drops an object that no ray can see
     for ray in ("camera", "shadow", "diffuse", "glossy", "transmission"):
-        # volume scatter stays, of which there is none: Cycles drops an object seen by no ray at all
-        assign(twin, f"visible_{ray}", False)
-    return twin
+        assign(unseen, f"visible_{ray}", False)
+    return unseen
 
 
-def _facing(normals, view):
-    """Normals (P, 3), camera frame, those with n·v < FACING moved to the nearest unit vector that
-    has it; view (P, 3), None: (0, 0, 1).
+def _facing(normals: np.ndarray, view: np.ndarray | None) -> np.ndarray:
+    """Return normals (P, 3) with n·v ≥ FACING: others are moved to the nearest such unit vector.
+
+    view  (P, 3) from surface to camera, camera frame; None: (0, 0, 1)
     """
     cosine = normals[:, 2] if view is None else np.einsum("pi,pi->p", normals, view)
     (away,) = np.nonzero(cosine < FACING)

@@ -1,3 +1,1 @@
-"""Shapes: procedural families, primitives and mesh files, all through one door; numpy, scipy and
-trimesh only.
-"""
+"""Shapes: procedural families, primitives and mesh files, by numpy, scipy and trimesh only."""

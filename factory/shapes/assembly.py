@@ -1,23 +1,25 @@
-"""Named parts gathered into one mesh."""
+"""Assemblies of named parts, which become one mesh."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from factory.shapes.mesh import finish
+from factory.shapes.mesh import Mesh, finish
 from factory.shapes.surfaces import Surface
 
 
 class Assembly:
-    """Surfaces added part by part; each face remembers its part's name and its segment (1, 2,
-    …).
-    """
+    """Surfaces added part by part; each face keeps its part's name and its segment (1, 2, …)."""
 
-    def __init__(self):
-        self._vertices, self._faces, self._segment, self._part = [], [], [], []
-        self._parts = {}
+    def __init__(self) -> None:
+        self._vertices: list[np.ndarray] = []
+        self._faces: list[np.ndarray] = []
+        self._segment: list[np.ndarray] = []
+        self._part: list[np.ndarray] = []
+        self._parts: dict[str, int] = {}
         self._count = 0
 
-    def add(self, part, surface, segment):
-        """Add one closed surface (metres). segment: one number, or (F,) one a face."""
+    def add(self, part: str, surface: Surface, segment: ArrayLike) -> None:
+        """Add one closed surface (metres); segment: one number, or (F,) one per face."""
         self._vertices.append(surface.vertices)
         self._faces.append(surface.faces + self._count)
         self._count += len(surface.vertices)
@@ -26,14 +28,15 @@ class Assembly:
             np.full(len(surface.faces), self._parts.setdefault(part, len(self._parts)), np.int32)
         )
 
-    def pair(self, part, surface, segment):
+    def pair(self, part: str, surface: Surface, segment: ArrayLike) -> None:
         """Add a surface and its mirror image on the other side."""
         self.add(part, surface, segment)
         self.add(part, surface.mirrored(), segment)
 
-    def bend(self, curvature):
-        """Bend all that was added so far about a vertical axis in front (curvature > 0, 1/m): y
-        becomes an arc, its ends come forward.
+    def bend(self, curvature: float) -> None:
+        """Bend everything added so far about a vertical axis in front (curvature > 0, 1/m).
+
+        y becomes an arc whose ends come forward.
         """
         for k, vertices in enumerate(self._vertices):
             radius = 1 / curvature - vertices[:, 0]
@@ -52,12 +55,12 @@ class Assembly:
             new += len(used)
         self._count = new
 
-    def surface(self):
-        """All of it as one Surface."""
+    def surface(self) -> Surface:
+        """Return all parts as one Surface."""
         return Surface(np.concatenate(self._vertices), np.concatenate(self._faces))
 
-    def finish(self, name, category):
-        """The Mesh: segments are renumbered 1, 2, … in case one has no face."""
+    def finish(self, name: str, category: str) -> Mesh:
+        """Return the Mesh; segments are renumbered 1, 2, … in case one has no face."""
         surface = self.surface()
         segment = np.unique(np.concatenate(self._segment), return_inverse=True)[1].reshape(-1) + 1
         return finish(

@@ -1,7 +1,7 @@
-"""Cars: nine bodies, and proportions drawn per seed. Segments: 1 painted body; 2 wheels, glass,
-lights and trim.
+"""Cars: nine bodies with proportions drawn per seed.
 
-Sizes are those of real cars, in metres: 3.5–5.6 long, 1.6–2.0 wide, 1.2–2.0 high.
+Segments: 1 painted body; 2 wheels, glass, lights and trim. Sizes are those of real cars, in metres:
+3.5–5.6 long, 1.6–2.0 wide, 1.2–2.0 high.
 """
 
 from dataclasses import replace
@@ -17,10 +17,11 @@ from factory.shapes.car_details import (
     front,
     lights,
     mirrors_and_handles,
-    roof_things,
+    roof_details,
     seams,
     wheels,
 )
+from factory.shapes.mesh import Mesh
 
 FAMILY_KEY = 1
 
@@ -30,40 +31,49 @@ FAMILY_KEY = 1
 # fmt: off
 RANGES = {
     "sedan": (
-        (4.4, 5.0), (1.76, 1.9), (1.4, 1.5), (0.16, 0.2), (0.72, 0.82), (0.16, 0.24), (0.96, 1.06),
-        (0.26, 0.31), (0.4, 0.45), (0.64, 0.7), (0.8, 0.86), (0.31, 0.35), (0.1, 0.17),
+        (4.4, 5.0), (1.76, 1.9), (1.4, 1.5), (0.16, 0.2), (0.72, 0.82), (0.16, 0.24),
+        (0.96, 1.06), (0.26, 0.31), (0.4, 0.45), (0.64, 0.7), (0.8, 0.86), (0.31, 0.35),
+        (0.1, 0.17),
     ),
     "hatch": (
-        (3.6, 4.3), (1.66, 1.8), (1.44, 1.56), (0.15, 0.19), (0.74, 0.84), (0.16, 0.24), (0.92, 1.02),
-        (0.22, 0.28), (0.37, 0.43), (0.8, 0.88), (0.93, 0.965), (0.29, 0.33), (0.08, 0.15),
+        (3.6, 4.3), (1.66, 1.8), (1.44, 1.56), (0.15, 0.19), (0.74, 0.84), (0.16, 0.24),
+        (0.92, 1.02), (0.22, 0.28), (0.37, 0.43), (0.8, 0.88), (0.93, 0.965), (0.29, 0.33),
+        (0.08, 0.15),
     ),
     "wagon": (
-        (4.5, 4.95), (1.76, 1.88), (1.44, 1.54), (0.16, 0.21), (0.74, 0.84), (0.16, 0.22), (0.96, 1.04),
-        (0.26, 0.3), (0.39, 0.44), (0.84, 0.9), (0.94, 0.97), (0.31, 0.35), (0.09, 0.15),
+        (4.5, 4.95), (1.76, 1.88), (1.44, 1.54), (0.16, 0.21), (0.74, 0.84), (0.16, 0.22),
+        (0.96, 1.04), (0.26, 0.3), (0.39, 0.44), (0.84, 0.9), (0.94, 0.97), (0.31, 0.35),
+        (0.09, 0.15),
     ),
     "suv": (
-        (4.2, 4.95), (1.82, 2.0), (1.64, 1.86), (0.21, 0.28), (0.9, 1.05), (0.12, 0.2), (1.06, 1.18),
-        (0.24, 0.29), (0.35, 0.41), (0.82, 0.9), (0.93, 0.97), (0.36, 0.41), (0.09, 0.16),
+        (4.2, 4.95), (1.82, 2.0), (1.64, 1.86), (0.21, 0.28), (0.9, 1.05), (0.12, 0.2),
+        (1.06, 1.18), (0.24, 0.29), (0.35, 0.41), (0.82, 0.9), (0.93, 0.97), (0.36, 0.41),
+        (0.09, 0.16),
     ),
     "coupe": (
-        (4.2, 4.65), (1.8, 1.95), (1.24, 1.36), (0.12, 0.15), (0.68, 0.78), (0.16, 0.24), (0.88, 0.98),
-        (0.3, 0.38), (0.45, 0.51), (0.58, 0.66), (0.82, 0.93), (0.32, 0.35), (0.14, 0.22),
+        (4.2, 4.65), (1.8, 1.95), (1.24, 1.36), (0.12, 0.15), (0.68, 0.78), (0.16, 0.24),
+        (0.88, 0.98), (0.3, 0.38), (0.45, 0.51), (0.58, 0.66), (0.82, 0.93), (0.32, 0.35),
+        (0.14, 0.22),
     ),
     "pickup": (
-        (5.1, 5.6), (1.84, 2.0), (1.74, 1.9), (0.24, 0.32), (0.98, 1.1), (0.08, 0.14), (1.08, 1.18),
-        (0.24, 0.28), (0.33, 0.37), (0.49, 0.58), (0.53, 0.61), (0.37, 0.42), (0.1, 0.16),
+        (5.1, 5.6), (1.84, 2.0), (1.74, 1.9), (0.24, 0.32), (0.98, 1.1), (0.08, 0.14),
+        (1.08, 1.18), (0.24, 0.28), (0.33, 0.37), (0.49, 0.58), (0.53, 0.61), (0.37, 0.42),
+        (0.1, 0.16),
     ),
     "van": (
-        (4.3, 5.0), (1.78, 1.95), (1.78, 2.02), (0.17, 0.22), (0.9, 1.02), (0.1, 0.18), (1.0, 1.1),
-        (0.11, 0.17), (0.27, 0.34), (0.9, 0.95), (0.955, 0.975), (0.31, 0.35), (0.08, 0.14),
+        (4.3, 5.0), (1.78, 1.95), (1.78, 2.02), (0.17, 0.22), (0.9, 1.02), (0.1, 0.18),
+        (1.0, 1.1), (0.11, 0.17), (0.27, 0.34), (0.9, 0.95), (0.955, 0.975), (0.31, 0.35),
+        (0.08, 0.14),
     ),
     "retro": (
-        (3.3, 4.1), (1.55, 1.7), (1.42, 1.54), (0.17, 0.22), (0.72, 0.84), (0.12, 0.2), (0.8, 0.92),
-        (0.28, 0.34), (0.38, 0.44), (0.6, 0.7), (0.8, 0.92), (0.29, 0.33), (0.12, 0.2),
+        (3.3, 4.1), (1.55, 1.7), (1.42, 1.54), (0.17, 0.22), (0.72, 0.84), (0.12, 0.2),
+        (0.8, 0.92), (0.28, 0.34), (0.38, 0.44), (0.6, 0.7), (0.8, 0.92), (0.29, 0.33),
+        (0.12, 0.2),
     ),
     "roadster": (
-        (3.7, 4.4), (1.66, 1.86), (1.2, 1.3), (0.13, 0.17), (0.68, 0.76), (0.14, 0.22), (0.84, 0.94),
-        (0.36, 0.44), (0.45, 0.5), (0.58, 0.62), (0.66, 0.74), (0.3, 0.34), (0.1, 0.2),
+        (3.7, 4.4), (1.66, 1.86), (1.2, 1.3), (0.13, 0.17), (0.68, 0.76), (0.14, 0.22),
+        (0.84, 0.94), (0.36, 0.44), (0.45, 0.5), (0.58, 0.62), (0.66, 0.74), (0.3, 0.34),
+        (0.1, 0.2),
     ),
 }
 # fmt: on
@@ -71,8 +81,8 @@ KINDS = tuple(RANGES)
 WEIGHTS = np.array([0.16, 0.14, 0.10, 0.14, 0.12, 0.09, 0.08, 0.08, 0.09])
 
 
-def build(seed):
-    """The car of a seed, a Mesh of category "car"."""
+def build(seed: int) -> Mesh:
+    """Return the car of a seed, a Mesh of category "car"."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAMILY_KEY,)))
     kind = KINDS[int(rng.choice(len(KINDS), p=WEIGHTS))]
     form = draw_form(rng, kind)
@@ -88,12 +98,12 @@ def build(seed):
     front(a, rng, form)
     mirrors_and_handles(a, rng, form)
     seams(a, form)
-    roof_things(a, rng, form, kind)
+    roof_details(a, rng, form, kind)
     return a.finish(f"car:{seed}", "car")
 
 
-def draw_form(rng, kind):
-    """Numbers for one car of a kind."""
+def draw_form(rng: np.random.Generator, kind: str) -> Form:
+    """Return the form of one car of a kind."""
     (
         length,
         width,
@@ -122,10 +132,26 @@ def draw_form(rng, kind):
         bed = (place(glass_rear), place(cowl) - 0.12)
     shoulder = rng.uniform(2.6, 3.0) if kind == "retro" else rng.uniform(3.2, 5.5)
     form = Form(
-        length, width, height, clearance, nose, nose + rise, tail, place(cowl), place(roof_front), place(roof_rear), place(glass_rear),
-        (place(ahead), place(behind)), wheel, corner, shoulder, tumblehome, rng.uniform(0.08, 0.2), bed,
+        length=length,
+        width=width,
+        height=height,
+        clearance=clearance,
+        nose=nose,
+        cowl=nose + rise,
+        tail=tail,
+        cowl_at=place(cowl),
+        roof_front_at=place(roof_front),
+        roof_rear_at=place(roof_rear),
+        glass_rear_at=place(glass_rear),
+        axles=(place(ahead), place(behind)),
+        wheel=wheel,
+        corner=corner,
+        shoulder=shoulder,
+        tumblehome=tumblehome,
+        bow=rng.uniform(0.08, 0.2),
+        bed=bed,
         bed_floor=-0.28 if kind == "roadster" else 0.02,
-    )  # fmt: skip
+    )
     while form.arch < 1.08 * form.wheel:  # a low bonnet leaves room for smaller wheels only
         form = replace(form, wheel=0.98 * form.wheel)
     return form

@@ -3,13 +3,15 @@
 x forward, y left, z up, metres; the ground is z = 0, the wheelbase's middle need not be x = 0.
 t     2 x / length, in [-1, 1]
 psi   place along the body, so that (t, plan) = (sin psi, cos psi) stretched onto a superellipse:
-ends as fine as sides
+      ends as fine as sides
 theta angle round half a section: −π/2 underneath, 0 at the widest, π/2 on top
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from factory.shapes.surfaces import Surface, closed, grid_faces, loft
@@ -36,20 +38,20 @@ class Form:
     wheel: float  # radius
     corner: float  # the plan's exponent: 4 a round nose, 9 a square one
     shoulder: float  # the section's exponent above its widest line
-    tumblehome: float  # how much narrower the roof is than the belt, m a side
+    tumblehome: float  # how much narrower the roof is than the belt, m per side
     bow: float  # how far the windscreen's middle stands before its sides, m
     bed: tuple[float, float] | None = None  # a pickup's bed or an open cockpit, from x to x
     bed_floor: float = 0.02  # its height above the section's widest line; below it: a cockpit
 
     @property
-    def arch(self):
-        """Radius of the wheel arches."""
+    def arch(self) -> float:
+        """Return the radius of the wheel arches."""
         u = np.linspace(-0.9, 0.9, 13)  # along the arch; it stays 0.1 m below the bonnet all along
         over = np.array([self.upper(axle + 1.17 * self.wheel * u) for axle in self.axles])
         return min(1.17 * self.wheel, float(((over - 0.1 - self.wheel) / np.sqrt(1 - u**2)).min()))
 
-    def upper(self, x):
-        """Height of the lower body's upper outline."""
+    def upper(self, x: ArrayLike) -> np.ndarray:
+        """Return the height of the lower body's upper outline."""
         half = self.length / 2
         reach = min(0.25, 0.6 * (self.glass_rear_at + half))
         nodes = [
@@ -73,25 +75,26 @@ class Form:
         ]
         return PchipInterpolator(nodes, heights)(np.clip(x, -half, half))
 
-    def lower(self, x):
-        """Height of the lower body's underside: it rises at both ends."""
+    def lower(self, x: Any) -> Any:
+        """Return the height of the lower body's underside, which rises at both ends."""
         t = np.abs(2 * x / self.length)
         return self.clearance + 0.13 * np.clip((t - 0.72) / 0.28, 0, 1) ** 2
 
-    def plan(self, psi):
-        """t and the share of the full width there."""
+    def plan(self, psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return t and the share of the full width there."""
         s, c = np.sin(psi), np.cos(psi)
         norm = (np.abs(s) ** self.corner + np.abs(c) ** self.corner) ** (1 / self.corner)
         return s / norm, c / norm
 
-    def psi_at(self, x):
-        """The psi of a place x."""
+    def psi_at(self, x: ArrayLike) -> np.ndarray:
+        """Return the psi of a place x."""
         t = np.clip(2 * np.asarray(x) / self.length, -1, 1)
         return np.arctan2(t, (1 - np.abs(t) ** self.corner) ** (1 / self.corner))
 
-    def skin(self, psi, theta, cut=True):
-        """Points (..., 3) of the lower body's left half; psi and theta broadcast. cut: with wheel
-        arches and bed.
+    def skin(self, psi: ArrayLike, theta: ArrayLike, cut: bool = True) -> np.ndarray:
+        """Return points (..., 3) of the lower body's left half; psi and theta broadcast.
+
+        cut  with wheel arches and bed
         """
         psi, theta = np.broadcast_arrays(psi, theta)
         t, plan = self.plan(psi)
@@ -141,20 +144,20 @@ class Form:
         return np.stack([x, y, z], axis=-1)
 
     def _shoulder(self, x):
-        """The upper section's exponent: a bed's walls stand upright."""
+        """Return the upper section's exponent; the walls of a bed stand upright."""
         if not self.bed or self.bed_floor < 0:
             return self.shoulder
         return self.shoulder + (14 - self.shoulder) * np.clip((self.bed[1] + 0.35 - x) / 0.3, 0, 1)
 
-    def side(self, x, z):
-        """y of the left side at (x, z), above the sill."""
+    def side(self, x: float, z: float) -> float:
+        """Return y of the left side at (x, z), above the sill."""
         theta = np.linspace(-1.2, 1.45, 200)
         points = self.skin(float(self.psi_at(x)), theta, cut=False)
         return float(np.interp(z, points[:, 2], points[:, 1]))
 
 
-def lower_body(form):
-    """The body below the belt, wheel arches cut across it: a closed Surface."""
+def lower_body(form: Form) -> Surface:
+    """Return the body below the belt, wheel arches cut across it, as a closed Surface."""
     places = []
     for axle in form.axles:
         angle = np.linspace(0, np.pi, 17)
@@ -175,10 +178,10 @@ def lower_body(form):
     return loft(np.concatenate([left, right], axis=1))
 
 
-def cabin(form, around=104):
-    """The glasshouse, and which of its faces are glass: a closed Surface and a bool a face.
+def cabin(form: Form, around: int = 104) -> tuple[Surface, np.ndarray]:
+    """Return the glasshouse as a closed Surface, and which of its faces are glass (F,) bool.
 
-    Rings from the belt to the roof's edge, then closing over the roof. Windows sink 10 mm into
+    Rings run from the belt to the roof's edge and then close over the roof. Windows sink 10 mm into
     their frame.
     """
     phi = np.linspace(0, 2 * np.pi, around, endpoint=False) + np.pi / around
@@ -196,7 +199,7 @@ def cabin(form, around=104):
     ]
     steps += [(1.0, s) for s in (0.985, 0.955, 0.9, 0.78, 0.55, 0.25)]
     edge = form.height - 0.05
-    rings, frame = [], []
+    rings = []
     for rise, shrink in steps:
         ease = rise - 0.12 * rise * (1 - rise)  # windscreens and sides are slightly convex
         x_front, x_rear, y_half = (
@@ -218,15 +221,15 @@ def cabin(form, around=104):
         )
         top = roof_line + 0.05 * (1 - shrink**2.2) if rise == 1.0 else roof_line
         rings.append(np.stack([x, y, base + np.minimum(rise * 1.04, 1.0) * (top - base)], 1))
-        frame.append((x, y, rise))
-    rings = np.array(rings)
-    glass = _windows(form, rings, ahead, across, np.array([r for r, _ in steps]), front, rear)
-    return _sunk(rings, glass)
+    grid = np.array(rings)
+    glass = _windows(form, grid, ahead, across, np.array([r for r, _ in steps]), front, rear)
+    return _sunk(grid, glass)
 
 
 def _windows(form, rings, ahead, across, rise, front, rear):
-    """Which quads (rings − 1, around) are glass: between the belt and the roof, and between the
-    pillars.
+    """Return which quads (rings − 1, around) are glass.
+
+    They lie between the belt and the roof, and between the pillars.
     """
     # halfway up: a pillar is a column of quads, so that its edges are straight
     x = (rings[6, :, 0] + np.roll(rings[6, :, 0], -1)) / 2
@@ -254,12 +257,12 @@ def _windows(form, rings, ahead, across, rise, front, rear):
 
 
 def _sunk(rings, glass):
-    """The cabin's Surface with its windows pushed in, and which faces are glass (F,)."""
+    """Return the cabin's Surface with its windows pushed in, and which faces are glass (F,)."""
     count, around, _ = rings.shape
     corners = np.zeros((count, around, 4), bool)
     padded = np.vstack([np.zeros((1, around), bool), glass, np.zeros((1, around), bool)])
-    for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
-        corners[..., k] = np.roll(padded[i : i + count], j, axis=1)
+    for k, (row, column) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
+        corners[..., k] = np.roll(padded[row : row + count], column, axis=1)
     inner = corners.all(2)
     along = np.roll(rings, -1, 1) - np.roll(rings, 1, 1)
     normal = np.cross(along, np.gradient(rings, axis=0))

@@ -1,13 +1,15 @@
-"""What is fixed to a car's body: wheels, lights, grille, mirrors, handles, bumpers, roof rails.
-Metres, car axes (see car_body).
+"""Details of a car's body: wheels, lights, grille, mirrors, handles, bumpers, roof rails.
 
-Segment PAINT is the body, DARK wheels, glass, lights and trim.
+Metres, car axes (see car_body). Segment PAINT is the body, DARK wheels, glass, lights and trim.
 """
 
 import numpy as np
 
+from factory.shapes.assembly import Assembly
+from factory.shapes.car_body import Form
 from factory.shapes.surfaces import (
     LEFT_RIGHT,
+    Surface,
     closed,
     ellipsoid,
     grid_faces,
@@ -21,8 +23,11 @@ from factory.shapes.surfaces import (
 PAINT, DARK = 1, 2
 
 
-def wheel(rng_kind, spokes, radius, width):
-    """A wheel about the y axis, its outer side to +y: tyre, rim and spokes as [(part, Surface)]."""
+def wheel(kind: str, spokes: int, radius: float, width: float) -> list[tuple[str, Surface]]:
+    """Return a wheel's tyre, rim and spokes as [(part, Surface)].
+
+    The wheel stands about the y axis, its outer side towards +y.
+    """
     rim, half = radius * 0.68, width / 2
     tyre = [
         [rim - 0.02, -half * 0.7],
@@ -66,7 +71,7 @@ def wheel(rng_kind, spokes, radius, width):
             ),
         ),
     ]
-    if rng_kind == "disc":
+    if kind == "disc":
         pieces.append(
             (
                 "hub cap",
@@ -83,10 +88,10 @@ def wheel(rng_kind, spokes, radius, width):
                 ),
             )
         )
-    for k in range(spokes if rng_kind != "disc" else 0):
-        offsets = (-0.09, 0.09) if rng_kind == "double" else (0.0,)
+    for k in range(spokes if kind != "disc" else 0):
+        offsets = (-0.09, 0.09) if kind == "double" else (0.0,)
         for offset in offsets:
-            size = (0.5 if rng_kind == "double" else 1.0) * min(0.045, 0.19 / spokes)
+            size = (0.5 if kind == "double" else 1.0) * min(0.045, 0.19 / spokes)
             arm = rod(
                 [0.03, 0, dish + 0.012],
                 [rim - 0.035, offset * rim, half * 0.66],
@@ -99,8 +104,8 @@ def wheel(rng_kind, spokes, radius, width):
     return [(part, piece.turned("x", -np.pi / 2)) for part, piece in pieces]
 
 
-def wheels(a, rng, form):
-    """Four wheels, their arches' lips, and the dark underbody between them."""
+def wheels(a: Assembly, rng: np.random.Generator, form: Form) -> None:
+    """Add four wheels, their arches' lips, and the dark underbody between them."""
     kind = rng.choice(["spokes", "spokes", "double", "disc"])
     spokes = int(rng.integers(5, 11 if kind == "spokes" else 7))
     width = rng.uniform(0.19, 0.24)
@@ -127,9 +132,12 @@ def wheels(a, rng, form):
     a.add("underbody", box.moved(sum(form.axles) / 2, 0, (low + high) / 2), DARK)
 
 
-def patch(form, psi, theta, lift, count=9):
-    """A pillow that follows the body's left skin between two psi and two theta, standing out by
-    `lift`: a closed Surface.
+def patch(
+    form: Form, psi: tuple[float, float], theta: tuple[float, float], lift: float, count: int = 9
+) -> Surface:
+    """Return a pillow between two psi and two theta that follows the body's left skin.
+
+    It is a closed Surface that stands out by `lift`.
     """
     grid_psi, grid_theta = np.meshgrid(
         np.linspace(*psi, count), np.linspace(*theta, count), indexing="ij"
@@ -161,8 +169,8 @@ def patch(form, psi, theta, lift, count=9):
     )
 
 
-def lights(a, rng, form):
-    """Head and tail lights: wrapped round the corner, round, or upright."""
+def lights(a: Assembly, rng: np.random.Generator, form: Form) -> None:
+    """Add head and tail lights: wrapped round the corner, round, or upright."""
     kind = rng.choice(["wrapped", "slim", "round", "upright"])
     half = form.length / 2
     if kind == "round":
@@ -222,13 +230,13 @@ def lights(a, rng, form):
 
 
 def _nose_x(form, y):
-    """x of the nose at |y|, from the plan."""
+    """Return x of the nose at |y|, from the plan."""
     share = min(abs(y) / (form.width / 2 * 0.955), 0.999)
     return form.length / 2 * (1 - share**form.corner) ** (1 / form.corner)
 
 
-def front(a, rng, form):
-    """Grille, lower intake, and bumpers where they stand out."""
+def front(a: Assembly, rng: np.random.Generator, form: Form) -> None:
+    """Add grille, lower intake, and bumpers where they stand out."""
     half, bottom = form.length / 2, form.lower(form.length / 2)
     height = form.nose - bottom
     kind, middle = rng.choice(["bars", "plain", "twin", "tall", "none"]), bottom + height * 0.66
@@ -284,8 +292,8 @@ def front(a, rng, form):
             )
 
 
-def mirrors_and_handles(a, rng, form):
-    """Door mirrors on the belt and one or two handles a side."""
+def mirrors_and_handles(a: Assembly, rng: np.random.Generator, form: Form) -> None:
+    """Add door mirrors on the belt and one or two handles per side."""
     z = float(form.upper(form.cowl_at)) + 0.06
     x, y = form.cowl_at - rng.uniform(0.32, 0.42), form.width / 2 + rng.uniform(-0.02, 0.02)
     size = rng.uniform(0.9, 1.15)
@@ -310,8 +318,8 @@ def mirrors_and_handles(a, rng, form):
         )
 
 
-def seams(a, form):
-    """The gaps of the doors and of the bonnet, as thin dark lines on the skin."""
+def seams(a: Assembly, form: Form) -> None:
+    """Add the gaps of the doors and of the bonnet, as thin dark lines on the skin."""
     doors = 1 if form.roof_front_at - form.roof_rear_at < 1.25 else 2
     start = min(form.cowl_at + 0.02, form.axles[0] - form.arch - 0.04)
     stop = max(form.axles[1] + form.arch * 0.75, start - (1.25 if doors == 1 else 2.2))
@@ -325,10 +333,8 @@ def seams(a, form):
     )
 
 
-def cockpit(a, rng, form):
-    """What an open car has instead of a cabin: a windscreen, two seats, a steering wheel, perhaps
-    hoops behind the heads.
-    """
+def cockpit(a: Assembly, rng: np.random.Generator, form: Form) -> None:
+    """Add the inside of an open car: windscreen, two seats, steering wheel, perhaps hoops."""
     x, z = form.cowl_at, float(form.upper(form.cowl_at))
     wide, tall, rake = form.width / 2 - 0.14, rng.uniform(0.32, 0.42), rng.uniform(0.45, 0.7)
     y = np.linspace(-1, 1, 17)
@@ -367,8 +373,8 @@ def cockpit(a, rng, form):
             a.add("hoop", tube(hoop, 0.022, around=10), PAINT)
 
 
-def roof_things(a, rng, form, kind):
-    """Rails, a spoiler, or a fin."""
+def roof_details(a: Assembly, rng: np.random.Generator, form: Form, kind: str) -> None:
+    """Add rails, a spoiler, or a wing; add exhaust pipes."""
     if kind in ("suv", "wagon", "van") and rng.random() < 0.6:
         y, z = form.width / 2 - 0.16 - form.tumblehome, form.height - 0.02
         ends = form.roof_front_at - 0.3, form.roof_rear_at + 0.35

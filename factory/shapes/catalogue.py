@@ -1,10 +1,14 @@
-"""Every shape by its spec, in text: "chair:17" a family and a seed, "sphere" a primitive,
-"file:PATH" or a plain path a mesh file.
+"""Every shape by its spec, a text.
+
+"chair:17" is a family and a seed, "sphere" a primitive, "file:PATH" or a plain path a mesh file.
 """
 
 from importlib import import_module
+from pathlib import Path
+from typing import Any
 
 from factory.shapes.general import FAMILIES as GENERAL
+from factory.shapes.mesh import Mesh
 from manifests.errors import InputError, closest
 
 FAMILIES = ("car", "chair", "sofa", "monitor")
@@ -13,12 +17,12 @@ LONGEST = 100  # digits of a seed: Python reads no number of thousands
 PRIMITIVES = ("sphere", "cube", "torus", "disc", "blob")
 
 
-def load(spec, **options):
-    """The Mesh that a spec names.
+def load(spec: str | Path, **options: Any) -> Mesh:
+    """Return the Mesh that a spec names.
 
     spec     "chair:17" | "sphere" | "sphere:4" (level) | "blob:3" (seed) | "file:PATH" | PATH
     options  for files only: up=, front=, crease_deg=, category=, name=, maximum_triangles= (see
-    factory.shapes.mesh_import.open_mesh)
+             factory.shapes.mesh_import.open_mesh)
     Raises   InputError: an unknown name, a seed that is no number, or anything wrong with the file
     """
     spec = str(spec)
@@ -50,12 +54,13 @@ def load(spec, **options):
         spec,
         "a shape",
         "an unknown name",
-        f"{closest(family, (*FAMILIES, *GENERAL, *PRIMITIVES))} (FAMILY:SEED, a primitive, or a mesh file)",
+        closest(family, (*FAMILIES, *GENERAL, *PRIMITIVES))
+        + " (FAMILY:SEED, a primitive, or a mesh file)",
     )
 
 
-def specs(family, count=None, first=0):
-    """The specs of `count` seeds of a family, by default the paper's count or 50."""
+def specs(family: str, count: int | None = None, first: int = 0) -> list[str]:
+    """Return the specs of `count` seeds of a family, by default the paper's count or 50."""
     if family not in FAMILIES and family not in GENERAL:
         raise InputError(family, "a family", f"'{family}'", closest(family, (*FAMILIES, *GENERAL)))
     return [

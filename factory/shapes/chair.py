@@ -1,8 +1,7 @@
-"""Chairs: eight ways to build one, and proportions drawn per seed. Segments: 1 seat, back and
-cushions; 2 frame and legs.
+"""Chairs: eight constructions with proportions drawn per seed.
 
-Sizes are those of real chairs, in metres: seat 0.40–0.54 wide, 0.40–0.50 deep, 0.42–0.48 high (bar
-stools 0.65–0.80), back to 0.78–1.10.
+Segments: 1 seat, back and cushions; 2 frame and legs. Sizes are those of real chairs, in metres:
+seat 0.40–0.54 wide, 0.40–0.50 deep, 0.42–0.48 high (bar stools 0.65–0.80), back to 0.78–1.10.
 """
 
 import numpy as np
@@ -26,6 +25,7 @@ from factory.shapes.chair_parts import (
     trumpet_base,
     upright_bars,
 )
+from factory.shapes.mesh import Mesh
 from factory.shapes.surfaces import (
     LEFT_RIGHT,
     cushion,
@@ -41,8 +41,8 @@ from factory.shapes.surfaces import (
 FAMILY_KEY = 2  # spawn key: the same seed gives another family other numbers
 
 
-def build(seed):
-    """The chair of a seed, a Mesh of category "chair"."""
+def build(seed: int) -> Mesh:
+    """Return the chair of a seed, a Mesh of category "chair"."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAMILY_KEY,)))
     style = STYLES[int(rng.choice(len(STYLES), p=WEIGHTS))]
     a = Assembly()
@@ -50,8 +50,8 @@ def build(seed):
     return a.finish(f"chair:{seed}", "chair")
 
 
-def dining(a, rng):
-    """Four legs, posts, and a back of slats, rungs, a board, a splat or a pad."""
+def dining(a: Assembly, rng: np.random.Generator) -> None:
+    """Add a chair with four legs, posts, and a back of slats, rungs, a board, a splat or a pad."""
     w, d, h = rng.uniform(0.40, 0.50), rng.uniform(0.40, 0.47), rng.uniform(0.43, 0.47)
     rear, top, lean = rng.uniform(0.82, 1.0), h + rng.uniform(0.36, 0.62), rng.uniform(0.03, 0.12)
     stretchers(a, rng, four_legs(a, rng, w, d, h - 0.02, rear))
@@ -168,8 +168,8 @@ def dining(a, rng):
         arm_rests(a, rng, w, d, h, at(h + 0.22, 1)[0])
 
 
-def windsor(a, rng):
-    """Turned, splayed legs, a saddle seat, and a bow with spindles."""
+def windsor(a: Assembly, rng: np.random.Generator) -> None:
+    """Add a chair with turned, splayed legs, a saddle seat, and a bow with spindles."""
     w, d, h = rng.uniform(0.42, 0.52), rng.uniform(0.40, 0.46), rng.uniform(0.42, 0.46)
     top, lean = h + rng.uniform(0.42, 0.66), rng.uniform(0.08, 0.16)
     stretchers(
@@ -228,8 +228,8 @@ def windsor(a, rng):
         arm_rests(a, rng, w + 0.04, d, h, at(h + 0.22, 1)[0] + 0.02)
 
 
-def shell_chair(a, rng):
-    """One moulded shell on legs, runners, a star or a trumpet."""
+def shell_chair(a: Assembly, rng: np.random.Generator) -> None:
+    """Add one moulded shell on legs, runners, a star or a trumpet."""
     w, d, h = rng.uniform(0.42, 0.58), rng.uniform(0.42, 0.48), rng.uniform(0.42, 0.46)
     top, lean = h + rng.uniform(0.34, 0.48), rng.uniform(0.08, 0.18)
     side, arms = rng.uniform(0.03, 0.07), rng.choice([0.0, 0.0, 0.16])
@@ -305,9 +305,10 @@ def shell_chair(a, rng):
                 )
 
 
-def office(a, rng):
-    """A swivel chair: star base, padded seat, curved back on a spine, perhaps arms and a head
-    rest.
+def office(a: Assembly, rng: np.random.Generator) -> None:
+    """Add a swivel chair: star base, padded seat, curved back on a spine.
+
+    Arms and a head rest are drawn.
     """
     w, d, h = rng.uniform(0.46, 0.54), rng.uniform(0.44, 0.5), rng.uniform(0.43, 0.52)
     tall, thick = rng.uniform(0.38, 0.72), rng.uniform(0.05, 0.1)
@@ -394,8 +395,8 @@ def office(a, rng):
             a.add("arm", tube(arm, np.array([0.018, 0.012]), around=12, square=3.0), FRAME)
 
 
-def bentwood(a, rng):
-    """Thonet's café chair: round seat, bent hoops, a ring between the legs."""
+def bentwood(a: Assembly, rng: np.random.Generator) -> None:
+    """Add Thonet's café chair: round seat, bent hoops, a ring between the legs."""
     w, h = rng.uniform(0.39, 0.44), rng.uniform(0.44, 0.47)
     top, lean, size = h + rng.uniform(0.38, 0.5), rng.uniform(0.06, 0.13), rng.uniform(0.011, 0.015)
     circle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
@@ -464,8 +465,8 @@ def bentwood(a, rng):
         upright_bars(a, "slat", at, h, top - 0.03, 3, np.array([0.02, 0.006]), 0.5, square=4.0)
 
 
-def cantilever(a, rng):
-    """One bent steel tube carries seat and back and has no rear legs."""
+def cantilever(a: Assembly, rng: np.random.Generator) -> None:
+    """Add a chair whose one bent steel tube carries seat and back, without rear legs."""
     w, d, h = rng.uniform(0.44, 0.5), rng.uniform(0.42, 0.48), rng.uniform(0.43, 0.46)
     top, lean, size = (
         h + rng.uniform(0.34, 0.46),
@@ -514,8 +515,8 @@ def cantilever(a, rng):
             a.add("arm", tube(arm, size * 0.9, around=12), FRAME)
 
 
-def stool(a, rng):
-    """A bar stool: high seat, foot rest, low back or none."""
+def stool(a: Assembly, rng: np.random.Generator) -> None:
+    """Add a bar stool: high seat, foot rest, low back or none."""
     w, h = rng.uniform(0.34, 0.42), rng.uniform(0.62, 0.8)
     round_seat = rng.random() < 0.6
     a.add(

@@ -1,13 +1,14 @@
-"""The upholstered easy chair, one of the kinds of factory.shapes.chair."""
+"""The upholstered easy chair, one of the styles of factory.shapes.chair."""
 
 import numpy as np
 
+from factory.shapes.assembly import Assembly
 from factory.shapes.chair_parts import FRAME, SOFT
 from factory.shapes.surfaces import LEFT_RIGHT, cushion, rod, rounded_box, smooth_path, tube
 
 
-def armchair(a, rng):
-    """An upholstered easy chair: club, tub or wing."""
+def armchair(a: Assembly, rng: np.random.Generator) -> None:
+    """Add an upholstered easy chair: club, tub or wing."""
     w, d, h = rng.uniform(0.52, 0.64), rng.uniform(0.5, 0.6), rng.uniform(0.38, 0.45)
     top, thick, arm_high = (
         h + rng.uniform(0.36, 0.66),

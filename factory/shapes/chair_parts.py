@@ -1,14 +1,24 @@
-"""What chairs are made of: legs, bases, backs and arms, each added to an Assembly. Metres; the seat
-looks to +x, the back stands at −x.
+"""Parts of chairs: legs, bases, backs and arms, each added to an Assembly.
 
-w, d: the seat's width (y) and depth (x);  h: the height of its top.  Segment SOFT is what one sits
-on or leans on, FRAME what carries it.
+Metres; the seat faces +x, the back stands at −x.
+
+w, d  the seat's width (y) and depth (x)
+h     the height of its top
+at    a function (height, y share) → point on the back's middle surface
+
+Segment SOFT is seat, back and cushions, FRAME the construction that carries them.
 """
 
-import numpy as np
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from factory.shapes.assembly import Assembly
 from factory.shapes.surfaces import (
     LEFT_RIGHT,
+    Surface,
     revolve,
     rod,
     rounded_path,
@@ -19,19 +29,32 @@ from factory.shapes.surfaces import (
 )
 
 SOFT, FRAME = 1, 2
+BackPoint: TypeAlias = Callable[[float, float], np.ndarray]
+Ends: TypeAlias = dict[tuple[int, float], tuple[np.ndarray, np.ndarray]]
 
 
-def seat_outline(w, d, rear, square, around=48):
-    """Outline (N, 2) of a seat seen from above: a superellipse, its rear narrowed to the share
-    `rear` of its front.
+def seat_outline(w: float, d: float, rear: float, square: float, around: int = 48) -> np.ndarray:
+    """Return the outline (N, 2) of a seat seen from above.
+
+    It is a superellipse whose rear is narrowed to the share `rear` of its front.
     """
     x, y = superellipse(around, square).T
     return np.stack([x * d / 2, y * w / 2 * (1 + rear + (1 - rear) * x) / 2], 1)
 
 
-def four_legs(a, rng, w, d, h, rear=1.0, kinds=("square", "round", "tapered", "turned")):
-    """Four legs at the corners, of one of the kinds. Returns their tops and feet: {(±1 front, ±1
-    left): (top, foot)}.
+def four_legs(
+    a: Assembly,
+    rng: np.random.Generator,
+    w: float,
+    d: float,
+    h: float,
+    rear: float = 1.0,
+    kinds: Sequence[str] = ("square", "round", "tapered", "turned"),
+) -> Ends:
+    """Add four legs at the corners; return their tops and feet.
+
+    kinds    to draw from
+    Returns  {(±1 front, ±1 left): (top, foot)}
     """
     kind = rng.choice(kinds)
     size, splay, inset = rng.uniform(0.015, 0.025), rng.uniform(0.0, 0.07), rng.uniform(0.03, 0.05)
@@ -59,8 +82,8 @@ def four_legs(a, rng, w, d, h, rear=1.0, kinds=("square", "round", "tapered", "t
     return ends
 
 
-def stretchers(a, rng, ends):
-    """Rails between the legs: none, a box, an H, or two at the sides."""
+def stretchers(a: Assembly, rng: np.random.Generator, ends: Ends) -> None:
+    """Add rails between the legs: none, a box, an H, or two at the sides."""
     kind, t, size = (
         rng.choice(["none", "box", "h", "sides"]),
         rng.uniform(0.45, 0.75),
@@ -69,19 +92,11 @@ def stretchers(a, rng, ends):
     at = {key: top + t * (foot - top) for key, (top, foot) in ends.items()}
     if kind == "none":
         return
-    for left in LEFT_RIGHT:
-        a.add("stretcher", rod(at[1, left], at[-1, left], size, around=10, square=3.0), FRAME)
+    for side in LEFT_RIGHT:
+        a.add("stretcher", rod(at[1, side], at[-1, side], size, around=10, square=3.0), FRAME)
     if kind == "h":
-        a.add(
-            "stretcher",
-            rod(
-                *((at[1, left] + at[-1, left]) / 2 for left in LEFT_RIGHT),
-                size,
-                around=10,
-                square=3.0,
-            ),
-            FRAME,
-        )
+        left, right = ((at[1, side] + at[-1, side]) / 2 for side in LEFT_RIGHT)
+        a.add("stretcher", rod(left, right, size, around=10, square=3.0), FRAME)
     if kind == "box":
         for front in (1, -1):
             rise = np.array([0, 0, 0.04])
@@ -92,8 +107,8 @@ def stretchers(a, rng, ends):
             )
 
 
-def apron(a, w, d, h, rear, inset=0.045):
-    """The four boards under a wooden seat."""
+def apron(a: Assembly, w: float, d: float, h: float, rear: float, inset: float = 0.045) -> None:
+    """Add the four boards under a wooden seat."""
     corner = {
         (f, s): np.array(
             [f * (d / 2 - inset), s * ((w if f > 0 else w * rear) / 2 - inset), h - 0.055]
@@ -121,8 +136,8 @@ def apron(a, w, d, h, rear, inset=0.045):
         )
 
 
-def star_base(a, rng, h):
-    """A gas column on a five-legged (or four-legged) star, with castors or glides."""
+def star_base(a: Assembly, rng: np.random.Generator, h: float) -> None:
+    """Add a gas column on a five-legged (or four-legged) star, with castors or glides."""
     arms, reach = int(rng.choice([4, 5, 5, 5])), rng.uniform(0.27, 0.34)
     wheel = rng.uniform(0.022, 0.03) if rng.random() < 0.8 else 0.0
     hub = 2 * wheel + rng.uniform(0.04, 0.09)
@@ -170,8 +185,8 @@ def star_base(a, rng, h):
                 a.add("castor", turn.moved(reach, side * 0.014, wheel).turned("z", angle), FRAME)
 
 
-def trumpet_base(a, rng, h):
-    """A tulip chair's foot: a disc that grows into a stem and opens under the seat."""
+def trumpet_base(a: Assembly, rng: np.random.Generator, h: float) -> None:
+    """Add a tulip chair's foot: a disc that narrows to a stem and widens under the seat."""
     foot, stem, top = rng.uniform(0.2, 0.27), rng.uniform(0.022, 0.04), rng.uniform(0.06, 0.12)
     t = np.linspace(0, 1, 28)
     radius = (
@@ -193,8 +208,8 @@ def trumpet_base(a, rng, h):
     )
 
 
-def sled(a, rng, w, d, h):
-    """Two bent-tube runners with a cross bar."""
+def sled(a: Assembly, rng: np.random.Generator, w: float, d: float, h: float) -> None:
+    """Add two bent-tube runners with a cross bar."""
     size, lean = rng.uniform(0.008, 0.012), rng.uniform(0.0, 0.06)
     for side in LEFT_RIGHT:
         y = side * (w / 2 - 0.03)
@@ -216,10 +231,18 @@ def sled(a, rng, w, d, h):
         )
 
 
-def posts(a, rng, w, d, h, rear, top, lean, square=5.0):
-    """Two rear posts that go on upwards from the seat. Returns a function (height, y share) → point
-    on the back's middle surface.
-    """
+def posts(
+    a: Assembly,
+    rng: np.random.Generator,
+    w: float,
+    d: float,
+    h: float,
+    rear: float,
+    top: float,
+    lean: float,
+    square: float = 5.0,
+) -> BackPoint:
+    """Add two rear posts that extend upwards from the seat; return `at` of their back."""
     size, curve = rng.uniform(0.014, 0.021), rng.uniform(-0.02, 0.05)
 
     def at(z, share):
@@ -244,9 +267,21 @@ def posts(a, rng, w, d, h, rear, top, lean, square=5.0):
     return at
 
 
-def between(a, part, at, low, high, thick, share=1.0, bow=0.02, segment=SOFT, crown=0.0):
-    """A board across the back from height low to high (m), bowed backwards by `bow`, its upper rim
-    raised in the middle by `crown`.
+def between(
+    a: Assembly,
+    part: str,
+    at: BackPoint,
+    low: float,
+    high: float,
+    thick: float,
+    share: float = 1.0,
+    bow: float = 0.02,
+    segment: int = SOFT,
+    crown: float = 0.0,
+) -> None:
+    """Add a board across the back from height low to high (m).
+
+    It is bowed backwards by `bow`, and its upper rim is raised in the middle by `crown`.
     """
     y = np.linspace(-share, share, 17)
     middle = np.array([at((low + high) / 2, s) for s in y])
@@ -259,9 +294,22 @@ def between(a, part, at, low, high, thick, share=1.0, bow=0.02, segment=SOFT, cr
     a.add(part, tube(middle, half, around=24, square=6.0, bevel=0.3, side=side), segment)
 
 
-def upright_bars(a, part, at, low, high, count, size, share, fan=1.0, segment=SOFT, square=2.0):
-    """`count` bars from the seat (height low) to the top rail (high); fan: how much wider they
-    stand at the top.
+def upright_bars(
+    a: Assembly,
+    part: str,
+    at: BackPoint,
+    low: float,
+    high: float,
+    count: int,
+    size: ArrayLike,
+    share: float,
+    fan: float = 1.0,
+    segment: int = SOFT,
+    square: float = 2.0,
+) -> None:
+    """Add `count` bars from the seat (height low) to the top rail (high).
+
+    fan  how much wider they stand at the top
     """
     for s in np.linspace(-share, share, count):
         path = np.array(
@@ -273,8 +321,10 @@ def upright_bars(a, part, at, low, high, count, size, share, fan=1.0, segment=SO
         a.add(part, tube(path, size, around=10, square=square), segment)
 
 
-def arm_rests(a, rng, w, d, h, back_x):
-    """Wooden arms on front posts."""
+def arm_rests(
+    a: Assembly, rng: np.random.Generator, w: float, d: float, h: float, back_x: float
+) -> None:
+    """Add wooden arms on front posts."""
     rise, size = rng.uniform(0.19, 0.26), rng.uniform(0.012, 0.02)
     reach, wide = d / 2 - rng.uniform(0.03, 0.1), w / 2 + rng.uniform(-0.015, 0.02)
     for side in LEFT_RIGHT:
@@ -307,13 +357,17 @@ def arm_rests(a, rng, w, d, h, back_x):
         )
 
 
-def soft_pad(w, d, thick, rear=1.0, square=4.5, dome=0.02):
-    """An upholstered seat, its middle raised."""
+def soft_pad(
+    w: float, d: float, thick: float, rear: float = 1.0, square: float = 4.5, dome: float = 0.02
+) -> Surface:
+    """Return an upholstered seat, its middle raised."""
     return slab(seat_outline(w, d, rear, square), thick, 0.95, dome, steps=5)
 
 
-def hoop_path(at, low, high, share, count=33, power=0.6):
-    """A bow (count, 3) that rises from one side of the seat over the top and down the other."""
+def hoop_path(
+    at: BackPoint, low: float, high: float, share: float, count: int = 33, power: float = 0.6
+) -> np.ndarray:
+    """Return a bow (count, 3) from one side of the seat over the top to the other side."""
     angle = np.linspace(0, np.pi, count)
     rise = np.sin(angle) ** power
     side = np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** 0.8

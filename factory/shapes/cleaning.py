@@ -1,9 +1,10 @@
-"""What is broken in a mesh is dropped or refused: doubled vertices and faces, faces of no area; and
-faces are turned outward.
+"""Cleaning of meshes: defects are dropped or refused, and faces are turned outward.
 
-vertices (V, 3), faces (F, 3). Each step says in words what it did; nothing is repaired by adding
-faces.
+Defects are doubled vertices and faces, and faces of no area. vertices (V, 3), faces (F, 3). Each
+step reports in words; nothing is repaired by adding faces.
 """
+
+from pathlib import Path
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -18,13 +19,15 @@ from manifests.errors import InputError
 FLAT = 1e-13  # of the size squared: a face of less area is none
 
 
-def clean(vertices, faces, where):
-    """A mesh without what is broken.
+def clean(
+    vertices: np.ndarray, faces: np.ndarray, where: str | Path
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str]]:
+    """Return a mesh without its defects.
 
-    Returns  vertices, faces, kept (F',) which of the given faces they were, notes: what was done,
-    in words
+    Returns  vertices, faces, kept (F',) the indices of the given faces that remain, notes on what
+             was done
     Raises   InputError: a coordinate that is not finite, an index outside the vertices, or no
-    surface left
+             surface left
     """
     vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int64)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
@@ -85,12 +88,13 @@ def clean(vertices, faces, where):
     return vertices[compact], faces.reshape(-1, 3), kept, notes
 
 
-def orient(vertices, faces):
-    """The faces wound alike within each piece, and turned outward where that can be decided.
+def orient(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, float, list[str]]:
+    """Return the faces wound consistently within each piece, and turned outward where possible.
 
-    A piece that closes is turned so that its volume is positive; an open one so that more of its
-    outer side is seen from around. Returns  faces, the share of what is seen that remains inner
-    side, notes
+    A closed piece is turned so that its volume is positive; an open one so that more of its outer
+    side is visible from around.
+
+    Returns  faces, the share of the visible surface that remains inner side, notes
     """
     wound, piece = _wind_alike(faces)
     notes = []
@@ -117,7 +121,7 @@ def orient(vertices, faces):
 
 
 def _cyclic(faces):
-    """Faces rotated to begin with their least vertex."""
+    """Return the faces rotated to begin with their least vertex."""
     return np.take_along_axis(faces, (faces.argmin(1)[:, None] + np.arange(3)) % 3, axis=1)
 
 
@@ -127,11 +131,12 @@ def _seen(vertices, faces):
 
 
 def _wind_alike(faces):
-    """Faces wound consistently across edges of two faces, and the piece (F,) each belongs to.
+    """Return faces wound consistently across edges of two faces, and the piece (F,) of each.
 
-    Each face stands twice in a graph, as it is and turned round; two faces that share an edge are
-    joined in the states that agree. A piece in which a face meets its own turned self (a Möbius
-    strip) has no sides and stays as it was.
+    Each face stands twice in a graph, as it is and reversed; two faces that share an edge are
+    joined in
+    the states that agree. A piece in which a face meets its own reversed self (a Möbius strip) has
+    no sides and stays as it was.
     """
     count = len(faces)
     first, second, same, _ = edge_pairs(faces)

@@ -1,26 +1,38 @@
-"""Contact sheets of shapes: each seen from the front left, named and counted. No Blender:
-factory.shapes.raster draws.
+"""Contact sheets of shapes, each seen from the front left and named.
+
+factory.shapes.raster draws them without Blender.
 """
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw
 
+from factory.shapes.mesh import Mesh
 from factory.shapes.raster import picture
 
 AZIMUTH = 0.65  # radians: the front and the left side
 
 
-def contact_sheet(meshes, count, *, columns=None, size=160, azimuths=(AZIMUTH,)):
-    """A PIL image of `count` meshes (an iterable of Mesh or of one-line errors), row after row.
+def contact_sheet(
+    meshes: Iterable[Mesh | str],
+    count: int,
+    *,
+    columns: int | None = None,
+    size: int = 160,
+    azimuths: Sequence[float] = (AZIMUTH,),
+) -> Image.Image:
+    """Return a PIL image of `count` meshes, row after row.
 
+    meshes    Mesh, or the one line of an error
     azimuths  radians; several: that many pictures of each mesh, side by side
     """
     columns = columns or max(
         1, min(count, round(10 / len(azimuths)), int(np.ceil(count**0.5 * 1.3)))
     )
     rows, wide, label = -(-count // columns), size * len(azimuths), 14
-    sheet = Image.new("RGB", (columns * wide, max(rows, 1) * (size + label)), "white")
-    pen = ImageDraw.Draw(sheet)
+    montage = Image.new("RGB", (columns * wide, max(rows, 1) * (size + label)), "white")
+    pen = ImageDraw.Draw(montage)
     for k, mesh in enumerate(meshes):
         x, y = k % columns * wide, k // columns * (size + label)
         if isinstance(mesh, str):
@@ -28,6 +40,6 @@ def contact_sheet(meshes, count, *, columns=None, size=160, azimuths=(AZIMUTH,))
             continue
         for j, azimuth in enumerate(azimuths):
             pixels = (picture(mesh, azimuth, size=size) * 255 + 0.5).astype(np.uint8)
-            sheet.paste(Image.fromarray(pixels), (x + j * size, y))
+            montage.paste(Image.fromarray(pixels), (x + j * size, y))
         pen.text((x + 3, y + size), mesh.name[-(wide // 6) :], fill=(90, 90, 90))
-    return sheet
+    return montage

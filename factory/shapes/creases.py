@@ -1,10 +1,10 @@
 """Smooth normals that stop at creases: one normal per corner of each face.
 
-vertices (V, 3); faces (F, 3); corner (face, i) is the i-th vertex as the face sees it; corner
-normals (F, 3, 3). Two faces that share an edge are smooth there when their normals differ by less
-than the crease angle. The corners around a vertex that smooth edges connect share one normal: the
-mean of their faces' normals, weighted by the angle at the corner. Linear in the number of faces,
-whatever the valence: a vertex with a million faces costs a million.
+vertices (V, 3); faces (F, 3); corner (face, i) is the i-th vertex of the face; corner normals
+(F, 3, 3). Two faces that share an edge are smooth there when their normals differ by less than the
+crease angle. The corners around a vertex that smooth edges connect share one normal: the mean of
+their faces' normals, weighted by the angle at the corner. Linear in the number of faces, whatever
+the valence: a vertex with a million faces costs a million.
 """
 
 import numpy as np
@@ -14,9 +14,10 @@ from scipy.sparse.csgraph import connected_components
 CREASE_DEG = 45.0
 
 
-def face_normals(vertices, faces):
-    """Unit normals (F, 3), right-handed about the corner order, and areas (F,); a zero-area face
-    has normal 0.
+def face_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return unit normals (F, 3), right-handed about the corner order, and areas (F,).
+
+    A face of no area has normal 0.
     """
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     cross = np.cross(b - a, c - a)
@@ -24,22 +25,20 @@ def face_normals(vertices, faces):
     return cross / np.maximum(double_area, 1e-300)[:, None], 0.5 * double_area
 
 
-def corner_angles(vertices, faces):
-    """Interior angle (F, 3) at each corner, radians."""
+def corner_angles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return the interior angle (F, 3) at each corner, radians."""
     corners = vertices[faces]
     ahead, behind = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     across = np.linalg.norm(np.cross(ahead, behind), axis=2)
     return np.arctan2(across, (ahead * behind).sum(2))
 
 
-def edge_pairs(faces):
-    """Pairs of half-edges that lie on the same edge, for edges with exactly two faces, and the
-    count of faces on each edge.
+def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return pairs of half-edges on each edge of exactly two faces, and the faces per edge.
 
     A half-edge is 3 * face + i: it leads from corner i to corner i + 1 of its face.
     Returns  first (P,), second (P,) half-edges; same (P,) bool: both run the same way, so the faces
-    are wound inconsistently;
-             counts (E,) faces an edge
+             are wound inconsistently; counts (E,) faces per edge
     """
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     low, high = np.minimum(start, end).astype(np.int64), np.maximum(start, end).astype(np.int64)
@@ -52,8 +51,10 @@ def edge_pairs(faces):
     return first, second, start[first] == start[second], counts
 
 
-def corner_normals(vertices, faces, crease_deg=CREASE_DEG):
-    """Unit normals (F, 3, 3) float32, smooth across edges flatter than crease_deg."""
+def corner_normals(
+    vertices: np.ndarray, faces: np.ndarray, crease_deg: float = CREASE_DEG
+) -> np.ndarray:
+    """Return unit normals (F, 3, 3) float32, smooth across edges flatter than crease_deg."""
     normals, _ = face_normals(vertices, faces)
     first, second, same, _ = edge_pairs(faces)
     smooth = (normals[first // 3] * normals[second // 3]).sum(1) > np.cos(np.radians(crease_deg))

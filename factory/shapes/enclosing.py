@@ -1,7 +1,6 @@
-"""The smallest sphere around points, exactly: Welzl's problem solved by pivoting on the farthest
-point.
+"""The smallest sphere around points, exactly, by pivoting on the farthest point.
 
-points: (N, 3).  A sphere is (centre (3,), radius).  At most four points carry it: the support.
+points: (N, 3).  A sphere is (centre (3,), radius).  At most four points determine it: the support.
 Source: Gärtner, "Fast and robust smallest enclosing balls", ESA 1999 (the pivot rule).
 """
 
@@ -12,8 +11,8 @@ import numpy as np
 SLACK = 1e-10  # relative; below it rounding may swap one support for another without end
 
 
-def smallest_sphere(points):
-    """Centre (3,) and radius of the smallest sphere that holds all points (N, 3)."""
+def smallest_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return centre (3,) and radius of the smallest sphere that holds all points (N, 3)."""
     support = points[[0]]
     centre, radius = points[0], 0.0
     for _ in range(1000):  # each pivot grows the radius; real meshes need about ten
@@ -31,8 +30,9 @@ def smallest_sphere(points):
 
 
 def _smallest_of_few(points):
-    """Centre, radius and support of the smallest sphere around at most five points, by trying every
-    support.
+    """Return centre, radius and support of the smallest sphere around at most five points.
+
+    Every support is tried.
     """
     best = None
     reach = np.ptp(points, axis=0).max()
@@ -49,7 +49,7 @@ def _smallest_of_few(points):
 
 
 def _through(support):
-    """The point (3,) equally far from two to four points, in their affine hull."""
+    """Return the point (3,) equally far from two to four points, in their affine hull."""
     edges = support[1:] - support[0]
     weights = np.linalg.lstsq(2 * edges @ edges.T, (edges**2).sum(1), rcond=None)[0]
     return support[0] + weights @ edges

@@ -1,10 +1,10 @@
-"""Mesh files read into raw triangles, their size bounded before any memory is taken: a reader for
-each format.
+"""Mesh files read into raw triangles, with a reader for each format.
 
-No texture, library or second file is ever followed. The readers are our own because the polygons of
-OBJ, PLY and OFF must be cut into triangles with care (factory.shapes.polygons), and because each
-count and offset in a file is checked before it is used; `trimesh`, which cuts every polygon as a
-fan and passes over a GLB's sparse positions, is what tests compare them with.
+Their size is bounded before memory is taken, and no texture, library or second file is ever
+followed. The readers are our own because the polygons of OBJ, PLY and OFF must be cut into
+triangles with care (factory.shapes.polygons), and because each count and offset in a file is
+checked before it is used. `trimesh`, which cuts every polygon as a fan and ignores a GLB's sparse
+positions, is the reader with which tests compare them.
 """
 
 import io
@@ -20,8 +20,9 @@ FORMATS = (".obj", ".ply", ".glb", ".stl", ".off")
 
 
 def read(path: str | Path, maximum: int = MAXIMUM_TRIANGLES) -> Raw:
-    """The Raw triangles of a file. Raises InputError: missing, not a mesh, truncated, or more than
-    `maximum` triangles.
+    """Return the Raw triangles of a file.
+
+    Raises  InputError: missing, not a mesh, truncated, or more than `maximum` triangles
     """
     path = Path(path)
     require_file(path, "a mesh file", _remedy(path))
@@ -32,7 +33,7 @@ def read(path: str | Path, maximum: int = MAXIMUM_TRIANGLES) -> Raw:
 
 
 def _remedy(path):
-    """What to do where a file is missing: the names like it, if there are any."""
+    """Return a remedy for a missing file: similar names, if there are any."""
     try:
         near = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
     except (OSError, ValueError):  # a folder that may not be read, a name that no file can have
@@ -41,7 +42,7 @@ def _remedy(path):
 
 
 def check_format(where: str | Path, kind: str) -> None:
-    """Raises InputError if a file's ending is not one that is read."""
+    """Raise InputError for a file whose ending has no reader."""
     if kind not in FORMATS:
         remedy = (
             "export it as binary glTF (.glb)" if kind == ".gltf" else "convert it to one of these"
@@ -52,12 +53,12 @@ def check_format(where: str | Path, kind: str) -> None:
 def parse(
     file: BinaryIO, kind: str, size: int, where: str | Path, maximum: int = MAXIMUM_TRIANGLES
 ) -> Raw:
-    """The Raw triangles of an open binary file of `size` bytes; where: its name in errors."""
+    """Return the Raw triangles of an open binary file of `size` bytes, called `where` in errors."""
     if size == 0:
         raise InputError(where, "a mesh", "an empty file", AGAIN)
     return import_module(f"factory.shapes.{kind[1:]}").read(file, size, where, maximum)
 
 
 def from_bytes(data: bytes, kind: str, where: str | Path, maximum: int = MAXIMUM_TRIANGLES) -> Raw:
-    """As `read`, for a file already in memory."""
+    """Return the Raw triangles of a file in memory, as `read` does."""
     return parse(io.BytesIO(data), kind, len(data), where, maximum)

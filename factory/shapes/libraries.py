@@ -1,5 +1,6 @@
-"""Many meshes in one place: folders (ShapeNet's layout too) and Sweet Home 3D's .sh3f files, which
-are zips of OBJ with a catalogue.
+"""Collections of meshes: folders (ShapeNet's layout too) and Sweet Home 3D's .sh3f files.
+
+The latter are zips of OBJ with a catalogue.
 """
 
 import re
@@ -27,7 +28,11 @@ A_LIBRARY, AGAIN = "a .sh3f library, a zip file of meshes", "check the path, or 
 
 @dataclass(frozen=True)
 class Entry:
-    """place: what `door.open_mesh` takes; licence: as the library states it, or ''."""
+    """One mesh of a collection.
+
+    place    argument of `mesh_import.open_mesh`
+    licence  as the library states it, or ''
+    """
 
     place: str
     name: str
@@ -35,9 +40,10 @@ class Entry:
     licence: str = ""
 
 
-def find(folder):
-    """Every mesh below a folder or in one file, as a list of Entry, sorted by place. Raises
-    InputError if there is none.
+def find(folder: str | Path) -> list[Entry]:
+    """Return every mesh below a folder or in one file, sorted by place.
+
+    Raises  InputError if there is none
     """
     folder = Path(folder)
     if folder.is_file():
@@ -65,17 +71,19 @@ def find(folder):
 
 
 def _name(path, folder):
-    """A name from where a mesh lies; ShapeNet's synset/model/models/model_normalized.obj gives
-    "synset-model".
+    """Return a name from the path of a mesh.
+
+    ShapeNet's synset/model/models/model_normalized.obj gives "synset-model".
     """
     parts = path.relative_to(folder).with_suffix("").parts
     meaning = [part for part in parts if part not in ("models", "model_normalized")] or [parts[-1]]
     return "-".join(meaning)
 
 
-def category_of(path, chosen=""):
-    """The paper's category that a member's name, a file's name or its folders suggest, the nearest
-    first; else "object".
+def category_of(path: str | Path, chosen: str = "") -> str:
+    """Return the paper's category suggested by a member's name, a file's name or its folders.
+
+    The nearest of these decides; without one it is "object".
     """
     for part in (chosen, *reversed(Path(path).parts[-6:])):
         if part in SYNSETS:
@@ -125,7 +133,7 @@ def _inside(path):
 
 
 def _catalogue(archive, path):
-    """Keys and values of the library's catalogue, a Java properties file."""
+    """Return keys and values of the library's catalogue, a Java properties file."""
     if CATALOGUE not in archive.namelist():
         raise InputError(
             path,
@@ -147,7 +155,7 @@ def _catalogue(archive, path):
 
 
 def _extract(archive, name, path, most):
-    """A member's bytes; at most `most`, and at most a hundred times what it takes in the zip."""
+    """Return a member's bytes: at most `most`, and at most a hundred times its size in the zip."""
     info = archive.getinfo(name)
     bound = min(most, MOST_INFLATION * max(info.compress_size, 1024))
     if info.file_size > bound:
@@ -174,9 +182,12 @@ def _extract(archive, name, path, most):
     return data
 
 
-def member(path, chosen, maximum=MAXIMUM_TRIANGLES):
-    """(bytes, name, ending) of one mesh of a .sh3f library. Raises InputError: no such name, or
-    none given.
+def member(
+    path: str | Path, chosen: str | None, maximum: int = MAXIMUM_TRIANGLES
+) -> tuple[bytes, str, str]:
+    """Return (bytes, name, ending) of one mesh of a .sh3f library.
+
+    Raises  InputError: no such name, or none given
     """
     with opened_zip(path, A_LIBRARY, AGAIN) as archive:
         models = [

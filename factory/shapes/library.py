@@ -1,7 +1,7 @@
-"""A user's own library: cleaned meshes written as OBJ with a note beside each, by `shapes add`.
+"""A user's own library: cleaned meshes as OBJ, each with metadata beside it, from `shapes add`.
 
 LIBRARY/chair/mine.obj    y up, front +z, as other programs expect; a material "segment-1",
-"segment-2", … for each region
+                          "segment-2", … for each region
 LIBRARY/chair/mine.json   name, category, hash, source, licence, report
 """
 
@@ -9,6 +9,7 @@ import json
 import re
 from pathlib import Path
 
+from factory.shapes.mesh import Mesh
 from manifests.errors import InputError
 from manifests.files import write_bytes, write_text
 from manifests.inputs import require_file
@@ -17,9 +18,10 @@ LARGEST_NOTE = 1 << 20  # bytes; a note has some hundreds
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 
 
-def add(mesh, library, *, source, licence):
-    """Write a Mesh and its note into a library folder; the path of the OBJ. The note comes last:
-    without it a mesh is not yet there.
+def add(mesh: Mesh, library: str | Path, *, source: str | Path, licence: str) -> Path:
+    """Write a Mesh and its metadata into a library folder; return the path of the OBJ.
+
+    The metadata are written last: without them a mesh does not count as added.
 
     Raises  InputError: a name that is no file name, or one that a different mesh has already
     """
@@ -54,7 +56,7 @@ def add(mesh, library, *, source, licence):
 
 
 def _hash_of_metadata(note):
-    """The hash of the mesh that a note is about. Raises InputError for a damaged note."""
+    """Return the hash of the mesh from its metadata. Raises InputError for a damaged file."""
     remedy = (
         f"delete it, and {note.stem}.obj beside it unless that is this mesh; or pass a different"
         " --name"
@@ -67,9 +69,7 @@ def _hash_of_metadata(note):
 
 
 def _holds(path, data):
-    """Whether a file holds these bytes: a library's mesh that was damaged since is written
-    again.
-    """
+    """Return whether a file holds these bytes; a damaged mesh of a library is written again."""
     try:
         return path.stat().st_size == len(data) and path.read_bytes() == data
     except OSError:
@@ -77,7 +77,7 @@ def _holds(path, data):
 
 
 def _obj(mesh, licence):
-    """OBJ text: every digit kept, so that the mesh that is read back has the same hash."""
+    """Return OBJ text with every digit, so that the mesh has the same hash when it is read."""
     lines = [f"# {mesh.category} {mesh.name}", f"# licence: {' '.join(licence.split())}"]
     lines += [f"v {float(y)!r} {float(z)!r} {float(x)!r}" for x, y, z in mesh.vertices]
     for segment in range(1, mesh.segments + 1):

@@ -1,19 +1,20 @@
-"""A mesh that is ready to be rendered: centred, scaled, its normals smooth, its parts named,
-hashed.
+"""A mesh that is ready for rendering: centred, scaled, smooth, its parts named, hashed.
 
 vertices        (V, 3) float64, world frame: z up, the object's front +x; the smallest sphere around
-them is the unit sphere
+                them is the unit sphere
 faces           (F, 3) int32, counter-clockwise seen from outside
 corner_normals  (F, 3, 3) float32, unit: the normal of each face's three corners, smooth below the
-crease angle
+                crease angle
 segment         (F,) uint8: 1, 2, …: the semantic region that gets a material of its own
 parts, part     names, and (F,) int32 the index of each face's name
-hash            sha256 of geometry and segments: of neither name nor the order of vertices and
-faces, so that twins are found
+hash            sha256 of geometry and segments, not of the name or the order of vertices and faces,
+                so that duplicates are found
 """
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +29,10 @@ HASH_GRID = 1 << 16
 
 @dataclass(frozen=True)
 class Report:
-    """What a mesh is like. back_faces: share of what is seen from 14 sides that is a face's inner
-    side; None: not measured.
+    """Properties of a mesh.
+
+    back_faces  share of the surface visible from 14 sides that is a face's inner side; None: not
+                measured
     """
 
     triangles: int
@@ -40,8 +43,8 @@ class Report:
     back_faces: float | None = None
     cleaned: tuple[str, ...] = ()
 
-    def line(self):
-        """All of it in one line of text."""
+    def line(self) -> str:
+        """Return the report as one line of text."""
         back = "" if self.back_faces is None else f", {self.back_faces:.1%} seen from behind"
         tight = (
             "watertight"
@@ -54,7 +57,7 @@ class Report:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """See the module's first lines for shapes and frames. Arrays are read-only."""
+    """A mesh; the module's first lines give shapes and frames. Arrays are read-only."""
 
     name: str
     category: str
@@ -67,35 +70,35 @@ class Mesh:
     hash: str
     report: Report
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for array in (self.vertices, self.faces, self.corner_normals, self.segment, self.part):
             array.setflags(write=False)
 
     @property
-    def segments(self):
+    def segments(self) -> int:
         """How many semantic regions there are; their ids are 1 … segments."""
         return int(self.segment.max())
 
 
 def finish(
-    name,
-    category,
-    vertices,
-    faces,
+    name: str,
+    category: str,
+    vertices: np.ndarray,
+    faces: np.ndarray,
     *,
-    segment=None,
-    parts=("body",),
-    part=None,
-    normals=None,
-    crease_deg=CREASE_DEG,
-    **known,
-):
-    """A Mesh from welded, outward triangles: centred, scaled, smooth, counted and hashed.
+    segment: np.ndarray | None = None,
+    parts: Sequence[str] = ("body",),
+    part: np.ndarray | None = None,
+    normals: np.ndarray | None = None,
+    crease_deg: float = CREASE_DEG,
+    **known: Any,
+) -> Mesh:
+    """Return a Mesh from welded, outward triangles: centred, scaled, smooth, counted and hashed.
 
     vertices, faces  (V, 3), (F, 3); world axes, any place and size
     segment, part    (F,) each, or None: one segment, one part
     normals          (F, 3, 3) analytic corner normals, or None: derived below crease_deg
-    known            back_faces=, cleaned=: known to the caller, kept in the report
+    known            back_faces=, cleaned=: facts that the caller has measured, kept in the report
     Raises           InputError if there is no area to scale
     """
     vertices, faces = (
@@ -133,8 +136,8 @@ def finish(
     )
 
 
-def describe(faces, **known):
-    """The Report of faces (F, 3)."""
+def describe(faces: np.ndarray, **known: Any) -> Report:
+    """Return the Report of faces (F, 3)."""
     counts = edge_pairs(faces)[3]
     open_edges, crowded = int((counts == 1).sum()), int((counts > 2).sum())
     return Report(
@@ -147,10 +150,8 @@ def describe(faces, **known):
     )
 
 
-def face_components(faces):
-    """Index (F,) of the connected piece that each face belongs to; pieces hang together by shared
-    vertices.
-    """
+def face_components(faces: np.ndarray) -> np.ndarray:
+    """Return the index (F,) of the connected piece of each face; shared vertices connect faces."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -161,12 +162,13 @@ def face_components(faces):
     return connected_components(links, directed=False)[1][compact[:, 0]]
 
 
-def geometry_hash(vertices, faces, segment, crease_deg=CREASE_DEG):
-    """sha256 (hex) of the set of triangles, their segments and the crease angle that shades them,
-    whatever their order and their names.
+def geometry_hash(
+    vertices: np.ndarray, faces: np.ndarray, segment: np.ndarray, crease_deg: float = CREASE_DEG
+) -> str:
+    """Return the sha256 (hex) of the set of triangles, their segments and the crease angle.
 
-    Each triangle is its three corners on a grid, beginning with the least; the triangles are
-    sorted.
+    It depends on neither their order nor their names. Each triangle is its three corners on a grid,
+    beginning with the least; the triangles are sorted.
     """
     grid = np.round(vertices * HASH_GRID).astype(np.int64) + 2 * HASH_GRID  # positive, 18 bits each
     key = (grid[:, 0] << 36) | (grid[:, 1] << 18) | grid[:, 2]

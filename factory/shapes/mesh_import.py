@@ -1,8 +1,7 @@
-"""The door for meshes from outside: a file comes in, a Mesh comes out: cleaned, oriented, turned to
-our axes, centred, scaled, hashed.
+"""Mesh import: a file becomes a Mesh, cleaned, oriented, rotated to our axes, scaled and hashed.
 
-A place is a path; of a library of many (a folder, a zip of Sweet Home 3D's) it may name the one
-after '#'. Reading options may follow after '?', so that a job file can carry them:
+A place is a path; the name of one mesh of a collection (a folder, a zip of Sweet Home 3D's) may
+follow after '#'. Reading options may follow after '?', so that a job file can carry them:
 "chairs/a.obj?up=z&front=-y", "BlendSwap-CC-0.sh3f#armchair?segments=materials".
 """
 
@@ -15,7 +14,7 @@ from factory.shapes.cleaning import clean, orient
 from factory.shapes.creases import CREASE_DEG
 from factory.shapes.files import check_format, from_bytes, read
 from factory.shapes.libraries import category_of, member
-from factory.shapes.mesh import finish
+from factory.shapes.mesh import Mesh, finish
 from factory.shapes.raw import MAXIMUM_TRIANGLES
 from manifests.errors import InputError, closest
 
@@ -31,22 +30,22 @@ OWN_SEGMENT = "segment-"  # material names that `shapes add` writes: they always
 
 
 def open_mesh(
-    place,
+    place: str | Path,
     *,
-    up=None,
-    front=None,
-    crease_deg=CREASE_DEG,
-    segments="one",
-    category=None,
-    name=None,
-    maximum_triangles=MAXIMUM_TRIANGLES,
-):
-    """The Mesh of a file.
+    up: str | None = None,
+    front: str | None = None,
+    crease_deg: float = CREASE_DEG,
+    segments: str = "one",
+    category: str | None = None,
+    name: str | None = None,
+    maximum_triangles: int = MAXIMUM_TRIANGLES,
+) -> Mesh:
+    """Return the Mesh of a file.
 
     place              PATH, or PATH#MEMBER of a library; with
-    ?up=…&front=…&segments=…&crease=…&category=…
+                       ?up=…&front=…&segments=…&crease=…&category=…
     up, front          "+x", "-x", … "z": the file's axes that point up and to the front; None: y
-    and z for OBJ and GLB, z and x for others
+                       and z for OBJ and GLB, z and x for others
     crease_deg         faces that meet at less than this angle look smooth
     segments           "one", or "materials": a segment for each of an OBJ's materials
     category, name     None: from the file's and the folders' names
@@ -54,10 +53,8 @@ def open_mesh(
     Raises             InputError
     """
     path, chosen, options = split_place(place)
-    up, front, segments, category = (
-        options.get(k, v)
-        for k, v in (("up", up), ("front", front), ("segments", segments), ("category", category))
-    )
+    up, front = options.get("up", up), options.get("front", front)
+    segments, category = options.get("segments", segments), options.get("category", category)
     crease_deg = _angle(place, options.get("crease", crease_deg))
     kind = Path(path).suffix.lower()
     if chosen is not None or kind == ".sh3f":
@@ -86,9 +83,10 @@ def open_mesh(
     )
 
 
-def split_place(place):
-    """(path, member or None, options) of "PATH#MEMBER?key=value&…"; a '#' or '?' that belongs to an
-    existing path stays in it.
+def split_place(place: str | Path) -> tuple[str, str | None, dict[str, str]]:
+    """Return (path, member or None, options) of "PATH#MEMBER?key=value&…".
+
+    A '#' or '?' that belongs to an existing path stays in it.
     """
     text = str(place)
     if Path(text).exists():
@@ -104,9 +102,10 @@ def split_place(place):
     return path, chosen if mark else None, options
 
 
-def world_from_file(place, up, front):
-    """Rotation (3, 3) that takes the file's axes to ours: `up` to +z, `front` to +x. Raises
-    InputError if they are not two axes.
+def world_from_file(place: str | Path, up: str, front: str) -> np.ndarray:
+    """Return the rotation (3, 3) from the file's axes to ours: `up` to +z, `front` to +x.
+
+    Raises  InputError if they are not two axes
     """
     named = []
     for label, axis in (("up", up), ("front", front)):
@@ -145,8 +144,9 @@ def _angle(place, value):
 
 
 def _segments(raw, kept, requested, place):
-    """Segments, part names and parts of the kept faces: parts are the OBJ's materials, segments too
-    if wanted.
+    """Return segments, part names and parts of the kept faces.
+
+    Parts are the OBJ's materials, and so are segments if requested.
     """
     if requested not in ("one", "materials"):
         raise InputError(

@@ -1,15 +1,19 @@
-"""Screens: desk monitors flat and curved, two on an arm, all-in-ones, televisions, laptops, tubes.
-Segments: 1 screen; 2 casing and stand.
+"""Screens: flat and curved desk monitors, two on an arm, all-in-ones, televisions, laptops, tubes.
 
-The screen looks to +x. Sizes are those of real ones, in metres: 0.30–1.2 wide, 4:3 to 32:9.
+Segments: 1 screen; 2 casing and stand. The screen faces +x. Sizes are those of real ones, in
+metres: 0.30–1.2 wide, 4:3 to 32:9.
 """
+
+from functools import partial
 
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.mesh import Mesh
 from factory.shapes.monitor_parts import CASE, add_panel, bend, draw_panel, panel, stand
 from factory.shapes.surfaces import (
     LEFT_RIGHT,
+    Surface,
     closed,
     loft,
     revolve,
@@ -26,8 +30,8 @@ FAMILY_KEY = 4
 ASPECTS = (4 / 3, 5 / 4, 16 / 10, 16 / 9, 16 / 9, 21 / 9, 32 / 9)
 
 
-def build(seed):
-    """The monitor of a seed, a Mesh of category "monitor"."""
+def build(seed: int) -> Mesh:
+    """Return the monitor of a seed, a Mesh of category "monitor"."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAMILY_KEY,)))
     styles = (desk, curved, dual, all_in_one, television, laptop, tube_monitor, tube_television)
     style = styles[int(rng.choice(len(styles), p=[0.32, 0.12, 0.09, 0.09, 0.11, 0.11, 0.10, 0.06]))]
@@ -36,8 +40,8 @@ def build(seed):
     return a.finish(f"monitor:{seed}", "monitor")
 
 
-def desk(a, rng):
-    """A flat monitor on a stand; upright now and then; a sound bar below."""
+def desk(a: Assembly, rng: np.random.Generator) -> None:
+    """Add a flat monitor on a stand; some are upright, some have a sound bar below."""
     aspect = float(rng.choice(ASPECTS[:6]))
     if rng.random() < 0.14:
         aspect = 1 / aspect
@@ -64,8 +68,8 @@ def desk(a, rng):
         )
 
 
-def curved(a, rng):
-    """A wide panel bent towards the viewer."""
+def curved(a: Assembly, rng: np.random.Generator) -> None:
+    """Add a wide panel bent towards the viewer."""
     wide, high, pieces = draw_panel(
         rng,
         rng.uniform(0.75, 1.2),
@@ -77,22 +81,19 @@ def curved(a, rng):
     stand(a, rng, rng.choice(["plate", "v", "tripod", "disc", "arc"]), lift, wide * 0.7)
 
 
-def dual(a, rng):
-    """Two panels side by side, or one above the other, on one column."""
+def dual(a: Assembly, rng: np.random.Generator) -> None:
+    """Add two panels side by side, or one above the other, on one column."""
     aspect = float(rng.choice([16 / 10, 16 / 9, 5 / 4, 3 / 4]))
     wide, high, pieces = draw_panel(rng, rng.uniform(0.45, 0.6), aspect)
     if rng.random() < 0.7:
         lift, turn = high / 2 + rng.uniform(0.06, 0.14), rng.uniform(0.05, 0.35)
+
+        def beside(p: Surface, s: float) -> Surface:
+            moved = p.moved(0, s * (wide / 2 + 0.006), 0)
+            return moved.turned("z", -s * turn).moved(0.04, 0, lift)
+
         for s in LEFT_RIGHT:
-            add_panel(
-                a,
-                pieces,
-                lambda p, s=s: (
-                    p.moved(0, s * (wide / 2 + 0.006), 0)
-                    .turned("z", -s * turn)
-                    .moved(0.04, 0, lift)
-                ),
-            )
+            add_panel(a, pieces, partial(beside, s=s))
             path = rounded_path(
                 [
                     [-0.09, 0, lift],
@@ -109,12 +110,12 @@ def dual(a, rng):
     else:
         lift = high + rng.uniform(0.05, 0.1)
         tilt = rng.uniform(0.0, 0.12)
+
+        def above(p: Surface, s: float) -> Surface:
+            return p.turned("y", s * tilt).moved(0.03, 0, lift + s * (high / 2 + 0.01))
+
         for s in LEFT_RIGHT:
-            add_panel(
-                a,
-                pieces,
-                lambda p, s=s: p.turned("y", s * tilt).moved(0.03, 0, lift + s * (high / 2 + 0.01)),
-            )
+            add_panel(a, pieces, partial(above, s=s))
             a.add(
                 "arm",
                 rounded_box([0.1, 0.08, 0.08], 0.012, edge=2).moved(-0.05, 0, lift + s * high / 2),
@@ -130,8 +131,8 @@ def dual(a, rng):
     )
 
 
-def all_in_one(a, rng):
-    """A panel with a deep chin on a bent metal foot, or a tablet that leans on its stand."""
+def all_in_one(a: Assembly, rng: np.random.Generator) -> None:
+    """Add a panel with a deep chin on a bent metal foot, or a tablet that leans on its stand."""
     if rng.random() < 0.6:
         _, high, pieces = draw_panel(
             rng,
@@ -183,8 +184,8 @@ def all_in_one(a, rng):
         )
 
 
-def television(a, rng):
-    """A wide screen on feet or a plate, or on a low cabinet."""
+def television(a: Assembly, rng: np.random.Generator) -> None:
+    """Add a wide screen on feet or a plate, or on a low cabinet."""
     wide, high, pieces = draw_panel(
         rng, rng.uniform(0.9, 1.3), 16 / 9, chin=rng.choice([0.0, 0.02, 0.05])
     )
@@ -226,8 +227,8 @@ def television(a, rng):
     a.add("stand", b.surface().moved(z=ground), CASE)
 
 
-def laptop(a, rng):
-    """Keyboard half, lid open by 95–135 degrees."""
+def laptop(a: Assembly, rng: np.random.Generator) -> None:
+    """Add a laptop with its lid open by 95–135 degrees."""
     wide = rng.uniform(0.28, 0.38)
     deep, thick = wide / rng.uniform(1.35, 1.55), rng.uniform(0.012, 0.024)
     corner = rng.uniform(5, 14)
@@ -292,9 +293,10 @@ def laptop(a, rng):
     )
 
 
-def tube_body(wide, high, depth, rear, sink):
-    """The back of a tube's casing: it narrows from the front to a box of `rear` of the size, its
-    top falling by `sink`.
+def tube_body(wide: float, high: float, depth: float, rear: float, sink: float) -> Surface:
+    """Return the back of a tube's casing.
+
+    It narrows from the front to the share `rear` of its size, and its top falls by `sink`.
     """
     rings = []
     for t in (0.0, 0.12, 0.25, 0.4, 0.55, 0.7, 0.85, 0.96, 1.0):
@@ -308,8 +310,8 @@ def tube_body(wide, high, depth, rear, sink):
     return loft(np.array(rings))
 
 
-def tube_monitor(a, rng):
-    """A cathode-ray monitor: bulged screen, deep casing, swivel foot."""
+def tube_monitor(a: Assembly, rng: np.random.Generator) -> None:
+    """Add a cathode-ray monitor: bulged screen, deep casing, swivel foot."""
     wide = rng.uniform(0.34, 0.46)
     high, depth = wide * rng.uniform(0.82, 0.92), wide * rng.uniform(0.85, 1.05)
     lift = high / 2 + rng.uniform(0.05, 0.08)
@@ -334,13 +336,13 @@ def tube_monitor(a, rng):
         "foot",
         revolve(
             [
-                [0, 0],
-                [foot, 0],
+                [0.0, 0.0],
+                [foot, 0.0],
                 [foot, 0.012],
                 [foot * 0.75, 0.022],
                 [foot * 0.55, 0.05],
                 [foot * 0.6, 0.1],
-                [0, 0.11],
+                [0.0, 0.11],
             ],
             40,
         ).moved(0.03, 0, 0),
@@ -356,9 +358,10 @@ def tube_monitor(a, rng):
         a.add("button", button.turned("y", 0.0), CASE)
 
 
-def tube_television(a, rng):
-    """An old television: a wooden box on splayed legs, knobs and a grille beside the screen,
-    perhaps an aerial.
+def tube_television(a: Assembly, rng: np.random.Generator) -> None:
+    """Add an old television: a wooden box on splayed legs, knobs and a grille beside the screen.
+
+    Half of them have an aerial.
     """
     wide, high, deep = rng.uniform(0.5, 0.68), rng.uniform(0.4, 0.48), rng.uniform(0.3, 0.4)
     legs = rng.choice([0.0, rng.uniform(0.15, 0.45)])
@@ -389,7 +392,9 @@ def tube_television(a, rng):
     add_panel(a, pieces, lambda s: closed(s.vertices, s.faces).moved(deep / 2 + 0.016, shift, lift))
     y = wide / 2 - (wide - tube_wide) / 2 + 0.012
     for k in range(2):
-        knob = revolve([[0, 0], [0.03, 0], [0.027, 0.03], [0, 0.032]], 24).turned("y", np.pi / 2)
+        knob = revolve([[0.0, 0.0], [0.03, 0.0], [0.027, 0.03], [0.0, 0.032]], 24).turned(
+            "y", np.pi / 2
+        )
         a.add("knob", knob.moved(deep / 2 - 0.004, y, lift + high * (0.3 - 0.2 * k)), CASE)
     for z in np.linspace(-0.36, -0.04, 7) * high:
         a.add(

@@ -1,11 +1,14 @@
-"""What screens are made of: the panel (a casing with a screen let into it) and the stands. Metres;
-the screen looks to +x.
+"""Parts of screens: the panel (a casing with a screen let into it) and the stands.
 
-Segment SCREEN is what shows the picture, CASE everything else.
+Metres; the screen faces +x. Segment SCREEN shows the picture, CASE is everything else.
 """
+
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
+from factory.shapes.assembly import Assembly
 from factory.shapes.surfaces import (
     LEFT_RIGHT,
     Surface,
@@ -20,13 +23,17 @@ from factory.shapes.surfaces import (
 )
 
 SCREEN, CASE = 1, 2
+Piece: TypeAlias = tuple[Surface, int]
 
 
-def rounded_rectangle(wide, high, radius, steps=6, along=12):
-    """Outline (N, 2) of a rectangle with rounded corners, in the y–z plane; straight runs are
-    subdivided so that they can be bent.
+def rounded_rectangle(
+    wide: float, high: float, radius: float, steps: int = 6, along: int = 12
+) -> np.ndarray:
+    """Return the outline (N, 2) of a rectangle with rounded corners, in the y–z plane.
+
+    Straight runs are subdivided so that they can be bent.
     """
-    points = []
+    points: list[np.ndarray] = []
     radius = min(radius, 0.49 * min(wide, high))
     for k, (sy, sz) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
         angle = np.linspace(k * np.pi / 2, (k + 1) * np.pi / 2, steps + 1)
@@ -48,11 +55,24 @@ def rounded_rectangle(wide, high, radius, steps=6, along=12):
     )
 
 
-def panel(wide, high, *, thick, bezel, chin=0.0, radius=0.01, bulge=0.0, recess=0.003, crown=0.0):
-    """A casing with its screen let into the front: [(Surface, segment)], its front at x = 0,
-    centred on the whole casing.
+def panel(
+    wide: float,
+    high: float,
+    *,
+    thick: float,
+    bezel: float,
+    chin: float = 0.0,
+    radius: float = 0.01,
+    bulge: float = 0.0,
+    recess: float = 0.003,
+    crown: float = 0.0,
+) -> list[Piece]:
+    """Return a casing and the screen let into its front, as [(Surface, segment)].
 
-    chin  how much wider the lower bezel is;  bulge  m that the middle of the back stands out;
+    The front is at x = 0, centred on the whole casing.
+
+    chin   how much wider the lower bezel is
+    bulge  m that the middle of the back stands out
     crown  m that a tube's screen bulges
     """
     full, inner = (
@@ -93,7 +113,7 @@ def panel(wide, high, *, thick, bezel, chin=0.0, radius=0.01, bulge=0.0, recess=
     case = loft(np.array(back + rings + front + face + lowered))
 
     def plate(share, x, rise):
-        """One ring of the screen; a tube's screen is a dome over both its width and its height."""
+        """Return one ring of the screen; a tube's screen is a dome in both directions."""
         points = ring(inner, share * 0.999, x, middle)
         across = (points[:, 1:] - middle) / np.ptp(inner, axis=0) * 2
         points[:, 0] += rise * np.prod(1 - across**2, axis=1)
@@ -106,14 +126,14 @@ def panel(wide, high, *, thick, bezel, chin=0.0, radius=0.01, bulge=0.0, recess=
     return [(case, CASE), (loft(np.array(glass)), SCREEN)]
 
 
-def add_panel(a, pieces, place):
+def add_panel(a: Assembly, pieces: Sequence[Piece], place: Callable[[Surface], Surface]) -> None:
     """Add a panel's casing and screen, each through the function `place`."""
     for surface, segment in pieces:
         a.add("screen" if segment == SCREEN else "casing", place(surface), segment)
 
 
-def bend(surface, radius):
-    """Bend about a vertical axis `radius` m in front: a curved monitor."""
+def bend(surface: Surface, radius: float) -> Surface:
+    """Return the surface bent about a vertical axis `radius` m in front: a curved monitor."""
     x, y, z = surface.vertices.T
     angle, reach = y / radius, radius - x
     return Surface(
@@ -121,8 +141,10 @@ def bend(surface, radius):
     )
 
 
-def draw_panel(rng, diagonal, aspect, **fixed):
-    """Width, height and a panel of a diagonal and an aspect."""
+def draw_panel(
+    rng: np.random.Generator, diagonal: float, aspect: float, **fixed: float
+) -> tuple[float, float, list[Piece]]:
+    """Return width, height and a panel of a diagonal and an aspect."""
     wide, high = diagonal * aspect / np.hypot(aspect, 1), diagonal / np.hypot(aspect, 1)
     thin = rng.random() < 0.5
     options = dict(
@@ -135,8 +157,15 @@ def draw_panel(rng, diagonal, aspect, **fixed):
     return wide, high, panel(wide, high, **{**options, **fixed})
 
 
-def stand(a, rng, kind, lift, wide, behind=-0.03):
-    """What carries a panel whose middle is `lift` above the desk."""
+def stand(
+    a: Assembly,
+    rng: np.random.Generator,
+    kind: str,
+    lift: float,
+    wide: float,
+    behind: float = -0.03,
+) -> None:
+    """Add the support of a panel whose middle is `lift` above the desk."""
     column = behind - rng.uniform(0.03, 0.06)
     size = rng.uniform(0.018, 0.035)
     if kind == "v":
@@ -205,11 +234,11 @@ def stand(a, rng, kind, lift, wide, behind=-0.03):
         if kind == "disc":
             outline = superellipse(48) * [depth / 2, depth / 2]
         elif kind == "arc":
-            angle = np.linspace(-1.2, 1.2, 25)
+            turn = np.linspace(-1.2, 1.2, 25)
             path = np.stack(
                 [
-                    column - 0.05 + 0.2 * np.cos(angle) - 0.02,
-                    0.2 * np.sin(angle) * reach / 0.24,
+                    column - 0.05 + 0.2 * np.cos(turn) - 0.02,
+                    0.2 * np.sin(turn) * reach / 0.24,
                     np.full(25, 0.009),
                 ],
                 1,

@@ -1,9 +1,8 @@
-"""Wavefront OBJ: vertices, polygons and the names of materials; nothing outside of the file is
-opened.
+"""Wavefront OBJ: vertices, polygons and the names of materials; no second file is opened.
 
-Source: Wavefront, "Advanced Visualizer Manual", appendix B1. A line that ends in a backslash goes
-on in the next one. Indices count from 1, or backwards from the last vertex so far, which is -1.
-Normals and texture coordinates are passed over.
+Source: Wavefront, "Advanced Visualizer Manual", appendix B1. A line that ends in a backslash
+continues in the next one. Indices count from 1, or backwards from the last vertex so far, which is
+-1. Normals and texture coordinates are ignored.
 """
 
 from array import array
@@ -17,10 +16,10 @@ import numpy as np
 from factory.shapes.raw import (
     AGAIN,
     LONGEST_LINE,
+    Polygons,
     Raw,
     from_polygons,
     glimpse,
-    number,
     require_count,
     text_lines,
 )
@@ -33,19 +32,18 @@ KNOWN = NAMING | frozenset(b"v vt vn vp f fo s l p lod bevel c_interp d_interp".
 
 
 def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
-    """The Raw of an OBJ file. See factory.shapes.raw."""
+    """Return the Raw of an OBJ file. See factory.shapes.raw."""
     require_count(1, maximum, where, size)  # there is no header, and counting reads all of it
     require_count(_count(file, where), maximum, where)
-    vertices, corners, lengths, material = array("d"), array("q"), array("q"), array("q")
-    names, current, unknown = {}, 0, Counter()
+    polygons, material, current = Polygons(), array("q"), 0
+    names: dict[str, int] = {}
+    unknown: Counter[bytes] = Counter()
     for line, key, words in _statements(file, where):
         try:
             if key == b"v":
-                vertices.extend((number(words[0]), number(words[1]), number(words[2])))
+                polygons.add_vertex(words)
             elif key in (b"f", b"fo"):
-                polygon = _polygon(words, len(vertices) // 3)
-                corners.extend(polygon)
-                lengths.append(len(polygon))
+                polygons.add_polygon(_polygon(words, polygons.vertices))
                 material.append(current)
             elif key == b"usemtl":
                 current = names.setdefault(
@@ -59,9 +57,7 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
                 f"{where}: line {line}", "a vertex or face", f"'{text}'", AGAIN
             ) from None
     return from_polygons(
-        np.array(vertices, float).reshape(-1, 3),
-        np.array(corners, np.int64),
-        np.array(lengths, np.int64),
+        *polygons.arrays(),
         where,
         ("", *names),
         np.array(material, np.int64),
@@ -70,8 +66,9 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
 
 
 def _passed_over(unknown):
-    """A note on lines whose first word means nothing here: free-form surfaces, capital letters,
-    misspellings.
+    """Return a note on lines whose first word is unknown.
+
+    Such are free-form surfaces, capital letters, misspellings.
     """
     if not unknown:
         return ()
@@ -80,8 +77,9 @@ def _passed_over(unknown):
 
 
 def _polygon(words, vertices):
-    """Indices from 0 of a face's corners. Raises ValueError for what is none; faces may come before
-    their vertices.
+    """Return indices from 0 of a face's corners; faces may come before their vertices.
+
+    Raises  ValueError for any other words
     """
     polygon = [int(word.split(b"/", 1)[0]) for word in words]
     if 0 in polygon or b"_" in b"".join(words):
@@ -93,8 +91,9 @@ def _polygon(words, vertices):
 
 
 def _count(file, where):
-    """Triangles of all faces, or a quarter of the vertices if that is more: a cloud of points is no
-    mesh.
+    """Return the triangles of all faces, or a quarter of the vertices if that is more.
+
+    A file of vertices without faces is a cloud of points and has no triangles.
     """
     triangles, vertices, line = 0, 0, 0
     for line, key, words in _statements(file, where):  # noqa: B007 (named in the error)
@@ -113,8 +112,9 @@ def _count(file, where):
 
 
 def _statements(file, where) -> Iterator[tuple[int, bytes, list[bytes]]]:
-    """(number of the last line, first word, other words) of each statement that is no comment."""
-    held, size = [], 0  # pieces of a statement that goes on
+    """Yield (number of the last line, first word, other words) of each statement but comments."""
+    held: list[bytes] = []  # pieces of a statement that continues
+    size = 0
     for line, text in enumerate(text_lines(file, where, TEXT), 1):
         words = text.split()
         if not held and (not words or words[0].startswith(b"#")):

@@ -1,22 +1,18 @@
-"""Object File Format: a line of counts, a line for each vertex, a line for each polygon; colours
-and normals are passed over.
+"""Object File Format: a line of counts, a line per vertex, a line per polygon.
 
-Source: Geomview's manual, "OFF Files". COFF and NOFF have colours or normals behind a vertex's
-coordinates.
+Colours and normals are ignored. Source: Geomview's manual, "OFF Files". COFF and NOFF have colours
+or normals behind a vertex's coordinates.
 """
 
-from array import array
 from pathlib import Path
 from typing import BinaryIO
 
-import numpy as np
-
 from factory.shapes.raw import (
     AGAIN,
+    Polygons,
     Raw,
     from_polygons,
     glimpse,
-    number,
     require_count,
     text_lines,
     whole_number,
@@ -27,7 +23,7 @@ KINDS = (b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF", b"STCOFF", b"STNOFF", b"S
 
 
 def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
-    """The Raw of an OFF file. See factory.shapes.raw."""
+    """Return the Raw of an OFF file. See factory.shapes.raw."""
     rows = _rows(file, where)
     vertex_count, face_count = _counts(rows, where)
     if vertex_count + face_count > size:  # each takes at least a byte
@@ -38,25 +34,23 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
             "download or export it again",
         )
     require_count(max(face_count, vertex_count // 4) if face_count else 0, maximum, where, size)
-    vertices, corners, lengths = array("d"), array("q"), array("q")
+    polygons = Polygons()
     line, words = 0, []
     try:
         for _ in range(vertex_count):
             line, words = next(rows)
-            vertices.extend((number(words[0]), number(words[1]), number(words[2])))
+            polygons.add_vertex(words)
         for _ in range(face_count):
             line, words = next(rows)
             count = whole_number(words[0])
             if not 0 <= count < len(words):
                 raise ValueError
-            corners.extend([whole_number(word) for word in words[1 : 1 + count]])
-            lengths.append(count)
-            if len(corners) - 2 * len(lengths) > maximum:
-                require_count(len(corners) - 2 * len(lengths), maximum, where)
+            polygons.add_polygon([whole_number(word) for word in words[1 : 1 + count]])
+            polygons.require_count(maximum, where)
     except InputError:
         raise
     except StopIteration:
-        result = f"the end after {len(vertices) // 3:,} and {len(lengths):,}"
+        result = f"the end after {polygons.vertices:,} and {polygons.polygons:,}"
         raise InputError(
             where,
             f"{vertex_count:,} vertices and {face_count:,} faces",
@@ -67,23 +61,18 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
         raise InputError(
             f"{where}: line {line}", "a vertex or face", f"'{glimpse(b' '.join(words))}'", AGAIN
         ) from None
-    return from_polygons(
-        np.array(vertices, float).reshape(-1, 3),
-        np.array(corners, np.int64),
-        np.array(lengths, np.int64),
-        where,
-    )
+    return from_polygons(*polygons.arrays(), where)
 
 
 def _rows(file, where):
-    """(line number, words) of each line that holds some."""
+    """Yield (line number, words) of each line that has words."""
     for line, text in enumerate(text_lines(file, where, "an OFF file's text"), 1):
         if words := text.partition(b"#")[0].split():
             yield line, words
 
 
 def _counts(rows, where):
-    """Vertices and faces as the file's head says; its words may stand in one line or in two."""
+    """Return the counts of vertices and faces in the file's head, which has one line or two."""
     _, words = next(rows, (0, []))
     head = list(words)
     if words and words[0] in KINDS and len(words) == 1:

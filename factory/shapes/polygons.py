@@ -1,23 +1,21 @@
-"""Polygons cut into triangles: as a fan where that is right, else by cutting off ears.
+"""Polygons cut into triangles: as a fan where that is right, otherwise by cutting off ears.
 
 Polygons stand one after another: corners (C,) indices of vertices, lengths (P,) corners of each. A
 polygon of n corners becomes n - 2 triangles whose outer edges are its own edges, whatever its
-shape, so that no hole can come of it.
+shape, so that no hole can result.
 
 fan    triangles around the first corner. It is right for convex polygons, and for those concave
-ones of which the
-       first corner sees every other; it is kept there
+       ones of which the first corner sees every other; it is kept there
 ear    a corner whose two neighbours see each other: cut off, it leaves a polygon of one corner
-less. Every simple
-       polygon has two (Meisters, "Polygons have ears", 1975). All polygons of a mesh are cut at
-       once, in rounds: each round cuts every ear that is better than the ears beside it
+       less. Every simple polygon has two (Meisters, "Polygons have ears", 1975). All polygons of a
+       mesh are cut at once, in rounds: each round cuts every ear that is better than the ears
+       beside it
 plane  a polygon is cut as it lies when seen along its normal (Newell's: half the sum of cross
-products of its edges),
-       so one that is not plane is cut by its projection
+       products of its edges), so one that is not plane is cut by its projection
 none   corners in a line, or doubled, keep their place among the triangles (some of which have no
-area). A polygon that
-       crosses itself has no right answer: ears are cut while there are any, then the smallest
-       corner; where that covers hardly less than the fan, the fan stays; it is counted
+       area). A polygon that crosses itself has no right answer: ears are cut while there are any,
+       then the smallest corner; where that covers hardly less than the fan, the fan stays; it is
+       counted
 
 Memory: 500 bytes per corner of a polygon whose fan is wrong, and 60 MB. Time: a polygon of 4,000
 corners takes 0.1 to 2 seconds, by its shape; MOST_TESTS and MOST_CORNERS bound all polygons of a
@@ -38,9 +36,9 @@ OVERLAP = 1e-6
 
 
 class TooLarge(ValueError):
-    """Polygons that cannot be cut in bounded time. corners: of the largest."""
+    """Polygons that cannot be cut in bounded time; corners: of the largest."""
 
-    def __init__(self, corners: int):
+    def __init__(self, corners: int) -> None:
         self.corners = corners
         super().__init__(
             f"expected polygons that can be cut in bounded time, found one of {corners} corners"
@@ -50,14 +48,13 @@ class TooLarge(ValueError):
 def triangulate(
     vertices: np.ndarray, corners: np.ndarray, lengths: np.ndarray, depth: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Triangles (F, 3), the polygon (F,) that each came from, and how many polygons cross
-    themselves.
+    """Return triangles (F, 3), the polygon (F,) of each, and how many polygons cross themselves.
 
     vertices  (V, 3), any frame and unit
     corners   (C,) indices into vertices, polygon after polygon
     lengths   (P,) corners of each polygon, 3 or more
-    depth     a notch less deep than this, in units of the vertices, is taken for rounding: the fan
-    passes over it
+    depth     a notch less deep than this, in units of the vertices, counts as rounding: the fan
+              covers it
     Raises    TooLarge before time is spent
     """
     faces, owner = fans(corners, lengths)
@@ -74,9 +71,7 @@ def triangulate(
 
 
 def fans(corners: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Polygons as triangles (F, 3) around each first corner, and the polygon (F,) that each came
-    from.
-    """
+    """Return triangles (F, 3) around each polygon's first corner, and the polygon (F,) of each."""
     triangles = lengths - 2
     owner = np.repeat(np.arange(len(lengths)), triangles)
     step = np.arange(triangles.sum()) - np.repeat(np.cumsum(triangles) - triangles, triangles)
@@ -90,14 +85,12 @@ def fans(corners: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _ranges(starts, lengths):
-    """The whole numbers start, …, start + length - 1 of each range, one range after another."""
+    """Return the whole numbers start, …, start + length - 1 of each range, range after range."""
     return np.arange(lengths.sum()) + np.repeat(starts - (np.cumsum(lengths) - lengths), lengths)
 
 
 def _where_fans_fail(vertices, faces, owner, lengths, depth):
-    """The polygons (indices) whose fan has a triangle turned against the polygon, and how many
-    others have no normal.
-    """
+    """Return the polygons whose fan has a reversed triangle, and how many others have no normal."""
     failing, none, polygon = [np.zeros(0, np.int64)], 0, 0
     ends = np.cumsum(lengths - 2)
     while polygon < len(lengths):
@@ -134,9 +127,7 @@ def _squared(vectors):
 
 
 def _cut(vertices, corners, lengths):
-    """Triangles (F, 3) of polygons by ears, in the polygons' order, and how many polygons cross
-    themselves.
-    """
+    """Return triangles (F, 3) of polygons by ears, and how many polygons cross themselves."""
     xy = _flattened(vertices[corners], lengths)
     ears = _Ears(xy, lengths)
     triangles, polygon = ears.cut()
@@ -152,15 +143,16 @@ def _cut(vertices, corners, lengths):
 
 
 def _flattened(points, lengths):
-    """The polygons' corners (C, 2) seen along the polygons' normals, counter-clockwise, each
-    polygon of size 1.
+    """Return the polygons' corners (C, 2) seen along their normals, counter-clockwise.
+
+    Each polygon is scaled to size 1.
     """
     polygon = np.repeat(np.arange(len(lengths)), lengths)
     starts = np.cumsum(lengths) - lengths
     points = points - points[starts][polygon]
     ahead = points[_next(lengths)]
     cross = np.cross(points, ahead)
-    normal = np.stack([np.bincount(polygon, cross[:, k]) for k in range(3)], axis=1)
+    normal: np.ndarray = np.stack([np.bincount(polygon, cross[:, k]) for k in range(3)], axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     least = np.eye(3)[np.abs(normal).argmin(axis=1)]  # the axis farthest from the normal
     right = np.cross(normal, least)
@@ -172,7 +164,7 @@ def _flattened(points, lengths):
 
 
 def _next(lengths):
-    """Index (C,) of the corner after each one, around its polygon."""
+    """Return the index (C,) of the corner after each one, around its polygon."""
     after = np.arange(1, lengths.sum() + 1)
     ends = np.cumsum(lengths)
     after[ends - 1] = ends - lengths
@@ -186,11 +178,11 @@ class _Ears:
     before, after  (C,): the corners beside each one
     left           (P,): corners that a polygon still has
     turn           (C,): doubled area of the triangle at each corner, positive where the polygon is
-    convex
-    key            (C,): squared length of the cut that takes the corner off; short cuts come first
+                   convex
+    key            (C,): squared length of the cut that removes the corner; short cuts come first
     """
 
-    def __init__(self, xy, lengths):
+    def __init__(self, xy: np.ndarray, lengths: np.ndarray) -> None:
         self.xy, self.lengths, self.left = xy, lengths, lengths.copy()
         self.starts = np.cumsum(lengths) - lengths
         self.judged = lengths.copy()  # corners that a polygon had when all of them were judged last
@@ -203,12 +195,10 @@ class _Ears:
         self.covered = np.zeros(len(lengths))  # doubled area of the triangles
         self.whole = np.bincount(self.polygon, _cross(xy, xy[self.after]))
         self.tests = self.cuts = 0
-        self.blockers = []
+        self.blockers: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
-    def cut(self):
-        """Triangles (F, 3) of corners, and the polygon (F,) of each, in the order in which they are
-        cut off.
-        """
+    def cut(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return triangles (F, 3) of corners, and the polygon (F,) of each, in cutting order."""
         triangles, owners = [], []
         every = np.arange(len(self.xy))
         self._measure(every)
@@ -230,12 +220,12 @@ class _Ears:
             ears = self._with_forced(ears[self.ear[ears]], np.unique(self.polygon[beside]))
         return np.concatenate(triangles), np.concatenate(owners)
 
-    def crossing(self):
-        """Which polygons (P,) bool are covered more than once somewhere by their triangles."""
+    def crossing(self) -> np.ndarray:
+        """Return which polygons (P,) bool their triangles cover more than once somewhere."""
         return self.covered > np.abs(self.whole) + OVERLAP * (np.abs(self.whole) + OVERLAP)
 
     def _best(self, ears):
-        """The ears with a shorter cut than the ears beside them: no two of them are neighbours."""
+        """Return the ears with a shorter cut than the ears beside them; no two are neighbours."""
         best = np.ones(len(ears), bool)
         for beside in (self.before[ears], self.after[ears]):
             shorter = (self.key[beside] < self.key[ears]) | (
@@ -265,8 +255,9 @@ class _Ears:
         self.key[corners] = _squared(b - a)
 
     def _list_blockers(self):
-        """Corners that may lie in a triangle: those where the polygon is not convex, by polygon and
-        x, and by polygon and y.
+        """List the corners that may lie in a triangle: those where the polygon is not convex.
+
+        They are listed by polygon and x, and by polygon and y.
         """
         self.cuts = 0
         alive = np.flatnonzero(self.alive)
@@ -280,7 +271,7 @@ class _Ears:
         self.blockers = lists
 
     def _judge(self, corners):
-        """Say which corners are ears."""
+        """Determine which corners are ears."""
         a, v, b = self.xy[self.before[corners]], self.xy[corners], self.xy[self.after[corners]]
         back = np.einsum("ci,ci->c", a - v, b - v) >= 0
         line = np.abs(self.turn[corners]) <= TINY
@@ -293,7 +284,7 @@ class _Ears:
             self.ear[convex] = ~self._blocked(convex)
 
     def _blocked(self, corners):
-        """Whether some other corner of the polygon keeps each corner (C,) from being an ear."""
+        """Return whether another corner of the polygon keeps each corner (C,) from being an ear."""
         triangle = np.stack([self.before[corners], corners, self.after[corners]], axis=1)
         low, high = self.xy[triangle].min(axis=1), self.xy[triangle].max(axis=1)
         spans = []
@@ -326,12 +317,12 @@ class _Ears:
         return blocked
 
     def _inside(self, point, which, triangle):
-        """The pairs (indices) of a point (K,) that lies in its triangle, number which (K,) of (C,
-        3), and keeps it from being an ear.
+        """Return the pairs (indices) of points that lie in their triangle and block its ear.
 
-        It does in the triangle and on its cut. On the other two sides, and where a corner of the
-        triangle lies, it touches the polygon, and does only if the polygon goes on from there into
-        the triangle.
+        Point (K,) belongs to triangle number which (K,) of (C, 3). A point blocks in the triangle
+        and on
+        its cut. On the other two sides, and on a corner of the triangle, it touches the polygon,
+        and blocks only if the polygon continues from there into the triangle.
         """
         pairs = np.arange(len(point))
         for side in (2, 0, 1):  # the cut first: most points lie beyond it
@@ -353,18 +344,18 @@ class _Ears:
         return pairs[inside]
 
     def _side(self, point, triangle, side):
-        """Doubled area (K,) of each point with a side of its triangle, positive inside; side 2 is
-        the cut.
+        """Return the doubled area (K,) of each point with a side of its triangle, positive inside.
+
+        Side 2 is the cut.
         """
         start = self.xy[triangle[:, side]]
         return _cross(self.xy[triangle[:, side - 2]] - start, self.xy[point] - start)
 
     def _with_forced(self, ears, polygons):
-        """The ears, and some corner of each of the polygons that has none: it crosses itself, or
-        rounding hides them.
+        """Return the ears, and some corner of each polygon without one.
 
-        All corners of such a polygon are judged again once it has lost half of them since the last
-        time.
+        Such a polygon crosses itself, or rounding hides its ears. All its corners are judged again
+        when it has lost half of them since the last time.
         """
         stuck = np.setdiff1d(polygons[self.left[polygons] > 2], self.polygon[ears])
         if not len(stuck):
@@ -389,7 +380,7 @@ class _Ears:
         return np.union1d(ears, forced)
 
     def _corners(self, polygons):
-        """The corners that are left of some polygons, polygon after polygon."""
+        """Return the remaining corners of some polygons, polygon after polygon."""
         corners = _ranges(self.starts[polygons], self.lengths[polygons])
         return corners[self.alive[corners]]
 

@@ -1,18 +1,16 @@
-"""Primitives for tests and first looks: sphere, cube, torus, disc, blob. Normals are analytic
-wherever a formula gives them.
+"""Primitives for tests and first looks: sphere, cube, torus, disc, blob.
 
-Each function returns a Mesh of category "primitive", one segment.
+Normals are analytic wherever a formula gives them. Each function returns a Mesh of category
+"primitive", one segment.
 """
 
 import numpy as np
 
-from factory.shapes.mesh import finish
+from factory.shapes.mesh import Mesh, finish
 
 
-def icosphere(level):
-    """Unit icosphere: vertices (10·4^level + 2, 3) on the sphere, faces (20·4^level, 3),
-    outward.
-    """
+def icosphere(level: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unit icosphere, outward: vertices (10·4^level + 2, 3), faces (20·4^level, 3)."""
     golden = (1 + 5**0.5) / 2
     corners = [(a, b * golden) for a in (-1, 1) for b in (-1, 1)]
     vertices = np.array(
@@ -42,7 +40,7 @@ def icosphere(level):
 
 
 def _split(vertices, faces):
-    """Each triangle into four at its edges' midpoints."""
+    """Return each triangle split into four at its edges' midpoints."""
     edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     unique, index = np.unique(edges, axis=0, return_inverse=True)
     middle = index.reshape(-1, 3) + len(vertices)
@@ -54,16 +52,17 @@ def _split(vertices, faces):
     return np.vstack([vertices, vertices[unique].mean(1)]), split
 
 
-def sphere(level=6):
-    """The unit sphere: 81,920 triangles at level 6, sagitta 4e-5; each corner normal is the vertex
-    itself.
+def sphere(level: int = 6) -> Mesh:
+    """Return the unit sphere: 81,920 triangles at level 6, sagitta 4e-5.
+
+    Each corner normal is the vertex itself.
     """
     vertices, faces = icosphere(level)
     return finish(f"sphere:{level}", "primitive", vertices, faces, normals=vertices[faces])
 
 
-def disc(segments=96):
-    """A flat disc in the y–z plane facing the front, +x: one known normal."""
+def disc(segments: int = 96) -> Mesh:
+    """Return a flat disc in the y–z plane facing the front, +x: one known normal."""
     angle = np.linspace(0, 2 * np.pi, segments, endpoint=False)
     vertices = np.vstack(
         [np.zeros(3), np.stack([np.zeros(segments), np.cos(angle), np.sin(angle)], axis=1)]
@@ -73,8 +72,8 @@ def disc(segments=96):
     return finish("disc", "primitive", vertices, faces)
 
 
-def torus(tube=0.4, around=128, across=64):
-    """A torus about z; tube: its tube's radius over its ring's. Normals are analytic."""
+def torus(tube: float = 0.4, around: int = 128, across: int = 64) -> Mesh:
+    """Return a torus about z with analytic normals; tube: its tube's radius over its ring's."""
     u, v = np.meshgrid(
         *(np.linspace(0, 2 * np.pi, n, endpoint=False) for n in (around, across)), indexing="ij"
     )
@@ -92,9 +91,10 @@ def torus(tube=0.4, around=128, across=64):
     return finish("torus", "primitive", ring + tube * normals, faces, normals=normals[faces])
 
 
-def cube(bevel=0.12, steps=6):
-    """A cube with rounded edges; bevel: their radius over the cube's side. Normals are analytic:
-    flat sides, round edges.
+def cube(bevel: float = 0.12, steps: int = 6) -> Mesh:
+    """Return a cube with rounded edges; bevel: their radius over the cube's side.
+
+    Normals are analytic: flat sides, round edges.
     """
     directions, faces = _cube_sphere(steps)
     inner = 0.5 - bevel
@@ -106,8 +106,9 @@ def cube(bevel=0.12, steps=6):
 
 
 def _cube_sphere(steps):
-    """A cube's surface, each side a grid that is doubled at 0 (where a rounded cube is torn apart):
-    directions (V, 3), faces (F, 3).
+    """Return a cube's surface as directions (V, 3) and faces (F, 3).
+
+    Each side is a grid that is doubled at 0, where a rounded cube's corners separate.
     """
     half = np.tan(np.linspace(0, np.pi / 4, steps + 1))
     ticks = np.concatenate([-half[::-1], half])
@@ -122,7 +123,8 @@ def _cube_sphere(steps):
         1,
     ]
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    vertices, faces = [], []
+    grids: list[np.ndarray] = []
+    faces: list[np.ndarray] = []
     for axis in range(3):
         for sign in (-1.0, 1.0):
             grid = np.empty((count * count, 3))
@@ -131,18 +133,19 @@ def _cube_sphere(steps):
                 (ticks + tiny)[i],
                 (ticks + tiny)[j],
             )
-            faces.append((triangles if sign > 0 else triangles[:, ::-1]) + sum(map(len, vertices)))
-            vertices.append(grid)
-    vertices = np.concatenate(vertices)
+            faces.append(
+                (triangles if sign > 0 else triangles[:, ::-1]) + sum(len(g) for g in grids)
+            )
+            grids.append(grid)
+    vertices = np.concatenate(grids)
     _, first, inverse = np.unique(
         np.round(vertices, 10), axis=0, return_index=True, return_inverse=True
     )
     return vertices[first], inverse.reshape(-1)[np.concatenate(faces)]
 
 
-def blob(seed=0, level=6):
-    """A star-shaped sphere with harmonic bumps; its normals span every direction, and are those of
-    the formula.
+def blob(seed: int = 0, level: int = 6) -> Mesh:
+    """Return a star-shaped sphere with harmonic bumps, whose normals span every direction.
 
     r(d) = 1 + Σ a_k sin(f_k·d + p_k): the gradient of |x| − r(x/|x|) is the normal.
     """

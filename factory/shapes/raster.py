@@ -1,12 +1,12 @@
-"""A small z-buffer in numpy: what is seen of a mesh from one side, for previews without Blender and
-for counting back faces.
+"""A small z-buffer in numpy: the faces of a mesh visible from one side.
 
-Orthographic, the unit sphere fills the frame; camera frame: x right, y up, z towards the viewer
-(shaders.frames).
+It serves previews without Blender and counts back faces. The projection is orthographic, and the
+unit sphere fills the frame; camera frame: x right, y up, z towards the viewer (shaders.frames).
 """
 
 import numpy as np
 
+from factory.shapes.mesh import Mesh
 from shaders.frames import ELEVATION, camera_from_world
 
 CHUNK = 4_000_000  # candidate pixels tested at a time: about 250 MB at most
@@ -17,11 +17,13 @@ INSIDE = 1e-9  # a pixel on the edge between two faces is in one of them, whatev
 EDGE_ON = 0.02  # a face seen at less than 1.1° shows neither side
 
 
-def look(vertices, faces, camera, size):
-    """Which face each pixel sees, and where in it.
+def look(
+    vertices: np.ndarray, faces: np.ndarray, camera: np.ndarray, size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which face each pixel sees, and where in it.
 
     vertices  (V, 3);  faces (F, 3);  camera (3, 3) camera_from_world;  size  pixels along the
-    square frame's side
+              square frame's side
     Returns   face (size, size) int, -1: none;  barycentric (size, size, 3)
 
     Time and memory follow the pixels that faces cover and the rows that they cross, not the boxes
@@ -62,7 +64,7 @@ def look(vertices, faces, camera, size):
 
 
 def _corners(vertices, faces, camera, size):
-    """Columns, rows and depths (F, 3) of the faces' corners; pixel centres are whole numbers."""
+    """Return columns, rows and depths (F, 3) of the corners; pixel centres are whole numbers."""
     seen = vertices @ camera.T
     x = (seen[:, 0] / HALF_EXTENT + 1) * size / 2 - 0.5
     y = (1 - seen[:, 1] / HALF_EXTENT) * size / 2 - 0.5
@@ -70,15 +72,13 @@ def _corners(vertices, faces, camera, size):
 
 
 def _cost(vertices, faces, camera, size):
-    """About how many pixels `look` tests."""
+    """Return about how many pixels `look` tests."""
     x, y, _ = _corners(vertices, faces, camera, size)
     return float((np.abs(_area(x, y)) / 2 + 4 * (np.ptp(y, axis=1) + 1)).sum())
 
 
 def _boxes(x, y, size):
-    """Columns and rows (F, 4), first and last of each, that may hold pixels of faces with corners
-    x, y (F, 3).
-    """
+    """Return columns and rows (F, 4), first and last, that may hold pixels of faces."""
     spans = []
     for corner in (x, y):
         spans += [np.ceil(corner.min(1)).clip(0, size), np.floor(corner.max(1)).clip(-1, size - 1)]
@@ -86,7 +86,7 @@ def _boxes(x, y, size):
 
 
 def _parts(block, cost):
-    """Slices of faces, whole blocks, of about CHUNK / 4 pixels each, but at least a block."""
+    """Return slices of faces, of whole blocks and about CHUNK / 4 pixels, at least a block."""
     if not len(block):
         return []
     first = np.flatnonzero(np.diff(block, prepend=-1))
@@ -96,8 +96,9 @@ def _parts(block, cost):
 
 
 def _candidates(chosen, x, y, box):
-    """Faces, columns and rows (K,) of the pixels that may lie in the chosen faces, row by row, and
-    of few others.
+    """Return faces, columns and rows (K,) of the pixels that may lie in the chosen faces.
+
+    They are in order of rows, and few others are among them.
     """
     left, right, top, bottom = box[chosen].T
     high = bottom - top + 1
@@ -127,7 +128,7 @@ def _candidates(chosen, x, y, box):
 
 
 def _area(x, y):
-    """Doubled area (F,) of faces with corners x, y (F, 3)."""
+    """Return the doubled area (F,) of faces with corners x, y (F, 3)."""
     return _cross(x[:, 1] - x[:, 0], y[:, 1] - y[:, 0], x[:, 2] - x[:, 0], y[:, 2] - y[:, 0])
 
 
@@ -136,7 +137,7 @@ def _cross(ax, ay, bx, by):
 
 
 def _barycentric(x, y, area, column, row):
-    """Weights (K, 3) of the pixel (column, row) in triangles with corners x, y (K, 3)."""
+    """Return weights (K, 3) of the pixel (column, row) in triangles with corners x, y (K, 3)."""
     dx, dy = x - column[:, None], y - row[:, None]
     weight = np.stack(
         [_cross(dx[:, k], dy[:, k], dx[:, m], dy[:, m]) for k, m in ((1, 2), (2, 0), (0, 1))],
@@ -145,8 +146,8 @@ def _barycentric(x, y, area, column, row):
     return weight / area[:, None]
 
 
-def silhouette(mesh, azimuth, elevation, size=64):
-    """Mask (size, size): where the mesh is seen."""
+def silhouette(mesh: Mesh, azimuth: float, elevation: float, size: int = 64) -> np.ndarray:
+    """Return the mask (size, size) of the pixels that see the mesh."""
     return look(mesh.vertices, mesh.faces, camera_from_world(azimuth, elevation), size)[0] >= 0
 
 
@@ -162,9 +163,12 @@ COLOURS = np.array(
 )
 
 
-def picture(mesh, azimuth, elevation=ELEVATION, size=160, oversample=2):
-    """A shaded picture (size, size, 3) in [0, 1], display values: a headlight from the upper left,
-    segments in different colours.
+def picture(
+    mesh: Mesh, azimuth: float, elevation: float = ELEVATION, size: int = 160, oversample: int = 2
+) -> np.ndarray:
+    """Return a shaded picture (size, size, 3) in [0, 1], display values.
+
+    A headlight shines from the upper left, and segments have different colours.
     """
     camera = camera_from_world(azimuth, elevation)
     face, weight = look(mesh.vertices, mesh.faces, camera, size * oversample)
@@ -186,12 +190,11 @@ def picture(mesh, azimuth, elevation=ELEVATION, size=160, oversample=2):
     return image.reshape(size, oversample, size, oversample, 3).mean((1, 3))
 
 
-def back_faces(vertices, faces, size=96):
-    """How many pixels see each face's outer and inner side (F, 2), counted from 14 sides: the
-    cube's sides and corners.
+def back_faces(vertices: np.ndarray, faces: np.ndarray, size: int = 96) -> np.ndarray:
+    """Return how many pixels see each face's outer and inner side (F, 2).
 
-    Faces that fill the frame thousands of times over are looked at in a coarser frame
-    (MOST_LOOKED_AT).
+    They are counted from 14 sides: the cube's sides and corners. The frame is coarser where faces
+    would fill it thousands of times (MOST_LOOKED_AT).
     """
     counts = np.zeros((len(faces), 2), int)
     views = [(k * np.pi / 2, 0.0) for k in range(4)] + [(0.0, np.pi / 2), (0.0, -np.pi / 2)]

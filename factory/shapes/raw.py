@@ -1,13 +1,13 @@
-"""Triangles as they stand in a mesh file, and what the readers of all formats share: bounds, lines
-of text, polygons.
+"""Triangles as they stand in a mesh file, and the readers' shared tools: bounds, lines, polygons.
 
 Each reader is a function `read(file, size, where, maximum)` of an open binary file of `size` bytes,
-whose name in errors is `where`. It gives a Raw, or raises InputError before it takes memory for
+whose name in errors is `where`. It returns a Raw, or raises InputError before it takes memory for
 more than `maximum` triangles.
 """
 
 import codecs
-from collections.abc import Iterator
+from array import array
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -34,9 +34,7 @@ NOTHING = "check that the file holds a surface, not points or curves"
 
 @dataclass(frozen=True)
 class Raw:
-    """vertices (V, 3) and faces (F, 3) as they stand in the file; material (F,) indexes materials,
-    the OBJ's names.
-    """
+    """vertices (V, 3) and faces (F, 3) of a file; material (F,) indexes the OBJ's materials."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -46,8 +44,9 @@ class Raw:
 
 
 def require_count(count: int, maximum: int, where: str | Path, size: int = 0) -> None:
-    """Raises InputError for a mesh of no triangles or of more than `maximum`, or for more bytes
-    (size) than so many can take.
+    """Raise InputError for a mesh of no triangles, or of more than `maximum`, or of too many bytes.
+
+    size  bytes, refused if they are more than `maximum` triangles can take
     """
     if count > maximum:
         raise InputError(where, f"at most {maximum:,} triangles", f"{count:,}", MORE)
@@ -66,14 +65,14 @@ def from_polygons(
     material: np.ndarray | None = None,
     notes: tuple[str, ...] = (),
 ) -> Raw:
-    """The Raw of polygons.
+    """Return the Raw of polygons.
 
     vertices   (V, 3)
     corners    (C,) indices into vertices, polygon after polygon
     lengths    (P,) corners of each polygon
     materials  names; material (P,): which of them each polygon has, or None
     Raises     InputError: an index outside of the vertices, polygons too large to be cut into
-    triangles
+               triangles
     """
     whole = lengths >= 3
     if not whole.all():  # points and lines, which some exporters write so
@@ -118,11 +117,51 @@ def _cut(vertices, corners, lengths, where):
         ) from None
 
 
-def text_lines(file: BinaryIO, where: str | Path, what: str) -> Iterator[bytes]:
-    """The lines of a text file from its start, each with its end: of Unix, Windows or old Mac;
-    byte-order marks are left out.
+class Polygons:
+    """Vertices and polygons of a text file while it is read."""
 
-    what    the text that should stand there: "an OBJ file's text"
+    def __init__(self) -> None:
+        self._xyz, self._corners, self._lengths = array("d"), array("q"), array("q")
+
+    @property
+    def vertices(self) -> int:
+        """How many vertices there are so far."""
+        return len(self._xyz) // 3
+
+    @property
+    def polygons(self) -> int:
+        """How many polygons there are so far."""
+        return len(self._lengths)
+
+    def add_vertex(self, words: Sequence[bytes]) -> None:
+        """Add a vertex of three words. Raises ValueError, IndexError."""
+        self._xyz.extend((number(words[0]), number(words[1]), number(words[2])))
+
+    def add_polygon(self, corners: Sequence[int]) -> None:
+        """Add a polygon of indices."""
+        self._corners.extend(corners)
+        self._lengths.append(len(corners))
+
+    def require_count(self, maximum: int, where: str | Path) -> None:
+        """Raise InputError as soon as the polygons make more than `maximum` triangles."""
+        if (triangles := len(self._corners) - 2 * len(self._lengths)) > maximum:
+            require_count(triangles, maximum, where)
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return vertices (V, 3), corners (C,) and lengths (P,)."""
+        return (
+            np.array(self._xyz, float).reshape(-1, 3),
+            np.array(self._corners, np.int64),
+            np.array(self._lengths, np.int64),
+        )
+
+
+def text_lines(file: BinaryIO, where: str | Path, what: str) -> Iterator[bytes]:
+    """Yield the lines of a text file from its start, each with its end: Unix, Windows or old Mac.
+
+    Byte-order marks are left out.
+
+    what    the expected text: "an OBJ file's text"
     Raises  InputError for binary data, and for lines that only binary data has
     """
     file.seek(0)
@@ -149,26 +188,28 @@ def text_lines(file: BinaryIO, where: str | Path, what: str) -> Iterator[bytes]:
 
 
 def number(word: bytes) -> float:
-    """A coordinate. Raises ValueError for what is none: Python alone would read 1_000, too."""
+    """Return a coordinate. Raises ValueError for any other word, even 1_000."""
     if b"_" in word:
         raise ValueError(word)
     return float(word)
 
 
 def whole_number(word: bytes) -> int:
-    """An index or a count; 3.0 is 3. Raises ValueError, OverflowError."""
-    try:
-        value = int(word) if b"_" not in word else None
-    except ValueError:
-        value = float(word)
-        if value != int(value):
-            value = None
-    if value is None or abs(value) >= 1 << 62:
+    """Return an index or a count; 3.0 is 3. Raises ValueError, OverflowError."""
+    if b"_" in word:
         raise ValueError(word)
-    return int(value)
+    try:
+        value = int(word)
+    except ValueError:
+        value = int(float(word))
+        if value != float(word):
+            raise
+    if abs(value) >= 1 << 62:
+        raise ValueError(word)
+    return value
 
 
 def glimpse(data: bytes) -> str:
-    """The first characters of some bytes, fit to be printed in a line."""
+    """Return the first characters of some bytes, printable in one line."""
     text = data[:24].decode("ascii", "replace")
     return "".join(c if c.isprintable() else " " for c in text).strip()

@@ -1,15 +1,15 @@
-"""Sofas: upholstered, on a frame, curved or with a chaise; one to four seats. Segments: 1
-upholstery; 2 feet and frame.
+"""Sofas: upholstered, on a frame, curved or with a chaise; one to four seats.
 
-Sizes are those of real sofas, in metres: a seat 0.55–0.80 wide, 0.50–0.65 deep, 0.38–0.46 high, the
-back to 0.68–1.0.
+Segments: 1 upholstery; 2 feet and frame. Sizes are those of real sofas, in metres: a seat 0.55–0.80
+wide, 0.50–0.65 deep, 0.38–0.46 high, the back to 0.68–1.0.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.mesh import Mesh
 from factory.shapes.surfaces import (
     LEFT_RIGHT,
     closed,
@@ -28,8 +28,9 @@ SOFT, FRAME = 1, 2
 
 @dataclass(frozen=True)
 class Plan:
-    """The numbers that the parts share, in m. y runs over the seats from −width/2 to width/2; the
-    seat's front is x = depth/2.
+    """The numbers that the parts share, in m.
+
+    y runs over the seats from −width/2 to width/2; the seat's front is x = depth/2.
     """
 
     seats: int
@@ -42,8 +43,8 @@ class Plan:
     thick: float  # the back's
 
 
-def build(seed):
-    """The sofa of a seed, a Mesh of category "sofa"."""
+def build(seed: int) -> Mesh:
+    """Return the sofa of a seed, a Mesh of category "sofa"."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAMILY_KEY,)))
     style = ("upholstered", "framed", "chesterfield", "curved")[
         int(rng.choice(4, p=[0.56, 0.18, 0.12, 0.14]))
@@ -52,9 +53,15 @@ def build(seed):
     if style == "curved":
         seats = max(seats, 2)
     plan = Plan(
-        seats, seats * rng.uniform(0.56, 0.76), rng.uniform(0.54, 0.68), rng.uniform(0.38, 0.46), rng.uniform(0.70, 0.98),
-        rng.uniform(0.04, 0.17), rng.uniform(0.05, 0.24), rng.uniform(0.11, 0.2),
-    )  # fmt: skip
+        seats=seats,
+        width=seats * rng.uniform(0.56, 0.76),
+        depth=rng.uniform(0.54, 0.68),
+        height=rng.uniform(0.38, 0.46),
+        back=rng.uniform(0.70, 0.98),
+        low=rng.uniform(0.04, 0.17),
+        lean=rng.uniform(0.05, 0.24),
+        thick=rng.uniform(0.11, 0.2),
+    )
     a = Assembly()
     {"upholstered": upholstered, "framed": framed, "chesterfield": chesterfield, "curved": curved}[
         style
@@ -62,8 +69,8 @@ def build(seed):
     return a.finish(f"sofa:{seed}", "sofa")
 
 
-def upholstered(a, rng, p):
-    """Base, back, arms, cushions, feet; with a chaise on one side now and then."""
+def upholstered(a: Assembly, rng: np.random.Generator, p: Plan) -> None:
+    """Add base, back, arms, cushions and feet; some have a chaise on one side."""
     chaise = rng.choice([-1, 1]) if p.seats >= 2 and rng.random() < 0.3 else 0
     base(a, p)
     back_body(a, rng, p, rng.choice(["flat", "flat", "camel", "round"]))
@@ -81,14 +88,15 @@ def upholstered(a, rng, p):
     feet(a, rng, p, wide, rng.choice(["cone", "block", "skirt", "sled", "turned"]))
 
 
-def base(a, p):
+def base(a: Assembly, p: Plan) -> None:
+    """Add the upholstered base."""
     high = p.height - 0.13
     box = rounded_box([p.depth + p.thick, p.width + 0.04, high - p.low], 0.03, edge=3, inner=6)
     a.add("base", box.moved(-p.thick / 2, 0, (high + p.low) / 2), SOFT)
 
 
-def back_body(a, rng, p, kind):
-    """The upholstered back: straight on top, a camel's hump, or round-shouldered."""
+def back_body(a: Assembly, rng: np.random.Generator, p: Plan, kind: str) -> None:
+    """Add the upholstered back: straight on top, a camel's hump, or round-shouldered."""
     tall = p.back - p.low - 0.02
     inner = 4 + 4 * p.seats
     body = rounded_box(
@@ -110,10 +118,8 @@ def back_body(a, rng, p, kind):
     )
 
 
-def arms(a, rng, p, kind, chaise=0):
-    """Two arms (one beside a chaise stays low); returns how far the sofa reaches on each side of
-    the seats.
-    """
+def arms(a: Assembly, rng: np.random.Generator, p: Plan, kind: str, chaise: int = 0) -> float:
+    """Add two arms, or one beside a chaise; return the half width over arms and seats."""
     thick = {
         "box": rng.uniform(0.1, 0.26),
         "roll": rng.uniform(0.13, 0.2),
@@ -140,8 +146,8 @@ def arms(a, rng, p, kind, chaise=0):
                 ).moved(middle, y, (high + p.low) / 2 - 0.02),
                 SOFT,
             )
-            path = [[x_rear, y + side * 0.02, high - 0.03], [x_front, y + side * 0.02, high - 0.03]]
-            a.add("arm roll", rod(*path, thick * 0.62, around=24, bevel=0.25), SOFT)
+            rear, front = ([x, y + side * 0.02, high - 0.03] for x in (x_rear, x_front))
+            a.add("arm roll", rod(rear, front, thick * 0.62, around=24, bevel=0.25), SOFT)
         elif kind == "pad":
             a.add(
                 "arm",
@@ -167,8 +173,8 @@ def arms(a, rng, p, kind, chaise=0):
     return p.width / 2 + thick
 
 
-def chaise_longue(a, rng, p, side):
-    """The seat at one end goes on to the front."""
+def chaise_longue(a: Assembly, rng: np.random.Generator, p: Plan, side: int) -> None:
+    """Add a seat at one end that extends to the front."""
     reach, wide = rng.uniform(0.5, 0.85), p.width / p.seats
     y, high = side * (p.width / 2 - wide / 2 + 0.02), p.height - 0.13
     a.add(
@@ -195,8 +201,8 @@ def chaise_longue(a, rng, p, side):
         )
 
 
-def seat_cushions(a, rng, p, count):
-    """One long cushion, or one a seat."""
+def seat_cushions(a: Assembly, rng: np.random.Generator, p: Plan, count: int) -> None:
+    """Add one long seat cushion, or one per seat."""
     high, puff, over = rng.uniform(0.14, 0.2), rng.uniform(0.06, 0.32), rng.uniform(0.0, 0.05)
     each = p.width / count
     for k in range(count):
@@ -205,8 +211,8 @@ def seat_cushions(a, rng, p, count):
         a.add("seat cushion", seat.moved(over / 2 + 0.01, y, p.height - high / 2 + 0.01), SOFT)
 
 
-def back_cushions(a, rng, p, kind, count):
-    """Cushions that lean on the back."""
+def back_cushions(a: Assembly, rng: np.random.Generator, p: Plan, kind: str, count: int) -> None:
+    """Add cushions that lean on the back."""
     if kind == "none":
         return
     tall = p.back - p.height - (0.03 if kind == "box" else -0.05)
@@ -229,8 +235,8 @@ def back_cushions(a, rng, p, kind, count):
         )
 
 
-def throw_pillows(a, rng, p):
-    """None to three loose pillows."""
+def throw_pillows(a: Assembly, rng: np.random.Generator, p: Plan) -> None:
+    """Add none to three loose pillows."""
     count = min(int(rng.choice([0, 0, 1, 2, 3])), p.seats)
     for k in range(count):
         size = rng.uniform(0.36, 0.46)
@@ -243,8 +249,8 @@ def throw_pillows(a, rng, p):
         a.add("pillow", pillow.moved(-p.depth / 2 + 0.27, y, p.height + size * 0.42), SOFT)
 
 
-def feet(a, rng, p, half, kind):
-    """Cones, blocks, turned bulbs, sled runners, or a skirt to the floor."""
+def feet(a: Assembly, rng: np.random.Generator, p: Plan, half: float, kind: str) -> None:
+    """Add cones, blocks, turned bulbs, sled runners, or a skirt to the floor."""
     x_front, x_rear = p.depth / 2 - 0.06, -p.depth / 2 - p.thick + 0.08
     if kind == "skirt" or p.low < 0.06:
         a.add(
@@ -304,8 +310,8 @@ def feet(a, rng, p, half, kind):
             )
 
 
-def framed(a, rng, p):
-    """Loose cushions in a frame of wood or steel tube."""
+def framed(a: Assembly, rng: np.random.Generator, p: Plan) -> None:
+    """Add loose cushions in a frame of wood or steel tube."""
     steel, half = rng.random() < 0.45, p.width / 2 + 0.03
     size, square = (
         (rng.uniform(0.012, 0.02), 2.0)
@@ -386,18 +392,10 @@ def framed(a, rng, p):
     throw_pillows(a, rng, p)
 
 
-def chesterfield(a, rng, p):
-    """Rolled arms as high as the back, buttons on the back, turned feet."""
-    p = Plan(
-        p.seats,
-        p.width,
-        p.depth,
-        p.height,
-        p.height + rng.uniform(0.28, 0.36),
-        max(p.low, 0.08),
-        0.1,
-        0.16,
-    )
+def chesterfield(a: Assembly, rng: np.random.Generator, p: Plan) -> None:
+    """Add rolled arms as high as the back, buttons on the back, and turned feet."""
+    back = p.height + rng.uniform(0.28, 0.36)
+    p = replace(p, back=back, low=max(p.low, 0.08), lean=0.1, thick=0.16)
     base(a, p)
     seat_cushions(a, rng, p, int(rng.choice([1, p.seats])))
     back_body(a, rng, p, "flat")
@@ -444,8 +442,8 @@ def chesterfield(a, rng, p):
     feet(a, rng, p, half, "turned")
 
 
-def curved(a, rng, p):
-    """An upholstered sofa bent round: its ends come forward."""
+def curved(a: Assembly, rng: np.random.Generator, p: Plan) -> None:
+    """Add an upholstered sofa bent so that its ends come forward."""
     base(a, p)
     back_body(a, rng, p, rng.choice(["flat", "round"]))
     arms(a, rng, p, kind := rng.choice(["none", "pad", "flare"]))

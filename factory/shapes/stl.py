@@ -1,7 +1,7 @@
-"""STL: triangles one by one, binary or text; normals, colours and names are passed over.
+"""STL: triangles one by one, binary or text; normals, colours and names are ignored.
 
-Source: 3D Systems, "StereoLithography Interface Specification", 1989. A binary file is known by its
-length, which follows from its count; "solid" may begin both kinds.
+Source: 3D Systems, "StereoLithography Interface Specification", 1989. A binary file is recognised
+by its length, which follows from its count; "solid" may begin both kinds.
 """
 
 import struct
@@ -19,7 +19,7 @@ CORNERS = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 
 
 def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
-    """The Raw of an STL file: three vertices for each triangle. See factory.shapes.raw."""
+    """Return the Raw of an STL file: three vertices for each triangle. See factory.shapes.raw."""
     head = file.read(HEAD)
     announced = struct.unpack("<I", head[80:])[0] if len(head) == HEAD else 0
     if len(head) == HEAD and size == HEAD + TRIANGLE * announced:
@@ -41,9 +41,10 @@ def _raw(corners):
 
 
 def _from_text(file, where, maximum):
-    """Corners (F, 3, 3) of the triangles of a text file; each solid must have its end."""
+    """Return corners (F, 3, 3) of the triangles of a text file; each solid must have its end."""
     corners, solids, words = array("d"), 0, []
-    line, inside = 0, None  # corners of the loop that is open
+    line = 0
+    inside: int | None = None  # corners of the loop that is open
     try:
         for line, text in enumerate(text_lines(file, where, "an STL file's text"), 1):  # noqa: B007 (named in the error)
             words = text.lower().split()
@@ -67,6 +68,8 @@ def _from_text(file, where, maximum):
                             number(words[place + 3]),
                         )
                     )
+                    if inside is None:
+                        raise ValueError
                     inside += 1
                     place += 3
                 elif word == b"endloop":
@@ -78,12 +81,12 @@ def _from_text(file, where, maximum):
                 place += 1
     except InputError:
         raise
-    except (ValueError, IndexError, TypeError):
-        text = glimpse(b" ".join(words))
+    except (ValueError, IndexError):
+        words_found = glimpse(b" ".join(words))
         raise InputError(
             f"{where}: line {line}",
             "a triangle between 'outer loop' and 'endloop'",
-            f"'{text}'",
+            f"'{words_found}'",
             AGAIN,
         ) from None
     if solids or inside is not None:

@@ -1,13 +1,16 @@
-"""Closed surfaces to build furniture and cars from: lofts, tubes, slabs, boxes, revolutions,
-shells; each one watertight and outward.
+"""Closed surfaces for furniture and cars: lofts, tubes, slabs, boxes, revolutions, shells.
 
-A Surface is vertices (V, 3) in metres and faces (F, 3). Axes are the world's: x front, y left, z
-up, unless a docstring says otherwise.
+Each one is watertight and outward. A Surface is vertices (V, 3) in metres and faces (F, 3). Axes
+are the world's: x front, y left, z up, unless a docstring says otherwise.
 """
 
-from typing import NamedTuple
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 LEFT_RIGHT = (1.0, -1.0)  # signs of y
@@ -19,12 +22,12 @@ class Surface(NamedTuple):
     vertices: np.ndarray
     faces: np.ndarray
 
-    def moved(self, x=0.0, y=0.0, z=0.0):
-        """The surface shifted by metres along each axis."""
+    def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Surface:
+        """Return the surface translated by metres along each axis."""
         return Surface(self.vertices + np.array([x, y, z]), self.faces)
 
-    def turned(self, axis, angle):
-        """The surface turned about the origin's x, y or z axis, right-handed, radians."""
+    def turned(self, axis: str, angle: float) -> Surface:
+        """Return the surface rotated about the origin's x, y or z axis, right-handed, radians."""
         i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
         vertices = self.vertices.copy()
         c, s = np.cos(angle), np.sin(angle)
@@ -34,28 +37,30 @@ class Surface(NamedTuple):
         )
         return Surface(vertices, self.faces)
 
-    def scaled(self, x=1.0, y=1.0, z=1.0):
-        """The surface stretched along each axis; a negative factor mirrors, and the faces turn
-        round to stay outward.
+    def scaled(self, x: float = 1.0, y: float = 1.0, z: float = 1.0) -> Surface:
+        """Return the surface scaled along each axis.
+
+        A negative factor mirrors; faces are then reversed so that they stay outward.
         """
         return Surface(
             self.vertices * (x, y, z), self.faces[:, ::-1] if x * y * z < 0 else self.faces
         )
 
-    def mirrored(self):
-        """Left becomes right."""
+    def mirrored(self) -> Surface:
+        """Return the surface with left and right exchanged."""
         return self.scaled(y=-1.0)
 
 
-def signed_volume(vertices, faces):
-    """Volume in the vertices' unit cubed; positive when the faces look outward."""
+def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Return the volume in the vertices' unit cubed; positive when the faces look outward."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6
 
 
-def closed(vertices, faces):
-    """A Surface from triangles: coinciding vertices welded, collapsed triangles dropped, turned
-    outward.
+def closed(vertices: ArrayLike, faces: np.ndarray) -> Surface:
+    """Return a Surface from triangles, turned outward.
+
+    Coinciding vertices are welded, and collapsed triangles dropped.
     """
     vertices = np.asarray(vertices, float)
     _, first, inverse = np.unique(
@@ -69,8 +74,10 @@ def closed(vertices, faces):
     return Surface(vertices, faces if signed_volume(vertices, faces) > 0 else faces[:, ::-1])
 
 
-def grid_faces(rows, columns, wrap_rows=False, wrap_columns=False):
-    """Triangles (F, 3) over a grid of vertices, row after row."""
+def grid_faces(
+    rows: int, columns: int, wrap_rows: bool = False, wrap_columns: bool = False
+) -> np.ndarray:
+    """Return triangles (F, 3) over a grid of vertices, row after row."""
     i, j = np.meshgrid(
         np.arange(rows - (not wrap_rows)), np.arange(columns - (not wrap_columns)), indexing="ij"
     )
@@ -85,8 +92,8 @@ def grid_faces(rows, columns, wrap_rows=False, wrap_columns=False):
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
 
-def loft(rings):
-    """Closed rings (R, N, 3) joined in order, both ends closed by a fan to the ring's centre."""
+def loft(rings: ArrayLike) -> Surface:
+    """Return closed rings (R, N, 3) joined in order; a fan to the ring's centre closes each end."""
     rings = np.asarray(rings, float)
     count, around, _ = rings.shape
     vertices = np.concatenate([rings.reshape(-1, 3), rings[[0, -1]].mean(1)])
@@ -100,18 +107,17 @@ def loft(rings):
     )
 
 
-def smooth_path(points, count):
-    """`count` points (count, 3) along a smooth curve through the given ones (P, 3), by chord
-    length.
-    """
+def smooth_path(points: ArrayLike, count: int) -> np.ndarray:
+    """Return `count` points (count, 3) of a smooth curve through points (P, 3), by chord length."""
     points = np.asarray(points, float)
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     return CubicSpline(length, points)(np.linspace(0, length[-1], count))
 
 
-def rounded_path(points, radius, steps=5):
-    """A path (N, 3) through straight runs whose corners are rounded by arcs (quadratic Bézier) of
-    about `radius` metres.
+def rounded_path(points: ArrayLike, radius: float, steps: int = 5) -> np.ndarray:
+    """Return a path (N, 3) through straight runs with rounded corners.
+
+    The corners are arcs (quadratic Bézier) of about `radius` metres.
     """
     points = np.asarray(points, float)
     path = [points[:1]]
@@ -127,9 +133,10 @@ def rounded_path(points, radius, steps=5):
     return np.concatenate([*path, points[-1:]])
 
 
-def superellipse(around, square=2.0):
-    """Unit superellipse (around, 2): |x|^square + |y|^square = 1; 2 is a circle, 8 a square with
-    rounded corners.
+def superellipse(around: int, square: float = 2.0) -> np.ndarray:
+    """Return the unit superellipse (around, 2): |x|^square + |y|^square = 1.
+
+    2 is a circle, 8 a square with rounded corners.
     """
     angle = np.linspace(0, 2 * np.pi, around, endpoint=False) + np.pi / around
     c, s = np.cos(angle), np.sin(angle)
@@ -139,8 +146,9 @@ def superellipse(around, square=2.0):
 
 
 def _frames(path, side, ring):
-    """Tangents, and two normals each (N, 3), carried along the path without twist, the first as
-    near `side` as can be.
+    """Return tangents and two normals, each (N, 3), carried along the path without twist.
+
+    The first normal is as near `side` as possible.
     """
     tangent = np.gradient(path, axis=0) if not ring else np.roll(path, -1, 0) - np.roll(path, 1, 0)
     tangent = tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -155,8 +163,16 @@ def _frames(path, side, ring):
     return tangent, first, np.cross(tangent, first)
 
 
-def tube(path, size, around=12, square=2.0, bevel=0.35, ring=False, side=(0.0, 1.0, 0.0)):
-    """A rod along a path, its section a superellipse that may change along it.
+def tube(
+    path: ArrayLike,
+    size: ArrayLike,
+    around: int = 12,
+    square: float = 2.0,
+    bevel: float = 0.35,
+    ring: bool = False,
+    side: ArrayLike = (0.0, 1.0, 0.0),
+) -> Surface:
+    """Return a rod along a path; its section is a superellipse that may change along it.
 
     path    (N, 3) m
     size    half-widths: a number, (N,), or (N, 2): along `side` and across it
@@ -184,7 +200,8 @@ def tube(path, size, around=12, square=2.0, bevel=0.35, ring=False, side=(0.0, 1
     body = rings(slice(None), 1.0, 0.0)
     if ring:
         return closed(body.reshape(-1, 3), grid_faces(len(path), around, True, True))
-    start, finish = [], []
+    start: list[np.ndarray] = []
+    finish: list[np.ndarray] = []
     for angle in np.linspace(0, np.pi / 2, 4)[1:]:
         shrink = 1 - bevel + bevel * np.cos(angle)
         start.insert(0, rings([0], shrink, -bevel * size[0].min() * np.sin(angle)))
@@ -192,8 +209,17 @@ def tube(path, size, around=12, square=2.0, bevel=0.35, ring=False, side=(0.0, 1
     return loft(np.concatenate([*start, body, *finish]))
 
 
-def rod(start, finish, size, finish_size=None, **options):
-    """A straight, perhaps tapered rod between two points; sizes as in `tube`."""
+def rod(
+    start: ArrayLike,
+    finish: ArrayLike,
+    size: ArrayLike,
+    finish_size: ArrayLike | None = None,
+    **options: Any,
+) -> Surface:
+    """Return a straight rod between two points, tapered to `finish_size`; sizes as in `tube`.
+
+    options  of `tube`
+    """
     t = np.linspace(0, 1, 3)[:, None]
     start_size = np.broadcast_to(size, (2,))
     end_size = start_size if finish_size is None else np.broadcast_to(finish_size, (2,))
@@ -201,12 +227,14 @@ def rod(start, finish, size, finish_size=None, **options):
     return tube(path, (1 - t) * start_size + t * end_size, **options)
 
 
-def slab(outline, thickness, bevel=0.3, dome=0.0, steps=3):
-    """A plate with rounded edges, flat in x–y about z = 0, its outline (N, 2) star-shaped about its
-    centre.
+def slab(
+    outline: ArrayLike, thickness: float, bevel: float = 0.3, dome: float = 0.0, steps: int = 3
+) -> Surface:
+    """Return a plate with rounded edges, flat in x–y about z = 0.
 
-    bevel  edge radius over the half thickness;  dome  m that the middle rises above (and sinks
-    below, if negative: a saddle) the rim
+    outline  (N, 2), star-shaped about its centre
+    bevel    edge radius over the half thickness
+    dome     m that the middle rises above the rim; negative (a saddle): sinks below it
     """
     outline = np.asarray(outline, float)
     tangent = np.roll(outline, -1, 0) - np.roll(outline, 1, 0)
@@ -242,9 +270,10 @@ def slab(outline, thickness, bevel=0.3, dome=0.0, steps=3):
     return loft(rings)
 
 
-def revolve(profile, around=32):
-    """A profile (N, 2) of (radius, z) turned about z; it should begin and end on the axis, or comes
-    closed by flat lids.
+def revolve(profile: ArrayLike, around: int = 32) -> Surface:
+    """Return a profile (N, 2) of (radius, z) revolved about z.
+
+    It should begin and end on the axis; otherwise flat lids close it.
     """
     profile = np.asarray(profile, float)
     angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
@@ -252,12 +281,20 @@ def revolve(profile, around=32):
     return loft(profile[:, :1, None] * circle + profile[:, 1:, None] * np.array([0.0, 0.0, 1.0]))
 
 
-def rounded_box(size, radius, bulge=(0.0, 0.0, 0.0), edge=3, inner=2):
-    """A box about the origin with rounded edges, its sides flat or puffed.
+def rounded_box(
+    size: ArrayLike,
+    radius: float,
+    bulge: Sequence[float] = (0.0, 0.0, 0.0),
+    edge: int = 3,
+    inner: int = 2,
+) -> Surface:
+    """Return a box about the origin with rounded edges, its sides flat or puffed.
 
-    size    (3,) m;  radius  of the edges, m;  bulge  how far each pair of sides swells, as a share
-    of its half size
-    edge    steps round an edge;  inner  steps across a flat side
+    size    (3,) m
+    radius  of the edges, m
+    bulge   how far each pair of sides swells, as a share of its half size
+    edge    steps round an edge
+    inner   steps across a flat side
     """
     half = np.asarray(size, float) / 2
     radius = min(radius, 0.98 * half.min())
@@ -275,14 +312,15 @@ def rounded_box(size, radius, bulge=(0.0, 0.0, 0.0), edge=3, inner=2):
     count = len(ticks[0])
     i, j = (g.ravel() for g in np.meshgrid(np.arange(count), np.arange(count), indexing="ij"))
     side = grid_faces(count, count)
-    index, faces = [], []
+    places: list[np.ndarray] = []
+    faces: list[np.ndarray] = []
     for axis in range(3):
         for end in (0, count - 1):
             place = np.empty((count * count, 3), int)
             place[:, axis], place[:, (axis + 1) % 3], place[:, (axis + 2) % 3] = end, i, j
-            faces.append((side if end else side[:, ::-1]) + len(index) * count * count)
-            index.append(place)
-    index = np.concatenate(index)
+            faces.append((side if end else side[:, ::-1]) + len(places) * count * count)
+            places.append(place)
+    index = np.concatenate(places)
     corner = np.stack([ticks[axis][index[:, axis]] for axis in range(3)], 1)
     flat = np.clip(corner, -(half - radius), half - radius)
     away = corner - flat
@@ -294,10 +332,8 @@ def rounded_box(size, radius, bulge=(0.0, 0.0, 0.0), edge=3, inner=2):
     return closed(puffed, np.concatenate(faces))
 
 
-def cushion(size, puff=0.25, inner=6):
-    """A soft cushion: a box whose edges are half its thickness round and whose large sides
-    swell.
-    """
+def cushion(size: ArrayLike, puff: float = 0.25, inner: int = 6) -> Surface:
+    """Return a soft cushion: a box with swelling large sides and very round edges."""
     size = np.asarray(size, float)
     thin = int(size.argmin())
     bulge = [0.03, 0.03, 0.03]
@@ -305,8 +341,8 @@ def cushion(size, puff=0.25, inner=6):
     return rounded_box(size, 0.42 * size.min(), bulge, edge=3, inner=inner)
 
 
-def ellipsoid(size, square=2.0, around=20):
-    """A superellipsoid about the origin; size (3,) m across; square as in `superellipse`."""
+def ellipsoid(size: ArrayLike, square: float = 2.0, around: int = 20) -> Surface:
+    """Return a superellipsoid about the origin; size (3,) m across; square as in `superellipse`."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, around // 2 + 1)
     c, s = np.cos(latitude), np.sin(latitude)
     share = (np.abs(c) ** square + np.abs(s) ** square) ** (-1 / square)
@@ -321,9 +357,10 @@ def ellipsoid(size, square=2.0, around=20):
     return loft(rings * np.asarray(size) / 2)
 
 
-def shell(points, thickness, times=2):
-    """A thin sheet through a cage of points (R, C, 3), given thickness, smoothed by Loop
-    subdivision; its rim comes out round.
+def shell(points: ArrayLike, thickness: float, times: int = 2) -> Surface:
+    """Return a thin sheet through a cage of points (R, C, 3), smoothed by Loop subdivision.
+
+    The sheet has a thickness, and its rim is round.
     """
     from trimesh.remesh import subdivide_loop
 

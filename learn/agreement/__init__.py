@@ -1,1 +1,1 @@
-"""How far Cycles and the layer are apart on a dataset's records, and why."""
+"""Agreement: how closely the layer reproduces Cycles' pictures of a dataset, and the causes."""

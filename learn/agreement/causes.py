@@ -1,68 +1,71 @@
-"""Why the two renderers differ where they should not: a direct-tier disagreement taken apart, each
-cause measured on its own.
+"""Causes of disagreement in the direct tier, each measured on its own.
 
-On at most PIXELS inner pixels of a scene (letters as in learn.agreement.measure; all L2 in display
-values squared, over those pixels):
+The measurements are on at most PIXELS inner pixels of a scene (letters as in
+learn.agreement.measure; all L2 in display values squared, over those pixels):
 
 noise        half the L2 of two seeds
 node fit     the label against the closed form of the nodes that Cycles renders, both at the same
-normals by the same places of the light:
-             texels where no lobe of the label is narrow, else ever more taps, each seeing the mean
-             light of what it stands for: taps that look at points take lamps of a few texels for
-             misfit (79 display L2 where 31 is right)
+             normals and for the same directions of the light: texels where no lobe of the label is
+             narrow, else sample directions in growing numbers. Each stands for the mean light of
+             its solid angle: point samples mistake lamps of a few texels for misfit (79 display L2
+             where 31 is right)
 texel sum    the paper's sum against the converged integral: the light's discretisation. It is no
-part of I's disagreement
+             part of I's disagreement
 footprint    a pixel of Cycles is the mean over its square, the layer's its centre: I averaged over
-the pixel (measure.footprint) against I
+             the pixel (measure.footprint) against I
 look-up      the turn of the light about the vertical, in texels, that explains most of what is
-left, and the L2 it explains
-net          Cycles' pictures against the layer's, net of noise; net_footprint the same with the
-footprint put into the layer's
-rest         the same with footprint and node fit put into it: what no known cause explains
+             left, and the L2 that it explains
+net          Cycles' pictures against the layer's, net of noise; net_footprint: the same with the
+             footprint included in the layer's
+rest         the same with footprint and node fit included: what no known cause explains
 
-Edges (silhouette, segment borders, creases) are the pixels left out here; their part of L2 is
-measured apart (Row.edge_net).
+Edges (silhouette, segment borders, creases) are left out here; their part of L2 is Row.edge_net.
 """
 
 import zlib
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
 
-from learn.agreement.measure import at_pixels, narrow
+from learn.agreement.measure import Layer, at_pixels, narrow
+from learn.data.records import Sample
 from learn.methods import quadrature
-from learn.metrics.pictures import shared, squared
+from learn.metrics.pictures import squared_difference, squared_net_of_noise
+from manifests.schema import Record
 from shaders import closures, dsbrdf, tone
 from shaders.envmap import directions
 from shaders.frames import camera_from_light
+from shaders.mixture import Mixture
 
 PIXELS = 96
-SAMPLE_COUNTS = (
-    1024,
-    4096,
-    16384,
-    65536,
-    # of a narrow material: four times as many, until the nodes' radiance moves by a tenth of what
-    # is sought
-)
-MOVED = 0.1
-CHUNK = 65536  # pairs of pixel and place of the light at a time, 1.5 MB an array
+# Numbers of sample directions for a narrow material: each is tried in turn, until the difference
+# from the nodes changes by less than this fraction of itself.
+SAMPLE_COUNTS = (1024, 4096, 16384, 65536)
+LARGEST_CHANGE = 0.1
+CHUNK = 65536  # pairs of pixel and direction at a time, 1.5 MB per array
+
+# n, view (p, 3) → directions w (p, N, 3), their solid angles (p, N), and the light's radiance there
+Directions = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, torch.Tensor, np.ndarray]]
 
 
-def drawn(inner, record, most=PIXELS):
-    """Flat indices (Q,) of at most `most` of the pixels `inner` (H, W) bool, drawn by the
-    geometry's id: the same on every run.
+def sampled_pixels(inner: np.ndarray, record: Record, most: int = PIXELS) -> np.ndarray:
+    """Return flat indices (Q,) of at most `most` of the pixels `inner` (H, W) bool.
+
+    They are drawn by the geometry's id, and so the same in every run.
     """
     inside = np.flatnonzero(inner)
     rng = np.random.default_rng(zlib.crc32(record.geometry.encode()))
     return np.sort(rng.choice(inside, min(most, len(inside)), replace=False))
 
 
-def node_difference(sample, index, mixtures):
-    """The label's radiance minus the nodes', (Q, 3), by the same places of the light; mixtures: one
-    shaders.mixture.Mixture a segment.
+def node_difference(sample: Sample, index: np.ndarray, mixtures: Sequence[Mixture]) -> np.ndarray:
+    """Return the label's radiance minus the nodes' (Q, 3), for the same directions of the light.
+
+    index     flat indices (Q,) of pixels
+    mixtures  one per segment
     """
-    # float32's length shows in lobes of α = .003
+    # the length of a float32 normal is not exact enough for lobes of α = .003
     n = torch.nn.functional.normalize(sample.n.reshape(-1, 3)[index].double(), dim=-1)
     view = (
         n.new_tensor([[0.0, 0.0, 1.0]]).expand_as(n)
@@ -78,25 +81,33 @@ def node_difference(sample, index, mixtures):
     return out
 
 
-def converged(sample, m, mixture, n, view):
-    """node_difference of one material m (3, 3, 2, 6) at normals n and views (p, 3): by texels, or
-    by ever more taps until it stays.
+def converged(
+    sample: Sample, m: torch.Tensor, mixture: Mixture, n: torch.Tensor, view: torch.Tensor
+) -> np.ndarray:
+    """Return `node_difference` of one material m (3, 3, 2, 6) at normals n and views (p, 3).
+
+    It is summed over texels, or over more and more sample directions until it converges.
     """
     if not narrow(m):
-        return at_places(*texels(sample), m, mixture, n, view)
-    result = None
-    for count in SAMPLE_COUNTS:
-        coarser, result = result, at_places(*lobe_samples(sample, m, count), m, mixture, n, view)
-        if (
-            coarser is not None
-            and np.square(result - coarser).sum() <= MOVED**2 * np.square(result).sum()
-        ):
+        return summed(*texels(sample), m, mixture, n, view)
+    result = summed(*lobe_samples(sample, m, SAMPLE_COUNTS[0]), m, mixture, n, view)
+    for count in SAMPLE_COUNTS[1:]:
+        coarser, result = result, summed(*lobe_samples(sample, m, count), m, mixture, n, view)
+        change = np.square(result - coarser).sum()
+        if change <= LARGEST_CHANGE**2 * np.square(result).sum():
             break
     return result
 
 
-def at_places(places, count, m, mixture, n, view):
-    """Radiance (p, 3) of m minus that of the mixture, by `count` places of the light a pixel."""
+def summed(
+    places: Directions,
+    count: int,
+    m: torch.Tensor,
+    mixture: Mixture,
+    n: torch.Tensor,
+    view: torch.Tensor,
+) -> np.ndarray:
+    """Return radiance (p, 3) of m minus that of the mixture, over `count` directions per pixel."""
     out = np.zeros((len(n), 3))
     for part in torch.arange(len(n)).split(max(1, CHUNK // count)):
         w, weight, L = places(n[part], view[part])
@@ -110,47 +121,55 @@ def at_places(places, count, m, mixture, n, view):
     return out
 
 
-def texels(sample):
-    """places(n, view) → w (p, T, 3), solid angle (p, T), 0 below the horizon, and radiance (T, 3):
-    the map's texels; and how many.
+def texels(sample: Sample) -> tuple[Directions, int]:
+    """Return the light map's texels as Directions, and their number.
+
+    Texels below the horizon have a solid angle of 0; the radiance is (T, 3).
     """
-    w, solid_angle = directions(*sample.light.shape[:2])
-    w = torch.as_tensor(w.reshape(-1, 3) @ camera_from_light(sample.elevation).T)
+    centres, solid_angle = directions(*sample.light.shape[:2])
+    w = torch.as_tensor(centres.reshape(-1, 3) @ camera_from_light(sample.elevation).T)
     weight, L = (
         torch.as_tensor(solid_angle.reshape(1, -1)),
         sample.light.reshape(-1, 3).double().numpy(),
     )
 
-    def places(n, view):
+    def places(
+        n: torch.Tensor, view: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
         above = n @ w.T > 0
         return torch.where(above[..., None], w, n[:, None]), weight * above, L
 
     return places, len(w)
 
 
-def lobe_samples(sample, m, count):
-    """places(n, view) → w (p, N, 3), solid angle (p, N) and radiance (p, N, 3): taps that follow
-    the lobes of m; and how many.
+def lobe_samples(sample: Sample, m: torch.Tensor, count: int) -> tuple[Directions, int]:
+    """Return sample directions that follow the lobes of m as Directions, and their number.
 
-    A tap's radiance is the mean over the solid angle that it stands for, as in the layer's
-    integral.
+    The radiance (p, N, 3) of a direction is the mean over the solid angle that it stands for, as in
+    the layer's integral.
     """
-    spiral = tuple(torch.as_tensor(x) for x in quadrature.spiral(m, count))
+    half, solid_angle = (torch.as_tensor(x) for x in quadrature.spiral(m, count))
     rotation, light = (
         torch.as_tensor(camera_from_light(sample.elevation)),
         sample.light.reshape(-1, 3).double(),
     )
 
-    def places(n, view):
-        w, weight, _ = quadrature.place(n, view, *spiral, rotation, sample.light.shape[:2])
+    def places(
+        n: torch.Tensor, view: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
+        w, weight, _ = quadrature.place(
+            n, view, half, solid_angle, rotation, (sample.light.shape[0], sample.light.shape[1])
+        )
         texel, share = quadrature.footprint(w @ rotation, weight, *sample.light.shape[:2])
         return w, weight, torch.einsum("pic,pick->pik", share, light[texel]).numpy()
 
     return places, count
 
 
-def brdf_difference(m, mixture, w, n, view):
-    """f of the label minus f of the nodes, (p, N, 3); w (p, N, 3), n and view (p, 3)."""
+def brdf_difference(
+    m: np.ndarray, mixture: Mixture, w: np.ndarray, n: np.ndarray, view: np.ndarray
+) -> np.ndarray:
+    """Return f of the label minus f of the nodes, (p, N, 3); w (p, N, 3), n and view (p, 3)."""
     h, theta_d = dsbrdf.half_angles(w, np.broadcast_to(view[:, None], w.shape))
     cos_h, cos_i, cos_o = (
         (h * n[:, None]).sum(-1),
@@ -158,7 +177,7 @@ def brdf_difference(m, mixture, w, n, view):
         (view * n).sum(-1)[:, None],
     )
     f = dsbrdf.evaluate(m, cos_h.reshape(-1), theta_d.reshape(-1)).reshape(w.shape)
-    log_alpha, tilt, weights = mixture.at(cos_o[:, 0])  # once a pixel, not once a tap
+    log_alpha, tilt, weights = mixture.at(cos_o[:, 0])  # once per pixel, not per direction
     for k, kind in enumerate(mixture.kinds):
         alpha = np.exp(log_alpha[:, k, None])
         value = closures.evaluate(
@@ -168,13 +187,18 @@ def brdf_difference(m, mixture, w, n, view):
     return f
 
 
-def separate_causes(sample, pictures, layer, mixtures, exposure):
-    """The causes of one direct-tier condition as a dict of figures, or None where no pixel is
-    inside.
+def separate_causes(
+    sample: Sample,
+    pictures: np.ndarray,
+    layer: Layer,
+    mixtures: Sequence[Mixture],
+    exposure: float,
+) -> dict[str, float | None] | None:
+    """Return the figures of each cause in one direct-tier condition, None without inner pixels.
 
     pictures  (seeds, H, W, 3) Cycles' radiance
     """
-    index = drawn(layer.inner, sample.record)
+    index = sampled_pixels(layer.inner, sample.record)
     if not len(index):
         return None
     C = pictures.reshape(len(pictures), -1, 3)[:, index].astype(np.float64)
@@ -182,28 +206,28 @@ def separate_causes(sample, pictures, layer, mixtures, exposure):
     nodes = np.maximum(I - node_difference(sample, index, mixtures), 0)
     spread = layer.footprint.reshape(-1, 3)[index]
     predicted = np.maximum(nodes + spread - I, 0)
-    # per texel
+    # derivative of the radiance by the light's turn, per texel
     turned = 0.5 * (at_pixels(sample, index, turn=1) - at_pixels(sample, index, turn=-1))
     weight = 1 / (predicted + predicted.mean() + 1e-12) ** 2
     slope = (weight * turned**2).sum()
     shift = float((weight * turned * (C.mean(0) - predicted)).sum() / max(slope, 1e-30))
 
-    def D(radiance):
+    def D(radiance: np.ndarray) -> np.ndarray:
         return tone.display(radiance, exposure)
 
     several = len(C) > 1
     return {
         "pixels": len(index),
-        "noise": float(squared(D(C[0]), D(C[1])).mean() / 2) if several else None,
-        "node_fit": float(squared(D(I), D(nodes)).mean()),
-        "texel_sum": float(squared(D(I), D(S)).mean()),
-        "footprint": float(squared(D(I), D(spread)).mean()),
+        "noise": float(squared_difference(D(C[0]), D(C[1])).mean() / 2) if several else None,
+        "node_fit": float(squared_difference(D(I), D(nodes)).mean()),
+        "texel_sum": float(squared_difference(D(I), D(S)).mean()),
+        "footprint": float(squared_difference(D(I), D(spread)).mean()),
         "look_up": float(
-            squared(D(predicted), D(np.maximum(predicted + shift * turned, 0))).mean()
+            squared_difference(D(predicted), D(np.maximum(predicted + shift * turned, 0))).mean()
         ),
         "look_up_texels": shift,
-        "net": float(shared(D(C) - D(I)).mean()) if several else None,
-        "net_footprint": float(shared(D(C) - D(spread)).mean()) if several else None,
-        "rest": float(shared(D(C) - D(predicted)).mean()) if several else None,
+        "net": float(squared_net_of_noise(D(C) - D(I)).mean()) if several else None,
+        "net_footprint": float(squared_net_of_noise(D(C) - D(spread)).mean()) if several else None,
+        "rest": float(squared_net_of_noise(D(C) - D(predicted)).mean()) if several else None,
         "rest_signed": float((predicted - C.mean(0)).mean() / max(C.mean(), 1e-12)),
     }

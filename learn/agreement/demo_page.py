@@ -1,7 +1,6 @@
-"""`python -m learn.agreement.demo_page`: one web page over what the commands left on disk: contact
-sheet, agreement table, charts.
+"""`python -m learn.agreement.demo_page`: a web page over contact sheets, agreement and charts.
 
-It reads report.json of `python -m learn agree` and links to pictures where they lie, so that the
+It reads report.json of `python -m learn agree` and links to pictures where they are, so that the
 page is small.
 """
 
@@ -10,8 +9,10 @@ import html
 import json
 import os
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from learn.figures.html import image, page, paragraph, table
 from manifests.errors import InputError
 from manifests.files import write_text
 
@@ -35,30 +36,19 @@ CAUSES = {
     "rest": "what none of these explains",
     "texel_sum": "beside them: what the paper's sum over texels would cost",
 }
-# breakdowns on this page; the report itself has all of them
+# breakdowns on this page; the report itself has them all
 SHOWN = ("tier and light resolution", "material", "light", "category")
 STYLE = """
-:root{color-scheme:light dark;--ink:#1f2933;--soft:#5b6b79;--line:#dfe5ea;--back:#fbfcfd;--card:#fff;--accent:#2f6f9f}
-@media(prefers-color-scheme:dark){:root{--ink:#e6ebef;--soft:#98a7b3;--line:#33414c;--back:#141a1f;--card:#1b232a;--accent:#7db7de}}
-body{font:15px/1.55 system-ui,sans-serif;color:var(--ink);background:var(--back);max-width:1180px;margin:0 auto;padding:2rem 1.2rem}
-h1{font-size:1.7rem;margin:0}
-h2{font-size:1.15rem;margin:2.4rem 0 .6rem}
-p{max-width:72ch}
-a{color:var(--accent)}
-.soft{color:var(--soft)}
-.scroll{overflow-x:auto}
-.sheet{width:100%;background:#202428;border-radius:10px}
+.sheets img{width:100%;background:#202428;border-radius:10px}
+.sheets{max-width:none}
 .charts{display:grid;grid-template-columns:repeat(auto-fit,minmax(330px,1fr));gap:1rem}
 .charts img{width:100%;background:#fff;border:1px solid var(--line);border-radius:10px}
-table{border-collapse:collapse;font-size:.88rem;font-variant-numeric:tabular-nums;margin-bottom:1.2rem}
-th,td{padding:.28rem .75rem;text-align:right;border-bottom:1px solid var(--line);white-space:nowrap}
-th:first-child,td:first-child{text-align:left}
-th{color:var(--soft);font-weight:600}
+table{margin-bottom:1.2rem}
 """
 
 
-def read(path, command):
-    """JSON of a file that `command` writes. Raises InputError if it is not there or damaged."""
+def read(path: Path, command: str) -> dict:
+    """Return the JSON of a file that `command` writes. Raises InputError where there is none."""
     try:
         return json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -67,25 +57,28 @@ def read(path, command):
         raise InputError(path, "JSON", str(error), f"run `{command}` again") from None
 
 
-def table(name, groups):
-    """A breakdown {value: figures} as an HTML table, with the columns that hold figures."""
-    held = [key for key in COLUMNS if any(cell.get(key) is not None for cell in groups.values())]
-    head = "".join(f"<th>{COLUMNS[key][0]}</th>" for key in held)
-    rows = []
-    for value, cell in groups.items():
-        cells = "".join(
-            f"<td>{'–' if cell.get(key) is None else COLUMNS[key][1].format(cell[key])}</td>"
-            for key in held
-        )
-        rows.append(f"<tr><td>{html.escape(str(value))}</td>{cells}</tr>")
-    return (
-        "<div"
-        f" class=scroll><table><tr><th>{html.escape(name)}</th>{head}</tr>{''.join(rows)}</table></div>"
-    )
+def breakdown(name: str, groups: Mapping[str, Mapping]) -> str:
+    """Return a breakdown {value: figures} as HTML, with the columns that hold figures."""
+    columns = {
+        key: column
+        for key, column in COLUMNS.items()
+        if any(cell.get(key) is not None for cell in groups.values())
+    }
+    rows = [
+        [
+            str(value),
+            *(
+                "–" if cell.get(key) is None else pattern.format(cell[key])
+                for key, (_, pattern) in columns.items()
+            ),
+        ]
+        for value, cell in groups.items()
+    ]
+    return table([name, *(title for title, _ in columns.values())], rows)
 
 
-def verdict(direct):
-    """The report's headline in words."""
+def verdict(direct: Mapping) -> str:
+    """Return the report's headline in words."""
     if direct.get("net") is None or direct.get("like_net") is None:
         return (
             "No picture was rendered with two seeds: the noise is unknown, so the direct tier"
@@ -103,131 +96,107 @@ def verdict(direct):
             + " The catalogue does not say how far its materials' two forms, label and nodes, are"
             " apart, so there is no limit."
         )
-    kept = "within" if direct.get("holds") else "beyond"
-    fit = f" The materials' two forms, label and nodes, differ by {direct['node_fit']:.2f}"
-    return f"{report}{fit}; the limit inside is {direct['limit']:g} times that: {kept} it."
-
-
-def causes(found):
-    """The direct tier's disagreement taken apart, as an HTML table; empty where the report has no
-    causes.
-    """
-    known = [(text, found[key]) for key, text in CAUSES.items() if found.get(key) is not None]
-    rows = "".join(
-        f"<tr><td>{html.escape(text)}</td><td>{value:.3g}</td></tr>" for text, value in known
-    )
+    judged = "within" if direct.get("holds") else "beyond"
     return (
-        "<div class=scroll><table><tr><th>cause, direct"
-        f" tier</th><th>L2</th></tr>{rows}</table></div>"
-        if rows
-        else ""
+        f"{report} The materials' two forms, label and nodes, differ by {direct['node_fit']:.2f};"
+        f" the limit inside is {direct['limit']:g} times that: {judged} it."
     )
 
 
-def page(out, sheets, agreement, title, predictions=(), edits=()):
-    """The page's text; its links are relative to out's folder.
+def causes(summary: Mapping[str, float | None]) -> str:
+    """Return the causes of the direct tier's disagreement as HTML; "" where there are none."""
+    rows = [
+        [text, f"{value:.3g}"]
+        for key, text in CAUSES.items()
+        if (value := summary.get(key)) is not None
+    ]
+    return table(["cause, direct tier", "L2"], rows) if rows else ""
 
-    sheets, predictions, edits   paths of pictures
-    agreement                    folder of the report
+
+def demo_page(
+    out: Path,
+    sheets: Sequence[Path],
+    agreement: Path,
+    title: str,
+    predictions: Sequence[Path] = (),
+    edits: Sequence[Path] = (),
+) -> str:
+    """Return the page's text; its links are relative to the folder of `out`.
+
+    sheets, predictions, edits  paths of contact sheets
+    agreement                   folder of the report
     """
     report = read(agreement / "report.json", "python -m learn agree DIR --out DIR2")
     summary, about = report["summary"], report["about"]
 
-    def link(path):
+    def link(path: Path) -> str:
         return html.escape(Path(os.path.relpath(path, out.parent)).as_posix(), quote=True)
 
-    parts = [
-        "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport"
-        " content='width=device-width'>"
-    ]
-    parts += [
-        f"<title>{html.escape(title)}</title><style>{STYLE}</style><h1>{html.escape(title)}</h1>"
-    ]
-    parts += [
-        "<p class=soft>" + " · ".join(html.escape(str(value)) for value in about.values()) + "</p>"
-    ]
-    parts += [
-        f"<p>{html.escape(verdict(summary['direct']))} <a"
-        f" href='{link(agreement / 'index.html')}'>The whole report</a>.</p>"
-    ]
-    parts += ["<h2>What was rendered</h2>"]
-    parts += [
-        f"<p><a href='{link(sheet)}'><img class=sheet src='{link(sheet)}' alt='contact"
-        " sheet'></a></p>"
-        for sheet in sheets
+    def linked(path: Path, description: str) -> str:
+        return f"<a href='{link(path)}'>{image(link(path), description)}</a>"
+
+    def shown(paths: Sequence[Path], description: str) -> list[str]:
+        return [f"<p class=sheets>{linked(path, description)}</p>" for path in paths]
+
+    body = [
+        paragraph(" · ".join(str(value) for value in about.values()), "soft"),
+        f"<p>{html.escape(verdict(summary['direct']))}"
+        f" <a href='{link(agreement / 'index.html')}'>The whole report</a>.</p>",
+        "<h2>What was rendered</h2>",
+        *shown(sheets, "contact sheet"),
     ]
     if predictions:
-        parts += [
-            "<h2>What a network reads from one picture</h2><p>Picture, predicted normals, light and"
-            " material, and what the layer makes of "
-        ]
-        parts += [
-            "them again; above from the record's radiance, below from a picture file, whose"
-            " exposure nobody knows.</p>"
-        ]
-        parts += [
-            f"<p><a href='{link(sheet)}'><img class=sheet src='{link(sheet)}'"
-            " alt='prediction'></a></p>"
-            for sheet in predictions
+        body += [
+            "<h2>What a network reads from one picture</h2>",
+            paragraph(
+                "Picture, predicted normals, light and material, and their rendering by the layer;"
+                " above from the record's radiance, below from a picture file, whose exposure is"
+                " not known."
+            ),
+            *shown(predictions, "prediction"),
         ]
     if edits:
-        parts += ["<h2>The same object in another material</h2>"]
-        parts += [
-            "<p>What was read from one picture, refined until it explains that picture, and"
-            " rendered again in other materials: "
+        body += [
+            "<h2>The same object in another material</h2>",
+            paragraph(
+                "The decomposition of one picture, refined until it explains that picture, and"
+                " rendered in other materials: first a record, beside Cycles' rendering of the"
+                " same edit where there is one; then a photograph, whose truth is not known."
+            ),
+            *shown(edits, "edit"),
         ]
-        parts += [
-            "a record's, beside what Cycles makes of the same edit where it was rendered; then a"
-            " photograph, where nobody knows.</p>"
-        ]
-        parts += [
-            f"<p><a href='{link(sheet)}'><img class=sheet src='{link(sheet)}' alt='edit'></a></p>"
-            for sheet in edits
-        ]
-    parts += ["<h2>How far Cycles and the layer are apart</h2>"]
-    parts += [
-        table(name, summary["breakdowns"][name])
+    body += ["<h2>How far Cycles and the layer are apart</h2>"]
+    body += [
+        breakdown(name, summary["breakdowns"][name])
         for name in SHOWN
         if summary["breakdowns"].get(name)
     ]
-    parts += ["<h2>Why</h2>", causes(summary.get("causes") or {})]
+    body += ["<h2>Why</h2>", causes(summary.get("causes") or {})]
     charts = sorted(agreement.glob("*.png"))
-    parts += ["<div class=charts>"] if charts else []
-    parts += [
-        f"<a href='{link(chart)}'><img src='{link(chart)}' alt='{html.escape(chart.stem)}'></a>"
-        for chart in charts
-    ]
-    return "\n".join(parts) + ("</div>" if charts else "") + "</html>\n"
+    if charts:
+        linked_charts = [linked(chart, chart.stem) for chart in charts]
+        body += ["<div class=charts>", *linked_charts, "</div>"]
+    return page(title, body, STYLE)
 
 
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the page as the command line says, and return the exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m learn.agreement.demo_page", description=__doc__.split(": ", 1)[1]
     )
-    parser.add_argument(
-        "--sheet",
-        action="append",
-        type=Path,
-        default=[],
-        metavar="PNG",
-        help="a contact sheet; repeatable",
-    )
-    parser.add_argument(
-        "--prediction",
-        action="append",
-        type=Path,
-        default=[],
-        metavar="PNG",
-        help="a sheet of `learn predict`; repeatable",
-    )
-    parser.add_argument(
-        "--edit",
-        action="append",
-        type=Path,
-        default=[],
-        metavar="PNG",
-        help="a sheet of `learn edit`; repeatable",
-    )
+    for option, what in (
+        ("--sheet", "a contact sheet"),
+        ("--prediction", "a contact sheet of `learn predict`"),
+        ("--edit", "a contact sheet of `learn edit`"),
+    ):
+        parser.add_argument(
+            option,
+            action="append",
+            type=Path,
+            default=[],
+            metavar="PNG",
+            help=f"{what}; repeatable",
+        )
     parser.add_argument(
         "--agreement",
         required=True,
@@ -241,16 +210,13 @@ def main(arguments=None):
     parser.add_argument("--out", required=True, type=Path, metavar="HTML", help="the page to write")
     options = parser.parse_args(arguments)
     try:
-        absent = [
-            sheet
-            for sheet in (*options.sheet, *options.prediction, *options.edit)
-            if not sheet.is_file()
-        ]
+        sheets = (*options.sheet, *options.prediction, *options.edit)
+        absent = [picture for picture in sheets if not picture.is_file()]
         if absent:
             raise InputError(
                 absent[0], "a picture", "none", "run `python -m factory preview DIR` first"
             )
-        text = page(
+        text = demo_page(
             options.out,
             options.sheet,
             options.agreement,

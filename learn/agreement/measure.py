@@ -1,27 +1,32 @@
-"""One scene measured: the layer's picture against Cycles', in every tier, light resolution and seed
-there is.
+"""Measurements of one scene: the layer's picture against Cycles', in every tier, light and seed.
 
-C    Cycles' radiance, one picture a seed;  I the layer's converged integral, S the paper's sum;
-each (H, W, 3), numpy
-D    display values in [0, 255] under one exposure a condition: the 99th percentile of Cycles'
-luminance over the mask becomes 1
+C    Cycles' radiance, one picture per seed;  I the layer's converged integral, S the paper's sum
+     over texels; each (H, W, 3), numpy
+D    display values in [0, 255] under one exposure per condition: the 99th percentile of Cycles'
+     luminance over the mask becomes 1
 L2   mean over pixels of the mean over channels of the squared difference of display values
 
 The noise of one picture is half the L2 of two seeds. Net of it, L2 is the mean product of two
 seeds' differences from the layer, (D(C₁) − D(I)) (D(C₂) − D(I)): their noises are independent, so
-that only what both share remains.
+that only what both share remains. The layer's pictures are rendered from a record's true parts: I
+by quadrature at a tolerance that the user sets, S by the method "exact".
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 import torch
 
 from learn.agreement import surface
+from learn.agreement.scenes import Condition
 from learn.data.devices import array
+from learn.data.records import Sample
 from learn.layer import render
+from learn.layer.predictions import MEASURED, TEXEL_SUM
 from learn.methods import quadrature
-from learn.metrics.pictures import shared, similarity, squared
+from learn.metrics.pictures import similarity, squared_difference, squared_net_of_noise
+from manifests.materials import Material
 from shaders import tone
 from shaders.dsbrdf import SHAPE
 
@@ -33,22 +38,21 @@ OFFSETS = np.stack(np.meshgrid(*[np.array([-1, 0, 1]) / 3] * 2), -1).reshape(-1,
 
 @dataclass
 class Row:
-    """One condition's figures. Per cent are fractions of Cycles' mean over the mask; L2 in display
-    values squared.
+    """One condition's figures. L2 is in display values squared.
 
-    signed, absolute     mean of I − C and of |I − C|, relative
+    signed, absolute     mean of I − C and of |I − C|, relative to Cycles' mean over the mask
     l2, l2_frame, ssim   of I against C over the mask, over the frame, over the mask; means over
-    seeds
+                         seeds
     noise, net           None with a single seed
     sum_*                the same of the paper's sum S
-    edge_share           share of the mask that lies on edges; edge_net: their part of net;
-    inner_net the others' part
+    edge_share           share of the mask that is on edges; edge_net: their part of net;
+                         inner_net: the others' part
     like_net             net over the pixels inside alone, the layer averaged over each pixel's
-    square if Cycles' pictures are
+                         square if Cycles' pictures are
     node_fit             display L2 between label and nodes as the catalogue states it, mean over
-    the scene's materials
+                         the scene's materials
     grazing              per bin of surface.GRAZING_DEG, over the pixels inside, like for like:
-    pixels, mean L2, mean relative signed error
+                         pixels, mean L2, mean relative signed error
     """
 
     id: str
@@ -86,7 +90,8 @@ class Row:
     grazing: list
     causes: dict | None = None
 
-    def to_json(self):
+    def to_json(self) -> dict:
+        """Return the row as plain JSON."""
         return asdict(self)
 
 
@@ -94,8 +99,11 @@ class Row:
 class Layer:
     """The layer's pictures of a scene, and its surface.
 
-    integral I, footprint (I averaged over pixels), sum S (H, W, 3); mask, inner (H, W) bool; cos_o
-    (H, W) = n·v
+    integral     I, (H, W, 3)
+    footprint    I averaged over each pixel's square, (H, W, 3)
+    sum          S, (H, W, 3)
+    mask, inner  (H, W) bool
+    cos_o        (H, W) n·v
     """
 
     integral: np.ndarray
@@ -106,39 +114,41 @@ class Layer:
     cos_o: np.ndarray
 
 
-def rendered(sample, tolerance, device="cpu"):
-    """The Layer of a learn.data.records.Sample, rendered on a device; tolerance: of the
-    quadrature.
-    """
+def rendered(sample: Sample, tolerance: float, device: str | torch.device = "cpu") -> Layer:
+    """Return the Layer of a Sample, rendered on a device; tolerance: of the converged integral."""
     arguments = sample.for_layer(device)
     with torch.no_grad():
         integral, total = (
             render(**arguments, method=method, tolerance=tolerance)[0]
-            for method in ("quadrature", "exact")
+            for method in (MEASURED.method, TEXEL_SUM.method)
         )
     n, segments, depth = (tensor.numpy() for tensor in (sample.n, sample.segments, sample.depth))
     camera = sample.record.camera
     pixel = 2 * camera.half_extent / max(camera.size)
     view = np.array([0.0, 0.0, 1.0]) if sample.view is None else sample.view.numpy()
     inner = surface.inner(n, segments, depth, pixel)
-    integral = array(integral.double())
-    spread = footprint(sample, integral, inner, tolerance, device)
-    return Layer(integral, spread, array(total.double()), segments > 0, inner, (n * view).sum(-1))
+    centre = array(integral.double())
+    spread = footprint(sample, centre, inner, tolerance, device)
+    return Layer(centre, spread, array(total.double()), segments > 0, inner, (n * view).sum(-1))
 
 
-def narrow(m):
-    """Whether a lobe of m (…, 3, 3, 2, 6) is so narrow that texels and pixels are coarse beside
-    it.
-    """
-    return bool(quadrature.exponents(m).max() > NARROW)
+def narrow(m: torch.Tensor) -> bool:
+    """Return whether texels and pixels are too coarse for a lobe of m (…, 3, 3, 2, 6)."""
+    return bool(quadrature.sharpness_bound(m).max() > NARROW)
 
 
-def footprint(sample, integral, inner, tolerance, device="cpu"):
-    """The integral averaged over each inner pixel's square, by normals between the neighbours' (H,
-    W, 3); elsewhere as it is.
+def footprint(
+    sample: Sample,
+    integral: np.ndarray,
+    inner: np.ndarray,
+    tolerance: float,
+    device: str | torch.device = "cpu",
+) -> np.ndarray:
+    """Return the integral (H, W, 3) averaged over the square of each inner pixel.
 
-    Where no lobe is narrow, a pixel's centre stands for its square (measured: below 0.001 display
-    L2), and nothing is rendered; nor where Cycles looked at pixels' centres itself.
+    Normals inside a pixel are interpolated between its neighbours'. Nothing is rendered where no
+    lobe is narrow, since a pixel's centre then stands for its square (measured: below 0.001 display
+    L2), nor where Cycles sampled pixels at their centres.
     """
     index = np.flatnonzero(inner)
     if (
@@ -158,9 +168,18 @@ def footprint(sample, integral, inner, tolerance, device="cpu"):
     return spread.reshape(integral.shape)
 
 
-def at_pixels(sample, index, n=None, turn=0, tolerance=1e-2, device="cpu"):
-    """The layer's integral (Q, 3) at flat pixel indices, by other normals n (Q, 3), or under the
-    light turned by whole texels.
+def at_pixels(
+    sample: Sample,
+    index: np.ndarray,
+    n: np.ndarray | None = None,
+    turn: int = 0,
+    tolerance: float = 1e-2,
+    device: str | torch.device = "cpu",
+) -> np.ndarray:
+    """Return the layer's integral (Q, 3) at flat pixel indices (Q,).
+
+    n     (Q, 3) other normals, or None
+    turn  of the light about the vertical, in whole texels
     """
     one = sample.for_layer(device)
     picked = {
@@ -172,14 +191,16 @@ def at_pixels(sample, index, n=None, turn=0, tolerance=1e-2, device="cpu"):
     if n is not None:
         one["n"] = torch.from_numpy(n.astype(np.float32))[None, None].to(device)
     with torch.no_grad():
-        return array(render(**one, method="quadrature", tolerance=tolerance)[0, 0].double())
+        return array(render(**one, method=MEASURED.method, tolerance=tolerance)[0, 0].double())
 
 
-def measure(condition, pictures, layer, entries):
-    """The Row of a Condition, and its display pictures (Cycles', layer's) for the page.
+def measure(
+    condition: Condition, pictures: np.ndarray, layer: Layer, entries: Sequence[Material]
+) -> tuple[Row, tuple[np.ndarray, np.ndarray]]:
+    """Return the Row of a Condition, and its display pictures (Cycles', layer's) for the page.
 
-    pictures  (seeds, H, W, 3) Cycles' radiance; entries: manifests.materials.Material of each of
-    the record's segments
+    pictures  (seeds, H, W, 3) Cycles' radiance
+    entries   the material of each of the record's segments
     """
     record, mask = condition.records[0], layer.mask
     C, pictures = pictures.mean(0), pictures.astype(np.float64)
@@ -187,15 +208,10 @@ def measure(condition, pictures, layer, entries):
     D_C, D_I, D_S = (
         tone.display(radiance, exposure) for radiance in (pictures, layer.integral, layer.sum)
     )
-    per_pixel = squared(D_C, D_I).mean(0)
+    per_pixel = squared_difference(D_C, D_I).mean(0)
     level = max(float(C[mask].mean()), 1e-12)
-    several = len(pictures) > 1
-    net = shared(D_C - D_I) if several else None
-    like = (
-        shared(D_C - tone.display(layer.footprint, exposure))[layer.inner]
-        if several and layer.inner.any()
-        else None
-    )
+    D_F = tone.display(layer.footprint, exposure)
+    alike = [s for s in (similarity(D, D_I, mask) for D in D_C) if s is not None]
     row = Row(
         id=record.id,
         shape=record.shape,
@@ -218,20 +234,10 @@ def measure(condition, pictures, layer, entries):
         absolute=float(np.abs(layer.integral - C)[mask].mean() / level),
         l2=float(per_pixel[mask].mean()),
         l2_frame=float(per_pixel.mean()),
-        ssim=float(
-            np.mean(
-                [s for s in (similarity(D, D_I, mask) for D in D_C) if s is not None] or [np.nan]
-            )
-        ),
-        noise=float(squared(D_C[0], D_C[1])[mask].mean() / 2) if several else None,
-        net=float(net[mask].mean()) if several else None,
+        ssim=float(np.mean(alike or [np.nan])),
         sum_signed=float((layer.sum - C)[mask].mean() / level),
-        sum_l2=float(squared(D_C, D_S).mean(0)[mask].mean()),
-        sum_net=float(shared(D_C - D_S)[mask].mean()) if several else None,
+        sum_l2=float(squared_difference(D_C, D_S).mean(0)[mask].mean()),
         edge_share=float((mask & ~layer.inner).sum() / mask.sum()),
-        edge_net=float(net[mask & ~layer.inner].sum() / mask.sum()) if several else None,
-        inner_net=float(net[mask & layer.inner].sum() / mask.sum()) if several else None,
-        like_net=None if like is None else float(like.mean()),
         node_fit=float(
             np.mean(
                 [np.mean(entry.errors.nodes_vs_label.display_l2 or (np.nan,)) for entry in entries]
@@ -239,19 +245,49 @@ def measure(condition, pictures, layer, entries):
         ),
         grazing=by_grazing(
             D_C,
-            tone.display(layer.footprint, exposure),
+            D_F,
             (layer.footprint - C).mean(-1) / level,
             layer,
         ),
+        **net_of_noise(D_C, D_I, D_S, D_F, layer),
     )
     return row, (D_C[0], D_I)
 
 
-def by_grazing(D_C, D, relative, layer):
-    """For each bin of the angle between normal and view, inside: pixels, mean L2 (net of noise
-    where known), mean relative error.
+def net_of_noise(
+    D_C: np.ndarray, D_I: np.ndarray, D_S: np.ndarray, D_F: np.ndarray, layer: Layer
+) -> dict:
+    """Return a Row's figures that need two seeds; None each where there is one.
+
+    D_C  (seeds, H, W, 3) of Cycles; D_I, D_S, D_F (H, W, 3) of the layer's integral, sum and
+         footprint: display values
     """
-    per_pixel = shared(D_C - D) if len(D_C) > 1 else squared(D_C, D).mean(0)
+    names = ("noise", "net", "sum_net", "edge_net", "inner_net", "like_net")
+    if len(D_C) < 2:
+        return dict.fromkeys(names)
+    mask, inner = layer.mask, layer.inner
+    net, count = squared_net_of_noise(D_C - D_I), mask.sum()
+    like = squared_net_of_noise(D_C - D_F)[inner]
+    return {
+        "noise": float(squared_difference(D_C[0], D_C[1])[mask].mean() / 2),
+        "net": float(net[mask].mean()),
+        "sum_net": float(squared_net_of_noise(D_C - D_S)[mask].mean()),
+        "edge_net": float(net[mask & ~inner].sum() / count),
+        "inner_net": float(net[mask & inner].sum() / count),
+        "like_net": float(like.mean()) if inner.any() else None,
+    }
+
+
+def by_grazing(
+    D_C: np.ndarray, D: np.ndarray, relative: np.ndarray, layer: Layer
+) -> list[dict[str, float]]:
+    """Return pixels, mean L2 and mean relative error of each bin of the grazing angle.
+
+    They are of the pixels inside; L2 is net of noise where it is known.
+    """
+    per_pixel = (
+        squared_net_of_noise(D_C - D) if len(D_C) > 1 else squared_difference(D_C, D).mean(0)
+    )
     angle = np.degrees(np.arccos(np.clip(layer.cos_o, 0, 1)))
     bins = []
     for low, high in zip(surface.GRAZING_DEG[:-1], surface.GRAZING_DEG[1:], strict=True):

@@ -1,15 +1,20 @@
 """The agreement's charts, drawn by matplotlib into PNG files."""
 
 import io
+from collections.abc import Iterable, Mapping, Sequence
 
 import matplotlib
 import numpy as np
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from learn.agreement.measure import Row
 
 INK, ACCENT, PALE = "#1f2933", "#2f6f9f", "#c9d6df"
-STYLE = {
+STYLE: dict = {
     "font.size": 9,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
@@ -32,15 +37,15 @@ NAMES = {
 }
 
 
-def draw(summary, rows):
-    """{file name: (PNG's bytes, caption)} of the charts that the rows allow."""
+def draw(summary: Mapping, rows: Iterable[Row]) -> dict[str, tuple[bytes, str]]:
+    """Return {file name: (PNG's bytes, caption)} of the charts that the rows allow."""
     own = [row for row in rows if row.tier == "direct" and row.light_resolution == "64x128"]
     made = {}
     with plt.rc_context(STYLE):
         for name, caption, chart in (
             (
                 "causes.png",
-                "The direct tier's disagreement taken apart: display L2 of each cause",
+                "The direct tier's disagreement by cause: display L2 of each",
                 lambda ax: causes(ax, summary["causes"]),
             ),
             (
@@ -68,15 +73,24 @@ def draw(summary, rows):
     return made
 
 
-def bars(ax, names, values, **style):
+def bars(
+    ax: Axes,
+    names: Sequence[str],
+    values: Sequence[float],
+    color: str | Sequence[str] = ACCENT,
+    height: float = 0.8,
+    label: str = "",
+) -> None:
+    """Draw horizontal bars, the first name at the top."""
     positions = np.arange(len(names))[::-1]
-    ax.barh(positions, values, **style)
+    ax.barh(positions, values, height, color=color, label=label)
     ax.set_yticks(positions, names)
     ax.grid(axis="y", visible=False)
 
 
-def causes(ax, found):
-    known = {NAMES[key]: found[key] for key in NAMES if found.get(key) is not None}
+def causes(ax: Axes, by_cause: Mapping[str, float | None]) -> bool:
+    """Draw the display L2 of each cause. Return whether there was one."""
+    known = {name: value for key, name in NAMES.items() if (value := by_cause.get(key)) is not None}
     if not known:
         return False
     bars(
@@ -91,7 +105,8 @@ def causes(ax, found):
     return True
 
 
-def materials(ax, summary):
+def materials(ax: Axes, summary: Mapping) -> bool:
+    """Draw the agreement of each material beside its node fit. Return whether there was one."""
     table = summary["breakdowns"]["material"]
     shown = [(name, cell) for name, cell in table.items() if cell["net"] is not None][:20]
     if not shown:
@@ -102,7 +117,6 @@ def materials(ax, summary):
         ax,
         names,
         [max(cell["net"], 0) for _, cell in shown],
-        color=ACCENT,
         height=0.6,
         label="layer − Cycles, net of noise",
     )
@@ -110,11 +124,13 @@ def materials(ax, summary):
     ax.plot(fits, positions, "D", color=INK, markersize=4, label="label − nodes (catalogue)")
     ax.set_xlabel("display L2")
     ax.legend(frameon=False, fontsize=7)
-    ax.figure.set_size_inches(5.2, 1.0 + 0.22 * max(len(shown), 6))
+    if isinstance(ax.figure, Figure):
+        ax.figure.set_size_inches(5.2, 1.0 + 0.22 * max(len(shown), 6))
     return True
 
 
-def grazing(ax, bins):
+def grazing(ax: Axes, bins: Iterable[Mapping]) -> bool:
+    """Draw the error by grazing angle. Return whether there were pixels."""
     seen = [cell for cell in bins if cell["pixels"]]
     if not seen:
         return False
@@ -136,29 +152,29 @@ def grazing(ax, bins):
     return True
 
 
-def highlight(ax, rows):
-    seen = [row for row in rows if row.net is not None]
+def highlight(ax: Axes, rows: Iterable[Row]) -> bool:
+    """Draw both sums' errors by the highlight's width. Return whether there were two seeds."""
+    seen = [
+        (max(row.half_width_deg, 0.05), row.sum_net, row.net)
+        for row in rows
+        if row.net is not None and row.sum_net is not None
+    ]
     if not seen:
         return False
-    width = [max(row.half_width_deg, 0.05) for row in seen]
-    ax.loglog(
-        width,
-        [max(row.sum_net, 1e-3) for row in seen],
-        "o",
-        color="#c2703d",
-        markersize=4,
-        alpha=0.7,
-        label="paper's sum",
-    )
-    ax.loglog(
-        width,
-        [max(row.net, 1e-3) for row in seen],
-        "o",
-        color=ACCENT,
-        markersize=4,
-        alpha=0.7,
-        label="converged integral",
-    )
+    width, of_sum, of_integral = zip(*seen, strict=True)
+    for values, colour, label in (
+        (of_sum, "#c2703d", "paper's sum"),
+        (of_integral, ACCENT, "converged integral"),
+    ):
+        ax.loglog(
+            width,
+            [max(value, 1e-3) for value in values],
+            "o",
+            color=colour,
+            markersize=4,
+            alpha=0.7,
+            label=label,
+        )
     ax.set(
         xlabel="half-width of the highlight, degrees of half angle",
         ylabel="display L2 net of noise",

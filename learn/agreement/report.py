@@ -1,72 +1,88 @@
-"""The whole comparison: every scene of a dataset, then the files that tell of it."""
+"""`learn agree`: the comparison of every scene of a dataset, and its report."""
 
 import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
 import numpy as np
+import torch
 from tqdm import tqdm
 
 from learn.agreement import causes, page, plots
-from learn.agreement.measure import measure, rendered
-from learn.agreement.scenes import scenes
+from learn.agreement.measure import Layer, Row, measure, rendered
+from learn.agreement.scenes import Condition, scenes
 from learn.agreement.summary import summarise
-from learn.data.records import Records
+from learn.data.records import Records, Sample
 from manifests import files
 from manifests.errors import InputError
+from manifests.materials import Material
 from manifests.provenance import provenance
 
 PANELS = 9  # pictures shown, the worst of the direct tier first
 
+Panel = tuple[str, np.ndarray, np.ndarray]  # caption, and display pictures of Cycles and the layer
+
 
 @dataclass(frozen=True)
 class Options:
-    """folder of the dataset; out; limit: pictures at most, None: all; tolerance of the converged
-    integral; device: of the layer's pictures.
+    """What is compared.
 
-    What takes a disagreement apart (learn.agreement.causes) is computed on the CPU, in float64.
+    folder     of the dataset
+    out        folder of the report
+    limit      largest number of pictures; None: all
+    tolerance  of the converged integral
+    device     of the layer's pictures; causes (learn.agreement.causes) are measured on the CPU, in
+               float64
     """
 
     folder: Path
     out: Path
     limit: int | None = None
     tolerance: float = 4e-3
-    device: object = "cpu"
+    device: str | torch.device = "cpu"
 
 
 class Worst:
-    """The PANELS largest of what is offered; the rest is let go."""
+    """Keeps the PANELS pictures of the largest values that it is offered."""
 
-    def __init__(self):
-        self.heap, self.order = [], count()
+    def __init__(self) -> None:
+        self.heap: list[tuple] = []
+        self.order = count()
 
-    def offer(self, value, caption, pictures):
+    def offer(
+        self, value: tuple[bool, float], caption: str, pictures: Sequence[np.ndarray]
+    ) -> None:
+        """Keep a caption and two display pictures if their value is among the largest."""
         item = (value, next(self.order), caption, [p.astype(np.float32) for p in pictures])
         (heapq.heappushpop if len(self.heap) >= PANELS else heapq.heappush)(self.heap, item)
 
-    def panels(self):
+    def panels(self) -> list[Panel]:
+        """Return what was kept, the largest value first."""
         return [(caption, *pictures) for _, _, caption, pictures in sorted(self.heap, reverse=True)]
 
 
-def limited(groups, limit):
-    """Whole scenes, spread over the dataset, of at most `limit` pictures (at least one scene)."""
+def limited(groups: list[list[Condition]], limit: int | None) -> list[list[Condition]]:
+    """Return scenes, spread over the dataset, of at most `limit` pictures; at least one scene."""
     if limit is None:
         return groups
     order = np.random.default_rng(0).permutation(len(groups))
-    taken, total = [], 0
+    chosen: list[int] = []
+    total = 0
     for index in order:
         size = sum(len(condition.records) for condition in groups[index])
-        if taken and total + size > limit:
+        if chosen and total + size > limit:
             continue
-        taken.append(index)
+        chosen.append(index)
         total += size
-    return [groups[index] for index in sorted(taken)]
+    return [groups[index] for index in sorted(chosen)]
 
 
-def compare(options):
-    """Rows of every condition and the panels to show. Raises InputError for a dataset without
-    records, or a damaged file.
+def compare(options: Options) -> tuple[list[Row], list[Panel]]:
+    """Return the rows of every condition, and the panels to show.
+
+    Raises  InputError for a dataset without records, or a damaged file
     """
     records = Records(options.folder)
     if not len(records):
@@ -104,9 +120,16 @@ def compare(options):
     return rows, worst.panels()
 
 
-def compare_condition(condition, records, sample, layer, entries):
-    """The Row of a condition, causes included where the layer claims to model it, and its display
-    pictures.
+def compare_condition(
+    condition: Condition,
+    records: Records,
+    sample: Sample,
+    layer: Layer,
+    entries: Sequence[Material],
+) -> tuple[Row, tuple[np.ndarray, np.ndarray]]:
+    """Return the Row of a condition, and its display pictures.
+
+    The causes are measured where the layer models the condition.
     """
     pictures = np.stack([records.image(record) for record in condition.records])
     row, shown = measure(condition, pictures, layer, entries)
@@ -117,8 +140,8 @@ def compare_condition(condition, records, sample, layer, entries):
     return row, shown
 
 
-def about(options):
-    """What made the report: command, commit, machine, date."""
+def about(options: Options) -> dict[str, str]:
+    """Return the report's provenance: command, commit, machine and date."""
     limit = "" if options.limit is None else f" --limit {options.limit}"
     return provenance(
         f"python -m learn agree {options.folder.name} --out {options.out.name}{limit} --tolerance"
@@ -126,10 +149,8 @@ def about(options):
     )
 
 
-def make(options):
-    """Compare, and write report.json, report.md, index.html and the charts to options.out. Returns
-    the summary.
-    """
+def make(options: Options) -> dict:
+    """Compare, write report.json, report.md, index.html and the charts, and return the summary."""
     rows, panels = compare(options)
     summary, origin = summarise(rows), about(options)
     options.out.mkdir(parents=True, exist_ok=True)

@@ -1,11 +1,11 @@
-"""Records grouped by what the layer sees: one scene is rendered by the layer once, and compared
-with every picture of it.
+"""Records grouped by scene: the layer renders a scene once, for comparison with all its pictures.
 
 scene      geometry, materials, light, rotation and camera: all that the layer's picture depends on
 condition  a scene in one light-transport tier, at one light resolution, with one number of samples
-seeds      a condition's pictures; they differ in nothing but the seed, hence in nothing but noise
+seeds      a condition's pictures; they differ only by their seed, and so only by noise
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from manifests.schema import Record
@@ -13,7 +13,7 @@ from manifests.schema import Record
 
 @dataclass(frozen=True)
 class Condition:
-    """tier, light_resolution, samples; records: one a seed, in order of seed."""
+    """A tier, a light resolution and a number of samples; records: one per seed, in order."""
 
     tier: str
     light_resolution: str
@@ -21,16 +21,14 @@ class Condition:
     records: tuple[Record, ...]
 
     @property
-    def direct(self):
-        """True if Cycles was asked for what the layer computes: no shadow, no interreflection, the
-        64×128 map.
-        """
+    def direct(self) -> bool:
+        """Whether Cycles rendered what the layer models: direct light of the 64×128 map."""
         return self.tier == "direct" and self.light_resolution == "64x128"
 
 
-def scenes(records):
-    """The records as scenes: a list of lists of Conditions, in order of the records."""
-    result = {}
+def scenes(records: Iterable[Record]) -> list[list[Condition]]:
+    """Return the records as scenes, each a list of Conditions, in order of the records."""
+    result: dict[tuple, dict[tuple[str, str, int], list[Record]]] = {}
     for record in records:
         scene = (
             record.geometry,
@@ -42,10 +40,13 @@ def scenes(records):
         condition = (record.tier, record.light_resolution, record.samples)
         result.setdefault(scene, {}).setdefault(condition, []).append(record)
 
-    def seeds(group):
+    def seeds(group: list[Record]) -> tuple[Record, ...]:
         return tuple(sorted(group, key=lambda record: record.seed))
 
     return [
-        [Condition(*condition, seeds(group)) for condition, group in scene.items()]
+        [
+            Condition(tier, resolution, samples, seeds(group))
+            for (tier, resolution, samples), group in scene.items()
+        ]
         for scene in result.values()
     ]

@@ -1,15 +1,17 @@
-"""A dataset's rows added up: the headline, the breakdowns, the causes.
+"""Means over a dataset's rows: the headline, the breakdowns, and the causes.
 
-Means are over conditions (pictures of one scene in one tier), each counting alike. net and noise:
+Means are over conditions (pictures of one scene in one tier) with equal weights; net and noise are
 over those with two seeds or more.
 """
+
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from learn.agreement import surface
+from learn.agreement.measure import Row
 
-# net display L2 of the direct tier, in units of the materials' own node fit: the agreement that was
-# asked for
+# net display L2 of the direct tier, in units of the materials' own node fit
 LIMIT = 1.5
 FIGURES = (
     "signed",
@@ -24,7 +26,7 @@ FIGURES = (
     "node_fit",
 )
 CAUSES = ("noise", "node_fit", "footprint", "look_up", "net", "net_footprint", "rest", "texel_sum")
-DIMENSIONS = {
+DIMENSIONS: dict[str, Callable[[Row], str]] = {
     "tier and light resolution": lambda row: f"{row.tier}, {row.light_resolution}",
     "highlight": lambda row: surface.width_name(row.half_width_deg),
     "material": lambda row: " + ".join(dict.fromkeys(row.materials)),
@@ -37,40 +39,41 @@ DIMENSIONS = {
 }
 
 
-def mean(values):
-    """Mean of the values that are known, or None."""
+def mean(values: Iterable[float | None]) -> float | None:
+    """Return the mean of the values that are known, or None."""
     known = [value for value in values if value is not None and np.isfinite(value)]
     return float(np.mean(known)) if known else None
 
 
-def figures(rows):
-    """{figure: mean} of some rows, and how many."""
+def figures(rows: Sequence[Row]) -> dict[str, float | None]:
+    """Return {figure: mean} of some rows, and their number."""
     return {"pictures": sum(row.seeds for row in rows), "conditions": len(rows)} | {
         f: mean([getattr(row, f) for row in rows]) for f in FIGURES
     }
 
 
-def direct(rows):
-    """Rows of what the layer claims to model: no shadow, no interreflection, the 64×128 map."""
+def direct(rows: Iterable[Row]) -> list[Row]:
+    """Return the rows of what the layer models: direct light of the 64×128 map."""
     return [row for row in rows if row.tier == "direct" and row.light_resolution == "64x128"]
 
 
-def breakdown(rows, key):
-    """{value: figures}, the worst l2 first."""
-    groups = {}
+def breakdown(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, dict[str, float | None]]:
+    """Return {value: figures}, the largest l2 first."""
+    groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(key(row), []).append(row)
     return dict(
         sorted(
             ((value, figures(group)) for value, group in groups.items()),
-            key=lambda item: -item[1]["l2"],
+            key=lambda item: -(item[1]["l2"] or 0.0),
         )
     )
 
 
-def grazing(rows):
-    """A list over the bins of surface.GRAZING_DEG: pixels, mean L2, mean relative signed error,
-    pixels counting alike.
+def grazing(rows: Sequence[Row]) -> list[dict]:
+    """Return for each bin of surface.GRAZING_DEG its pixels, mean L2 and mean signed error.
+
+    All pixels have equal weights; the signed error is relative.
     """
     bins = []
     for i, low in enumerate(surface.GRAZING_DEG[:-1]):
@@ -86,12 +89,13 @@ def grazing(rows):
     return bins
 
 
-def causes(rows):
-    """Mean L2 of each cause over the direct rows taken apart, and of the edges; the light's turn in
-    texels.
+def causes(rows: Sequence[Row]) -> dict:
+    """Return the mean L2 of each cause and of the edges, and the light's turn in texels.
+
+    rows  of the direct tier; those whose causes were measured count
     """
     known = [row.causes for row in rows if row.causes]
-    out = {name: mean([cause[name] for cause in known]) for name in CAUSES}
+    out: dict = {name: mean([cause[name] for cause in known]) for name in CAUSES}
     out["edges"] = mean([row.edge_net for row in rows])
     shifts = [cause["look_up_texels"] for cause in known]
     out["look_up_texels"] = (
@@ -102,15 +106,14 @@ def causes(rows):
     return out
 
 
-def headline(rows):
-    """The direct tier's net display L2 against LIMIT times the node fit of its materials.
+def headline(rows: Iterable[Row]) -> dict:
+    """Return the direct tier's net display L2 against LIMIT times the node fit of its materials.
 
     net        over the whole mask; like_net over the pixels inside, both renderers over the same
-    part of the pixel: what the limit judges,
-               since a silhouette pixel of Cycles is partly background and the layer knows no
-               background
+               part of the pixel. The limit judges like_net, since a silhouette pixel of Cycles is
+               partly background, and the layer has no background
     node_fit   of the catalogue; node_fit_measured on these very pictures (inner pixels). The limit
-    takes the catalogue's where there is one
+               uses the catalogue's where there is one
     holds      None if there is no second seed
     """
     own = direct(rows)
@@ -128,8 +131,8 @@ def headline(rows):
     return {"conditions": len(own), "net": net, "like_net": like} | shares | fits
 
 
-def summarise(rows):
-    """All of it, for report.json and the page."""
+def summarise(rows: Sequence[Row]) -> dict:
+    """Return the summary of report.json and of the page."""
     own = direct(rows)
     return {
         "all": figures(rows) if rows else {},

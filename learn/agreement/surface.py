@@ -1,5 +1,4 @@
-"""What an agreement depends on, read from geometry and labels: edges, grazing angle, the width of
-the highlight.
+"""Properties that an agreement depends on: edges, grazing angle, and the width of the highlight.
 
 n (H, W, 3) camera frame, segments (H, W), depth (H, W); numpy arrays
 """
@@ -18,11 +17,12 @@ WIDTHS_DEG = (0.0, 1.0, 4.0, 15.0, 90.0)
 WIDTH_NAMES = ("mirror-like, below 1°", "sharp, 1–4°", "glossy, 4–15°", "matte, above 15°")
 
 
-def inner(n, segments, depth, pixel):
-    """Pixels (H, W) bool whose eight neighbours lie on the same smooth piece of surface: no
-    silhouette, segment border or crease.
+def inner(n: np.ndarray, segments: np.ndarray, depth: np.ndarray, pixel: float) -> np.ndarray:
+    """Return the pixels (H, W) bool away from silhouettes, segment borders and creases.
 
-    pixel  its width in units of depth
+    The eight neighbours of such a pixel are on the same smooth piece of surface.
+
+    pixel  width of a pixel in units of depth
     """
     smooth = segments > 0
     rows, columns = segments.shape
@@ -45,11 +45,13 @@ def inner(n, segments, depth, pixel):
     return smooth
 
 
-def sub_pixel_normals(n, offsets):
-    """Normals at places inside pixels, by the slope between neighbours.
+def sub_pixel_normals(n: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Return unit normals (K, H, W, 3) at places inside pixels, by the slope between neighbours.
 
-    n        (H, W, 3); offsets (K, 2) in pixels: rightwards, downwards
-    Returns  (K, H, W, 3) unit; right where `inner` holds
+    They are right where `inner` holds.
+
+    n        (H, W, 3)
+    offsets  (K, 2) in pixels: rightwards, downwards
     """
     padded = np.pad(n, ((1, 1), (1, 1), (0, 0)))
     rightwards = 0.5 * (padded[1:-1, 2:] - padded[1:-1, :-2])
@@ -62,9 +64,12 @@ def sub_pixel_normals(n, offsets):
     return moved / np.maximum(np.linalg.norm(moved, axis=-1, keepdims=True), 1e-12)
 
 
-def highlight_half_width(m, theta_d_deg=20.0):
-    """Half angle θ_h in degrees at which the BRDF (channels' mean) falls to half its peak; m (108,)
-    control values; 90 if it never does.
+def highlight_half_width(m: np.ndarray, theta_d_deg: float = 20.0) -> float:
+    """Return the half angle θ_h in degrees at which the BRDF falls to half its peak.
+
+    The BRDF is the mean over channels; the angle is 90 if it never falls so low.
+
+    m  (108,) control values
     """
     theta_h = np.concatenate([[0.0], np.geomspace(1e-4, np.pi / 2, 400)])
     f = dsbrdf.evaluate(
@@ -74,8 +79,8 @@ def highlight_half_width(m, theta_d_deg=20.0):
     return float(np.degrees(theta_h[below[0]])) if len(below) else 90.0
 
 
-def width_name(width_deg):
-    """The class of a highlight's half-width, in words."""
+def width_name(width_deg: float) -> str:
+    """Return the class of a highlight's half-width in words."""
     return WIDTH_NAMES[
         int(
             np.clip(

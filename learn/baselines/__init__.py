@@ -1,5 +1,6 @@
-"""The methods that Section 4.5 compares with, trained and run on our data; docs/baselines.md says
-what in them is ours.
+"""The methods that Section 4.5 compares with, trained and run on our data.
+
+docs/baselines.md states what in them is ours.
 """
 
 FILES = {

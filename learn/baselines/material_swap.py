@@ -1,42 +1,44 @@
-"""Training of Baseline 1: the loop of learn.training, given pictures of what is wanted. Its terms,
-weighed as a run's `losses` say:
+"""Training of Baseline 1: the loop of learn.training, with pictures of the target material.
 
-target           mean (O' − c(O))² over the mask's pixels and channels, c =
-learn.networks.coding.compressed
+The terms, weighed as a run's `losses` say:
+target           mean (O' − c(O))² over the mask's pixels and channels,
+                 c = learn.networks.coding.compressed
 target_features  the same two pictures compared by features (learn.networks.features): the paper's
-perceptual loss
-material         mean (code' − code)² of the input's material, read from f_m, and of the wanted one,
-read from e(m_t)
+                 perceptual loss
+material         mean (code' − code)² of the input's material, read from f_m, and of the target's,
+                 read from e(m_t)
 """
 
 from dataclasses import replace
+from pathlib import Path
 
-import msgspec
 import numpy as np
 import torch
 
 from learn.data import devices
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.relit import BRIGHTEST, RelitDataset
+from learn.data.settings import Losses
+from learn.figures.montage import grid
 from learn.layer import render
-from learn.networks import weights as checkpoint
-from learn.networks.coding import compressed
-from learn.networks.encoder_decoder import EncoderDecoder, radiance
-from learn.training.loop import Training
+from learn.metrics.pictures import display_l2
+from learn.networks.coding import Ranges, compressed
+from learn.networks.encoder_decoder import Edited, EncoderDecoder, radiance
+from learn.networks.features import Features
+from learn.networks.prediction import required
+from learn.training.loop import VALIDATION_BATCHES, Training
 from learn.training.losses import compared_by
 from manifests.files import write_image
 from shaders import tone
 
-VALIDATION_BATCHES = 2
-ROWS = 6
+ROWS = 6  # of a contact sheet
 
 
-class Paired(RelitDataset):
-    """Relit batches with the true O beside the true I: the same shape and light, rendered in the
-    target material.
-    """
+class PairedDataset(RelitDataset):
+    """Relit batches that hold the true O: the same shapes and light in the target material."""
 
-    def __getitem__(self, k):
+    def __getitem__(self, k: int) -> ExampleBatch:
         batch = super().__getitem__(k)
         pictures = []
         # a group shares material and light, so its map too
@@ -59,13 +61,13 @@ class Paired(RelitDataset):
 
 
 class SwapTraining(Training):
-    """As learn.training.loop.Training, for learn.networks.encoder_decoder.EncoderDecoder."""
+    """Training of learn.networks.encoder_decoder.EncoderDecoder."""
 
     network_name = EncoderDecoder.name
 
-    def _source(self):
+    def _source(self) -> PairedDataset:
         run = self.run
-        return Paired(
+        return PairedDataset(
             self.data_splits["train"],
             run.data,
             run.schedule.batch,
@@ -74,41 +76,49 @@ class SwapTraining(Training):
             (self.rank, self.world),
         )
 
-    def predict(self, model, batch, parts=None):
+    def predict(
+        self,
+        model: torch.nn.Module,
+        batch: ExampleBatch,
+        parts: tuple[str, ...] | None = None,
+    ) -> Edited:
+        """Return what the model reads and draws; it has no parts to choose from."""
         with devices.mixed_precision(self.device, self.run.mixed_precision):
             return model(batch.image, batch.mask, batch.target_label[:, :1])
 
-    def _terms(self, prediction, batch, weights, rng):
-        return terms(prediction, batch, weights, self.network.ranges, self.features)
+    def _terms(
+        self, prediction: Edited, batch: ExampleBatch, loss_weights: Losses, rng: torch.Generator
+    ) -> dict[str, torch.Tensor]:
+        return terms(prediction, batch, loss_weights, self.network.ranges, self.features)
 
-    def _validate(self):
+    def _validate(self) -> dict[str, float]:
         run, network = self.run, self.averaged()
-        source = Paired(self.data_splits["validation"], run.data, run.schedule.batch, run.size, 20)
+        data_split = self.data_splits["validation"]
+        source = PairedDataset(data_split, run.data, run.schedule.batch, run.size, 20)
         with torch.no_grad():
             batches = [source[k].to(self.device) for k in range(VALIDATION_BATCHES)]
             edits = [self._predicted(network, batch) for batch in batches]
-        write_montage(self.out / f"sheet-{self.step:07d}.jpg", batches[0], edits[0])
-        run_json = msgspec.json.encode(run).decode()
-        checkpoint.save_weights(
-            self.out / "weights.safetensors",
-            self.network,
-            self.average,
-            run_json,
-            run.size,
-            self.step,
-        )
+        write_montage(self._sheet_path(), batches[0], edits[0])
+        self._save_weights()
         results = [
             figures(edit, batch, network.ranges) for edit, batch in zip(edits, batches, strict=True)
         ]
         return {name: float(np.mean([f[name] for f in results])) for name in results[0]}
 
 
-def terms(edited, batch, weights, ranges, features=None):
-    """{name: scalar}; see the module. weights: learn.data.settings.Losses; features:
-    learn.networks.features.Features, if asked for.
+def terms(
+    edited: Edited,
+    batch: ExampleBatch,
+    weights: Losses,
+    ranges: Ranges,
+    features: Features | None = None,
+) -> dict[str, torch.Tensor]:
+    """Return {term: scalar}, as the module's text defines them.
+
+    features  needed where target_features has a weight
     """
     inside = (batch.segments > 0)[:, None] * batch.mask
-    truth = compressed(batch.target)
+    truth = compressed(required(batch.target))
     read = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean()
     embedded = ((edited.embedded - ranges.code(batch.target_label[:, :1])) ** 2).mean()
     result = {"material": read + embedded}
@@ -121,31 +131,32 @@ def terms(edited, batch, weights, ranges, features=None):
     return result
 
 
-def figures(edited, batch, ranges):
-    """Display L2 over the mask of O' and of the input returned unchanged, against the true O;
-    code_l2 of the input's material.
+def figures(edited: Edited, batch: ExampleBatch, ranges: Ranges) -> dict[str, float]:
+    """Return {"target_l2", "unchanged_l2", "code_l2"} as means over a batch.
+
+    The first two are display L2 over the mask against the true O, of O' and of the input returned
+    unchanged; code_l2 is of the input's material.
     """
     drawn = array(radiance(edited.picture).movedim(1, -1))
-    result = {"target_l2": [], "unchanged_l2": []}
-    for i, truth in enumerate(array(batch.target.movedim(1, -1))):
+    result: dict[str, list[float]] = {"target_l2": [], "unchanged_l2": []}
+    for i, truth in enumerate(array(required(batch.target).movedim(1, -1))):
         mask = array(batch.segments[i] > 0)
-        exposure = tone.auto_exposure(truth, mask)
         for name, picture in (
             ("target_l2", drawn[i]),
             ("unchanged_l2", array(batch.image[i].movedim(0, -1))),
         ):
-            result[name].append(tone.display_l2(picture, truth, exposure, mask))
+            result[name].append(display_l2(picture, truth, mask))
     code_l2 = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean().item()
     return {name: float(np.mean(values)) for name, values in result.items()} | {"code_l2": code_l2}
 
 
-def write_montage(path, batch, edited):
-    """A JPEG with a row an example: the picture as seen, O', O."""
+def write_montage(path: Path, batch: ExampleBatch, edited: Edited) -> None:
+    """Write a JPEG with one row per example: the picture as seen, O' and O."""
     rows = []
     drawn = array((radiance(edited.picture) * batch.mask).movedim(1, -1))
     for i in range(min(ROWS, len(drawn))):
-        truth = array(batch.target[i].movedim(0, -1))
+        truth = array(required(batch.target)[i].movedim(0, -1))
         exposure = tone.auto_exposure(truth, array(batch.segments[i] > 0))
         cells = (array(batch.image[i].movedim(0, -1)), drawn[i], truth)
-        rows.append(np.concatenate([tone.display(cell, exposure) for cell in cells], 1))
-    write_image(path, np.concatenate(rows).astype(np.uint8), "JPEG", quality=90)
+        rows.append([tone.display(cell, exposure) for cell in cells])
+    write_image(path, grid(rows).astype(np.uint8), "JPEG", quality=90)

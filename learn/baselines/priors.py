@@ -1,15 +1,12 @@
-"""What is likely before a picture is seen: Gaussians over materials and lights, fitted to the
-training side alone.
+"""Priors: Gaussians over materials and lights, fitted to the training split alone.
 
 material  label = mean + z U, z (K,) standard normal, rows of U the principal directions of the
-training labels, scaled by their spread,
-          under every exchange of colour channels; the smallest are left out once 1 − KEPT of the
-          variance remains
+          training labels, scaled by their spread, under every exchange of colour channels; the
+          smallest are left out once 1 − VARIANCE of the variance remains
 light     log L = Σ_j (μ_j + σ_j z_j) Y_j over spherical harmonics up to DEGREE, in three colour
-axes, then unit mean luminance. μ_j is the
-          training maps' mean where it does not turn with the light (m = 0), else 0; σ_j is one
-          number a degree and axis: that light is smooth, bright above and nearly grey is all that
-          it says
+          axes, then unit mean luminance. μ_j is the training maps' mean for harmonics that do not
+          depend on the light's rotation (m = 0), else 0; σ_j is one number per degree and axis. So
+          the prior states no more than that light is smooth, bright above and nearly grey
 noise     standard deviation of compressed radiance about the layer's; not fitted but set: see NOISE
 
 J harmonics, K directions, M materials, N maps
@@ -17,7 +14,10 @@ J harmonics, K directions, M materials, N maps
 
 import itertools
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,19 +29,21 @@ from manifests.errors import InputError
 from shaders import envmap
 
 FORMAT = "brdfactory priors 1"
-KEPT = 0.99
+VARIANCE = 0.99
 DEGREE = 10
 MOST_MEDOIDS = 8
-NOISE = 0.03  # of log(1 + 8 I)/log 9: what a sum over 32×64 lights leaves between layer and picture
-DARKEST = 1e-2  # of the mean: darker texels count as this dark, for log has no floor of its own
+NOISE = 0.03  # of log(1 + 8 I)/log 9: the layer's error in a sum over 32×64 lights
+DARKEST = 1e-2  # of the mean: darker texels count as this dark, for the logarithm is unbounded
 # brightness, red against green, yellow against blue
 AXES = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]) / np.sqrt([[3], [2], [6]])
 
 
 @dataclass(frozen=True)
 class Priors:
-    """mean (108,), directions (K, 108), medoids (T, K) z of typical training materials, light_mean
-    and light_spread (J, 3).
+    """The parameters of both Gaussians.
+
+    mean (108,), directions (K, 108), medoids (T, K): z of typical training materials
+    light_mean, light_spread (J, 3)
     """
 
     mean: torch.Tensor
@@ -51,15 +53,15 @@ class Priors:
     light_spread: torch.Tensor
 
     def to(self, device: torch.device | str) -> "Priors":
-        """The same priors with their tensors on a device."""
+        """Return the same priors with their tensors on a device."""
         return Priors(**{name: tensor.to(device) for name, tensor in vars(self).items()})
 
-    def label(self, z):
-        """(…, 108) of z (…, K)."""
+    def label(self, z: torch.Tensor) -> torch.Tensor:
+        """Return the label (…, 108) of z (…, K)."""
         return self.mean + z @ self.directions
 
-    def light(self, z, height, width):
-        """(1, 3, height, width) linear radiance of unit mean luminance, of z (J, 3)."""
+    def light(self, z: torch.Tensor, height: int, width: int) -> torch.Tensor:
+        """Return radiance (1, 3, height, width) of unit mean luminance, of z (J, 3)."""
         waves = torch.from_numpy(spherical_harmonics(height, width, DEGREE)).to(z)
         axes = torch.as_tensor(AXES).to(z)
         log = torch.einsum(
@@ -69,8 +71,8 @@ class Priors:
         return unit_mean(log.clamp(-10, 10).exp()[None], solid_angle)
 
 
-def fitted(labels, maps):
-    """Priors of training labels [(108,)] and maps [(64, 128, 3)]."""
+def fitted(labels: Sequence[np.ndarray], maps: Sequence[np.ndarray]) -> Priors:
+    """Return the Priors of training labels [(108,)] and maps [(64, 128, 3)]."""
     mean, directions = _principal(np.stack(labels).astype(np.float64))
     z = (np.stack(labels) - mean) @ np.linalg.pinv(directions)
     mu, spread = _light(maps)
@@ -78,8 +80,8 @@ def fitted(labels, maps):
     return Priors(*(torch.from_numpy(np.ascontiguousarray(x)).double() for x in numbers))
 
 
-def _principal(labels):
-    """mean (108,), directions (K, 108): σ_k u_k, the largest first."""
+def _principal(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean (108,) and directions σ_k u_k (K, 108) of labels (M, 108), the largest first."""
     orders = itertools.permutations(range(3))
     all_labels = np.concatenate(
         [labels.reshape(-1, 3, 36)[:, list(order)].reshape(-1, 108) for order in orders]
@@ -87,13 +89,14 @@ def _principal(labels):
     mean = all_labels.mean(0)
     _, spread, directions = np.linalg.svd(all_labels - mean, full_matrices=False)
     total = (spread**2).sum()  # 0 for a data set of one grey material: nothing spreads
-    count = int(np.searchsorted(np.cumsum(spread**2) / total, KEPT)) + 1 if total > 0 else 1
+    count = int(np.searchsorted(np.cumsum(spread**2) / total, VARIANCE)) + 1 if total > 0 else 1
     return mean, (spread[:count, None] / np.sqrt(len(all_labels))) * directions[:count]
 
 
-def _medoids(z, count):
-    """(count, K): the training materials that together lie nearest to all others, found one by
-    one.
+def _medoids(z: np.ndarray, count: int) -> np.ndarray:
+    """Return the materials (count, K) of z (M, K) that together are nearest to all others.
+
+    They are chosen greedily, one by one.
     """
     distance = np.linalg.norm(z[:, None] - z[None], axis=-1)
     nearest, chosen = np.full(len(z), np.inf), []
@@ -104,9 +107,10 @@ def _medoids(z, count):
     return z[chosen]
 
 
-def _light(maps):
-    """mean, spread (J, 3) over harmonics and colour axes: least squares of each map's log radiance,
-    weighed by solid angle.
+def _light(maps: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and spread (J, 3) over harmonics and colour axes.
+
+    Each map's log radiance is fitted by least squares, weighed by solid angle.
     """
     height, width = 32, 64
     waves = (
@@ -127,10 +131,8 @@ def _light(maps):
     )
 
 
-def _degrees():
-    """(J,) degree and order of each harmonic, in the order of
-    learn.refinement.coordinates.spherical_harmonics.
-    """
+def _degrees() -> np.ndarray:
+    """Return degree and order of each harmonic, (2, J), in the order of `spherical_harmonics`."""
     each = [
         (degree, m)
         for m in range(DEGREE + 1)
@@ -140,13 +142,13 @@ def _degrees():
     return np.array(each).T
 
 
-def save(path, priors, report):
-    """told: what they were fitted to, for whoever reads the file."""
+def save(path: Path, priors: Priors, report: Mapping[str, Any]) -> None:
+    """Write priors. report: the materials and maps they were fitted to, as metadata of the file."""
     weights.save(path, vars(priors), {"format": FORMAT, "fitted": json.dumps(report)})
 
 
-def load(path):
-    """Priors of a file. Raises InputError."""
+def load(path: str | Path) -> Priors:
+    """Return the Priors of a file. Raises InputError."""
     remedy = "fit them: python -m learn train-baselines"
     with tensor_file.opened(path, "priors in a .safetensors file", remedy) as stored:
         names = Priors.__dataclass_fields__

@@ -1,14 +1,16 @@
-"""From a dataset and light maps to the baselines' files: what `learn train-baselines` does for each
-name.
-"""
+"""Training of the baselines, one file for each name (`learn train-baselines`)."""
+
+import argparse
+from pathlib import Path
 
 import msgspec
+import torch
 
 from learn.baselines import FILES, priors
 from learn.baselines.material_swap import SwapTraining
 from learn.data import settings, sources
 from learn.networks import tensor_file
-from learn.training import loop
+from learn.training import loop, processes
 from manifests.files import write_bytes
 
 FILE_OF = {
@@ -18,9 +20,17 @@ FILE_OF = {
 }
 
 
-def make(name, preset, options, device="cpu"):
-    """Make one file in options.out, and say so in a line. options: as
-    learn.commands.train_baselines parses them; device: of networks.
+def make(
+    name: str,
+    preset: str | Path | None,
+    options: argparse.Namespace,
+    device: torch.device | str = "cpu",
+) -> str:
+    """Make one file in options.out; return a line about it.
+
+    preset   of the run; None for priors, which are fitted without a run
+    options  as learn.commands.train_baselines parses them
+    device   of networks
     """
     target = options.out / FILE_OF[name]
     if target.exists():
@@ -42,14 +52,14 @@ def make(name, preset, options, device="cpu"):
         return f"{target}: {len(data_split.labels)} materials, {len(data_split.maps)} light maps"
     kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
     folder = options.out / name
-    with loop.only_writer(folder):
+    with processes.only_writer(folder):
         figures = kind(run, data_splits, folder, workers=options.workers, device=device).train()
     write_bytes(target, (folder / "weights.safetensors").read_bytes())
     return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())
 
 
-def resolved(run, options):
-    """A preset with the steps and the held-out lights that were asked for."""
+def resolved(run: settings.Run, options: argparse.Namespace) -> settings.Run:
+    """Return a preset with the steps and the held-out lights of the options."""
     if options.steps is not None:
         run = msgspec.structs.replace(
             run, schedule=msgspec.structs.replace(run.schedule, steps=options.steps)
@@ -57,11 +67,10 @@ def resolved(run, options):
     return msgspec.structs.replace(run, data=held_out(options, run.data))
 
 
-def held_out(options, data):
-    """data with the held-out lights of the weights options.like, if there are any, and with
-    materials from where theirs came.
+def held_out(options: argparse.Namespace, data: settings.Data) -> settings.Data:
+    """Return data with the held-out lights and the materials of the weights options.like, if any.
 
-    options.materials, if it is given, says whose materials, whatever the weights' were.
+    options.materials, where it is given, takes precedence over the weights' materials.
     """
     if options.like is None:
         return settings.with_materials(data, options.materials)

@@ -1,0 +1,1 @@
+"""The commands of `python -m learn`: one module each, and the options that they share."""

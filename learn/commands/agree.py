@@ -2,16 +2,20 @@
 differs.
 """
 
+from __future__ import annotations
+
+import argparse
 from pathlib import Path
 
-from learn.commands import device_option
+from learn.commands import options
 from manifests.option_types import positive
 
 # exit status: the report is whole, and says that the renderers disagree beyond the limit
 DISAGREE = 3
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command's parser."""
     parser = subparsers.add_parser(
         "agree",
         help="compare Cycles' pictures with the layer's, and say why they differ",
@@ -27,9 +31,7 @@ def register(subparsers):
     parser.add_argument(
         "dataset", type=Path, metavar="DIR", help="a folder that `python -m factory render` wrote"
     )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the report"
-    )
+    options.add_out(parser, "folder for the report")
     parser.add_argument(
         "--limit",
         type=positive,
@@ -46,26 +48,29 @@ def register(subparsers):
             " longer)"
         ),
     )
-    device_option.add(parser)
+    options.add_device(parser)
     parser.set_defaults(run=run)
 
 
-def fraction(text):
+def fraction(text: str) -> float:
+    """A number above 0 and below 1. Raises ValueError."""
     value = float(text)
     if not 0 < value < 1:
         raise ValueError(text)
     return value
 
 
-def run(options) -> int:
-    """The exit status: DISAGREE where the limit is judged and not kept, else 0."""
+def run(arguments: argparse.Namespace) -> int:
+    """Return the exit status: DISAGREE where the limit is judged and not kept, else 0."""
     from learn.agreement import page, report
     from learn.data import devices
 
-    device = devices.choose(options.device)
+    device = devices.choose(arguments.device)
     summary = report.make(
-        report.Options(options.dataset, options.out, options.limit, options.tolerance, device)
+        report.Options(
+            arguments.dataset, arguments.out, arguments.limit, arguments.tolerance, device
+        )
     )
     print(page.verdict(summary["direct"]))
-    print(f"See {options.out / 'index.html'}")
+    print(f"See {arguments.out / 'index.html'}")
     return DISAGREE if summary["direct"]["holds"] is False else 0

@@ -1,11 +1,15 @@
 """`learn edit`: the object of a photograph in another material."""
 
+from __future__ import annotations
+
+import argparse
 from pathlib import Path
 
-from learn.commands import editing_options
+from learn.commands import editing_options, options
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command's parser."""
     parser = subparsers.add_parser(
         "edit",
         help="change what the object of a photograph is made of",
@@ -53,9 +57,7 @@ def register(subparsers):
             " regions, A+B gives each its own; 'keep' leaves one"
         ),
     )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
-    )
+    options.add_out(parser)
     parser.add_argument(
         "--record",
         metavar="ID",
@@ -68,24 +70,25 @@ def register(subparsers):
     parser.set_defaults(run=run, continues=False)
 
 
-def run(options):
+def run(arguments: argparse.Namespace) -> None:
+    """Run the command on parsed arguments."""
     from learn.editing import edit
 
-    masks = [Path(mask) for mask in options.mask if mask != "alpha"]
-    edit_options = editing_options.edit_options(options)
+    masks = [Path(mask) for mask in arguments.mask if mask != "alpha"]
+    edit_options = editing_options.edit_options(arguments)
     report = edit.run(
-        options.photo,
+        arguments.photo,
         masks,
-        options.regions,
-        options.material,
-        options.out,
+        arguments.regions,
+        arguments.material,
+        arguments.out,
         edit_options,
-        options.record,
-        options.overwrite,
+        arguments.record,
+        arguments.overwrite,
     )
     for text, error in report["display_l2"].items():
         print(
             f"{text}: display L2 {error['mask']:.1f} over the object, {error['frame']:.1f} over the"
             " frame, against the rendered truth"
         )
-    print(f"See {options.out / 'sheet.png'}")
+    print(f"See {arguments.out / 'sheet.png'}")

@@ -1,15 +1,20 @@
-"""Options that the commands `edit` and `transfer` share."""
+"""Options that the commands `edit` and `transfer` share, and what their values must be."""
+
+from __future__ import annotations
 
 import argparse
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from learn.commands import device_option
+from learn.commands import options
+
+if TYPE_CHECKING:
+    from learn.editing.edit import EditOptions
 
 LARGEST_FACTOR = 100  # of a white balance
 
 
-def add(parser):
-    """Adds them to a parser."""
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add them to a parser."""
     parser.add_argument(
         "--refine",
         action=argparse.BooleanOptionalAction,
@@ -36,15 +41,7 @@ def add(parser):
             " includes fine highlights"
         ),
     )
-    parser.add_argument(
-        "--exposure",
-        type=float,
-        metavar="X",
-        help=(
-            "multiply the photograph by X to get radiance (default: estimated from the object's"
-            " brightness)"
-        ),
-    )
+    options.add_exposure(parser, "photograph")
     parser.add_argument(
         "--white-balance",
         default="none",
@@ -54,63 +51,56 @@ def add(parser):
             " average; or three factors R,G,B"
         ),
     )
-    parser.add_argument(
-        "--weights",
-        type=Path,
-        metavar="FILE",
-        help=(
-            "weights.safetensors of a training run (default: the weights that come with the"
-            " program)"
-        ),
-    )
-    device_option.add(parser)
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace earlier results in the folder"
-    )
+    options.add_weights(parser)
+    options.add_device(parser)
+    options.add_overwrite(parser)
 
 
-def edit_options(options):
-    """learn.editing.edit.EditOptions of parsed options. Raises InputError."""
+def edit_options(arguments: argparse.Namespace) -> EditOptions:
+    """Return the EditOptions of parsed arguments. Raises InputError."""
     from learn.data import devices
     from learn.editing.edit import EditOptions
     from learn.editing.predict import WEIGHTS
-    from learn.refinement import Settings
+    from learn.refinement import RefinementSettings
 
     check(
-        "--tolerance", 0 < options.tolerance < 1, "a number above 0 and below 1", options.tolerance
+        "--tolerance",
+        0 < arguments.tolerance < 1,
+        "a number above 0 and below 1",
+        arguments.tolerance,
     )
-    check("--detail", 0 <= options.detail <= 1, "a number from 0 to 1", options.detail)
-    check_exposure(options.exposure)
-    settings = Settings() if options.refine else None
-    balance = balance_of(options.white_balance)
-    device = devices.choose(options.device)
+    check("--detail", 0 <= arguments.detail <= 1, "a number from 0 to 1", arguments.detail)
+    check_exposure(arguments.exposure)
+    settings = RefinementSettings() if arguments.refine else None
+    balance = balance_of(arguments.white_balance)
+    device = devices.choose(arguments.device)
     return EditOptions(
-        options.weights or WEIGHTS,
+        arguments.weights or WEIGHTS,
         settings,
-        options.tolerance,
-        options.detail,
-        options.exposure,
+        arguments.tolerance,
+        arguments.detail,
+        arguments.exposure,
         balance,
         device,
     )
 
 
-def check_exposure(value):
-    """Raises InputError for a factor that is not above 0 and finite; None: none was given."""
+def check_exposure(value: float | None) -> None:
+    """Raise InputError for a factor that is not above 0 and finite; None is the default."""
     if value is not None:
         check("--exposure", 0 < value < float("inf"), "a number above 0", value)
 
 
-def check(name, holds, rule, value):
-    """Raises InputError where a rule does not hold of an option's value."""
+def check(name: str, holds: bool, rule: str, value: float) -> None:
+    """Raise InputError where a rule does not hold of an option's value."""
     from manifests.errors import InputError
 
     if not holds:
         raise InputError(name, rule, f"{value:g}", "see --help")
 
 
-def balance_of(text):
-    """ "none", "grey", or three positive factors."""
+def balance_of(text: str) -> str | tuple[float, ...]:
+    """Return "none", "grey", or three positive factors. Raises InputError."""
     from manifests.errors import InputError
 
     if text in ("none", "grey"):

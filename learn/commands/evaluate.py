@@ -2,13 +2,17 @@
 are.
 """
 
+from __future__ import annotations
+
+import argparse
 from pathlib import Path
 
-from learn.commands import device_option
-from manifests.option_types import MATERIALS, positive, whole
+from learn.commands import options
+from manifests.option_types import positive, whole
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command's parser."""
     parser = subparsers.add_parser(
         "evaluate",
         help="measure edits against Cycles' renderings of the same edits",
@@ -20,25 +24,9 @@ def register(subparsers):
             " run, and a larger --edits adds to it."
         ),
     )
-    parser.add_argument(
-        "--data",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="a dataset with pictures in two materials or more of each view",
-    )
-    parser.add_argument(
-        "--weights",
-        type=Path,
-        metavar="FILE",
-        help=(
-            "weights.safetensors of a training run (default: the weights that come with the"
-            " program)"
-        ),
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
-    )
+    options.add_data(parser, "a data set with pictures in two materials or more of each view")
+    options.add_weights(parser)
+    options.add_out(parser)
     parser.add_argument(
         "--edits",
         type=positive,
@@ -71,22 +59,12 @@ def register(subparsers):
         metavar="FILE",
         help="LPIPS' AlexNet weights, .safetensors (docs/evaluation.md); else no such column",
     )
-    parser.add_argument(
-        "--materials",
-        choices=MATERIALS,
-        default="dataset",
-        help=(
-            "whose training materials the row 'mean material' is the mean of: the data set's own,"
-            " or the built-in ones (default: dataset)"
-        ),
+    options.add_materials(
+        parser,
+        "whose training materials the row 'mean material' is the mean of: the data set's own, or"
+        " the built-in ones (default: dataset)",
     )
-    parser.add_argument(
-        "--seed",
-        type=whole,
-        default=0,
-        metavar="N",
-        help="seed by which edits are drawn (default 0)",
-    )
+    options.add_seed(parser, "seed by which edits are drawn")
     parser.add_argument(
         "--processes",
         type=positive,
@@ -100,11 +78,12 @@ def register(subparsers):
         metavar="N",
         help="number of edits shown as pictures (default 12)",
     )
-    device_option.add(parser)
+    options.add_device(parser)
     parser.set_defaults(run=run)
 
 
-def run(options):
+def run(arguments: argparse.Namespace) -> None:
+    """Run the command on parsed arguments."""
     import os
 
     from learn.data import devices
@@ -112,9 +91,9 @@ def run(options):
     from learn.evaluation import report, run
 
     names = run.Options.__dataclass_fields__
-    given = {name: value for name, value in vars(options).items() if name in names}
-    given["weights"] = options.weights or predict.WEIGHTS
-    given["device"] = str(devices.choose(options.device))
-    given["processes"] = options.processes or os.cpu_count() or 1
+    given = {name: value for name, value in vars(arguments).items() if name in names}
+    given["weights"] = arguments.weights or predict.WEIGHTS
+    given["device"] = str(devices.choose(arguments.device))
+    given["processes"] = arguments.processes or os.cpu_count() or 1
     print(report.line(run.make(run.Options(**given))))
-    print(f"See {options.out / 'index.html'}")
+    print(f"See {arguments.out / 'index.html'}")

@@ -1,12 +1,16 @@
 """`learn evaluate-network`: a page of figures for weights, measured on data that they never saw."""
 
+from __future__ import annotations
+
+import argparse
 from pathlib import Path
 
-from learn.commands import device_option
+from learn.commands import options
 from manifests.option_types import positive
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command's parser."""
     parser = subparsers.add_parser(
         "evaluate-network",
         help="measure weights on shapes, materials and lights that they never saw",
@@ -17,28 +21,15 @@ def register(subparsers):
         ),
     )
     parser.add_argument("weights", type=Path, metavar="FILE", help="weights.safetensors of a run")
-    parser.add_argument(
-        "--data",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="the data set that the run was trained on",
-    )
-    parser.add_argument(
-        "--lights",
-        type=Path,
-        metavar="FILE.npz",
-        help="the light maps that the run was trained with",
-    )
+    options.add_data(parser, "the data set that the run was trained on")
+    options.add_lights(parser, "the light maps that the run was trained with")
     parser.add_argument(
         "--pictures",
         type=Path,
         metavar="DIR",
         help="a data set with pictures by Cycles, to measure on its test split as well",
     )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
-    )
+    options.add_out(parser)
     parser.add_argument(
         "--seeds",
         type=Path,
@@ -57,33 +48,34 @@ def register(subparsers):
     parser.add_argument(
         "--note", default="", metavar="TEXT", help="a note that is printed on the page"
     )
-    device_option.add(parser)
+    options.add_device(parser)
     parser.set_defaults(run=run)
 
 
-def run(options):
+def run(arguments: argparse.Namespace) -> None:
+    """Run the command on parsed arguments."""
     import json
 
     from learn.data import devices, sources
     from learn.data.settings import decode_run
-    from learn.experiments import model_card
+    from learn.evaluation import model_card
     from learn.networks import weights as checkpoint
 
-    device = devices.choose(options.device)
-    _, metadata = checkpoint.load_network(options.weights)
-    settings = decode_run(json.dumps(metadata["run"]).encode(), options.weights)
+    device = devices.choose(arguments.device)
+    _, metadata = checkpoint.load_network(arguments.weights)
+    settings = decode_run(json.dumps(metadata["run"]).encode(), arguments.weights)
     data_splits = sources.data_splits(
-        settings.data, options.data, options.lights, pictures=options.pictures
+        settings.data, arguments.data, arguments.lights, pictures=arguments.pictures
     )
     figures = model_card.make(
-        options.weights,
+        arguments.weights,
         data_splits,
-        options.out,
-        options.batches,
-        options.note,
-        options.seeds,
+        arguments.out,
+        arguments.batches,
+        arguments.note,
+        arguments.seeds,
         device,
     )
     for kind, of_kind in figures.items():
         print(f"{kind}: " + ", ".join(f"{name} {value[0]:.4g}" for name, value in of_kind.items()))
-    print(f"See {options.out / 'card.md'}")
+    print(f"See {arguments.out / 'card.md'}")

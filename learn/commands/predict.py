@@ -1,11 +1,15 @@
 """`learn predict`: the decomposition of one picture into normals, light and material."""
 
+from __future__ import annotations
+
+import argparse
 from pathlib import Path
 
-from learn.commands import device_option, editing_options
+from learn.commands import editing_options, options
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command's parser."""
     parser = subparsers.add_parser(
         "predict",
         help="decompose one picture into normals, light and material",
@@ -31,47 +35,28 @@ def register(subparsers):
         metavar="FILE",
         help="a picture that is white where the object is (default: the picture's transparency)",
     )
-    parser.add_argument(
-        "--weights",
-        type=Path,
-        metavar="FILE",
-        help=(
-            "weights.safetensors of a training run (default: the weights that come with the"
-            " program)"
-        ),
-    )
-    parser.add_argument(
-        "--exposure",
-        type=float,
-        metavar="X",
-        help=(
-            "multiply the picture by X to get radiance (default: estimated from the object's"
-            " brightness)"
-        ),
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
-    )
-    device_option.add(parser)
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace earlier results in the folder"
-    )
+    options.add_weights(parser)
+    options.add_exposure(parser, "picture")
+    options.add_out(parser)
+    options.add_device(parser)
+    options.add_overwrite(parser)
     parser.set_defaults(run=run, continues=False)
 
 
-def run(options):
+def run(arguments: argparse.Namespace) -> None:
+    """Run the command on parsed arguments."""
     from learn.data import devices
     from learn.editing import predict
 
-    editing_options.check_exposure(options.exposure)
-    device, weights = devices.choose(options.device), options.weights or predict.WEIGHTS
-    predict.write(
-        options.image,
-        options.mask,
+    editing_options.check_exposure(arguments.exposure)
+    device, weights = devices.choose(arguments.device), arguments.weights or predict.WEIGHTS
+    predict.run(
+        arguments.image,
+        arguments.mask,
         weights,
-        options.out,
-        options.exposure,
-        options.overwrite,
+        arguments.out,
+        arguments.exposure,
+        arguments.overwrite,
         device,
     )
-    print(f"See {options.out / 'sheet.png'}")
+    print(f"See {arguments.out / 'sheet.png'}")

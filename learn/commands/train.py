@@ -1,13 +1,17 @@
 """`learn train`: train a network on a data set."""
 
+from __future__ import annotations
+
+import argparse
 from pathlib import Path
 
-from learn.commands import device_option
+from learn.commands import options
 from manifests import RUNS
-from manifests.option_types import MATERIALS, positive, whole
+from manifests.option_types import positive, whole
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command's parser."""
     presets = ", ".join(sorted(p.stem for p in RUNS.glob("*.json")))
     parser = subparsers.add_parser(
         "train",
@@ -25,30 +29,10 @@ def register(subparsers):
     parser.add_argument(
         "settings", metavar="RUN", help=f"a run file (JSON), or a preset: {presets}"
     )
-    parser.add_argument(
-        "--data",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="a dataset that `python -m factory render` wrote",
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
-    )
-    parser.add_argument(
-        "--lights",
-        type=Path,
-        metavar="FILE.npz",
-        help="further light maps, as arrays of shape (64, 128, 3)",
-    )
-    parser.add_argument(
-        "--materials",
-        choices=MATERIALS,
-        help=(
-            "the data set's own materials, or the built-in ones of MERL and RGL (default: as the"
-            " run says)"
-        ),
-    )
+    options.add_data(parser)
+    options.add_out(parser)
+    options.add_lights(parser)
+    options.add_training_materials(parser, "as the run says")
     parser.add_argument(
         "--pictures",
         type=Path,
@@ -87,44 +71,33 @@ def register(subparsers):
         metavar="N",
         help="steps between checkpoints (default: one every two minutes)",
     )
-    parser.add_argument(
-        "--threads",
-        type=positive,
-        default=1,
-        metavar="N",
-        help="threads of the network; relighting runs in a process of its own (default 1)",
-    )
-    parser.add_argument(
-        "--workers",
-        type=whole,
-        default=1,
-        metavar="N",
-        help="number of processes that relight (default 1; 0: relight in the training process)",
-    )
-    device_option.add(parser)
+    options.add_training_processes(parser)
     parser.set_defaults(run=run)
 
 
-def run(options):
+def run(arguments: argparse.Namespace) -> None:
+    """Run the command on parsed arguments."""
     import sys
 
     import torch
 
     from learn.baselines.material_swap import SwapTraining
     from learn.data import devices, settings, sources
-    from learn.training import loop
+    from learn.training import loop, processes
     from manifests.provenance import provenance
 
-    device = devices.choose(options.device)
-    chosen = settings.read_run(options.settings, options.steps, options.seed, options.materials)
-    torch.set_num_threads(options.threads)
-    with loop.only_writer(options.out):
+    device = devices.choose(arguments.device)
+    chosen = settings.read_run(
+        arguments.settings, arguments.steps, arguments.seed, arguments.materials
+    )
+    torch.set_num_threads(arguments.threads)
+    with processes.only_writer(arguments.out):
         data_splits = sources.data_splits(
             chosen.data,
-            options.data,
-            options.lights,
-            pictures=options.pictures,
-            skip_bad=options.skip_bad,
+            arguments.data,
+            arguments.lights,
+            pictures=arguments.pictures,
+            skip_bad=arguments.skip_bad,
         )
         if left_out := sources.skipped(data_splits):
             print(
@@ -132,12 +105,18 @@ def run(options):
                 file=sys.stderr,
             )
         kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
-        saving = options.sheet_every, options.checkpoint_every
+        saving = arguments.sheet_every, arguments.checkpoint_every
         training = kind(
-            chosen, data_splits, options.out, *saving, options.workers, options.tensorboard, device
+            chosen,
+            data_splits,
+            arguments.out,
+            *saving,
+            arguments.workers,
+            arguments.tensorboard,
+            device,
         )
         figures = training.train()
-        if training.rank == 0:
+        if training.journal is not None:  # of the first process
             training.journal.made(
                 provenance(),
                 {side: data_split.sizes() for side, data_split in data_splits.items()},
@@ -147,4 +126,4 @@ def run(options):
             )
     if figures:
         print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
-    print(f"See {options.out}: weights.safetensors, log.jsonl, sheet-*.jpg")
+    print(f"See {arguments.out}: weights.safetensors, log.jsonl, sheet-*.jpg")

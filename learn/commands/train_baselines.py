@@ -2,16 +2,20 @@
 weights.
 """
 
+from __future__ import annotations
+
+import argparse
 from pathlib import Path
 
-from learn.commands import device_option
+from learn.commands import options
 from manifests import RUNS
-from manifests.option_types import MATERIALS, positive, whole
+from manifests.option_types import positive
 
 PRESETS = {"baseline-1": "baseline-1-compact", "baseline-2": "baseline-2-compact"}
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command's parser."""
     parser = subparsers.add_parser(
         "train-baselines",
         help="train the methods that the paper compares with",
@@ -23,40 +27,16 @@ def register(subparsers):
             " reads. Run the same command again to continue; what is finished is kept."
         ),
     )
-    parser.add_argument(
-        "--data",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="a dataset that `python -m factory render` wrote",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="folder for the three files and for a folder per training",
-    )
-    parser.add_argument(
-        "--lights",
-        type=Path,
-        metavar="FILE.npz",
-        help="further light maps, as arrays of shape (64, 128, 3)",
-    )
+    options.add_data(parser)
+    options.add_out(parser, "folder for the three files and for a folder per training")
+    options.add_lights(parser)
     parser.add_argument(
         "--like",
         type=Path,
         metavar="WEIGHTS",
         help="hold out the lights that these weights' run held out (default: the presets')",
     )
-    parser.add_argument(
-        "--materials",
-        choices=MATERIALS,
-        help=(
-            "the data set's own materials, or the built-in ones of MERL and RGL (default: as --like"
-            " or the preset says)"
-        ),
-    )
+    options.add_training_materials(parser, "as --like or the preset says")
     parser.add_argument(
         "--only",
         nargs="+",
@@ -71,32 +51,19 @@ def register(subparsers):
         metavar="N",
         help="steps of each training (default: as its preset says)",
     )
-    parser.add_argument(
-        "--threads",
-        type=positive,
-        default=1,
-        metavar="N",
-        help="threads of the network (default 1)",
-    )
-    parser.add_argument(
-        "--workers",
-        type=whole,
-        default=1,
-        metavar="N",
-        help="number of processes that relight (default 1; 0: relight in the training process)",
-    )
-    device_option.add(parser)
+    options.add_training_processes(parser)
     parser.set_defaults(run=run)
 
 
-def run(options):
+def run(arguments: argparse.Namespace) -> None:
+    """Run the command on parsed arguments."""
     import torch
 
     from learn.baselines import training
     from learn.data import devices
 
-    device = devices.choose(options.device)
-    torch.set_num_threads(options.threads)
-    for name in options.only:
+    device = devices.choose(arguments.device)
+    torch.set_num_threads(arguments.threads)
+    for name in arguments.only:
         preset = None if name == "lombardi" else RUNS / f"{PRESETS[name]}.json"
-        print(training.make(name, preset, options, device))
+        print(training.make(name, preset, arguments, device))

@@ -1,11 +1,15 @@
 """`learn transfer`: pictures exchange their materials."""
 
+from __future__ import annotations
+
+import argparse
 from pathlib import Path
 
-from learn.commands import editing_options
+from learn.commands import editing_options, options
 
 
-def register(subparsers):
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command's parser."""
     parser = subparsers.add_parser(
         "transfer",
         help="render each picture's object in the materials of the others",
@@ -45,23 +49,22 @@ def register(subparsers):
         metavar="N",
         help="pictures per grid; further pictures go into further grids (default 6)",
     )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
-    )
+    options.add_out(parser)
     editing_options.add(parser)
     parser.set_defaults(run=run, continues=False)
 
 
-def run(options):
+def run(arguments: argparse.Namespace) -> None:
+    """Run the command on parsed arguments."""
     from learn.editing import transfer
 
-    paths = transfer.listed(options.pictures, options.list)
+    paths = transfer.listed(arguments.pictures, arguments.list)
     transfer.run(
         paths,
-        options.mask_dir,
-        options.out,
-        editing_options.edit_options(options),
-        options.per_grid,
-        options.overwrite,
+        arguments.mask_dir,
+        arguments.out,
+        editing_options.edit_options(arguments),
+        arguments.per_grid,
+        arguments.overwrite,
     )
-    print(f"See {options.out}")
+    print(f"See {arguments.out}")

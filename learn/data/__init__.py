@@ -1,3 +1,1 @@
-"""Examples to learn from and to test on: records, geometry, photographs, batches relit by the layer
-or rendered by Cycles.
-"""
+"""Examples for training and tests: records, geometry, photographs, relit and rendered batches."""

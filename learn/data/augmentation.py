@@ -1,12 +1,15 @@
-"""What happens to a picture on its way through a camera; truth stays as it is, but for a shift that
-moves it along.
+"""Augmentation of pictures as a camera would change them.
+
+The truth stays as it is, except that a shift moves it along with the picture.
 
 image (H, W, 3) linear radiance, mask (H, W) bool
 """
 
 import io
+from collections.abc import Sequence
 
 import numpy as np
+import torch
 from PIL import Image
 
 from shaders import tone
@@ -15,33 +18,45 @@ EXPOSURE = 0.3  # standard deviation of the logarithm
 SHIFT = 0.04  # of the picture's side, at most
 
 
-def seen(rng, image, mask, along, photograph):
-    """A picture and its mask as a network sees them, and what moved along with them.
+def seen(
+    rng: np.random.Generator,
+    image: np.ndarray,
+    mask: np.ndarray,
+    along: Sequence[torch.Tensor],
+    photograph: bool,
+) -> tuple[np.ndarray, np.ndarray, list[torch.Tensor]]:
+    """Return a picture and its mask as a network sees them, and the tensors moved with them.
 
-    along       torch tensors (H, W, …) that stay in register with the picture
-    photograph  whether anything happens at all, beyond cutting the picture out
+    along       tensors (H, W, …) that stay in register with the picture
+    photograph  whether the picture is augmented; otherwise the mask is applied to it, no more
     Returns     image (H, W, 3), mask (H, W) bool, [tensors]
     """
     if photograph:
-        image, cut, step = photographed(rng, image, mask), nibbled(rng, mask), shift(rng, mask)
-        image, mask = np.roll(image, step, (0, 1)), np.roll(cut, step, (0, 1))
+        image, eroded, step = (
+            photographed(rng, image, mask),
+            eroded_mask(rng, mask),
+            shift(rng, mask),
+        )
+        image, mask = np.roll(image, step, (0, 1)), np.roll(eroded, step, (0, 1))
         along = [tensor.roll(step, (0, 1)) for tensor in along]
-    return image * mask[..., None], mask, along
+    return image * mask[..., None], mask, list(along)
 
 
-def shift(rng, mask):
-    """Rows and columns to roll by that keep the object inside the frame."""
+def shift(rng: np.random.Generator, mask: np.ndarray) -> tuple[int, int]:
+    """Return rows and columns to roll by that keep the object inside the frame."""
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
-    reach = int(SHIFT * len(mask))
-    return tuple(
-        int(rng.integers(-min(reach, r[0]), min(reach, len(mask) - 1 - r[-1]) + 1))
+    limit = int(SHIFT * len(mask))
+    down, right = (
+        int(rng.integers(-min(limit, r[0]), min(limit, len(mask) - 1 - r[-1]) + 1))
         for r in (rows, columns)
     )
+    return down, right
 
 
-def nibbled(rng, mask):
-    """The mask with up to a pixel missing along its rim, in places: nobody cuts out a photograph
-    exactly.
+def eroded_mask(rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
+    """Return the mask with up to a pixel missing along its rim, in places.
+
+    Masks of photographs are never exact.
     """
     if rng.random() < 0.5:
         return mask
@@ -52,8 +67,8 @@ def nibbled(rng, mask):
     return mask & (inner | (rng.random(mask.shape) < rng.uniform(0, 1)))
 
 
-def photographed(rng, image, mask):
-    """Another exposure, sensor noise, and now and then a JPEG in between."""
+def photographed(rng: np.random.Generator, image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return the picture at another exposure, with sensor noise and, at times, JPEG's losses."""
     image = image * np.exp(rng.normal(0, EXPOSURE))
     image = image + rng.normal(0, 1, image.shape) * np.sqrt(
         np.maximum(image, 0) * rng.uniform(0, 2e-3) + rng.uniform(0, 5e-3) ** 2
@@ -66,10 +81,5 @@ def photographed(rng, image, mask):
             data, "JPEG", quality=int(rng.integers(60, 96))
         )
         encoded = np.asarray(Image.open(data, formats=["JPEG"]), np.float32) / 255.0
-        image = (
-            np.where(
-                encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
-            ).astype(np.float32)
-            / exposure
-        )
+        image = tone.linear_from_srgb(encoded).astype(np.float32) / exposure
     return image

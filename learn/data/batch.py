@@ -1,17 +1,19 @@
-"""A batch of examples: what a network is shown, and the truth about it.
+"""A batch of examples: the pictures that a network sees, and the truth about them.
 
 B pictures, S regions, H, W picture
 """
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import torch
 
 
 @dataclass(frozen=True)
-class Batch:
-    """Truth in learn.data.records's frames and units, channels first.
+class ExampleBatch:
+    """Pictures and their truth, in the frames and units of learn.data.records, channels first.
 
     image         (B, 3, H, W) linear radiance as a network sees it, augmented
     mask          (B, 1, H, W) float, as a network sees it
@@ -19,11 +21,11 @@ class Batch:
     segments      (B, H, W) int64, 1 … S, 0 outside the object
     label         (B, S, 108) natural logarithms
     light         (B, 3, 64, 128) linear radiance of unit mean luminance, light frame
-    target_label  (B, S, 108) another material for the same shape and light: what the target image O
-    is made of
-    names         what each picture is, for messages: shape, …, material, apart by spaces
-    picture       (B, 3, H, W) the true I where it came from a renderer of its own; None: what the
-    layer makes of the truth
+    target_label  (B, S, 108) the material of the target image O, for the same shape and light
+    names         of the pictures, for messages: shape, …, material, separated by spaces
+    elevation     of the camera, radians
+    picture       (B, 3, H, W) the true I if another renderer made it; None: what the layer makes of
+                  the truth
     target        (B, 3, H, W) the true O, likewise
     """
 
@@ -34,45 +36,49 @@ class Batch:
     label: torch.Tensor
     light: torch.Tensor
     target_label: torch.Tensor
-    names: tuple
+    names: tuple[str, ...]
     elevation: float
     picture: torch.Tensor | None = None
     target: torch.Tensor | None = None
 
-    def to(self, device: torch.device | str, non_blocking: bool = False) -> "Batch":
-        """The batch with its tensors on a device; the batch itself where they are there already."""
+    def to(self, device: torch.device | str, non_blocking: bool = False) -> "ExampleBatch":
+        """Return the batch on a device; the batch itself if its tensors are there already."""
         return self._with_tensors(lambda tensor: tensor.to(device, non_blocking=non_blocking))
 
-    def pin_memory(self) -> "Batch":
-        """The batch in page-locked memory, from which copies to a CUDA device need not be waited
-        for; DataLoader calls this.
+    def pin_memory(self) -> "ExampleBatch":
+        """Return the batch in page-locked memory, from which copies to a GPU are asynchronous.
+
+        DataLoader calls this.
         """
         return self._with_tensors(torch.Tensor.pin_memory)
 
-    def _with_tensors(self, function):
-        """The batch with each tensor replaced by function(tensor); the batch itself if none of them
-        changes.
-        """
-        old = [getattr(self, field.name) for field in fields(self)]
-        new = [function(value) if isinstance(value, torch.Tensor) else value for value in old]
-        return self if all(a is b for a, b in zip(old, new, strict=True)) else Batch(*new)
+    def _with_tensors(self, function: Callable[[torch.Tensor], torch.Tensor]) -> "ExampleBatch":
+        """Return the batch of function(tensor); the batch itself if no tensor changes."""
+        old = {field.name: getattr(self, field.name) for field in fields(self)}
+        new: dict[str, Any] = {
+            name: function(value) for name, value in old.items() if isinstance(value, torch.Tensor)
+        }
+        if all(value is old[name] for name, value in new.items()):
+            return self
+        return replace(self, **new)
 
 
-def joined(examples, elevation):
-    """A Batch of examples: tuples (image, mask, n, segments, label, light, target label, name),
-    arrays channels last.
+def joined(examples: Sequence[tuple], elevation: float) -> ExampleBatch:
+    """Return a batch of examples, whose arrays are channels last.
 
-    An example may end in two more, picture and target, but then all must.
+    examples   tuples (image, mask, n, segments, label, light, target label, name); they may end in
+               two more, picture and target, but then all must
+    elevation  of the camera, radians
     """
     image, mask, n, segments, label, light, target, names, *true = zip(*examples, strict=True)
 
-    def plain(arrays):
+    def plain(arrays: Sequence[Any]) -> torch.Tensor:
         return torch.stack([torch.as_tensor(np.ascontiguousarray(a)) for a in arrays])
 
-    def pictures(arrays):
+    def pictures(arrays: Sequence[Any]) -> torch.Tensor:
         return plain(arrays).movedim(-1, 1).contiguous()
 
-    return Batch(
+    return ExampleBatch(
         pictures(image),
         plain(mask)[:, None].float(),
         pictures(n),

@@ -1,4 +1,4 @@
-"""Where networks and the layer compute, and the one way from there to numpy.
+"""The device on which networks and the layer compute, and the one way from there to numpy.
 
 A device is a torch.device: "cpu", or "cuda" where torch sees one. Sources of batches, files and
 figures stay on the CPU.
@@ -15,10 +15,10 @@ CHOICES = ("auto", "cpu", "cuda")
 
 
 def choose(name: str = "auto") -> torch.device:
-    """The device that a name of CHOICES stands for; auto: CUDA where torch sees it, else the CPU.
+    """Return the device of a name of CHOICES; auto: CUDA where torch sees it, else the CPU.
 
     Of several processes of one run (torchrun) each takes the CUDA device of its own number,
-    LOCAL_RANK. Raises  InputError where CUDA is asked for and torch sees none
+    LOCAL_RANK. Raises InputError if CUDA is requested and torch sees none.
     """
     if name not in CHOICES:
         raise ValueError(f"device: expected one of {', '.join(CHOICES)}, found {name!r}")
@@ -45,21 +45,21 @@ def choose(name: str = "auto") -> torch.device:
 
 
 def of(module: torch.nn.Module) -> torch.device:
-    """The device of a module's first parameter or buffer; the CPU for a module that has neither."""
+    """Return the device of a module's first parameter or buffer; the CPU if it has neither."""
     tensors = (*module.parameters(), *module.buffers())
     return tensors[0].device if tensors else torch.device("cpu")
 
 
 def array(tensor: torch.Tensor) -> np.ndarray:
-    """The tensor's values in numpy, of any device; on the CPU the same memory."""
+    """Return the values of a tensor of any device in numpy; on the CPU the same memory."""
     return tensor.detach().cpu().numpy()
 
 
 def mixed_precision(device: torch.device, enabled: bool) -> torch.autocast:
-    """A context in which networks on this device compute in bfloat16, if enabled."""
+    """Return a context in which networks on this device compute in bfloat16, if enabled."""
     return torch.autocast(device.type, torch.bfloat16, enabled=enabled)
 
 
 def process_group_backend(device: torch.device) -> str:
-    """The name of torch.distributed's backend for tensors on this device."""
+    """Return the name of torch.distributed's backend for tensors on this device."""
     return "nccl" if device.type == "cuda" else "gloo"

@@ -1,29 +1,30 @@
-"""A dataset's geometry, packed for training: each view of each shape once, with pictures (records)
-or without (views).
+"""The geometry of a data set, packed for training: each view of each shape once.
 
-V views, H, W picture. Beside a dataset's lines stands a cache of two memory-mapped arrays, five
-bytes a pixel, made on first use and again when they change:
+Views may come with pictures (records) or without (views). V views, H, W picture. Beside the data
+set's lines stands a cache of two memory-mapped arrays, five bytes per pixel, made on first use and
+remade when the lines change:
 
 packed/normals.npy   (V, H, W, 2) int16, n_x and n_y in units of 1/32767; n_z = √(1 − n_x² − n_y²),
-for normals face the viewer;
-                     a normal is turned by .002° where it faces the viewer and by .5° at most, at
-                     the rim
+                     for normals face the viewer. Packing turns a normal by .002° where it faces the
+                     viewer and by .5° at most, at the rim
 packed/segments.npy  (V, H, W) uint8, 1 … S, 0 in the background
 packed/skipped.json  hashes of files that were left out, and why
-packed/sums.json     CRC-32 of the two arrays' files, by which a damaged cache is known
-packed/views.json    the geometry files' hashes, by which a stale cache is known; written last,
-removed before anything else is changed
+packed/sums.json     CRC-32 of the two arrays' files, which reveals a damaged cache
+packed/views.json    the geometry files' hashes, which reveal a stale cache; written last, removed
+                     before anything else is changed
 
-A cache that is stale or damaged is made again. Where it cannot be kept (a full disk, a data set
-that may only be read) the arrays stay in memory.
+A cache that is stale or damaged is made again. Where it cannot be stored (a full disk, a read-only
+data set) the arrays stay in memory.
 """
 
 import json
 import sys
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -39,18 +40,17 @@ from manifests.arrays import (
 from manifests.errors import InputError
 from manifests.files import replacing, write_text
 from manifests.inputs import require_file
+from manifests.schema import Record, View
 
 UNIT_TOLERANCE = 1e-2  # of |n|; files keep it to 1e-4
-LARGEST_JSON = 256 << 20  # bytes: 70 a view
+LARGEST_JSON = 256 << 20  # bytes: 70 per view
 ARRAYS = (PACKED_NORMALS, PACKED_SEGMENTS)
-LEAST_COVERAGE = 0.02  # a view that shows less of its shape teaches nothing
+LEAST_COVERAGE = 0.02  # a view that shows less of its shape is of no use to training
 
 
 @dataclass(frozen=True)
-class View:
-    """One view of one shape: names as in its records, the geometry file's hash, the shape's side of
-    the split.
-    """
+class PackedView:
+    """One view of one shape: names as in its records, its geometry's hash, the shape's split."""
 
     shape: str
     category: str
@@ -60,16 +60,17 @@ class View:
 
 
 class Geometry:
-    """The views of a dataset rendered with one orthographic camera.
+    """The views of a data set that was rendered with one orthographic camera.
 
-    skip_bad  leave damaged geometry out, and say so in `skipped`, {hash: what is wrong}; otherwise
-    the first one raises Raises  InputError: no dataset, nothing rendered, cameras of several sizes
-    or with perspective; damaged geometry when it is packed
+    skip_bad  whether damaged geometry is left out and listed in `skipped`, {hash: what is wrong};
+              otherwise the first damaged file raises
+    Raises    InputError: no data set, nothing rendered, cameras of several sizes or with
+              perspective; damaged geometry when it is packed
     """
 
-    def __init__(self, folder, progress=True, skip_bad=False):
+    def __init__(self, folder: str | Path, progress: bool = True, skip_bad: bool = False):
         records = Records(folder)
-        first = {}
+        first: dict[str, Record | View] = {}
         for record in chain(records.views(), records.records):
             if record.coverage >= LEAST_COVERAGE:
                 first.setdefault(record.geometry_hash, record)
@@ -101,7 +102,8 @@ class Geometry:
                 "copy the dataset again",
             )
         self.skipped = self._known_as_bad() if skip_bad else {}
-        self._n = self._segments = None
+        self._n: np.ndarray | None = None
+        self._segments: np.ndarray | None = None
         hashes = [r.geometry_hash for r in chosen if r.geometry_hash not in self.skipped]
         if self._is_fresh(hashes):
             self._map(len(hashes))
@@ -113,25 +115,31 @@ class Geometry:
                 folder, "geometry that can be used", "none", next(iter(self.skipped.values()))
             )
         self.views = [
-            View(r.shape, r.category, r.viewpoint, sides[r.shape], r.geometry_hash) for r in chosen
+            PackedView(r.shape, r.category, r.viewpoint, sides[r.shape], r.geometry_hash)
+            for r in chosen
         ]
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.views)
 
-    def normals(self, index):
-        """(H, W, 3) float32 unit normals, camera frame; 0 in the background."""
-        return unpack_normals(self._n[index], self._segments[index] > 0)
+    def normals(self, index: int) -> np.ndarray:
+        """Return unit normals (H, W, 3) float32, camera frame; 0 in the background."""
+        n, segments = self._arrays()
+        return unpack_normals(n[index], segments[index] > 0)
 
-    def segments(self, index):
-        """(H, W) int64: 1 … S, 0 in the background."""
-        return self._segments[index].astype(np.int64)
+    def segments(self, index: int) -> np.ndarray:
+        """Return segments (H, W) int64: 1 … S, 0 in the background."""
+        return self._arrays()[1][index].astype(np.int64)
 
-    def _at(self, name):
+    def _arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        assert self._n is not None and self._segments is not None  # packed when it was made
+        return self._n, self._segments
+
+    def _at(self, name: str) -> Path:
         return self.folder / "packed" / name
 
-    def _known_as_bad(self):
-        """{hash: what is wrong} of files that were left out when the cache was made."""
+    def _known_as_bad(self) -> dict[str, str]:
+        """Return {hash: what is wrong} of files that were left out when the cache was made."""
         known = self._remembered("skipped.json")
         return (
             known
@@ -139,20 +147,20 @@ class Geometry:
             else {}
         )
 
-    def _is_fresh(self, hashes):
-        """Whether the cache was made of these files."""
+    def _is_fresh(self, hashes: list[str]) -> bool:
+        """Return whether the cache was made of these files."""
         return self._remembered("views.json") == hashes
 
-    def _remembered(self, name):
-        """What a small file of the cache holds; None if it is missing or damaged."""
+    def _remembered(self, name: str) -> Any:
+        """Return the content of a small file of the cache; None if it is missing or damaged."""
         try:
             require_file(self._at(name), "a part of the cache", maximum_bytes=LARGEST_JSON)
             return json.loads(self._at(name).read_text())
         except (OSError, ValueError, RecursionError):
             return None
 
-    def _map(self, count):
-        """Map the arrays of `count` views into memory, if they are those that were packed."""
+    def _map(self, count: int) -> None:
+        """Map the arrays of `count` views into memory if their checksums are right."""
         sums, (height, width) = self._remembered("sums.json"), self.size
         try:
             if not isinstance(sums, dict) or any(
@@ -167,8 +175,15 @@ class Geometry:
         if (n.shape, segments.shape) == ((count, height, width, 2), (count, height, width)):
             self._n, self._segments = n, segments
 
-    def _pack(self, records, chosen, progress, skip_bad):
-        self.skipped, hashes = {}, []
+    def _pack(
+        self,
+        records: Records,
+        chosen: Sequence[Record | View],
+        progress: bool,
+        skip_bad: bool,
+    ) -> None:
+        hashes: list[str] = []
+        self.skipped = {}
         shapes = ((len(chosen), *self.size, 2), (len(chosen), *self.size))
         n, segments = (
             np.zeros(shape, PACKED_TYPES[name]) for shape, name in zip(shapes, ARRAYS, strict=True)
@@ -196,11 +211,11 @@ class Geometry:
             return
         self._map(len(hashes))
 
-    def _keep(self, hashes):
+    def _keep(self, hashes: list[str]) -> None:
         """Write the cache."""
         self.folder.joinpath("packed").mkdir(exist_ok=True)
         self._at("views.json").unlink(missing_ok=True)
-        for name, array in zip(ARRAYS, (self._n, self._segments), strict=True):
+        for name, array in zip(ARRAYS, self._arrays(), strict=True):
             with replacing(self._at(name)) as file:
                 np.save(file, array, allow_pickle=False)
         write_text(
@@ -209,9 +224,10 @@ class Geometry:
         write_text(self._at("skipped.json"), json.dumps(self.skipped))
         write_text(self._at("views.json"), json.dumps(hashes))
 
-    def _checked(self, records, record):
-        """normals (H, W, 3), segments (H, W) of a record or a view. Raises InputError for what
-        cannot be learned from.
+    def _checked(self, records: Records, record: Record | View) -> tuple[np.ndarray, np.ndarray]:
+        """Return normals (H, W, 3) and segments (H, W) of a record or a view.
+
+        Raises InputError for geometry that training cannot use.
         """
         normals, _, segments = records.geometry(record)
         where, remedy = (
@@ -221,15 +237,15 @@ class Geometry:
         if not segments.any():
             raise InputError(where, "a shape in the frame", "an empty mask", remedy)
         lengths = np.linalg.norm(normals[segments > 0], axis=-1)
-        if not np.abs(lengths - 1).max() < UNIT_TOLERANCE:  # so asked, NaN is refused too
+        if not np.abs(lengths - 1).max() < UNIT_TOLERANCE:  # in this form NaN is refused too
             raise InputError(
                 where, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", remedy
             )
         return normals, segments
 
 
-def _sum(path):
-    """CRC-32 of a file's bytes: 2 GB a second."""
+def _sum(path: Path) -> int:
+    """Return the CRC-32 of a file's bytes, at 2 GB per second."""
     result = 0
     require_file(path, "a part of the cache")
     with open(path, "rb") as file:

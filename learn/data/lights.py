@@ -1,11 +1,12 @@
-"""Light for relit pictures: maps turned, mirrored, mixed and tinted, and computed skies and rooms,
-for there are few maps.
+"""Lights for relit pictures: maps rotated, mirrored, mixed and tinted; computed skies and rooms.
 
-L  (64, 128, 3) float32 radiance of unit mean luminance, light frame; all draws from a numpy
-Generator
+The variations make many lights of few maps.
+
+L  (64, 128, 3) float32 radiance of unit mean luminance, light frame
 """
 
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +24,8 @@ MOST_MAPS = 4096  # together 400 MB in memory
 BRIGHTEST = 1e30  # far beyond any unit; sums of float32 stay finite
 
 
-def read_maps(path):
-    """{name: L} of an .npz of (64, 128, 3) arrays. Raises InputError."""
+def read_maps(path: str | Path) -> dict[str, np.ndarray]:
+    """Return {name: L} of an .npz of (64, 128, 3) arrays. Raises InputError."""
     path = Path(path)
     rule, remedy = "an .npz of (64, 128, 3) light maps", "write it by numpy.savez(path, name=map)"
     require_file(path, rule, remedy, LARGEST_FILE)
@@ -39,9 +40,10 @@ def read_maps(path):
         }
 
 
-def _map(archive, member, path):
-    """L of one member of an archive, unit mean. Raises InputError, and one of `archives.DAMAGE` for
-    a damaged one.
+def _map(archive: zipfile.ZipFile, member: zipfile.ZipInfo, path: Path) -> np.ndarray:
+    """Return L of one member of an archive, at unit mean.
+
+    Raises InputError, and one of `archives.DAMAGE` for a damaged member.
     """
     where, remedy = f"{path}: {member.filename.removesuffix('.npy')}", "average it to 64×128 first"
     rule = "finite radiance of shape (64, 128, 3)"
@@ -65,25 +67,26 @@ def _map(archive, member, path):
     return envmap.unit_mean(np.maximum(L, 0).astype(np.float32))[0].astype(np.float32)
 
 
-def draw(rng, maps, real):
-    """One light. maps: a list of L; real: the share of plain maps, the rest mixtures and computed
-    ones in equal parts.
+def draw(rng: np.random.Generator, maps: Sequence[np.ndarray], real: float) -> np.ndarray:
+    """Return one light.
+
+    maps  [L]; real: the share of single maps, the rest mixtures and computed ones in equal parts
     """
     kind = rng.random()
     if maps and kind < real:
-        L = _turned(rng, maps)
+        L = _rotated(rng, maps)
     elif maps and kind < (1 + real) / 2:
         share = rng.uniform(0.1, 0.9)
-        L = share * _turned(rng, maps) * _tint(rng, 0.3) + (1 - share) * _turned(rng, maps) * _tint(
-            rng, 0.3
-        )
+        L = share * _rotated(rng, maps) * _tint(rng, 0.3) + (1 - share) * _rotated(
+            rng, maps
+        ) * _tint(rng, 0.3)
     else:
         L = computed(rng)
     return envmap.unit_mean((L * _tint(rng, 0.15)).astype(np.float32))[0].astype(np.float32)
 
 
-def computed(rng):
-    """A sky with a sun, or a room with lamps, or a mixture; over a ground."""
+def computed(rng: np.random.Generator) -> np.ndarray:
+    """Return a sky with a sun, a room with lamps, or a mixture of both, over a ground."""
     w, _ = envmap.directions(HEIGHT, WIDTH)
     up = w[..., 1]
     gradient = np.clip(0.5 + 0.5 * up / rng.uniform(0.1, 1.0), 0, 1)[..., None]
@@ -104,11 +107,12 @@ def computed(rng):
     return L
 
 
-def _turned(rng, maps):
+def _rotated(rng: np.random.Generator, maps: Sequence[np.ndarray]) -> np.ndarray:
+    """Return one of the maps, rotated, perhaps mirrored, its colours exchanged."""
     L = envmap.roll(maps[rng.integers(len(maps))], int(rng.integers(WIDTH)))
     L = L[:, ::-1] if rng.random() < 0.5 else L
     return L[..., rng.permutation(3)]
 
 
-def _tint(rng, strength):
+def _tint(rng: np.random.Generator, strength: float) -> np.ndarray:
     return np.exp(rng.normal(0, strength, 3))

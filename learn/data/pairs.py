@@ -1,26 +1,29 @@
-"""Edits whose truth is known: two pictures of one dataset that differ in nothing but the material.
+"""Edits whose truth is known: two pictures of one data set that differ in the material alone.
 
-scene  what two such pictures share: geometry (shape, view, camera), light and its turn,
-light-transport tier, light resolution
-edit   picture a is shown to a method, the label of picture b is asked for, picture b is the truth
+scene  shared by two such pictures: geometry (shape, view, camera), light and its rotation,
+       light-transport tier, light resolution
+edit   a method sees picture a and is given the label of picture b, which is the truth
 """
 
 import hashlib
 from collections import defaultdict
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from learn.data.batch import joined
+from learn.data.batch import ExampleBatch, joined
+from learn.data.records import Records
 from manifests.errors import InputError
 from manifests.schema import Record
 
 
 @dataclass(frozen=True)
-class Edit:
-    """source, truth: Records of one scene. several: whether the scene's pictures have a material
-    for each segment.
+class EditPair:
+    """An edit: two records of one scene.
+
+    several  whether the scene's pictures have a material for each segment
     """
 
     source: Record
@@ -28,13 +31,13 @@ class Edit:
     several: bool
 
     @property
-    def id(self):
-        """Of the pair: determined by both pictures' ids."""
+    def id(self) -> str:
+        """The id of the pair, determined by both pictures' ids."""
         return f"{self.source.id}-{self.truth.id}"
 
 
-def scene(record):
-    """What pictures of an edit share, as a key."""
+def scene(record: Record) -> Hashable:
+    """Return what the pictures of an edit share, as a key."""
     r = record
     return (
         r.geometry_hash,
@@ -47,14 +50,13 @@ def scene(record):
     )
 
 
-def edits_between(records):
-    """{source record id: [Edit]} of all ordered pairs.
+def edits_between(records: Iterable[Record]) -> dict[str, list[EditPair]]:
+    """Return {source record id: [EditPair]} of all ordered pairs.
 
-    Of pictures that differ in seed and samples alone one of the fewest samples is taken, of these
-    the one of least id: a picture of more samples is there to be compared with, and alters no
-    choice of edits.
+    Of pictures that differ in seed and samples alone, the one of fewest samples and then of least
+    id is used. Pictures of more samples serve comparisons, and do not alter the choice of edits.
     """
-    scenes = defaultdict(dict)
+    scenes: dict[Hashable, dict[tuple[str, ...], Record]] = defaultdict(dict)
     for record in sorted(records, key=lambda r: (r.samples, r.id)):
         scenes[scene(record)].setdefault(record.materials, record)
     edits = {}
@@ -62,41 +64,41 @@ def edits_between(records):
         several = any(len(set(materials)) > 1 for materials in group)
         for source in group.values():
             edits[source.id] = [
-                Edit(source, truth, several) for truth in group.values() if truth is not source
+                EditPair(source, truth, several) for truth in group.values() if truth is not source
             ]
     return {id_: pairs for id_, pairs in edits.items() if pairs}
 
 
-def repeats(records):
-    """{(scene, materials): records that differ in their seed alone}: two or more of them show the
-    noise.
+def repeats(records: Iterable[Record]) -> dict[tuple, list[Record]]:
+    """Return {(scene, materials): records that differ in their seed alone}.
 
-    Of several numbers of samples the largest is taken that was rendered twice, where none was the
-    smallest.
+    Two or more of them show the noise. Of several numbers of samples the largest that was rendered
+    twice is used; if none was, the smallest.
     """
-    groups = defaultdict(lambda: defaultdict(list))
+    groups: dict[tuple, dict[int, list[Record]]] = defaultdict(lambda: defaultdict(list))
     for record in sorted(records, key=lambda r: r.id):
         groups[scene(record), record.materials][record.samples].append(record)
     return {key: by_samples[_finest(by_samples)] for key, by_samples in groups.items()}
 
 
-def _finest(by_samples):
+def _finest(by_samples: Mapping[int, Sequence[Record]]) -> int:
     twice = [samples for samples, records in by_samples.items() if len(records) > 1]
     return max(twice) if twice else min(by_samples)
 
 
-def chosen(records, count, seed):
-    """The first `count` edits, picture after picture. A larger count begins with the same edits.
-    Raises as `by_picture`.
+def chosen(records: Iterable[Record], count: int, seed: int) -> list[EditPair]:
+    """Return the first `count` edits, picture after picture.
+
+    A larger count begins with the same edits. Raises as `by_picture`.
     """
     return [edit for edits in by_picture(records, seed) for edit in edits][:count]
 
 
-def by_picture(records, seed):
-    """[all Edits of one source picture] in an order that a seed determines: shape after shape in
-    turn, each time another picture.
+def by_picture(records: Iterable[Record], seed: int) -> list[list[EditPair]]:
+    """Return the edits of each source picture, in an order that the seed determines.
 
-    Raises InputError where no two pictures make an edit.
+    Shapes take turns, each time with another picture. Raises InputError where no two pictures make
+    an edit.
     """
     edits = edits_between(records)
     if not edits:
@@ -119,16 +121,15 @@ def by_picture(records, seed):
     ]
 
 
-def _shuffled(seed, name):
+def _shuffled(seed: int, name: str) -> bytes:
     return hashlib.sha256(f"{seed} {name}".encode()).digest()
 
 
-def shown(records, edit):
-    """The Batch of one that methods see of an edit's source: one region, or one a segment where the
-    scene has several materials.
+def shown(records: Records, edit: EditPair) -> ExampleBatch:
+    """Return the batch of one that methods see of an edit's source.
 
-    records  learn.data.records.Records. Raises InputError for a perspective camera: networks and
-    edits are of a distant viewer
+    It has one region, or one per segment where the scene has several materials. Raises InputError
+    for a perspective camera, since networks and edits assume a distant viewer.
     """
     sample = records.load(edit.source)
     if sample.view is not None:
@@ -151,7 +152,7 @@ def shown(records, edit):
     )
 
 
-def target_label(records, edit):
-    """The label (S, 108) tensor that an edit asks for, a row a region of `shown`."""
+def target_label(records: Records, edit: EditPair) -> torch.Tensor:
+    """Return the label (S, 108) of an edit's target, one row per region of `shown`."""
     names = edit.truth.materials if edit.several else edit.truth.materials[:1]
     return torch.from_numpy(np.stack([records.label(name) for name in names]))

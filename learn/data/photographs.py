@@ -1,15 +1,14 @@
-"""Pictures from a user: any size, in the formats of FORMATS or OpenEXR, with a mask, brought to
-what the networks were trained on.
+"""Pictures from a user, of any size, in the formats of FORMATS or OpenEXR, with a mask.
 
-radiance  (H, W, 3) float32 linear Rec.709; 8 and 16 bit files pass the sRGB curve backwards
+radiance  (H, W, 3) float32 linear Rec.709; files of 8 and 16 bits are converted from sRGB
 mask      (H, W) bool, from a file of the same size (brighter than half) or from the picture's own
-alpha
-Of 16-bit colour Pillow keeps the upper eight bits; of 16-bit grey all. Orientation is taken from
-the file, colour profiles are not read.
+          alpha
+Of 16-bit colour Pillow reads the upper eight bits; of 16-bit grey all. The file's orientation is
+applied; colour profiles are not read.
 
-Which radiance is accepted: finite values up to LARGEST_RADIANCE, negative ones counting as 0, of an
-object that is bright enough, and not too bright, for its exposure to be estimated (ESTIMATED) or
-for the networks (SEEN). A constant or fully clipped object is accepted.
+Accepted radiance: finite values up to LARGEST_RADIANCE, negative ones counting as 0, of an object
+whose brightness allows its exposure to be estimated (ESTIMATED) and suits the networks (SEEN). A
+constant or fully clipped object is accepted.
 """
 
 import functools
@@ -17,6 +16,7 @@ import math
 import struct
 import warnings
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from manifests.arrays import PICTURE_CHANNELS
 from manifests.errors import InputError
 from manifests.inputs import require_file
 from shaders import tone
-from shaders.envmap import LUMINANCE
+from shaders.tone import LUMINANCE
 
 # What Pillow may open. Left out are formats that start other programs (EPS starts Ghostscript),
 # hold several sizes (ICO, ICNS), are read line by line in Python (plain PPM), or that no camera and
@@ -85,27 +85,39 @@ ESTIMATED = (1e-3, 1e3)
 SEEN = (1e-4, 1e2)
 
 
+Box = tuple[int, int, int]  # top, left, side
+
+
 @dataclass(frozen=True)
 class Framed:
-    """A picture cut to the object's square. box: (top, left, side) in its pixels; exposure:
-    radiance = photograph × exposure.
+    """A picture cropped to the object's square.
+
+    box       (top, left, side) in the picture's pixels
+    exposure  radiance = photograph × exposure
     """
 
     radiance: np.ndarray
     mask: np.ndarray
-    box: tuple
+    box: Box
     exposure: float
 
 
-def read(path, mask_path=None):
-    """radiance (H, W, 3), mask (H, W) bool. Raises as `read_soft`."""
+def read(path: str | Path, mask_path: str | Path | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return radiance (H, W, 3) and mask (H, W) bool. Raises as `read_soft`."""
     radiance, coverage, _ = read_soft(path, mask_path)
     return radiance, coverage >= 0.5
 
 
-def read_soft(path, mask_path=None, regions=None, remedy=MASK_REMEDY):
-    """radiance (H, W, 3); coverage (H, W) in [0, 1]: how much of each pixel the object covers, from
-    a mask's grey or a picture's alpha; and that alpha itself.
+def read_soft(
+    path: str | Path,
+    mask_path: str | Path | None = None,
+    regions: str | Path | None = None,
+    remedy: str = MASK_REMEDY,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return radiance (H, W, 3), coverage (H, W) and alpha (H, W).
+
+    Coverage in [0, 1] is the share of each pixel that the object covers, from a mask's grey or the
+    picture's alpha.
 
     regions  a label image's file: without a mask and transparency the object is all its regions
     remedy   of a picture without a mask
@@ -133,20 +145,21 @@ def read_soft(path, mask_path=None, regions=None, remedy=MASK_REMEDY):
     return radiance, coverage, alpha
 
 
-def read_mask(path, size):
-    """Coverage (H, W) of a mask file: its display value, 0 black to 1 white, times its own alpha.
-    Raises InputError: not of that size.
+def read_mask(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
+    """Return the coverage (H, W) of a mask file.
+
+    It is the display value, 0 black to 1 white, times the file's alpha. Raises InputError if the
+    mask is not of that size.
     """
     values, own = _pixels(Path(path))
     _require_size(path, values.shape[:2], size, "a mask")
     return tone.srgb(values.mean(-1)).astype(np.float32) * own
 
 
-def read_labels(path, size):
-    """Regions (H, W) uint8, 0 background, 1 … S by rising value: each grey, colour or palette entry
-    but 0 is a region.
+def read_labels(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
+    """Return regions (H, W) uint8: 0 background, 1 … S by rising value.
 
-    Raises  InputError
+    Each grey, colour or palette entry except 0 is a region. Raises InputError.
     """
     path = Path(path)
     if path.suffix.lower() == ".exr":
@@ -271,9 +284,7 @@ def _upright(picture):
 
 def _linear(values):
     """float32 linear values of display values in [0, 1]: the sRGB curve backwards."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(
-        np.float32
-    )
+    return tone.linear_from_srgb(values).astype(np.float32)
 
 
 def _exr_pixels(path):
@@ -317,10 +328,15 @@ def _exr_pixels(path):
     return np.maximum(radiance, 0), np.clip(alpha, 0, 1)
 
 
-def exposure_of(radiance, mask, exposure=None, where="the object"):
-    """The factor from a picture's radiance to the networks': the one given, or an estimate from the
-    object's brightness.
+def exposure_of(
+    radiance: np.ndarray,
+    mask: np.ndarray,
+    exposure: float | None = None,
+    where: object = "the object",
+) -> float:
+    """Return the factor from a picture's radiance to the networks'.
 
+    exposure  the factor itself; None: estimated from the object's brightness
     radiance (H, W, 3), mask (H, W) bool, not empty
     Raises  InputError at `where` for an object that is black, or too dark or too bright to be read
     """
@@ -344,10 +360,16 @@ def exposure_of(radiance, mask, exposure=None, where="the object"):
     return exposure
 
 
-def framed(radiance, mask, size, exposure=None, where="the object"):
-    """The object's square at the networks' size.
+def framed(
+    radiance: np.ndarray,
+    mask: np.ndarray,
+    size: int,
+    exposure: float | None = None,
+    where: object = "the object",
+) -> Framed:
+    """Return the object's square at the networks' size.
 
-    exposure  None: guessed from the object's brightness
+    exposure  None: estimated from the object's brightness
     where     names the picture in an InputError
     Returns   Framed with radiance (size, size, 3), mask (size, size)
     Raises    InputError: too little of it is left at that size; as `exposure_of`
@@ -383,9 +405,10 @@ def framed(radiance, mask, size, exposure=None, where="the object"):
     )
 
 
-def framed_regions(regions, framed):
-    """(size, size) int64: regions (H, W) in the object's square, each pixel of the framed mask the
-    nearest pixel's, 0 outside the mask.
+def framed_regions(regions: np.ndarray, framed: Framed) -> np.ndarray:
+    """Return regions (H, W) in the object's square, (size, size) int64.
+
+    Each pixel of the framed mask has the nearest pixel's region; 0 outside the mask.
     """
     size = len(framed.mask)
     at = ((np.arange(size) + 0.5) * framed.box[2] / size).astype(int)
@@ -395,8 +418,8 @@ def framed_regions(regions, framed):
     return placed(regions, framed.box)[tuple(near)][at][:, at].astype(np.int64) * framed.mask
 
 
-def placed(array, box):
-    """The square (top, left, side) of an array, 0 where it reaches beyond the picture."""
+def placed(array: np.ndarray, box: Box) -> np.ndarray:
+    """Return the square of an array (H, W, …), 0 where it extends beyond the picture."""
     top, left, side = box
     out = np.zeros((side, side, *array.shape[2:]), array.dtype)
     first_row, first_column = max(top, 0), max(left, 0)
@@ -406,8 +429,8 @@ def placed(array, box):
     return out
 
 
-def put_back(array, square, box):
-    """A copy of the array with a square in its place, as far as it lies inside."""
+def put_back(array: np.ndarray, square: np.ndarray, box: Box) -> np.ndarray:
+    """Return a copy of the array with a square in its place, as far as it lies inside."""
     top, left, side = box
     out = array.copy()
     target = out[max(top, 0) : max(top + side, 0), max(left, 0) : max(left + side, 0)]
@@ -416,8 +439,8 @@ def put_back(array, square, box):
     return out
 
 
-def resized(array, size):
-    """Averaged or interpolated to (size, size)."""
+def resized(array: np.ndarray, size: int) -> np.ndarray:
+    """Return an array (side, side, …) averaged or interpolated to (size, size, …)."""
     planes = array[..., None] if array.ndim == 2 else array
     method = Image.Resampling.BOX if len(array) >= size else Image.Resampling.BILINEAR
     out = np.stack(
@@ -430,8 +453,8 @@ def resized(array, size):
     return out[..., 0] if array.ndim == 2 else out
 
 
-def write_exr(path, array, names=PICTURE_CHANNELS):
-    """An EXR of float32 channels (H, W, C). Raises InputError for what is not finite."""
+def write_exr(path: str | Path, array: np.ndarray, names: Sequence[str] = PICTURE_CHANNELS) -> None:
+    """Write an EXR of float32 channels (H, W, C). Raises InputError for values not finite."""
     with np.errstate(over="ignore"):  # beyond float32 is not finite
         planes = {name: np.asarray(array[..., k], np.float32) for k, name in enumerate(names)}
     for plane in planes.values():
@@ -439,10 +462,8 @@ def write_exr(path, array, names=PICTURE_CHANNELS):
     exr.write(path, planes)
 
 
-def require_finite(path, values):
-    """Raises InputError if a picture that is about to be written to `path` holds NaN or infinity,
-    of which no file is made.
-    """
+def require_finite(path: str | Path, values: np.ndarray) -> None:
+    """Raise InputError if a picture that is to be written to `path` holds NaN or infinity."""
     if not np.isfinite(values).all():
         raise InputError(
             path,

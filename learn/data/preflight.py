@@ -1,38 +1,46 @@
-"""Before training starts: is every picture that it will need there, whole, finite and of something?
+"""A check before training that every picture is there, whole, finite and shows something.
 
-All files are read once; what was found good is remembered by size and time of change
+All files are read once. The good ones are remembered by size and time of change
 (packed/pictures.json), so that another run only asks the file system.
 """
 
 import contextlib
 import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
+from learn.data.geometry import Geometry
+from learn.data.records import Records
 from manifests.errors import InputError
 from manifests.files import write_text
 from manifests.inputs import require_file
+from manifests.schema import Record
 from manifests.store import inside
 
 LARGEST_FILE = 256 << 20  # bytes: a hundred of a picture
 
 
-def checked(records, chosen, geometry, skip_bad=False, progress=True):
-    """The records among `chosen` that training can use, and {id: what is wrong} of the others.
+def checked(
+    records: Records,
+    chosen: Iterable[Record],
+    geometry: Geometry,
+    skip_bad: bool = False,
+    progress: bool = True,
+) -> tuple[list[Record], dict[str, str]]:
+    """Return the records that training can use, and {id: what is wrong} of the others.
 
-    records   learn.data.records.Records; geometry: learn.data.geometry.Geometry of the same folder
-    skip_bad  leave bad ones out; otherwise the first one raises
+    records   geometry is of the same folder
+    chosen    those of the records that are checked
+    skip_bad  whether bad records are left out; otherwise the first one raises
     Raises    InputError that names the record's file and the remedy
     """
     path = records.folder / "packed" / "pictures.json"
-    known, good, skipped, seen = (
-        _remembered(path),
-        [],
-        {},
-        {hash_: None for hash_ in geometry.skipped},
-    )
-    seen |= {view.hash: True for view in geometry.views}
+    known, good, skipped = _remembered(path), [], {}
+    usable = {view.hash for view in geometry.views}
     for record in tqdm(
         chosen, "checking pictures", unit="picture", disable=not progress, leave=False
     ):
@@ -44,7 +52,7 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
             if stamp is None or known.get(record.id) != stamp:
                 _check(records, record)
                 known[record.id] = stamp
-            if not seen.get(record.geometry_hash):
+            if record.geometry_hash not in usable:
                 result = geometry.skipped.get(
                     record.geometry_hash, "a shape that covers next to nothing of the frame"
                 )
@@ -59,7 +67,7 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
             if not skip_bad:
                 raise skippable(problem) from None
             skipped[record.id] = str(problem)
-    # a full disk, a data set that may only be read: the next run checks them again
+    # on a full disk, or in a read-only data set, the next run checks them again
     with contextlib.suppress(OSError):
         path.parent.mkdir(exist_ok=True)
         write_text(path, json.dumps(known))
@@ -67,7 +75,7 @@ def checked(records, chosen, geometry, skip_bad=False, progress=True):
 
 
 def skippable(problem: InputError) -> InputError:
-    """The InputError with a remedy that names --skip-bad too."""
+    """Return the InputError with a remedy that names --skip-bad too."""
     return InputError(
         problem.where,
         problem.expected,
@@ -76,7 +84,7 @@ def skippable(problem: InputError) -> InputError:
     )
 
 
-def _check(records, record):
+def _check(records: Records, record: Record) -> None:
     """Read a record's picture. Raises InputError."""
     where = inside(records.folder, record.image)
     image = records.image(record)
@@ -87,7 +95,8 @@ def _check(records, record):
         )
 
 
-def _stamp(path):
+def _stamp(path: Path) -> list[int] | None:
+    """Return [size, time of change] of a file; None if it is missing."""
     try:
         stat = path.stat()
     except OSError:
@@ -95,7 +104,8 @@ def _stamp(path):
     return [stat.st_size, stat.st_mtime_ns]
 
 
-def _remembered(path):
+def _remembered(path: Path) -> dict[str, Any]:
+    """Return {record id: stamp} of the records that were good when they were last read."""
     try:
         require_file(path, "what was checked before", maximum_bytes=LARGEST_FILE)
         known = json.loads(path.read_text())

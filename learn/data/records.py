@@ -1,29 +1,31 @@
-"""A dataset's records as tensors: what networks learn from and what the layer re-renders.
+"""The records of a data set as tensors, for training and for rendering by the layer.
 
 H, W picture, S segments; letters as in learn/layer/rendering.py. Everything is float32 on the CPU.
 
 image     (H, W, 3) linear Rec.709 radiance, as Cycles rendered it
 n         (H, W, 3) unit normals, camera frame, 0 in the background
 segments  (H, W) int64, 1 … S, 0 in the background
-label     (S, 108) natural logarithms of κ and γ control values; material = exp(label) is what the
-layer takes
+label     (S, 108) natural logarithms of κ and γ control values; the layer takes
+          material = exp(label)
 light     (64, 128, 3) linear radiance of unit mean luminance, light frame of this view: the stored
-map rolled by rotation_texels
+          map rolled by rotation_texels
 view      (H, W, 3) unit vectors to the viewer, camera frame; None for an orthographic camera
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
 from manifests import arrays
 from manifests.errors import InputError
-from manifests.materials import material, read_catalogue
-from manifests.schema import Record
+from manifests.materials import Material, material, read_catalogue
+from manifests.schema import Record, View
 from manifests.store import Store, inside
 from manifests.verification.contents import turned_away
 from manifests.verification.lines import Judge
@@ -36,9 +38,7 @@ REPAIR = "python -m factory verify DIR --repair, then render again"
 
 @dataclass(frozen=True)
 class Sample:
-    """One record's tensors; see the module for shapes and frames. depth (H, W), 0 in the
-    background.
-    """
+    """One record's tensors in the module's shapes and frames; depth (H, W), 0 in the background."""
 
     record: Record
     image: torch.Tensor
@@ -50,22 +50,22 @@ class Sample:
     view: torch.Tensor | None
 
     @property
-    def mask(self):
-        """(H, W) bool: what the object covers."""
+    def mask(self) -> torch.Tensor:
+        """(H, W) bool: the pixels that the object covers."""
         return self.segments > 0
 
     @property
-    def material(self):
+    def material(self) -> torch.Tensor:
         """(S, 108) κ and γ control values."""
         return self.label.exp()
 
     @property
-    def elevation(self):
-        """Of the camera, radians: the layer's argument of this name."""
+    def elevation(self) -> float:
+        """The elevation of the camera in radians, as the layer takes it."""
         return float(np.radians(self.record.camera.elevation_deg))
 
-    def for_layer(self, device="cpu"):
-        """render's arguments, as a batch of one; its tensors on a device."""
+    def for_layer(self, device: torch.device | str = "cpu") -> dict[str, Any]:
+        """Return the arguments of learn.layer.render as a batch of one, on a device."""
         return {
             "n": self.n[None].to(device),
             "material": self.material[None].to(device),
@@ -77,15 +77,16 @@ class Sample:
 
 
 class Records(torch.utils.data.Dataset):
-    """A dataset's folder as a sequence of samples, in order of record id: an index means the same
-    picture on every machine.
+    """The folder of a data set as a sequence of samples.
+
+    Samples are in order of record id, so that an index means the same picture on every machine.
     """
 
-    def __init__(self, folder, keep=None):
-        """keep: a function of a Record that says whether it is wanted; None: all.
+    def __init__(self, folder: str | Path, keep: Callable[[Record], bool] | None = None):
+        """Open a folder.
 
-        Raises  InputError if the folder holds no dataset, or a record that is not the one its id
-        means
+        keep    which records to use; None: all
+        Raises  InputError if the folder holds no data set, or a record that does not match its id
         """
         self.store = Store(folder)
         self.folder = Path(folder)
@@ -99,43 +100,51 @@ class Records(torch.utils.data.Dataset):
         if twice := next((a.id for a, b in pairwise(self.records) if a.id == b.id), None):
             raise InputError(self.folder, "each record once", f"{twice} twice", REPAIR)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.records)
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: int) -> Sample:
         return self.load(self.records[index])
 
-    def load(self, record):
-        """The Sample of a record. Raises InputError for a file that is missing, damaged or of
-        another size.
+    def load(self, record: Record) -> Sample:
+        """Return the Sample of a record.
+
+        Raises InputError for a file that is missing, damaged or of another size.
         """
         normals, depth, segments = self.geometry(record)
         fov = None if record.camera.fov_deg is None else np.radians(record.camera.fov_deg)
+        height, width = record.camera.size
         view = (
             None
             if fov is None
-            else torch.from_numpy(view_vectors(*record.camera.size, fov=fov).astype(np.float32))
+            else torch.from_numpy(view_vectors(height, width, fov=fov).astype(np.float32))
         )
         light = roll(self.light(record.light), record.rotation_texels)
         label = np.stack([self.label(name) for name in record.materials])
-        tensors = (
-            torch.from_numpy(np.ascontiguousarray(array))
-            for array in (self.image(record), normals, depth, segments, label, light)
+        return Sample(
+            record,
+            _tensor(self.image(record)),
+            _tensor(normals),
+            _tensor(depth),
+            _tensor(segments),
+            _tensor(label),
+            _tensor(light),
+            view,
         )
-        return Sample(record, *tensors, view)
 
-    def views(self):
-        """Every View of geometry alone. Raises InputError as `Records` does."""
+    def views(self) -> list[View]:
+        """Return every View of geometry alone. Raises InputError as `Records` does."""
         return self._judged("views", self.store.views())
 
-    def _judged(self, kind, lines):
-        """The lines, each held against its id and its entries: an altered one would be learned from
-        as what it is not.
+    def _judged(self, kind: str, lines: Iterable[Any]) -> list[Any]:
+        """Return the lines, each compared with its id and its entries.
+
+        Training would take an altered line for what it is not. Raises InputError.
         """
         judge, result = Judge(self.dataset, {}, set(), None), []
         faults_of = judge.of_kind(kind)
         for line in lines:
-            for fault in faults_of(line, None):
+            for fault in faults_of(line, (self.folder, 0)):
                 raise InputError(
                     self.folder, f"{kind} that are what their ids mean", fault.text, REPAIR
                 )
@@ -146,17 +155,19 @@ class Records(torch.utils.data.Dataset):
             )
         return result
 
-    def image(self, record):
-        """Radiance (H, W, 3) float32 of a record. Raises InputError for another file than the
-        record means.
+    def image(self, record: Record) -> np.ndarray:
+        """Return radiance (H, W, 3) float32 of a record.
+
+        Raises InputError for a file other than the record's.
         """
         return arrays.read_picture(
             inside(self.folder, record.image), record.camera.size, record.image_hash
         )
 
-    def geometry(self, record):
-        """normals (H, W, 3) float32, depth (H, W) float32, segments (H, W) int64 of a record or a
-        view.
+    def geometry(self, record: Record | View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (normals, depth, segments) of a record or a view.
+
+        normals (H, W, 3) float32, depth (H, W) float32, segments (H, W) int64. Raises InputError.
         """
         path = inside(self.folder, record.geometry)
         geometry = arrays.read_geometry(path, record.camera.size, record.geometry_hash)
@@ -174,11 +185,9 @@ class Records(torch.utils.data.Dataset):
             )
         return normals, depth, segments.astype(np.int64)
 
-    @cache  # noqa: B019 -- one dataset lives as long as its program
-    def material(self, name):
-        """The manifests.materials.Material of this dataset under that name: label, mixture, fit
-        errors.
-        """
+    @cache  # noqa: B019 -- one data set lives as long as its program
+    def material(self, name: str) -> Material:
+        """Return the material of this name: label, mixture, fit errors. Raises InputError."""
         where, entry = self.folder / "materials.json", self.materials.get(name)
         if entry is None:
             raise InputError(
@@ -198,21 +207,17 @@ class Records(torch.utils.data.Dataset):
         return result
 
     def side(self, name: str) -> str:
-        """The side of the split, "train" or "test", that this data set gives to one of its
-        materials.
-        """
+        """Return the split, "train" or "test", that this data set gives to one of its materials."""
         known = self.dataset.materials.get(name)
         return self.materials[name].split if known is None else known.side
 
-    def label(self, name):
-        """The label (108,) float32 of a material of this dataset: natural logarithms."""
+    def label(self, name: str) -> np.ndarray:
+        """Return the label (108,) float32 of a material of this data set: natural logarithms."""
         return self.material(name).label.reshape(SIZE).astype(np.float32)
 
     @cache  # noqa: B019 -- a map takes 100 KB
-    def light(self, name):
-        """The stored map (64, 128, 3) float32 of a light of this dataset, as the camera sees it at
-        rotation 0.
-        """
+    def light(self, name: str) -> np.ndarray:
+        """Return the stored map (64, 128, 3) float32 of a light, as seen at rotation 0."""
         entry = self.dataset.lights.get(name)
         if entry is None:
             raise InputError(
@@ -222,3 +227,7 @@ class Records(torch.utils.data.Dataset):
                 "copy the dataset again",
             )
         return arrays.read_light(inside(self.folder, entry.file), entry.file_hash)
+
+
+def _tensor(values: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values))

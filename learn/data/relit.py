@@ -1,24 +1,30 @@
-"""Examples relit on the fly: stored geometry, any material, any light, a picture by the layer. No
-image files at all.
+"""Examples relit on the fly: the layer renders stored geometry in any material under any light.
 
-Batch k of a run is a function of (seed, side, k) alone: whoever asks for it, in whatever order, on
-whatever machine, sees the same. Pictures come in groups of `sharing`, of other shapes and views,
-that share a material and a light: then they share a reflectance map.
+No image files are needed. Batch k of a run is a function of (seed, side, k) alone, in any order and
+on any machine. Pictures come in groups of `sharing`, of different shapes and views, that share a
+material and a light, and therefore a reflectance map.
 """
+
+from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from learn.data import augmentation, lights
-from learn.data.batch import joined
+from learn.data.batch import ExampleBatch, joined
+from learn.data.devices import array
 from learn.data.geometry import Geometry
 from learn.data.settings import Data
 from learn.layer import render
 from manifests.errors import InputError
 from shaders.dsbrdf import SHAPE
+
+if TYPE_CHECKING:
+    from learn.data.rendered import RenderedSplit
 
 SIDES = {"train": 0, "validation": 1, "test": 2}
 BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
@@ -26,23 +32,23 @@ BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
 
 @dataclass(frozen=True)
 class DataSplit:
-    """What one side of the split may draw from.
+    """The shapes, materials and lights of one side of the split: train, validation or test.
 
-    views   indices into geometry; labels: {name: (108,) float32}; maps: [(64, 128, 3)]
-    album   learn.data.rendered.Album of this side's rendered pictures, or None
-    skipped {name: what is wrong} of materials that were left out
+    views     indices into geometry; labels: {name: (108,) float32}; maps: [(64, 128, 3)]
+    rendered_split   this side's pictures by Cycles, or None
+    skipped   {name: what is wrong} of materials that were left out
     """
 
     geometry: Geometry
     views: np.ndarray
-    labels: dict
-    maps: list
+    labels: dict[str, np.ndarray]
+    maps: list[np.ndarray]
     side: str
-    rendered_split: object = None
-    skipped: dict = field(default_factory=dict)
+    rendered_split: RenderedSplit | None = None
+    skipped: dict[str, str] = field(default_factory=dict)
 
-    def sizes(self):
-        """{what: how many} it may draw from."""
+    def sizes(self) -> dict[str, int]:
+        """Return {"shapes": number, …} of what examples are drawn from."""
         shapes = {self.geometry.views[v].shape for v in self.views}
         result = {
             "shapes": len(shapes),
@@ -53,8 +59,8 @@ class DataSplit:
         return result | ({"pictures": len(self.rendered_split)} if self.rendered_split else {})
 
 
-def gloss(label):
-    """The largest γ max(κ, 1) of a label's control values: how narrow its sharpest highlight is."""
+def gloss(label: np.ndarray) -> float:
+    """Return the largest γ max(κ, 1) of a label (108,), a measure of its narrowest highlight."""
     kappa, gamma = np.exp(label.reshape(SHAPE)).transpose(2, 0, 1, 3)
     return float((gamma * np.maximum(kappa, 1)).max())
 
@@ -62,14 +68,20 @@ def gloss(label):
 class RelitDataset:
     """Batches of relit examples.
 
-    pool     Pool
-    data     learn.data.settings.Data
-    batch    pictures a batch
+    batch    number of pictures in a batch
     size     height and width of pictures; geometry's are a whole number of times larger
     part     (i, n): of every batch only the i-th of n equal parts, for several processes
     """
 
-    def __init__(self, data_split, data: Data, batch, size, seed, part=(0, 1)):
+    def __init__(
+        self,
+        data_split: DataSplit,
+        data: Data,
+        batch: int,
+        size: int,
+        seed: int,
+        part: tuple[int, int] = (0, 1),
+    ):
         self.data_split, self.data, self.size, self.seed = data_split, data, size, seed
         if any(side % size for side in data_split.geometry.size):
             result = f"{data_split.geometry.size[0]} × {data_split.geometry.size[1]}"
@@ -93,14 +105,15 @@ class RelitDataset:
         if data.gloss_curriculum:
             self.names.sort(key=lambda name: gloss(data_split.labels[name]))
 
-    def __getitem__(self, k):
-        """The k-th Batch."""
+    def __getitem__(self, k: int) -> ExampleBatch:
+        """Return the k-th batch."""
         return joined(
             [example for g in self.groups for example in self._group(k, g)],
             self.data_split.geometry.elevation,
         )
 
-    def _group(self, k, g):
+    def _group(self, k: int, g: int) -> list[tuple]:
+        """Return the examples of group g of batch k, which share a material and a light."""
         rng = np.random.default_rng(
             np.random.SeedSequence(self.seed, spawn_key=(SIDES[self.data_split.side], k, g))
         )
@@ -129,25 +142,27 @@ class RelitDataset:
         label, target = labels[: self.data.regions], labels[self.data.regions :]
         n, segments = self._geometry(views)
         images = self._pictures(n, segments, label, L)
+        photograph = training and self.data.photograph
         names = [
             f"{self.data_split.geometry.views[v].shape} view"
             f" {self.data_split.geometry.views[v].viewpoint} {'+'.join(chosen[: len(label)])}"
             for v in views
         ]
         return [
-            self._example(rng, n[i], segments[i], images[i], label, target, L, names[i], training)
+            (*_augmented(rng, images[i], n[i], segments[i], photograph), label, L, target, names[i])
             for i in range(count)
         ]
 
-    def _admitted(self, k):
-        """How many of the materials batch k may draw from."""
+    def _admitted(self, k: int) -> int:
+        """Return the number of materials that batch k draws from (the gloss curriculum)."""
         if not self.data.gloss_curriculum or self.data_split.side != "train":
             return len(self.names)
         return max(
             1, math.ceil(len(self.names) * min(1.0, (1 + 2 * k / self.data.gloss_curriculum) / 3))
         )
 
-    def _geometry(self, views):
+    def _geometry(self, views: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return normals (B, H, W, 3) and segments (B, H, W) at the size of pictures."""
         n = torch.from_numpy(np.stack([self.data_split.geometry.normals(v) for v in views]))
         segments = torch.from_numpy(np.stack([self.data_split.geometry.segments(v) for v in views]))
         step = len(n[0]) // self.size
@@ -157,9 +172,12 @@ class RelitDataset:
         )
         return n.contiguous(), (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
 
-    def _pictures(self, n, segments, label, L):
-        """(B, H, W, 3) numpy: one material and light, expanded over the batch so that the layer
-        shares its map.
+    def _pictures(
+        self, n: torch.Tensor, segments: torch.Tensor, label: np.ndarray, L: np.ndarray
+    ) -> np.ndarray:
+        """Return pictures (B, H, W, 3) in one label (S, 108) under one light (64, 128, 3).
+
+        Both are expanded over the batch, so that the layer shares its reflectance map.
         """
         count = len(n)
         material = torch.from_numpy(label).exp()[None].expand(count, -1, -1)
@@ -174,11 +192,17 @@ class RelitDataset:
                 tolerance=self.data.tolerance,
                 elevation=self.data_split.geometry.elevation,
             )
-        return picture.clamp(0, BRIGHTEST).numpy()
+        return array(picture.clamp(0, BRIGHTEST))
 
-    def _example(self, rng, n, segments, image, label, target, L, name, training):
-        mask = (segments > 0).numpy()
-        image, seen, (n, segments) = augmentation.seen(
-            rng, image, mask, (n, segments), training and self.data.photograph
-        )
-        return image, seen, n, segments, label, L, target, name
+
+def _augmented(
+    rng: np.random.Generator,
+    image: np.ndarray,
+    n: torch.Tensor,
+    segments: torch.Tensor,
+    photograph: bool,
+) -> tuple[np.ndarray, np.ndarray, torch.Tensor, torch.Tensor]:
+    """Return (image, mask, n, segments) of an example as a network sees it."""
+    mask = (segments > 0).numpy()
+    image, seen, (n, segments) = augmentation.seen(rng, image, mask, (n, segments), photograph)
+    return image, seen, n, segments

@@ -1,22 +1,27 @@
-"""Examples from pictures that Cycles rendered: a dataset's records, in an order that is a function
-of (seed, side, number) alone.
+"""Examples from pictures that Cycles rendered: the records of a data set.
 
-The target O is another record of the same shape, view and light where there is one; else the layer
-renders it. Truth about both is the picture itself, not what the layer would have made of it: what
-the layer leaves out, a network then learns to live with.
+Their order is a function of (seed, side, number) alone. The target O is another record of the same
+shape, view and light where there is one; otherwise the layer renders it. The truth about both is
+the picture itself, not the layer's rendering of it, so that a network learns to cope with what the
+layer leaves out.
 """
 
+from collections.abc import Hashable
 from functools import lru_cache
 
 import numpy as np
 import torch
 
 from learn.data import augmentation
-from learn.data.batch import joined
-from learn.data.relit import BRIGHTEST, SIDES
+from learn.data.batch import ExampleBatch, joined
+from learn.data.devices import array
+from learn.data.geometry import Geometry
+from learn.data.records import Records
+from learn.data.relit import BRIGHTEST, SIDES, DataSplit, RelitDataset
 from learn.data.settings import Data
 from learn.layer import render
 from manifests.errors import InputError
+from manifests.schema import Record
 from shaders.envmap import roll
 
 ORDER, DRAW = 10, 20  # of a SeedSequence's key, far from what relit pictures use
@@ -25,43 +30,46 @@ ORDER, DRAW = 10, 20  # of a SeedSequence's key, far from what relit pictures us
 class RenderedSplit:
     """The pictures of one side of the split.
 
-    records    learn.data.records.Records; geometry: learn.data.geometry.Geometry of the same folder
-    chosen     the records of this side; skipped: {id: what is wrong} of the dataset's records that
-    were left out
+    records    geometry is of the same folder
+    chosen     the records of this side
+    skipped    {id: what is wrong} of the data set's records that were left out
     """
 
-    def __init__(self, records, geometry, chosen, skipped=None):
-        self.records, self.geometry, self.chosen, self.skipped = (
-            records,
-            geometry,
-            chosen,
-            skipped or {},
-        )
+    def __init__(
+        self,
+        records: Records,
+        geometry: Geometry,
+        chosen: list[Record],
+        skipped: dict[str, str] | None = None,
+    ):
+        self.records, self.geometry, self.chosen = records, geometry, chosen
+        self.skipped = skipped or {}
         self.view_of = {view.hash: i for i, view in enumerate(geometry.views)}
-        self.scenes = {}
+        self.scenes: dict[Hashable, list[int]] = {}
         for i, record in enumerate(chosen):
             self.scenes.setdefault(_scene(record), []).append(i)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.chosen)
 
-    def partners(self, record):
-        """Records of the same shape, view, light and tier in other materials."""
+    def partners(self, record: Record) -> list[Record]:
+        """Return records of the same shape, view, light and tier in other materials."""
         return [
             self.chosen[i]
             for i in self.scenes[_scene(record)]
             if self.chosen[i].materials != record.materials
         ]
 
-    def labels(self, record, regions):
-        """(regions, 108): of segment after segment; a shape of fewer segments repeats its last."""
+    def labels(self, record: Record, regions: int) -> np.ndarray:
+        """Return the labels (regions, 108) of a record's segments; missing ones repeat the last."""
         names = [record.materials[min(s, len(record.materials) - 1)] for s in range(regions)]
         return np.stack([self.records.label(name) for name in names])
 
 
-def fits(record, regions):
-    """Whether so many labels say all about a record's materials, when segments beyond them begin
-    again with the first.
+def fits(record: Record, regions: int) -> bool:
+    """Return whether `regions` labels describe all of a record's materials.
+
+    Segments beyond them begin again with the first label.
     """
     return all(name == record.materials[s % regions] for s, name in enumerate(record.materials))
 
@@ -69,18 +77,22 @@ def fits(record, regions):
 class RenderedDataset:
     """Batches of rendered examples; arguments as learn.data.relit.RelitDataset's.
 
-    Raises  InputError for pictures that do not suit the size
+    Raises  InputError for pictures that do not suit the size; ValueError for a split without any
     """
 
-    def __init__(self, data_split, data: Data, batch, size, seed, part=(0, 1)):
-        self.data_split, self.rendered_split, self.data, self.size, self.seed, self.batch = (
-            data_split,
-            data_split.rendered_split,
-            data,
-            size,
-            seed,
-            batch,
-        )
+    def __init__(
+        self,
+        data_split: DataSplit,
+        data: Data,
+        batch: int,
+        size: int,
+        seed: int,
+        part: tuple[int, int] = (0, 1),
+    ):
+        if data_split.rendered_split is None:
+            raise ValueError(f"{data_split.side}: expected rendered pictures, found none")
+        self.data_split, self.rendered_split = data_split, data_split.rendered_split
+        self.data, self.size, self.seed, self.batch = data, size, seed, batch
         geometry = self.rendered_split.geometry
         if any(side % size for side in geometry.size):
             result = f"{geometry.size[0]} × {geometry.size[1]}"
@@ -92,21 +104,22 @@ class RenderedDataset:
             )
         if batch % part[1]:
             raise ValueError(
-                f"batch: expected a multiple of {part[1]} pictures for so many processes, found"
+                f"batch: expected a multiple of {part[1]} pictures for {part[1]} processes, found"
                 f" {batch}"
             )
         share = batch // part[1]
         self.places = range(part[0] * share, (part[0] + 1) * share)
         self.names = sorted(data_split.labels)
 
-    def __getitem__(self, k):
-        """The k-th Batch."""
+    def __getitem__(self, k: int) -> ExampleBatch:
+        """Return the k-th batch."""
         return joined(
             [self._example(k * self.batch + j) for j in self.places],
             self.rendered_split.geometry.elevation,
         )
 
-    def _example(self, number):
+    def _example(self, number: int) -> tuple:
+        """Return the example of this number, over all epochs."""
         epoch, place = divmod(number, len(self.rendered_split))
         side = SIDES[self.data_split.side]
         record = self.rendered_split.chosen[
@@ -127,10 +140,8 @@ class RenderedDataset:
             target_label = np.stack([self.data_split.labels[name] for name in names])
             target = self._relit(n, segments, target_label, L)
         else:
-            target, target_label = (
-                self._picture(partner),
-                self.rendered_split.labels(partner, self.data.regions),
-            )
+            target = self._picture(partner)
+            target_label = self.rendered_split.labels(partner, self.data.regions)
         label, target_label = (
             each.reshape(-1, 3, 36)[:, channels].reshape(-1, 108) for each in (label, target_label)
         )
@@ -138,44 +149,37 @@ class RenderedDataset:
             np.ascontiguousarray(each[..., channels]) for each in (image, target, L)
         )
         mask = (segments > 0).numpy()
-        along = (
-            n,
-            segments,
-            torch.from_numpy(image * mask[..., None]),
-            torch.from_numpy(target * mask[..., None]),
+        true_pictures = (torch.from_numpy(each * mask[..., None]) for each in (image, target))
+        image, seen, (n, segments, picture, target_picture) = augmentation.seen(
+            rng, image, mask, (n, segments, *true_pictures), training and self.data.photograph
         )
-        image, seen, along = augmentation.seen(
-            rng, image, mask, along, training and self.data.photograph
-        )
-        n, segments, picture, target = along
         name = (
             f"{record.shape} view {record.viewpoint} {record.id}"
             f" {'+'.join(dict.fromkeys(record.materials))}"
         )
-        return image, seen, n, segments, label, L, target_label, name, picture, target
+        return image, seen, n, segments, label, L, target_label, name, picture, target_picture
 
-    def _geometry(self, record):
-        at, geometry = (
-            self.rendered_split.view_of[record.geometry_hash],
-            self.rendered_split.geometry,
-        )
+    def _geometry(self, record: Record) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return normals (H, W, 3) and segments (H, W) at the size of pictures."""
+        geometry = self.rendered_split.geometry
+        at = self.rendered_split.view_of[record.geometry_hash]
         n, segments = (
             torch.from_numpy(self._small(geometry.normals(at))),
             torch.from_numpy(self._small(geometry.segments(at))),
         )
         return n, (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
 
-    def _picture(self, record):
+    def _picture(self, record: Record) -> np.ndarray:
         return np.clip(self._small(self.rendered_split.records.image(record)), 0, BRIGHTEST)
 
-    def _small(self, array):
-        """Every so many-th pixel, as geometry is made smaller: a mean of normals would be the
-        normal of nothing.
-        """
-        step = len(array) // self.size
-        return np.ascontiguousarray(array[step // 2 :: step, step // 2 :: step])
+    def _small(self, values: np.ndarray) -> np.ndarray:
+        """Return every n-th pixel, as for geometry: a mean of normals is no surface's normal."""
+        step = len(values) // self.size
+        return np.ascontiguousarray(values[step // 2 :: step, step // 2 :: step])
 
-    def _relit(self, n, segments, label, L):
+    def _relit(
+        self, n: torch.Tensor, segments: torch.Tensor, label: np.ndarray, L: np.ndarray
+    ) -> np.ndarray:
         arrays = n[None], torch.from_numpy(label).exp()[None], torch.from_numpy(L)[None]
         with torch.no_grad():
             picture = render(
@@ -184,32 +188,33 @@ class RenderedDataset:
                 tolerance=self.data.tolerance,
                 elevation=self.rendered_split.geometry.elevation,
             )
-        return picture[0].clamp(0, BRIGHTEST).numpy()
+        return array(picture[0].clamp(0, BRIGHTEST))
 
 
 class MixedDataset:
-    """Batches of two sources: a share of Cycles', spread evenly, the rest relit; a function of the
-    batch's number alone.
+    """Batches of two sources: a share rendered by Cycles, spread evenly, the rest relit.
+
+    The source of a batch is a function of its number alone.
     """
 
-    def __init__(self, relit, cycles, share):
+    def __init__(self, relit: RelitDataset, cycles: RenderedDataset, share: float):
         self.relit, self.cycles, self.share = relit, cycles, share
 
-    def __getitem__(self, k):
-        """The k-th Batch."""
+    def __getitem__(self, k: int) -> ExampleBatch:
+        """Return the k-th batch."""
         before = int(k * self.share)
         return self.cycles[before] if int((k + 1) * self.share) > before else self.relit[k - before]
 
 
 @lru_cache(4)
-def _order(seed, side, epoch, count):
-    """Records of one epoch, each once."""
+def _order(seed: int, side: int, epoch: int, count: int) -> np.ndarray:
+    """Return a permutation of the records for one epoch."""
     return np.random.default_rng(
         np.random.SeedSequence(seed, spawn_key=(ORDER + side, epoch))
     ).permutation(count)
 
 
-def _scene(record):
+def _scene(record: Record) -> Hashable:
     return (
         record.shape_hash,
         record.geometry_hash,

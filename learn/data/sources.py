@@ -1,53 +1,63 @@
-"""From a run's settings and folders to its batches: who is for training, who is held out.
+"""From a run's settings and folders to its batches, split into training, validation and test.
 
-Shapes, materials and lights are the data set's own, on the sides of the split that it gives them.
-The built-in materials take the place of its own where the run says so ("materials": "built-in").
+Shapes, materials and lights are the data set's own, in the splits that it gives them. The built-in
+materials take the place of its own where the run says so ("materials": "built-in").
 """
 
 import hashlib
+from collections.abc import Container, Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from learn.data import preflight
-from learn.data.geometry import Geometry
+from learn.data.geometry import Geometry, PackedView
 from learn.data.lights import read_maps
 from learn.data.records import Records
 from learn.data.relit import SIDES, DataSplit, RelitDataset
 from learn.data.rendered import MixedDataset, RenderedDataset, RenderedSplit, fits
-from learn.data.settings import Data
+from learn.data.settings import Data, Run
 from manifests import splits
 from manifests.errors import InputError, closest
 from manifests.materials import Material, load_catalogue
+from manifests.schema import Record
 from shaders.envmap import is_same_source
 
-VALIDATION_SHAPES = 25  # one in so many training shapes is for choosing weights instead
-VALIDATION_MATERIALS = 8  # at most, and one in so many training materials:
+Maps = Mapping[str, np.ndarray]  # {name: L (64, 128, 3)}
+VALIDATION_SHAPES = 25  # one of this many training shapes is for validation instead
+VALIDATION_MATERIALS = 8  # at most, and one of LEAST_FOR_VALIDATION training materials
 LEAST_FOR_VALIDATION = 10
-VALIDATION_LIGHTS = 6  # one in so many training maps, where the run names none
-TWIN = 0.05
+VALIDATION_LIGHTS = 6  # one of this many training maps, where the run names none
+DUPLICATE_DIFFERENCE = 0.05  # of Fourier amplitudes, relative
 
 
-def by_hash(name, parts):
-    """A number below `parts` that depends on the name alone."""
+def by_hash(name: str, parts: int) -> int:
+    """Return a number below `parts` that depends on the name alone."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:4], "big") % parts
 
 
-def data_splits(data, folder, maps_file=None, progress=True, pictures=None, skip_bad=False):
-    """{"train": Pool, "validation": Pool, "test": Pool}: disjoint in shapes, materials and lights,
-    all checked before anything is trained.
+def data_splits(
+    data: Data,
+    folder: str | Path,
+    maps_file: str | Path | None = None,
+    progress: bool = True,
+    pictures: str | Path | None = None,
+    skip_bad: bool = False,
+) -> dict[str, DataSplit]:
+    """Return {"train", "validation", "test": DataSplit}, disjoint in shapes, materials and lights.
 
-    A side for which no light is left, validation or test, is lit by all maps, and one for which no
-    material is left draws from those of training; training never sees a held-out one.
+    Everything is checked before training starts. Validation or test without a light of its own is
+    lit by all maps, and without a material draws from those of training; training never sees a
+    held-out one.
 
-    data       learn.data.settings.Data
-    folder     a dataset with geometry; its lights are used too
+    folder     a data set with geometry; its lights are used too
     maps_file  an .npz of further light maps, or None
-    pictures   a dataset with records that Cycles rendered, or None: those of `folder`, where the
-    run asks for pictures
-    skip_bad   leave out what is damaged, and count it; otherwise the first one raises
-    Raises     InputError: a held-out light that is not there, a side without shapes, no material
-    for training, a damaged material,
-               damaged geometry or pictures
+    pictures   a data set with records that Cycles rendered; None: `folder`, where the run needs
+               pictures
+    skip_bad   whether damaged files are left out and counted; otherwise the first one raises
+    Raises     InputError: a held-out light that is not there, a split without shapes, no material
+               for training, a damaged material, damaged geometry or pictures
     """
     geometry, records = Geometry(folder, progress, skip_bad), Records(folder)
     maps = {name: records.light(name) for name in records.dataset.lights} | (
@@ -57,7 +67,7 @@ def data_splits(data, folder, maps_file=None, progress=True, pictures=None, skip
     held = _held_out(data, maps, records.dataset.lights)
     materials, bad = materials_of(data, records, skip_bad)
     sides = [_side(view) for view in geometry.views]
-    rendered_splits = {}
+    rendered_splits: dict[str, RenderedSplit] = {}
     if pictures is not None or data.source != "relit":
         known = {name: (held.get(name, "train"), L) for name, L in maps.items()}
         rendered_splits = _rendered_splits(
@@ -76,7 +86,7 @@ def data_splits(data, folder, maps_file=None, progress=True, pictures=None, skip
         names = [name for name in maps if held.get(name, "train") == side]
         # without maps training draws computed light, never a held-out map
         if not names and side != "train":
-            names = maps
+            names = list(maps)
         labels = {
             m.name: m.label.reshape(-1).astype(np.float32)
             for m in materials[side] or materials["train"]
@@ -93,9 +103,12 @@ def data_splits(data, folder, maps_file=None, progress=True, pictures=None, skip
     return result
 
 
-def source_of(data_split, run, batch, seed, part=(0, 1)):
-    """Batches of one side as a run wants them: relit, of pictures, or both. Sides without pictures
-    are relit.
+def source_of(
+    data_split: DataSplit, run: Run, batch: int, seed: int, part: tuple[int, int] = (0, 1)
+) -> RelitDataset | RenderedDataset | MixedDataset:
+    """Return the batches of one split from the run's source; a split without pictures is relit.
+
+    part  (i, n): of every batch only the i-th of n equal parts, for several processes
     """
     relit = RelitDataset(data_split, run.data, batch, run.size, seed, part)
     if run.data.source == "relit" or not data_split.rendered_split:
@@ -108,30 +121,20 @@ def source_of(data_split, run, batch, seed, part=(0, 1)):
     )
 
 
-def skipped(data_splits):
-    """{record id, geometry hash or material: what is wrong} of all that was left out."""
-    rendered_splits, train = (
-        [
-            data_split.rendered_split
-            for data_split in data_splits.values()
-            if data_split.rendered_split
-        ],
-        data_splits["train"],
-    )
-    return (
-        train.geometry.skipped
-        | train.skipped
-        | {
-            key: report
-            for rendered_split in rendered_splits
-            for key, report in rendered_split.skipped.items()
-        }
-    )
+def skipped(data_splits: Mapping[str, DataSplit]) -> dict[str, str]:
+    """Return {record id, geometry hash or material: what is wrong} of all that was left out."""
+    train = data_splits["train"]
+    result = train.geometry.skipped | train.skipped
+    for data_split in data_splits.values():
+        if data_split.rendered_split:
+            result = result | data_split.rendered_split.skipped
+    return result
 
 
-def _held_out(data, maps, entries):
-    """{name: "validation" or "test"} of the maps that training must not see. Raises InputError for
-    a name that is not there.
+def _held_out(data: Data, maps: Maps, entries: Mapping[str, Any]) -> dict[str, str]:
+    """Return {name: "validation" or "test"} of the maps that training must not see.
+
+    entries  the lights of dataset.json. Raises InputError for a name that is not there
     """
     named = dict.fromkeys(data.test_lights, "test") | dict.fromkeys(
         data.validation_lights, "validation"
@@ -159,10 +162,22 @@ def _held_out(data, maps, entries):
     }
 
 
-def _rendered_splits(data, folder, geometry, maps, materials, skip_bad, progress):
-    """{side: Album}: a picture is for training or testing if shape, materials and light all are;
-    for validation if its shape is and nothing of it is for testing. maps: {name: (side, L)};
-    materials: as of `materials_of`. Raises InputError for no pictures, or damaged ones.
+def _rendered_splits(
+    data: Data,
+    folder: str | Path,
+    geometry: Geometry,
+    maps: dict[str, tuple[str, np.ndarray]],
+    materials: dict[str, list[Material]],
+    skip_bad: bool,
+    progress: bool,
+) -> dict[str, RenderedSplit]:
+    """Return {side: pictures that Cycles rendered}.
+
+    A picture is for training or testing if its shape, materials and light all are; for validation
+    if its shape is and nothing of it is for testing.
+
+    maps       {name: (side, L)}; materials: as of `materials_of`
+    Raises     InputError for no pictures, or damaged ones
     """
     records = Records(folder)
     geometry = (
@@ -183,7 +198,7 @@ def _rendered_splits(data, folder, geometry, maps, materials, skip_bad, progress
     side_of = {key: side for side in SIDES for m in materials[side] for key in (m.name, m.hash)}
     shape = {view.hash: _side(view) for view in geometry.views}
     light = {name: _light_side(records.light(name), maps) for name in {r.light for r in good}}
-    chosen = {side: [] for side in SIDES}
+    chosen: dict[str, list[Record]] = {side: [] for side in SIDES}
     for record in good:
         of_materials = {_side_of_material(records, name, side_of) for name in record.materials}
         others = of_materials | {light[record.light]}
@@ -203,9 +218,8 @@ def _rendered_splits(data, folder, geometry, maps, materials, skip_bad, progress
     }
 
 
-def _side_of_material(records, name, side_of):
-    """The side of a material of a data set with pictures: the strictest that its data set, its name
-    or its hash says.
+def _side_of_material(records: Records, name: str, side_of: Mapping[str, str]) -> str:
+    """Return the strictest side that a material's data set, its name or its hash gives it.
 
     side_of  {name or hash: side} of the materials that the run draws from
     """
@@ -213,8 +227,8 @@ def _side_of_material(records, name, side_of):
     return next(side for side in ("test", "validation", "train") if side in sides)
 
 
-def _light_side(L, maps):
-    """The side of the map that this one is, under whatever name; unknown maps are for training."""
+def _light_side(L: np.ndarray, maps: dict[str, tuple[str, np.ndarray]]) -> str:
+    """Return the side of a map, under whatever name; unknown maps are for training."""
     return next(
         (
             side
@@ -225,46 +239,49 @@ def _light_side(L, maps):
     )
 
 
-def without_duplicates(maps, held):
-    """Each capture once, under the name by which it is held out if it is: a copy under another name
-    would let training see it.
+def without_duplicates(maps: Maps, held: Container[str]) -> dict[str, np.ndarray]:
+    """Return each map once, under the name by which it is held out if it is.
 
-    maps  {name: L}; held: names of maps that training must not see
+    A copy under another name would let training see a held-out map.
+
+    maps    {name: L}; held: names of maps that training must not see
     Raises  InputError if two held-out names mean one map
     """
-    kept = {}
+    result: dict[str, np.ndarray] = {}
     for name in sorted(maps, key=lambda name: name not in held):
-        twin = next(
+        L = maps[name]
+        duplicate = next(
             (
                 other
-                for other, L in kept.items()
-                if (is_same_source(L, maps[name]) or are_duplicates(L, maps[name]))
+                for other, known in result.items()
+                if is_same_source(known, L) or are_duplicates(known, L)
             ),
             None,
         )
-        if twin is None:
-            kept[name] = maps[name]
+        if duplicate is None:
+            result[name] = L
         elif name in held:
             raise InputError(
                 f"held-out light '{name}'",
                 "a map of its own",
-                f"'{twin}' again",
+                f"'{duplicate}' again",
                 "name each held-out map once",
             )
-    return kept
+    return result
 
 
-def are_duplicates(a, b):
-    """Whether two maps (64, 128, 3) are one, turned or mirrored: their Fourier amplitudes along
-    rows are then the same.
+def are_duplicates(a: np.ndarray, b: np.ndarray) -> bool:
+    """Return whether two maps (64, 128, 3) are one, rotated or mirrored.
 
-    Averaging to 64×128 by other programs and half floats move them by less than TWIN of the whole.
+    Their Fourier amplitudes along rows are then the same.
+    Averaging to 64×128 by other programs, and half floats, change them by less than
+    DUPLICATE_DIFFERENCE.
     """
     A, B = (np.abs(np.fft.rfft(L, axis=1)) for L in (a, b))
-    return float(np.abs(A - B).sum() / B.sum()) < TWIN
+    return float(np.abs(A - B).sum() / B.sum()) < DUPLICATE_DIFFERENCE
 
 
-def _side(view):
+def _side(view: PackedView) -> str:
     if view.side == "test":
         return "test"
     return "validation" if by_hash(view.shape, VALIDATION_SHAPES) == 0 else "train"
@@ -273,20 +290,21 @@ def _side(view):
 def materials_of(
     data: Data, records: Records | None, skip_bad: bool = False
 ) -> tuple[dict[str, list[Material]], dict[str, str]]:
-    """({side: the materials that a run draws from}, {name: what is wrong} of those that were left
-    out).
+    """Return ({side: materials that a run draws from}, {name: what is wrong} of those left out).
 
     Some of the training materials are for validation instead: one in ten, eight at most. A data set
     with fewer than ten keeps all of them for training.
 
-    data      says whose materials: the data set's own, or the built-in ones
-    records   of the data set; None will do for the built-in ones
-    skip_bad  leave damaged materials out; otherwise the first one raises
+    data      determines whose materials: the data set's own, or the built-in ones
+    records   of the data set; may be None for the built-in ones
+    skip_bad  whether damaged materials are left out; otherwise the first one raises
     Raises    InputError: a damaged material, no material for training
     """
     bad: dict[str, str] = {}
     if data.materials == "built-in":
         known = [(m, m.split) for m in load_catalogue().values()]
+    elif records is None:
+        raise ValueError("materials_of: expected the records of a data set, found none")
     else:
         known = []
         for name in records.materials:

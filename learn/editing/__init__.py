@@ -1,1 +1,1 @@
-"""A photograph and a wanted material in, the same object in that material out."""
+"""Material editing: a photograph and a target material in, the edited photograph out."""

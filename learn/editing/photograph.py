@@ -1,13 +1,13 @@
-"""A picture to be edited, with all that is known of it: its object, its regions, and where it came
-from.
+"""A picture to be edited, with its object's mask, its regions, and its source.
 
 radiance  (H, W, 3) linear, as the file has it
 coverage  (H, W) in [0, 1]: how much of a pixel the object covers
 regions   (H, W) uint8 1 … S, 0 in the background
-balance   (3,) by which colours are multiplied before the network sees them; an edited picture is
-divided by it again
+balance   (3,) factors by which colours are multiplied before the network sees them; an edited
+          picture is divided by them
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,13 +17,14 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from learn.data import photographs
 from learn.data.records import Records
 from manifests.errors import InputError, closest
-from shaders.envmap import LUMINANCE
+from manifests.schema import Record
+from shaders.tone import LUMINANCE
 
 # coverage from which a mask has greys: half a step of 8 bits is 0.002, and white through the sRGB
 # curve is 1 − 6e-8
 GREY = 1e-3
-RIM = 3  # pixels
-SOFTENING = 0.7  # pixels, of a mask that is black and white: its steps would show
+RIM = 3  # pixels without a label that hand-drawn regions may leave along the mask's edge
+SOFTENING = 0.7  # pixels, of a black and white mask, whose steps would show
 STRONGEST_BALANCE = 8.0
 
 
@@ -32,7 +33,7 @@ class Photograph:
     """A picture to be edited; see above.
 
     name             for messages and files
-    exposure         factor from balanced radiance to the network's; None: guessed
+    exposure         factor from balanced radiance to the network's; None: estimated
     cut_out          its background is transparent
     alpha            (H, W) in [0, 1]: transparency of its own beside a mask, or None
     linear           the file holds radiance, not display values: an EXR, or a record
@@ -49,34 +50,36 @@ class Photograph:
     linear: bool = False
     alpha: np.ndarray | None = None
     records: Records | None = None
-    record: object = None
+    record: Record | None = None
 
     @property
-    def mask(self):
-        """(H, W) bool: pixels that are the object's for the most part."""
+    def mask(self) -> np.ndarray:
+        """Pixels (H, W) bool of which the object covers the greater part."""
         return self.regions > 0
 
     @property
-    def opacity(self):
-        """(H, W) in [0, 1] of an edited picture, or None where nothing of it is transparent."""
+    def opacity(self) -> np.ndarray | None:
+        """Opacity (H, W) in [0, 1] of an edited picture, or None where it is opaque."""
         return self.coverage if self.cut_out else self.alpha
 
     @property
-    def count(self):
-        """How many regions the object has."""
+    def count(self) -> int:
+        """Number of the object's regions."""
         return int(self.regions.max())
 
     @property
-    def balanced(self):
-        """(H, W, 3) radiance as the network is shown it, but for exposure."""
+    def balanced(self) -> np.ndarray:
+        """Radiance (H, W, 3) as the network sees it, except for exposure."""
         return self.radiance * self.balance
 
 
-def example(path, masks, regions):
-    """(path, regions) as given; of "example:espresso-cup" the photograph that scikit-image brings,
-    and our regions: 1 cup, 2 saucer.
+def example(
+    path: str | Path, masks: Sequence[Path], regions: Path | None
+) -> tuple[Path, Path | None]:
+    """Return the path and regions of a picture, which may be "example:espresso-cup".
 
-    The photograph is Rachel Michetti's (Pikolo Espresso Bar), CC0.
+    This example is a photograph that comes with scikit-image, by Rachel Michetti (Pikolo Espresso
+    Bar), CC0; its regions, 1 cup and 2 saucer, come with this package.
     Raises  InputError for another example
     """
     kind, _, name = str(path).partition(":")
@@ -90,22 +93,41 @@ def example(path, masks, regions):
     return Path(skimage.data.__file__).parent / "coffee.png", None if masks else regions or cup
 
 
-def opened(
-    path,
-    masks=(),
-    regions=None,
-    balance="none",
-    exposure=None,
-    record=None,
-    remedy=photographs.MASK_REMEDY,
-):
-    """The Photograph at `path`: a picture, or a dataset's folder, of which a record is taken.
+def mask_beside(path: Path, folder: Path | None = None) -> Path | None:
+    """Return the mask file of a picture, None where there is none.
 
-    masks    files; several: each is a region of its own
+    It is NAME.mask.png beside the picture; of a folder of masks, its NAME.mask.png or NAME.png.
+    """
+    path = Path(path)
+    candidates = [path.with_name(f"{path.stem}.mask.png")]
+    if folder is not None:
+        candidates = [Path(folder) / f"{path.stem}{ending}" for ending in (".mask.png", ".png")]
+    return next(
+        (
+            file
+            for file in candidates
+            if file.is_file() and not (path.is_file() and file.samefile(path))
+        ),
+        None,
+    )
+
+
+def opened(
+    path: str | Path,
+    masks: Sequence[Path] = (),
+    regions: Path | None = None,
+    balance: str | Sequence[float] = "none",
+    exposure: float | None = None,
+    record: str | None = None,
+    remedy: str = photographs.MASK_REMEDY,
+) -> Photograph:
+    """Return the Photograph at `path`: a picture, or a record of a dataset's folder.
+
+    masks    files; each of several is a region of its own
     regions  a label image's file, or None
     balance  "none", "grey", or three factors
-    record   id of a dataset's record, or its beginning; None: the first held out
-    remedy   of a picture without a mask
+    record   id of a dataset's record, or its beginning; None: the first one that is held out
+    remedy   that the error for a picture without a mask names
     Raises   InputError
     """
     path, regions = example(path, masks, regions)
@@ -126,7 +148,7 @@ def opened(
         radiance, coverage, alpha = photographs.read_soft(
             path, masks[0] if masks else None, regions, remedy
         )
-        labels = (coverage >= 0.5).astype(np.uint8)
+        labels: np.ndarray = (coverage >= 0.5).astype(np.uint8)
     else:
         radiance, _, alpha = photographs.read_soft(path, masks[0])
         coverage, labels = _several(masks, radiance.shape[:2])
@@ -155,17 +177,16 @@ def opened(
     )
 
 
-def without_unlabelled(coverage, labels):
-    """Coverage with 0 where the object is in no region, but for the rim of RIM pixels that
-    hand-drawn regions leave.
+def without_unlabelled(coverage: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Return coverage with 0 where the object is in no region, except for a rim of RIM pixels.
 
-    coverage (H, W) in [0, 1], labels (H, W) 1 … S, 0 in none
+    coverage (H, W) in [0, 1]; labels (H, W) 1 … S, 0 in no region
     """
     inside = coverage >= 0.5
     outside = inside & (labels == 0)
     if outside.any():
         outside &= distance_transform_edt(labels == 0) > RIM
-        # a soft edge goes with what it is the edge of
+        # a soft edge belongs to what it is the edge of
         index = distance_transform_edt(~inside, return_distances=False, return_indices=True)
         coverage = np.where(outside[tuple(index)], 0, coverage).astype(np.float32)
     return coverage
@@ -181,8 +202,8 @@ def _require_none(path, rule, masks, regions, balance):
         raise InputError(option, rule, f"the dataset {path}", f"leave {option} out")
 
 
-def _several(masks, size):
-    """Coverage and regions of one mask a region; where two overlap the later one holds."""
+def _several(masks: Sequence[Path], size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Coverage and regions from one mask per region; where two overlap the later one counts."""
     each = np.stack([photographs.read_mask(mask, size) for mask in masks])
     labels = np.zeros(size, np.uint8)
     for number, one in enumerate(each, 1):
@@ -205,8 +226,9 @@ def _require_pixels(labels, count, where):
 
 
 def _balance(requested, radiance, coverage, background):
-    """(3,) factors that leave luminance alone. "grey" holds that the background, or the object
-    where there is none, is grey on average.
+    """Factors (3,) that leave luminance unchanged.
+
+    "grey" assumes that the background, or the object where there is none, is grey on average.
     """
     if requested == "none":
         return np.ones(3, np.float32)

@@ -1,34 +1,36 @@
-"""One picture taken decomposition: what `learn predict` writes.
+"""`learn predict`: the decomposition of one picture, without refinement.
 
-normals.exr (X, Y, Z, camera frame), light.exr (64×128, light frame), rendering.exr, each with a PNG
-beside it, material.json, sheet.png
+It writes normals.exr (X, Y, Z, camera frame), light.exr (64×128, light frame) and rendering.exr,
+each with a PNG beside it, material.json, and sheet.png.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from learn.data import devices, photographs
-from learn.data.batch import Batch
+from learn.data import photographs
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.records import Records
-from learn.figures.montage import rows as captioned
-from learn.layer.inputs import LENGTH_TOLERANCE
+from learn.editing import material_file
+from learn.editing.decomposition import Parts, parts_of, predict_framed
+from learn.editing.edit_files import save
+from learn.figures import montage
+from learn.layer import predictions
 from learn.networks import weights as checkpoint
-from learn.training import montage as training_sheet
-from learn.training import validation
+from learn.networks.prediction import Prediction
+from learn.training import montage as training_montage
 from manifests import files
 from manifests.errors import InputError
-from manifests.materials import load_catalogue
 from shaders import tone
-from shaders.frames import ELEVATION
 
 WEIGHTS = Path(__file__).parents[1] / "weights" / "joint-compact.safetensors"
-NEAREST, TILE = 3, 160
-# of the sheet, each a picture of its own
+TILE = 160
+# pictures of the parts, in the order of the contact sheet
 CELLS = ("picture", "normals", "light", "material", "rendering")
+CAPTIONS = {"picture": "photograph", "rendering": "rendered again"}
 WRITTEN = (
     "material.json",
     "normals.exr",
@@ -40,52 +42,49 @@ WRITTEN = (
 )
 
 
-def of(framed, network, regions=None, count=1):
-    """(Batch of one, Prediction) of a learn.data.photographs.Framed, both on the network's device.
+@dataclass(frozen=True)
+class PredictedPicture:
+    """What `learn predict` computes: a framed picture as a batch of one, and what was read from it.
 
-    regions  (size, size) 1 … S, None for one; count: S, of which a small one may have no pixel left
-    at the network's size
-    Raises   InputError: the network predicts what is not finite
+    parts      of the prediction
+    rendering  (H, W, 3) radiance of these parts
+    metadata   of the network's weights
     """
-    image = torch.from_numpy(framed.radiance).movedim(-1, 0)[None].contiguous()
-    mask = torch.from_numpy(framed.mask)
-    segments = mask[None].long() if regions is None else torch.from_numpy(regions)[None]
-    nothing = torch.zeros(1, 3, 64, 128) + 1
-    label = torch.zeros(1, count, 108)
-    normals = torch.zeros_like(image)
-    batch = Batch(
-        image,
-        mask[None, None].float(),
-        normals,
-        segments,
-        label,
-        nothing,
-        label,
-        ("picture",),
-        float(ELEVATION),
-    )
-    batch = batch.to(devices.of(network))
-    with torch.no_grad():
-        predicted = network(
-            batch.image, batch.mask, batch.segments if count > 1 else None, regions=count
-        )
-    # 0 where numbers before their scaling overflowed
-    lengths = predicted.n.movedim(1, -1)[mask[None].to(predicted.n.device)].norm(dim=-1)
-    finite = all(part.isfinite().all() for part in (predicted.n, predicted.label, predicted.light))
-    if not (finite and ((lengths - 1).abs() <= LENGTH_TOLERANCE).all()):
-        rule = "weights that predict finite normals, light and material"
-        raise InputError(
-            "--weights", rule, "NaN or infinity", "train them again, or leave --weights out"
-        )
-    return batch, predicted
+
+    framed: photographs.Framed
+    batch: ExampleBatch
+    prediction: Prediction
+    parts: Parts
+    rendering: np.ndarray
+    metadata: dict
 
 
-def write(image, mask, weights, out, exposure=None, overwrite=False, device="cpu"):
-    """Predict and write everything. Raises InputError: bad picture, mask or weights, or files that
-    are there already.
+def run(
+    image: Path,
+    mask: Path | None,
+    weights: Path,
+    out: Path,
+    exposure: float | None = None,
+    overwrite: bool = False,
+    device: str | torch.device = "cpu",
+) -> None:
+    """Decompose a picture and write all results into the folder `out`.
+
+    Raises  InputError: an unusable picture, mask or weights, or files that are there already
     """
     out = Path(out)
     files.reserve_outputs(out, WRITTEN, overwrite, (image, mask))
+    write(out, compute(image, mask, weights, exposure, device), weights)
+
+
+def compute(
+    image: Path,
+    mask: Path | None,
+    weights: Path,
+    exposure: float | None,
+    device: str | torch.device,
+) -> PredictedPicture:
+    """Return the prediction of a picture, or of a dataset's record, and its rendering."""
     if mask is not None and Path(image).is_dir():
         raise InputError(
             "--mask",
@@ -100,32 +99,37 @@ def write(image, mask, weights, out, exposure=None, overwrite=False, device="cpu
         else (*photographs.read(image, mask), exposure)
     )
     framed = photographs.framed(radiance, covered, metadata["size"], exposure, image)
-    batch, predicted = of(framed, network)
-    seen = replace(batch, n=predicted.n, label=predicted.label, light=predicted.light)
-    again = validation.picture(predicted.n, predicted.label, predicted.light, seen)[0]
+    batch, predicted = predict_framed(framed, network)
+    parts = parts_of(predicted)
+    rendering = predictions.picture(*parts, batch.segments, batch.elevation, predictions.SHOWN)
+    return PredictedPicture(framed, batch, predicted, parts, array(rendering[0]), metadata)
+
+
+def write(out: Path, result: PredictedPicture, weights: Path) -> None:
+    """Write every file into the folder `out`, all or none."""
+    framed, parts = result.framed, result.parts
+    n = array((parts.n[0] * result.batch.mask[0]).movedim(0, -1))
+    exposure = tone.auto_exposure(framed.radiance, framed.mask)
+    cells = training_montage.parts(result.batch, result.prediction, result.rendering, exposure)
+    row = [(CAPTIONS.get(name, name), cell) for name, cell in cells.items()]
     out.mkdir(parents=True, exist_ok=True)
-    n = array((predicted.n[0] * batch.mask[0]).movedim(0, -1))
-    light = array(predicted.light[0].movedim(0, -1))
-    bright = tone.auto_exposure(framed.radiance, framed.mask)
-    cells = training_sheet.parts(batch, predicted, again, bright)
-    names = {"picture": "photograph", "rendering": "rendered again"}
     with files.transaction():
         photographs.write_exr(out / "normals.exr", n, "XYZ")
-        photographs.write_exr(out / "light.exr", light)
-        photographs.write_exr(out / "rendering.exr", again)
+        photographs.write_exr(out / "light.exr", array(parts.light[0].movedim(0, -1)))
+        photographs.write_exr(out / "rendering.exr", result.rendering)
         for name, cell in cells.items():
-            _save(out / f"{name}.png", cell)
-        _save(out / "mask.png", 255.0 * framed.mask)
-        _save(
-            out / "sheet.png",
-            captioned([[(names.get(name, name), cell) for name, cell in cells.items()]], TILE),
+            save(out / f"{name}.png", cell)
+        save(out / "mask.png", 255.0 * framed.mask)
+        save(out / "sheet.png", montage.contact_sheet([row], TILE))
+        material_file.write(
+            out / "material.json", array(parts.label[0]), framed, result.metadata, weights
         )
-        write_material(out / "material.json", array(predicted.label[0]), framed, metadata, weights)
 
 
-def _from_record(folder, exposure):
-    """radiance, mask and exposure of a dataset's first record on the test side, or its first; its
-    light has unit mean: exposure 1.
+def _from_record(folder: Path, exposure: float | None) -> tuple[np.ndarray, np.ndarray, float]:
+    """Radiance, mask and exposure of a dataset's first record that is held out, or its first.
+
+    Its light has unit mean, so that its exposure is 1 unless another is requested.
     """
     records = Records(folder)
     if not len(records):
@@ -135,42 +139,3 @@ def _from_record(folder, exposure):
     record = next((r for r in records.records if r.split == "test"), records.records[0])
     _, _, segments = records.geometry(record)
     return records.image(record), segments > 0, 1.0 if exposure is None else exposure
-
-
-def write_material(path, labels, framed, metadata, weights):
-    """Labels (S, 108), the catalogue's materials nearest to each by code, and how the picture was
-    brought to the network.
-    """
-    report = {"label": _rounded(labels[0]), "nearest": nearest(labels[0], metadata["ranges"])}
-    if len(labels) > 1:
-        report = {
-            "labels": [_rounded(label) for label in labels],
-            "nearest": [nearest(label, metadata["ranges"]) for label in labels],
-        }
-    report |= {
-        "box": framed.box,
-        "exposure": framed.exposure,
-        "weights": Path(weights).name,
-        "run": metadata["run"].get("name"),
-    }
-    files.write_json(path, report)
-
-
-def nearest(label, ranges):
-    """Names of the catalogue's materials nearest to a label (108,) by code."""
-    catalogue = load_catalogue()
-    names = sorted(catalogue)
-    codes = ranges.code(
-        torch.from_numpy(np.stack([catalogue[name].label.reshape(-1) for name in names])).float()
-    )
-    order = ((codes - ranges.code(torch.from_numpy(label))) ** 2).mean(-1).argsort()[:NEAREST]
-    return [names[i] for i in order]
-
-
-def _rounded(label):
-    return [round(float(x), 6) for x in label]
-
-
-def _save(path, cell):
-    photographs.require_finite(path, cell)
-    files.write_image(path, np.clip(cell, 0, 255).astype(np.uint8))

@@ -1,18 +1,24 @@
-"""`learn transfer`: every picture's shape and light in every picture's material, as in the paper's
-Figures 10 and 15.
+"""`learn transfer`: every picture's object and light in every picture's material.
 
-Row i is the object and light of picture i, column j the material of picture j; on the diagonal
-stands the picture itself.
+As in the paper's Figures 10 and 15, row i of a grid is the object and light of picture i, column j
+the material of picture j; on the diagonal is the picture itself.
 """
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
 from tqdm import tqdm
 
-from learn.data.devices import array
-from learn.editing import decomposition, edit, photograph
+from learn.editing import decomposition, drawing, photograph
+from learn.editing.compositor import Compositor
+from learn.editing.decomposition import Decomposition
+from learn.editing.edit import EditOptions
+from learn.editing.edit_files import save
+from learn.editing.photograph import Photograph
 from learn.figures import montage
+from learn.figures.montage import Tile
 from learn.networks import weights as checkpoint
 from manifests import files
 from manifests.errors import InputError
@@ -24,25 +30,22 @@ REMEDY = (
     " --mask-dir DIR"
 )
 LARGEST_LIST = 1 << 20  # bytes: ten thousand long paths
-MOST_A_GRID = 10  # pictures: more become several grids
+MOST_PER_GRID = 10  # pictures: more become several grids
 
 
-def listed(paths, list_file=None):
-    """The pictures asked for: paths, and the lines of a file of paths, relative to that file.
-    Raises InputError.
+def listed(paths: Iterable[Path], list_file: Path | None = None) -> list[Path]:
+    """Return the requested pictures: paths, and the lines of a file of paths, relative to it.
+
+    Raises  InputError for fewer than two pictures, or two of one name
     """
     results = [Path(path) for path in paths]
     if list_file is not None:
-        require_file(list_file, "a text file with a path a line", maximum_bytes=LARGEST_LIST)
+        rule = "a text file with a path a line"
+        require_file(list_file, rule, maximum_bytes=LARGEST_LIST)
         try:
             lines = Path(list_file).read_text(encoding="utf-8").splitlines()
         except UnicodeDecodeError:
-            raise InputError(
-                list_file,
-                "a text file with a path a line",
-                "other bytes",
-                "write the paths as UTF-8",
-            ) from None
+            raise InputError(list_file, rule, "other bytes", "write the paths as UTF-8") from None
         results += [
             Path(list_file).parent / line.strip()
             for line in lines
@@ -68,53 +71,64 @@ def listed(paths, list_file=None):
     return results
 
 
-def run(paths, mask_folder, out, edit_options, per_grid=6, overwrite=False):
-    """Write SHAPE-in-MATERIAL.png for every pair, grid.png (grid-01.png … for many) and
-    transfer.json. Raises InputError.
+def run(
+    paths: Sequence[Path],
+    mask_folder: Path | None,
+    out: Path,
+    edit_options: EditOptions,
+    per_grid: int = 6,
+    overwrite: bool = False,
+) -> None:
+    """Write the edit of every pair of pictures, the grids, and transfer.json.
+
+    The files are SHAPE-in-MATERIAL.png for every pair, and grid.png, or grid-01.png … for many
+    pictures. Raises InputError.
     """
     out = Path(out)
-    if not 2 <= per_grid <= MOST_A_GRID:
+    if not 2 <= per_grid <= MOST_PER_GRID:
         raise InputError(
             "--per-grid",
-            f"2 to {MOST_A_GRID} pictures a grid",
+            f"2 to {MOST_PER_GRID} pictures a grid",
             str(per_grid),
             "more become several grids",
         )
     groups = grouped(paths, per_grid)
-    names = (
+    grids = (
         ["grid.png"]
         if len(groups) == 1
         else [f"grid-{i:02d}.png" for i in range(1, len(groups) + 1)]
     )
-    pairs = [
-        f"{a.stem}-in-{b.stem}.png" for group in groups for a in group for b in group if a is not b
-    ]
-    files.reserve_outputs(out, [*names, *pairs, "transfer.json"], overwrite, paths)
+    names = [pair_name(*pair) for group in groups for pair in pairs_of(group)]
+    files.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, paths)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
+    # Unusable pictures are refused before the first is worked on; they are read again when their
+    # turn comes, since all of them together would fill the memory.
     for path in (path for group in groups[1:] for path in group):
-        opened(
-            path,
-            mask_folder,
-            edit_options,
-            # what is wrong with any is said before the first is worked on; kept they would fill the
-            # memory
-        )
+        opened(path, mask_folder, edit_options)
     out.mkdir(parents=True, exist_ok=True)
     report = []
     with (
         files.transaction(),
         tqdm(total=sum(len(group) ** 2 for group in groups), unit="picture") as progress,
     ):
-        for group, name in zip(groups, names, strict=True):
+        for group, name in zip(groups, grids, strict=True):
             pictures = {path: opened(path, mask_folder, edit_options) for path in group}
-            report += grid(
-                group, pictures, network, metadata["size"], out, name, edit_options, progress
-            )
+            decompositions = compute(pictures, network, metadata["size"], edit_options, progress)
+            tiles_by_row = [head(decompositions)]
+            for shape in group:
+                tiles = {}
+                for material, picture in edits_of(shape, decompositions, edit_options):
+                    save_edit(out / pair_name(shape, material), picture, pictures[shape])
+                    tiles[material] = tile(picture, decompositions[shape])
+                    progress.update()
+                tiles_by_row.append(row(shape, decompositions, tiles))
+            save(out / name, montage.contact_sheet(tiles_by_row, drawing.TILE))
+            report += metadata_of(decompositions, name)
         files.write_json(out / "transfer.json", {"pictures": report} | edit_options.as_metadata())
 
 
-def opened(path, mask_folder, edit_options):
-    """The Photograph at a path, with its mask."""
+def opened(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> Photograph:
+    """Return the Photograph at a path, with its mask."""
     return photograph.opened(
         path,
         masks(path, mask_folder),
@@ -125,9 +139,9 @@ def opened(path, mask_folder, edit_options):
     )
 
 
-def masks(path, folder):
-    """The mask file of a picture, in a list; none where its own transparency serves."""
-    beside = edit.mask_beside(path, folder)
+def masks(path: Path, folder: Path | None) -> list[Path]:
+    """Return the mask file of a picture, in a list; an empty one where its transparency serves."""
+    beside = photograph.mask_beside(path, folder)
     if folder is not None and beside is None:
         raise InputError(
             Path(folder) / f"{Path(path).stem}.png",
@@ -138,65 +152,97 @@ def masks(path, folder):
     return [] if beside is None else [beside]
 
 
-def grouped(paths, per_grid):
-    """Lists of at most `per_grid` pictures, in order; a last one alone joins its neighbours."""
-    groups = [paths[i : i + per_grid] for i in range(0, len(paths), per_grid)]
+def grouped(paths: Sequence[Path], per_grid: int) -> list[list[Path]]:
+    """Return lists of at most `per_grid` pictures, in order, none with a single picture."""
+    groups = [list(paths[i : i + per_grid]) for i in range(0, len(paths), per_grid)]
     if len(groups) > 1 and len(groups[-1]) == 1:
         groups[-1].insert(0, groups[-2].pop())
     return groups
 
 
-def grid(group, pictures, network, size, out, name, edit_options, progress):
-    """One grid of {path: Photograph}; returns what transfer.json says of them."""
-    result, report = {}, []
-    for path in group:
-        progress.set_description(f"taking {path.stem} apart"[:30])
-        result[path] = decomposition.decompose(pictures[path], network, size, edit_options.settings)
-        refined = result[path].refined
+def pairs_of(group: Sequence[Path]) -> list[tuple[Path, Path]]:
+    """Return the pairs (object, material) of a grid, row by row."""
+    return [(shape, material) for shape in group for material in group if shape is not material]
+
+
+def pair_name(shape: Path, material: Path) -> str:
+    """Return the file name of one picture's object in another's material."""
+    return f"{shape.stem}-in-{material.stem}.png"
+
+
+def compute(
+    pictures: Mapping[Path, Photograph],
+    network: torch.nn.Module,
+    size: int,
+    edit_options: EditOptions,
+    progress: tqdm,
+) -> dict[Path, Decomposition]:
+    """Return {path: Decomposition} of the pictures of one grid."""
+    decompositions = {}
+    for path, photo in pictures.items():
+        progress.set_description(f"decomposing {path.stem}"[:30])
+        decompositions[path] = decomposition.decompose(photo, network, size, edit_options.settings)
+        progress.update()
+    return decompositions
+
+
+def edits_of(
+    shape: Path, decompositions: Mapping[Path, Decomposition], edit_options: EditOptions
+) -> Iterator[tuple[Path, np.ndarray]]:
+    """Yield (path of the material, edited picture (H, W, 3), linear) of one picture's object."""
+    compositor = Compositor(decompositions[shape], edit_options.tolerance, edit_options.detail)
+    for material, other in decompositions.items():
+        if material is not shape:
+            yield material, compositor.edited([other.label[0]])
+
+
+def save_edit(path: Path, picture: np.ndarray, photo: Photograph) -> None:
+    """Write a PNG of an edited photograph (H, W, 3), linear, as transparent as the photograph."""
+    shown = tone.display(picture, drawing.exposure_of(photo))
+    save(path, drawing.with_alpha(shown, photo))
+
+
+def tile(picture: np.ndarray, decompositions: Decomposition) -> np.ndarray:
+    """Return the object's square of a linear picture, as a contact sheet shows it."""
+    shown = tone.display(picture, drawing.exposure_of(decompositions.photograph))
+    return drawing.cropped(drawing.on_ground(shown, decompositions.photograph), decompositions)
+
+
+def head(decompositions: Mapping[Path, Decomposition]) -> list[Tile]:
+    """Return a grid's first row: a material sphere above each column."""
+    corner: Tile = ("", np.full((8, 8, 3), montage.GROUND / 2))
+    return [
+        corner,
+        *(
+            (path.stem, drawing.material_sphere(each.label[0], each))
+            for path, each in decompositions.items()
+        ),
+    ]
+
+
+def row(
+    shape: Path, decompositions: Mapping[Path, Decomposition], tiles: Mapping[Path, np.ndarray]
+) -> list[Tile]:
+    """Return a grid's row of one object; tiles: {path of the material: tile of the edit}."""
+    before = tile(decompositions[shape].photograph.radiance, decompositions[shape])
+    return [
+        (shape.stem, before),
+        *(("", tiles.get(material, before)) for material in decompositions),
+    ]
+
+
+def metadata_of(decompositions: Mapping[Path, Decomposition], name: str) -> list[dict]:
+    """Return what transfer.json says of the pictures of the grid `name`."""
+    report = []
+    for path, each in decompositions.items():
+        refined = each.refined
         energies = None if refined is None else [refined.before["total"], refined.after["total"]]
         report.append(
             {
                 "name": path.stem,
                 "grid": name,
-                "exposure": result[path].framed.exposure,
+                "exposure": each.framed.exposure,
                 "energy": energies,
             }
         )
-        progress.update()
-    head = [("", np.full((8, 8, 3), montage.GROUND / 2))] + [
-        (path.stem, edit.material_sphere(own_label(result[path]), result[path])) for path in group
-    ]
-    lines = [head]
-    for path in group:
-        painter = decomposition.Painter(result[path], edit_options.tolerance, edit_options.detail)
-        shown = edit.exposure_of(pictures[path])
-        before = cropped(
-            edit.on_ground(tone.display(pictures[path].radiance, shown), pictures[path]),
-            result[path],
-        )
-        line = [(path.stem, before)]
-        for other in group:
-            if other is path:
-                line.append(("", before))
-                continue
-            picture = painter.edited([own_label(result[other])])
-            whole = tone.display(picture, shown)
-            edit.save(
-                out / f"{path.stem}-in-{other.stem}.png", edit.with_alpha(whole, pictures[path])
-            )
-            line.append(("", cropped(edit.on_ground(whole, pictures[path]), result[path])))
-            progress.update()
-        lines.append(line)
-    edit.save(out / name, montage.rows(lines, edit.TILE))
     return report
-
-
-def own_label(found):
-    """(108,) of a picture's object."""
-    return array(found.parts.label[0, 0].float())
-
-
-def cropped(picture, found):
-    """The object's square of a picture, as far as it lies inside."""
-    top, left, side = found.framed.box
-    return picture[max(top, 0) : top + side, max(left, 0) : left + side]

@@ -1,14 +1,16 @@
-"""Kernels that gather a map's texels into larger ones by a stencil along rows and columns, and the
-way back (learn/methods/coarse.py).
+"""Kernels that gather a map's texels into larger ones by a stencil, and the transpose.
+
+learn/methods/coarse.py uses them.
 
 fine     (planes, height, width), several maps one after the other
 coarse   (planes, height / step, width / step)
 stencil  (4 step,): weights in the coarse texel (i, j) of the fine ones from row step·i − 3/2 step,
-and column step·j − 3/2 step, on
+         and column step·j − 3/2 step, on
 along    (width,) scratch: one coarse row, its columns still fine
-Columns go round; beyond a pole lies the same row's other half.
+Columns wrap around; beyond a pole lies the same row's other half.
 """
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
@@ -18,8 +20,8 @@ GATHER = SCATTER = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 4)
 
 
 @inlined
-def over_poles(row, height, width):
-    """The row that lies there, and by how many columns it is turned."""
+def over_poles(row: int, height: int, width: int) -> tuple[int, int]:
+    """The row at a place beyond a pole or not, and the columns by which it is turned."""
     if row < 0:
         return -1 - row, width // 2
     if row >= height:
@@ -28,11 +30,22 @@ def over_poles(row, height, width):
 
 
 @inlined
-def around(column, width):
+def around(column: int, width: int) -> int:
+    """The column, wrapped around."""
     return column + width if column < 0 else column - width if column >= width else column
 
 
-def gather(first, last, height, width, step, stencil, fine, along, coarse):
+def gather(
+    first: int,
+    last: int,
+    height: int,
+    width: int,
+    step: int,
+    stencil: np.ndarray,
+    fine: np.ndarray,
+    along: np.ndarray,
+    coarse: np.ndarray,
+) -> None:
     """Coarse planes first … last − 1."""
     for plane in range(first, last):
         for i in range(height // step):
@@ -52,7 +65,17 @@ def gather(first, last, height, width, step, stencil, fine, along, coarse):
                 coarse[(plane * (height // step) + i) * (width // step) + j] = total
 
 
-def scatter(first, last, height, width, step, stencil, coarse, along, fine):
+def scatter(
+    first: int,
+    last: int,
+    height: int,
+    width: int,
+    step: int,
+    stencil: np.ndarray,
+    coarse: np.ndarray,
+    along: np.ndarray,
+    fine: np.ndarray,
+) -> None:
     """Fine planes first … last − 1 from coarse ones: the transpose of `gather`."""
     for plane in range(first, last):
         for texel in range(plane * height * width, (plane + 1) * height * width):

@@ -1,5 +1,4 @@
-"""numba as the kernels use it: small functions that are inlined, and a kernel's machine code
-without anything that only Python would call.
+"""numba as the kernels use it: inlined functions, and machine code without Python's entry points.
 
 numba makes for every function what Python needs to call it, machine code of its own, and for a C
 callback the code a second time. Kernels are called from nowhere but learn.engines.machine_code,
@@ -9,11 +8,14 @@ those run that these functions need. That is a third of the time of first use.
 
 import contextlib
 import gc
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 from numba import njit
 from numba.core import codegen, compiler, registry, typed_passes, untyped_passes
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import PassManager
+from numba.core.typing.templates import Signature
 
 # no closures, lists of Python, arrays or branches on types: numba's other passes find nothing here
 PASSES = (
@@ -32,7 +34,9 @@ PASSES = (
 
 
 class FewPasses(compiler.CompilerBase):
-    def define_pipelines(self):
+    """numba's compiler with the passes of `PASSES` alone."""
+
+    def define_pipelines(self) -> list[PassManager]:
         passes = PassManager("kernel")
         for each in PASSES:
             passes.add_pass(each, each.__name__)
@@ -43,19 +47,29 @@ class FewPasses(compiler.CompilerBase):
 class ForThisProcessor(codegen.AOTCPUCodegen):
     """Code that is kept, with the instructions that the processor at hand has."""
 
-    def _customize_tm_features(self):
+    def _customize_tm_features(self) -> str:
         return self._get_host_cpu_features()
 
 
-inlined = njit(
-    forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=FewPasses
-)
+Function = TypeVar("Function", bound=Callable[..., object])
+OPTIONS: dict[str, Any] = {
+    "forceinline": True,
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": FewPasses,
+}
+
+
+def inlined(function: Function) -> Function:
+    """A function that kernels call, inlined wherever it is called."""
+    return njit(**OPTIONS)(function)
 
 
 @contextlib.contextmanager
-def without_collection():
-    """Python's garbage collector waits: looking through what numba makes, hundreds of thousands of
-    objects, takes a tenth of the time.
+def without_collection() -> Iterator[None]:
+    """Hold Python's garbage collector.
+
+    Looking through the hundreds of thousands of objects that numba makes takes a tenth of the time.
     """
     was_on = gc.isenabled()
     gc.disable()
@@ -66,11 +80,12 @@ def without_collection():
             gc.enable()
 
 
-def object_code(function, signature, symbol):
+def object_code(function: Callable[..., None], signature: Signature, symbol: str) -> bytes:
     """Object file of a Python function of integers and pointers, named `symbol` in it."""
     target = registry.cpu_target
     flags = compiler.Flags()
-    flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+    for each in ("no_compile", "no_cpython_wrapper", "no_cfunc_wrapper"):
+        setattr(flags, each, True)
     with global_compiler_lock, without_collection():
         context = target.target_context.subtarget(
             _internal_codegen=ForThisProcessor(symbol, "host"), aot_mode=True

@@ -1,12 +1,12 @@
-"""The exact sum and its derivatives on a CUDA device: the Triton kernels, group by group. Arguments
-as in learn.engines.cpu, as tensors.
+"""The exact sum and its derivatives on a CUDA device: the Triton kernels, group by group.
 
-Tables are made on the device in float64 and handed over in float32; sums over lights and materials
-come back in fixed parts and are added in float64. Memory beyond inputs and outputs: tables and
-parts of one slab of lights, below 20 MiB.
+Arguments as in learn.engines.cpu, as tensors. Tables are made on the device in float64 and passed
+in float32; sums over lights and materials are returned in fixed parts and are added in float64.
+Memory beyond inputs and outputs: tables and parts of one slab of lights, below 20 MiB.
 """
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,14 +16,16 @@ import triton
 from learn.engines import lights
 from learn.engines import triton_distant as distant
 from learn.engines import triton_general as general
+from learn.engines.lights import Rotation
 
 TILE = distant.LIGHTS
 
 
 @dataclass(frozen=True)
 class DeviceSlab:
-    """learn.engines.lights.Slab on a device, filled up to T lights, a multiple of TILE: the
-    kernels' rows (R, T).
+    """A learn.engines.lights.Slab on a device, as rows (R, T).
+
+    T lights, padded to a multiple of TILE
     """
 
     order: torch.Tensor
@@ -33,19 +35,20 @@ class DeviceSlab:
     basis: torch.Tensor
 
     @property
-    def lights(self):
+    def lights(self) -> int:
+        """T."""
         return self.distant.shape[1]
 
-    def energy(self, light):
-        """(3, T) float32 of light (height, width, 3); the fill is black."""
+    def energy(self, light: torch.Tensor) -> torch.Tensor:
+        """Radiance × solid angle (3, T) float32 of light (height, width, 3); padding is black."""
         energy = light.new_zeros(3, self.lights)
         energy[:, : len(self.order)] = (
             light.reshape(-1, 3)[self.order].double() * self.solid_angle[:, None]
         ).T.float()
         return energy
 
-    def add_light_gradient(self, by_energy, gradient):
-        """Adds the derivative by energy (3, T) to the one by light (height, width, 3)."""
+    def add_light_gradient(self, by_energy: torch.Tensor, gradient: torch.Tensor) -> None:
+        """Add the derivative by energy (3, T) to the one by light (height, width, 3)."""
         by_light = by_energy[:, : len(self.order)].T * self.solid_angle[:, None]
         gradient.view(-1, 3)[self.order] += by_light.float()
 
@@ -65,39 +68,52 @@ def _slabs(height, width, rotation, device):
     return results
 
 
-def radiance(n, view, m, light, rotation, counts, light_of):
+def radiance(
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    rotation: Rotation,
+    counts: tuple[int, ...],
+    light_of: tuple[int, ...],
+) -> torch.Tensor:
     """Radiance (P, 3)."""
     out = torch.zeros_like(n)
-    views = [None] * len(counts) if view is None else view.split(counts)
+    views: Sequence[torch.Tensor | None] = (
+        [None] * len(counts) if view is None else view.split(counts)
+    )
     for slab in _slabs(*light.shape[1:3], rotation, n.device):
         for g, (part, into) in enumerate(zip(n.split(counts), out.split(counts), strict=True)):
             energy, result = slab.energy(light[light_of[g]]), torch.empty_like(part)
             grid = (triton.cdiv(len(part), distant.PIXELS),)
-            if view is None:
-                arrays = part, slab.distant, energy, _distant_tables(m[g], slab)[0], result
+            v = views[g]
+            if v is None:
+                lobes = _distant_tables(m[g], slab)[0]
+                sizes = {"PIXELS": distant.PIXELS, "LIGHTS": TILE}
                 distant.forward[grid](
-                    *arrays, len(part), slab.lights, PIXELS=distant.PIXELS, LIGHTS=TILE
+                    part, slab.distant, energy, lobes, result, len(part), slab.lights, **sizes
                 )
             else:
-                arrays = (
-                    part,
-                    views[g],
-                    _shortfall(views[g]),
-                    slab.general,
-                    energy,
-                    _general_tables(m[g])[0],
-                    result,
-                )
-                general.forward[grid](
-                    *arrays, len(part), slab.lights, PIXELS=general.PIXELS, LIGHTS=TILE
-                )
+                seen = part, v, _shortfall(v), slab.general, energy, _general_tables(m[g])[0]
+                sizes = {"PIXELS": general.PIXELS, "LIGHTS": TILE}
+                general.forward[grid](*seen, result, len(part), slab.lights, **sizes)
             into += result
     return out
 
 
-def gradients(g_radiance, n, view, m, light, rotation, counts, light_of):
-    """Derivatives by n, view (None without one), m and light, in their shapes; those by n and view
-    are right in their tangential parts.
+def gradients(
+    g_radiance: torch.Tensor,
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    rotation: Rotation,
+    counts: tuple[int, ...],
+    light_of: tuple[int, ...],
+) -> tuple[torch.Tensor, torch.Tensor | None, torch.Tensor, torch.Tensor]:
+    """Derivatives by n, view (None without one), m and light, in their shapes.
+
+    Those by n and view are right in their tangential parts.
     """
     by_n, by_m, by_light = torch.zeros_like(n), torch.zeros_like(m), torch.zeros_like(light)
     by_view = None if view is None else torch.zeros_like(view)
@@ -106,16 +122,17 @@ def gradients(g_radiance, n, view, m, light, rotation, counts, light_of):
         for group, image in enumerate(light_of):
             pixels = slice(ends[group], ends[group + 1])
             energy = slab.energy(light[image])
-            if view is None:
-                result = _distant_backward(n[pixels], m[group], slab, energy, g_radiance[pixels])
+            arguments = m[group], slab, energy, g_radiance[pixels]
+            if view is None or by_view is None:
+                group_by_n, group_by_m, by_energy = _distant_backward(n[pixels], *arguments)
             else:
-                result = _general_backward(
-                    n[pixels], view[pixels], m[group], slab, energy, g_radiance[pixels]
+                group_by_n, group_by_m, by_energy, group_by_view = _general_backward(
+                    n[pixels], view[pixels], *arguments
                 )
-                by_view[pixels] += result[3]
-            by_n[pixels] += result[0]
-            by_m[group] += result[1]
-            slab.add_light_gradient(result[2], by_light[image])
+                by_view[pixels] += group_by_view
+            by_n[pixels] += group_by_n
+            by_m[group] += group_by_m
+            slab.add_light_gradient(by_energy, by_light[image])
     return by_n, by_view, by_m, by_light
 
 
@@ -137,19 +154,20 @@ def _distant_tables(m, slab):
     return curves.float().contiguous(), kappa
 
 
-def _distant_backward(n, m, slab, energy, g):
+def _distant_backward(
+    n: torch.Tensor, m: torch.Tensor, slab: DeviceSlab, energy: torch.Tensor, g: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Derivatives of one group by n (p, 3), m (3, 3, 2, 6), energy (3, T)."""
     lobes, kappa = _distant_tables(m, slab)
-    by_n, total, sizes = (
-        torch.empty_like(n),
-        slab.lights,
-        {"PIXELS": distant.PIXELS, "LIGHTS": TILE},
+    by_n, total = torch.empty_like(n), slab.lights
+    sizes = {"PIXELS": distant.PIXELS, "LIGHTS": TILE}
+    over_pixels = (triton.cdiv(len(n), distant.PIXELS),)
+    distant.backward_pixels[over_pixels](
+        n, slab.distant, energy, lobes, g, by_n, len(n), total, **sizes
     )
-    grid = (triton.cdiv(len(n), distant.PIXELS),)
-    distant.backward_pixels[grid](n, slab.distant, energy, lobes, g, by_n, len(n), total, **sizes)
     sums = n.new_empty(distant.SPLITS, 3, 7, total)
-    grid = (total // TILE, distant.SPLITS, 3)
-    distant.backward_lights[grid](
+    over_lights = (total // TILE, distant.SPLITS, 3)
+    distant.backward_lights[over_lights](
         n, slab.distant, lobes, g, sums, len(n), total, _part(len(n)), **sizes
     )
     sums = sums.double().sum(0)
@@ -170,7 +188,14 @@ def _general_tables(m):
     return torch.as_tensor(values, device=m.device), torch.as_tensor(steps, device=m.device)
 
 
-def _general_backward(n, view, m, slab, energy, g):
+def _general_backward(
+    n: torch.Tensor,
+    view: torch.Tensor,
+    m: torch.Tensor,
+    slab: DeviceSlab,
+    energy: torch.Tensor,
+    g: torch.Tensor,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Derivatives of one group by n (p, 3), m (3, 3, 2, 6), energy (3, T), view (p, 3)."""
     (values, steps), total = _general_tables(m), slab.lights
     sizes = {"PIXELS": general.PIXELS, "LIGHTS": TILE}

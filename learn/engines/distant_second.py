@@ -1,5 +1,7 @@
-"""Kernel for second derivatives of the sum for a distant viewer: the backward pass of
-learn.engines.distant.backward.
+"""Kernel for second derivatives of the sum for a distant viewer.
+
+It is the backward pass of learn.engines.distant.backward, whose loops it repeats on purpose: each
+is unrolled around values in registers.
 
 Letters, arrays and the sum as in learn.engines.distant; besides, a direction and the radiance's
 change I' along it: n_along  (P, 3): n', tangential up to rounding e_along  (blocks, 3, 16): E'
@@ -20,23 +22,37 @@ The first derivative by n was that of c = 1 − ½‖h − n‖², (h − n) a l
 derivative of: see `radial` in learn.methods.exact_second, which is the same in plain torch.
 """
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
 from learn.engines.distant import (
-    CHUNKS,
     LN2,
-    TILE,
     add_to,
     clear,
     cosine,
     half_offset,
     peak_cosine,
+    w_of,
     write_sums,
 )
 from learn.engines.exponentials import exp2, exp2m1
+from learn.engines.layout import (
+    CHANNEL_STRIDE,
+    DISTANT_SECOND_ROWS,
+    DISTANT_SECOND_SCRATCH,
+    DISTANT_STRIDE,
+    DISTANT_TILE,
+    ENERGY_STRIDE,
+    KAPPA,
+    LANES,
+    LIGHT_CHUNKS,
+    LOBE_STRIDE,
+    LOBES_STRIDE,
+)
 from learn.engines.vector import (
     FLOAT_POINTER,
+    Lanes,
     anywhere,
     fma,
     lane_max,
@@ -46,15 +62,24 @@ from learn.engines.vector import (
     splat,
 )
 
-ROWS = 6  # of a pixel's sums: by n, by g
-
 SECOND = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 15)
 
 
 @inlined
-def lobe_second(gamma, kappa, gamma_along, kappa_along, log2_c, log_c, r, u, v):
-    """Of one lobe and channel: F, F', and S's derivatives by κ, γ, ln c and r; then, for those by
-    κ' and γ', α c^γ and α x ln c.
+def lobe_second(
+    gamma: Lanes,
+    kappa: Lanes,
+    gamma_along: Lanes,
+    kappa_along: Lanes,
+    log2_c: Lanes,
+    log_c: Lanes,
+    r: Lanes,
+    u: Lanes,
+    v: Lanes,
+) -> tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]:
+    """F, F', and S's derivatives by κ, γ, ln c and r, of one lobe and channel.
+
+    They are followed by α c^γ and α x ln c, for derivatives by κ' and γ'.
 
     kappa is κ log2 e, log2_c and log_c the same in two units.
     """
@@ -84,29 +109,48 @@ def lobe_second(gamma, kappa, gamma_along, kappa_along, log2_c, log_c, r, u, v):
 
 
 def second(
-    first, last, pixels, blocks,
-    n, geometry, energy, lobes, least, cut, scratch, g, n_along, e_along, l_along, n_part, g_part, energy_sums, lobe_sums,
-):  # fmt: skip
-    """Derivatives of S that belong to light chunks first … last − 1, as in
-    learn.engines.distant.backward.
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    n: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    lobes: np.ndarray,
+    least: np.ndarray,
+    cut: np.ndarray,
+    scratch: np.ndarray,
+    g: np.ndarray,
+    n_along: np.ndarray,
+    e_along: np.ndarray,
+    l_along: np.ndarray,
+    n_part: np.ndarray,
+    g_part: np.ndarray,
+    energy_sums: np.ndarray,
+    lobe_sums: np.ndarray,
+) -> None:
+    """Derivatives of S from light chunks first … last − 1, as learn.engines.distant.backward.
 
-    scratch      room for CHUNKS tiles' sums, (CHUNKS, TILE, ROWS, 16)
-    n_part       (CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to
-    n
-    g_part       (CHUNKS, P, 3) out: of the derivative by g
+    scratch      (LIGHT_CHUNKS, DISTANT_TILE, DISTANT_SECOND_ROWS, 16)
+    n_part       (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivative by n, tangential
+    g_part       (LIGHT_CHUNKS, P, 3) out: of the derivative by g
     energy_sums  (blocks, 3, 16) out: the derivative by energy
     lobe_sums    (blocks, 3, 3, 2, 16) out: those by κ and by γ at each light
     """
     for chunk in range(first, last):
-        block_first, block_last = chunk * blocks // CHUNKS, (chunk + 1) * blocks // CHUNKS
-        clear(lobe_sums, 288 * block_first, 18 * (block_last - block_first))
-        clear(energy_sums, 48 * block_first, 3 * (block_last - block_first))
-        sums = 16 * ROWS * TILE * chunk
-        for start in range(0, pixels, TILE):
-            count = min(TILE, pixels - start)
-            clear(scratch, sums, ROWS * count)
+        block_first, block_last = (
+            chunk * blocks // LIGHT_CHUNKS,
+            (chunk + 1) * blocks // LIGHT_CHUNKS,
+        )
+        blocks_here = block_last - block_first
+        clear(lobe_sums, LOBES_STRIDE * block_first, LOBES_STRIDE // LANES * blocks_here)
+        clear(energy_sums, ENERGY_STRIDE * block_first, 3 * blocks_here)
+        sums = DISTANT_SECOND_SCRATCH * chunk
+        for start in range(0, pixels, DISTANT_TILE):
+            count = min(DISTANT_TILE, pixels - start)
+            clear(scratch, sums, DISTANT_SECOND_ROWS * count)
             for block in range(block_first, block_last):
-                o, i = 144 * block, 48 * block
+                o, i = DISTANT_STRIDE * block, ENERGY_STRIDE * block
                 for j in range(count):
                     p = 3 * (start + j)
                     nx, ny, nz = n[p], n[p + 1], n[p + 2]
@@ -123,12 +167,12 @@ def second(
                     log_c, by_c = log2_c * LN2, 1.0 / c
                     r = select(visible, fma(x, ax, fma(y, ay, z * az)) * by_c, 0.0)
                     by_w, by_log_c, by_r = splat(0.0), splat(0.0), splat(0.0)
-                    a = sums + 16 * ROWS * j
+                    a = sums + LANES * DISTANT_SECOND_ROWS * j
                     seen = False
                     for k in range(3):
                         e, e_change, weight = (
-                            load(energy, i + 16 * k),
-                            load(e_along, i + 16 * k),
+                            load(energy, i + LANES * k),
+                            load(e_along, i + LANES * k),
                             n_w * g[p + k],
                         )
                         u, v = weight * e, fma(w_along * g[p + k], e, weight * e_change)
@@ -136,7 +180,7 @@ def second(
                         for s in range(3):
                             if nearest * least[3 * block + s] > cut[block]:
                                 seen = True
-                                t = 288 * block + 96 * s + 32 * k
+                                t = LOBES_STRIDE * block + LOBE_STRIDE * s + CHANNEL_STRIDE * k
                                 (
                                     value,
                                     moved,
@@ -148,9 +192,9 @@ def second(
                                     _gamma,
                                 ) = lobe_second(
                                     load(lobes, t),
-                                    load(lobes, t + 16),
+                                    load(lobes, t + LANES * KAPPA),
                                     load(l_along, t),
-                                    load(l_along, t + 16),
+                                    load(l_along, t + LANES * KAPPA),
                                     log2_c,
                                     log_c,
                                     r,
@@ -160,30 +204,28 @@ def second(
                                 f, change = f + value, change + moved
                                 by_log_c, by_r = by_log_c + lobe_log_c, by_r + lobe_r
                                 add_to(lobe_sums, t, by_kappa)
-                                add_to(lobe_sums, t + 16, by_gamma)
+                                add_to(lobe_sums, t + LANES, by_gamma)
                         both = fma(change, n_w, f * w_along)
                         by_w = fma(fma(e, change, e_change * f), g[p + k], by_w)
-                        add_to(energy_sums, i + 16 * k, both * g[p + k])
-                        add_to(scratch, a + 48 + 16 * k, fma(e, both, e_change * f * n_w))
+                        add_to(energy_sums, i + LANES * k, both * g[p + k])
+                        add_to(
+                            scratch, a + ENERGY_STRIDE + LANES * k, fma(e, both, e_change * f * n_w)
+                        )
                     if not seen:
                         continue
                     by_w = select(visible, by_w, 0.0)
                     moving = by_r * by_c
                     by_c = (by_log_c - by_r * r) * by_c
-                    add_to(
-                        scratch, a, fma(by_w, load(geometry, o), fma(by_c, x, 0.0 - moving * ax))
-                    )
-                    add_to(
-                        scratch,
-                        a + 16,
-                        fma(by_w, load(geometry, o + 16), fma(by_c, y, 0.0 - moving * ay)),
-                    )
-                    add_to(
-                        scratch,
-                        a + 32,
-                        fma(by_w, load(geometry, o + 32), fma(by_c, z, 0.0 - moving * az)),
-                    )
+                    wx, wy, wz = w_of(geometry, o)
+                    by_x = fma(by_c, x, 0.0 - moving * ax)
+                    by_y = fma(by_c, y, 0.0 - moving * ay)
+                    by_z = fma(by_c, z, 0.0 - moving * az)
+                    add_to(scratch, a, fma(by_w, wx, by_x))
+                    add_to(scratch, a + LANES, fma(by_w, wy, by_y))
+                    add_to(scratch, a + 2 * LANES, fma(by_w, wz, by_z))
             for j in range(count):
                 at = 3 * (chunk * pixels + start + j)
-                write_sums(scratch, sums + 16 * ROWS * j, 3, n_part, at)
-                write_sums(scratch, sums + 16 * ROWS * j + 48, 3, g_part, at)
+                write_sums(scratch, sums + LANES * DISTANT_SECOND_ROWS * j, 3, n_part, at)
+                write_sums(
+                    scratch, sums + LANES * DISTANT_SECOND_ROWS * j + ENERGY_STRIDE, 3, g_part, at
+                )

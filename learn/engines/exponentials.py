@@ -1,5 +1,4 @@
-"""2^x, 2^x − 1, log2 and an arc tangent of sixteen floats: polynomials without branches, tables or
-calls.
+"""2^x, 2^x − 1, log2 and an arc tangent of sixteen floats: polynomials without branches or tables.
 
 x = k + f with k the nearest integer and f in [−½, ½]; 2^x = 2^k 2^f. Adding ROUND leaves k + 127,
 which is the exponent field of 2^k, in the low bits of the sum: a shift makes 2^k, no conversion is
@@ -10,10 +9,23 @@ tests/learn/engines/test_vector.py holds each function to its own.
 """
 
 from numba import types
-from numba.extending import intrinsic
 
 from learn.engines.compilation import inlined
-from learn.engines.vector import FLOATS, INTS, constant, fma, maximum, minimum, select, sqrt, wide
+from learn.engines.vector import (
+    FLOATS,
+    INTS,
+    Context,
+    Lanes,
+    Lowering,
+    constant,
+    fma,
+    instruction,
+    maximum,
+    minimum,
+    select,
+    sqrt,
+    wide,
+)
 
 ROUND = 1.5 * 2.0**23 + 127.0
 # 2^x is held at 2^-48 below: products stay clear of denormal numbers, which cost a hundred times
@@ -47,8 +59,8 @@ ATAN = (
 # ATAN: arctan(r) / r in z = r² on [0, 1], 1.5e-8
 
 
-@intrinsic
-def _fraction_and_scale(typing, x):
+@instruction
+def _fraction_and_scale(typing: Context, x: types.Type) -> Lowering:
     """(f, 2^k) of x = k + f, for x in [LOWEST, 127]."""
 
     def generate(context, builder, signature, arguments):
@@ -61,8 +73,8 @@ def _fraction_and_scale(typing, x):
     return types.UniTuple(wide, 2)(x), generate
 
 
-@intrinsic
-def _mantissa_and_exponent(typing, c):
+@instruction
+def _mantissa_and_exponent(typing: Context, c: types.Type) -> Lowering:
     """(m, k) of c = 2^k (1 + m) > 0, k as floats."""
 
     def generate(context, builder, signature, arguments):
@@ -77,30 +89,28 @@ def _mantissa_and_exponent(typing, c):
 
 
 @inlined
-def exp2m1_fraction(f):
+def exp2m1_fraction(f: Lanes) -> Lanes:
     """2^f − 1 for f in [−½, ½]."""
     return f * fma(f, fma(f, fma(f, fma(f, EXPM1[4], EXPM1[3]), EXPM1[2]), EXPM1[1]), EXPM1[0])
 
 
 @inlined
-def exp2(x):
+def exp2(x: Lanes) -> Lanes:
     """2^x for x ≤ 127."""
     f, scale = _fraction_and_scale(maximum(x, LOWEST))
     return fma(exp2m1_fraction(f), scale, scale)
 
 
 @inlined
-def exp2m1(x):
+def exp2m1(x: Lanes) -> Lanes:
     """2^x − 1 for x in [0, 127], to full relative precision near 0: a dark lobe's κ may be 1e-6."""
     f, scale = _fraction_and_scale(x)
     return fma(exp2m1_fraction(f), scale, scale - 1.0)
 
 
 @inlined
-def log2(c, one_minus_c):
-    """log2 of c in (0, 1], given 1 − c too: keeps the relative precision at c → 1, where a lobe has
-    its peak.
-    """
+def log2(c: Lanes, one_minus_c: Lanes) -> Lanes:
+    """log2 of c in (0, 1], with full relative precision at c → 1, where a lobe has its peak."""
     m, k = _mantissa_and_exponent(c)
     m = select(c > 0.75, 0.0 - one_minus_c, m)
     p = fma(m, fma(m, fma(m, fma(m, LOG[8], LOG[7]), LOG[6]), LOG[5]), LOG[4])
@@ -108,7 +118,7 @@ def log2(c, one_minus_c):
 
 
 @inlined
-def angle(y_squared, x_squared):
+def angle(y_squared: Lanes, x_squared: Lanes) -> Lanes:
     """arctan(√y² / √x²) in [0, π/2], not both 0."""
     z = minimum(y_squared, x_squared) / maximum(y_squared, x_squared)
     p = fma(z, fma(z, fma(z, fma(z, ATAN[8], ATAN[7]), ATAN[6]), ATAN[5]), ATAN[4])

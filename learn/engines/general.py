@@ -7,7 +7,7 @@ energy    (blocks, 3, 16): radiance × solid angle, E_k
 m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 least     (3 lobes,): smallest γ, to bound a whole block
 cut       (blocks,): a lobe with log2 c^γ below it everywhere in a block is left out
-(learn.engines.lights)
+          (learn.engines.lights)
 
     s = w + v, t = w − v, h = s/‖s‖, θ_d = arctan(‖t‖/‖s‖), c = n·h = 1 − ½‖h − n‖²;   the sum as in
     learn.engines.distant
@@ -16,14 +16,34 @@ s is kept as a float and its rounding error, and v's length is set right, so tha
 its own size: a lobe of γ = 1e5 needs it.
 """
 
+import numpy as np
 from numba import float32, float64, types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import CHUNKS, LN2, add_to, clear, peak_cosine, write_sums
+from learn.engines.distant import LN2, add_to, clear, peak_cosine, w_of, write_sums
 from learn.engines.exponentials import angle, exp2, exp2m1
-from learn.engines.splines import ANGLE_TO_X, add_curve, basis, curve, slope, tents
+from learn.engines.layout import (
+    CHANNEL_VALUES,
+    CONTROL_VALUES,
+    ENERGY_STRIDE,
+    GENERAL_SCRATCH,
+    GENERAL_STRIDE,
+    GENERAL_TILE,
+    KAPPA_VALUES,
+    LANES,
+    LIGHT_CHUNKS,
+    LOBE_VALUES,
+    STEPS_OF_CURVE,
+    VALUES,
+    W_REST_X,
+    W_REST_Y,
+    W_REST_Z,
+)
+from learn.engines.splines import ANGLE_TO_X, Basis, Tents, add_curve, basis, curve, slope, tents
 from learn.engines.vector import (
     FLOAT_POINTER,
+    Lanes,
+    Vector,
     anywhere,
     fma,
     lane_max,
@@ -35,8 +55,6 @@ from learn.engines.vector import (
     sqrt,
 )
 
-TILE = 32  # pixels of a thread's piece of work
-SCRATCH = 2 * 48 * TILE + 16 * 108  # floats: sums by n, by v, by m
 LEAST_SQUARE = 1e-9  # of ‖s‖: where the light is in front of the horizon it is above HORIZON²
 
 FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 8)
@@ -44,59 +62,76 @@ BACKWARD = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 14)
 
 
 @inlined
-def two_sum(a, b):
-    """a + b and what its rounding took off."""
+def two_sum(a: Lanes, b: Lanes) -> tuple[Lanes, Lanes]:
+    """a + b and its rounding error."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
 
 
 @inlined
-def shortfall(x, y, z):
+def shortfall(x: float, y: float, z: float) -> np.float32:
     """1/‖v‖ − 1 of a vector that was scaled to unit length in float32."""
-    x, y, z = float64(x), float64(y), float64(z)
-    return float32(0.5 * (1.0 - (x * x + y * y + z * z)))
+    x64, y64, z64 = float64(x), float64(y), float64(z)
+    return float32(0.5 * (1.0 - (x64 * x64 + y64 * y64 + z64 * z64)))
 
 
 @inlined
-def w_plus_v(geometry, o, vx, vy, vz, v_short):
-    """s = w + v as three floats and three rests."""
-    sx, rx = two_sum(load(geometry, o), vx)
-    sy, ry = two_sum(load(geometry, o + 16), vy)
-    sz, rz = two_sum(load(geometry, o + 32), vz)
-    rx = fma(vx, v_short, rx + load(geometry, o + 48))
-    ry = fma(vy, v_short, ry + load(geometry, o + 64))
-    rz = fma(vz, v_short, rz + load(geometry, o + 80))
+def w_plus_v(
+    geometry: np.ndarray, o: int, vx: Lanes, vy: Lanes, vz: Lanes, v_short: np.float32
+) -> tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]:
+    """s = w + v as three floats and their three rounding errors."""
+    wx, wy, wz = w_of(geometry, o)
+    sx, rx = two_sum(wx, vx)
+    sy, ry = two_sum(wy, vy)
+    sz, rz = two_sum(wz, vz)
+    rx = fma(vx, v_short, rx + load(geometry, o + LANES * W_REST_X))
+    ry = fma(vy, v_short, ry + load(geometry, o + LANES * W_REST_Y))
+    rz = fma(vz, v_short, rz + load(geometry, o + LANES * W_REST_Z))
     return sx, sy, sz, rx, ry, rz
 
 
 @inlined
-def square(x, y, z):
+def square(x: Lanes, y: Lanes, z: Lanes) -> Lanes:
+    """x² + y² + z²."""
     return fma(x, x, fma(y, y, z * z))
 
 
 @inlined
-def offset(s, rest, n, inverse):
+def offset(s: Lanes, rest: Lanes, n: Lanes, inverse: Lanes) -> Lanes:
     """One component of h − n, inverse = 1/‖s‖."""
     return fma(rest, inverse, fma(s, inverse, 0.0 - n))
 
 
 @inlined
-def lobe(m, o, log_c, b):
+def lobe(m: np.ndarray, o: int, log_c: Lanes, b: Basis) -> Lanes:
     """expm1(κ c^γ) of the lobe and channel at offset o."""
-    return exp2m1(curve(m, o + 6, b) * exp2(curve(m, o, b) * log_c))
+    return exp2m1(curve(m, o + KAPPA_VALUES, b) * exp2(curve(m, o, b) * log_c))
 
 
-def forward(first, last, pixels, blocks, n, v, geometry, energy, m, least, cut, radiance):
+def forward(
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    m: np.ndarray,
+    least: np.ndarray,
+    cut: np.ndarray,
+    radiance: np.ndarray,
+) -> None:
     """Radiance (P, 3) of pixel tiles first … last − 1."""
-    for p in range(first * TILE, min(last * TILE, pixels)):
+    for p in range(first * GENERAL_TILE, min(last * GENERAL_TILE, pixels)):
         nx, ny, nz = splat(n[3 * p]), splat(n[3 * p + 1]), splat(n[3 * p + 2])
         vx, vy, vz = splat(v[3 * p]), splat(v[3 * p + 1]), splat(v[3 * p + 2])
         v_short = shortfall(v[3 * p], v[3 * p + 1], v[3 * p + 2])
         i0, i1, i2 = splat(0.0), splat(0.0), splat(0.0)
         for block in range(blocks):
-            o, e = 96 * block, 48 * block
-            wx, wy, wz = load(geometry, o), load(geometry, o + 16), load(geometry, o + 32)
+            o, e = GENERAL_STRIDE * block, ENERGY_STRIDE * block
+            wx, wy, wz = w_of(geometry, o)
             n_w = fma(wx, nx, fma(wy, ny, wz * nz))
             if not anywhere(n_w > 0.0):
                 continue
@@ -116,13 +151,13 @@ def forward(first, last, pixels, blocks, n, v, geometry, energy, m, least, cut, 
             f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
             for s in range(3):
                 if nearest * least[s] > cut[block]:
-                    f0 = f0 + lobe(m, 36 * s, log_c, b)
-                    f1 = f1 + lobe(m, 36 * s + 12, log_c, b)
-                    f2 = f2 + lobe(m, 36 * s + 24, log_c, b)
+                    f0 = f0 + lobe(m, LOBE_VALUES * s, log_c, b)
+                    f1 = f1 + lobe(m, LOBE_VALUES * s + CHANNEL_VALUES, log_c, b)
+                    f2 = f2 + lobe(m, LOBE_VALUES * s + 2 * CHANNEL_VALUES, log_c, b)
             n_w = maximum(n_w, 0.0)
             i0 = fma(f0 * n_w, load(energy, e), i0)
-            i1 = fma(f1 * n_w, load(energy, e + 16), i1)
-            i2 = fma(f2 * n_w, load(energy, e + 32), i2)
+            i1 = fma(f1 * n_w, load(energy, e + LANES), i1)
+            i2 = fma(f2 * n_w, load(energy, e + 2 * LANES), i2)
         radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = (
             lane_sum(i0),
             lane_sum(i1),
@@ -131,59 +166,91 @@ def forward(first, last, pixels, blocks, n, v, geometry, energy, m, least, cut, 
 
 
 @inlined
-def lobe_backward(m, steps, o, log_c, b, tent, weight, m_sums, at, with_view):
-    """One lobe and channel: F, dF/dc · c log2 e, dF/dx of the spline's x; adds its derivatives by
-    m, × weight, from m_sums[at] on.
+def lobe_backward(
+    m: np.ndarray,
+    steps: np.ndarray,
+    o: int,
+    log_c: Lanes,
+    b: Basis,
+    tent: Tents,
+    weight: Lanes,
+    m_sums: np.ndarray,
+    at: int,
+    with_view: int,
+) -> Vector:
+    """F, dF/dc · c log2 e, and dF/dx of the spline's x, of one lobe and channel.
+
+    Its derivatives by m, × weight, are added from m_sums[at] on.
     """
-    gamma, kappa = curve(m, o, b), curve(m, o + 6, b)
+    gamma, kappa = curve(m, o, b), curve(m, o + KAPPA_VALUES, b)
     power = exp2(gamma * log_c)
     exponent = kappa * power
     value = exp2m1(exponent)
     x = value + 1.0
     by_kappa = x * power
     by_gamma = x * exponent * log_c
-    add_curve(m_sums, at + 16 * o, weight * by_gamma, b)
-    add_curve(m_sums, at + 16 * o + 96, weight * by_kappa, b)
+    add_curve(m_sums, at + LANES * o, weight * by_gamma, b)
+    add_curve(m_sums, at + LANES * (o + KAPPA_VALUES), weight * by_kappa, b)
     by_x = splat(0.0)
     if with_view:
-        i = o // 6 * 5
-        by_x = fma(by_gamma, slope(steps, i, tent), by_kappa * slope(steps, i + 5, tent))
+        i = o // CONTROL_VALUES * STEPS_OF_CURVE
+        by_kappa_slope = by_kappa * slope(steps, i + STEPS_OF_CURVE, tent)
+        by_x = fma(by_gamma, slope(steps, i, tent), by_kappa_slope)
     return value, x * exponent * gamma, by_x
 
 
 def backward(
-    first, last, pixels, blocks, with_view,
-    n, v, geometry, energy, m, steps, least, cut, scratch, g, n_part, v_part, energy_sums, m_sums,
-):  # fmt: skip
-    """Derivatives of Σ g·I that belong to light chunks first … last − 1; what the forward pass knew
-    is computed again.
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    with_view: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    m: np.ndarray,
+    steps: np.ndarray,
+    least: np.ndarray,
+    cut: np.ndarray,
+    scratch: np.ndarray,
+    g: np.ndarray,
+    n_part: np.ndarray,
+    v_part: np.ndarray,
+    energy_sums: np.ndarray,
+    m_sums: np.ndarray,
+) -> None:
+    """Derivatives of Σ g·I that belong to light chunks first … last − 1.
+
 
     with_view    0: v_part is not written
     steps        (3 lobes, 3 channels, 2, 5): slopes of the splines of γ ln² 2 and of κ
-    (learn.engines.lights.spline_steps)
-    scratch      (CHUNKS, SCRATCH): room for a tile's sums
+                 (learn.engines.lights.spline_steps)
+    scratch      (LIGHT_CHUNKS, GENERAL_SCRATCH): room for a tile's sums
     g            (P, 3) derivative by radiance
-    n_part       (CHUNKS, P, 3) out: each chunk's share of the derivative by n, its part tangent to
-    n
-    v_part       (CHUNKS, P, 3) out: the same by v
+    n_part       (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivative by n, tangential
+    v_part       (LIGHT_CHUNKS, P, 3) out: the same by v
     energy_sums  (blocks, 3, 16) out: Σ_p g F max(0, n·w), the derivative by energy
-    m_sums       (CHUNKS, tiles, 108) out, like m: derivatives by γ ln² 2 and by κ, each tile's and
-    chunk's share
+    m_sums       (LIGHT_CHUNKS, tiles, 108) out, like m: derivatives by γ ln² 2 and by κ
     Chunks as in learn.engines.distant.
     """
-    tiles = (pixels + TILE - 1) // TILE
+    tiles = (pixels + GENERAL_TILE - 1) // GENERAL_TILE
     for chunk in range(first, last):
-        block_first, block_last = chunk * blocks // CHUNKS, (chunk + 1) * blocks // CHUNKS
-        clear(energy_sums, 48 * block_first, 3 * (block_last - block_first))
-        n_sums = SCRATCH * chunk
-        v_sums = n_sums + 48 * TILE
+        block_first, block_last = (
+            chunk * blocks // LIGHT_CHUNKS,
+            (chunk + 1) * blocks // LIGHT_CHUNKS,
+        )
+        clear(energy_sums, ENERGY_STRIDE * block_first, 3 * (block_last - block_first))
+        n_sums = GENERAL_SCRATCH * chunk
+        v_sums = n_sums + ENERGY_STRIDE * GENERAL_TILE
+        by_m = v_sums + ENERGY_STRIDE * GENERAL_TILE
         for tile in range(tiles):
-            start = tile * TILE
-            count = min(TILE, pixels - start)
-            clear(scratch, n_sums, SCRATCH // 16)
+            start = tile * GENERAL_TILE
+            count = min(GENERAL_TILE, pixels - start)
+            clear(scratch, n_sums, GENERAL_SCRATCH // LANES)
             for block in range(block_first, block_last):
-                o, e = 96 * block, 48 * block
-                wx, wy, wz = load(geometry, o), load(geometry, o + 16), load(geometry, o + 32)
+                o, e = GENERAL_STRIDE * block, ENERGY_STRIDE * block
+                wx, wy, wz = w_of(geometry, o)
                 for j in range(count):
                     p = 3 * (start + j)
                     nx, ny, nz = n[p], n[p + 1], n[p + 2]
@@ -211,7 +278,7 @@ def backward(
                     n_w = maximum(n_w, 0.0)
                     by_w, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
                     for k in range(3):
-                        energy_k = load(energy, e + 16 * k)
+                        energy_k = load(energy, e + LANES * k)
                         weight = n_w * g[p + k] * energy_k
                         f, d_c, d_x = splat(0.0), splat(0.0), splat(0.0)
                         for s in range(3):
@@ -219,26 +286,26 @@ def backward(
                                 lobe_f, lobe_c, lobe_x = lobe_backward(
                                     m,
                                     steps,
-                                    36 * s + 12 * k,
+                                    LOBE_VALUES * s + CHANNEL_VALUES * k,
                                     log_c,
                                     b,
                                     tent,
                                     weight,
                                     scratch,
-                                    v_sums + 48 * TILE,
+                                    by_m,
                                     with_view,
                                 )
                                 f, d_c, d_x = f + lobe_f, d_c + lobe_c, d_x + lobe_x
-                        add_to(energy_sums, e + 16 * k, f * n_w * g[p + k])
+                        add_to(energy_sums, e + LANES * k, f * n_w * g[p + k])
                         by_w = fma(f * g[p + k], energy_k, by_w)
                         by_c = fma(d_c, weight, by_c)
                         by_x = fma(d_x, weight, by_x)
                     by_w = select(visible, by_w, 0.0)
                     by_c = by_c * LN2 / c
-                    a = n_sums + 48 * j
+                    a = n_sums + ENERGY_STRIDE * j
                     add_to(scratch, a, fma(by_w, wx, by_c * x))
-                    add_to(scratch, a + 16, fma(by_w, wy, by_c * y))
-                    add_to(scratch, a + 32, fma(by_w, wz, by_c * z))
+                    add_to(scratch, a + LANES, fma(by_w, wy, by_c * y))
+                    add_to(scratch, a + 2 * LANES, fma(by_w, wz, by_c * z))
                     if with_view:
                         # ∂c/∂v = (n − c h)/‖s‖, and n − c h is what of n − h stands across h.
                         # ∂θ_d/∂v = −(‖s‖² t + ‖t‖² s)/(4 ‖s‖ ‖t‖): tangential in itself, so that
@@ -253,7 +320,7 @@ def backward(
                             / sqrt(maximum(t_square, LEAST_SQUARE))
                         )
                         by_t, by_s = by_theta * s_square, by_theta * t_square
-                        a = v_sums + 48 * j
+                        a = v_sums + ENERGY_STRIDE * j
                         add_to(
                             scratch,
                             a,
@@ -261,15 +328,15 @@ def backward(
                         )
                         add_to(
                             scratch,
-                            a + 16,
+                            a + LANES,
                             fma(along, hy, 0.0 - by_c * y) - by_t * (wy - vy) - by_s * sy,
                         )
                         add_to(
                             scratch,
-                            a + 32,
+                            a + 2 * LANES,
                             fma(along, hz, 0.0 - by_c * z) - by_t * (wz - vz) - by_s * sz,
                         )
             write_sums(scratch, n_sums, 3 * count, n_part, 3 * (chunk * pixels + start))
             if with_view:
                 write_sums(scratch, v_sums, 3 * count, v_part, 3 * (chunk * pixels + start))
-            write_sums(scratch, v_sums + 48 * TILE, 108, m_sums, 108 * (chunk * tiles + tile))
+            write_sums(scratch, by_m, VALUES, m_sums, VALUES * (chunk * tiles + tile))

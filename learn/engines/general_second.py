@@ -1,12 +1,14 @@
-"""Kernel for second derivatives of the sum for a view vector per pixel: the backward pass of
-learn.engines.general.backward.
+"""Kernel for second derivatives of the sum for a view vector per pixel.
+
+It is the backward pass of learn.engines.general.backward, whose loops it repeats on purpose: each
+is unrolled around values in registers.
 
 Letters, arrays and the sum as in learn.engines.general, S and its parts as in
 learn.engines.distant_second; besides n_along, v_along  (P, 3): n', v', tangential up to rounding
 m                 (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 m_along           the same of γ' and of κ'
 steps             (3 lobes, 3 channels, 2, 5): slopes of the splines of γ and of κ
-(learn.engines.lights.spline_steps)
+                  (learn.engines.lights.spline_steps)
 steps_along       the same of γ' and of κ'
 
     c' = (h − n)·n' + h'·n    h' = (v' − h (h·v'))/‖s‖    θ' = −¼ (‖s‖ d + ‖t‖ h)·v'    d = t/‖t‖
@@ -17,16 +19,34 @@ w = v: ‖t‖ is held above √LEAST_SQUARE, and so is the second derivative be
 lacks.
 """
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import CHUNKS, LN2, add_to, clear, peak_cosine, write_sums
+from learn.engines.distant import LN2, add_to, clear, peak_cosine, w_of, write_sums
 from learn.engines.distant_second import lobe_second
 from learn.engines.exponentials import angle
-from learn.engines.general import LEAST_SQUARE, TILE, offset, shortfall, square, w_plus_v
-from learn.engines.splines import ANGLE_TO_X, add_curve, basis, curve, slope, tents
+from learn.engines.general import LEAST_SQUARE, offset, shortfall, square, w_plus_v
+from learn.engines.layout import (
+    CHANNEL_VALUES,
+    CONTROL_VALUES,
+    ENERGY_STRIDE,
+    GENERAL_SECOND_ROWS,
+    GENERAL_SECOND_SCRATCH,
+    GENERAL_STRIDE,
+    GENERAL_TILE,
+    KAPPA_VALUES,
+    LANES,
+    LIGHT_CHUNKS,
+    LOBE_VALUES,
+    STEPS,
+    STEPS_OF_CURVE,
+    VALUES,
+)
+from learn.engines.splines import ANGLE_TO_X, Tents, add_curve, basis, curve, slope, tents
 from learn.engines.vector import (
     FLOAT_POINTER,
+    Lanes,
     anywhere,
     fma,
     lane_max,
@@ -38,17 +58,12 @@ from learn.engines.vector import (
     store,
 )
 
-ROWS = 9  # of a pixel's sums: by n, by v, by g
-SCRATCH = 16 * (ROWS * TILE + 108 + 90)  # floats: those, and sums by m and by steps
-
 SECOND = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 21)
 
 
 @inlined
-def bends(theta_d):
-    """The derivatives of `tents` by x: 1 on the interval before a tent's knot, −1 on the one
-    after.
-    """
+def bends(theta_d: Lanes) -> Tents:
+    """The derivatives of `tents` by x: 1 on the interval before a knot, −1 on the one after."""
     x = theta_d * ANGLE_TO_X
     one, none = splat(1.0), splat(0.0)
     i0 = select(x < 1.0, one, none)
@@ -59,49 +74,75 @@ def bends(theta_d):
 
 
 @inlined
-def add_slope(sums, o, q, t):
+def add_slope(sums: np.ndarray, o: int, q: Lanes, t: Tents) -> None:
     """sums rows o/16 … + 4 (16 lanes each) += q t_j: a slope's derivative by its steps."""
     store(sums, o, fma(q, t[0], load(sums, o)))
-    store(sums, o + 16, fma(q, t[1], load(sums, o + 16)))
-    store(sums, o + 32, fma(q, t[2], load(sums, o + 32)))
-    store(sums, o + 48, fma(q, t[3], load(sums, o + 48)))
-    store(sums, o + 64, fma(q, t[4], load(sums, o + 64)))
+    store(sums, o + LANES, fma(q, t[1], load(sums, o + LANES)))
+    store(sums, o + 2 * LANES, fma(q, t[2], load(sums, o + 2 * LANES)))
+    store(sums, o + 3 * LANES, fma(q, t[3], load(sums, o + 3 * LANES)))
+    store(sums, o + 4 * LANES, fma(q, t[4], load(sums, o + 4 * LANES)))
 
 
 @inlined
-def dot(ax, ay, az, bx, by, bz):
+def dot(ax: Lanes, ay: Lanes, az: Lanes, bx: Lanes, by: Lanes, bz: Lanes) -> Lanes:
+    """The scalar product."""
     return fma(ax, bx, fma(ay, by, az * bz))
 
 
 def second(
-    first, last, pixels, blocks,
-    n, v, geometry, energy, m, steps, least, cut, scratch, g, n_along, v_along, e_along, m_along, steps_along,
-    n_part, v_part, g_part, energy_sums, m_sums, steps_sums,
-):  # fmt: skip
-    """Derivatives of S that belong to light chunks first … last − 1, as in
-    learn.engines.general.backward.
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    m: np.ndarray,
+    steps: np.ndarray,
+    least: np.ndarray,
+    cut: np.ndarray,
+    scratch: np.ndarray,
+    g: np.ndarray,
+    n_along: np.ndarray,
+    v_along: np.ndarray,
+    e_along: np.ndarray,
+    m_along: np.ndarray,
+    steps_along: np.ndarray,
+    n_part: np.ndarray,
+    v_part: np.ndarray,
+    g_part: np.ndarray,
+    energy_sums: np.ndarray,
+    m_sums: np.ndarray,
+    steps_sums: np.ndarray,
+) -> None:
+    """Derivatives of S from light chunks first … last − 1, as learn.engines.general.backward.
 
-    scratch                 (CHUNKS, SCRATCH): room for a tile's sums
-    n_part, v_part, g_part  (CHUNKS, P, 3) out: each chunk's share of the derivatives by n, v
-    (tangential parts) and g
+    scratch                 (LIGHT_CHUNKS, GENERAL_SECOND_SCRATCH): room for a tile's sums
+    n_part, v_part, g_part  (LIGHT_CHUNKS, P, 3) out: each chunk's share of the derivatives by n, v
+                            (tangential) and g
     energy_sums             (blocks, 3, 16) out: the derivative by energy
-    m_sums, steps_sums      (CHUNKS, tiles, 108) and (…, 90) out, like m and steps: derivatives by γ
-    and κ through their values, and by
-                            their steps through θ', each tile's and chunk's share
+    m_sums, steps_sums      (LIGHT_CHUNKS, tiles, 108), (…, 90) out, like m and steps: each tile's
+                            and chunk's derivatives by γ and κ through their values, and through
+                            their slopes by θ'
     """
-    tiles = (pixels + TILE - 1) // TILE
+    tiles = (pixels + GENERAL_TILE - 1) // GENERAL_TILE
     for chunk in range(first, last):
-        block_first, block_last = chunk * blocks // CHUNKS, (chunk + 1) * blocks // CHUNKS
-        clear(energy_sums, 48 * block_first, 3 * (block_last - block_first))
-        sums = SCRATCH * chunk
-        by_m, by_steps = sums + 16 * ROWS * TILE, sums + 16 * (ROWS * TILE + 108)
+        block_first, block_last = (
+            chunk * blocks // LIGHT_CHUNKS,
+            (chunk + 1) * blocks // LIGHT_CHUNKS,
+        )
+        clear(energy_sums, ENERGY_STRIDE * block_first, 3 * (block_last - block_first))
+        sums = GENERAL_SECOND_SCRATCH * chunk
+        by_m = sums + LANES * GENERAL_SECOND_ROWS * GENERAL_TILE
+        by_steps = by_m + LANES * VALUES
         for tile in range(tiles):
-            start = tile * TILE
-            count = min(TILE, pixels - start)
-            clear(scratch, sums, SCRATCH // 16)
+            start = tile * GENERAL_TILE
+            count = min(GENERAL_TILE, pixels - start)
+            clear(scratch, sums, GENERAL_SECOND_SCRATCH // LANES)
             for block in range(block_first, block_last):
-                o, i = 96 * block, 48 * block
-                wx, wy, wz = load(geometry, o), load(geometry, o + 16), load(geometry, o + 32)
+                o, i = GENERAL_STRIDE * block, ENERGY_STRIDE * block
+                wx, wy, wz = w_of(geometry, o)
                 for j in range(count):
                     p = 3 * (start + j)
                     nx, ny, nz = n[p], n[p + 1], n[p + 2]
@@ -131,7 +172,7 @@ def second(
                     length_s, length_t = s_square * inverse_s, t_square * inverse_t
                     hx, hy, hz = x + nx, y + ny, z + nz
                     dx, dy, dz = tx * inverse_t, ty * inverse_t, tz * inverse_t
-                    # what changes along (n', v')
+                    # changes along (n', v')
                     ax, ay, az = n_along[p], n_along[p + 1], n_along[p + 2]
                     qx, qy, qz = v_along[p], v_along[p + 1], v_along[p + 2]
                     h_q, d_q = dot(hx, hy, hz, qx, qy, qz), dot(dx, dy, dz, qx, qy, qz)
@@ -153,24 +194,27 @@ def second(
                         splat(0.0),
                         splat(0.0),
                     )
-                    at = sums + 16 * ROWS * j
+                    at = sums + LANES * GENERAL_SECOND_ROWS * j
                     for k in range(3):
                         e, e_change, weight = (
-                            load(energy, i + 16 * k),
-                            load(e_along, i + 16 * k),
+                            load(energy, i + LANES * k),
+                            load(e_along, i + LANES * k),
                             n_w * g[p + k],
                         )
                         u, s_weight = weight * e, fma(w_along * g[p + k], e, weight * e_change)
                         f, change = splat(0.0), splat(0.0)
                         for s in range(3):
                             if nearest * least[s] > cut[block]:
-                                to, st = 36 * s + 12 * k, 30 * s + 10 * k
+                                to = LOBE_VALUES * s + CHANNEL_VALUES * k
+                                st = to // CONTROL_VALUES * STEPS_OF_CURVE
                                 slope_gamma, slope_kappa = (
                                     slope(steps, st, tent),
-                                    slope(steps, st + 5, tent),
+                                    slope(steps, st + STEPS_OF_CURVE, tent),
                                 )
                                 gamma_along = fma(turned, slope_gamma, curve(m_along, to, b))
-                                kappa_along = fma(turned, slope_kappa, curve(m_along, to + 6, b))
+                                kappa_along = fma(
+                                    turned, slope_kappa, curve(m_along, to + KAPPA_VALUES, b)
+                                )
                                 (
                                     value,
                                     moved,
@@ -182,7 +226,7 @@ def second(
                                     along_gamma,
                                 ) = lobe_second(
                                     curve(m, to, b),
-                                    curve(m, to + 6, b),
+                                    curve(m, to + KAPPA_VALUES, b),
                                     gamma_along,
                                     kappa_along,
                                     log2_c,
@@ -193,11 +237,16 @@ def second(
                                 )
                                 f, change = f + value, change + moved
                                 by_log_c, by_r = by_log_c + lobe_log_c, by_r + lobe_r
-                                add_curve(scratch, by_m + 16 * to, by_gamma, b)
-                                add_curve(scratch, by_m + 16 * to + 96, by_kappa, b)
-                                add_slope(scratch, by_steps + 16 * st, along_gamma * turned, tent)
+                                add_curve(scratch, by_m + LANES * to, by_gamma, b)
+                                add_curve(scratch, by_m + LANES * (to + KAPPA_VALUES), by_kappa, b)
                                 add_slope(
-                                    scratch, by_steps + 16 * st + 80, along_kappa * turned, tent
+                                    scratch, by_steps + LANES * st, along_gamma * turned, tent
+                                )
+                                add_slope(
+                                    scratch,
+                                    by_steps + LANES * (st + STEPS_OF_CURVE),
+                                    along_kappa * turned,
+                                    tent,
                                 )
                                 by_turned = by_turned + fma(
                                     along_gamma, slope_gamma, along_kappa * slope_kappa
@@ -207,15 +256,19 @@ def second(
                                 )
                                 bent_kappa = fma(
                                     turned,
-                                    slope(steps, st + 5, bend),
-                                    slope(steps_along, st + 5, tent),
+                                    slope(steps, st + STEPS_OF_CURVE, bend),
+                                    slope(steps_along, st + STEPS_OF_CURVE, tent),
                                 )
                                 by_x = by_x + fma(by_gamma, slope_gamma, by_kappa * slope_kappa)
                                 by_x = by_x + fma(along_gamma, bent_gamma, along_kappa * bent_kappa)
                         both = fma(change, n_w, f * w_along)
                         by_w = fma(fma(e, change, e_change * f), g[p + k], by_w)
-                        add_to(energy_sums, i + 16 * k, both * g[p + k])
-                        add_to(scratch, at + 96 + 16 * k, fma(e, both, e_change * f * n_w))
+                        add_to(energy_sums, i + LANES * k, both * g[p + k])
+                        add_to(
+                            scratch,
+                            at + 2 * ENERGY_STRIDE + LANES * k,
+                            fma(e, both, e_change * f * n_w),
+                        )
                     by_w = select(visible, by_w, 0.0)
                     moving = by_r * by_c  # by c'
                     by_c = (by_log_c - by_r * r) * by_c
@@ -223,10 +276,14 @@ def second(
                     to_h = moving * inverse_s
                     add_to(scratch, at, fma(by_w, wx, by_c * x) + (to_h * across_x - moving * ax))
                     add_to(
-                        scratch, at + 16, fma(by_w, wy, by_c * y) + (to_h * across_y - moving * ay)
+                        scratch,
+                        at + LANES,
+                        fma(by_w, wy, by_c * y) + (to_h * across_y - moving * ay),
                     )
                     add_to(
-                        scratch, at + 32, fma(by_w, wz, by_c * z) + (to_h * across_z - moving * az)
+                        scratch,
+                        at + 2 * LANES,
+                        fma(by_w, wz, by_c * z) + (to_h * across_z - moving * az),
                     )
                     # by v: with u what of n stands across h, N = u·v', q that of v',
                     #   c has u/‖s‖;   c' has (n' across h)/‖s‖ − (N h + c q + (h·v') u)/‖s‖²
@@ -245,26 +302,27 @@ def second(
                     along_q = near - twice * c
                     add_to(
                         scratch,
-                        at + 48,
+                        at + ENERGY_STRIDE,
                         dot(along_u, along_h, along_d, ux, hx, dx)
                         + (along_q * across_x + to_h * ax - far * qx),
                     )
                     add_to(
                         scratch,
-                        at + 64,
+                        at + ENERGY_STRIDE + LANES,
                         dot(along_u, along_h, along_d, uy, hy, dy)
                         + (along_q * across_y + to_h * ay - far * qy),
                     )
                     add_to(
                         scratch,
-                        at + 80,
+                        at + ENERGY_STRIDE + 2 * LANES,
                         dot(along_u, along_h, along_d, uz, hz, dz)
                         + (along_q * across_z + to_h * az - far * qz),
                     )
             for j in range(count):
                 to = 3 * (chunk * pixels + start + j)
-                write_sums(scratch, sums + 16 * ROWS * j, 3, n_part, to)
-                write_sums(scratch, sums + 16 * ROWS * j + 48, 3, v_part, to)
-                write_sums(scratch, sums + 16 * ROWS * j + 96, 3, g_part, to)
-            write_sums(scratch, by_m, 108, m_sums, 108 * (chunk * tiles + tile))
-            write_sums(scratch, by_steps, 90, steps_sums, 90 * (chunk * tiles + tile))
+                at = sums + LANES * GENERAL_SECOND_ROWS * j
+                write_sums(scratch, at, 3, n_part, to)
+                write_sums(scratch, at + ENERGY_STRIDE, 3, v_part, to)
+                write_sums(scratch, at + 2 * ENERGY_STRIDE, 3, g_part, to)
+            write_sums(scratch, by_m, VALUES, m_sums, VALUES * (chunk * tiles + tile))
+            write_sums(scratch, by_steps, STEPS, steps_sums, STEPS * (chunk * tiles + tile))

@@ -1,24 +1,28 @@
 """Kernels for a look-up in a map over normals by bicubic Catmull–Rom weights, and its derivatives.
 
 n      (P, 3) unit normals; p = (n_x, n_y) / √(1 + n_z), the equal-area disk
-(learn/methods/reflectance_map.py)
+       (learn/methods/reflectance_map.py)
 size   nodes along a side; the place of a normal in nodes is (row, column) = ((p_y, p_x) + 1) (size
-− 5) / 2 + 2
+       − 5) / 2 + 2
 table  (size, size, 4) values at the nodes, the fourth unused: four neighbours in a row are sixteen
-floats, one load
+       floats, one load
 out    (P, 3)
 
-    out = Σ_ij a_i(row) b_j(column) table[r + i − 1, c + j − 1],   i, j = 0 … 3,   r, c the whole
-    parts of row and column
+    out = Σ_ij a_i(row) b_j(column) table[r + i − 1, c + j − 1],   i, j = 0 … 3
 
-Places and weights are found in float64, sums made in float32.
+r and c are the whole parts of row and column. Places and weights are computed in float64, sums in
+float32.
 """
 
 import math
 
+import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
+from learn.engines.layout import (
+    MAP_CHUNKS,
+)
 from learn.engines.vector import (
     FLOAT_POINTER,
     by_four,
@@ -31,18 +35,14 @@ from learn.engines.vector import (
     turn_sums,
 )
 
-CHUNKS = 4  # of pixels, in the backward pass: the most threads it can use
-
 TOUCH = types.void(*[types.int64] * 3, *[FLOAT_POINTER] * 2)
 FORWARD = types.void(*[types.int64] * 3, *[FLOAT_POINTER] * 3)
 BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 5)
 
 
 @inlined
-def place(x, y, z, size):
-    """Row and column of the node before a normal's place, what is left of the place, and 1 / √(1 +
-    n_z).
-    """
+def place(x: float, y: float, z: float, size: int) -> tuple[int, int, float, float, float]:
+    """Row and column of the node before a normal's place, the remainders, and 1 / √(1 + n_z)."""
     shrink = 1.0 / math.sqrt(1.0 + z)
     half = 0.5 * (size - 5)
     v, u = (y * shrink + 1.0) * half + 2.0, (x * shrink + 1.0) * half + 2.0
@@ -51,7 +51,7 @@ def place(x, y, z, size):
 
 
 @inlined
-def weights(t):
+def weights(t: float) -> tuple[float, float, float, float]:
     """Catmull–Rom weights of the four nodes around a place t in [0, 1) after the second."""
     t2 = t * t
     t3 = t2 * t
@@ -64,7 +64,7 @@ def weights(t):
 
 
 @inlined
-def weight_slopes(t):
+def weight_slopes(t: float) -> tuple[float, float, float, float]:
     """Their derivatives by t."""
     t2 = t * t
     return (
@@ -75,15 +75,17 @@ def weight_slopes(t):
     )
 
 
-def touch(first, last, size, n, touched):
-    """Sets touched (size, size) to 1 at the node before each of the pixels first … last − 1."""
+def touch(first: int, last: int, size: int, n: np.ndarray, touched: np.ndarray) -> None:
+    """Set touched (size, size) to 1 at the node before each of the pixels first … last − 1."""
     for p in range(first, last):
         x, y, z = types.float64(n[3 * p]), types.float64(n[3 * p + 1]), types.float64(n[3 * p + 2])
         row, column, _, _, _ = place(x, y, z, size)
         touched[row * size + column] = 1.0
 
 
-def forward(first, last, size, n, table, out):
+def forward(
+    first: int, last: int, size: int, n: np.ndarray, table: np.ndarray, out: np.ndarray
+) -> None:
     """Values of pixels first … last − 1."""
     for p in range(first, last):
         x, y, z = types.float64(n[3 * p]), types.float64(n[3 * p + 1]), types.float64(n[3 * p + 2])
@@ -99,13 +101,24 @@ def forward(first, last, size, n, table, out):
         out[3 * p + 2] = sums[2]
 
 
-def backward(first, last, pixels, size, n, table, g, by_n, by_table):
-    """Derivatives of Σ g·out from pixel chunks first … last − 1: by_n (P, 3), added to by_table
-    (CHUNKS, size, size, 4).
+def backward(
+    first: int,
+    last: int,
+    pixels: int,
+    size: int,
+    n: np.ndarray,
+    table: np.ndarray,
+    g: np.ndarray,
+    by_n: np.ndarray,
+    by_table: np.ndarray,
+) -> None:
+    """Derivatives of Σ g·out from pixel chunks first … last − 1.
+
+    by_n (P, 3) is written; by_table (MAP_CHUNKS, size, size, 4) is added to
     """
     for chunk in range(first, last):
         base = chunk * 4 * size * size
-        for p in range(chunk * pixels // CHUNKS, (chunk + 1) * pixels // CHUNKS):
+        for p in range(chunk * pixels // MAP_CHUNKS, (chunk + 1) * pixels // MAP_CHUNKS):
             x, y, z = (
                 types.float64(n[3 * p]),
                 types.float64(n[3 * p + 1]),

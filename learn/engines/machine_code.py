@@ -1,5 +1,4 @@
-"""The kernels as machine code: compiled by numba on first use, kept on disk, loaded without numba
-afterwards.
+"""The kernels as machine code: compiled by numba on first use, then loaded from disk without it.
 
 A kernel is a numba function of integers and float pointers that never fails and calls nothing. Its
 machine code is stored in the user's cache folder under the hash of everything it depends on: the
@@ -12,6 +11,8 @@ The functions are called through ctypes, which releases Python's lock: threads r
 side.
 """
 
+from __future__ import annotations
+
 import ctypes
 import functools
 import hashlib
@@ -22,17 +23,21 @@ import re
 import sys
 import threading
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from manifests.errors import InputError
 from manifests.files import write_bytes
 
+if TYPE_CHECKING:
+    import numpy as np
+
 DIGEST = hashlib.sha256().digest_size
 _lock = threading.Lock()
-_found = {}  # library → whether it is installed
-_loaded = {}  # name → (address, what must stay alive)
+_found: dict[str, bool] = {}  # library → whether it is installed
+_loaded: dict[str, tuple[int, object]] = {}  # name → (address, owner of the memory)
 
 
-def _renew_lock():
+def _renew_lock() -> None:
     global _lock
     _lock = threading.Lock()
 
@@ -40,10 +45,8 @@ def _renew_lock():
 os.register_at_fork(after_in_child=_renew_lock)
 
 
-def is_available():
-    """Whether kernels can be made here: numba (which brings llvmlite) is installed. Says so once if
-    it is not.
-    """
+def is_available() -> bool:
+    """Whether numba, which brings llvmlite, is installed; prints a line once if it is not."""
     if "numba" not in _found:  # not functools.cache: torch.compile warns of it
         _found["numba"] = importlib.util.find_spec("numba") is not None
         if not _found["numba"]:
@@ -55,13 +58,15 @@ def is_available():
     return _found["numba"]
 
 
-def call(name, *arguments):
-    """Run a kernel, "module.function" of this folder, on integers and C-contiguous arrays (or
-    None).
+def call(name: str, *arguments: int | np.ndarray | None) -> None:
+    """Run a kernel, "module.function" of this folder.
+
+    arguments  integers, C-contiguous arrays, or None for a null pointer
     """
     # where numba puts the result (None) and would put an exception
     unused = ctypes.c_void_p(), ctypes.c_void_p()
-    kinds, values = [ctypes.c_void_p, ctypes.c_void_p], [ctypes.addressof(u) for u in unused]
+    kinds: list[type] = [ctypes.c_void_p, ctypes.c_void_p]
+    values: list[int | None] = [ctypes.addressof(u) for u in unused]
     for argument in arguments:
         if isinstance(argument, int):
             kinds.append(ctypes.c_int64)
@@ -72,7 +77,7 @@ def call(name, *arguments):
     ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(_address(name))(*values)
 
 
-def _address(name):
+def _address(name: str) -> int:
     if name not in _loaded:
         with _lock:
             if name not in _loaded:
@@ -80,7 +85,7 @@ def _address(name):
     return _loaded[name][0]
 
 
-def _load(name, code):
+def _load(name: str, code: bytes) -> tuple[int, object]:
     """Address of the kernel in its machine code, and the engine that owns the memory."""
     import llvmlite.binding as llvm
 
@@ -95,8 +100,8 @@ def _load(name, code):
     return engine.get_function_address(_symbol(name)), engine
 
 
-def _machine_code(name):
-    """From the cache folder, or compiled and put there."""
+def _machine_code(name: str) -> bytes:
+    """The kernel's object code, from the cache folder or compiled and stored there."""
     path = _cache_folder() / f"{name}-{_key(name.split('.')[0])}.o"
     try:
         digest, code = (stored := path.read_bytes())[:DIGEST], stored[DIGEST:]
@@ -121,7 +126,7 @@ def _machine_code(name):
     return code
 
 
-def _compile(name):
+def _compile(name: str) -> bytes:
     from learn.engines import compilation
 
     module_name, function_name = name.split(".")
@@ -138,14 +143,12 @@ def _target_machine(llvm):
     )
 
 
-def _symbol(name):
+def _symbol(name: str) -> str:
     return "brdfactory_" + name.replace(".", "_")
 
 
-def sources(module):
-    """The names of a kernel's module and of all modules of this folder that it imports, directly or
-    not; and this one's.
-    """
+def sources(module: str) -> list[str]:
+    """Names of a kernel's module, of all modules of this folder that it needs, and of this one."""
     result, open_ = {"machine_code"}, [module]
     while open_:
         name = open_.pop()
@@ -160,7 +163,7 @@ def sources(module):
 
 
 @functools.cache
-def _key(module):
+def _key(module: str) -> str:
     import llvmlite.binding as llvm
 
     parts = [(Path(__file__).parent / f"{name}.py").read_bytes() for name in sources(module)]
@@ -169,7 +172,7 @@ def _key(module):
     return hashlib.sha256(b"\0".join(parts)).hexdigest()[:20]
 
 
-def _cache_folder():
+def _cache_folder() -> Path:
     named = os.environ.get("BRDFACTORY_CACHE")
     base = (
         Path(named)
@@ -179,6 +182,6 @@ def _cache_folder():
     return base / "kernels"
 
 
-def _write(path, content):
+def _write(path: Path, content: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, content)

@@ -1,5 +1,6 @@
-"""Pixels picked out of pictures and put back, as differentiable steps: by learn.engines.pixels in
-float32 on the CPU, else by torch.
+"""Differentiable steps that select pixels from pictures and scatter values back.
+
+learn.engines.pixels does it in float32 on the CPU, torch elsewhere.
 
 vectors  (P, 3) normals or views of all pixels;  index (N,) places of the pixels that are seen
 
@@ -12,29 +13,27 @@ import numpy as np
 import torch
 
 from learn.engines import machine_code, threads
-from learn.engines.derivatives import Step, require_one_gradient
+from learn.engines.derivatives import Context, Step, require_one_gradient
+from learn.engines.layout import (
+    SHORTEST,
+)
 
-# states of a pixel, those of learn.engines.pixels, which needs numba to be read
-OUTSIDE, AWAY, SEEN, WRONG = range(4)
 PIXEL = 6e-9  # seconds that a kernel needs for each
-SHORTEST = 1e-12  # as torch.nn.functional.normalize
 
 
-def has_kernels(tensor):
-    """Whether the kernels serve; under torch.compile torch's own operators do, which it can see
-    into.
-    """
+def has_kernels(tensor: torch.Tensor) -> bool:
+    """Whether the kernels apply; under torch.compile torch's own operators do."""
     right = tensor.dtype == torch.float32 and tensor.device.type == "cpu"
     return right and not torch.compiler.is_compiling() and machine_code.is_available()
 
 
-def in_order(tensor):
+def in_order(tensor: torch.Tensor) -> np.ndarray:
     """A tensor as a numpy array in C order."""
     return np.ascontiguousarray(tensor.numpy())
 
 
-def run(name, count, *arguments):
-    """A kernel over range(count), on as many threads as torch may use."""
+def run(name: str, count: int, *arguments: int | np.ndarray | None) -> None:
+    """Run a kernel over range(count), on as many threads as torch may use."""
     workers = threads.worth(torch.get_num_threads(), count * PIXEL)
     threads.run(
         lambda first, last: machine_code.call(name, first, last, *arguments),
@@ -43,64 +42,77 @@ def run(name, count, *arguments):
     )
 
 
-def states(n, view, mask, tolerance, horizon):
-    """State (P,) uint8 of each pixel as learn.engines.pixels has it; n, view (…, 3) float32, mask
-    (…) bool; view and mask may be None.
+def states(
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    mask: torch.Tensor | None,
+    tolerance: float,
+    horizon: float,
+) -> np.ndarray:
+    """State (P,) uint8 of each pixel (learn.engines.layout).
+
+    n, view  (…, 3) float32; view may be None
+    mask     (…) bool, or None
     """
-    n, view, mask = (None if x is None else in_order(x.detach()) for x in (n, view, mask))
-    result, limits = np.empty(n.size // 3, np.uint8), np.array([tolerance, horizon], np.float32)
+    normals = in_order(n.detach())
+    views, inside = (None if x is None else in_order(x.detach()) for x in (view, mask))
+    limits = np.array([tolerance, horizon], np.float32)
+    result = np.empty(normals.size // 3, np.uint8)
     run(
         "pixels.look",
         len(result),
-        int(view is not None),
-        int(mask is not None),
-        n,
-        view,
+        int(views is not None),
+        int(inside is not None),
+        normals,
+        views,
         limits,
-        mask,
+        inside,
         result,
     )
     return result
 
 
-def unit(vectors, index):
-    """(N, 3) vectors at index, scaled to unit length."""
+def unit(vectors: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
+    """Vectors (N, 3) at index, scaled to unit length."""
     if has_kernels(vectors):
         return Unit.apply(vectors, index)
     return torch.nn.functional.normalize(vectors.index_select(0, index), dim=-1)
 
 
-def spread(radiance, index, pixels):
-    """(P, 3) with radiance (N, 3) at index, 0 elsewhere."""
+def spread(radiance: torch.Tensor, index: torch.Tensor, pixels: int) -> torch.Tensor:
+    """A picture (P, 3) with radiance (N, 3) at index and 0 elsewhere."""
     if has_kernels(radiance):
         return Spread.apply(radiance, index, pixels)
     return radiance.new_zeros(pixels, 3).index_copy(0, index, radiance)
 
 
 class Unit(Step):
+    """`unit` by the kernels."""
+
     @staticmethod
-    def forward(ctx, vectors, index):
+    def forward(ctx: Context, vectors: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
         ctx.save_for_backward(vectors, index)
-        given, places = in_order(vectors), index.numpy()
+        array, places = in_order(vectors), index.numpy()
         result, length = np.empty((len(places), 3), np.float32), np.empty(len(places), np.float32)
-        run("pixels.unit", len(places), given, places, result, length)
-        ctx.kept = places, result, length, len(given)
+        run("pixels.unit", len(places), array, places, result, length)
+        ctx.for_backward = places, result, length, len(array)
         return torch.from_numpy(result)
 
     @staticmethod
-    def backward(ctx, g):
+    def backward(ctx: Context, g: torch.Tensor) -> tuple[torch.Tensor, None]:
         require_one_gradient(g)
         if torch.is_grad_enabled():
             return tangential(g, *ctx.saved_tensors), None
-        places, result, length, pixels = ctx.kept
+        places, result, length, pixels = ctx.for_backward
         by_vectors = np.zeros((pixels, 3), np.float32)
         run("pixels.unit_backward", len(places), places, result, length, in_order(g), by_vectors)
         return torch.from_numpy(by_vectors), None
 
 
-def tangential(g, vectors, index):
-    """(P, 3): derivatives by the vectors, given those by the unit vectors at index; the same in
-    torch, to be differentiated again.
+def tangential(g: torch.Tensor, vectors: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
+    """Derivatives (P, 3) by the vectors from those by the unit vectors at index, in torch.
+
+    They can be differentiated again.
     """
     picked = vectors.index_select(0, index)
     length = picked.norm(dim=-1, keepdim=True).clamp(min=SHORTEST)
@@ -111,15 +123,19 @@ def tangential(g, vectors, index):
 
 
 class Spread(Step):
+    """`spread` by the kernels."""
+
     @staticmethod
-    def forward(ctx, radiance, index, pixels):
+    def forward(
+        ctx: Context, radiance: torch.Tensor, index: torch.Tensor, pixels: int
+    ) -> torch.Tensor:
         ctx.places = index.numpy()
         picture = np.zeros((pixels, 3), np.float32)
         run("pixels.spread", len(ctx.places), ctx.places, in_order(radiance), picture)
         return torch.from_numpy(picture)
 
     @staticmethod
-    def backward(ctx, g):
+    def backward(ctx: Context, g: torch.Tensor) -> tuple[torch.Tensor, None, None]:
         require_one_gradient(g)
         if torch.is_grad_enabled():
             return g.index_select(0, torch.from_numpy(ctx.places)), None, None

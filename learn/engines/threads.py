@@ -8,18 +8,21 @@ A run of the kernels behind `auto` takes 0.1 to 5 ms, and waking a thread 0.05: 
 `WORTHWHILE` is not shared.
 """
 
+from __future__ import annotations
+
 import itertools
 import os
 import queue
 import threading
+from collections.abc import Callable, Sequence
 
 WORTHWHILE = 3e-4  # seconds of work for each further thread
 _lock = threading.Lock()
-_tasks = queue.SimpleQueue()
-_helpers = []
+_tasks: queue.SimpleQueue[_Task] = queue.SimpleQueue()
+_helpers: list[threading.Thread] = []
 
 
-def _forget():
+def _forget() -> None:
     global _lock, _tasks
     _lock, _tasks = threading.Lock(), queue.SimpleQueue()
     _helpers.clear()
@@ -28,32 +31,26 @@ def _forget():
 os.register_at_fork(after_in_child=_forget)
 
 
-def split(count, slices):
+def split(count: int, slices: int) -> list[tuple[int, int]]:
     """Bounds (first, last) of `slices` nearly equal parts of range(count), empty ones left out."""
     bounds = [count * i // slices for i in range(slices + 1)]
     return [(a, b) for a, b in itertools.pairwise(bounds) if a < b]
 
 
-def worth(threads, seconds):
-    """How many of so many threads a work of about `seconds` on one is worth."""
+def worth(threads: int, seconds: float) -> int:
+    """The number of threads, `threads` at most, that work of `seconds` on one thread deserves."""
     return max(1, min(threads, int(seconds / WORTHWHILE)))
 
 
 class _Task:
-    """Work offered to a helper, until the caller takes it back; what it raises is kept for the
-    caller.
-    """
+    """Work offered to a helper until the caller withdraws it; keeps an exception for the caller."""
 
-    def __init__(self, work):
-        self.work, self.offered, self.done, self.error = (
-            work,
-            threading.Lock(),
-            threading.Lock(),
-            None,
-        )
+    def __init__(self, work: Callable[[], None]):
+        self.work, self.offered, self.done = work, threading.Lock(), threading.Lock()
+        self.error: BaseException | None = None
         self.done.acquire()
 
-    def run(self):
+    def run(self) -> None:
         if self.offered.acquire(blocking=False):
             try:
                 self.work()
@@ -61,25 +58,27 @@ class _Task:
                 self.error = error
             self.done.release()
 
-    def finish(self):
-        """Back to the caller: at once if no helper has begun, else when it has ended."""
+    def finish(self) -> None:
+        """Return at once if no helper has begun, otherwise when it has ended."""
         if not self.offered.acquire(blocking=False):
             self.done.acquire()
         if self.error:
             raise self.error
 
 
-def _help(tasks):
+def _help(tasks: queue.SimpleQueue[_Task]) -> None:
     while True:
         tasks.get().run()
 
 
-def run(function, bounds, threads):
-    """function(first, last) for each pair of bounds, on up to `threads` threads, this one among
-    them; the first exception is raised.
+def run(
+    function: Callable[[int, int], object], bounds: Sequence[tuple[int, int]], threads: int
+) -> None:
+    """Call function(first, last) for each pair of bounds, on up to `threads` threads.
 
-    Each thread takes the next slice when it is done with one: a helper that wakes late leaves the
-    others its share, and the caller waits only for slices that somebody is at.
+    The calling thread is one of them. Each thread takes the next slice when it is done with one: if
+    a helper wakes late, the others do its share, and the caller waits only for slices that have
+    been begun. The first exception is raised.
     """
     helpers = min(threads, len(bounds)) - 1
     if helpers <= 0:

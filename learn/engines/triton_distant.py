@@ -1,12 +1,13 @@
-"""CUDA kernels for a distant viewer, in Triton: the sum of learn.engines.distant, tiled over pixels
-and lights.
+"""CUDA kernels for a distant viewer, in Triton, tiled over pixels and lights.
+
+The sum is that of learn.engines.distant.
 
 n         (P, 3) unit normals, camera frame
 geometry  (9, T): w (3 rows), h (3 rows), and what rounding took off h (3 rows)
 energy    (3, T): radiance × solid angle
 lobes     (18, T): rows 6 s + 2 k (γ) and 6 s + 2 k + 1 (κ log2 e) of lobe s, channel k
 T lights, a multiple of LIGHTS. float32 throughout; nothing of size pixels × lights is ever stored,
-what the forward pass knew is computed again. Derivatives by pixels and by lights are two passes,
+values of the forward pass are computed again. Derivatives by pixels and by lights are two passes,
 each the only writer of what it writes: no atomics, the same bits every time.
 
 No accelerator was at hand when these were written: tests run them through Triton's interpreter
@@ -25,14 +26,18 @@ LN2 = tl.constexpr(0.6931471805599453)
 
 
 @triton.jit
-def half_offset(geometry, t, lights, nx, ny, nz):
+def half_offset(
+    geometry: tl.tensor, t: tl.tensor, lights: int, nx: tl.tensor, ny: tl.tensor, nz: tl.tensor
+) -> tuple[tl.tensor, tl.tensor, tl.tensor]:
     hx, hy, hz = rows(geometry, 3, t, lights)
     rx, ry, rz = rows(geometry, 6, t, lights)
     return (hx - nx) + rx, (hy - ny) + ry, (hz - nz) + rz
 
 
 @triton.jit
-def lobe(lobes, row, t, lights, log_c):
+def lobe(
+    lobes: tl.tensor, row: int, t: tl.tensor, lights: int, log_c: tl.tensor
+) -> tuple[tl.tensor, tl.tensor]:
     """Of the lobe and channel at `row`: F and dF/dc · c log2 e, over one tile."""
     gamma = tl.load(lobes + row * lights + t)[None, :]
     kappa = tl.load(lobes + (row + 1) * lights + t)[None, :]
@@ -42,7 +47,9 @@ def lobe(lobes, row, t, lights, log_c):
 
 
 @triton.jit
-def channel(lobes, k, t, lights, log_c):
+def channel(
+    lobes: tl.tensor, k: int, t: tl.tensor, lights: int, log_c: tl.tensor
+) -> tuple[tl.tensor, tl.tensor]:
     """The three lobes of channel k together."""
     f0, d0 = lobe(lobes, 2 * k, t, lights, log_c)
     f1, d1 = lobe(lobes, 2 * k + 6, t, lights, log_c)
@@ -52,8 +59,16 @@ def channel(lobes, k, t, lights, log_c):
 
 @triton.jit
 def forward(
-    n, geometry, energy, lobes, radiance, pixels, lights, PIXELS: tl.constexpr, LIGHTS: tl.constexpr
-):
+    n: tl.tensor,
+    geometry: tl.tensor,
+    energy: tl.tensor,
+    lobes: tl.tensor,
+    radiance: tl.tensor,
+    pixels: int,
+    lights: int,
+    PIXELS: tl.constexpr,
+    LIGHTS: tl.constexpr,
+) -> None:
     """Radiance (P, 3); one program a tile of pixels."""
     p = tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
     inside = p < pixels
@@ -79,8 +94,17 @@ def forward(
 
 @triton.jit
 def backward_pixels(
-    n, geometry, energy, lobes, g, by_n, pixels, lights, PIXELS: tl.constexpr, LIGHTS: tl.constexpr
-):
+    n: tl.tensor,
+    geometry: tl.tensor,
+    energy: tl.tensor,
+    lobes: tl.tensor,
+    g: tl.tensor,
+    by_n: tl.tensor,
+    pixels: int,
+    lights: int,
+    PIXELS: tl.constexpr,
+    LIGHTS: tl.constexpr,
+) -> None:
     """Derivative by n (P, 3), tangential up to a radial part; one program a tile of pixels."""
     p = tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
     inside = p < pixels
@@ -111,7 +135,16 @@ def backward_pixels(
 
 
 @triton.jit
-def lobe_sums(lobes, row, t, lights, log_c, weight, by_kappa, by_gamma):
+def lobe_sums(
+    lobes: tl.tensor,
+    row: int,
+    t: tl.tensor,
+    lights: int,
+    log_c: tl.tensor,
+    weight: tl.tensor,
+    by_kappa: tl.tensor,
+    by_gamma: tl.tensor,
+) -> tuple[tl.tensor, tl.tensor, tl.tensor]:
     """F, and the two sums over pixels of learn.engines.distant.backward with this tile added."""
     gamma = tl.load(lobes + row * lights + t)[None, :]
     kappa = tl.load(lobes + (row + 1) * lights + t)[None, :]
@@ -123,13 +156,22 @@ def lobe_sums(lobes, row, t, lights, log_c, weight, by_kappa, by_gamma):
 
 @triton.jit
 def backward_lights(
-    n, geometry, lobes, g, sums, pixels, lights, split, PIXELS: tl.constexpr, LIGHTS: tl.constexpr
-):
+    n: tl.tensor,
+    geometry: tl.tensor,
+    lobes: tl.tensor,
+    g: tl.tensor,
+    sums: tl.tensor,
+    pixels: int,
+    lights: int,
+    split: int,
+    PIXELS: tl.constexpr,
+    LIGHTS: tl.constexpr,
+) -> None:
     """Sums over one part of the pixels: one program a tile of lights, a part and a channel.
 
     split  pixels of a part, a multiple of PIXELS
     sums   (SPLITS, 3 channels, 7, T) out: Σ g F max(0, n·w), then of each lobe Σ g max(0, n·w) x
-    c^γ and the same times log2 c
+           c^γ and the same times log2 c
     """
     t = tl.program_id(0) * LIGHTS + tl.arange(0, LIGHTS)
     k = tl.program_id(2)

@@ -1,5 +1,6 @@
-"""CUDA kernels for a view vector per pixel, in Triton: the sum of learn.engines.general, tiled over
-pixels and lights.
+"""CUDA kernels for a view vector per pixel, in Triton, tiled over pixels and lights.
+
+The sum is that of learn.engines.general.
 
 n, v      (P, 3) unit normals, and unit vectors to the viewer, camera frame
 short     (P,) 1/‖v‖ − 1: what v lacks of unit length after rounding
@@ -7,7 +8,7 @@ geometry  (6, T): w (3 rows), and what rounding took off w (3 rows)
 energy    (3, T): radiance × solid angle
 m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 steps     (3 lobes, 3 channels, 2, 5): slopes of the splines of γ ln² 2 and of κ
-(learn.engines.lights.spline_steps)
+          (learn.engines.lights.spline_steps)
 Formulas, and why s keeps its rounding error: learn.engines.general. Passes and promises:
 learn.engines.triton_distant.
 """
@@ -25,7 +26,9 @@ LEAST_SQUARE = tl.constexpr(1e-9)
 
 
 @triton.jit
-def two_sum(w, w_rest, v, short):
+def two_sum(
+    w: tl.tensor, w_rest: tl.tensor, v: tl.tensor, short: tl.tensor
+) -> tuple[tl.tensor, tl.tensor]:
     """One component of s = w + v, and what rounding took off it."""
     s = w + v
     part = s - w
@@ -33,12 +36,12 @@ def two_sum(w, w_rest, v, short):
 
 
 @triton.jit
-def square(x, y, z):
+def square(x: tl.tensor, y: tl.tensor, z: tl.tensor) -> tl.tensor:
     return x * x + y * y + z * z
 
 
 @triton.jit
-def angle(y_squared, x_squared):
+def angle(y_squared: tl.tensor, x_squared: tl.tensor) -> tl.tensor:
     """arctan(√y² / √x²) in [0, π/2]."""
     z = tl.minimum(y_squared, x_squared) / tl.maximum(y_squared, x_squared)
     p = 0.10640924 + z * (-0.07504274 + z * (0.04269128 + z * (-0.01606848 + z * 0.00284985)))
@@ -47,27 +50,27 @@ def angle(y_squared, x_squared):
 
 
 @triton.jit
-def positive_square(a):
+def positive_square(a: tl.tensor) -> tl.tensor:
     a = tl.maximum(a, 0.0)
     return a * a
 
 
 @triton.jit
-def end(x):
+def end(x: tl.tensor) -> tuple[tl.tensor, tl.tensor]:
     return positive_square(1.0 - x), tl.where(
         x < 1.0, x * (2.0 - 1.5 * x), 0.5 * positive_square(2.0 - x)
     )
 
 
 @triton.jit
-def bump(distance):
+def bump(distance: tl.tensor) -> tl.tensor:
     return tl.where(
         distance < 0.5, 0.75 - distance * distance, 0.5 * positive_square(1.5 - distance)
     )
 
 
 @triton.jit
-def basis(x):
+def basis(x: tl.tensor) -> tuple[tl.tensor, tl.tensor, tl.tensor, tl.tensor, tl.tensor, tl.tensor]:
     """The six spline functions at x = θ_d · 8/π."""
     b0, b1 = end(x)
     b5, b4 = end(4.0 - x)
@@ -75,13 +78,22 @@ def basis(x):
 
 
 @triton.jit
-def curve(m, o, b0, b1, b2, b3, b4, b5):
+def curve(
+    m: tl.tensor,
+    o: int,
+    b0: tl.tensor,
+    b1: tl.tensor,
+    b2: tl.tensor,
+    b3: tl.tensor,
+    b4: tl.tensor,
+    b5: tl.tensor,
+) -> tl.tensor:
     low = tl.load(m + o) * b0 + tl.load(m + o + 1) * b1 + tl.load(m + o + 2) * b2
     return low + tl.load(m + o + 3) * b3 + tl.load(m + o + 4) * b4 + tl.load(m + o + 5) * b5
 
 
 @triton.jit
-def slope(steps, o, x):
+def slope(steps: tl.tensor, o: int, x: tl.tensor) -> tl.tensor:
     """Derivative by x of the curve with steps at o: Σ tent_j step_j."""
     result = tl.load(steps + o) * tl.maximum(1.0 - x, 0.0) + tl.load(steps + o + 4) * tl.maximum(
         x - 3.0, 0.0
@@ -92,7 +104,28 @@ def slope(steps, o, x):
 
 
 @triton.jit
-def place(geometry, t, lights, nx, ny, nz, vx, vy, vz, short):
+def place(
+    geometry: tl.tensor,
+    t: tl.tensor,
+    lights: int,
+    nx: tl.tensor,
+    ny: tl.tensor,
+    nz: tl.tensor,
+    vx: tl.tensor,
+    vy: tl.tensor,
+    vz: tl.tensor,
+    short: tl.tensor,
+) -> tuple[
+    tl.tensor,
+    tl.tensor,
+    tl.tensor,
+    tl.tensor,
+    tl.tensor,
+    tl.tensor,
+    tl.tensor,
+    tl.tensor,
+    tl.tensor,
+]:
     """n·w, h − n (3), s (3), ‖s‖², ‖t‖² of a tile."""
     wx, wy, wz = rows(geometry, 0, t, lights)
     qx, qy, qz = rows(geometry, 3, t, lights)
@@ -109,7 +142,17 @@ def place(geometry, t, lights, nx, ny, nz, vx, vy, vz, short):
 
 
 @triton.jit
-def lobe(m, o, log_c, b0, b1, b2, b3, b4, b5):
+def lobe(
+    m: tl.tensor,
+    o: int,
+    log_c: tl.tensor,
+    b0: tl.tensor,
+    b1: tl.tensor,
+    b2: tl.tensor,
+    b3: tl.tensor,
+    b4: tl.tensor,
+    b5: tl.tensor,
+) -> tuple[tl.tensor, tl.tensor, tl.tensor, tl.tensor]:
     """γ, c^γ, exponent κ log2 e c^γ and F of the lobe and channel at offset o."""
     gamma = curve(m, o, b0, b1, b2, b3, b4, b5)
     power = exp2(gamma * log_c)
@@ -118,7 +161,17 @@ def lobe(m, o, log_c, b0, b1, b2, b3, b4, b5):
 
 
 @triton.jit
-def channel(m, k, log_c, b0, b1, b2, b3, b4, b5):
+def channel(
+    m: tl.tensor,
+    k: int,
+    log_c: tl.tensor,
+    b0: tl.tensor,
+    b1: tl.tensor,
+    b2: tl.tensor,
+    b3: tl.tensor,
+    b4: tl.tensor,
+    b5: tl.tensor,
+) -> tl.tensor:
     """F of channel k: its three lobes."""
     f = lobe(m, 12 * k, log_c, b0, b1, b2, b3, b4, b5)[3]
     f += lobe(m, 12 * k + 36, log_c, b0, b1, b2, b3, b4, b5)[3]
@@ -127,18 +180,18 @@ def channel(m, k, log_c, b0, b1, b2, b3, b4, b5):
 
 @triton.jit
 def forward(
-    n,
-    v,
-    short,
-    geometry,
-    energy,
-    m,
-    radiance,
-    pixels,
-    lights,
+    n: tl.tensor,
+    v: tl.tensor,
+    short: tl.tensor,
+    geometry: tl.tensor,
+    energy: tl.tensor,
+    m: tl.tensor,
+    radiance: tl.tensor,
+    pixels: int,
+    lights: int,
     PIXELS: tl.constexpr,
     LIGHTS: tl.constexpr,
-):
+) -> None:
     """Radiance (P, 3); one program a tile of pixels."""
     p = tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
     inside = p < pixels
@@ -167,11 +220,22 @@ def forward(
 
 @triton.jit
 def backward_pixels(
-    n, v, short, geometry, energy, m, steps, g, by_n, by_v, pixels, lights, PIXELS: tl.constexpr, LIGHTS: tl.constexpr
-):  # fmt: skip
-    """Derivatives by n and v (P, 3), right in their tangential parts; one program a tile of
-    pixels.
-    """
+    n: tl.tensor,
+    v: tl.tensor,
+    short: tl.tensor,
+    geometry: tl.tensor,
+    energy: tl.tensor,
+    m: tl.tensor,
+    steps: tl.tensor,
+    g: tl.tensor,
+    by_n: tl.tensor,
+    by_v: tl.tensor,
+    pixels: int,
+    lights: int,
+    PIXELS: tl.constexpr,
+    LIGHTS: tl.constexpr,
+) -> None:
+    """Derivatives by n and v (P, 3), right in their tangential parts; one program per tile."""
     p = tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
     inside = p < pixels
     nx, ny, nz = vectors(n, p, inside)
@@ -235,7 +299,16 @@ def backward_pixels(
 
 
 @triton.jit
-def add_curve(q, b0, b1, b2, b3, b4, b5, sums):
+def add_curve(
+    q: tl.tensor,
+    b0: tl.tensor,
+    b1: tl.tensor,
+    b2: tl.tensor,
+    b3: tl.tensor,
+    b4: tl.tensor,
+    b5: tl.tensor,
+    sums: tl.tensor,
+) -> tl.tensor:
     """sums (8,) += Σ q b_t in places 0 … 5."""
     i = tl.arange(0, 8)
     sums += tl.where(i == 0, tl.sum(q * b0), 0.0) + tl.where(i == 1, tl.sum(q * b1), 0.0)
@@ -245,15 +318,27 @@ def add_curve(q, b0, b1, b2, b3, b4, b5, sums):
 
 @triton.jit
 def backward_lights(
-    n, v, short, geometry, energy, m, g, energy_sums, m_sums, pixels, lights, split, PIXELS: tl.constexpr, LIGHTS: tl.constexpr
-):  # fmt: skip
-    """Sums over one part of the pixels: one program a tile of lights, a part, and a lobe and
-    channel.
+    n: tl.tensor,
+    v: tl.tensor,
+    short: tl.tensor,
+    geometry: tl.tensor,
+    energy: tl.tensor,
+    m: tl.tensor,
+    g: tl.tensor,
+    energy_sums: tl.tensor,
+    m_sums: tl.tensor,
+    pixels: int,
+    lights: int,
+    split: int,
+    PIXELS: tl.constexpr,
+    LIGHTS: tl.constexpr,
+) -> None:
+    """Sums over one part of the pixels: one program per tile of lights, part, lobe and channel.
 
     split        pixels of a part, a multiple of PIXELS
     energy_sums  (SPLITS, 9, T) out: Σ g F max(0, n·w) of lobe i // 3, channel i % 3
     m_sums       (light tiles, SPLITS, 9, 2, 8) out: derivatives by γ ln² 2 and by κ in the first
-    six places
+                 six places
     """
     t = tl.program_id(0) * LIGHTS + tl.arange(0, LIGHTS)
     i = tl.program_id(2)

@@ -1,12 +1,11 @@
-"""Sixteen floats at once: a numba value type that LLVM knows as <16 x float>, and the few
-operations the kernels need.
+"""Sixteen floats at once: a numba value type, <16 x float> in LLVM, and the kernels' operations.
 
 LLVM splits the vector for the machine at hand: one register on AVX-512, two on AVX2, four on SSE or
 NEON. No instruction set is named. Each function below becomes a single LLVM instruction or
 intrinsic (`lane_sum` four additions).
 
 Wide    sixteen float32, "lanes"; numbers that meet a Wide in + − × ÷ or in a function are spread
-over the lanes
+        over the lanes
 Mask    sixteen truth values, from `a > b` or `a < b`
 
 FLAGS let LLVM fuse a×b+c and assume finite numbers. `reassoc` is left out on purpose: it would fold
@@ -14,26 +13,49 @@ FLAGS let LLVM fuse a×b+c and assume finite numbers. `reassoc` is left out on p
 """
 
 import operator
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from llvmlite import ir
 from numba import types
+from numba.core.base import BaseContext
+from numba.core.datamodel import DataModelManager
+from numba.core.typing.context import BaseContext as Context
+from numba.core.typing.templates import Signature
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
-LANES = 16
+from learn.engines.layout import LANES
+
 FLAGS = ("contract", "nsz", "nnan", "ninf", "arcp", "afn")
 FLOAT, INT = ir.FloatType(), ir.IntType(32)
 FLOATS, INTS = ir.VectorType(FLOAT, LANES), ir.VectorType(INT, LANES)
 BITS = ir.VectorType(ir.IntType(1), LANES)
 FLOAT_POINTER = types.CPointer(types.float32)
 
+# To a type checker sixteen floats are one, and sixteen truth values too; numba knows them apart.
+Lanes = float
+Mask = bool
+Vector = tuple[Lanes, Lanes, Lanes]
+# What an instruction's definition gives numba: its signature, and the function that emits it.
+Lowering = tuple[Signature, Callable[..., object]]
+
+
+def instruction(definition: Callable[..., Lowering]) -> Callable[..., Any]:
+    """`numba.extending.intrinsic`, typed as kernels call it: without the typing context."""
+    return intrinsic(definition)
+
 
 class WideType(types.Type):
-    def __init__(self):
+    """numba's type of sixteen float32."""
+
+    def __init__(self) -> None:
         super().__init__(name="Wide")
 
 
 class MaskType(types.Type):
-    def __init__(self):
+    """numba's type of sixteen truth values."""
+
+    def __init__(self) -> None:
         super().__init__(name="Mask")
 
 
@@ -42,26 +64,27 @@ wide, mask = WideType(), MaskType()
 
 @register_model(WideType)
 class _WideModel(models.PrimitiveModel):
-    def __init__(self, data_model, kind):
+    def __init__(self, data_model: DataModelManager, kind: types.Type):
         super().__init__(data_model, kind, FLOATS)
 
 
 @register_model(MaskType)
 class _MaskModel(models.PrimitiveModel):
-    def __init__(self, data_model, kind):
+    def __init__(self, data_model: DataModelManager, kind: types.Type):
         super().__init__(data_model, kind, BITS)
 
 
-# --- LLVM pieces
-# ---------------------------------------------------------------------------------------------------------------
+# --- LLVM pieces ---
 
 
-def constant(value):
+def constant(value: float) -> ir.Constant:
     """A Wide constant (or, for an int, sixteen 32-bit integers)."""
     return ir.Constant(INTS if isinstance(value, int) else FLOATS, [value] * LANES)
 
 
-def spread(context, builder, value, numba_type):
+def spread(
+    context: BaseContext, builder: ir.IRBuilder, value: ir.Value, numba_type: types.Type
+) -> ir.Value:
     """A Wide as it is; a number in every lane."""
     if numba_type == wide:
         return value
@@ -71,7 +94,7 @@ def spread(context, builder, value, numba_type):
     return builder.shuffle_vector(first, undefined, ir.Constant(INTS, [0] * LANES))
 
 
-def call(builder, name, result, *arguments):
+def call(builder: ir.IRBuilder, name: str, result: ir.Type, *arguments: ir.Value) -> ir.Value:
     """A call of an LLVM intrinsic, declared on first use."""
     function = builder.module.globals.get(name)
     if function is None:
@@ -81,22 +104,25 @@ def call(builder, name, result, *arguments):
     return builder.call(function, arguments, fastmath=FLAGS)
 
 
-def fused(builder, a, b, c):
+def fused(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.Value:
     """a × b + c."""
     return call(builder, f"llvm.fmuladd.v{LANES}f32", FLOATS, a, b, c)
 
 
-def is_widenable(*numba_types):
+def is_widenable(*numba_types: types.Type) -> bool:
+    """Whether all are Wide or numbers."""
     return all(t == wide or isinstance(t, types.Number) for t in numba_types)
 
 
-# --- operators
-# -----------------------------------------------------------------------------------------------------------------
+# --- operators ---
 
 
-def _operator(function, result, build):
-    """Teach numba `function` (of the operator module) for Wide with Wide or a number:
-    build(builder, x, y) → value.
+def _operator(
+    function: Callable[..., object], result: types.Type, build: Callable[..., ir.Value]
+) -> None:
+    """Teach numba a function of the operator module for a Wide with a Wide or a number.
+
+    build  (builder, x, y) → value
     """
 
     @type_callable(function)
@@ -128,14 +154,13 @@ _operator(operator.lt, mask, lambda b, x, y: b.fcmp_ordered("<", x, y))
 _operator(operator.gt, mask, lambda b, x, y: b.fcmp_ordered(">", x, y))
 
 
-# --- functions
-# -----------------------------------------------------------------------------------------------------------------
+# --- functions ---
 
 
-def _unary(build, result=wide):
+def _unary(build: Callable[..., ir.Value], result: types.Type = wide) -> Callable[..., Any]:
     """A numba function of one Wide (or number): build(builder, x) → value."""
 
-    @intrinsic
+    @instruction
     def function(typing, x):
         def generate(context, builder, signature, arguments):
             return build(builder, spread(context, builder, arguments[0], signature.args[0]))
@@ -145,8 +170,10 @@ def _unary(build, result=wide):
     return function
 
 
-def _binary(build):
-    @intrinsic
+def _binary(build: Callable[..., ir.Value]) -> Callable[..., Any]:
+    """A numba function of two Wides (or numbers): build(builder, x, y) → value."""
+
+    @instruction
     def function(typing, x, y):
         def generate(context, builder, signature, arguments):
             return build(
@@ -162,7 +189,7 @@ def _binary(build):
     return function
 
 
-def _sum(builder, x):
+def _sum(builder: ir.IRBuilder, x: ir.Value) -> ir.Value:
     """Pairwise in a fixed order, so that every machine adds the same way."""
     half = LANES // 2
     while half:
@@ -183,8 +210,8 @@ maximum = _binary(lambda b, x, y: call(b, f"llvm.maxnum.v{LANES}f32", FLOATS, x,
 minimum = _binary(lambda b, x, y: call(b, f"llvm.minnum.v{LANES}f32", FLOATS, x, y))
 
 
-@intrinsic
-def fma(typing, a, b, c):
+@instruction
+def fma(typing: Context, a: types.Type, b: types.Type, c: types.Type) -> Lowering:
     """a × b + c, rounded once where the machine can."""
 
     def generate(context, builder, signature, arguments):
@@ -199,8 +226,8 @@ def fma(typing, a, b, c):
     return wide(a, b, c), generate
 
 
-@intrinsic
-def select(typing, condition, yes, no):
+@instruction
+def select(typing: Context, condition: types.Type, yes: types.Type, no: types.Type) -> Lowering:
     """`yes` in the lanes where the Mask holds, `no` in the others."""
 
     def generate(context, builder, signature, arguments):
@@ -210,8 +237,8 @@ def select(typing, condition, yes, no):
     return wide(condition, yes, no), generate
 
 
-@intrinsic
-def anywhere(typing, condition):
+@instruction
+def anywhere(typing: Context, condition: types.Type) -> Lowering:
     """Whether the Mask holds in any lane."""
 
     def generate(context, builder, signature, arguments):
@@ -221,8 +248,8 @@ def anywhere(typing, condition):
     return types.boolean(condition), generate
 
 
-@intrinsic
-def bits(typing, condition):
+@instruction
+def bits(typing: Context, condition: types.Type) -> Lowering:
     """The Mask as an integer: bit i is lane i."""
 
     def generate(context, builder, signature, arguments):
@@ -231,8 +258,8 @@ def bits(typing, condition):
     return types.int64(condition), generate
 
 
-@intrinsic
-def lowest_bit(typing, number):
+@instruction
+def lowest_bit(typing: Context, number: types.Type) -> Lowering:
     """The place of the lowest bit that is set, of an int64 that is not 0."""
 
     def generate(context, builder, signature, arguments):
@@ -241,35 +268,43 @@ def lowest_bit(typing, number):
     return types.int64(types.int64), generate
 
 
-def _address(context, builder, pointer, index, index_type):
+def _address(
+    context: BaseContext,
+    builder: ir.IRBuilder,
+    pointer: ir.Value,
+    index: ir.Value,
+    index_type: types.Type,
+) -> ir.Value:
     offset = context.cast(builder, index, index_type, types.intp)
     return builder.bitcast(builder.gep(pointer, [offset]), FLOATS.as_pointer())
 
 
-@intrinsic
-def load(typing, pointer, index):
+@instruction
+def load(typing: Context, pointer: types.Type, index: types.Type) -> Lowering:
     """Sixteen consecutive floats from pointer[index] on."""
 
     def generate(context, builder, signature, arguments):
-        return builder.load(_address(context, builder, *arguments, signature.args[1]), align=4)
+        pointer, index = arguments
+        place = _address(context, builder, pointer, index, signature.args[1])
+        return builder.load(place, align=4)
 
     return wide(pointer, index), generate
 
 
-@intrinsic
-def store(typing, pointer, index, value):
+@instruction
+def store(typing: Context, pointer: types.Type, index: types.Type, value: types.Type) -> Lowering:
     """Write sixteen consecutive floats from pointer[index] on."""
 
     def generate(context, builder, signature, arguments):
-        builder.store(
-            arguments[2], _address(context, builder, *arguments[:2], signature.args[1]), align=4
-        )
+        pointer, index, value = arguments
+        place = _address(context, builder, pointer, index, signature.args[1])
+        builder.store(value, place, align=4)
         return context.get_dummy_value()
 
     return types.void(pointer, index, value), generate
 
 
-def _lanes(builder, values, order):
+def _lanes(builder: ir.IRBuilder, values: Sequence[ir.Value], order: Sequence[int]) -> ir.Value:
     """A Wide whose lane i holds values[order[i]]."""
     undefined = ir.Constant(FLOATS, ir.Undefined)
     packed = undefined
@@ -278,10 +313,10 @@ def _lanes(builder, values, order):
     return builder.shuffle_vector(packed, undefined, ir.Constant(INTS, order))
 
 
-def _four(order):
+def _four(order: Sequence[int]) -> Callable[..., Any]:
     """A numba function of four numbers, which the lanes hold in the order given."""
 
-    @intrinsic
+    @instruction
     def function(typing, a, b, c, d):
         def generate(context, builder, signature, arguments):
             numbers = [
@@ -299,8 +334,8 @@ by_four = _four([i // 4 for i in range(LANES)])  # a a a a b b b b …
 in_turn = _four([i % 4 for i in range(LANES)])  # a b c d a b c d …
 
 
-@intrinsic
-def turn_sums(typing, x):
+@instruction
+def turn_sums(typing: Context, x: types.Type) -> Lowering:
     """Sums (4,) of lanes 0, 4, 8, 12, of lanes 1, 5, 9, 13, and so on, in a fixed order."""
 
     def generate(context, builder, signature, arguments):

@@ -1,21 +1,23 @@
-"""The baselines as rows of a table: name, parts(batch), edit(batch, label), as
-learn.evaluation.methods.Method has them.
+"""The baselines of Section 4.5 as methods of the tables (learn.evaluation.methods.Method).
 
-batch  learn.data.batch.Batch of one; label (S, 108) natural logarithms
+batch  of one picture; label (S, 108) natural logarithms
 
-Networks see every picture at the size they were trained on, and what they say by pixel is
+Networks see every picture at the size they were trained on; what they predict per pixel is
 interpolated back.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch.nn import functional as F
 
 from learn.baselines import FILES, posterior, priors
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
-from learn.evaluation.methods import Layered, network
+from learn.evaluation.methods import Layered, Method, network
 from learn.networks import weights
 from learn.networks.encoder_decoder import EncoderDecoder, radiance
 from learn.networks.prediction import Prediction
@@ -23,40 +25,42 @@ from learn.networks.separate import Separate
 from manifests.errors import InputError
 
 
-def load(name, path, device="cpu"):
-    """The method of that name from its file, on a device. Raises InputError."""
+def load(name: str, path: Path, device: str | torch.device = "cpu") -> Method:
+    """Return the method of that name from its file, on a device. Raises InputError."""
     if name == "Lombardi-like":
         known = priors.load(path).to(device)
         return Layered(name, lambda batch: posterior.prediction(batch, known))
     net, metadata = weights.load_network(path, device)
+    if name == "Baseline 2" and isinstance(net, Separate):
+        return Layered(name, predicting(net, metadata["size"]))
+    if name == "Baseline 1" and isinstance(net, EncoderDecoder):
+        return Swapped(name, net, metadata["size"])
     expected = Separate if name == "Baseline 2" else EncoderDecoder
-    if not isinstance(net, expected):
-        raise InputError(
-            path,
-            f"weights of {name}: network '{expected.name}'",
-            f"'{net.name}'",
-            "train it: python -m learn train-baselines",
-        )
-    size = metadata["size"]
-    return (
-        Layered(name, predicting(net, size)) if name == "Baseline 2" else Swapped(name, net, size)
+    raise InputError(
+        path,
+        f"weights of {name}: network '{expected.name}'",
+        f"'{net.name}'",
+        "train it: python -m learn train-baselines",
     )
 
 
-def predicting(net, size):
-    """Batch → Prediction of a learn.networks.separate.Separate trained at `size`."""
+def predicting(net: Separate, size: int) -> Callable[[ExampleBatch], Prediction]:
+    """Return ExampleBatch → Prediction of a network that was trained at `size`."""
     predict = network(net)
 
-    def at_size(batch):
+    def at_size(batch: ExampleBatch) -> Prediction:
         result = predict(resized(batch, size))
+        if result.n is None:
+            raise ValueError("Baseline 2: expected predicted normals, found none")
         return result._replace(n=F.normalize(interpolated(result.n, batch.image.shape[-2:]), dim=1))
 
     return at_size
 
 
-def resized(batch, size):
-    """The batch's picture, mask and segments at another size, its other truth as it was; the
-    object's colour is averaged over itself.
+def resized(batch: ExampleBatch, size: int) -> ExampleBatch:
+    """Return the batch with its picture, mask and segments at another size.
+
+    The object's colour is averaged over the object alone; the other truth stays as it is.
     """
     if batch.image.shape[-1] == size:
         return batch
@@ -71,8 +75,8 @@ def resized(batch, size):
     return replace(batch, image=image * mask, mask=mask, segments=segments)
 
 
-def interpolated(pixels, size):
-    """(B, C, H, W) at another size."""
+def interpolated(pixels: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
+    """Return pixels (B, C, H, W) at another size (H, W)."""
     return (
         pixels
         if pixels.shape[-2:] == tuple(size)
@@ -81,15 +85,16 @@ def interpolated(pixels, size):
 
 
 class Swapped:
-    """Baseline 1: knows a material, and draws edits without normals or light. A picture of several
-    regions is drawn one by one.
+    """Baseline 1: predicts a material, and draws edits without normals or light.
+
+    A picture of several regions is drawn region by region.
     """
 
-    def __init__(self, name, net, size):
+    def __init__(self, name: str, net: EncoderDecoder, size: int):
         self.name, self.net, self.size = name, net, size
 
-    def parts(self, batch):
-        """A Prediction with nothing but the material."""
+    def parts(self, batch: ExampleBatch) -> Prediction:
+        """Return a Prediction with nothing but the material."""
         seen = resized(batch, self.size)
         with torch.no_grad():
             read = [
@@ -101,8 +106,8 @@ class Swapped:
         )
         return Prediction(None, code, label, None, None)
 
-    def edit(self, batch, label):
-        """(H, W, 3) numpy linear radiance, zeros outside the mask."""
+    def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
+        """Return linear radiance (H, W, 3), zeros outside the mask."""
         seen, picture = resized(batch, self.size), torch.zeros_like(batch.image)
         with torch.no_grad():
             for region, at_size, requested in zip(
@@ -115,8 +120,8 @@ class Swapped:
         return array(picture[0].movedim(0, -1))
 
 
-def regions(batch):
-    """[(1, 1, H, W) float]: the mask, or its part in each segment."""
+def regions(batch: ExampleBatch) -> list[torch.Tensor]:
+    """Return [(1, 1, H, W) float]: the mask, or its part in each segment."""
     count = batch.label.shape[1]
     return (
         [batch.mask]
@@ -125,11 +130,12 @@ def regions(batch):
     )
 
 
-def present_and_missing(folder, device="cpu"):
-    """The methods whose files lie in a folder, and what is missing for the others.
+def present_and_missing(
+    folder: Path, device: str | torch.device = "cpu"
+) -> tuple[list[Method], dict[str, str]]:
+    """Return the methods whose files are in a folder, and {name: why it is missing} of the others.
 
-    Returns  [learn.evaluation.methods.Method] in the paper's order, {name: why it is not there}
-    Raises   InputError: a file is there and is not what its name says
+    Raises  InputError: a file is not what its name says
     """
     if not Path(folder).is_dir():
         raise InputError(
@@ -138,7 +144,8 @@ def present_and_missing(folder, device="cpu"):
             f"no folder {folder}",
             "train them: python -m learn train-baselines",
         )
-    present, missing = [], {}
+    present: list[Method] = []
+    missing = {}
     for name, file in FILES.items():
         path = Path(folder) / file
         if path.exists():

@@ -1,10 +1,11 @@
-"""One source picture at work: every method takes it apart, makes the edits asked of it, and is
-compared with the truth.
+"""Measurements of one source picture: every method decomposes and edits it, against the truth.
 
 A row of figures is plain JSON: {"methods": {name: {group: {figure: value}}}, …}. What a method does
-not do is left out of its row.
+not predict is left out of its row.
 """
 
+import functools
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,47 +13,55 @@ import torch
 
 from learn.agreement import causes, surface
 from learn.data import pairs
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
-from learn.data.records import Records
+from learn.data.pairs import EditPair
+from learn.data.records import Records, Sample
 from learn.evaluation import gallery, methods
 from learn.layer import render
+from learn.layer.predictions import MEASURED
 from learn.metrics import intrinsics
 from learn.metrics import lpips as perceptual
 from learn.metrics import pictures as metrics
-from learn.metrics.pictures import shared, squared
+from learn.metrics.pictures import squared_difference, squared_net_of_noise
 from learn.networks import weights as checkpoint
+from learn.networks.prediction import Prediction
+from learn.refinement import RefinementResult
 from manifests.errors import InputError
 from manifests.provenance import provenance
+from manifests.schema import Record
 from shaders import tone
+from shaders.mixture import Mixture
 
-# of a truth, at which label and nodes are compared: 2 s on one thread, 9 where 65,536 taps are
-# needed
+# pixels of a truth at which label and nodes are compared: 2 s on one thread, 9 where 65,536 sample
+# directions are needed
 FIT_PIXELS = causes.PIXELS
-FINE = 1e-3  # tolerance of the layer's own integral where the nodes' is made from it
+FINE = 1e-3  # tolerance of the layer's integral where the nodes' is computed from it
 
 
 class Bench:
-    """Records, methods and their weights, once a process.
+    """Records, methods and their weights, loaded once per process.
 
     data, weights, baselines, lpips   paths; the last two may be None
-    refine                            whether refined rows are made
-    materials                         whose training materials the mean material is of, "dataset" or
-    "built-in"
+    refine                            whether methods are refined
+    materials                         whose training materials the mean material is the mean of:
+                                      "dataset" or "built-in"
     device                            of networks, refinement and the layer
     """
 
     def __init__(
         self,
-        data,
-        weights,
-        baselines=None,
-        refine=True,
-        lpips=None,
-        materials="dataset",
-        device="cpu",
+        data: Path,
+        weights: Path,
+        baselines: Path | None = None,
+        refine: bool = True,
+        lpips: Path | None = None,
+        materials: str = "dataset",
+        device: str = "cpu",
     ):
         self.records = Records(data)
-        self.repeats, self._judged = pairs.repeats(self.records.records), {}
+        self.repeats = pairs.repeats(self.records.records)
+        self._judged: dict[str, dict[str, float]] = {}  # by id of the truth
         net, metadata = checkpoint.load_parts(weights, device)
         self.device = torch.device(device)
         self.commit = provenance()["commit"]
@@ -62,19 +71,23 @@ class Bench:
             perceptual.of_file(lpips),
         )
         if refine:
-            from learn.refinement import refine as work
+            from learn.refinement import refine as of_any
+
+            work = functools.partial(of_any, labels=net.training_labels)
         labels = methods.training_labels(self.records, materials)
         self.entrants = methods.entrants(
             net, work if refine else None, labels, baselines, self.device
         )
 
-    def work(self, first, edits, whole, folder=None):
-        """(row of the source picture or None, [row of each edit]).
+    def work(
+        self, first: EditPair, edits: Sequence[EditPair], whole: bool, folder: str | None = None
+    ) -> tuple[dict | None, list[dict]]:
+        """Return the row of the source picture, or None, and the rows of its edits.
 
-        first   an Edit of the source picture
-        edits   Edits of it that are to be made; may be none
-        whole   whether the source's own row is wanted
-        folder  where pictures of the edits go, or None: no pictures
+        first   an edit of the source picture
+        edits   edits of it that are to be measured; may be none
+        whole   whether the source's own row is requested
+        folder  for pictures of the edits; None: no pictures
         """
         batch = pairs.shown(self.records, first).to(self.device)
         if batch.image.shape[-2:] != (self.size, self.size):
@@ -85,31 +98,32 @@ class Bench:
                 result,
                 "render again",
             )
-        return self._decompose(first.source, batch) if whole else None, [
-            self._edited(edit, batch, folder) for edit in edits
-        ]
+        row = self._picture_row(first.source, batch) if whole else None
+        return row, [self._edit_row(edit, batch, folder) for edit in edits]
 
-    def _decompose(self, record, batch):
+    def _picture_row(self, record: Record, batch: ExampleBatch) -> dict:
         truth = array(batch.image[0].movedim(0, -1))
-        row = {"id": record.id, "commit": self.commit, "methods": {}} | summary_of(record)
-        done = {}  # many methods share a part: what was measured of it once is not measured again
+        row: dict = {"id": record.id, "commit": self.commit, "methods": {}} | summary_of(record)
+        done: dict[tuple, dict] = {}  # many methods share a part, which is then measured once
         for method in (*self.entrants.edits, *self.entrants.parts):
             parts = method.parts(batch)
             if parts is None:
                 continue
             row["methods"][method.name] = self._parts(parts, batch, truth, done)
-            if isinstance(method, methods.Refined):
+            if isinstance(method, methods.Refined) and method.refined is not None:
                 row["methods"][method.name]["refinement"] = refinement(method.refined)
         return row
 
-    def _parts(self, parts, batch, truth, done):
-        """The figures of a Prediction; what was given to the method, or is not told apart by it, is
-        left out.
+    def _parts(
+        self, parts: Prediction, batch: ExampleBatch, truth: np.ndarray, done: dict[tuple, dict]
+    ) -> dict[str, dict]:
+        """The figures of a Prediction, without what was given to the method or not predicted.
 
-        done  {what and of which tensors: figures} of earlier methods, added to
+        done  {figures' name and ids of their tensors: figures} of earlier methods; added to
         """
         inside = batch.segments[0] > 0
-        result, predicted = {}, {}
+        result: dict[str, dict] = {}
+        predicted: dict[str, tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
         if parts.n is not None and parts.n is not batch.n:
             result["normals"] = intrinsics.normals(parts.n[0].float(), batch.n[0], inside)
             predicted["normals"] = (parts.n, batch.label, batch.light)
@@ -130,19 +144,22 @@ class Bench:
             predicted["all"] = (parts.n, parts.label, parts.light)
             predicted["all_true_light"] = (parts.n, parts.label, batch.light)
         for name, three in predicted.items():
-            key = ("rendered", *map(id, three))
-            if key not in done:
-                done[key] = metrics.compare(
-                    methods.rendered(*three, batch), truth, array(inside), self.perceptual
+            tensors = ("rendered", *map(id, three))
+            if tensors not in done:
+                done[tensors] = metrics.compare(
+                    methods.rendered(three[0], three[1], three[2], batch),
+                    truth,
+                    array(inside),
+                    self.perceptual,
                 )
-            result[f"rendered_{name}"] = done[key]
+            result[f"rendered_{name}"] = done[tensors]
         return result
 
-    def _edited(self, edit, batch, folder):
+    def _edit_row(self, edit: EditPair, batch: ExampleBatch, folder: str | None) -> dict:
         label, truth = pairs.target_label(self.records, edit), self.records.image(edit.truth)
         mask = array(batch.segments[0] > 0)
         truth = truth * mask[..., None]
-        row = {
+        row: dict = {
             "id": edit.id,
             "commit": self.commit,
             "source": edit.source.id,
@@ -155,8 +172,8 @@ class Bench:
         for method in self.entrants.edits:
             picture = method.edit(batch, label)
             figures = metrics.compare(picture, truth, mask, self.perceptual)
-            figures |= with_truth(method, batch, label, truth, mask, figures["l2"])
-            row["methods"][method.name] = figures
+            given = with_truth(method, batch, label, truth, mask, figures["l2"])
+            row["methods"][method.name] = figures | given
             shown[method.name] = picture
         alone = shown[self.entrants.edits[-1].name]
         row["layer"] = self._layer(edit, alone, mask)
@@ -164,11 +181,11 @@ class Bench:
             gallery.write(Path(folder) / f"{edit.id}.png", batch, truth, shown, mask)
         return row
 
-    def _layer(self, edit, picture, mask):
-        """How far the layer's edit from true parts is off, over the mask and away from edges, and
-        what the catalogue says of its nodes.
+    def _layer(self, edit: EditPair, picture: np.ndarray, mask: np.ndarray) -> dict:
+        """The error of the layer's edit from true parts, beside the catalogue's node fit.
 
-        With a second seed of the truth: what `against_nodes` finds.
+        The error is over the mask and away from edges; where the truth has a second seed, the
+        figures of `against_nodes` are added.
         """
         sample, camera = self.records.load(edit.truth), edit.truth.camera
         pixel = 2 * camera.half_extent / max(camera.size)
@@ -178,10 +195,10 @@ class Bench:
         )
         truth = sample.image.numpy()
         exposure = tone.auto_exposure(truth, mask)
-        error = squared(tone.display(picture, exposure), tone.display(truth, exposure))
+        error = squared_difference(tone.display(picture, exposure), tone.display(truth, exposure))
         entries = [self.records.material(name) for name in edit.truth.materials]
         fits = [entry.errors.nodes_vs_label.display_l2 for entry in entries]
-        result = {
+        result: dict = {
             "l2": float(error[mask].mean()),
             "l2_inner": float(error[inner].mean()) if inner.any() else None,
             "node_fit": float(np.mean([np.mean(fit) for fit in fits])) if all(fits) else None,
@@ -199,23 +216,30 @@ class Bench:
         return result
 
 
-def against_nodes(sample, pictures, picture, inner, mixtures, exposure):
-    """Cycles' pictures of several seeds against the layer's, and against the nodes that Cycles was
-    given, inside and net of noise.
+def against_nodes(
+    sample: Sample,
+    pictures: np.ndarray,
+    picture: np.ndarray,
+    inner: np.ndarray,
+    mixtures: Sequence[Mixture],
+    exposure: float,
+) -> dict[str, float]:
+    """Return errors of Cycles' pictures against the layer's and against the nodes' closed form.
 
-    pictures (seeds, H, W, 3) of Cycles, picture (H, W, 3) of the layer: radiance; inner (H, W)
-    bool; mixtures: of each segment Returns net_inner, display L2 less noise, and its standard error
-    over pixels; coarse, L2 between picture and an integral of tolerance
-            FINE; at FIT_PIXELS of them fit_here, label against nodes, and rest, Cycles against
-            nodes less noise
+    pictures  (seeds, H, W, 3) of Cycles; picture (H, W, 3) of the layer: radiance
+    inner     (H, W) bool: the pixels that are compared
+    mixtures  of each segment: the nodes that Cycles rendered
+    Returns   net_inner, display L2 net of noise, and net_error, its standard error over pixels;
+              coarse, L2 between picture and an integral of tolerance FINE; and at FIT_PIXELS of the
+              pixels fit_here, label against nodes, and rest, Cycles against nodes net of noise
     """
     with torch.no_grad():
         fine = (
-            render(**sample.for_layer(), method=methods.METHOD, tolerance=FINE)[0].double().numpy()
+            render(**sample.for_layer(), method=MEASURED.method, tolerance=FINE)[0].double().numpy()
         )
     right, shown = tone.display(pictures, exposure), tone.display(picture, exposure)
-    net = shared(right - shown)[inner]
-    index = causes.drawn(inner, sample.record, FIT_PIXELS)
+    net = squared_net_of_noise(right - shown)[inner]
+    index = causes.sampled_pixels(inner, sample.record, FIT_PIXELS)
     here = fine.reshape(-1, 3)[index]
     nodes = tone.display(
         np.maximum(here - causes.node_difference(sample, index, mixtures), 0), exposure
@@ -223,31 +247,31 @@ def against_nodes(sample, pictures, picture, inner, mixtures, exposure):
     return {
         "net_inner": float(net.mean()),
         "net_error": float(net.std() / np.sqrt(net.size)),
-        "coarse": float(squared(shown, tone.display(fine, exposure))[inner].mean()),
-        "fit_here": float(squared(tone.display(here, exposure), nodes).mean()),
-        "rest": float(shared(right.reshape(len(right), -1, 3)[:, index] - nodes).mean()),
+        "coarse": float(squared_difference(shown, tone.display(fine, exposure))[inner].mean()),
+        "fit_here": float(squared_difference(tone.display(here, exposure), nodes).mean()),
+        "rest": float(
+            squared_net_of_noise(right.reshape(len(right), -1, 3)[:, index] - nodes).mean()
+        ),
     }
 
 
-def summary_of(record):
-    """What a row says of its picture."""
-    r = record
-    return {
-        "shape": r.shape,
-        "category": r.category,
-        "viewpoint": r.viewpoint,
-        "materials": list(r.materials),
-        "light": r.light,
-        "rotation_texels": r.rotation_texels,
-        "split": r.split,
-    }
+def summary_of(record: Record) -> dict[str, object]:
+    """Return what a row says of its picture."""
+    keys = ("shape", "category", "viewpoint", "materials", "light", "rotation_texels", "split")
+    return {key: getattr(record, key) for key in keys} | {"materials": list(record.materials)}
 
 
-def with_truth(method, batch, label, truth, mask, l2):
-    """{"l2_true_light", "l2_true_normals"}: the edit's L2 were one of the two not predicted but
-    given; {} for methods without parts.
+def with_truth(
+    method: methods.Method,
+    batch: ExampleBatch,
+    label: torch.Tensor,
+    truth: np.ndarray,
+    mask: np.ndarray,
+    l2: float | None,
+) -> dict[str, float | None]:
+    """Return the edit's L2 with true light and with true normals; {} for methods without parts.
 
-    l2  of the edit itself, which it is where the part was given anyway
+    l2  of the edit itself; where the part was given anyway, this is the result
     """
     parts = method.parts(batch)
     if (
@@ -258,21 +282,22 @@ def with_truth(method, batch, label, truth, mask, l2):
     ):
         return {}
     result = {"l2_true_light": l2, "l2_true_normals": l2}
-    if parts.light is not batch.light:
-        result["l2_true_light"] = metrics.display_l2(
-            methods.rendered(parts.n, label, batch.light, batch), truth, mask
-        )
-    if parts.n is not batch.n:
-        result["l2_true_normals"] = metrics.display_l2(
-            methods.rendered(batch.n, label, parts.light, batch), truth, mask
-        )
+    given = {
+        "l2_true_light": (parts.n, batch.light, parts.light is batch.light),
+        "l2_true_normals": (batch.n, parts.light, parts.n is batch.n),
+    }
+    for name, (n, light, same) in given.items():
+        if not same:
+            picture = methods.rendered(n, label, light, batch)
+            result[name] = metrics.display_l2(picture, truth, mask)
     return result
 
 
-def refinement(refined):
-    """Energies, time, and whether all that came out is finite."""
+def refinement(refined: RefinementResult) -> dict[str, float | bool]:
+    """Return a refinement's energies and time, and whether all of its parts are finite."""
     p = refined.prediction
-    finite = all(bool(torch.isfinite(x).all()) for x in (p.n, p.label, p.light))
+    parts = (part for part in (p.n, p.label, p.light) if part is not None)
+    finite = all(bool(torch.isfinite(part).all()) for part in parts)
     return {
         "before": refined.before["total"],
         "after": refined.after["total"],

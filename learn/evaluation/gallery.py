@@ -1,24 +1,34 @@
-"""Pictures of one edit, side by side: what the method was shown, the truth, and each method's edit
-with its error beneath.
+"""Pictures of one edit side by side: the input, the truth, and each method's edit and error.
 
-All under the truth's exposure but the input, which is under its own. Error: root mean square over
-channels of display values, black 0, white FULL or more.
+All are under the truth's exposure except the input, which is under its own. The error is the root
+mean square over channels of display values, from black for 0 to white for FULL or more.
 """
+
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
+from learn.figures.montage import eight_bit, grid
 from manifests.files import write_image
 from shaders import tone
 
 FULL = 64.0
 BACKGROUND = 32.0
+STOPS = ((0, 0, 0), (70, 15, 110), (180, 50, 90), (245, 125, 20), (252, 255, 200))  # of `heat`
 
 
-def write(path, batch, truth, pictures, mask):
-    """A PNG of two rows: input, truth, each method's edit; beneath, two empty cells, and each error
-    map.
+def write(
+    path: Path,
+    batch: ExampleBatch,
+    truth: np.ndarray,
+    pictures: Mapping[str, np.ndarray],
+    mask: np.ndarray,
+) -> None:
+    """Write a PNG of two rows: input, truth and each method's edit; beneath each edit its error.
 
     pictures  {name: (H, W, 3) radiance}, in the order of the columns
     """
@@ -36,43 +46,38 @@ def write(path, batch, truth, pictures, mask):
     for picture in pictures.values():
         shown = tone.display(picture, exposure)
         above.append(cut(shown, mask))
-        below.append(cut(heat(np.sqrt(((shown - right) ** 2).mean(-1))), mask))
-    sheet = np.concatenate(
-        [np.concatenate([cell[window] for cell in row], 1) for row in (above, below)], 0
-    )
+        below.append(cut(heat(np.sqrt(tone.squared_difference(shown, right))), mask))
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_image(path, np.clip(np.rint(sheet), 0, 255).astype(np.uint8))
+    write_image(path, eight_bit(grid([[cell[window] for cell in row] for row in (above, below)])))
 
 
-def cells(path, count):
-    """[(above, below)] display pictures of the `count` columns of a sheet that `write` made."""
-    sheet = np.asarray(Image.open(path, formats=["PNG"]).convert("RGB"))
-    H, W = sheet.shape[0] // 2, sheet.shape[1] // count
-    return [(sheet[:H, k * W : (k + 1) * W], sheet[H:, k * W : (k + 1) * W]) for k in range(count)]
+def cells(path: Path, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return (above, below), display pictures, of the `count` columns of a PNG of `write`."""
+    both = np.asarray(Image.open(path, formats=["PNG"]).convert("RGB"))
+    H, W = both.shape[0] // 2, both.shape[1] // count
+    return [(both[:H, k * W : (k + 1) * W], both[H:, k * W : (k + 1) * W]) for k in range(count)]
 
 
-def around(mask):
-    """The square about the object, as two slices; the frame where it is larger."""
+def around(mask: np.ndarray) -> tuple[slice, slice]:
+    """Return the square about the object as two slices, no larger than the frame."""
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
-    side = min(max(np.ptp(rows), np.ptp(columns)) + 7, *mask.shape)
+    side = min(max(int(np.ptp(rows)), int(np.ptp(columns))) + 7, *mask.shape)
     top, left = (
         np.clip((at[0] + at[-1] + 1 - side) // 2, 0, size - side)
         for at, size in ((rows, mask.shape[0]), (columns, mask.shape[1]))
     )
-    return np.s_[top : top + side, left : left + side]
+    return slice(top, top + side), slice(left, left + side)
 
 
-def cut(display, mask):
-    """The picture before a grey ground."""
+def cut(display: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return a display picture (H, W, 3) with grey outside the mask."""
     return np.where(mask[..., None], display, BACKGROUND)
 
 
-def heat(error):
-    """Colours (H, W, 3) of errors (H, W): black, violet, orange, white."""
+def heat(error: np.ndarray) -> np.ndarray:
+    """Return colours (H, W, 3) of errors (H, W): black, violet, orange, white."""
     x = np.clip(error / FULL, 0, 1)
-    stops = np.array(
-        [[0, 0, 0], [70, 15, 110], [180, 50, 90], [245, 125, 20], [252, 255, 200]], float
-    )
+    stops = np.array(STOPS, float)
     return np.stack(
         [np.interp(x, np.linspace(0, 1, len(stops)), stops[:, k]) for k in range(3)], -1
     )

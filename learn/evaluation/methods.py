@@ -1,129 +1,124 @@
-"""The methods that the tables compare, under one protocol: what a picture is made of, and what it
-looks like in another material.
+"""The methods that the tables compare: each decomposes a picture and shows it in other materials.
 
-batch   learn.data.batch.Batch of one picture; its truth (n, label, light) is for metrics, and for
-methods that are said to be given it
-label   (S, 108) natural logarithms of the wanted material, one a region
-A method remembers the parts of the last batch it saw: the edits of one picture share its prediction
-and its refinement.
+batch   of one picture; its truth (n, label, light) is for metrics, and for methods that are said to
+        be given it
+label   (S, 108) natural logarithms of the target material of each region
 
-Baselines come from `learn.evaluation.baseline_methods.present_and_missing(folder)`: the Methods
-whose weights lie in the folder, and {name: what is missing} of the others.
+A method remembers the parts of its last batch, so that the edits of one picture share its
+prediction and its refinement. The baselines are in learn.evaluation.baseline_methods.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 import torch
 
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.records import Records
-from learn.layer import render
+from learn.layer import predictions
 from learn.networks.prediction import Prediction
+from learn.refinement import RefinementResult
 from manifests.materials import load_catalogue
 
 REFINED = ("Baseline 2",)  # of the baselines, those that the paper refines too
-# besides those with "true" in their name: shown a part of what the others predict
+# besides those with "true" in their name: they are given a part of what the others predict
 GIVEN_TRUTH = ("the layer alone", "Lombardi-like")
-# the integral, not the paper's sum: of a mirror-like lobe the sum alone is 200 display L2 off
-METHOD = "quadrature"
-TOLERANCE = 5e-3  # at 1e-2 one of 75 true edits was 0.7 display L2 off by it, at 5e-3 none 0.1
+
+
+Refine = Callable[[ExampleBatch, Prediction | None], RefinementResult]
 
 
 class Method(Protocol):
-    """What a row of a table is made by.
-
-    name  as it stands in the tables
-    """
+    """A row of a table. name: its caption there."""
 
     name: str
 
-    def parts(self, batch) -> Prediction | None:
-        """Normals, material and light of a batch of one; a field is None, or all of it, where the
-        method does not tell them apart.
+    def parts(self, batch: ExampleBatch) -> Prediction | None:
+        """Return normals, material and light of a batch of one.
+
+        A field is None, or the whole result, where the method does not predict it.
         """
 
-    def edit(self, batch, label):
-        """(H, W, 3) numpy linear radiance of the object in the material `label` (S, 108), zeros
-        outside the mask.
+    def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
+        """Return radiance (H, W, 3) of the object in other materials, zeros outside the mask.
+
+        label  (S, 108)
         """
 
 
-def rendered(n, label, light, batch):
-    """(H, W, 3) numpy radiance by the layer of n (1, 3, H, W), label (S, 108) or (1, S, 108), light
-    (1, 3, 64, 128).
+def rendered(
+    n: torch.Tensor, label: torch.Tensor, light: torch.Tensor, batch: ExampleBatch
+) -> np.ndarray:
+    """Return radiance (H, W, 3) by the layer, rendered by learn.layer.predictions.MEASURED.
+
+    n (1, 3, H, W), label (S, 108) or (1, S, 108), light (1, 3, 64, 128)
     """
     label = (label if label.ndim == 3 else label[None]).to(light.device)
-    several = label.shape[1] > 1
-    with torch.no_grad():
-        picture = render(
-            n.movedim(1, -1).contiguous().float(),
-            (label if several else label[:, 0]).float().exp(),
-            light.movedim(1, -1).contiguous().float(),
-            segments=batch.segments if several else None,
-            mask=batch.segments > 0,
-            method=METHOD,
-            tolerance=TOLERANCE,
-            elevation=batch.elevation,
-        )
-    return array(picture[0])
+    return array(predictions.picture(n, label, light, batch.segments, batch.elevation)[0])
 
 
 class Layered:
-    """A method that takes a picture apart and renders it anew. predict: Batch → Prediction with n
-    and light.
+    """A method that decomposes a picture and renders it with the layer.
+
+    predict  returns a Prediction with n and light at least
     """
 
-    def __init__(self, name, predict):
+    def __init__(self, name: str, predict: Callable[[ExampleBatch], Prediction]):
         self.name, self.predict = name, predict
-        self._seen = self._parts = None
+        self._last: tuple[ExampleBatch, Prediction] | None = None
 
-    def parts(self, batch):
-        if self._seen is not batch:
-            self._parts, self._seen = self.predict(batch), batch
-        return self._parts
+    def parts(self, batch: ExampleBatch) -> Prediction:
+        """Return the prediction of a batch of one, the same object for the same batch."""
+        if self._last is None or self._last[0] is not batch:
+            self._last = batch, self.predict(batch)
+        return self._last[1]
 
-    def edit(self, batch, label):
-        result = self.parts(batch)
-        return rendered(result.n, label, result.light, batch)
+    def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
+        """Return the layer's radiance (H, W, 3) of the predicted parts in materials (S, 108)."""
+        n, light = self.parts(batch).n, self.parts(batch).light
+        if n is None or light is None:
+            raise ValueError(f"{self.name}: expected predicted normals and light, found fewer")
+        return rendered(n, label, light, batch)
 
 
 class Refined(Layered):
-    """Another method's parts, refined to fit the picture (Eq. 6). told: the last
-    learn.refinement.Refined.
-    """
+    """Another method's parts, refined to fit the picture (Eq. 6). refined: the last result."""
 
-    def __init__(self, method, refine):
+    def __init__(self, method: Method, refine: Refine):
         super().__init__(f"{method.name}, refined", self._refine)
-        self.start, self._work, self.refined = method, refine, None
+        self.start, self._work = method, refine
+        self.refined: RefinementResult | None = None
 
-    def _refine(self, batch):
+    def _refine(self, batch: ExampleBatch) -> Prediction:
         self.refined = self._work(batch, self.start.parts(batch))
         return self.refined.prediction
 
 
 class Unchanged:
-    """The input returned as it is."""
+    """The input picture, whatever the target material is."""
 
     name = "input unchanged"
 
-    def parts(self, batch):
-        return None
+    def parts(self, batch: ExampleBatch) -> None:
+        """Return None: nothing is predicted."""
 
-    def edit(self, batch, label):
+    def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
+        """Return the input's radiance (H, W, 3), zeros outside the mask."""
         return array((batch.image * batch.mask)[0].movedim(0, -1))
 
 
 class MeanMaterial(Layered):
-    """The training materials' mean label whatever is asked for, in true normals and light, or in a
-    method's.
+    """The training materials' mean label, whatever the target material is.
+
+    labels  (M, 108) of the training materials
+    method  whose normals and light are used; None: the true ones
     """
 
-    def __init__(self, labels, method=None):
-        """labels: (M, 108) of the training materials; method: whose normals and light are taken,
-        None: the true ones.
-        """
+    def __init__(self, labels: Sequence[np.ndarray], method: Layered | None = None):
         super().__init__(
             "mean material,"
             f" {'true normals and light' if method is None else 'the rest of ' + method.name}",
@@ -131,29 +126,33 @@ class MeanMaterial(Layered):
         )
         self.label, self.method = torch.from_numpy(np.mean(labels, 0)).float(), method
 
-    def _predict(self, batch):
+    def _predict(self, batch: ExampleBatch) -> Prediction:
         result = (
             Prediction(batch.n, None, None, None, batch.light)
             if self.method is None
             else self.method.parts(batch)
         )
-        return result._replace(
-            code=None, label=self.label.to(batch.label.device).expand_as(batch.label)
-        )
+        return result._replace(code=None, label=self._label(batch))
 
-    def edit(self, batch, label):
-        return super().edit(batch, self.parts(batch).label)
+    def _label(self, batch: ExampleBatch) -> torch.Tensor:
+        return self.label.to(batch.label.device).expand_as(batch.label)
+
+    def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
+        """Return radiance (H, W, 3) of the object in the mean material."""
+        return super().edit(batch, self._label(batch))
 
 
 def training_labels(records: Records | None, materials: str) -> list[np.ndarray]:
-    """Labels (108,) of the materials for training.
+    """Return the labels (108,) of the materials for training.
 
-    records    of the data set; None will do for "built-in"
-    materials  "dataset": those that the data set has on its training side, maybe none; "built-in":
-    the built-in catalogue's
+    records    of the dataset; may be None for "built-in"
+    materials  "dataset": those of the dataset's training split, maybe none; "built-in": those of
+               the built-in catalogue's
     """
     if materials == "built-in":
         return [m.label.reshape(-1) for m in load_catalogue().values() if m.split == "train"]
+    if records is None:
+        raise ValueError("records: expected those of a dataset, found None")
     return [
         records.material(name).label.reshape(-1)
         for name in records.materials
@@ -161,12 +160,10 @@ def training_labels(records: Records | None, materials: str) -> list[np.ndarray]
     ]
 
 
-def network(net):
-    """Batch → Prediction by a network of learn.networks, over regions where the picture has
-    several.
-    """
+def network(net: torch.nn.Module) -> Callable[[ExampleBatch], Prediction]:
+    """Return ExampleBatch → Prediction by a network, over regions where the picture has several."""
 
-    def predict(batch):
+    def predict(batch: ExampleBatch) -> Prediction:
         regions = batch.label.shape[1]
         with torch.no_grad():
             return net(
@@ -176,12 +173,13 @@ def network(net):
     return predict
 
 
-def constant_light(method=None):
-    """A map of the same radiance everywhere, with true normals, or with those of a method: what
-    knowing nothing of light is worth.
+def constant_light(method: Layered | None = None) -> Layered:
+    """Return a method with the same light from everywhere: the control for predicted light.
+
+    Its normals are the true ones, or those of another method.
     """
 
-    def predict(batch):
+    def predict(batch: ExampleBatch) -> Prediction:
         n = batch.n if method is None else method.parts(batch).n
         return Prediction(n, None, None, None, torch.ones_like(batch.light))
 
@@ -191,10 +189,8 @@ def constant_light(method=None):
     )
 
 
-def layer_alone():
-    """True normals, light and label: what the layer itself is off by, in the material that it is
-    asked for as in the one that is there.
-    """
+def layer_alone() -> Layered:
+    """Return a method with true normals, light and label: its error is the layer's own."""
     return Layered(
         "the layer alone", lambda batch: Prediction(batch.n, None, batch.label, None, batch.light)
     )
@@ -202,32 +198,40 @@ def layer_alone():
 
 @dataclass(frozen=True)
 class Entrants:
-    """Who is compared.
+    """The methods that are compared.
 
-    edits     methods that edit, the rows of the table of edits, in order; the last one is the layer
-    alone
+    edits     methods that edit: the rows of the table of edits, in order; the last one is the layer
+              alone
     parts     further methods, of which the parts alone are compared
-    left_out  {name: why it is not there}
+    left_out  {name: why it is missing}
     """
 
-    edits: tuple
-    parts: tuple
-    left_out: dict
+    edits: tuple[Method, ...]
+    parts: tuple[Method, ...]
+    left_out: dict[str, str]
 
 
 OURS, OURS_REFINED = "ours", "ours, refined"
 
 
-def entrants(net, refine, labels, baselines=None, device="cpu"):
-    """The Entrants.
+def entrants(
+    net: torch.nn.Module,
+    refine: Refine | None,
+    labels: Sequence[np.ndarray],
+    baselines: Path | None = None,
+    device: str | torch.device = "cpu",
+) -> Entrants:
+    """Return the Entrants.
 
     net        a network of learn.networks
-    refine     (Batch, Prediction) → learn.refinement.Refined, or None: nobody is refined
-    labels     (M, 108) of training materials, whose mean is an entrant; none: that row is left out
+    refine     None: no method is refined
+    labels     (M, 108) of training materials, whose mean is a method; none: that row is left out
     baselines  a folder of weights, or None
     device     where the baselines compute
     """
-    ours, rows, left_out = Layered(OURS, network(net)), [], {}
+    ours = Layered(OURS, network(net))
+    rows: list[Method] = []
+    left_out: dict[str, str] = {}
     if baselines is None:
         left_out["baselines of Section 4.5"] = "no --baselines DIR was given"
     else:
@@ -247,5 +251,5 @@ def entrants(net, refine, labels, baselines=None, device="cpu"):
             "the data set has no material for training; --materials built-in takes the built-in"
             " ones"
         )
-    trivial = [Unchanged(), *mean[:1], constant_light(), constant_light(ours)]
+    trivial: list[Method] = [Unchanged(), *mean[:1], constant_light(), constant_light(ours)]
     return Entrants((*trivial, *rows, layer_alone()), tuple(mean[1:]), left_out)

@@ -1,36 +1,27 @@
-"""The report as text and as one self-contained web page."""
+"""The evaluation's report as text, report.md, and as one self-contained web page, index.html."""
 
 import html
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
-from learn.agreement.page import png
 from learn.evaluation import gallery
 from learn.evaluation.gallery import FULL
 from learn.evaluation.methods import GIVEN_TRUTH
+from learn.evaluation.table import Cell, Column, Table, TableRow
+from learn.figures.html import bullets, encoded_picture, image, page, paragraph
 
+TITLE = "Edits, their truth, and their parts"
 STYLE = """
-:root{color-scheme:light dark;--ink:#1f2933;--soft:#5b6b79;--line:#dfe5ea;--back:#fbfcfd;--card:#fff;--mine:#e9f2ee;
---good:#2e7d4f;--bad:#b3402a}
-@media(prefers-color-scheme:dark){:root{--ink:#e6ebef;--soft:#98a7b3;--line:#33414c;--back:#141a1f;--card:#1b232a;--mine:#1d2f29;
---good:#7ccf9c;--bad:#ee9079}}
-body{font:15px/1.55 system-ui,sans-serif;color:var(--ink);background:var(--back);max-width:1240px;margin:0 auto;padding:2rem 1.2rem}
-h1{font-size:1.7rem;margin:0 0 .3rem}
-h2{font-size:1.2rem;margin:2.6rem 0 .3rem}
-p,ul{max-width:78ch}
-.soft,.note{color:var(--soft)}
+body{max-width:1240px}
 .note{margin:.1rem 0 .7rem;font-size:.92rem}
-.scroll{overflow-x:auto}
-table{border-collapse:collapse;font-size:.84rem;font-variant-numeric:tabular-nums;background:var(--card)}
-th,td{padding:.32rem .55rem;text-align:right;border-bottom:1px solid var(--line);white-space:nowrap}
-th{white-space:normal;min-width:3.4rem}
-th:first-child,td:first-child{text-align:left}
-th{color:var(--soft);font-weight:600;vertical-align:bottom;line-height:1.25}
+table{font-size:.84rem;background:var(--card)}
+th,td{padding:.32rem .55rem}
+th{white-space:normal;min-width:3.4rem;vertical-align:bottom;line-height:1.25}
 tr.mine{background:var(--mine)}
 tr.mine td:first-child{font-weight:600}
 td.best{font-weight:700}
 .ci{display:block;color:var(--soft);font-size:.76rem;font-weight:400}
-.good{color:var(--good)}
-.bad{color:var(--bad)}
-figure{margin:0 0 1.4rem;background:var(--card);border:1px solid var(--line);border-radius:10px;padding:.8rem;overflow-x:auto}
+figure{margin:0 0 1.4rem;padding:.8rem;overflow-x:auto}
 figcaption{margin-bottom:.5rem}
 .strip{display:grid;gap:.35rem}
 .strip div{font-size:.74rem;line-height:1.25;color:var(--soft);min-width:84px}
@@ -40,8 +31,8 @@ figcaption{margin-bottom:.5rem}
 WORDS = {"better": "good", "yes": "good", "worse": "bad", "no": "bad"}
 
 
-def text_of(cell, column, interval=True):
-    """A cell as text."""
+def text_of(cell: Cell, column: Column, interval: bool = True) -> str:
+    """Return a cell as text; interval: whether its interval is part of it."""
     if cell is None:
         return "–"
     if isinstance(cell, str):
@@ -53,9 +44,9 @@ def text_of(cell, column, interval=True):
     return f"{cell:.{digits}f}"
 
 
-def markdown(report):
-    """report.md."""
-    lines = ["# Edits, their truth, and what they are made of", ""]
+def markdown(report: Mapping) -> str:
+    """Return report.md."""
+    lines = [f"# {TITLE}", ""]
     lines += [*(f"- {sentence}" for sentence in report["headline"]), ""]
     for each in report["tables"].values():
         lines += [f"## {each['title']}", "", each["note"], ""]
@@ -78,14 +69,14 @@ def markdown(report):
     )
 
 
-def origin(about):
-    """Sentences about the run."""
+def origin(about: Mapping) -> list[str]:
+    """Return sentences about the run that made the report."""
     made = about["made"]
     lines = [
         (
             f"{about['edits']} edits of {about['pictures']} pictures, drawn with seed"
             f" {about['asked']['seed']} from {about['data']} ({'; '.join(about['tiers'])}). An"
-            " edit's truth is the picture of the same shape, view and light in the wanted"
+            " edit's truth is the picture of the same shape, view and light in the target"
             " material."
         ),
         (
@@ -100,47 +91,35 @@ def origin(about):
     return lines + [f"Left out: {name}: {why}." for name, why in about["missing"].items()]
 
 
-def web(report, shown, names):
-    """index.html. shown: [(row of edits.jsonl, path of its gallery PNG)]; names: of the methods,
-    the columns of the gallery.
+def web(report: Mapping, shown: Iterable[tuple[Mapping, Path]], names: Sequence[str]) -> str:
+    """Return index.html.
+
+    shown  (row of edits.jsonl, path of its gallery PNG) of the edits shown as pictures
+    names  of the methods: the columns of the gallery
     """
-    parts = [
-        "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport"
-        " content='width=device-width'>"
-    ]
-    parts += [
-        f"<title>Evaluation</title><style>{STYLE}</style><h1>Edits, their truth, and what they are"
-        " made of</h1>"
-    ]
-    parts += [
-        "<p class=soft>A method is shown one picture and a wanted material; Cycles rendered the"
-        " same shape, view and light in it.</p>"
-    ]
-    parts += [
-        "<ul>"
-        + "".join(f"<li>{html.escape(sentence)}</li>" for sentence in report["headline"])
-        + "</ul>"
+    shown = list(shown)
+    body = [
+        paragraph(
+            "A method is given one picture and a target material; Cycles rendered the same shape,"
+            " view and light in that material.",
+            "soft",
+        ),
+        bullets(report["headline"]),
     ]
     for key, each in report["tables"].items():
-        parts.append(
-            f"<h2>{html.escape(each['title'])}</h2><p"
-            f" class=note>{html.escape(each['note'])}</p>{web_table(each)}"
-        )
+        body += [
+            f"<h2>{html.escape(each['title'])}</h2>",
+            paragraph(each["note"], "note"),
+            web_table(each),
+        ]
         if key == "edits" and shown:
-            parts.append(web_gallery(shown, names))
-    parts += [
-        "<h2>How it was made</h2><ul>"
-        + "".join(
-            f"<li>{html.escape(item).replace('`', '')}</li>" for item in origin(report["about"])
-        )
-    ]
-    return "\n".join(parts) + "</ul></html>\n"
+            body.append(web_gallery(shown, names))
+    made = [item.replace("`", "") for item in origin(report["about"])]
+    return page("Evaluation", [*body, "<h2>How it was made</h2>", bullets(made)], STYLE, TITLE)
 
 
-def web_table(each):
-    """HTML of one table of learn.evaluation.tables, intervals beneath the figures, the best of each
-    column marked.
-    """
+def web_table(each: Table) -> str:
+    """Return a table as HTML: intervals beneath the figures, and the best of each column marked."""
     head = "".join(f"<th>{html.escape(c['label'])}</th>" for c in each["columns"])
     best = {c["key"]: _best(each["rows"], c) for c in each["columns"]}
     body = []
@@ -161,46 +140,50 @@ def web_table(each):
     return f"<div class=scroll><table><tr><th></th>{head}</tr>{''.join(body)}</table></div>"
 
 
-def _best(rows, column):
-    """The name of the row that does best in a column with an arrow, all that is given truth left
-    out.
-    """
+def _best(rows: Sequence[TableRow], column: Column) -> str | None:
+    """The name of the best row in a column with an arrow, without rows that are given truth."""
     sign = 1 if "↓" in column["label"] else -1 if "↑" in column["label"] else 0
     given = (*GIVEN_TRUTH, *(row["name"] for row in rows if "true" in row["name"]))
     cells = {
         row["name"]: row["cells"].get(column["key"]) for row in rows if row["name"] not in given
     }
-    there = {name: sign * cell[0] for name, cell in cells.items() if isinstance(cell, list)}
-    return min(there, key=there.get) if sign and len(there) > 1 else None
+    means = {name: sign * cell[0] for name, cell in cells.items() if isinstance(cell, list)}
+    return min(means, key=means.__getitem__) if sign and len(means) > 1 else None
 
 
-def web_gallery(shown, names):
-    """The first edits: input, truth, every method's edit, and the error of each beneath."""
+def web_gallery(shown: Iterable[tuple[Mapping, Path]], names: Sequence[str]) -> str:
+    """Return the first edits as HTML: input, truth, every method's edit, and its error beneath."""
     parts = [
-        "<h2>Pictures of the first edits</h2><p class=note>Above: the picture a method was shown,"
-        " Cycles' truth of the edit, and what each method made of it. Beneath: its error, black"
-        f" where there is none, white from {FULL:g} of 255 display steps on. The number is L2 over"
-        " the mask.</p>"
+        "<h2>Pictures of the first edits</h2>",
+        paragraph(
+            "Above: the input, Cycles' truth of the edit, and each method's edit. Beneath: its"
+            f" error, black where there is none, white from {FULL:g} of 255 display steps on. The"
+            " number is L2 over the mask.",
+            "note",
+        ),
     ]
     for row, path in shown:
-        requested, was = (" + ".join(dict.fromkeys(row[key])) for key in ("wanted", "materials"))
-        caption = (
-            f"<b>{html.escape(was)} → {html.escape(requested)}</b> · {html.escape(row['shape'])},"
-            f" {html.escape(row['light'])}"
-        )
-        columns = []
         heads = [
             ("shown", ""),
             ("truth", ""),
             *((name, f"{row['methods'][name]['l2']:.0f}") for name in names),
         ]
+        columns = []
         for (name, l2), (above, below) in zip(heads, gallery.cells(path, len(heads)), strict=True):
-            pictures = f"<img src='{png(above)}' alt='{html.escape(name)}'>"
-            pictures += f"<img src='{png(below)}' alt='error'>" if l2 else ""
+            pictures = image(encoded_picture(above), name)
+            pictures += image(encoded_picture(below), "error") if l2 else ""
             columns.append(f"<div>{pictures}<b>{l2}</b>{html.escape(name)}</div>")
         width = f"grid-template-columns:repeat({len(columns)},minmax(84px,1fr))"
         parts.append(
-            f"<figure><figcaption>{caption}</figcaption><div class=strip"
-            f" style='{width}'>{''.join(columns)}</div></figure>"
+            f"<figure><figcaption>{_caption(row)}</figcaption>"
+            f"<div class=strip style='{width}'>{''.join(columns)}</div></figure>"
         )
     return "".join(parts)
+
+
+def _caption(row: Mapping) -> str:
+    target, own = (
+        html.escape(" + ".join(dict.fromkeys(row[key]))) for key in ("wanted", "materials")
+    )
+    where = html.escape(f"{row['shape']}, {row['light']}")
+    return f"<b>{own} → {target}</b> · {where}"

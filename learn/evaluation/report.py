@@ -1,16 +1,25 @@
-"""The evaluation's report: report.json holds every table, report.md and index.html tell of them."""
+"""The evaluation's report: report.json holds every table, report.md and index.html show them."""
 
 import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
+from learn.data.records import Records
 from learn.evaluation import page, tables
-from learn.evaluation.methods import OURS, OURS_REFINED
+from learn.evaluation.methods import OURS, OURS_REFINED, Entrants
+from learn.evaluation.table import Cell, Table
+from learn.metrics.pictures import Perceptual
 from manifests import files
 from manifests.provenance import provenance
+from manifests.schema import Record
 from manifests.store import file_hash
+
+if TYPE_CHECKING:
+    from learn.evaluation.run import Options
 
 CURVE = (
     "radiance × exposure, clipped to [0, 1], sRGB curve (IEC 61966-2-1), × 255; exposure: the"
@@ -18,12 +27,22 @@ CURVE = (
 )
 
 
-def about(options, records, kept, left_out, perceptual):
-    """What the figures were made of, and what is missing from them."""
-    sides = {record.split for record in kept}
-    held = (
+def about(
+    options: "Options",
+    records: Records,
+    used: Sequence[Record],
+    left_out: Mapping[str, str],
+    perceptual: Perceptual | None,
+) -> dict:
+    """Return what the figures were made from, and what is missing from them.
+
+    used      records that edits were drawn from
+    left_out  {method: why it is missing}
+    """
+    splits = {record.split for record in used}
+    held_out = (
         "shapes and materials of the test side"
-        if sides == {"test"}
+        if splits == {"test"}
         else "no test side: what networks were trained on is among it"
     )
     missing = dict(left_out)
@@ -44,26 +63,34 @@ def about(options, records, kept, left_out, perceptual):
             for key, value in asked.items()
         },
         "data": (
-            f"{len(kept)} pictures, {len({r.shape for r in kept})} shapes,"
-            f" {len({r.light for r in kept})} lights; {held}"
+            f"{len(used)} pictures, {len({r.shape for r in used})} shapes,"
+            f" {len({r.light for r in used})} lights; {held_out}"
         ),
         "tiers": sorted(
-            {f"{r.tier}, light {r.light_resolution}, {r.samples} samples" for r in kept}
+            {f"{r.tier}, light {r.light_resolution}, {r.samples} samples" for r in used}
         ),
         "jobs": msgspec.to_builtins([order.job for order in records.dataset.orders]),
         "weights": file_hash(options.weights)[:12],
-        "lpips": None if perceptual is None else file_hash(options.lpips)[:12],
+        "lpips": None if options.lpips is None else file_hash(options.lpips)[:12],
         "tone curve": CURVE,
         "missing": missing,
     }
 
 
-def write(out, pictures, edits, shown, about, entrants, families):
-    """report.json, report.md, index.html in `out`. Returns {"tables", "headline"}.
+def write(
+    out: Path,
+    pictures: Sequence[dict],
+    edits: Sequence[dict],
+    shown: Iterable[str],
+    about: dict,
+    entrants: Entrants,
+    families: Mapping[str, str],
+) -> dict:
+    """Write report.json, report.md and index.html into `out`, and return the first of them.
 
     pictures, edits  rows of the two files of lines
     shown            ids of the edits whose gallery pictures are shown
-    families         {name: family} of the data set's materials
+    families         {name: family} of the dataset's materials
     """
     result = tables.all_of(pictures, edits, families)
     commits = sorted({row.get("commit", "none") for row in (*pictures, *edits)})
@@ -88,49 +115,54 @@ def write(out, pictures, edits, shown, about, entrants, families):
     return report
 
 
-def headline(found):
-    """Sentences that say what came out, each from the tables alone."""
-    rows = {row["name"]: row["cells"] for row in found.get("edits", {"rows": []})["rows"]}
-    report = []
+def headline(results: Mapping[str, Table]) -> list[str]:
+    """Return the main results in sentences, each from the tables alone."""
+    edits = results["edits"]["rows"] if "edits" in results else []
+    rows = {row["name"]: row["cells"] for row in edits}
+    report: list[str] = []
     if OURS in rows:
-        mine = rows[OURS]["l2"]
-        report.append(
-            f"An edit differs from its truth by a display L2 of {mine[0]:.0f} [{mine[1]:.0f},"
-            f" {mine[2]:.0f}] over the mask"
+        mean, low, high = _interval(rows[OURS]["l2"])
+        sentence = (
+            f"An edit differs from its truth by a display L2 of {mean:.0f} [{low:.0f}, {high:.0f}]"
+            " over the mask"
         )
         if OURS_REFINED in rows:
-            refined = rows[OURS_REFINED]["l2"]
-            more = 100 * (refined[0] / mine[0] - 1)
-            report[-1] += (
-                f"; after refinement by {refined[0]:.0f} [{refined[1]:.0f}, {refined[2]:.0f}]:"
-                f" {more:+.0f} %"
+            after, low, high = _interval(rows[OURS_REFINED]["l2"])
+            change = 100 * (after / mean - 1)
+            sentence += (
+                f"; after refinement by {after:.0f} [{low:.0f}, {high:.0f}]: {change:+.0f} %"
             )
-        report[-1] += "."
-        given = [(key, rows[OURS].get(f"l2_true_{key}")) for key in ("light", "normals")]
+        report.append(f"{sentence}.")
         report += [
-            f"With true {key} instead of predicted it would be {cell[0]:.0f}."
-            for key, cell in given
-            if cell
+            f"With true {key} instead of predicted it would be {_interval(cell)[0]:.0f}."
+            for key in ("light", "normals")
+            if (cell := rows[OURS].get(f"l2_true_{key}"))
         ]
-    return (
-        [*report, _judged(found, OURS_REFINED if OURS_REFINED in rows else OURS)]
-        if "differences" in found
-        else report
-    )
+    if "differences" not in results:
+        return report
+    return [*report, _judged(results, OURS_REFINED if OURS_REFINED in rows else OURS)]
 
 
-def _judged(found, mine):
-    """Whom the intervals say that `mine` is better than, worse than, or not to be told from."""
-    said = {}
-    for row in found["differences"]["rows"]:
+def _interval(cell: Cell) -> list[float]:
+    """The [mean, low, high] that a cell of a display L2 is."""
+    if not isinstance(cell, list):
+        raise ValueError(f"cell: expected [mean, low, high], found {cell!r}")
+    return cell
+
+
+def _judged(results: Mapping[str, Table], mine: str) -> str:
+    """A sentence on which methods `mine` is better or worse than by the intervals."""
+    said: dict[str, list[str]] = {}
+    for row in results["differences"]["rows"]:
         name, other = row["name"].split(" − ")
         if name == mine and other != "the layer alone":
-            said.setdefault(row["cells"]["verdict"].split(":")[0], []).append(f"“{other}”")
-    words = {"better": "better than", "worse": "worse than", "undecided": "not to be told from"}
+            verdict = str(row["cells"]["verdict"]).split(":")[0]
+            said.setdefault(verdict, []).append(f"“{other}”")
+    words = {"better": "better than", "worse": "worse than", "undecided": "not separable from"}
     judged = "; ".join(f"{words[verdict]} {', '.join(others)}" for verdict, others in said.items())
     return f"By 95 % intervals of the difference on the same edits, “{mine}” is {judged}."
 
 
-def line(report):
-    """One line for the terminal."""
+def line(report: Mapping) -> str:
+    """Return one line for the terminal."""
     return report["headline"][0] if report["headline"] else f"{report['about']['edits']} edits"

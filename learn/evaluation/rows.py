@@ -1,5 +1,4 @@
-"""What the lines of an evaluation hold, as types that they are checked against when a later run
-reads them again.
+"""The lines of an evaluation as types, against which they are checked when a later run reads them.
 
 A figure is None where there was nothing to measure, or where it was not finite. Keys that are not
 named here are kept.
@@ -38,9 +37,7 @@ class Refinement(Struct):
 
 
 class Parts(Struct):
-    """What a method makes of a picture: errors of the parts that it predicts, and of pictures
-    rendered from them.
-    """
+    """A method's errors on a picture: of the parts that it predicts, and of their renderings."""
 
     normals: Figures = {}
     material: Figures = {}
@@ -54,9 +51,7 @@ class Parts(Struct):
 
 
 class Layer(Struct):
-    """How far the layer's edit from true parts is off; the rest where the truth has a second
-    seed.
-    """
+    """The error of the layer's edit from true parts; more of it where the truth has two seeds."""
 
     l2: Figure
     l2_inner: Figure | None
@@ -68,16 +63,15 @@ class Layer(Struct):
     fit_here: Figure | None = None
     rest: Figure | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.net_inner is not None and self.net_error is None:
             raise ValueError("a net_error beside net_inner")
 
 
-class Picture(Struct):
-    """A line of pictures.jsonl: one picture's parts by every method."""
+class Line(Struct, kw_only=True):
+    """What a line says of its input picture, and the commit that measured it."""
 
     id: str
-    methods: dict[str, Parts]
     shape: str
     category: str
     viewpoint: int
@@ -88,26 +82,25 @@ class Picture(Struct):
     commit: str = "none"
 
 
-class Edit(Struct):
-    """A line of edits.jsonl: one edit by every method. source, truth: ids of records; wanted: the
-    truth's materials.
+class Picture(Line, kw_only=True):
+    """A line of pictures.jsonl: one picture's parts by every method."""
+
+    methods: dict[str, Parts]
+
+
+class Edit(Line, kw_only=True):
+    """A line of edits.jsonl: one edit by every method.
+
+    source, truth  ids of records
+    targets        materials of the truth; "wanted" in the file
     """
 
-    id: str
     source: str
     truth: str
     several: bool
     methods: dict[str, Comparison]
-    shape: str
-    category: str
-    viewpoint: int
-    materials: Names
-    light: str
-    rotation_texels: int
-    split: str
-    requested: Names = field(name="wanted")
+    targets: Names = field(name="wanted")
     layer: Layer
-    commit: str = "none"
 
 
 TYPES = {"pictures.jsonl": Picture, "edits.jsonl": Edit}

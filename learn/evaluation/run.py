@@ -1,17 +1,17 @@
-"""The whole evaluation: edits drawn, worked through by processes, each one a line as soon as it is
-done; then the report.
+"""`learn evaluate`: edits are drawn and measured by several processes, then reported.
 
-OUT/settings.json   what the figures depend on; a folder made with others is not gone on with
-OUT/pictures.jsonl  one line a source picture: its parts by every method (learn.evaluation.bench)
-OUT/edits.jsonl     one line an edit
+OUT/settings.json   what the figures depend on; a folder made with other settings is refused
+OUT/pictures.jsonl  one line per source picture: its parts by every method (learn.evaluation.bench)
+OUT/edits.jsonl     one line per edit, written as soon as it is measured
 OUT/gallery/        a PNG of each of the first edits
 OUT/report.json, report.md, index.html
-A kill loses the pictures in flight. The same command goes on; a larger --edits adds to what is
-there.
+
+A kill loses the pictures in progress. The same command continues, and a larger --edits adds edits.
 """
 
 import multiprocessing
 import os
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
@@ -21,23 +21,35 @@ import torch
 from tqdm import tqdm
 
 from learn.data import pairs
+from learn.data.pairs import EditPair
 from learn.data.records import Records
 from learn.evaluation import report, rows
 from learn.evaluation.bench import Bench
-from learn.evaluation.methods import TOLERANCE
-from learn.refinement import Settings
+from learn.layer.predictions import MEASURED
+from learn.refinement import RefinementSettings
 from manifests import files, lock
 from manifests.errors import InputError
+from manifests.schema import Record
 from manifests.store import Lines, file_hash
+
+# an edit of the source picture, the edits to measure, whether the picture itself is to be measured,
+# and the folder for pictures of the edits, or None
+Unit = tuple[EditPair, list[EditPair], bool, str | None]
 
 
 @dataclass(frozen=True)
 class Options:
-    """data, weights, out: paths; baselines: a folder, or None; lpips: a file, or None; gallery: how
-    many edits are shown.
+    """What is evaluated.
 
-    materials  whose training materials the row "mean material" is of: "dataset" or "built-in"
-    device     of networks, refinement and the layer: "cpu", or "cuda:0"
+    data, weights, out  paths
+    edits               number of edits
+    refine              whether methods are refined
+    baselines           folder of their weights, or None
+    gallery             number of edits shown as pictures
+    lpips               file of LPIPS' weights, or None
+    materials           whose training materials the row "mean material" is the mean of: "dataset"
+                        or "built-in"
+    device              of networks, refinement and the layer: "cpu", or "cuda:0"
     """
 
     data: Path
@@ -54,12 +66,12 @@ class Options:
     device: str = "cpu"
 
 
-def make(options):
-    """Work through what is missing and write the report. Returns its figures. Raises InputError."""
+def make(options: Options) -> dict:
+    """Measure the edits that are missing, write the report and return it. Raises InputError."""
     records = Records(options.data)
-    kept = [record for record in records.records if record.split == "test"] or records.records
-    if len(kept) < len(records) and not pairs.edits_between(kept):
-        result = f"none among its {len(kept)} of {len(records)} pictures"
+    used = [record for record in records.records if record.split == "test"] or records.records
+    if len(used) < len(records) and not pairs.edits_between(used):
+        result = f"none among its {len(used)} of {len(records)} pictures"
         remedy = (
             "render the test side's shapes, views and lights in two of its materials or more, or a"
             " dataset without a test side"
@@ -70,22 +82,23 @@ def make(options):
             result,
             remedy,
         )
-    chosen = pairs.chosen(kept, options.edits, options.seed)
+    chosen = pairs.chosen(used, options.edits, options.seed)
     out = Path(options.out)
     with lock.writing(out, patience=0):
-        # here first: what is wrong with weights is said before any process starts
+        # here first, so that unusable weights are reported before any process starts
         bench = Bench(**arguments(options))
         files.pin_settings(out / "settings.json", settings(options))
         work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
-        lines = [
+        pictures, edits = (
             [row for id_, row in rows_of(out / name).items() if id_ in requested]
-            for name, requested in names(chosen).items()
-        ]
+            for name, requested in ids_of(chosen).items()
+        )
         families = {entry.name: entry.family for entry in records.materials.values()}
-        about = report.about(options, records, kept, bench.entrants.left_out, bench.perceptual)
+        about = report.about(options, records, used, bench.entrants.left_out, bench.perceptual)
         return report.write(
             out,
-            *lines,
+            pictures,
+            edits,
             [edit.id for edit in chosen[: options.gallery]],
             about,
             bench.entrants,
@@ -93,16 +106,16 @@ def make(options):
         )
 
 
-def names(chosen):
-    """{file: ids of its lines}."""
+def ids_of(chosen: Sequence[EditPair]) -> dict[str, set[str]]:
+    """Return {file: ids of its lines}."""
     return {
         "pictures.jsonl": {edit.source.id for edit in chosen},
         "edits.jsonl": {edit.id for edit in chosen},
     }
 
 
-def arguments(options):
-    """Of Bench, in every process."""
+def arguments(options: Options) -> dict:
+    """Return the arguments of Bench in every process."""
     return {
         "data": options.data,
         "weights": options.weights,
@@ -114,8 +127,8 @@ def arguments(options):
     }
 
 
-def settings(options):
-    """What determines a line's figures: files by their bytes."""
+def settings(options: Options) -> dict:
+    """Return what a line's figures depend on; files count by their bytes."""
     folder = options.baselines
     of_baselines = (
         {}
@@ -129,8 +142,8 @@ def settings(options):
         "materials": file_hash(Path(options.data) / "materials.json"),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
         "baselines": of_baselines,
-        "refine": asdict(Settings()) if options.refine else False,
-        "tolerance": TOLERANCE,
+        "refine": asdict(RefinementSettings()) if options.refine else False,
+        "tolerance": MEASURED.tolerance,
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),
         "mean_material_of": options.materials,
@@ -142,19 +155,20 @@ def settings(options):
     )
 
 
-def units(out, chosen, gallery, repeats):
-    """[(edits of one source picture still to do, whether the picture itself is to do, folder of
-    pictures or None of each)].
+def units(
+    out: Path, chosen: Sequence[EditPair], gallery: int, repeats: dict[tuple, list[Record]]
+) -> list[Unit]:
+    """Return the work that is still to do, one unit per source picture.
 
-    An edit is made again if its picture is wanted and not there, or if its truth has more seeds by
-    now: its later line holds.
+    An edit is measured again if it is to be shown and its picture is missing, or if its truth has
+    more seeds than before; of two lines the later one counts.
 
     repeats  learn.data.pairs.repeats of the records
     """
     pictures, done = rows_of(out / "pictures.jsonl"), rows_of(out / "edits.jsonl")
     shown = {edit.id for edit in chosen[:gallery]}
 
-    def finished(edit):
+    def finished(edit: EditPair) -> bool:
         drawn = edit.id not in shown or (out / "gallery" / f"{edit.id}.png").exists()
         seeds = len(repeats[pairs.scene(edit.truth), edit.truth.materials])
         judged = edit.id in done and (
@@ -163,21 +177,21 @@ def units(out, chosen, gallery, repeats):
         )
         return drawn and judged
 
-    grouped = {}
+    grouped: dict[str, list[EditPair]] = {}
     for edit in chosen:
         grouped.setdefault(edit.source.id, []).append(edit)
-    matches = []
+    work: list[Unit] = []
     for source, edits in grouped.items():
         todo = [edit for edit in edits if not finished(edit)]
         whole = source not in pictures
         if todo or whole:
             folder = str(out / "gallery") if any(edit.id in shown for edit in todo) else None
-            matches.append((edits[0], todo, whole, folder))
-    return matches
+            work.append((edits[0], todo, whole, folder))
+    return work
 
 
-def work_through(options, todo, bench):
-    """Do the units, and append their lines as they come."""
+def work_through(options: Options, todo: Sequence[Unit], bench: Bench) -> None:
+    """Measure the units, and append their lines as they are finished."""
     lines = {name: Lines(Path(options.out) / name) for name in ("pictures.jsonl", "edits.jsonl")}
     total = sum(len(edits) for _, edits, _, _ in todo)
     try:
@@ -193,8 +207,10 @@ def work_through(options, todo, bench):
             each.close()
 
 
-def results(options, todo, bench):
-    """(row of the picture or None, rows of edits), in whatever order they are done."""
+def results(
+    options: Options, todo: Sequence[Unit], bench: Bench
+) -> Iterator[tuple[dict | None, list[dict]]]:
+    """Yield (row of the picture or None, rows of its edits), in the order they are finished."""
     processes = max(1, min(options.processes, len(todo)))
     if processes == 1:
         for unit in todo:
@@ -203,11 +219,9 @@ def results(options, todo, bench):
     threads = max(1, (os.cpu_count() or 1) // processes)
     # a fork of a process with running threads may hang
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(
-        processes, context, _begin, (arguments(options), threads)
-    ) as data_split:
+    with ProcessPoolExecutor(processes, context, _begin, (arguments(options), threads)) as pool:
         try:
-            for done in as_completed([data_split.submit(_work, unit) for unit in todo]):
+            for done in as_completed([pool.submit(_work, unit) for unit in todo]):
                 yield done.result()
         except BrokenProcessPool:
             remedy = "run the same command again with fewer --processes: what was done stays"
@@ -218,21 +232,25 @@ def results(options, todo, bench):
                 remedy,
             ) from None
         finally:
-            data_split.shutdown(wait=True, cancel_futures=True)
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _begin(given, threads):
+_bench: Bench  # of a worker process
+
+
+def _begin(options: dict, threads: int) -> None:
     global _bench
     torch.set_num_threads(threads)
-    _bench = Bench(**given)
+    _bench = Bench(**options)
 
 
-def _work(unit):
+def _work(unit: Unit) -> tuple[dict | None, list[dict]]:
     return _bench.work(*unit)
 
 
-def rows_of(path):
-    """{id: row} of a file of lines; of two of one id the later. Raises InputError for a damaged
-    line.
+def rows_of(path: Path) -> dict[str, dict]:
+    """Return {id: row} of a file of lines; of two lines of one id the later one counts.
+
+    Raises  InputError for a damaged line
     """
     return {row["id"]: row for row in files.read_lines(path, rows.TYPES[path.name])}

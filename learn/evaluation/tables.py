@@ -1,28 +1,22 @@
-"""From rows of figures to tables: means, 95 % intervals, and differences between methods on the
-same edits.
+"""Tables of the evaluation: means, 95 % intervals, and differences between methods.
 
-A table is plain JSON: {"title", "note", "columns": [{"key", "label", "digits", "interval"}],
-"rows": [{"name", "cells": {key: cell}}]}. A cell is [mean, low, high], a number, a word, or None
-where a method has no such figure. Intervals: learn.metrics.bootstrap, over shapes and materials (of
-edits: the wanted ones).
+Intervals are by learn.metrics.bootstrap over shapes and
+materials; of edits, over their target materials.
 """
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 
 from learn.evaluation.methods import OURS, OURS_REFINED
+from learn.evaluation.table import Cell, Column, Rows, Table, TableRow, column, table
 from learn.metrics import bootstrap
 
 LIMIT = 1.5  # times the node fit, as learn.agreement judges
 
-
-def column(key, label, digits=3, interval=False):
-    """A column of a table: key of its cells, label with an arrow towards better, digits after the
-    point, whether intervals are shown.
-    """
-    return {"key": key, "label": label, "digits": digits, "interval": interval}
-
+# path of the figures below a method, their columns, and a suffix of the cells' keys
+Group = tuple[tuple[str, ...], list[Column], str]
 
 LPIPS = column("lpips", "LPIPS ↓", 3)
 PICTURE = [
@@ -65,78 +59,34 @@ SHORT = [
     column("ssim", "rendered SSIM ↑", 4, True),
     column("flip", "rendered FLIP ↓", 3),
 ]
+MEANS: dict[str, Callable[[np.ndarray], np.floating]] = {
+    "mean": np.mean,
+    "median": np.median,
+    "geometric": lambda x: np.exp(np.log(x).mean()),
+}
 
 
-class Rows:
-    """Figures of many pictures or edits, and how they are drawn for intervals."""
-
-    def __init__(self, rows, material):
-        """material: the key of a row's material names."""
-        self.rows = rows
-        names = [
-            ["+".join(dict.fromkeys(row[material])) for row in rows],
-            [row["shape"] for row in rows],
-        ]
-        self.weights = bootstrap.draws(bootstrap.groups_of(*reversed(names))) if rows else None
-        # one shape or one material has nothing to be drawn from
-        self.enough = all(len(set(each)) > 1 for each in names)
-
-    def values(self, method, path):
-        """(P,) float64 of one figure, NaN where a row has none; path: keys below the method."""
-        result = np.full(len(self.rows), np.nan)
-        for i, row in enumerate(self.rows):
-            value = row["methods"].get(method, {})
-            for key in path:
-                value = value.get(key) if isinstance(value, dict) else None
-            if value is not None:
-                result[i] = value
-        return result
-
-    def cell(self, method, path):
-        """[mean, low, high] over the rows that have the figure; None if none has."""
-        return self.interval(self.values(method, path))
-
-    def interval(self, values):
-        there = np.isfinite(values)
-        return bootstrap.interval(values[there], self.drawn(there)) if there.any() else None
-
-    def drawn(self, there):
-        """The draws, of the rows that are there (P,) bool alone."""
-        if there.all():
-            return self.weights
-        weights = self.weights[:, there]
-        return weights[weights.sum(1) > 0]
-
-    def methods(self):
-        """Names in order of their first row."""
-        return list(dict.fromkeys(name for row in self.rows for name in row["methods"]))
-
-
-def table(title, note, columns, rows):
-    """A table without the columns that no row fills; None without rows."""
-    kept = [c for c in columns if any(row["cells"].get(c["key"]) is not None for row in rows)]
-    return {"title": title, "note": note, "columns": kept, "rows": rows} if rows and kept else None
-
-
-def by_method(rows, title, note, groups):
-    """A table of a row a method. groups: [(path below the method, columns, suffix of their keys)];
-    rows without any figure are left out.
-    """
-    results = []
+def by_method(rows: Rows, title: str, note: str, groups: Sequence[Group]) -> Table | None:
+    """Return a table with a row per method; rows without any figure are left out."""
+    results: list[TableRow] = []
     for name in rows.methods():
-        cells = {
+        cells: dict[str, Cell] = {
             c["key"] + suffix: rows.cell(name, (*path, c["key"]))
             for path, columns, suffix in groups
             for c in columns
         }
         if any(cell is not None for cell in cells.values()):
             results.append({"name": name, "cells": cells})
-    columns = [c | {"key": c["key"] + suffix} for _, columns, suffix in groups for c in columns]
+    columns = [
+        column(c["key"] + suffix, c["label"], c["digits"], c["interval"])
+        for _, columns, suffix in groups
+        for c in columns
+    ]
     return table(title, note, columns, [row for row in results if not borrowed(row, results)])
 
 
-def borrowed(row, rows):
-    """Whether a method "… of another" shows no figure but that other's: a part it took over."""
+def borrowed(row: TableRow, rows: Iterable[TableRow]) -> bool:
+    """Return whether all figures of a method "… of another" are that other's."""
     return any(
         other is not row
         and row["name"].endswith(f"of {other['name']}")
@@ -145,11 +95,12 @@ def borrowed(row, rows):
     )
 
 
-def differences(rows):
-    """Ours, refined and not, against every other row on the same edits: whether the difference of
-    L2 could be nothing.
+def differences(rows: Rows) -> Table | None:
+    """Return a table of L2 differences on the same edits: ours, refined or not, minus the others.
+
+    A difference is called better or worse if its interval excludes 0.
     """
-    results = []
+    results: list[TableRow] = []
     for mine in (OURS, OURS_REFINED):
         a = rows.values(mine, ("l2",))
         for other in rows.methods() if np.isfinite(a).any() else ():
@@ -160,19 +111,13 @@ def differences(rows):
                 or not np.isfinite(b).any()
             ):
                 continue
-            cell, both = rows.interval(a - b), np.isfinite(a + b)
-            of = bootstrap.relative(b[both], a[both], rows.drawn(both))
-            verdict = (
-                "better" if cell[2] < 0 else "worse" if cell[1] > 0 else "undecided: 0 is inside"
-            )
-            verdict = (
-                verdict if rows.enough else "undecided: two shapes and two materials are needed"
-            )
-            cells = {
-                "difference": cell,
-                "ratio": of,
+            both = np.isfinite(a + b)
+            difference = rows.interval(a - b)
+            cells: dict[str, Cell] = {
+                "difference": difference,
+                "ratio": bootstrap.relative(b[both], a[both], rows.draws(both)),
                 "won": float((a < b)[both].mean()),
-                "verdict": verdict,
+                "verdict": _verdict(difference, rows.enough),
             }
             results.append({"name": f"{mine} − {other}", "cells": cells})
     columns = [column("difference", "L2 difference", 1, True), column("ratio", "L2 ratio", 3, True)]
@@ -181,44 +126,49 @@ def differences(rows):
     return table("Differences on the same edits", note, columns, results)
 
 
-def gains(rows, known):
-    """What refinement takes off the edits' mean, median and geometric mean.
+def _verdict(difference: list[float] | None, enough: bool) -> str:
+    if not enough:
+        return "undecided: two shapes and two materials are needed"
+    if difference is None or difference[1] <= 0 <= difference[2]:
+        return "undecided: 0 is inside"
+    return "better" if difference[2] < 0 else "worse"
 
-    Of all edits, and by light, by shape and by the family of the target material.
 
-    known  {name: family} of the data set's materials
+def gains(rows: Rows, known: Mapping[str, str]) -> Table | None:
+    """Return a table of what refinement takes off the edits' mean, median and geometric mean.
+
+    It has rows of all edits, and by light, by shape and by the family of the target material.
+
+    known  {name: family} of the dataset's materials
     """
     before, after = (rows.values(name, ("l2",)) for name in (OURS, OURS_REFINED))
     both = np.isfinite(before + after)
     if not both.any():
         return None
 
-    def family(row):
+    def family(row: dict) -> str:
         families = {known.get(name, "of no known family") for name in row["wanted"]}
         return families.pop() if len(families) == 1 else "several families"
 
     groups = {"all edits": both}
-    for title, of in (
+    groupings: tuple[tuple[str, Callable[[dict], str]], ...] = (
         ("light", lambda row: row["light"]),
         ("shape", lambda row: row["category"]),
         ("into", family),
-    ):
+    )
+    for title, of in groupings:
         names = np.array([of(row) for row in rows.rows])
         groups |= {f"{title}: {name}": both & (names == name) for name in np.unique(names)}
-    results = []
-    for title, there in groups.items():
-        if there.any():
-            a, b = before[there], after[there]
-            cells = {
-                "edits": int(there.sum()),
-                "ratio": bootstrap.relative(a, b, rows.drawn(there)),
+    results: list[TableRow] = []
+    for title, group in groups.items():
+        if group.any():
+            a, b = before[group], after[group]
+            cells: dict[str, Cell] = {
+                "edits": int(group.sum()),
+                "ratio": bootstrap.relative(a, b, rows.draws(group)),
                 "won": float((b < a).mean()),
             }
-            for name, mean in (
-                ("mean", np.mean),
-                ("median", np.median),
-                ("geometric", lambda x: np.exp(np.log(x).mean())),
-            ):
+            for name, mean in MEANS.items():
                 cells |= {name: float(mean(a)), f"{name}_after": float(mean(b))}
             results.append({"name": title, "cells": cells})
     columns = [column("edits", "edits", 0), column("ratio", "ratio of means", 3, True)]
@@ -229,17 +179,17 @@ def gains(rows, known):
     return table("What refinement takes off edits", note, columns, results)
 
 
-def refinement(rows):
-    """What refinement did to its starts, a row a method, and all together."""
+def refinement(rows: Rows) -> Table | None:
+    """Return a table of refinement's effect on its initialisations, by method and all together."""
     refined = [
         name
         for name in rows.methods()
         if any("refinement" in row["methods"].get(name, {}) for row in rows.rows)
     ]
     groups = {name: [name] for name in refined} | (
-        {"all starts": refined} if len(refined) > 1 else {}
+        {"all initialisations": refined} if len(refined) > 1 else {}
     )
-    results = []
+    results: list[TableRow] = []
     for title, names in groups.items():
         get = partial(_gathered, rows, names)
         before, after, seconds, finite = (
@@ -249,24 +199,24 @@ def refinement(rows):
             [rows.values(name.removesuffix(", refined"), ("rendered_all", "l2")) for name in names]
         )
         ended = get(("rendered_all", "l2"))
-        there = np.isfinite(before)
-        cells = {
-            "starts": int(there.sum()),
-            "above": int((after[there] > before[there]).sum()),
-            "not_finite": int((finite[there] != 1).sum()),
-            "energy": float(np.median(before[there])),
-            "energy_after": float(np.median(after[there])),
+        done = np.isfinite(before)
+        cells: dict[str, Cell] = {
+            "starts": int(done.sum()),
+            "above": int((after[done] > before[done]).sum()),
+            "not_finite": int((finite[done] != 1).sum()),
+            "energy": float(np.median(before[done])),
+            "energy_after": float(np.median(after[done])),
             "l2": float(np.nanmedian(started)),
             "l2_after": float(np.nanmedian(ended)),
             "drop": float(1 - np.nanmedian(ended) / np.nanmedian(started)),
             "worse_l2": int((ended > started).sum()),
-            "seconds": float(np.median(seconds[there])),
-            "slowest": float(seconds[there].max()),
+            "seconds": float(np.median(seconds[done])),
+            "slowest": float(seconds[done].max()),
         }
         results.append({"name": title, "cells": cells})
     columns = [
-        column("starts", "starts", 0),
-        column("above", "ended above start", 0),
+        column("starts", "initialisations", 0),
+        column("above", "ended above it", 0),
         column("not_finite", "not finite", 0),
         column("energy", "median energy before", 5),
         column("energy_after", "after", 5),
@@ -286,19 +236,17 @@ def refinement(rows):
     )
 
 
-def _gathered(rows, names, path):
+def _gathered(rows: Rows, names: Iterable[str], path: Sequence[str]) -> np.ndarray:
     return np.concatenate([rows.values(name, path) for name in names])
 
 
-def layer(rows):
-    """The edit from true normals, light and label against Cycles, by wanted material, beside what
-    the catalogue says of its nodes.
-    """
-    by = {}
+def layer(rows: Rows) -> Table | None:
+    """Return a table of the layer's edits from true parts, by target material."""
+    by: dict[str, dict[str, dict]] = {}
     for row in rows.rows:
         # edits that share a truth count once
         by.setdefault(" + ".join(dict.fromkeys(row["wanted"])), {})[row["truth"]] = row["layer"]
-    results = [
+    results: list[TableRow] = [
         {"name": name, "cells": _layer_cells(list(by[name].values()))} for name in sorted(by)
     ]
     judged = [name["cells"] for name in results if "within" in name["cells"]]
@@ -334,30 +282,32 @@ def layer(rows):
     return table("True normals, light and label through the layer", note, columns, results)
 
 
-def _layer_cells(truths):
-    def mean(key, among):
+def _layer_cells(truths: list[dict]) -> dict[str, Cell]:
+    def mean(key: str, among: list[dict]) -> float | None:
         values = [each[key] for each in among if each.get(key) is not None]
         return float(np.mean(values)) if values else None
 
     judged = [each for each in truths if each.get("net_inner") is not None]
-    cells = {"truths": len(truths), "judged": len(judged)} | {
-        key: mean(key, truths) for key in ("l2", "l2_inner", "node_fit")
-    }
+    cells: dict[str, Cell] = {"truths": len(truths), "judged": len(judged)}
+    cells |= {key: mean(key, truths) for key in ("l2", "l2_inner", "node_fit")}
     cells |= {key: mean(key, judged) for key in ("net_inner", "fit_here", "coarse", "rest")}
     if judged:
         cells["net_error"] = float(
             np.sqrt(sum(each["net_error"] ** 2 for each in judged)) / len(judged)
         )
-        for key, fit in (("within", mean("node_fit", judged)), ("within_here", cells["fit_here"])):
-            cells |= (
-                {} if fit is None else {key: "yes" if cells["net_inner"] <= LIMIT * fit else "no"}
-            )
+        net = mean("net_inner", judged)
+        for key, fit in (("within", "node_fit"), ("within_here", "fit_here")):
+            if net is not None and (limit := mean(fit, judged)) is not None:
+                cells[key] = "yes" if net <= LIMIT * limit else "no"
     return cells
 
 
-def all_of(pictures, edits, families):
-    """{key: table} of rows of pictures.jsonl and edits.jsonl; tables without rows are left out.
-    families: as `gains` takes them.
+def all_of(
+    pictures: Sequence[dict], edits: Sequence[dict], families: Mapping[str, str]
+) -> dict[str, Table]:
+    """Return {key: table} of rows of pictures.jsonl and edits.jsonl, without empty tables.
+
+    families  as `gains` has them
     """
     P, E = Rows(pictures, "materials"), Rows(edits, "wanted")
     material_alone = (

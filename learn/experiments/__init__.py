@@ -1,1 +1,1 @@
-"""Measurements behind the figures in docs/results: `python -m learn.experiments NAME`."""
+"""Experiments that make the figures in docs/results; runner.py says what an experiment is."""

@@ -1,27 +1,54 @@
-"""`python -m learn.experiments`: the measurements behind the figures in docs/results, each made
-again by one command.
-"""
+"""`python -m learn.experiments`: the measurements behind docs/results, one command each."""
 
 import sys
+from collections.abc import Mapping
 
-from learn.training.allocator import keep_freed
+from learn.experiments import runner
 from manifests.cli import main
 
-COMMANDS = (
-    "work-precision",
-    "tolerance-check",
-    "quadrature-accuracy",
-    "latency",
-    "cold-start",
-    "engine-speed",
-    "calibrate-auto",
-    "step-profile",
-    "layer-ablation",
-    "normals-ablation",
-    "refinement-ablation",
-    "upsampling",
-    "exposure",
-)
+GROUPS: Mapping[str, Mapping[str, str]] = {
+    "The rendering layer's methods": {
+        "work-precision": "time each rendering method against the error that it makes",
+        "tolerance-check": 'count how often method="auto" keeps its tolerance in random scenes',
+        "quadrature-accuracy": 'compare method="quadrature" with the converged integral',
+        "latency": 'time method="auto" on every measured material',
+        "calibrate-auto": 'fit the constants by which method="auto" plans',
+    },
+    "The rendering layer's engine": {
+        "engine-speed": "time the exact sum against plain torch operators",
+        "cold-start": "time the first use of the layer in a fresh process",
+        "second-derivatives": "time second derivatives of the exact sum against first ones",
+    },
+    "Training": {
+        "step-profile": "time the parts of a training step, and relighting",
+        "layer-ablation": "train with and without the layer for the same time (Section 4.3)",
+        "normals-ablation": "train normals with further losses and shapes for the same time",
+    },
+    "Editing": {
+        "refinement-ablation": "measure refinement for each weight, and from bad initialisations",
+        "upsampling": "compare strategies that bring an edit to the photograph's size",
+        "exposure": "measure the rule that estimates a photograph's exposure",
+    },
+}
+COMMANDS = {name: runner.register(name) for group in GROUPS.values() for name in group}
+
+
+def description() -> str:
+    """Return the text of --help: every experiment with one line, by group."""
+    lines = [
+        "Measure what docs/results reports. `python -m learn.experiments NAME --help` says more."
+    ]
+    for title, group in GROUPS.items():
+        lines += ["", f"{title}:", *(f"  {name:<20} {line}" for name, line in group.items())]
+    return "\n".join(lines)
+
+
+def prepare() -> None:
+    """Keep freed memory, as training does; called before an experiment runs, not for --help."""
+    from learn.training.allocator import keep_freed
+
+    keep_freed()
+
 
 if __name__ == "__main__":
-    sys.exit(main("learn.experiments", __doc__.split(": ", 1)[1], COMMANDS, prepare=keep_freed))
+    sys.exit(main("learn.experiments", description(), COMMANDS, prepare=prepare))

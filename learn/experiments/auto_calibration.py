@@ -1,61 +1,72 @@
-"""The numbers by which `auto` plans, fitted on this machine: a map's error by spacing and
-sharpness, and seconds of each kind of work.
+"""The constants by which `auto` plans, fitted on this machine (calibrate_auto).
 
-map_error  of_lobe · (h √g)^power + of_light · h², h the spacing of nodes in radians, g ≥
-least_sharpness light_error  of a light whose texels are interpolated between larger ones: of_lobe ·
-(h √g)^power + of_horizon · h², h their rows' spacing
-seconds    of the culled sum: pixels · (lights · share · pair + pixel) + call, share that of the
-cone · / √g + block; of a look-up a pixel
+map_error    error of a map: of_lobe · (h √g)^power + of_light · h², where h is the spacing of
+             nodes in radians and the sharpness g is at least least_sharpness
+light_error  error of a light whose texels are interpolated between larger ones:
+             of_lobe · (h √g)^power + of_horizon · h², where h is the spacing of their rows
+seconds      of the culled sum: pixels · (lights · share · pair + pixel) + call, where share is
+             that of a cone of half angle cone / √g + block; of a look-up per pixel
 """
+
+from __future__ import annotations
 
 import functools
 import time
+from collections.abc import Callable
 
 import numpy as np
 import torch
 
 from learn.experiments import chart_cases
-from learn.methods import directional, lobe_shapes, planned, reflectance_map
+from learn.methods import directional, light_tables, lobe_shapes, planned, reflectance_map
 
 SIZES = (16, 24, 32, 48, 64, 96)
 SHARPNESS = (0.5, 2.0, 8.0, 32.0, 128.0, 512.0)
 SUMMED = (4.0, 100.0, 1000.0, 1e4, 1e5)
 
 
-def fit():
-    """The content of learn/methods/calibration.json."""
+def fit(size: int) -> dict[str, dict[str, float]]:
+    """Return the content of learn/methods/calibration.json; `size` is the side of timed pictures.
+
+    The errors are of a sphere in a third of that size.
+    """
     torch.set_num_threads(1)
-    return {"map_error": map_error(), "light_error": light_error(), "seconds": seconds()}
+    third = size // 3
+    return {
+        "map_error": map_error(third),
+        "light_error": light_error(third),
+        "seconds": seconds(size),
+    }
 
 
-def one_lobe(sharpness, kappa=0.3):
+def one_lobe(sharpness: float, kappa: float = 0.3) -> torch.Tensor:
+    """Return the material (3, 3, 2, 6) of one lobe of that sharpness."""
     m = torch.zeros(3, 3, 2, 6)
     m[:, 0, 0], m[:, :, 1] = kappa, 1.0
     m[:, 0, 1] = sharpness / lobe_shapes.sharpness(m)[0]
     return m
 
 
-def map_error():
-    """Upper envelope over lights: the fit is by least squares of logarithms, then raised until nine
-    tenths of the points lie below.
+def map_error(size: int) -> dict[str, float]:
+    """Return the upper envelope over lights of a map's error.
+
+    The fit is by least squares of logarithms, then raised until nine tenths of the points lie
+    below it.
     """
-    n = chart_cases.sphere(64)
+    n = chart_cases.sphere(size)
     n = n[(n != 0).any(-1)]
     points = []
     for L in chart_cases.computed_lights().values():
-        lights, E = directional.of_map(torch.as_tensor(L).float(), torch.eye(3))
+        lights, E = light_tables.of_map(torch.as_tensor(L).float(), torch.eye(3))
         for g in SHARPNESS:
             m = one_lobe(g)
             truth = directional.radiance(n, None, m, E, lights)
-            for size in SIZES:
-                seen = reflectance_map.with_nodes(
-                    n,
-                    size,
-                    lambda nodes, m=m, E=E, k=lights: directional.radiance(nodes, None, m, E, k),
-                )
+            for nodes in SIZES:
+                render = functools.partial(_radiance, m=m, E=E, lights=lights)
+                seen = reflectance_map.with_nodes(n, nodes, render)
                 points.append(
                     (
-                        2 * np.sqrt(2) / (size - 5),
+                        2 * np.sqrt(2) / (nodes - 5),
                         g,
                         ((seen - truth).abs().mean() / truth.mean()).item(),
                     )
@@ -75,12 +86,13 @@ def map_error():
     }
 
 
-def light_error():
-    """The same for coarse lights, under one lit texel: there nothing cancels. The broadest lobe has
-    the horizon's error alone.
+def light_error(size: int) -> dict[str, float]:
+    """Return the same for coarse lights, under one lit texel, where no errors cancel.
+
+    The broadest lobe has the horizon's error alone.
     """
-    n = chart_cases.sphere(64)
-    n = n[(n != 0).any(-1)].numpy()
+    sphere = chart_cases.sphere(size)
+    n = sphere[(sphere != 0).any(-1)].numpy()
     points = []
     for g in SHARPNESS:
         scene = planned.Scene(
@@ -101,10 +113,11 @@ def light_error():
     return {"of_lobe": float(np.exp(of_lobe)), "power": float(power), "of_horizon": of_horizon}
 
 
-def seconds():
-    n = chart_cases.sphere(192)
+def seconds(size: int) -> dict[str, float]:
+    """Return seconds of each kind of work, on one thread."""
+    n = chart_cases.sphere(size)
     n = n[(n != 0).any(-1)]
-    lights, E = directional.of_map(
+    lights, E = light_tables.of_map(
         torch.as_tensor(chart_cases.computed_lights()["sky"]).float(), torch.eye(3)
     )
     allowed = 0.1 * directional.scale(n, None, one_lobe(4.0), E, lights)
@@ -134,12 +147,26 @@ def seconds():
     return {name: float(f"{value:.3g}") for name, value in result.items()}
 
 
-def summed(n, m, E, lights, allowed):
+def _radiance(
+    n: torch.Tensor, m: torch.Tensor, E: torch.Tensor, lights: directional.Lights
+) -> torch.Tensor:
+    """Return radiance (P, 3) of normals (P, 3) seen by a distant viewer."""
+    return directional.radiance(n, None, m, E, lights)
+
+
+def summed(
+    n: torch.Tensor,
+    m: torch.Tensor,
+    E: torch.Tensor,
+    lights: directional.Lights,
+    allowed: float,
+) -> torch.Tensor:
+    """Return the culled sum's radiance (P, 3)."""
     return directional.radiance(n, None, m, E, lights, allowed)
 
 
-def timed(function, n, rounds=3):
-    """Best of a few, forward and backward, one thread's CPU seconds."""
+def timed(function: Callable[..., torch.Tensor], n: torch.Tensor, rounds: int = 3) -> float:
+    """Return the least processor seconds of a few rounds, forward and backward."""
     best = np.inf
     for _ in range(rounds):
         leaf = n.clone().requires_grad_()

@@ -1,10 +1,14 @@
-"""What the chart is measured on: materials, lights, cameras; and the methods' settings that make
-its points.
+"""Materials, lights and cameras of the work-precision chart, and the settings of its methods.
 
-A point is a method with a knob: `Setting(method, knob, radiance)`, radiance(batch) → (P, 3).
+A point of the chart is a method with a knob, `Setting(method, knob, radiance)`, where
+radiance(batch) → (P, 3).
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +16,9 @@ import torch
 
 from learn import methods
 from learn.layer.inputs import checked, compact
-from learn.methods import hybrid, median_cut, reflectance_map, sampling, spherical_gaussians
+from learn.methods import Batch, hybrid, median_cut, reflectance_map, sampling, spherical_gaussians
 from manifests import arrays, exr
-from manifests.errors import InputError
+from manifests.errors import InputError, closest
 from shaders import envmap
 from shaders.frames import ELEVATION, view_vectors
 
@@ -28,22 +32,29 @@ FIELD_OF_VIEW = np.radians(30)
 
 @dataclass(frozen=True)
 class Setting:
+    """A method with a knob: its tolerance, or its number of lights or samples."""
+
     method: str
     knob: str
-    radiance: callable
+    radiance: Callable[[Batch], torch.Tensor]
 
 
-def settings():
-    """Every point of the chart."""
+def settings() -> list[Setting]:
+    """Return every point of the chart."""
 
-    def by_tolerance(name, *tolerances):
-        return [
-            Setting(name, f"{t:g}", lambda b, n=name, t=t: methods.load(n).radiance(b, t))
-            for t in tolerances
-        ]
+    def at(batch: Batch, name: str, tolerance: float) -> torch.Tensor:
+        return methods.load(name).radiance(batch, tolerance)
 
-    def by_count(name, function, *counts):
-        return [Setting(name, str(c), lambda b, c=c: function(b, c)) for c in counts]
+    def by_tolerance(name: str, *tolerances: float) -> list[Setting]:
+        return [Setting(name, f"{t:g}", partial(at, name=name, tolerance=t)) for t in tolerances]
+
+    def by_count(
+        name: str, function: Callable[[Batch, int], torch.Tensor], *counts: int
+    ) -> list[Setting]:
+        def at(batch: Batch, count: int) -> torch.Tensor:
+            return function(batch, count)
+
+        return [Setting(name, str(count), partial(at, count=count)) for count in counts]
 
     return [
         *by_tolerance("exact", 1e-2),
@@ -62,8 +73,8 @@ def settings():
     ]
 
 
-def computed_lights():
-    """{name: (64, 128, 3)} of lights that need no file."""
+def computed_lights() -> dict[str, np.ndarray]:
+    """Return {name: (64, 128, 3)} of lights that need no file."""
     w, solid_angle = envmap.directions(*SIZE)
     sky = 0.2 + np.clip(w[..., 1:2], 0, 1) * [0.5, 0.8, 1.4]
     lamps = (
@@ -80,12 +91,19 @@ def computed_lights():
     return {name: envmap.unit_mean(L)[0] for name, L in result.items()}
 
 
-def lights(folder=None, names=None):
-    """The computed ones, or the sun in a texel and the maps of a folder: *.exr, or a dataset's
-    lights/*.npz; all, or those named.
+def lights(folder: Path | None = None, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+    """Return the computed lights, or the sun in a texel and the maps of a folder.
+
+    folder  with *.exr, or a data set
+    names   beginnings of the names of those that are requested; None: all
     """
     if folder is None:
-        return computed_lights()
+        computed = computed_lights()
+        if unknown := [name for name in names or () if name not in computed]:
+            raise InputError(
+                "--light", "a computed light", f"'{unknown[0]}'", closest(unknown[0], computed)
+            )
+        return {name: light for name, light in computed.items() if not names or name in names}
     result = {"sun in a texel": computed_lights()["sun in a texel"]}
     paths = sorted(Path(folder).glob("*.exr")) or sorted((Path(folder) / "lights").glob("**/*.npz"))
     chosen = [
@@ -105,8 +123,8 @@ def lights(folder=None, names=None):
     }
 
 
-def radiance_of(path):
-    """(height, width, 3) of an EXR, or of a dataset's light."""
+def radiance_of(path: Path) -> np.ndarray:
+    """Return (height, width, 3) of an EXR, or of a dataset's light."""
     if path.suffix == ".npz":
         return arrays.read_light(path).astype(np.float64)
     channels = exr.read(path)
@@ -120,8 +138,8 @@ def radiance_of(path):
     return np.stack([channels[name] for name in arrays.PICTURE_CHANNELS], -1).astype(np.float64)
 
 
-def sphere(size):
-    """Normals (1, size, size, 3) of a sphere that covers 40 % of the picture."""
+def sphere(size: int) -> torch.Tensor:
+    """Return normals (1, size, size, 3) of a sphere that covers 40 % of the picture."""
     x = (torch.arange(size, dtype=torch.float64) + 0.5) / size * 2 - 1
     y, x = torch.meshgrid(-x, x, indexing="ij")
     xy = torch.stack([x, y], -1) / np.sqrt(1.6 / np.pi)
@@ -130,10 +148,10 @@ def sphere(size):
     return n[None].float()
 
 
-def batch_of(label, light, size, camera, with_gradients=False):
-    """A learn.methods.Batch of one sphere, with tensors that want gradients or not, and these
-    tensors.
-    """
+def batch_of(
+    label: np.ndarray, light: np.ndarray, size: int, camera: str, with_gradients: bool = False
+) -> tuple[Batch, list[torch.Tensor]]:
+    """Return a batch of one sphere, and its tensors, which require gradients or not."""
     n, m = (
         sphere(size),
         torch.as_tensor(np.exp(np.asarray(label)).reshape(1, 108), dtype=torch.float32),
@@ -146,7 +164,5 @@ def batch_of(label, light, size, camera, with_gradients=False):
         ]
         n = torch.where((n * view).sum(-1, keepdim=True) > 1e-3, n, torch.zeros(()))
     leaves = [x.requires_grad_(with_gradients) for x in (n, m, L)]
-    return (
-        compact(checked(*leaves, view, None, (n != 0).any(-1).detach(), 1e-2, ELEVATION))[0],
-        leaves,
-    )
+    mask = (n != 0).any(-1).detach()
+    return compact(checked(n, m, L, view, None, mask, 1e-2, ELEVATION))[0], leaves

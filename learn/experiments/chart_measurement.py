@@ -1,36 +1,46 @@
-"""Times and errors of every setting on every case.
+"""Times and errors of every setting on every case (work_precision).
 
-seconds, forward   CPU time of one thread, forward and backward in n, m and L, and of the forward
-picture alone without derivatives: a busy
-                   machine alters it little. A few methods go another way where no derivative is
-                   wanted
-error, forward_error   mean absolute difference over mean radiance, on SAMPLE pixels, against the
-paper's sum, of each
-integral  the same (forward and backward) against the converged integral of the piecewise-constant
-map: lobes up to an exponent of 1,600
-          summed over a map whose texels are parted into 4 × 4, sharper ones by 16,384 half-vector
-          taps
+seconds, forward  processor time of one thread, forward and backward in n, m and L, and of the
+                  forward picture alone without derivatives: a busy machine alters it little. A few
+                  methods render differently where no derivative is required
+error,            mean absolute difference over mean radiance, on SAMPLE pixels, to the paper's sum,
+forward_error     of each of the two
+integral          the same (forward and backward) to the converged integral of the
+                  piecewise-constant map: lobes up to an exponent of 1,600 summed over a map whose
+                  texels are split into 4 × 4, sharper ones by 16,384 half vectors
 """
 
+from __future__ import annotations
+
 import time
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
+from typing import Any
 
+import numpy as np
 import torch
 from tqdm import tqdm
 
 from learn.experiments import chart_cases
-from learn.methods import load
+from learn.methods import Batch, load
 from learn.methods.directional import sample
 
 SAMPLE, FINE_PARTS = 192, 4
 
 
-def measure(materials, lights, cameras, size, processes=1):
-    """Rows (dicts) of material, light, camera, method, knob and the above; materials {name: label},
-    lights {name: L}.
+def measured(
+    materials: Mapping[str, np.ndarray],
+    lights: Mapping[str, np.ndarray],
+    cameras: Sequence[str],
+    size: int,
+    processes: int = 1,
+) -> list[dict[str, Any]]:
+    """Return rows of material, light, camera, method, knob and the above.
 
+    materials  {name: label}
+    lights     {name: map (64, 128, 3)}
     processes  cases measured side by side, each on one thread
     """
     todo = [
@@ -42,9 +52,9 @@ def measure(materials, lights, cameras, size, processes=1):
     rows = []
     with ProcessPoolExecutor(
         processes, mp_context=get_context("spawn"), initializer=warm_up, initargs=todo[0]
-    ) as data_split:
+    ) as pool:
         for result in tqdm(
-            data_split.map(one_case, *zip(*todo, strict=True)),
+            pool.map(one_case, *zip(*todo, strict=True)),
             total=len(todo),
             desc="chart",
             unit="case",
@@ -54,15 +64,19 @@ def measure(materials, lights, cameras, size, processes=1):
     return rows
 
 
-def warm_up(_m, label, _L, light, _camera, _size):
-    """One thread, and everything loaded and compiled before it is timed."""
+def warm_up(
+    _m: str, label: np.ndarray, _L: str, light: np.ndarray, _camera: str, _size: int
+) -> None:
+    """Use one thread, and load and compile everything before it is timed."""
     torch.set_num_threads(1)
     for setting in chart_cases.settings():
         timed(setting, label, light, 12, "orthographic", True)
 
 
-def one_case(m, label, L, light, camera, size):
-    """The rows of every setting on one material, light and camera."""
+def one_case(
+    m: str, label: np.ndarray, L: str, light: np.ndarray, camera: str, size: int
+) -> list[dict[str, Any]]:
+    """Return the rows of every setting on one material, light and camera."""
     batch, _ = chart_cases.batch_of(label, light, size, camera)
     pick = sample(len(batch.n), SAMPLE)
     few = picked(batch, pick)
@@ -91,8 +105,15 @@ def one_case(m, label, L, light, camera, size):
     return rows
 
 
-def timed(setting, label, light, size, camera, backward):
-    """Seconds, and the picture (P, 3)."""
+def timed(
+    setting: chart_cases.Setting,
+    label: np.ndarray,
+    light: np.ndarray,
+    size: int,
+    camera: str,
+    backward: bool,
+) -> tuple[float, torch.Tensor]:
+    """Return seconds, and the picture (P, 3)."""
     batch, leaves = chart_cases.batch_of(label, light, size, camera, with_gradients=backward)
     with torch.set_grad_enabled(backward):
         start = time.thread_time()
@@ -102,12 +123,13 @@ def timed(setting, label, light, size, camera, backward):
         return time.thread_time() - start, seen.detach()
 
 
-def picked(batch, pick):
+def picked(batch: Batch, pick: torch.Tensor) -> Batch:
+    """Return a batch of some of its pixels."""
     view = None if batch.view is None else batch.view[pick]
     return replace(batch, n=batch.n[pick], view=view, counts=(len(pick),))
 
 
-def converged(batch):
-    """Radiance (P, 3): the integral over the piecewise-constant map."""
+def converged(batch: Batch) -> torch.Tensor:
+    """Return radiance (P, 3), the integral over the piecewise-constant map."""
     fine = batch.light.repeat_interleave(FINE_PARTS, 1).repeat_interleave(FINE_PARTS, 2)
     return load("quadrature").radiance(replace(batch, light=fine), 1e-6)

@@ -1,30 +1,39 @@
-"""What the engines are timed against: the paper's sum in plain torch operators and autograd,
-float32, pixels in chunks.
+"""The paper's sum in plain torch operators and autograd, which the engines are timed against.
 
-Both take the general formula (a view for every pixel) and pass each chunk backward at once, so that
-only one chunk's intermediates are ever held. P pixels of a chunk, T texels; n, view (P, 3) unit, m
-(3, 3, 2, 6), E (T, 3) radiance × solid angle, w (T, 3).
+float32, pixels in chunks. Both formulas take a view per pixel and run each chunk's backward pass at
+once, so that only one chunk's intermediates are held. P pixels of a chunk, T texels; n, view (P, 3)
+unit, m (3, 3, 2, 6), E (T, 3) radiance × solid angle, w (T, 3).
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Callable
 
 import torch
 
 from shaders.dsbrdf import evaluate, half_angles
 from shaders.spline import basis
 
+Formula = Callable[..., torch.Tensor]  # plain or tuned
 
-def plain(n, view, m, E, w):
-    """Radiance (P, 3) by the formula as shaders.dsbrdf writes it: exp, log, expm1."""
+
+def plain(
+    n: torch.Tensor, view: torch.Tensor, m: torch.Tensor, E: torch.Tensor, w: torch.Tensor
+) -> torch.Tensor:
+    """Return radiance (P, 3) by the formula as shaders.dsbrdf writes it: exp, log, expm1."""
     h, theta_d = half_angles(w[None], view[:, None])
     cos_h = (h * n[:, None]).sum(-1)
     f = evaluate(m, cos_h.flatten(), theta_d.flatten()).reshape(*cos_h.shape, 3)
     return torch.einsum("ptk,tk,pt->pk", f, E, (n @ w.T).clamp(min=0))
 
 
-def tuned(n, view, m, E, w):
-    """The same by log2 and exp2, which torch computes up to ten times faster than exp where a lobe
-    vanishes.
+def tuned(
+    n: torch.Tensor, view: torch.Tensor, m: torch.Tensor, E: torch.Tensor, w: torch.Tensor
+) -> torch.Tensor:
+    """Return the same by log2 and exp2.
+
+    Torch computes these up to ten times faster than exp where a lobe vanishes.
     """
     h, theta_d = half_angles(w[None], view[:, None])
     curves = torch.einsum("ptb,ksjb->jptks", basis(theta_d), m)
@@ -33,8 +42,16 @@ def tuned(n, view, m, E, w):
     return torch.einsum("ptk,tk,pt->pk", f, E, (n @ w.T).clamp(min=0))
 
 
-def forward(radiance, n, view, m, E, w, chunk):
-    """Radiance (pixels, 3) by `radiance` (plain or tuned), `chunk` pixels at a time."""
+def forward(
+    radiance: Formula,
+    n: torch.Tensor,
+    view: torch.Tensor,
+    m: torch.Tensor,
+    E: torch.Tensor,
+    w: torch.Tensor,
+    chunk: int,
+) -> torch.Tensor:
+    """Return radiance (pixels, 3) by a formula, `chunk` pixels at a time."""
     with torch.no_grad():
         return torch.cat(
             [
@@ -44,8 +61,18 @@ def forward(radiance, n, view, m, E, w, chunk):
         )
 
 
-def forward_backward(radiance, n, view, m, E, w, g, chunk, with_view):
-    """Derivatives of Σ g · radiance by n, m, E, and view if wanted."""
+def forward_backward(
+    radiance: Formula,
+    n: torch.Tensor,
+    view: torch.Tensor,
+    m: torch.Tensor,
+    E: torch.Tensor,
+    w: torch.Tensor,
+    g: torch.Tensor,
+    chunk: int,
+    with_view: bool,
+) -> list[torch.Tensor | None]:
+    """Return derivatives of Σ g · radiance by n, m, E, and by view if with_view."""
     n, m, E = (a.detach().requires_grad_() for a in (n, m, E))
     view = view.detach().requires_grad_(with_view)
     for i in range(0, len(n), chunk):

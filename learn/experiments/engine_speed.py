@@ -1,165 +1,91 @@
-"""The exact sum, timed against plain torch: the same scene, taking turns, medians of ratios.
+"""Time the exact sum by the layer's engine against the same sum in plain torch operators.
 
-The scene is the one of the measures: a sphere over 40 % of a 256² picture (26,214 pixels or a few
-more), a 64×128 map with a sun. Plain torch (learn.experiments.eager_sum) renders evenly spaced
-pixels of it; its time is proportional to pixels, and is scaled to all of them. Both wall and
-processor time are kept: on a busy machine the second is the steadier.
+The scene is a sphere over 40 % of 256 × 256 pixels under a light map of 64 × 128 texels; forward
+and backward, orthographic and with a view vector per pixel. The two take turns, and the figures
+are medians, so that a busy machine slows both. Plain torch renders a part of the pixels, and its
+time is scaled to all of them.
 """
 
-import statistics
-import time
-from dataclasses import dataclass
+from __future__ import annotations
 
-import numpy as np
-import torch
-from tqdm import tqdm
+import argparse
 
-from learn.experiments import eager_sum
-from learn.layer import render
-from learn.methods import exact
-from manifests import materials as catalogue
-from shaders.frames import ELEVATION, camera_from_light, view_vectors
+from learn.experiments import runner
+from manifests.option_types import positive
 
-SIZE, COVER = 256, 0.4
-LIGHT = (64, 128)
-FOV = np.radians(35.0)
-EAGER_CHUNK = 4  # pixels at a time: the fastest of 2, 4, 16, 64 on the machine it was tried on
-ENGINES = ("engine", "torch, tuned", "torch, plain")
+MATERIALS = ("beige-fabric", "blue-acrylic", "chrome")
 
 
-@dataclass(frozen=True)
-class Settings:
-    materials: tuple
-    threads: tuple
-    rounds: int
-    eager_pixels: int
-
-
-@dataclass(frozen=True)
-class Scene:
-    """n, view (1, SIZE, SIZE, 3) and light (1, *LIGHT, 3), float32; view None: orthographic."""
-
-    n: torch.Tensor
-    view: torch.Tensor | None
-    light: torch.Tensor
-    m: torch.Tensor
-
-
-@dataclass(frozen=True)
-class Row:
-    """Seconds for the whole picture: medians over rounds; and how many times longer plain torch
-    takes, median of each round's ratio.
-    """
-
-    material: str
-    camera: str
-    task: str
-    threads: int
-    wall: dict
-    processor: dict
-    ratio: dict
-    processor_ratio: dict
-
-
-def scene(material, perspective):
-    """A sphere under a sky with a sun of 2,000 times its radiance."""
-    y, x = np.mgrid[0:SIZE, 0:SIZE] - (SIZE - 1) / 2
-    square = (x * x + y * y) / (SIZE**2 * COVER / np.pi)
-    n = np.stack([x, -y, np.zeros_like(x)], -1) / np.sqrt(SIZE**2 * COVER / np.pi)
-    n[..., 2] = np.sqrt(np.maximum(1.0 - square, 0.0))
-    n[square >= 1] = 0.0
-    light = np.random.default_rng(1).random((*LIGHT, 3)) + 0.2
-    light[18, 40] = 2000.0
-    view = torch.as_tensor(view_vectors(SIZE, SIZE, FOV))[None].float() if perspective else None
-    m = torch.as_tensor(catalogue.find(material).m.reshape(1, 108)).float()
-    return Scene(torch.as_tensor(n)[None].float(), view, torch.as_tensor(light)[None].float(), m)
-
-
-def engine_task(scene, backward):
-    """What the engine does once: everything from the layer's arguments to its gradients, compaction
-    and tables included.
-    """
-    leaves = [a.clone().requires_grad_(backward) for a in (scene.n, scene.m, scene.light)]
-    view = None if scene.view is None else scene.view.clone().requires_grad_(backward)
-
-    def run():
-        seen = render(*leaves, view=view, method="exact")
-        if backward:
-            torch.autograd.grad(seen.sum(), leaves + ([] if view is None else [view]))
-
-    return run
-
-
-def eager_task(scene, backward, pixels, formula):
-    """The same for evenly spaced pixels by plain torch, and the factor to the whole picture."""
-    inside = (scene.n != 0).any(-1)
-    n = scene.n[inside]
-    view = torch.tensor([0.0, 0.0, 1.0]).expand_as(n) if scene.view is None else scene.view[inside]
-    facing = ((n * view).sum(-1) > 1e-2).nonzero().squeeze(-1)
-    pick = facing[torch.linspace(0, len(facing) - 1, pixels).long()]
-    w, E = exact.texels(scene.light[0], torch.as_tensor(camera_from_light(ELEVATION)))
-    arguments = n[pick], view[pick], scene.m.reshape(3, 3, 2, 6), E, w
-    g = torch.ones_like(arguments[0])
-
-    def run():
-        if backward:
-            eager_sum.forward_backward(formula, *arguments, g, EAGER_CHUNK, scene.view is not None)
-        else:
-            eager_sum.forward(formula, *arguments, EAGER_CHUNK)
-
-    return run, len(facing) / pixels
-
-
-def clocked(run):
-    """Wall and processor seconds of one call."""
-    wall, processor = time.perf_counter(), time.process_time()
-    run()
-    return np.array([time.perf_counter() - wall, time.process_time() - processor])
-
-
-def row(settings, material, perspective, backward, threads, progress):
-    torch.set_num_threads(threads)
-    place = scene(material, perspective)
-    tasks = {"engine": (engine_task(place, backward), 1.0)}
-    for name, formula in (("torch, tuned", eager_sum.tuned), ("torch, plain", eager_sum.plain)):
-        tasks[name] = eager_task(place, backward, settings.eager_pixels, formula)
-    tasks["engine"][0]()  # compiled, tables of the map made
-    rounds = {name: [] for name in tasks}
-    for _ in range(settings.rounds):
-        for name, (run, factor) in tasks.items():
-            rounds[name].append(clocked(run) * factor)
-        progress.update()
-    seconds = {name: np.array(times).T for name, times in rounds.items()}
-    middle = [
-        {name: statistics.median(times[clock]) for name, times in seconds.items()}
-        for clock in (0, 1)
-    ]
-    ratios = [
-        {
-            n: statistics.median(t[clock] / seconds["engine"][clock])
-            for n, t in seconds.items()
-            if n != "engine"
-        }
-        for clock in (0, 1)
-    ]
-    camera = "view per pixel" if perspective else "orthographic"
-    return Row(
-        material, camera, "forward + backward" if backward else "forward", threads, *middle, *ratios
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the materials, thread counts, rounds and the pixels of plain torch."""
+    parser.add_argument(
+        "--material",
+        action="append",
+        metavar="NAME",
+        help=f"a material of the catalogue; repeatable (default: {', '.join(MATERIALS)})",
+    )
+    parser.add_argument(
+        "--threads",
+        type=positive,
+        nargs="+",
+        default=[1, 2],
+        metavar="N",
+        help="thread counts (default: 1 2)",
+    )
+    parser.add_argument(
+        "--rounds",
+        type=positive,
+        default=5,
+        metavar="N",
+        help="how often each is timed (default 5)",
+    )
+    parser.add_argument(
+        "--eager-pixels",
+        type=positive,
+        default=96,
+        metavar="N",
+        help="pixels that plain torch renders; the whole picture would take minutes (default 96)",
     )
 
 
-def measure(settings):
-    """All rows; torch's number of threads is put back."""
-    before = torch.get_num_threads()
-    cases = [
-        (material, perspective, backward, threads)
-        for threads in settings.threads
-        for material in settings.materials
-        for perspective in (False, True)
-        for backward in (False, True)
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"settings", "rows": [learn.experiments.engine_timing.Row as a dictionary]}."""
+    import dataclasses
+
+    from learn.experiments import engine_timing
+
+    settings = engine_timing.Settings(
+        tuple(arguments.material or MATERIALS),
+        tuple(arguments.threads),
+        arguments.rounds,
+        arguments.eager_pixels,
+    )
+    rows = [dataclasses.asdict(row) for row in engine_timing.timed(settings)]
+    return {"settings": dataclasses.asdict(settings), "rows": rows}
+
+
+def tables(report: runner.Report) -> str:
+    """Return seconds of the engine, and ratios to it, for each case."""
+    head = ["material", "camera", "task", "threads", "engine, s", "plain torch, s"]
+    head += ["plain ÷ engine", "tuned ÷ engine", "by processor time"]
+    names = ("torch, plain", "torch, tuned")
+    rows = [
+        [
+            *(row[key] for key in ("material", "camera", "task", "threads")),
+            f"{row['wall']['engine']:.3f}",
+            f"{row['wall']['torch, plain']:.0f}",
+            *(f"{row['ratio'][name]:.0f}" for name in names),
+            " / ".join(f"{row['processor_ratio'][name]:.0f}" for name in names),
+        ]
+        for row in report["rows"]
     ]
-    try:
-        with tqdm(total=len(cases) * settings.rounds, unit="round", desc="bench") as progress:
-            return [row(settings, *case, progress) for case in cases]
-    finally:
-        torch.set_num_threads(before)
+    settings = report["settings"]
+    return (
+        "# The exact engine against plain torch\n\n"
+        "One picture of 256 × 256, 40 % mask, 64 × 128 light, float32; medians of"
+        f" {settings['rounds']} rounds in turns. Plain torch renders {settings['eager_pixels']} of"
+        " the pixels, and its time is scaled to all of them. *Plain* is the general formula as"
+        " `shaders.dsbrdf` writes it, *tuned* the same by log2 and exp2"
+        " (`learn/experiments/eager_sum.py`), both in chunks of the fastest size.\n\n"
+        + runner.table(head, rows)
+    )

@@ -1,112 +1,67 @@
-"""How bright was the scene of a photograph? The rule of learn.data.photographs.framed, measured on
-pictures whose light is known.
+"""Measure the rule that estimates a photograph's exposure, on pictures of known light.
 
-A rendered picture's light has unit mean luminance. Exposed as a camera would, its object's 99th
-percentile at the file's white, it becomes what a user has: values in [0, 1] of unknown scale. Asked
-for is the factor X that brings them back, from their mean luminance alone:
-
-log X = log T − D log Y      T: TYPICAL, D: DEPENDENCE of learn.data.photographs
-Y  mean luminance of the object in the file, linear; P pictures
+Rendered pictures are exposed as a camera would expose them. The factor that leads back to their
+radiance is fitted against the object's brightness, and the fitted rule, the one in use
+(learn/data/photographs.py) and one factor for all are compared by how far they miss it.
 """
 
-import numpy as np
+from __future__ import annotations
 
-from learn.data import photographs
-from learn.metrics import bootstrap
-from manifests import files
-from manifests.errors import InputError
-from manifests.provenance import provenance
-from shaders import tone
-from shaders.envmap import LUMINANCE
+import argparse
+from pathlib import Path
 
-FAR = 2.5  # a factor by which a guess misses and an edit is plainly too dark or too bright
+from learn.commands import options
+from learn.experiments import runner
 
 
-def seen(radiance, mask):
-    """(Y, X) of a rendered picture: the mean luminance of its object in a file, and the factor back
-    to its radiance.
-
-    radiance (H, W, 3), mask (H, W) bool, not empty
-    """
-    exposure = tone.auto_exposure(radiance, mask)
-    return float((np.clip(radiance * exposure, 0, 1)[mask] @ LUMINANCE).mean()), 1 / exposure
-
-
-def fitted(Y, X, groups):
-    """{"typical": [value, low, high], "dependence": …}: the least squares' line.
-
-    The interval of 95 % is over whole groups (learn.metrics.bootstrap.groups_of).
-    """
-    x, y = np.log(Y), np.log(X)
-    ones = np.ones((1, len(x)))
-    lines = np.concatenate([_lines(x, y, ones), _lines(x, y, bootstrap.draws(groups))])
-    low, high = np.percentile(lines[1:], bootstrap.LEVELS, axis=0)
-    typical, dependence = ([float(lines[0, k]), float(low[k]), float(high[k])] for k in (0, 1))
-    return {
-        "typical": [float(np.exp(value)) for value in typical],
-        "dependence": [-dependence[0], -dependence[2], -dependence[1]],
-    }
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the data sets to fit on and to check on."""
+    options.add_data(parser, "a data set with pictures to fit the rule on, of the training split")
+    parser.add_argument(
+        "--check",
+        type=Path,
+        nargs="*",
+        default=[],
+        metavar="DIR",
+        help="further data sets, to measure the rules on",
+    )
 
 
-def _lines(x, y, weights):
-    """(D, 2) intercepts and slopes of lines through x, y (P,) under weights (D, P)."""
-    total = weights.sum(1)
-    mean_x, mean_y = weights @ x / total, weights @ y / total
-    slope = (weights @ (x * y) / total - mean_x * mean_y) / (weights @ (x * x) / total - mean_x**2)
-    return np.stack([mean_y - slope * mean_x, slope], 1)
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"line", "pictures", "rules", "missed": {data set: {rule: how far it misses}}}."""
+    from learn.data.records import Records
+    from learn.experiments import exposure_rule
+    from manifests.errors import InputError
+
+    records = [Records(folder) for folder in (arguments.data, *arguments.check)]
+    for each in records:
+        if not len(each):
+            remedy = "render some: python -m factory render JOB --out DIR"
+            raise InputError(each.folder, "pictures", "none", remedy)
+    return exposure_rule.fit_and_check(records[0], records[1:])
 
 
-def missed(Y, X, typical, dependence):
-    """How far a rule's guesses lie from the truth: root mean square of log (as a factor), share
-    beyond FAR.
-    """
-    off = np.log(typical * Y**-dependence / X)
-    return {
-        "rms_factor": float(np.exp(np.sqrt((off**2).mean()))),
-        f"share_beyond_{FAR}": float((np.abs(off) > np.log(FAR)).mean()),
-    }
-
-
-def measured(records):
-    """(Y (P,), X (P,), groups by shape, material and light) of a learn.data.records.Records."""
-    from tqdm import tqdm
-
-    pairs = []
-    for record in tqdm(records.records, "exposures", unit="picture", leave=False):
-        _, _, segments = records.geometry(record)
-        pairs.append(seen(records.image(record), segments > 0))
-    rs = records.records
-    names = [r.shape for r in rs], ["+".join(r.materials) for r in rs], [r.light for r in rs]
-    return *np.array(pairs).T, bootstrap.groups_of(*names)
-
-
-def fit_and_check(records, others, out):
-    """exposure.json: the line fitted on `records`, and how far it, the rule in use and one factor
-    for all miss on each of `others`.
-    """
-    names = [each.folder.name for each in (records, *others)]
-    if len(set(names)) < len(names):
-        raise InputError(
-            "--check",
-            "folders of other names than --data, and each once",
-            ", ".join(names),
-            "rename one: rows are named after them",
-        )
-    Y, X, groups = measured(records)
-    line = fitted(Y, X, groups)
-    rules = {
-        "fitted": (line["typical"][0], line["dependence"][0]),
-        "in use": (photographs.TYPICAL, photographs.DEPENDENCE),
-        "one factor for all": (float(np.exp(np.log(X).mean())), 0.0),
-    }
-    result = {"line": line, "pictures": len(X), "rules": rules, "missed": {}}
-    for folder, (y, x, _) in (
-        (records.folder, (Y, X, groups)),
-        *((other.folder, measured(other)) for other in others),
-    ):
-        result["missed"][folder.name] = {
-            rule: missed(y, x, *values) for rule, values in rules.items()
-        }
-    out.mkdir(parents=True, exist_ok=True)
-    files.write_json(out / "exposure.json", {"made_by": provenance()} | result)
-    return result
+def tables(report: runner.Report) -> str:
+    """Return the fitted line with its intervals, and how far each rule misses."""
+    lines = [[name, runner.interval(values, 2)] for name, values in report["line"].items()]
+    share = next(key for key in next(iter(report["missed"].values()))["fitted"] if "beyond" in key)
+    missed = [
+        [folder, rule, f"{row['rms_factor']:.2f}", f"{100 * row[share]:.0f} %"]
+        for folder, rules in report["missed"].items()
+        for rule, row in rules.items()
+    ]
+    factor = share.removeprefix("share_beyond_")
+    head = [
+        "data set",
+        "rule",
+        "root mean square miss, as a factor",
+        f"missed by more than {factor}",
+    ]
+    return (
+        "# The exposure of a photograph from its object's brightness\n\n"
+        f"X = typical · Y^−dependence, fitted to {report['pictures']} pictures; 95 % intervals over"
+        " shapes, materials and lights.\n\n"
+        + runner.table(["constant", "fitted"], lines)
+        + "\n"
+        + runner.table(head, missed)
+    )

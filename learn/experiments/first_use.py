@@ -1,11 +1,12 @@
-"""A program's first use of the layer, timed from inside.
+"""A program's first use of the layer, timed from inside a fresh process (cold_start).
 
-learn.experiments.cold_start runs it as `python -m learn.experiments.first_use CASE THREADS`.
-
-Prints one line of JSON, seconds by the clock: import (what `learn.layer` adds to torch), picture
-(the first), derivatives (the first picture with them), and both once more. The picture: a sphere
-over 40 % of 256 × 256, a light of 64 × 128 texels, lobes from matte to sharp.
+It is run as `python -m learn.experiments.first_use CASE THREADS` and prints one line of JSON, in
+seconds by the clock: import (what `learn.layer` adds to torch), picture (the first), derivatives
+(the first picture with them), and both once more. The picture is a sphere over 40 % of 256 × 256
+pixels under a light of 64 × 128 texels, with lobes from matte to sharp.
 """
+
+from __future__ import annotations
 
 import json
 import math
@@ -17,12 +18,13 @@ import torch
 SIZE, COVER, LIGHT = 256, 0.4, (64, 128)
 
 
-def scene(view_per_pixel):
-    """render's n (1, SIZE, SIZE, 3), material (1, 108), light (1, *LIGHT, 3) and view, as n, or
-    None.
+def scene(
+    view_per_pixel: bool,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor | None]:
+    """Return n (1, SIZE, SIZE, 3), material (1, 108), light (1, *LIGHT, 3) and view, or None.
 
-    Made here and not by learn.experiments.chart_cases: what that imports would count as the layer's
-    own.
+    It is made here and not by learn.experiments.chart_cases, because what that imports would count
+    as the layer's own.
     """
     place = torch.arange(SIZE) - (SIZE - 1) / 2
     y, x = torch.meshgrid(place, place, indexing="ij")
@@ -42,7 +44,8 @@ def scene(view_per_pixel):
     )
 
 
-def main(case, threads):
+def main(case: str, threads: int) -> None:
+    """Print the seconds of each part."""
     torch.set_num_threads(threads)
     method, _, view_per_pixel = case.partition(", ")
     start = time.perf_counter()
@@ -51,12 +54,12 @@ def main(case, threads):
     result = {"import": time.perf_counter() - start}
     n, material, light, view = scene(bool(view_per_pixel))
 
-    def picture():
+    def picture() -> None:
         render(n, material, light, view, method=method)
 
-    def derivatives():
-        leaves = [a.clone().requires_grad_() for a in (n, material, light)]
-        torch.autograd.grad(render(*leaves, view, method=method).sum(), leaves)
+    def derivatives() -> None:
+        leaves = n_leaf, m, L = [a.clone().requires_grad_() for a in (n, material, light)]
+        torch.autograd.grad(render(n_leaf, m, L, view, method=method).sum(), leaves)
 
     for name, work in (
         ("picture", picture),

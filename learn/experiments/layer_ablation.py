@@ -1,27 +1,26 @@
-"""The experiment of Section 4.3: does training through the layer help, for material alone and for
-normals alone?
+"""Train with and without the layer for the same processor time: the experiment of Section 4.3.
 
-Each variant is trained with the same network, data and seed for the same processor time, and
-measured on shapes, materials and lights that it never saw. What is not predicted is given true, so
-that each part stands alone.
+Material alone and normals alone are trained with the same network, data and seed, and measured on
+shapes, materials and lights that they never saw. What is not predicted is given its true value, so
+that each part stands alone. The same command continues; variants that are there are kept.
 
-material   standalone: squared difference of codes; combined: with I' through the layer; control:
-with the log-albedo term and no layer;
-           both: the log-albedo term and the layer
-normals    standalone: squared difference of normals; combined: with I' through the layer
+    material  standalone: squared difference of codes; combined: with I' through the layer;
+              control: with the log-albedo term and no layer; both: with that term and the layer
+    normals   standalone: squared difference of normals; combined: with I' through the layer
 """
 
-from pathlib import Path
+from __future__ import annotations
 
-import msgspec
-from tqdm import tqdm
+import argparse
+from typing import TYPE_CHECKING, Any
 
-from learn.data.settings import Losses, Run, Schedule
-from learn.experiments import variants
-from manifests import files
-from manifests.provenance import provenance
+from learn.experiments import ablation_options, runner
 
-VARIANTS = {
+if TYPE_CHECKING:
+    from learn.data.settings import Data, Run
+    from manifests.training_runs import Part
+
+VARIANTS: dict[Part, dict[str, dict[str, float]]] = {
     "material": {
         "standalone": {"material": 1.0},
         "combined": {"material": 1.0, "image": 10.0},
@@ -30,16 +29,51 @@ VARIANTS = {
     },
     "normals": {"standalone": {"normals": 1.0}, "combined": {"normals": 1.0, "image": 3.0}},
 }
-RATES = {"material": 1e-3, "normals": 2e-3}
+LEARNING_RATES: dict[Part, float] = {"material": 1e-3, "normals": 2e-3}
 STEPS = 1_000_000  # a bound far beyond what the time allows
 
 
-def settings(part, variant, data, size, seconds, seed):
-    """The Run of one variant."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the data, and what is trained and measured."""
+    ablation_options.add(parser, seconds=60)
+
+
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {part: {variant: figures, "ratios": {pair: [ratio, low, high]}}, "about"}."""
+    import torch
+    from tqdm import tqdm
+
+    from learn.data import sources
+    from learn.data.settings import Data
+    from learn.experiments import variants
+
+    torch.set_num_threads(1)
+    data = Data(test_lights=tuple(arguments.held_out))
+    data_splits = sources.data_splits(data, arguments.data, arguments.lights)
+    tests = variants.held_out(data_splits, data, arguments.size, arguments.batches)
+    seeds = range(arguments.seeds)
+    todo = [(s, p, v) for s in seeds for p, of_part in VARIANTS.items() for v in of_part]
+    results: dict[Part, dict[str, list]] = {}
+    for seed, part, variant in tqdm(todo, "variants", unit="run"):
+        run = settings(part, variant, data, arguments.size, arguments.seconds, seed)
+        folder = arguments.out / f"{part}-{variant}-{seed}"
+        result = variants.trained(run, data_splits, tests, folder, arguments.workers)
+        results.setdefault(part, {}).setdefault(variant, []).append(result)
+    about = {"seconds": arguments.seconds, "size": arguments.size, "seeds": arguments.seeds}
+    return summary(results, about)
+
+
+def settings(part: Part, variant: str, data: Data, size: int, seconds: float, seed: int) -> Run:
+    """Return the run of one variant."""
+    import msgspec
+
+    from learn.data.settings import Losses, Run, Schedule
+    from learn.experiments import variants
+
     schedule = Schedule(
         steps=STEPS,
         batch=variants.BATCH,
-        learning_rate=RATES[part],
+        learning_rate=LEARNING_RATES[part],
         warm_up=50,
         ema_decay=0.99,
         seconds=seconds,
@@ -50,91 +84,66 @@ def settings(part, variant, data, size, seconds, seed):
         size=size,
         parts=(part,),
         data=msgspec.structs.replace(data, photograph=False),
-        losses=Losses(**{"normals": 0.0, "material": 0.0} | VARIANTS[part][variant]),
+        losses=msgspec.structs.replace(
+            Losses(normals=0.0, material=0.0), **VARIANTS[part][variant]
+        ),
         schedule=schedule,
         seed=seed,
     )
 
 
-def prove(data, data_splits, out, size, seconds, seeds, batches=12, workers=1):
-    """Train and measure every variant; report.json and report.md in `out`. A variant that is there
-    already is not trained again.
+def summary(results: dict[Part, dict[str, list]], about: dict[str, Any]) -> runner.Report:
+    """Return figures of each variant, and ratios of render L2 with 95 % intervals.
+
+    results  {part: {variant: [result of variants.trained, one per seed]}}
     """
-    tests = variants.held_out(data_splits, data, size, batches)
-    todo = [(s, p, v) for s in seeds for p, of_part in VARIANTS.items() for v in of_part]
-    results = {}
-    for seed, part, variant in tqdm(todo, "variants", unit="run"):
-        run = settings(part, variant, data, size, seconds, seed)
-        result = variants.trained(
-            run, data_splits, tests, Path(out) / f"{part}-{variant}-{seed}", workers
-        )
-        results.setdefault(part, {}).setdefault(variant, []).append(result)
-    return report(Path(out), results, {"seconds": seconds, "size": size, "seeds": len(seeds)})
+    from learn.experiments import variants
 
-
-def report(out, results, about):
-    """Figures of each variant, and ratios of render L2 with 95 % intervals; report.json, report.md.
-
-    results  {part: {variant: [result of variants.trained, a seed each]}}
-    """
-    summary = {}
+    report: runner.Report = {}
     for part, of_part in results.items():
-        summary[part] = {
+        report[part] = {
             v: variants.figures(result) | {"steps": [r["steps"] for r in result]}
             for v, result in of_part.items()
         }
         pairs = [("standalone", v) for v in of_part if v != "standalone"]
         pairs += [("control", v) for v in ("combined", "both") if {"control", v} <= of_part.keys()]
-        summary[part]["ratios"] = {
+        report[part]["ratios"] = {
             f"{b} / {a}": variants.ratio(of_part[a], of_part[b]) for a, b in pairs
         }
     pictures = len(next(iter(next(iter(results.values())).values()))[0]["rows"])
-    summary["about"] = provenance() | about | {"pictures": pictures}
-    with files.transaction():
-        files.write_json(out / "report.json", summary)
-        files.write_text(out / "report.md", page(summary))
-    return summary
+    return report | {"about": about | {"pictures": pictures}}
 
 
-def page(summary):
-    """The report as a table for people."""
-    about = summary["about"]
-    lines = ["# Training through the layer against training without it (Section 4.3)", ""]
-    metadata = (
-        f"{about['seconds']:g} s of processor time a run, {about['seeds']} seeds,"
-        f" {about['pictures']} pictures of {about['size']}² pixels"
-    )
-    lines += [
-        metadata
-        + " of shapes, materials and lights never seen; 95 % intervals over shapes, materials and"
-        " seeds.",
-        "",
-    ]
-    lines += [
-        "| part | variant | render L2 | L2, frame | SSIM | others | steps |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for part in VARIANTS:
-        for variant in VARIANTS[part]:
-            row = summary[part][variant]
-            l2, low, high = row["l2"]
-            others = ", ".join(
-                f"{key} {row[key][0]:.4g}"
-                for key in row
-                if key not in ("l2", "l2_frame", "ssim", "steps")
-            )
-            cells = (
-                f"{l2:.0f} [{low:.0f}, {high:.0f}] | {row['l2_frame'][0]:.0f} |"
-                f" {row['ssim'][0]:.4f}"
-            )
-            lines.append(
-                f"| {part} | {variant} | {cells} | {others} | {', '.join(map(str, row['steps']))} |"
-            )
-    lines += ["", "Ratios of render L2:", ""]
-    for part in VARIANTS:
-        lines += [
-            f"- {part}: {pair} = {x:.2f} [{low:.2f}, {high:.2f}]"
-            for pair, (x, low, high) in summary[part]["ratios"].items()
+def tables(report: runner.Report) -> str:
+    """Return figures of each variant, and ratios of render L2."""
+    about = report["about"]
+    usual = ("l2", "l2_frame", "ssim", "steps")
+    rows = [
+        [
+            part,
+            variant,
+            runner.interval(row["l2"], 0),
+            f"{row['l2_frame'][0]:.0f}",
+            f"{row['ssim'][0]:.4f}",
+            ", ".join(f"{key} {row[key][0]:.4g}" for key in row if key not in usual),
+            ", ".join(map(str, row["steps"])),
         ]
-    lines += ["", " · ".join(f"{key}: {value}" for key, value in about.items())]
-    return "\n".join(lines) + "\n"
+        for part in VARIANTS
+        for variant, row in report[part].items()
+        if variant != "ratios"
+    ]
+    ratios = [
+        [part, pair, runner.interval(values, 2)]
+        for part in VARIANTS
+        for pair, values in report[part]["ratios"].items()
+    ]
+    head = ["part", "variant", "render L2", "L2, frame", "SSIM", "others", "steps"]
+    return (
+        "# Training through the layer against training without it (Section 4.3)\n\n"
+        f"{about['seconds']:g} s of processor time per run, {about['seeds']} seeds,"
+        f" {about['pictures']} pictures of {about['size']}² pixels of shapes, materials and lights"
+        " never seen; 95 % intervals over shapes, materials and seeds.\n\n"
+        + runner.table(head, rows)
+        + "\n"
+        + runner.table(["part", "ratio of render L2", "value"], ratios)
+    )

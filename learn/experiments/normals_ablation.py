@@ -1,32 +1,35 @@
-"""What helps normals beyond their own squared difference, at equal processor time: every idea of
-how a picture's error might.
+"""Train normals with further losses, a gloss curriculum or fewer shapes, for the same time.
 
-Variants go on from one pre-training by L2 alone, a seed each, for the same processor time; those of
-fewer shapes are pre-trained on them.
+Normals are pre-trained by L2 alone, once per seed. Each variant continues from there for the same
+processor time, and all are measured on shapes, materials and lights that they never saw. The same
+command continues; variants that are there are kept.
 
-L2           squared difference of normals alone, all training shapes
-pixels       and I' at sampled pixels, its pull bounded at each (learn.training.losses.bounded)
-all pixels   and I' at every pixel of the mask
-features     and I' by features of VGG16 (learn.networks.features), all pixels
-matte first  as pixels, but materials are admitted in order of gloss
-60, 120      L2 alone, so many shapes
+    L2           squared difference of normals alone, all training shapes
+    pixels       with I' at sampled pixels, its gradient bounded at each pixel
+                 (learn.training.losses.bounded)
+    all pixels   with I' at every pixel of the mask
+    features     with I' compared by features of VGG16 (learn.networks.features), all pixels
+    matte first  as pixels, but materials are admitted in order of gloss
+    60, 120      L2 alone on so many shapes, pre-trained on them
 """
 
-from dataclasses import replace
-from pathlib import Path
+from __future__ import annotations
 
-import msgspec
-import numpy as np
-from tqdm import tqdm
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
-from learn.data.settings import Losses, Run, Schedule
-from learn.data.sources import by_hash
-from learn.experiments import variants
-from manifests import files
-from manifests.errors import InputError
-from manifests.provenance import provenance
+from learn.experiments import ablation_options, runner
+from manifests.option_types import above_zero, whole
 
-VARIANTS = {
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from learn.data.relit import DataSplit
+    from learn.data.settings import Data, Run
+
+VARIANTS: dict[str, dict[str, Any]] = {
     "L2": {},
     "pixels": {"image": 3.0},
     "all pixels": {"image": 3.0, "rendered": "all"},
@@ -41,106 +44,163 @@ STEPS = 1_000_000
 MATTE_FIRST = 150
 
 
-def settings(name, data, size, seconds, seed, rate, start=None, losses=None, gloss_curriculum=0):
-    """The Run of one variant, or of the pre-training."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the data, and what is trained and measured."""
+    ablation_options.add(parser, seconds=45)
+    parser.add_argument(
+        "--pretraining",
+        type=above_zero,
+        default=60,
+        metavar="S",
+        help="processor time of the pre-training (default 60)",
+    )
+    parser.add_argument(
+        "--matte-first",
+        type=whole,
+        default=MATTE_FIRST,
+        metavar="N",
+        help=f"batches after which that variant admits all materials (default {MATTE_FIRST})",
+    )
+    parser.add_argument(
+        "--variants",
+        nargs="*",
+        metavar="NAME",
+        help=f'of {", ".join(VARIANTS)}; "L2" must be among them (default: all)',
+    )
+
+
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"rows": {variant: figures}, "about"}."""
+    import torch
+    from tqdm import tqdm
+
+    from learn.data import sources
+    from learn.data.settings import Data
+    from learn.experiments import variants
+
+    names = _requested(arguments.variants or list(VARIANTS))
+    torch.set_num_threads(1)
+    data = Data(sharing=8, test_lights=tuple(arguments.held_out))
+    data_splits = sources.data_splits(data, arguments.data, arguments.lights)
+    tests = variants.held_out(data_splits, data, arguments.size, arguments.batches)
+    results: dict[str, list] = {name: [] for name in names}
+    todo = [(seed, name) for seed in range(arguments.seeds) for name in names]
+    for seed, name in tqdm(todo, "variants", unit="run"):
+        results[name].append(_trained(name, seed, arguments, data, data_splits, tests))
+    about = {
+        "pretraining": arguments.pretraining,
+        "seconds": arguments.seconds,
+        "size": arguments.size,
+        "seeds": arguments.seeds,
+        "shapes": _count(data_splits),
+    }
+    about |= {"matte_first": arguments.matte_first} if "matte first" in names else {}
+    return summary(results, about)
+
+
+def _requested(names: Sequence[str]) -> Sequence[str]:
+    """The names, if all are of VARIANTS and "L2" is one of them. Raises InputError."""
+    from manifests.errors import InputError, closest
+
+    for name in names:
+        if name not in VARIANTS:
+            raise InputError(
+                f"--variants: '{name}'", "a variant", "none of that name", closest(name, VARIANTS)
+            )
+    if "L2" not in names:
+        raise InputError(
+            "--variants", '"L2", which all others are compared with', ", ".join(names), "add it"
+        )
+    return names
+
+
+def _trained(
+    name: str,
+    seed: int,
+    arguments: argparse.Namespace,
+    data: Data,
+    data_splits: dict[str, DataSplit],
+    tests: list,
+) -> dict[str, Any]:
+    """The result of one variant after its pre-training; neither is trained if it is there."""
+    from learn.experiments import variants
+
+    runs, size = arguments.out / "runs", arguments.size
+    of_shapes = _limited(data_splits, SHAPES.get(name))
+    first = runs / f"{name.split()[0] + '-' if name in SHAPES else ''}pretraining-{seed}"
+    pretraining = settings("pre-training", data, size, arguments.pretraining, seed, 2e-3)
+    variants.trained(pretraining, of_shapes, tests, first, arguments.workers)
+    own = Pretrained(
+        str(first / "weights.safetensors"),
+        VARIANTS[name],
+        arguments.matte_first if name == "matte first" else 0,
+    )
+    run = settings(name, data, size, arguments.seconds, seed + 1000, 1e-3, own)
+    folder = runs / f"{name.replace(' ', '-')}-{seed}"
+    return variants.trained(run, of_shapes, tests, folder, arguments.workers)
+
+
+@dataclass(frozen=True)
+class Pretrained:
+    """A variant's own settings: it starts from weights, with further terms of the loss.
+
+    gloss_curriculum  batches after which all materials are admitted; 0: all from the first
+    """
+
+    start: str | None = None
+    losses: Mapping[str, Any] = field(default_factory=dict)
+    gloss_curriculum: int = 0
+
+
+def settings(
+    name: str,
+    data: Data,
+    size: int,
+    seconds: float,
+    seed: int,
+    learning_rate: float,
+    own: Pretrained = Pretrained(),
+) -> Run:
+    """Return the run of one variant; without settings of its own, of the pre-training."""
+    import msgspec
+
+    from learn.data.settings import Losses, Run, Schedule
+    from learn.experiments import variants
+
     return Run(
         name=f"normals {name}",
         about=f"{seconds:g} s of processor time",
         size=size,
         parts=("normals",),
-        data=msgspec.structs.replace(data, photograph=False, gloss_curriculum=gloss_curriculum),
-        losses=Losses(normals=1.0, material=0.0, **losses or {}),
+        data=msgspec.structs.replace(data, photograph=False, gloss_curriculum=own.gloss_curriculum),
+        losses=Losses(normals=1.0, material=0.0, **own.losses),
         schedule=Schedule(
             steps=STEPS,
             batch=variants.BATCH,
-            learning_rate=rate,
+            learning_rate=learning_rate,
             warm_up=30,
             ema_decay=0.99,
             seconds=seconds,
         ),
-        start=start,
+        start=own.start,
         seed=seed,
     )
 
 
-def run_ablation(
-    data,
-    data_splits,
-    out,
-    size,
-    pretraining,
-    seconds,
-    seeds,
-    names=tuple(VARIANTS),
-    batches=12,
-    workers=1,
-    matte=MATTE_FIRST,
-):
-    """Train and measure; table.json, table.md and chart.png in `out`, written anew after each seed.
-    What is there is not trained again.
-
-    pretraining, seconds  of processor time; names: of VARIANTS, "L2" among them
-    matte                 batches over which "matte first" admits its materials
-    """
-    out = Path(out)
-    tests, results = (
-        variants.held_out(data_splits, data, size, batches),
-        {name: [] for name in names},
-    )
-    bar = tqdm(total=len(seeds) * len(names), desc="variants", unit="run")
-    for done, seed in enumerate(seeds, 1):
-        for name in names:
-            of_shapes = _limited(data_splits, SHAPES.get(name))
-            label = f"{name.split()[0]}-" if name in SHAPES else ""
-            first = out / "runs" / f"{label}pretraining-{seed}"
-            variants.trained(
-                settings("pre-training", data, size, pretraining, seed, 2e-3),
-                of_shapes,
-                tests,
-                first,
-                workers,
-            )
-            run = settings(
-                name,
-                data,
-                size,
-                seconds,
-                seed + 1000,
-                1e-3,
-                str(first / "weights.safetensors"),
-                VARIANTS[name],
-                _matte(name, matte),
-            )
-            result = variants.trained(
-                run, of_shapes, tests, out / "runs" / f"{name.replace(' ', '-')}-{seed}", workers
-            )
-            results[name].append(result)
-            bar.update()
-        about = {
-            "pretraining": pretraining,
-            "seconds": seconds,
-            "size": size,
-            "seeds": done,
-            "shapes": _count(data_splits),
-        }
-        about |= {"matte_first": matte} if "matte first" in names else {}
-        summary = report(out, results, about)
-    bar.close()
-    return summary
-
-
-def _matte(name, batches):
-    return batches if name == "matte first" else 0
-
-
-def _count(data_splits):
+def _count(data_splits: dict[str, DataSplit]) -> int:
     return len({data_splits["train"].geometry.views[v].shape for v in data_splits["train"].views})
 
 
-def _limited(data_splits, count):
-    """Pools whose training side has so many shapes, chosen by their names' hashes. Raises
-    InputError if there are fewer.
+def _limited(data_splits: dict[str, DataSplit], count: int | None) -> dict[str, DataSplit]:
+    """Return splits with so many training shapes, chosen by their names' hashes.
+
+    Raises InputError if there are fewer.
     """
+    import numpy as np
+
+    from learn.data.sources import by_hash
+    from manifests.errors import InputError
+
     if count is None:
         return data_splits
     data_split = data_splits["train"]
@@ -160,87 +220,70 @@ def _limited(data_splits, count):
     return data_splits | {"train": replace(data_split, views=views)}
 
 
-def report(out, results, about):
-    """table.json, table.md, chart.png. results: {variant: [result of variants.trained, a seed
-    each]}.
+def summary(results: dict[str, list], about: dict[str, Any]) -> runner.Report:
+    """Return each variant's figures, and its ratios to L2 alone, with 95 % intervals.
+
+    results  {variant: [result of variants.trained, one per seed]}
     """
-    rows = {}
-    for name, outcome in results.items():
-        rows[name] = variants.figures(outcome) | {"steps": [result["steps"] for result in outcome]}
-        rows[name]["ratio"] = variants.ratio(results["L2"], outcome)
-        rows[name]["angle_ratio"] = variants.ratio(results["L2"], outcome, "angle_deg")
-    pictures = len(results["L2"][0]["rows"])
-    summary = {"rows": rows, "about": provenance() | about | {"pictures": pictures}}
-    with files.transaction():
-        files.write_json(out / "table.json", summary)
-        files.write_text(out / "table.md", page(summary))
-        chart(out / "chart.png", summary)
-    return summary
+    from learn.experiments import variants
+
+    rows = {
+        name: variants.figures(outcome)
+        | {
+            "steps": [result["steps"] for result in outcome],
+            "ratio": variants.ratio(results["L2"], outcome),
+            "angle_ratio": variants.ratio(results["L2"], outcome, "angle_deg"),
+        }
+        for name, outcome in results.items()
+    }
+    return {"rows": rows, "about": about | {"pictures": len(results["L2"][0]["rows"])}}
 
 
-def page(summary):
-    """The table for people."""
-    about = summary["about"]
-    lines = ["# Normals: what helps at equal processor time", ""]
-    lines += [
-        (
-            f"{about['pretraining']:g} s of pre-training by L2, then {about['seconds']:g} s of each"
-            f" variant, {about['seeds']} seeds, {about['shapes']} training shapes,"
-            f" {about['pictures']} pictures of {about['size']}² pixels of shapes, materials and"
-            " lights never seen. Means with 95 % intervals over shapes, materials and seeds;"
-            " ratios against L2 alone, on the same pictures."
-        ),
-        "",
-        (
-            "| variant | render L2 | ratio | mean angle (°) | ratio | cosine | SSIM | L2, frame |"
-            " steps |"
-        ),
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for name, row in summary["rows"].items():
-        cells = [
-            _interval_text(row["l2"], 0),
-            _interval_text(row["ratio"], 3),
-            _interval_text(row["angle_deg"], 2),
-            _interval_text(row["angle_ratio"], 3),
-        ]
-        cells += [
+def tables(report: runner.Report) -> str:
+    """Return each variant's figures with their intervals."""
+    about = report["about"]
+    head = ["variant", "render L2", "ratio", "mean angle (°)", "ratio", "cosine", "SSIM"]
+    rows = [
+        [
+            name,
+            runner.interval(row["l2"], 0),
+            runner.interval(row["ratio"]),
+            runner.interval(row["angle_deg"], 2),
+            runner.interval(row["angle_ratio"]),
             f"{row['cosine'][0]:.4f}",
             f"{row['ssim'][0]:.4f}",
             f"{row['l2_frame'][0]:.0f}",
             ", ".join(map(str, row["steps"])),
         ]
-        lines.append(f"| {name} | {' | '.join(cells)} |")
-    lines += ["", " · ".join(f"{key}: {value}" for key, value in about.items())]
-    return "\n".join(lines) + "\n"
+        for name, row in report["rows"].items()
+    ]
+    return (
+        "# Normals: what helps at equal processor time\n\n"
+        f"{about['pretraining']:g} s of pre-training by L2, then {about['seconds']:g} s of each"
+        f" variant, {about['seeds']} seeds, {about['shapes']} training shapes, {about['pictures']}"
+        f" pictures of {about['size']}² pixels of shapes, materials and lights never seen. Means"
+        " with 95 % intervals over shapes, materials and seeds; ratios to L2 alone on the same"
+        " pictures.\n\n" + runner.table([*head, "L2, frame", "steps"], rows)
+    )
 
 
-def _interval_text(interval, digits):
-    mean, low, high = (f"{x:.{digits}f}" for x in interval)
-    return f"{mean} [{low}, {high}]"
+def figure(report: runner.Report) -> Figure:
+    """Return a chart of the ratios of render L2 and of the mean angle, with their intervals."""
+    from matplotlib.figure import Figure
 
-
-def chart(path, summary):
-    """Ratios of render L2 and of the mean angle against L2 alone, a line a variant."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    names = [name for name in summary["rows"] if name != "L2"]
-    figure, axes = pyplot.subplots(1, 2, figsize=(9, 0.5 * len(names) + 1.2), sharey=True)
+    names = [name for name in report["rows"] if name != "L2"]
+    drawn = Figure(figsize=(9, 0.5 * len(names) + 1.2), layout="constrained")
+    axes = drawn.subplots(1, 2, sharey=True)
     for axis, key, title in (
         (axes[0], "ratio", "render L2 against L2 alone"),
         (axes[1], "angle_ratio", "mean angle against L2 alone"),
     ):
         for i, name in enumerate(names):
-            mean, low, high = summary["rows"][name][key]
+            mean, low, high = report["rows"][name][key]
             axis.plot([low, high], [i, i], color="#345", lw=2)
             axis.plot(mean, i, "o", color="#345")
         axis.axvline(1, color="#999", lw=1)
         axis.set_title(title, fontsize=10)
         axis.set_yticks(range(len(names)), names)
     axes[0].invert_yaxis()
-    figure.tight_layout()
-    files.write_figure(path, figure, dpi=120)
-    pyplot.close(figure)
+    return drawn

@@ -1,53 +1,95 @@
-"""Which setting reaches an error in the least time, over all cases at once: the Pareto front, and
-who is on it.
+"""Which setting reaches an error in the least time, over all cases at once: the Pareto front.
 
-A setting (method, knob) is chosen before the case is known, so it is judged by all of its cases: by
-its median time, and by the median of its errors or by the worst of them. An error is relative, as
-in learn.experiments.chart_measurement.
+A setting (method and knob) is chosen before the case is known, so that it is judged by all of its
+cases: by its median time, and by the median of its errors or the worst of them. An error is
+relative, as in learn.experiments.chart_measurement.
 """
+
+from __future__ import annotations
 
 import statistics
 from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 LEVELS = (5e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 OURS = "auto"
+CLOCKS, ERRORS = ("seconds", "forward"), ("error", "integral", "forward_error")
+JUDGES: Mapping[str, Callable[[list[float]], float]] = {"median": statistics.median, "worst": max}
 
 
-def points(rows, camera, error, judge, clock="seconds"):
-    """{method: [(seconds, error, knob)]} of a camera: median time; judge(errors), statistics.median
-    or max.
+class Point(NamedTuple):
+    """A setting as a point of the chart; points are ordered by time."""
+
+    seconds: float
+    error: float
+    knob: str
+
+
+class Front(NamedTuple):
+    """The fastest setting that reaches an error; ours: seconds of OURS, None if it does not."""
+
+    method: str
+    seconds: float
+    ours: float | None
+
+
+def summary(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return a dictionary per camera and setting, with its judged times and errors over all cases.
+
+    rows     of learn.experiments.chart_measurement, one per case and setting
+    Returns  [{"camera", "method", "knob", clock: median, error: {judge: value}}]
     """
     grouped = defaultdict(list)
     for row in rows:
-        if row["camera"] == camera:
-            grouped[row["method"], row["knob"]].append(row)
+        grouped[row["camera"], row["method"], row["knob"]].append(row)
+    return [
+        {"camera": camera, "method": method, "knob": knob}
+        | {clock: statistics.median(row[clock] for row in same) for clock in CLOCKS}
+        | {
+            error: {name: judge([row[error] for row in same]) for name, judge in JUDGES.items()}
+            for error in ERRORS
+        }
+        for (camera, method, knob), same in grouped.items()
+    ]
+
+
+def points(
+    settings: Sequence[Mapping[str, Any]],
+    camera: str,
+    error: str,
+    judge: str,
+    clock: str = "seconds",
+) -> dict[str, list[Point]]:
+    """Return {method: its points} of a camera; settings are those of `summary`."""
     result = defaultdict(list)
-    for (method, knob), same in grouped.items():
-        result[method].append(
-            (statistics.median(r[clock] for r in same), judge([r[error] for r in same]), knob)
-        )
+    for row in settings:
+        if row["camera"] == camera:
+            result[row["method"]].append(Point(row[clock], row[error][judge], row["knob"]))
     return dict(result)
 
 
-def cheapest(found, level):
-    """{method: (seconds, error, knob)}: each method's fastest setting whose error is at most
-    `level`.
-    """
+def cheapest(of_methods: Mapping[str, Sequence[Point]], level: float) -> dict[str, Point]:
+    """Return {method: its fastest point} whose error is at most `level`."""
     best = {
-        method: min((p for p in settings if p[1] <= level), default=None)
-        for method, settings in found.items()
+        method: min((p for p in of_method if p.error <= level), default=None)
+        for method, of_method in of_methods.items()
     }
     return {method: point for method, point in best.items() if point}
 
 
-def front(rows, camera, error, judge, clock="seconds"):
-    """[(level, fastest method, its seconds, seconds of OURS or None)] of LEVELS that any setting
-    reaches.
-    """
-    result, lines = points(rows, camera, error, judge, clock), []
+def front(
+    settings: Sequence[Mapping[str, Any]],
+    camera: str,
+    error: str,
+    judge: str,
+    clock: str = "seconds",
+) -> dict[float, Front]:
+    """Return {level: fastest setting} of those LEVELS that any setting reaches."""
+    of_methods, result = points(settings, camera, error, judge, clock), {}
     for level in LEVELS:
-        best = cheapest(result, level)
-        if best:
-            method = min(best, key=best.get)
-            lines.append((level, method, best[method][0], best[OURS][0] if OURS in best else None))
-    return lines
+        if best := cheapest(of_methods, level):
+            method = min(best, key=lambda name: best[name])
+            ours = best[OURS].seconds if OURS in best else None
+            result[level] = Front(method, best[method].seconds, ours)
+    return result

@@ -1,81 +1,77 @@
-"""How near `quadrature` is to the converged integral under a sun in one texel, and how long it
-takes, from broad lobes to narrow ones.
+"""Compare method="quadrature", and the paper's sum over texels, with the converged integral.
 
-Converged is the picture of 16,384 taps; or, where lobes are broad enough that the method may sum
-texels, the sum over texels split into so many of the same radiance that each is about a quarter of
-what the lobe asks for, which leaves about a sixteenth of the error. How far that is itself from
-converged is told by half of the taps, or of the texels' rows. That both are right is held in
-tests/learn/test_integral.py, by a closed form and by texels integrated one by one.
+A sphere over 40 % of the picture under a sun in one texel, for lobes from broad to narrow (γ from
+0.01 to 1e5). An error is a mean absolute difference over the picture's mean; "converged to" is
+the same between the two finest means, and bounds what the comparison can show.
 """
 
-import functools
-import math
-import time
+from __future__ import annotations
 
-import torch
-from tqdm import tqdm
+import argparse
 
-from learn.experiments import chart_cases
-from learn.layer import render
-from learn.methods import quadrature
+from learn.commands import options
+from learn.experiments import runner
+from manifests.option_types import above_zero
 
-# 300: where taps take over from the sum over texels
+# at 300 half-vector sample directions take over from the sum over texels
 GAMMAS = (0.01, 1.0, 30.0, 290.0, 310.0, 1.3e3, 5e3, 3e4, 1e5)
-FINE, LESS_FINE = 1e-4, 4e-4  # tolerances: 16,384 and 8,192 taps
-# exponent up to which a fine tolerance splits texels instead of placing taps
-BY_TEXELS = quadrature.BROAD * max(quadrature.SPLITS) ** 2
-ROUNDS = 3
+METHODS = ("quadrature", "exact")
 
 
-def measure(tolerance, threads, gammas=GAMMAS, size=256):
-    """Rows of γ, seconds (the best of ROUNDS, forward, on so many threads and on one) and errors:
-    mean absolute over mean.
-    """
-    light = torch.as_tensor(chart_cases.computed_lights()["sun in a texel"]).float()[None]
-    n, rows = chart_cases.sphere(size), []
-    for gamma in tqdm(gammas, unit="lobe", desc="integral"):
-        m = material(gamma)
-        right, nearly = converged(n, m, light, gamma)
-        level = right.mean()
-        row = {"gamma": gamma, "converged to": ((nearly - right).abs().mean() / level).item()}
-        for method in ("quadrature", "exact"):
-            picture = render(n, m, light, method=method, tolerance=tolerance)
-            row[method] = {"error": ((picture - right).abs().mean() / level).item()}
-            for count in (threads, 1):
-                work = functools.partial(render, n, m, light, method=method, tolerance=tolerance)
-                row[method][f"seconds, threads: {count}"] = best(work, count)
-        rows.append(row)
-    return rows
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the lobes, the tolerance, the size of pictures and the number of threads."""
+    parser.add_argument(
+        "--tolerance",
+        type=above_zero,
+        default=1e-2,
+        metavar="T",
+        help="relative error that is allowed (default 0.01)",
+    )
+    parser.add_argument(
+        "--gamma",
+        type=above_zero,
+        nargs="+",
+        default=list(GAMMAS),
+        metavar="G",
+        help="exponents of the lobes (default: nine from 0.01 to 1e5)",
+    )
+    options.add_size(parser, 256)
+    options.add_threads(parser, "number of threads; one thread is timed too")
 
 
-def material(gamma):
-    """(1, 108) of one lobe, κ = 1."""
-    m = torch.tensor([0.0, 1.0])[:, None].repeat(3, 3, 1, 6)
-    m[:, 1, 0], m[:, 1, 1] = 1.0, gamma
-    return m.reshape(1, 108)
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"tolerance", "threads", "rows": [a row per lobe]}."""
+    from learn.experiments import converged_integrals
+
+    rows = converged_integrals.compared(
+        arguments.tolerance, arguments.threads, tuple(arguments.gamma), arguments.size
+    )
+    return {"tolerance": arguments.tolerance, "threads": arguments.threads, "rows": rows}
 
 
-def converged(n, m, light, gamma):
-    """The picture by the finest means, and by the next."""
-    if gamma > BY_TEXELS:
-        return [
-            render(n, m, light, method="quadrature", tolerance=tolerance)
-            for tolerance in (FINE, LESS_FINE)
+def tables(report: runner.Report) -> str:
+    """Return errors and seconds of both methods for each lobe."""
+    counts = sorted({report["threads"], 1}, reverse=True)
+    head = ["γ", "converged to"]
+    for method in METHODS:
+        head += [f"{method}: error", *(f"s, {count} threads" for count in counts)]
+    rows = [
+        [
+            f"{row['gamma']:g}",
+            f"{row['converged to']:.1g}",
+            *(
+                cell
+                for method in METHODS
+                for cell in (
+                    f"{row[method]['error']:.2g}",
+                    *(f"{row[method][f'seconds, threads: {count}']:.3f}" for count in counts),
+                )
+            ),
         ]
-    parts = 2 ** round(math.log2(4 * math.sqrt(max(gamma / quadrature.BROAD, 1.0))))
-    return [
-        render(n, m, light.repeat_interleave(k, 1).repeat_interleave(k, 2), method="exact")
-        for k in (parts, parts // 2)
+        for row in report["rows"]
     ]
-
-
-def best(work, threads):
-    before = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    results = []
-    for _ in range(ROUNDS):
-        start = time.perf_counter()
-        work()
-        results.append(time.perf_counter() - start)
-    torch.set_num_threads(before)
-    return min(results)
+    return (
+        "# Quadrature and the sum over texels against the converged integral\n\n"
+        f"Sun in one texel; tolerance {report['tolerance']:g}; forward alone.\n\n"
+        + runner.table(head, rows)
+    )

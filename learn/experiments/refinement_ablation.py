@@ -1,224 +1,167 @@
-"""What refinement does on pictures whose truth is known, weight by weight, and how long it takes.
+"""Measure refinement on pictures of known edits: for each weight, from bad starts, and its time.
 
-rows.jsonl  a line for each picture and setting: a study is continued by what it holds
-settings.json  what those lines depend on: a folder made with others is not gone on with
-study.json  medians and means over pictures against a, b, c, how many passes and how many pixels (0:
-all), one at a time about the defaults
-
-Display L2 over the mask, exposure from the truth; edit: the mean over the other materials that the
-dataset has of the same scene.
+The data set's scenes must be rendered in several materials, so that the truth of an edit is known.
+The report has re-rendering, edit, normals and light before and after refinement for each setting
+(one weight, number of outer iterations or of pixels changed at a time), the same from bad
+initialisations, and seconds. rows.jsonl and starts.jsonl keep a line per refinement: the same
+command continues.
 """
 
-import contextlib
-import time
-from collections import defaultdict
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from __future__ import annotations
 
-import numpy as np
-import torch
-from tqdm import tqdm
+import argparse
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
-from learn.data import pairs
-from learn.data.batch import Batch
-from learn.layer import render
-from learn.metrics.radiometry import irradiance
-from learn.refinement import NAMED, Settings, refine
-from manifests import files
-from manifests.errors import InputError
-from manifests.provenance import provenance
-from manifests.store import Lines
-from shaders import tone
+from learn.commands import options
+from learn.experiments import runner
+from manifests.option_types import positive, whole
 
-SWEEPS = {
-    "a": (0.01, 0.05, 0.1, 1.0),
-    "b": (0.002, 0.02, 0.2, 10.0),
-    "c": (0.0, 0.05, 0.1, 1.0),
-    "passes": (1, 2, 3),
-    "pixels": (0, 600),
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from learn.data.batch import ExampleBatch
+    from learn.data.records import Records
+    from learn.networks.prediction import Prediction
+
+FIGURES = {
+    "image": "re-rendering, display L2",
+    "edit": "edit, display L2",
+    "angle_deg": "normals, mean angle (°)",
+    "light": "irradiance, relative error",
 }
-FIGURES = ("image", "edit", "angle_deg", "light")
-TOLERANCE = 2e-2
 
 
-def settings_of(name):
-    """Settings of a name such as "a=0.1", or of NAMED. Raises InputError."""
-    if name in NAMED:
-        return NAMED[name]
-    moved, _, value = name.partition("=")
-    try:
-        if moved == "pixels":
-            return replace(
-                Settings(),
-                levels=tuple(replace(level, pixels=int(value)) for level in Settings().levels),
-            )
-        if moved not in SWEEPS:
-            raise ValueError(moved)
-        return replace(Settings(), **{moved: int(value) if moved == "passes" else float(value)})
-    except ValueError:
-        raise InputError(
-            f"--only {name}", "a setting", "none of that name", f"one of {', '.join(names())}"
-        ) from None
-
-
-def value_of(moved, settings=Settings()):  # noqa: B008 -- frozen
-    """What the settings have for a name of SWEEPS."""
-    return settings.levels[0].pixels if moved == "pixels" else getattr(settings, moved)
-
-
-def names():
-    """All settings' names: those of NAMED, and each of SWEEPS moved alone."""
-    return [
-        *NAMED,
-        *(f"{letter}={value:g}" for letter, values in SWEEPS.items() for value in values),
-    ]
-
-
-@dataclass(frozen=True)
-class Case:
-    """A picture whose edits are known. id: of its record; batch: of one; truths: [(label (S, 108),
-    picture (H, W, 3))].
-    """
-
-    id: str
-    batch: Batch
-    truths: list
-
-
-def cases(records, count, seed):
-    """The first `count` Cases of an order that the seed determines. Raises InputError where the
-    dataset has no edits.
-    """
-    results = []
-    for edits in pairs.by_picture(records.records, seed)[:count]:
-        truths = [(pairs.target_label(records, edit), records.image(edit.truth)) for edit in edits]
-        results.append(Case(edits[0].source.id, pairs.shown(records, edits[0]), truths))
-    return results
-
-
-def picture(parts, label, batch):
-    """(H, W, 3) numpy radiance by the layer of a Prediction's normals and light in a label (S,
-    108).
-    """
-    several = len(label) > 1
-    with torch.no_grad():
-        return render(
-            parts.n.movedim(1, -1).contiguous(),
-            (label if several else label[0]).float().exp()[None],
-            parts.light.movedim(1, -1).contiguous(),
-            segments=batch.segments if several else None,
-            mask=batch.segments > 0,
-            tolerance=TOLERANCE,
-            elevation=batch.elevation,
-        )[0].numpy()
-
-
-def figures(parts, batch, truths):
-    """{figure: float} of a Prediction."""
-    inside = batch.segments[0] > 0
-    seen = batch.image[0].movedim(0, -1).numpy()
-
-    def error(mine, truth):
-        mask = inside.numpy()
-        return float(tone.display_l2(mine, truth, tone.auto_exposure(truth, mask), mask))
-
-    cosine = (parts.n[0] * batch.n[0]).sum(0)[inside].clamp(-1, 1)
-    lit, truth = irradiance(parts.light), irradiance(batch.light)
-    return {
-        "image": error(picture(parts, parts.label[0], batch), seen),
-        "edit": float(
-            np.mean([error(picture(parts, label, batch), truth) for label, truth in truths])
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the data, the weights, the settings and the numbers of pictures and initialisations."""
+    options.add_data(parser, "a data set with pictures of each scene in several materials")
+    options.add_weights(parser)
+    parser.add_argument(
+        "--pictures",
+        type=positive,
+        default=12,
+        metavar="N",
+        help="number of pictures for each setting (default 12)",
+    )
+    parser.add_argument(
+        "--initialisations",
+        type=whole,
+        default=100,
+        metavar="N",
+        help="refinements from initialisations of five kinds in turn (default 100; 0: none)",
+    )
+    parser.add_argument("--starts", dest="initialisations", type=whole, help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--only",
+        nargs="*",
+        metavar="SETTING",
+        help=(
+            "only these of default, paper, a=0.1, outer_iterations=3, pixels=600 … (default: all;"
+            " without a name: none)"
         ),
-        "angle_deg": float(cosine.arccos().rad2deg().mean()),
-        "light": float(((lit - truth) ** 2).mean().sqrt() / (truth**2).mean().sqrt()),
+    )
+    options.add_materials(
+        parser,
+        "source of random materials for bad initialisations: the data set's own, or the built-in"
+        " ones (default: dataset)",
+    )
+    options.add_seed(parser, "seed by which pictures are chosen")
+
+
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"settings", "times", "initialisations"}; the last two are absent if not requested."""
+    import torch
+
+    from learn.data.records import Records
+    from learn.editing.predict import WEIGHTS
+    from learn.evaluation.methods import network
+    from learn.experiments import refinement_sweep
+    from learn.networks import weights as checkpoint
+    from manifests.store import file_hash
+
+    torch.set_num_threads(1)  # times are reported for one thread
+    weights = arguments.weights or WEIGHTS
+    net, _ = checkpoint.load_parts(weights)
+    about = {
+        "data": arguments.data.resolve().name,
+        "materials": file_hash(arguments.data / "materials.json"),
+        "weights": file_hash(weights),
+        "starts_of": arguments.materials,
     }
+    records = Records(arguments.data)
+    refinement_sweep.pin_settings(arguments.out, about)
+    return _measure(arguments, network(net), records) | {"about": about}
 
 
-def weights(predict, known, out, requested=None):
-    """study.json in `out`, a row for each setting over Cases; returns its settings' figures.
+def _measure(
+    arguments: argparse.Namespace, predict: Callable[[ExampleBatch], Prediction], records: Records
+) -> dict[str, Any]:
+    from learn.experiments import refinement_initialisations, refinement_sweep
 
-    predict  Batch → Prediction
-    wanted   names of settings, None for all
-    """
-    out, requested = Path(out), list(dict.fromkeys(requested or names()))
-    meant = {name: settings_of(name) for name in requested}
-    done = {(row["setting"], row["picture"]): row for row in files.read_lines(out / "rows.jsonl")}
-    todo = [(name, case) for name in requested for case in known if (name, case.id) not in done]
-    with contextlib.closing(Lines(out / "rows.jsonl")) as lines:
-        for name, case in tqdm(todo, unit="refinement"):
-            start = predict(case.batch)
-            report = refine(case.batch, start, meant[name])
-            row = {
-                "setting": name,
-                "picture": case.id,
-                "seconds": report.seconds,
-                "before": figures(start, case.batch, case.truths),
-            }
-            row |= {
-                "after": figures(report.prediction, case.batch, case.truths),
-                "energy": [report.before["total"], report.after["total"]],
-            }
-            lines.append(row)
-            done[name, case.id] = row
-    report = summary([done[name, case.id] for name in requested for case in known])
-    write(out / "study.json", report)
-    return report
-
-
-def pin_settings(out, about):
-    """Write down what lines in `out` depend on; InputError where they depend on something else.
-
-    about  {name: value} of data and weights
-    """
-    files.pin_settings(Path(out) / "settings.json", about | {"defaults": asdict(Settings())})
-
-
-def summary(rows):
-    """{setting: {figure: [median before, median after, mean before, mean after]}, the edits' ratio
-    of means, pictures, seconds}.
-    """
-    by_setting = defaultdict(list)
-    for row in rows:
-        by_setting[row["setting"]].append(row)
-    result = {}
-    for name, mine in by_setting.items():
-        values = {
-            f: np.array([[row["before"][f], row["after"][f]] for row in mine]) for f in FIGURES
-        }
-        result[name] = {
-            f: [*np.median(v, 0).tolist(), *v.mean(0).tolist()] for f, v in values.items()
-        }
-        edit = values["edit"]
-        result[name] |= {"edit_ratio": float(edit[:, 1].mean() / edit[:, 0].mean())}
-        result[name] |= {
-            "pictures": len(mine),
-            "seconds": float(np.median([row["seconds"] for row in mine])),
-        }
+    # one initialisation of each kind per picture
+    needed = -(-arguments.initialisations // len(refinement_initialisations.KINDS))
+    known = refinement_sweep.cases(records, max(arguments.pictures, needed), arguments.seed)
+    result: dict[str, Any] = {}
+    if arguments.only is None or arguments.only:
+        result["settings"] = refinement_sweep.sweep(
+            predict, known[: arguments.pictures], arguments.out, arguments.only
+        )
+    batch = known[0].batch
+    result["times"] = {
+        f"{len(b.image[0, 0])}": refinement_sweep.timed(predict, b)
+        for b in (batch, refinement_sweep.doubled(batch))
+    }
+    if arguments.initialisations:
+        labels = refinement_initialisations.labels_of(records, arguments.materials)
+        result["initialisations"] = refinement_initialisations.measured(
+            predict, known[:needed], arguments.initialisations, arguments.out, labels
+        )
     return result
 
 
-def timed(predict, batch, settings=Settings()):  # noqa: B008 -- frozen
-    """Seconds of a prediction and of its refinement, the best of two: the first may compile."""
-    results = []
-    for _ in range(2):
-        began = time.perf_counter()
-        start = predict(batch)
-        predicted = time.perf_counter() - began
-        results.append((predicted, refine(batch, start, settings).seconds))
-    return {"predict": min(f[0] for f in results), "refine": min(f[1] for f in results)}
+def tables(report: runner.Report) -> str:
+    """Return figures before and after refinement by setting and by initialisation, and seconds."""
+    parts = ["# Refinement of pictures whose edits are known", ""]
+    if settings := report.get("settings"):
+        head = ["setting", *FIGURES.values(), "edit, ratio of means", "seconds", "pictures"]
+        rows = [
+            [
+                name,
+                *(f"{row[key][0]:.3g} → {row[key][1]:.3g}" for key in FIGURES),
+                f"{row['edit_ratio']:.2f}",
+                f"{row['seconds']:.1f}",
+                row["pictures"],
+            ]
+            for name, row in settings.items()
+        ]
+        parts += [
+            "Medians over pictures, before and after refinement:",
+            "",
+            runner.table(head, rows),
+        ]
+    if result := report.get("initialisations"):
+        before, after = result["image_median"]
+        parts += [
+            f"From {result['starts']} initialisations: {result['above_their_start']} ended with a"
+            f" larger energy, {result['not_finite']} were not finite; the re-rendering's median"
+            f" display L2 changed from {before:.0f} to {after:.0f}"
+            f" ({100 * result['median_change']:+.0f} %).",
+            "",
+            runner.table(
+                ["initialisation", "before", "after"],
+                [[kind, *(f"{x:.0f}" for x in pair)] for kind, pair in result["by_kind"].items()],
+            ),
+        ]
+    seconds = [
+        [f"{size}²", f"{row['predict']:.2f}", f"{row['refine']:.1f}"]
+        for size, row in report["times"].items()
+    ]
+    parts += [runner.table(["picture", "prediction, s", "refinement, s"], seconds)]
+    return "\n".join(parts)
 
 
-def doubled(batch):
-    """The same picture at twice the size, each pixel four times: what a larger picture costs."""
+def figure(report: runner.Report) -> Figure | None:
+    """Return the chart of each swept value; None if no setting was swept."""
+    from learn.experiments import refinement_chart
 
-    def larger(x):
-        return x.repeat_interleave(2, -1).repeat_interleave(2, -2)
-
-    return replace(
-        batch, **{name: larger(getattr(batch, name)) for name in ("image", "mask", "n", "segments")}
-    )
-
-
-def write(path, report):
-    """Figures by name, and what made them."""
-    files.write_json(path, {"made_by": provenance()} | report)
+    return refinement_chart.draw(report.get("settings", {}))

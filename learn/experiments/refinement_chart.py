@@ -1,36 +1,29 @@
-"""The chart of learn.experiments.refinement_ablation: what each weight does."""
+"""The chart of refinement_ablation: figures before and after refinement for each swept value."""
 
-from learn.experiments.refinement_ablation import FIGURES, SWEEPS, value_of
-from manifests.files import write_figure
+from __future__ import annotations
 
-LABELS = (
-    "re-rendering, display L2",
-    "edit, display L2",
-    "normals, mean angle (°)",
-    "irradiance, relative error",
-)
+from typing import TYPE_CHECKING, Any
+
+from learn.experiments.refinement_ablation import FIGURES
+from learn.experiments.refinement_sweep import SWEEPS, value_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-def chart(report, path):
-    """Figures after refinement against each weight, beside those before; the default is shaded
-    where it was moved too. None moved: none.
+def draw(report: dict[str, Any]) -> Figure | None:
+    """Return a chart of each swept value, with the default shaded where it was swept too.
+
+    report   {setting: figures} of learn.experiments.refinement_sweep.summary
+    Returns  None if no setting of SWEEPS is there
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     letters = [letter for letter in SWEEPS if any(name.startswith(f"{letter}=") for name in report)]
     if not letters:
-        return
-    figure, axes = plt.subplots(
-        len(FIGURES),
-        len(letters),
-        figsize=(2.6 * len(letters), 9),
-        squeeze=False,
-        sharey="row",
-        sharex="col",
-    )
+        return None
+    drawn = Figure(figsize=(2.6 * len(letters), 9), layout="constrained")
+    axes = drawn.subplots(len(FIGURES), len(letters), squeeze=False, sharey="row", sharex="col")
     for j, letter in enumerate(letters):
         swept = sorted(
             (float(name.partition("=")[2]), name)
@@ -38,7 +31,7 @@ def chart(report, path):
             if name.startswith(f"{letter}=")
         )
         values = [value for value, _ in swept]
-        for i, (key, label) in enumerate(zip(FIGURES, LABELS, strict=True)):
+        for i, (key, label) in enumerate(FIGURES.items()):
             axis = axes[i][j]
             before, after, mean_before, mean_after = zip(
                 *(report[name][key] for _, name in swept), strict=True
@@ -62,6 +55,4 @@ def chart(report, path):
     for row in axes:
         row[0].set_ylim(bottom=0)
     axes[0][0].legend(fontsize=7)
-    figure.tight_layout()
-    write_figure(path, figure, dpi=100)
-    plt.close(figure)
+    return drawn

@@ -1,48 +1,61 @@
-"""Variants of a run, each trained for the same processor time and measured on the same pictures of
-what none of them saw.
+"""Variants of a run, trained for the same processor time and measured on the same unseen pictures.
 
-What a variant does not predict is given true, so that each part stands alone. Data come from a
-process beside it: only networks, losses and layer are on the clock.
+What a variant does not predict is given its true value, so that each part stands alone. Another
+process makes the data: only networks, losses and layer are timed.
 """
 
+from __future__ import annotations
+
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 import torch
 
-from learn.data.relit import RelitDataset
+from learn.data.batch import ExampleBatch
+from learn.data.relit import DataSplit, RelitDataset
+from learn.data.settings import Data, Run
 from learn.metrics import bootstrap
-from learn.metrics.pictures import similarity, squared
+from learn.metrics.pictures import l2_and_ssim
 from learn.networks import weights
-from learn.training import loop, validation
+from learn.training import loop, processes, validation
 from manifests.files import write_text
 from manifests.reading import read
-from shaders import tone
 
 TEST_SEED = 43
 BATCH = 16
 
 
-def held_out(data_splits, data, size, batches):
-    """Batches of the test side, their pictures taken for the truth: the layer made them of it."""
+Result = dict[str, Any]  # of one training: steps, seconds, run, and rows of figures
+
+
+def held_out(
+    data_splits: dict[str, DataSplit], data: Data, size: int, batches: int
+) -> list[ExampleBatch]:
+    """Return batches of the test split; their pictures are the truth, as the layer made them."""
     source = RelitDataset(data_splits["test"], data, BATCH, size, TEST_SEED)
     return [replace(batch, picture=batch.image) for batch in (source[k] for k in range(batches))]
 
 
-def trained(run, data_splits, tests, folder, workers=1):
-    """Train a run by its clock, unless it is there already, and measure it: {"steps", "seconds",
-    "run", "rows": [{figure: value}]}.
+def trained(
+    run: Run,
+    data_splits: dict[str, DataSplit],
+    tests: Sequence[ExampleBatch],
+    folder: Path,
+    workers: int = 1,
+) -> Result:
+    """Train a run by its clock and measure it; a result that is in the folder is read instead.
 
-    folder  for the run's files; result.json is written last, and then the checkpoint, which nobody
-    needs any more, goes
+    folder   for the run's files; result.json is written last, then the checkpoint is removed
+    Returns  {"steps", "seconds", "run", "rows": [{figure: value}]}
     """
-    folder = Path(folder)
     if (folder / "result.json").exists():
         return read(folder / "result.json", dict)
-    with loop.only_writer(folder):
+    with processes.only_writer(folder):
         training = loop.Training(run, data_splits, folder, sheet_every=0, workers=workers)
         training.train()
     weights.save_weights(
@@ -62,7 +75,7 @@ def trained(run, data_splits, tests, folder, workers=1):
     return json.loads(text)
 
 
-def _rows(training, network, batch):
+def _rows(training: loop.Training, network: Any, batch: ExampleBatch) -> Iterator[dict]:
     with torch.no_grad():
         prediction = training.predict(network, batch)
     figures = {}
@@ -79,10 +92,9 @@ def _rows(training, network, batch):
         )
     n = batch.n if prediction.n is None else prediction.n
     label = batch.label if prediction.label is None else prediction.label
-    mine, truth = (
-        validation.picture(n, label, batch.light, batch),
-        batch.picture.movedim(1, -1).numpy(),
-    )
+    assert batch.picture is not None  # held_out gives one to every batch
+    mine = validation.picture(n, label, batch.light, batch)
+    truth = batch.picture.movedim(1, -1).numpy()
     for i, name in enumerate(batch.names):
         shape, *_, material = name.split(" ")
         own = {key: float(value[i]) for key, value in figures.items()}
@@ -93,36 +105,33 @@ def _rows(training, network, batch):
         )
 
 
-def _compared(mine, truth, mask):
+def _compared(mine: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
     """Display L2 over mask and frame, SSIM over the mask, at the truth's exposure."""
-    exposure = tone.auto_exposure(truth, mask)
-    mine, truth = tone.display(mine, exposure), tone.display(truth, exposure)
-    error = squared(mine, truth)
+    figures = l2_and_ssim(mine, truth, mask)
     return {
-        "l2": float(error[mask].mean()),
-        "l2_frame": float(error.mean()),
-        "ssim": similarity(mine, truth, mask),
+        name: value for name in ("l2", "l2_frame", "ssim") if (value := figures[name]) is not None
     }
 
 
-def figures(results):
-    """{figure: [mean, low, high]} of one variant's results, a seed each; 95 % over shapes,
-    materials and seeds.
+def figures(results: Sequence[Result]) -> dict[str, list[float]]:
+    """Return {figure: [mean, low, high]} of one variant's results, one per seed.
+
+    The 95 % interval is over shapes, materials and seeds.
     """
     ones = np.ones_like(_values(results, "l2"))
     keys = [key for key, value in results[0]["rows"][0].items() if not isinstance(value, str)]
     return {key: bootstrap.ratio(ones, _values(results, key), _groups(results)) for key in keys}
 
 
-def ratio(a, b, key="l2"):
-    """[mean b / mean a, low, high] of two variants' results on the same pictures and seeds."""
+def ratio(a: Sequence[Result], b: Sequence[Result], key: str = "l2") -> list[float]:
+    """Return [mean b / mean a, low, high] of two variants on the same pictures and seeds."""
     return bootstrap.ratio(_values(a, key), _values(b, key), _groups(a))
 
 
-def _values(results, key):
+def _values(results: Sequence[Result], key: str) -> np.ndarray:
     return np.array([[row[key] for row in result["rows"]] for result in results])
 
 
-def _groups(results):
+def _groups(results: Sequence[Result]) -> list:
     rows = results[0]["rows"]
     return bootstrap.groups_of([row["shape"] for row in rows], [row["material"] for row in rows])

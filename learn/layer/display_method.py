@@ -1,19 +1,24 @@
-"""Which of the layer's methods a material is shown by: the sum over texels, or where a lobe is
-narrower than they are, the integral.
+"""The method by which a material is displayed.
+
+It is the sum over texels, or the integral for lobes that are visible and narrower than texels.
 """
 
 import math
 
+import torch
+
 from learn.methods.quadrature import BROAD
-from shaders.dsbrdf import SHAPE
+from shaders.dsbrdf import MAX_EXPONENT, SHAPE, lobe_sharpness
 
-FAINT = 2e-3  # of a lobe's albedo: one below it is not seen
+FAINT = 2e-3  # of a lobe's albedo: a fainter one is not visible
 
 
-def method_for(label):
-    """The method's name for labels (..., 108), a tensor."""
-    kappa, log_gamma = label.reshape(*label.shape[:-1], *SHAPE).unbind(-2)
-    # of cos^γ about the normal's mirror direction, seen from above
-    albedo = kappa.exp().expm1() * 8 * math.pi / (log_gamma.exp() + 2)
-    narrow = (log_gamma > math.log(BROAD)) & (albedo > FAINT)
+def method_for(label: torch.Tensor) -> str:
+    """The method's name for labels (..., 108): "quadrature" or "auto"."""
+    kappa, gamma = label.exp().reshape(*label.shape[:-1], *SHAPE).unbind(-2)
+    kappa = kappa.clamp(max=MAX_EXPONENT)
+    sharpness = lobe_sharpness(kappa, gamma)
+    # of cos^g about the normal's mirror direction, seen from above
+    albedo = kappa.expm1() * 8 * math.pi / (sharpness + 2)
+    narrow = (sharpness > BROAD) & (albedo > FAINT)
     return "quadrature" if bool(narrow.any()) else "auto"

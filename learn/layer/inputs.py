@@ -1,18 +1,20 @@
-"""What the rendering layer accepts: checked at the border, then compacted to the pixels that are
-seen.
+"""The rendering layer's arguments: checked, then compacted to the pixels that are seen.
 
-Each rule raises a ValueError that names the argument, the rule and what was found. Letters as in
+Each rule raises a ValueError that names the argument, the rule and the value. Letters as in
 learn/layer/rendering.py.
 """
 
 import math
 import numbers
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NoReturn, cast
 
 import numpy as np
 import torch
 
 from learn.engines import pixel_selection
+from learn.engines.layout import OUTSIDE, SEEN, WRONG
 from learn.methods import HORIZON, Batch
 from shaders.dsbrdf import SHAPE, SIZE
 from shaders.frames import camera_from_light
@@ -30,17 +32,18 @@ INTEGERS = (
     torch.uint32,
     torch.uint64,
 )
-LEAST_TOLERANCE = 1e-12  # what is asked beyond float64's digits is treated as this
+LEAST_TOLERANCE = 1e-12  # smaller tolerances, beyond float64's digits, are treated as this
 # of one call: each pixel takes 12 bytes and more, each texel some 200
 MOST_PIXELS, MOST_TEXELS = 2**28, 2**25
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """The layer's arguments in the dtype they are summed in: m (B, S, 108), mask (B, H, W) bool,
-    segments (B, H, W) or None.
+    """The layer's arguments in the dtype they are summed in.
 
-    tolerance  as it is given to the methods
+    m          (B, S, 108)
+    segments   (B, H, W) or None; mask: (B, H, W) bool
+    tolerance  as passed to the methods
     seen       (B, H, W) bool: inside the mask and facing the viewer; None: not known yet
     """
 
@@ -55,17 +58,19 @@ class Inputs:
     seen: torch.Tensor | None = None
 
 
-def refuse(argument, rule, found):
+def refuse(argument: str, rule: str, found: object) -> NoReturn:
+    """Raise the ValueError of a broken rule."""
     raise ValueError(f"{argument}: expected {rule}, found {found}")
 
 
-def require_shape(argument, tensor, rule, right):
+def require_shape(argument: str, tensor: torch.Tensor, rule: str, right: bool) -> None:
+    """Refuse the tensor by its shape, unless it is right."""
     if not right:
         refuse(argument, rule, tuple(tensor.shape))
 
 
-def require_dense(argument, tensor):
-    """A torch tensor whose elements lie in memory, each at its place."""
+def require_dense(argument: str, tensor: object) -> None:
+    """Refuse anything but a dense torch tensor."""
     if not isinstance(tensor, torch.Tensor):
         refuse(argument, "a torch tensor", type(tensor).__name__)
     if tensor.is_nested:
@@ -74,8 +79,8 @@ def require_dense(argument, tensor):
         refuse(argument, "a dense tensor", f"layout {tensor.layout}")
 
 
-def require_alike(tensors):
-    """One floating dtype and one device, with memory, over all the arguments given."""
+def require_alike(tensors: Mapping[str, torch.Tensor]) -> None:
+    """Refuse tensors of other than one floating dtype and one device with memory."""
     for argument, tensor in tensors.items():
         require_dense(argument, tensor)
         if tensor.dtype not in FLOATS:
@@ -96,16 +101,17 @@ def require_alike(tensors):
             refuse(argument, "a tensor with values", "device meta")
 
 
-def require_beside(argument, tensor, n):
-    """A dense tensor on the device of n."""
+def require_beside(argument: str, tensor: torch.Tensor, n: torch.Tensor) -> None:
+    """Refuse anything but a dense tensor on the device of n."""
     require_dense(argument, tensor)
     if tensor.device != n.device:
         refuse(argument, f"the device of n, {n.device}", tensor.device)
 
 
-def number(argument, value, rule, right):
-    """The value as a float, if it is one real number that keeps the rule; a tensor of one element
-    is none, and neither is a bool.
+def number(argument: str, value: object, rule: str, right: Callable[[float], bool]) -> float:
+    """The value as a float, if it is a real number that keeps the rule.
+
+    A tensor of one element is not a number here, nor is a bool.
     """
     # to the compiler numpy's numbers are tensors
     is_real = isinstance(value, numbers.Real) or (
@@ -118,7 +124,7 @@ def number(argument, value, rule, right):
             repr(value) if isinstance(value, str | bool | None) else type(value).__name__,
         )
     try:
-        converted = float(value)
+        converted = float(cast("float", value))
     except OverflowError:  # an integer or a fraction beyond 1e308
         converted = math.inf
     if not right(converted):
@@ -126,9 +132,10 @@ def number(argument, value, rule, right):
     return converted
 
 
-def readable(tensor):
-    """The tensor as kernels can read it: without a pending negation, and not from inference mode
-    where a graph is recorded.
+def readable(tensor: torch.Tensor) -> torch.Tensor:
+    """The tensor as kernels can read it.
+
+    It has no pending negation, and is not from inference mode where a graph is recorded.
     """
     if torch.compiler.is_compiling():  # which knows neither
         return tensor
@@ -136,16 +143,17 @@ def readable(tensor):
     return tensor.clone() if tensor.is_inference() and torch.is_grad_enabled() else tensor
 
 
-def require_values(argument, values, rule, right):
-    """`right` marks the values (any shape) that keep the rule; NaN keeps none. The message shows
-    the worst one's value.
+def require_values(argument: str, values: torch.Tensor, rule: str, right: torch.Tensor) -> None:
+    """Refuse values (any shape) unless all keep the rule; NaN keeps none.
+
+    right  marks those that do; the message shows the first of the others
     """
     if not bool(right.all()):
         wrong = values.detach()[~right]
         refuse(argument, rule, f"{wrong[0].item():g} ({wrong.numel()} of {values.numel()} values)")
 
 
-def checked_settings(tolerance, elevation):
+def checked_settings(tolerance: object, elevation: object) -> tuple[float, float]:
     """The tolerance, LEAST_TOLERANCE at least, and the elevation as floats."""
     tolerance = number("tolerance", tolerance, "a positive number", lambda x: 0 < x < math.inf)
     return max(tolerance, LEAST_TOLERANCE), number(
@@ -153,7 +161,16 @@ def checked_settings(tolerance, elevation):
     )
 
 
-def checked(n, material, light, view, segments, mask, tolerance, elevation):
+def checked(
+    n: torch.Tensor,
+    material: torch.Tensor,
+    light: torch.Tensor,
+    view: torch.Tensor | None,
+    segments: torch.Tensor | None,
+    mask: torch.Tensor | None,
+    tolerance: float,
+    elevation: float,
+) -> Inputs:
     """The arguments of `render` as `Inputs`, or a ValueError."""
     tolerance, elevation = checked_settings(tolerance, elevation)
     require_alike(
@@ -202,9 +219,8 @@ def checked(n, material, light, view, segments, mask, tolerance, elevation):
     if segments is not None:
         require_beside("segments", segments, n)
         segments = checked_segments(segments, picture, material.shape[1] if layers == 2 else 1)
-    n, material, light, view = (
-        None if x is None else readable(x) for x in (n, material, light, view)
-    )
+    n, material, light = readable(n), readable(material), readable(light)
+    view = None if view is None else readable(view)
     if segments is not None:
         mask = ((n.detach() != 0).any(-1) if mask is None else mask) & (segments > 0)
     dtype = torch.promote_types(n.dtype, torch.float32)
@@ -212,24 +228,27 @@ def checked(n, material, light, view, segments, mask, tolerance, elevation):
     check_values(material.detach(), light.detach())
     n, light, view = n.to(dtype), light.to(dtype), None if view is None else view.to(dtype)
     mask, seen = read_by_kernel(n, view, mask) if pixel_selection.has_kernels(n) else (mask, None)
-    if seen is None:  # no kernel, or something is wrong and has to be named
-        mask = (n.detach() != 0).any(-1) if mask is None else mask
+    mask = (n.detach() != 0).any(-1) if mask is None else mask
+    if seen is None:  # no kernel, or a wrong length that the message has to name
         check_lengths(n.detach(), None if view is None else view.detach(), mask)
     return Inputs(n, m, light, view, segments, mask, tolerance, elevation, seen)
 
 
-def read_by_kernel(n, view, mask):
-    """mask (as given, or where n is not 0) and seen (B, H, W) bool; seen is None if a length inside
-    the mask is wrong.
+def read_by_kernel(
+    n: torch.Tensor, view: torch.Tensor | None, mask: torch.Tensor | None
+) -> tuple[torch.Tensor | None, torch.Tensor | None]:
+    """The mask (or where n is not 0) and the seen pixels (B, H, W) bool, by one kernel.
+
+    seen is None if a length inside the mask is wrong.
     """
     states = pixel_selection.states(n, view, mask, LENGTH_TOLERANCE, HORIZON).reshape(n.shape[:3])
-    if states.size and states.max() == pixel_selection.WRONG:
+    if states.size and states.max() == WRONG:
         return mask, None
-    mask = torch.from_numpy(states > pixel_selection.OUTSIDE) if mask is None else mask
-    return mask, torch.from_numpy(states == pixel_selection.SEEN)
+    mask = torch.from_numpy(states > OUTSIDE) if mask is None else mask
+    return mask, torch.from_numpy(states == SEEN)
 
 
-def checked_segments(segments, picture, materials):
+def checked_segments(segments: torch.Tensor, picture: torch.Size, materials: int) -> torch.Tensor:
     """The segments as int64."""
     require_shape("segments", segments, f"shape {tuple(picture)}", segments.shape == picture)
     if segments.dtype not in INTEGERS:
@@ -247,8 +266,8 @@ def checked_segments(segments, picture, materials):
     return segments
 
 
-def check_lengths(n, view, mask):
-    """n, view: (B, H, W, 3), or view None; what lies outside the mask may be anything."""
+def check_lengths(n: torch.Tensor, view: torch.Tensor | None, mask: torch.Tensor) -> None:
+    """Refuse vectors (B, H, W, 3) that are not of unit length inside the mask; view may be None."""
     for argument, vectors in (("n", n), ("view", view)):
         if vectors is not None:
             length = vectors.float().norm(dim=-1)
@@ -258,7 +277,8 @@ def check_lengths(n, view, mask):
                 require_values(argument, length[mask], rule, right[mask])
 
 
-def check_values(material, light):
+def check_values(material: torch.Tensor, light: torch.Tensor) -> None:
+    """Refuse radiance or control values that are negative or not finite."""
     kappa, gamma = material.reshape(*material.shape[:-1], *SHAPE).unbind(-2)
     if within(light) and within(kappa) and within(gamma, above=True):
         return
@@ -277,7 +297,7 @@ def check_values(material, light):
     )
 
 
-def within(values, above=False):
+def within(values: torch.Tensor, above: bool = False) -> bool:
     """Whether all values are finite and at least 0, or above it; NaN is neither."""
     if not values.numel():
         return True
@@ -287,22 +307,23 @@ def within(values, above=False):
     return (low > 0 if above else low >= 0) and high < math.inf
 
 
-def unit(vectors, index):
-    """(N, 3) unit vectors of pictures (B, H, W, 3) at flat places index (N,); None of None."""
-    return None if vectors is None else pixel_selection.unit(vectors.reshape(-1, 3), index)
+def unit(vectors: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
+    """Unit vectors (N, 3) of pictures (B, H, W, 3) at flat places index (N,)."""
+    return pixel_selection.unit(vectors.reshape(-1, 3), index)
 
 
-def compact(inputs):
+def compact(inputs: Inputs) -> tuple[Batch, torch.Tensor]:
     """The pixels inside the mask that face the viewer, sorted by image and segment.
 
     Returns  a learn.methods.Batch of P pixels; index (P,) of each among the B·H·W pixels
     """
-    # who faces the viewer is found first, so that the graph holds one selection only
+    # pixels that face the viewer first, so that the graph holds one selection only
     if inputs.seen is None:
         index = inputs.mask.reshape(-1).nonzero().squeeze(-1)
         with torch.no_grad():
-            n, view = unit(inputs.n, index), unit(inputs.view, index)
-            index = index[(n[:, 2] if view is None else (n * view).sum(-1)) > HORIZON]
+            n = unit(inputs.n, index)
+            facing = n[:, 2] if inputs.view is None else (n * unit(inputs.view, index)).sum(-1)
+            index = index[facing > HORIZON]
     else:
         index = torch.from_numpy(np.flatnonzero(inputs.seen.numpy()))
     pixels = inputs.mask.shape[1:].numel()
@@ -320,7 +341,7 @@ def compact(inputs):
         present, counts = torch.unique_consecutive(group, return_counts=True)
     batch = Batch(
         n=unit(inputs.n, index),
-        view=unit(inputs.view, index),
+        view=None if inputs.view is None else unit(inputs.view, index),
         m=inputs.m.flatten(0, 1).unflatten(-1, SHAPE)[present],
         light=inputs.light,
         counts=tuple(counts.tolist()),

@@ -2,21 +2,20 @@
 
 n         (B, H, W, 3) normals, camera frame, unit length inside the mask; 0 in the background
 material  (B, 108), or (B, S, 108) with `segments`: κ and γ control values (shaders.dsbrdf), not
-their logarithms
+          their logarithms
 light     (B, Hl, Wl, 3) linear radiance, light frame (shaders.frames), any size
 view      (B, H, W, 3) towards the viewer, camera frame; None: orthographic, (0, 0, 1) for every
-pixel
+          pixel
 segments  (B, H, W) integers 1 … S, 0 in the background
 
-    I_k(p) = Σ_i f_k(w_i, w_o, m) L_k(i) max(0, n_p·w_i) Ω_i          supplement, Eq. 8, with exact
-    solid angles Ω_i
+    I_k(p) = Σ_i f_k(w_i, w_o, m) L_k(i) max(0, n_p·w_i) Ω_i      supplement, Eq. 8, with exact Ω_i
 
 Pictures of one material and one light, each one tensor expanded over the batch, are one scene: some
 methods then share work between them. Gradients in n and view are tangential: a normal is scaled to
 unit length before use, and derivatives pass through that. Derivatives of derivatives
 (create_graph=True) are given by method="exact", in every pair of arguments; a method that
 approximates gives them where they are right, and raises NotImplementedError by its name where they
-are asked for and are not (docs/layer-in-a-model.md). Pixels whose normal does not face the viewer
+are requested and are not (docs/layer-in-a-model.md). Pixels whose normal does not face the viewer
 (n·v ≤ learn.methods.HORIZON) come out black, with zero gradient.
 """
 
@@ -30,29 +29,28 @@ from shaders.frames import ELEVATION
 
 
 def render(
-    n,
-    material,
-    light,
-    view=None,
-    segments=None,
-    mask=None,
-    method="auto",
-    tolerance=1e-2,
-    elevation=float(ELEVATION),
-):
+    n: torch.Tensor,
+    material: torch.Tensor,
+    light: torch.Tensor,
+    view: torch.Tensor | None = None,
+    segments: torch.Tensor | None = None,
+    mask: torch.Tensor | None = None,
+    method: str = "auto",
+    tolerance: float = 1e-2,
+    elevation: float = float(ELEVATION),
+) -> torch.Tensor:
     """Outgoing radiance (B, H, W, 3) towards the viewer; zeros outside the mask.
 
     n, material, light, view, segments   as above; one dtype and device (half precisions are summed
     in float32)
     mask       (B, H, W) bool; None: where n is not 0. What lies outside is never read
     method     a name of learn.methods.NAMES; "auto" takes the cheapest that keeps the tolerance
-    tolerance  relative error that "auto" may spend; methods with a knob of their own set it by this
-    too elevation  radians from the light frame to the camera frame about x
-    (shaders.frames.camera_from_light);
-               0 if your light map is given in the camera's own frame
-    Raises     ValueError that names the argument, the rule and what was found; NotImplementedError
-    for derivatives that the method does
-               not have: second ones (see above) when they are asked for, third ones, forward mode
+    tolerance  relative error that "auto" may make; other methods set their own parameter by it
+    elevation  radians from the light frame to the camera frame about x
+               (shaders.frames.camera_from_light); 0 if the light map is in the camera's frame
+    Raises     ValueError that names the argument, the rule and the value; NotImplementedError for
+               derivatives that the method lacks: second ones (see above) when they are requested,
+               third ones, forward mode
     Source     supplement, "Details of Rendering Layer"
     """
     if not torch.compiler.is_compiling() and transforms.are_active():
@@ -64,14 +62,14 @@ def render(
     chosen = methods.load(method)  # a misspelt name is refused even where nothing is to be rendered
     if batch.counts:
         work = chosen.radiance
-        # planned in numpy, which torch.compile must not take apart
+        # planned in numpy, which torch.compile must not trace
         if torch.compiler.is_compiling() and method != "exact":
             work = torch.compiler.disable(work)
         radiance = work(batch, inputs.tolerance)
     # nothing to render, yet every argument keeps its place in the graph and gets a zero gradient
     else:
         radiance = batch.n + 0 * (
-            batch.m.sum() + batch.light.sum() + (0 if view is None else batch.view.sum())
+            batch.m.sum() + batch.light.sum() + (0 if batch.view is None else batch.view.sum())
         )
     picture = (
         pixel_selection.spread(radiance, index, inputs.mask.numel()).reshape(n.shape).to(n.dtype)
@@ -84,18 +82,30 @@ def render(
 class RenderLayer(torch.nn.Module):
     """`render` as a module without parameters, for use inside a network."""
 
-    def __init__(self, method="auto", tolerance=1e-2, elevation=float(ELEVATION)):
+    def __init__(
+        self, method: str = "auto", tolerance: float = 1e-2, elevation: float = float(ELEVATION)
+    ):
         super().__init__()
         methods.load(method)
         checked_settings(tolerance, elevation)
         self.method, self.tolerance, self.elevation = method, tolerance, elevation
 
-    def forward(self, n, material, light, view=None, segments=None, mask=None):
+    def forward(
+        self,
+        n: torch.Tensor,
+        material: torch.Tensor,
+        light: torch.Tensor,
+        view: torch.Tensor | None = None,
+        segments: torch.Tensor | None = None,
+        mask: torch.Tensor | None = None,
+    ) -> torch.Tensor:
+        """The picture (B, H, W, 3), as `render`."""
         return render(
             n, material, light, view, segments, mask, self.method, self.tolerance, self.elevation
         )
 
-    def extra_repr(self):
+    def extra_repr(self) -> str:
+        """The settings, for torch's printed form."""
         return (
             f"method={self.method!r}, tolerance={float(self.tolerance):g},"
             f" elevation={float(self.elevation):.4f}"

@@ -1,18 +1,20 @@
-"""The rendering layer under torch.func: vmap, grad, vjp and jacrev, each alone or one inside
-another, for first derivatives.
+"""The rendering layer under torch.func: vmap, grad, vjp and jacrev, for first derivatives.
 
-torch.func hands a function tensors that stand for many (vmap) or that are watched (grad). The layer
-looks at its arguments' values and sums with kernels, which such tensors do not allow; so it is one
-step for torch.func, which hands that step plain tensors. A batch by vmap becomes a longer batch of
-pictures. Forward mode and derivatives of derivatives are refused.
+They may be nested. torch.func passes a function tensors that represent batches (vmap) or that are
+recorded (grad). The layer reads its arguments' values and sums with kernels, which such tensors do
+not allow; so it is one step for torch.func, which passes plain tensors to that step. A batch by
+vmap becomes a longer batch of pictures. Forward mode and derivatives of derivatives are refused.
 """
 
 import contextlib
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import torch
 
 from learn import layer
 from learn.engines import derivatives
+from learn.engines.derivatives import Context
 from learn.layer.inputs import require_dense
 
 FORWARD_MODE = (
@@ -28,12 +30,14 @@ TRACED = (
     " torch.compile leaves it as one call, and torch.func.vmap, grad, vjp and jacrev work"
 )
 NAMES = ("n", "material", "light", "view", "segments", "mask")
+Settings = tuple[str, float, float]  # method, tolerance and elevation
 KINDS = torch._C._TorchDispatchModeKey
 
 
-def are_active():
-    """Whether the caller is inside of a transform of torch.func. Raises NotImplementedError where
-    calls are recorded instead.
+def are_active() -> bool:
+    """Whether the caller is inside a transform of torch.func.
+
+    Raises  NotImplementedError inside a tracer, which records calls instead
     """
     if torch.jit.is_tracing():
         raise NotImplementedError(TRACED.format("torch.jit.trace"))
@@ -44,9 +48,10 @@ def are_active():
     return torch._C._are_functorch_transforms_active()
 
 
-def render(tensors, settings):
-    """`learn.layer.render` of n, material, light, view, segments and mask, and of method, tolerance
-    and elevation.
+def render(tensors: Sequence[object], settings: Settings) -> torch.Tensor:
+    """`learn.layer.render` as one step of torch.func.
+
+    tensors   n, material, light, view, segments and mask
     """
     for name, x in zip(NAMES, tensors, strict=True):
         if isinstance(x, torch.Tensor):
@@ -57,9 +62,10 @@ def render(tensors, settings):
 
 
 @contextlib.contextmanager
-def hooks_allowed():
-    """Within it saved tensors may have hooks, which torch.func forbids within grad; a step's own
-    inner graph is not torch.func's.
+def hooks_allowed() -> Iterator[None]:
+    """Allow hooks on saved tensors, which torch.func forbids within grad.
+
+    A step's own inner graph does not concern torch.func.
     """
     message = torch._C._autograd._saved_tensors_hooks_get_disabled_error_message()
     torch._C._autograd._saved_tensors_hooks_enable()
@@ -70,23 +76,20 @@ def hooks_allowed():
             torch._C._autograd._saved_tensors_hooks_disable(message)
 
 
-def refuse_batch(g):
-    """A hook on the picture's gradient: kernels cannot take many gradients as one tensor that
-    stands for them.
-    """
+def refuse_batch(g: torch.Tensor) -> None:
+    """Refuse, as a hook on the picture's gradient, a batch of gradients in one tensor."""
     derivatives.require_one_gradient(g)
 
 
-def leaf(x):
-    """The tensor without its graph; a copy of one that was made in inference mode, which cannot be
-    in any graph.
-    """
+def leaf(x: torch.Tensor) -> torch.Tensor:
+    """The tensor without its graph; a copy if it is from inference mode and cannot join a graph."""
     return x.detach().clone() if x.is_inference() else x.detach()
 
 
-def folded(count, dimensions, tensors):
-    """Tensors whose dimension of `count`, given or to be added, has become part of the first one,
-    the batch of pictures.
+def folded(count: int, dimensions: Sequence[int | None], tensors: Sequence[object]) -> list[object]:
+    """The tensors with their dimension of size `count` merged into the first one, the batch.
+
+    dimensions  of each tensor; None: it has none and is expanded
     """
 
     def fold(dimension, x):
@@ -103,35 +106,35 @@ def folded(count, dimensions, tensors):
     return [fold(dimension, x) for dimension, x in zip(dimensions, tensors, strict=True)]
 
 
-def parted(count, x):
-    """The reverse: (count · B, …) as (count, B, …)."""
+def parted(count: int, x: torch.Tensor) -> torch.Tensor:
+    """The reverse of `folded`: (count · B, …) as (count, B, …)."""
     return x.unflatten(0, (count, x.shape[0] // count if count else 0))
 
 
 class Picture(torch.autograd.Function):
-    """n, material, light, view, segments, mask (the last three may be None), settings → the
-    picture.
-    """
+    """n, material, light, view, segments, mask (the last three or None), settings → the picture."""
 
     @staticmethod
-    def forward(*inputs):
+    def forward(*inputs: Any) -> torch.Tensor:
         *tensors, settings = inputs
         with hooks_allowed():
             return layer.render(*tensors, *settings)
 
     @staticmethod
-    def setup_context(ctx, inputs, output):
+    def setup_context(ctx: Context, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
         *tensors, ctx.settings = inputs
         ctx.save_for_backward(*tensors)
 
     @staticmethod
-    def backward(ctx, g):
+    def backward(ctx: Context, g: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         requested = tuple(ctx.needs_input_grad[:4])
         result = iter(Gradients.apply(g, *ctx.saved_tensors, ctx.settings, requested))
         return *(next(result) if each else None for each in requested), None, None, None
 
     @staticmethod
-    def vmap(info, dimensions, *inputs):
+    def vmap(
+        info: Any, dimensions: tuple[int | None, ...], *inputs: Any
+    ) -> tuple[torch.Tensor, int]:
         *tensors, settings = inputs
         return (
             parted(
@@ -142,38 +145,43 @@ class Picture(torch.autograd.Function):
         )
 
     @staticmethod
-    def jvp(ctx, *tangents):
+    def jvp(ctx: Context, *tangents: torch.Tensor) -> None:
         raise NotImplementedError(FORWARD_MODE)
 
 
 class Gradients(torch.autograd.Function):
-    """g, the six tensors, settings, which derivatives are asked for, by the first four →
-    derivatives of Σ g·picture by those.
+    """The backward pass of `Picture`.
+
+    g, the six tensors, settings, which derivatives by the first four are requested → derivatives of
+    Σ g·picture by those
     """
 
     @staticmethod
-    def forward(g, *inputs):
+    def forward(g: torch.Tensor, *inputs: Any) -> tuple[torch.Tensor, ...]:
         *tensors, settings, requested = inputs
         with hooks_allowed(), torch.enable_grad():
-            leaves = [
+            leaves: list[torch.Tensor | None] = [
                 None if x is None else leaf(x).requires_grad_(each)
                 for x, each in zip(tensors[:4], requested, strict=True)
             ]
-            picture = layer.render(*leaves, *tensors[4:], *settings)
-            return torch.autograd.grad(
-                picture, [x for x, each in zip(leaves, requested, strict=True) if each], g
-            )
+            arguments: list[Any] = [*leaves, *tensors[4:], *settings]
+            picture = layer.render(*arguments)
+            pairs = zip(leaves, requested, strict=True)
+            by = [x for x, each in pairs if each and x is not None]
+            return torch.autograd.grad(picture, by, g)
 
     @staticmethod
-    def setup_context(ctx, inputs, output):
+    def setup_context(ctx: Context, inputs: tuple[Any, ...], output: object) -> None:
         pass
 
     @staticmethod
-    def backward(ctx, *g):
+    def backward(ctx: Context, *g: torch.Tensor) -> None:
         raise NotImplementedError(SECOND)
 
     @staticmethod
-    def vmap(info, dimensions, *inputs):
+    def vmap(
+        info: Any, dimensions: tuple[int | None, ...], *inputs: Any
+    ) -> tuple[tuple[torch.Tensor, ...], tuple[int, ...]]:
         *tensors, settings, requested = inputs
         result = Gradients.apply(
             *folded(info.batch_size, dimensions[:7], tensors), settings, requested
@@ -181,5 +189,5 @@ class Gradients(torch.autograd.Function):
         return tuple(parted(info.batch_size, x) for x in result), (0,) * len(result)
 
     @staticmethod
-    def jvp(ctx, *tangents):
+    def jvp(ctx: Context, *tangents: torch.Tensor) -> None:
         raise NotImplementedError(FORWARD_MODE)

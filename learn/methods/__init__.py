@@ -1,16 +1,18 @@
-"""The catalogue of rendering methods: how radiance is summed over the light, one method a module.
+"""The catalogue of rendering methods: how radiance is summed over the light, one per module.
 
 A method is a module of this folder with two names:
 
     CARD                         a `Card`: what it approximates, its error, cost, memory and needs
     radiance(batch, tolerance)   (P, 3) outgoing radiance of a `Batch`'s pixels, differentiable in
-    its tensors
+                                 its tensors
 
 P pixels, G groups (one image and segment each; pixels lie sorted by group), B images.
 """
 
 import importlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import ModuleType
 
 import torch
 
@@ -32,7 +34,7 @@ NAMES = (  # modules of this folder; what they need is imported when they are fi
     "monte_carlo_light",
     "monte_carlo_brdf",
 )
-# why there is no second one: reasons for `first_only`
+# reasons, for `first_only`, why there is no second derivative
 COMPILED = "whose compiled sums have first derivatives only"
 HELD_LIGHTS = "which holds the directions of its lights where the light changes"
 HELD_SAMPLES = "which holds its samples where the scene changes"
@@ -43,12 +45,12 @@ HORIZON = 1e-4
 
 @dataclass(frozen=True)
 class Card:
-    """What a method promises.
+    """The claims of a method.
 
     name          the module's name, and the value of render's `method`
-    approximates  in words: what is replaced by what
+    approximates  in words: the term and its replacement
     error         the claim: largest relative error (mean absolute over mean) against the paper's
-    sum at tolerance 1e-2, or None: no bound
+                  sum at tolerance 1e-2, or None: no bound
     cost          in words: how time grows with pixels, lights and materials
     memory        in words: beyond inputs and outputs
     needs         names among {"orthographic", "numba", "triton", "cuda"}
@@ -66,30 +68,30 @@ class Card:
 
 @dataclass(frozen=True)
 class Batch:
-    """Pixels to render, checked and compacted: what a method is given. There is at least one pixel,
-    and no empty group.
+    """Pixels to render, checked and compacted, in at least one group; no group is empty.
 
     n                  (P, 3) unit normals, camera frame, n·v > HORIZON
     view               (P, 3) unit vectors to the viewer, camera frame, or None: (0, 0, 1) for every
-    pixel
+                       pixel
     m                  (G, 3, 3, 2, 6) κ and γ control values of each group
     light              (B, Hl, Wl, 3) linear radiance, light frame
     counts             pixels of each group; they lie one group after the other and sum to P
     light_of           index into `light` of each group
-    camera_from_light  (3, 3) rotation, constant, float64 on the CPU whatever the rest is
+    camera_from_light  (3, 3) rotation, constant, float64 on the CPU
+    one_material       whether all groups have the same tensor for their material
     """
 
     n: torch.Tensor
     view: torch.Tensor | None
     m: torch.Tensor
     light: torch.Tensor
-    counts: tuple
-    light_of: tuple
+    counts: tuple[int, ...]
+    light_of: tuple[int, ...]
     camera_from_light: torch.Tensor
     one_material: bool = False
 
 
-def load(name):
+def load(name: object) -> ModuleType:
     """The module of a method."""
     if not isinstance(name, str):
         raise ValueError(f"method: expected one of {', '.join(NAMES)}, found {type(name).__name__}")
@@ -101,45 +103,43 @@ def load(name):
     return importlib.import_module(f"learn.methods.{name}")
 
 
-def refusal(name, why=COMPILED):
-    """What is said where a method's derivatives are differentiated again and cannot be, by reason
-    of `why`.
-    """
+def refusal(name: str, why: str = COMPILED) -> str:
+    """The error message where a method's derivatives are differentiated again; why: the reason."""
     return (
         f'method: expected "exact" where derivatives are differentiated again, found "{name}",'
         f' {why} (render with method="exact")'
     )
 
 
-def wants_gradient(*tensors):
-    """Whether a derivative by any of the tensors (or None) can be asked for."""
+def wants_gradient(*tensors: torch.Tensor | None) -> bool:
+    """Whether a derivative by any of the tensors (or None) can be requested."""
     return torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in tensors)
 
 
-def first_only(batch, name, why):
-    """The batch for a method that has first derivatives only, which costs it 0.1 ms:
-    `derivatives.first_only`.
-    """
-    n, view, m, light = derivatives.first_only(
-        refusal(name, why), batch.n, batch.view, batch.m, batch.light
-    )
-    return replace(batch, n=n, view=view, m=m, light=light)
+def first_only(batch: Batch, name: str, why: str) -> Batch:
+    """The batch for a method that has first derivatives only; it costs 0.1 ms."""
+    tensors = [batch.n, batch.m, batch.light]
+    if batch.view is not None:
+        tensors.append(batch.view)
+    n, m, light, *views = derivatives.first_only(refusal(name, why), *tensors)
+    return replace(batch, n=n, m=m, light=light, view=views[0] if views else None)
 
 
-def by_group(batch, function):
-    """Radiance (P, 3) by a function of one group: function(n (p, 3), view (p, 3) or None, m (3, 3,
-    2, 6), light (Hl, Wl, 3)) → (p, 3).
+def by_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tensor:
+    """Radiance (P, 3) by a function of one group.
+
+    function  n (p, 3), view (p, 3) or None, m (3, 3, 2, 6), light (Hl, Wl, 3) → (p, 3)
     """
     return per_group(batch, lambda _, *arguments: function(*arguments))
 
 
-def per_group(batch, function):
+def per_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tensor:
     """As `by_group`, with the group's number as the first argument."""
     # without a copy, for which torch would wake its threads (learn/engines/pixel_selection.py)
     if len(batch.counts) == 1:
         return function(0, batch.n, batch.view, batch.m[0], batch.light[batch.light_of[0]])
     n = batch.n.split(batch.counts)
-    view = batch.view.split(batch.counts) if batch.view is not None else [None] * len(n)
+    view = [None] * len(n) if batch.view is None else batch.view.split(batch.counts)
     return torch.cat(
         [
             function(g, n[g], view[g], batch.m[g], batch.light[batch.light_of[g]])
@@ -148,10 +148,11 @@ def per_group(batch, function):
     )
 
 
-def merged(batch):
-    """The batch with neighbouring groups made one where they are given one material and one light:
-    one tensor expanded over the batch (stride 0 in memory), as its pictures' shared scene. What is
-    merely equal is kept apart: then no picture's bits depend on its company.
+def merged(batch: Batch) -> Batch:
+    """The batch with neighbouring groups merged where they share one material and one light.
+
+    Shared means one tensor expanded over the batch (stride 0 in memory). Groups whose material or
+    light is merely equal stay separate, so that no picture's bits depend on the rest of the batch.
     """
     one_light = batch.light.stride(0) == 0
     counts, first = [batch.counts[0]], [0]

@@ -1,17 +1,16 @@
-"""The cheapest way that keeps the tolerance: planned from a few numbers about lobes and light, then
-checked on sample pixels.
+"""The cheapest strategy that keeps the tolerance: planned by predicted times, checked on pixels.
 
-Distant viewer: f is a sum over lobes, and each lobe goes its own way, the one of less predicted
-time: through a reflectance map, the smallest whose predicted error is within MAP_SHARE × tolerance,
-or through the culled sum at the pixels; broad lobes see the light through larger texels
-(learn/methods/coarse.py), whose derivative is as good as their value. The whole is then compared
-with the exact sum on SAMPLE pixels, the same every time; where the mean error there, with its
-uncertainty, exceeds CHECK × tolerance, the part that errs most is done again: with more lights, a
-larger map, or the sum at the pixels where a map no longer pays, and culling held to less. Where the
-compiled kernels do not serve (float64, numba missing, CUDA) the sum is exact.
+Distant viewer: f is a sum over lobes, and each lobe takes the strategy of less predicted time: a
+reflectance map, the smallest whose predicted error is within MAP_SHARE × tolerance, or the culled
+sum at the pixels. Broad lobes see the light through larger texels (learn/methods/coarse.py), whose
+derivative is as good as their value. The result is compared with the exact sum on SAMPLE pixels,
+the same every time. Where the mean error there, with its uncertainty, exceeds CHECK × tolerance,
+the part with the largest error is computed again: with more lights, with a larger map, or at the
+pixels where a map is no faster, and with less culling. Where the compiled kernels do not apply
+(float64, numba missing, CUDA) the sum is exact.
 
-View per pixel: the light is cut in the same way, for all lobes or for the broad ones
-(learn/methods/hybrid.py); if the light's derivative is wanted too, which a cut light gives
+View per pixel: the light is cut into few lights for all lobes, or for the broad ones
+(learn/methods/hybrid.py); if the derivative by light is requested too, which a cut light gives
 coarsely, the sum is exact.
 
 The error is the mean absolute difference over the mean radiance, both over pixels and channels, of
@@ -23,16 +22,19 @@ learn.experiments calibrate-auto` fits them for another machine.
 import functools
 import json
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from learn.engines.lights import Rotation
 from learn.methods import (
     COMPILED,
     Batch,
     Card,
+    block_lists,
     coarse,
     directional,
     first_only,
@@ -76,12 +78,13 @@ CHEAP = 24  # pixels below which nothing is worth planning
 
 
 @functools.cache
-def calibration():
+def calibration() -> dict[str, dict[str, float]]:
     """Fitted numbers: error of a map, seconds of each kind of work."""
     return json.loads((Path(__file__).parent / "calibration.json").read_text())
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     if batch.n.device.type != "cpu":
         return load("exact").radiance(batch, tolerance)
     if batch.view is not None:
@@ -93,7 +96,7 @@ def radiance(batch: Batch, tolerance):
     return per_group(batch, lambda g, n, view, m, light: planned.radiance(n, m, light, plan))
 
 
-def part(batch, g):
+def part(batch: Batch, g: int) -> Batch:
     """The batch of one group alone."""
     n, view = (
         batch.n.split(batch.counts)[g],
@@ -109,21 +112,27 @@ def part(batch, g):
     )
 
 
-def planned_sums(n, m, light, gradients, rotation, tolerance):
-    """`planned.Sums` of one group for a distant viewer, arguments as there, that keep the tolerance
-    on the sample.
-    """
+def planned_sums(
+    n: np.ndarray,
+    m: np.ndarray,
+    light: np.ndarray,
+    gradients: Sequence[bool],
+    rotation: Rotation,
+    tolerance: float,
+) -> planned.Sums:
+    """Sums of one group for a distant viewer that keep the tolerance on the sample."""
     _, material_gradient, light_gradient = gradients
     scene = planned.Scene(n, m, light, rotation, light_gradient, material_gradient)
     lobes = (
-        directional.ALL_LOBES
+        block_lists.ALL_LOBES
         if material_gradient
         else tuple(np.flatnonzero(lobe_shapes.sharpness(m) > 0).tolist())
     )
     texels = light.shape[0] * light.shape[1]
     if len(n) < CHEAP or directional.is_small(len(n), texels, any(gradients)) or not lobes:
         return planned.Sums(scene, [planned.Strategy(lobes, 0, 0, 0.0)] if lobes else [], {})
-    strategies, known = [], {}
+    strategies: list[planned.Strategy] = []
+    known: dict[planned.Strategy, planned.Sum] = {}
     for pick in samples(len(n), texels):
         truth = scene.at(n[pick], lobes).radiance
         level = float(truth.mean())
@@ -146,9 +155,10 @@ def planned_sums(n, m, light, gradients, rotation, tolerance):
     return sums
 
 
-def samples(pixels, texels):
-    """Pixels to plan by and to check on (S,), then more of them to check on where the map is so
-    small that they cost little.
+def samples(pixels: int, texels: int) -> list[np.ndarray]:
+    """Pixels (S,) to plan by and to check; then more to check, where the map is small.
+
+    There they cost little.
     """
     few, many = (
         directional.spread_over(pixels, count)
@@ -157,37 +167,36 @@ def samples(pixels, texels):
     return [few] if len(many) == len(few) else [few, many]
 
 
-def better(strategy, pixels):
-    """A way that errs less: more lights, a larger map where there is one, less left out; the same
-    if there is none.
-    """
+def better(strategy: planned.Strategy, pixels: int) -> planned.Strategy:
+    """A strategy of smaller error: more lights, a larger map, less culling; the same if none is."""
     culled = max(strategy.culled / 2.5, GUARANTEED)
     if strategy.size:
         strategy = replace(strategy, size=grown(strategy.size, pixels))
     return replace(strategy, level=max(strategy.level - 1, 0), culled=culled)
 
 
-def grown(size, pixels):
+def grown(size: int, pixels: int) -> int:
     """The next larger map; 0 where it would have more nodes than there are pixels."""
     larger = math.ceil(GROWTH * size)
     return 0 if larger > reflectance_map.LARGEST or node_count(larger) > pixels else larger
 
 
-def good(error, level, tolerance):
-    """Whether errors (S, 3) on a sample keep the tolerance with room for what the sample did not
-    see: the more, the more they differ.
-    """
+def good(error: np.ndarray, level: float, tolerance: float) -> bool:
+    """Whether errors (S, 3) on a sample keep the tolerance, with a margin by their spread."""
     by_pixel = error.mean(-1)
-    doubt = float(by_pixel.std()) / math.sqrt(len(by_pixel))
+    uncertainty = float(by_pixel.std()) / math.sqrt(len(by_pixel))
     return (
-        float(by_pixel.mean()) + doubt <= CHECK * tolerance * level
+        float(by_pixel.mean()) + uncertainty <= CHECK * tolerance * level
         and float(error.max()) <= 30 * tolerance * level
     )
 
 
-def best_plan(scene, lobes, tolerance):
-    """The `planned.Strategy` of each group of a scene's lobes; lobes that reflect nothing count
-    only for derivatives by the material.
+def best_plan(
+    scene: planned.Scene, lobes: tuple[int, ...], tolerance: float
+) -> list[planned.Strategy]:
+    """The strategy of each group of a scene's lobes.
+
+    Lobes that reflect nothing count only for derivatives by the material.
     """
     sharp, strength = lobe_shapes.sharpness(scene.m), lobe_shapes.strength(scene.m)
     sharp = np.where(sharp > 0, sharp, lobe_shapes.sharpness(scene.m, dark=True))
@@ -203,10 +212,10 @@ def best_plan(scene, lobes, tolerance):
             sharp[s], pixels, lights, tolerance
         ):
             sizes[s] = 0
-    # lobes of like width share a map's geometry; a map is not resampled at a small one's nodes
+    # lobes of similar width share a map's geometry; a map is not resampled at a small one's nodes
     if (mapped := sizes > 0).sum() > 1:
         sizes[mapped & ((1.3 * sizes > sizes.max()) | (sizes.max() < ALONE))] = sizes.max()
-    groups = {}
+    groups: dict[tuple[int, int], list[int]] = {}
     for s in lobes:
         groups.setdefault((int(sizes[s]), int(levels[s])), []).append(s)
     return [
@@ -215,21 +224,22 @@ def best_plan(scene, lobes, tolerance):
     ]
 
 
-def coarsest(sharp, error, light_size):
+def coarsest(sharp: float, error: float, light_size: tuple[int, int]) -> int:
     """The coarsest level of the light whose predicted error for a lobe is within `error`."""
     level = 0
     while (
         level < COARSEST
-        and coarse.has_level(*light_size, level + 1)
+        and coarse.has_level(light_size[0], light_size[1], level + 1)
         and light_error(light_size[0] >> level + 1, sharp) <= error
     ):
         level += 1
     return level
 
 
-def light_error(rows, sharp):
-    """Predicted relative error of a light interpolated between so many rows: by the lobe's width,
-    and by the horizon's edge.
+def light_error(rows: int, sharp: float) -> float:
+    """Predicted relative error of a light interpolated between `rows` rows of texels.
+
+    One part depends on the lobe's width, one on the horizon's edge.
     """
     fit, spacing = calibration()["light_error"], math.pi / (2 * rows)
     return (
@@ -238,20 +248,21 @@ def light_error(rows, sharp):
     )
 
 
-def map_size(sharp, error, detail=(1.0,), rows=64):
+def map_size(sharp: float, error: float, detail: Sequence[float] = (1.0,), rows: int = 64) -> int:
     """The smallest map whose predicted error is within `error`; LARGEST + 1 if there is none."""
     enough = np.flatnonzero(map_error(SIZES, sharp, detail, rows) <= error)
     return int(SIZES[enough[0]]) if len(enough) else reflectance_map.LARGEST + 1
 
 
-def map_error(size, sharp, detail=(1.0,), rows=64):
-    """Predicted relative error of maps of some sizes for a lobe, by bicubic interpolation of what
-    the lobe makes of the light.
+def map_error(
+    size: np.ndarray | int, sharp: float, detail: Sequence[float] = (1.0,), rows: int = 64
+) -> np.ndarray | float:
+    """Predicted relative error of maps for a lobe, by bicubic interpolation of its radiance.
 
+    size          of a map, or an array of sizes
     detail, rows  parts of the light by how fast they vary (coarse.Light.detail), and rows of its
-    map. What varies slowly makes a highlight
-                  that is wider than the lobe, unless the lobe is so narrow that the sum over texels
-                  shows them one by one
+                  map. Slowly varying parts make a highlight wider than the lobe, unless the lobe is
+                  so narrow that the sum over texels shows them one by one
     """
     fit = calibration()["map_error"]
     spacing, texel = 2 * math.sqrt(2) / (size - 5), math.pi / (2 * rows)
@@ -269,14 +280,15 @@ def map_error(size, sharp, detail=(1.0,), rows=64):
     return error
 
 
-def node_count(size):
+def node_count(size: int) -> float:
     """Nodes of a map that a whole hemisphere of normals needs."""
     return 0.72 * size * size
 
 
-def sum_seconds(sharp, pixels, lights, tolerance):
-    """Predicted time of the culled sum of one lobe, forward and backward: the lights in its cone
-    for each pixel (or node).
+def sum_seconds(sharp: float, pixels: float, lights: int, tolerance: float) -> float:
+    """Predicted seconds of the culled sum of one lobe, forward and backward.
+
+    They follow the number of lights in its cone for each pixel (or node).
     """
     fit = calibration()["seconds"]
     tile = math.sqrt(2 * 16 / max(pixels, 1))  # radius of a tile of normals on the hemisphere
@@ -289,7 +301,7 @@ def sum_seconds(sharp, pixels, lights, tolerance):
     return pixels * (lights * share * fit["pair"] + fit["pixel"]) + fit["call"]
 
 
-def few_lights(batch, tolerance):
+def few_lights(batch: Batch, tolerance: float) -> torch.Tensor:
     """Radiance (P, 3) of one group seen from a view per pixel."""
     exact, (height, width) = load("exact").radiance, batch.light.shape[1:3]
     if len(batch.n) < CHEAP or directional.is_small(
@@ -312,7 +324,7 @@ def few_lights(batch, tolerance):
             (
                 strategy
                 for strategy in strategies
-                if all(check.passes(strategy) for check in checks)
+                if all(check.keeps_tolerance(strategy) for check in checks)
             ),
             None,
         )
@@ -324,23 +336,24 @@ def few_lights(batch, tolerance):
 
 
 class Check:
-    """Pixels `pick` of a batch of one group with a view per pixel, and their exact radiance, which
-    is summed when first needed.
+    """Pixels `pick` of a batch of one group with a view per pixel, and their exact radiance.
+
+    It is summed when first needed.
     """
 
-    def __init__(self, batch, pick, tolerance):
-        pick = torch.from_numpy(pick)
-        self.batch, self.tolerance = (
-            replace(batch, n=batch.n[pick], view=batch.view[pick], counts=(len(pick),)),
-            tolerance,
-        )
+    def __init__(self, batch: Batch, pick: np.ndarray, tolerance: float):
+        index = torch.from_numpy(pick)
+        view = None if batch.view is None else batch.view[index]
+        self.batch = replace(batch, n=batch.n[index], view=view, counts=(len(index),))
+        self.tolerance = tolerance
 
     @functools.cached_property
-    def truth(self):
+    def truth(self) -> torch.Tensor:
+        """The exact radiance (S, 3)."""
         return load("exact").radiance(self.batch, self.tolerance)
 
-    def passes(self, strategy):
-        """Whether way(batch) keeps the tolerance there."""
+    def keeps_tolerance(self, strategy: Callable[[Batch], torch.Tensor]) -> bool:
+        """Whether strategy(batch) keeps the tolerance there."""
         return good(
             (strategy(self.batch) - self.truth).abs().numpy(),
             self.truth.mean().item(),

@@ -1,11 +1,10 @@
-"""A light of fewer, larger texels that serves broad lobes: the sum over texels with what is summed
-interpolated between coarser ones.
+"""A light of fewer, larger texels for broad lobes, by interpolation between coarser texels.
 
     Σ_t F(w_t) E_t ≈ Σ_t Σ_j φ_j(w_t) F(w_j) E_t = Σ_j F(w_j) (Σ_t φ_j(w_t) E_t)
 
 φ_j are the Catmull–Rom weights of a grid of texels 2^level times as large, along rows and columns;
 they go on across the poles. The coarse energies are linear in the light, so that its derivative
-comes back through the same weights, to the accuracy of the values: a texel is not given its
+passes through the same weights, to the accuracy of the values: a texel does not receive its
 region's mean. Some coarse energies are negative. The error is that of bicubic interpolation of F =
 f max(0, n·w).
 """
@@ -15,22 +14,24 @@ import functools
 import numpy as np
 
 from learn.engines import machine_code
-from learn.methods import directional
-from shaders.envmap import LUMINANCE, directions
+from learn.engines.lights import Rotation
+from learn.methods import light_tables
+from learn.methods.light_tables import Lights
+from shaders.envmap import directions
+from shaders.tone import LUMINANCE
 
 
-def has_level(height, width, level):
-    """Whether a map parts evenly into texels 2^level times as large, with enough of them to
-    interpolate between.
-    """
+def has_level(height: int, width: int, level: int) -> bool:
+    """Whether a map divides into texels 2^level times as large, enough for interpolation."""
     step = 2**level
     return height % step == 0 and width % (2 * step) == 0 and height // step >= 8
 
 
 @functools.lru_cache(maxsize=8)
-def stencil(level):
-    """Weights (4 · 2^level,) float32 of the fine places from 3/2 · 2^level before a coarse one's
-    first on: the same for each.
+def stencil(level: int) -> np.ndarray:
+    """Weights (4 · 2^level,) float32 of fine texels in a coarse one, the same for each coarse one.
+
+    The first belongs to the fine texel 3/2 · 2^level before the coarse one's first.
     """
     step = 2**level
     x = np.abs((np.arange(4 * step) + 0.5) / step - 2.0)
@@ -38,10 +39,8 @@ def stencil(level):
     return np.where(x < 1, near, far).astype(np.float32)
 
 
-def energy(E, level):
-    """Coarse energies (planes, coarse height, coarse width) of E (planes, height, width),
-    float32.
-    """
+def energy(E: np.ndarray, level: int) -> np.ndarray:
+    """Coarse energies (planes, coarse height, coarse width) of E (planes, height, width)."""
     planes, height, width = E.shape
     result, along = (
         np.empty((planes, height >> level, width >> level), np.float32),
@@ -53,10 +52,8 @@ def energy(E, level):
     return result
 
 
-def gradient(by_coarse, level):
-    """Derivative (planes, height, width) by E, from the one (planes, coarse height, coarse width)
-    by the coarse energies.
-    """
+def gradient(by_coarse: np.ndarray, level: int) -> np.ndarray:
+    """Derivative (planes, height, width) by E, from the one by the coarse energies."""
     planes, height, width = len(by_coarse), by_coarse.shape[1] << level, by_coarse.shape[2] << level
     result, along = np.empty((planes, height, width), np.float32), np.empty(width, np.float32)
     machine_code.call(
@@ -75,44 +72,44 @@ def gradient(by_coarse, level):
 
 
 class Light:
-    """A light map at several levels of detail, level 0 its own texels: `Lights`, energy in blocks,
-    and the way back from them.
+    """A light map at several levels of detail; level 0 has its own texels.
 
-    light  (height, width, 3) float32 numpy;  rotation  nine numbers, camera_from_light
-    E      (3, height, width) radiance × solid angle
+    light     (height, width, 3) float32 numpy
+    rotation  nine numbers, camera_from_light
+    E         (3, height, width) radiance × solid angle
     """
 
-    def __init__(self, light, rotation):
-        self.height, self.width = self.size = light.shape[:2]
+    def __init__(self, light: np.ndarray, rotation: Rotation):
+        self.height, self.width = self.size = light.shape[0], light.shape[1]
         self.rotation, self.solid_angle = rotation, solid_angles(self.height, self.width)
         self.E = np.ascontiguousarray(light.transpose(2, 0, 1)) * self.solid_angle
-        self.known = {}
+        self.levels: dict[int, tuple[Lights, np.ndarray]] = {}
 
-    def at(self, level):
+    def at(self, level: int) -> tuple[Lights, np.ndarray]:
         """`Lights` and energy (blocks, 3, 16) of a level."""
-        if level not in self.known:
+        if level not in self.levels:
             lights, order = self.places(level)
             E = energy(self.E, level) if level else self.E
-            self.known[level] = (
+            self.levels[level] = (
                 lights,
-                directional.energy_blocks(E.reshape(3, -1)[:, order], lights),
+                light_tables.energy_blocks(E.reshape(3, -1)[:, order], lights),
             )
-        return self.known[level]
+        return self.levels[level]
 
-    def detail(self):
-        """How much of the light varies how fast: parts (levels + 1,) of it that each level loses to
-        the next, and what remains; sum 1.
+    def detail(self) -> list[float]:
+        """The parts of the light (levels + 1,) by how fast they vary, with sum 1.
 
-        Part k lives on texels of level k, finer than those of level k + 1 can follow. One lit texel
-        loses twice its energy: it is half of what is lost that counts.
+        Part k varies over texels of level k, too fast for those of level k + 1; the last part is
+        the remainder. One lit texel loses twice its energy, so half of the loss counts.
         """
         weights = LUMINANCE.astype(np.float32)[:, None, None]
         brightness = (weights * self.E).sum(
             0, keepdims=True
         )  # not by BLAS, whose threads spin as torch's do (learn/engines/pixel_selection.py)
-        total, seen, parts = float(brightness.sum()) or 1.0, brightness, []
+        total, seen = float(brightness.sum()) or 1.0, brightness
+        parts: list[float] = []
         for level in range(1, 4):
-            if not has_level(*self.size, level):
+            if not has_level(self.height, self.width, level):
                 break
             smooth = (
                 gradient(energy(brightness, level) / shares(*self.size, level), level)
@@ -122,10 +119,11 @@ class Light:
             seen = smooth
         return [*parts, 1.0 - sum(parts)]
 
-    def places(self, level):
-        return directional.map_lights(self.height >> level, self.width >> level, self.rotation)
+    def places(self, level: int) -> tuple[Lights, np.ndarray]:
+        """A level's `Lights`, and the place of each in the flattened map."""
+        return light_tables.map_lights(self.height >> level, self.width >> level, self.rotation)
 
-    def gradient(self, by_E, level):
+    def gradient(self, by_E: np.ndarray, level: int) -> np.ndarray:
         """Derivative (3, height, width) by the light, from the one (3, T) by a level's energies."""
         by_texel = np.empty_like(by_E)
         by_texel[:, self.places(level)[1]] = by_E
@@ -134,13 +132,13 @@ class Light:
 
 
 @functools.lru_cache(maxsize=8)
-def solid_angles(height, width):
-    """(1, height, 1) or (1, height, width) float32."""
+def solid_angles(height: int, width: int) -> np.ndarray:
+    """Solid angles of a map's texels, (1, height, 1) or (1, height, width) float32."""
     return directions(height, width)[1].astype(np.float32)[None]
 
 
 @functools.lru_cache(maxsize=8)
-def shares(height, width, level):
+def shares(height: int, width: int, level: int) -> np.ndarray:
     """Solid angle (1, coarse height, coarse width) that each coarse place stands for."""
     return energy(
         np.ascontiguousarray(np.broadcast_to(solid_angles(height, width), (1, height, width))),

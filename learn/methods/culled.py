@@ -1,5 +1,4 @@
-"""The paper's sum without the blocks of texels that cannot matter: those below the horizon, and
-those outside a lobe's cone.
+"""The paper's sum without texels below the horizon or outside the lobes' cones, block by block.
 
 For each tile of like normals, a bound on what each 4×4 block of texels can add through each lobe is
 computed from cones about the block's directions and half vectors; blocks are left out from the
@@ -10,7 +9,9 @@ tolerance may be missing, the sum is made again with less left out. So the error
 estimated. Derivatives leave out the same blocks, except those by a lobe that is dim beside another.
 """
 
-from learn.methods import Batch, Card, by_group, directional
+import torch
+
+from learn.methods import Batch, Card, by_group, directional, light_tables
 
 CARD = Card(
     name="culled",
@@ -26,9 +27,13 @@ CARD = Card(
 SHARE = 0.5  # of the tolerance that may be left out
 
 
-def radiance(batch: Batch, tolerance):
-    def one_group(n, view, m, light):
-        lights, E = directional.of_map(light, batch.camera_from_light)
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
+
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
+        lights, E = light_tables.of_map(light, batch.camera_from_light)
         left_out = SHARE * tolerance * directional.scale(n, view, m, E, lights)
         seen = directional.radiance(n, view, m, E, lights, left_out, method=CARD.name)
         least = seen.detach().mean().item()

@@ -1,5 +1,4 @@
-"""The paper's sum itself, every texel for every pixel: the reference that all other methods are
-measured against.
+"""The paper's sum itself, every texel for every pixel: the reference of all other methods.
 
     I_k(p) = Σ_t f_k(p, t) E_tk μ_pt        E = L Ω, μ = max(0, n·w)        supplement, Eq. 8
     f_k    = Σ_s expm1(x_ks),   x = min(κ c^γ, MAX_EXPONENT),   c = h·n
@@ -22,11 +21,12 @@ The factor h of ∂c/∂n is missing in print, and ln c is needed only where c >
 """
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
 
-from learn.engines.derivatives import THIRD, Step, require_one_gradient
+from learn.engines.derivatives import THIRD, Context, Step, require_one_gradient
 from learn.methods import Batch, Card, by_group
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
 from shaders.envmap import directions
@@ -47,24 +47,30 @@ LEAST_COSINE = 1e-12
 TEXELS, PAIRS = 2048, 32768
 
 
-def texels(light, camera_from_light):
-    """w (T, 3) unit, camera frame, and E (T, 3) = radiance × solid angle of each texel of light
-    (Hl, Wl, 3).
+def texels(
+    light: torch.Tensor, camera_from_light: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Direction w (T, 3), camera frame, and E (T, 3) = radiance × solid angle of each texel.
+
+    light  (Hl, Wl, 3)
     """
-    w, solid_angle = directions(*light.shape[:2])
-    w = (torch.as_tensor(w).reshape(-1, 3) @ camera_from_light.T).to(light)
-    solid_angle = torch.as_tensor(solid_angle, dtype=light.dtype, device=light.device)
+    centres, areas = directions(*light.shape[:2])
+    w = (torch.as_tensor(centres).reshape(-1, 3) @ camera_from_light.T).to(light)
+    solid_angle = torch.as_tensor(areas, dtype=light.dtype, device=light.device)
     return w, (light * solid_angle[..., None]).reshape(-1, 3)
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     if batch.n.dtype == torch.float32:
         from learn.methods import exact_operator  # here: a process that never renders pays nothing
 
         if exact_operator.serves(batch):
             return exact_operator.radiance(batch)
 
-    def one_group(n, view, m, light):
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         w, E = texels(light, batch.camera_from_light)
         return ExactSum.apply(n, view, m, E, w)
 
@@ -72,8 +78,9 @@ def radiance(batch: Batch, tolerance):
 
 
 class Half(NamedTuple):
-    """What the half vector decides: h, s = w + v and d = w − v (p|1, t, 3), B (p|1, t, 6), θ_d
-    (p|1, t), κ and γ (p|1, t, 3, 3).
+    """All that depends on the half vector, with p|1 in place of p for a distant viewer.
+
+    h, s = w + v, d = w − v (p|1, t, 3); θ_d (p|1, t); B (p|1, t, 6); κ and γ (p|1, t, 3, 3)
     """
 
     h: torch.Tensor
@@ -85,8 +92,8 @@ class Half(NamedTuple):
     gamma: torch.Tensor
 
 
-def half(v, w, m):
-    """v (p, 1, 3) or (1, 1, 3), w (t, 3), m (3, 3, 2, 6)."""
+def half(v: torch.Tensor, w: torch.Tensor, m: torch.Tensor) -> Half:
+    """The `Half` of views v (p, 1, 3) or (1, 1, 3) and lights w (t, 3); m (3, 3, 2, 6)."""
     h, theta_d = half_angles(w[None], v)
     B = basis(theta_d)
     curves = torch.einsum("ptb,ksjb->jptks", B, m)
@@ -94,8 +101,9 @@ def half(v, w, m):
 
 
 class Lobes(NamedTuple):
-    """f's parts: μ, c, ln c (p, t); power c^γ, exponent κ c^γ before its bound (p, t, 3, 3); f (p,
-    t, 3).
+    """The terms of f.
+
+    μ, c, ln c (p, t); power c^γ, exponent κ c^γ before its bound (p, t, 3, 3); f (p, t, 3)
     """
 
     mu: torch.Tensor
@@ -106,11 +114,10 @@ class Lobes(NamedTuple):
     f: torch.Tensor
 
 
-def lobes(n, w, at):
-    """The BRDF of each pixel and texel; where the texel lies below the horizon, μ is 0 and c is set
-    to 1.
+def lobes(n: torch.Tensor, w: torch.Tensor, at: Half) -> Lobes:
+    """The BRDF of each pixel and texel; below the horizon μ is 0 and c is set to 1.
 
-    n (p, 3), w (t, 3), at: Half
+    n (p, 3), w (t, 3)
     """
     mu = (n @ w.T).clamp(min=0)
     # a map's node may look away from the viewer (learn/methods/reflectance_map.py): c is held above
@@ -127,8 +134,8 @@ def lobes(n, w, at):
     return Lobes(mu, c, log_c, power, exponent, f)
 
 
-def chunks(pixels, total, pairs=PAIRS):
-    """Slices (of texels, of pixels) that cover all pairs, so many at most at a time."""
+def chunks(pixels: int, total: int, pairs: int = PAIRS) -> Iterator[tuple[slice, slice]]:
+    """Slices (of texels, of pixels) that cover all pairs, at most `pairs` at a time."""
     step = max(1, pairs // min(TEXELS, max(total, 1)))
     for t in range(0, total, TEXELS):
         for p in range(0, pixels, step):
@@ -136,12 +143,20 @@ def chunks(pixels, total, pairs=PAIRS):
 
 
 class ExactSum(Step):
-    """n (P, 3), view (P, 3) or None, m (3, 3, 2, 6), E (T, 3), w (T, 3) constant → radiance (P,
-    3).
+    """The sum, for autograd.
+
+    n (P, 3), view (P, 3) or None, m (3, 3, 2, 6), E (T, 3), w (T, 3) constant → radiance (P, 3)
     """
 
     @staticmethod
-    def forward(ctx, n, view, m, E, w):
+    def forward(
+        ctx: Context,
+        n: torch.Tensor,
+        view: torch.Tensor | None,
+        m: torch.Tensor,
+        E: torch.Tensor,
+        w: torch.Tensor,
+    ) -> torch.Tensor:
         ctx.save_for_backward(n, view, m, E, w)
         out = torch.zeros_like(n)
         for t, p, at in walk(view, m, w, len(n)):
@@ -150,18 +165,28 @@ class ExactSum(Step):
         return out
 
     @staticmethod
-    def backward(ctx, g):
+    def backward(ctx: Context, g: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         require_one_gradient(g)
         return *ExactGradients.apply(g, *ctx.saved_tensors), None
 
 
 class ExactGradients(Step):
-    """g (P, 3), and what ExactSum was given → derivatives of Σ g·radiance by n, view (None without
-    one), m and E.
+    """The backward pass of `ExactSum`.
+
+    g (P, 3), and the arguments of ExactSum → derivatives of Σ g·radiance by n, view (None without
+    one), m and E
     """
 
     @staticmethod
-    def forward(ctx, g, n, view, m, E, w):
+    def forward(
+        ctx: Context,
+        g: torch.Tensor,
+        n: torch.Tensor,
+        view: torch.Tensor | None,
+        m: torch.Tensor,
+        E: torch.Tensor,
+        w: torch.Tensor,
+    ) -> tuple[torch.Tensor, torch.Tensor | None, torch.Tensor, torch.Tensor]:
         ctx.save_for_backward(g, n, view, m, E, w)
         grad_n, grad_m, grad_E = torch.zeros_like(n), torch.zeros_like(m), torch.zeros_like(E)
         grad_view = None if view is None else torch.zeros_like(view)
@@ -177,7 +202,7 @@ class ExactGradients(Step):
             by_kappa = A * part.power
             by_gamma = A * part.exponent * part.log_c[..., None, None]
             grad_n[p] += by_mu @ w[t] + (by_c[..., None] * at.h).sum(1)
-            if view is not None:
+            if view is not None and grad_view is not None:
                 by_theta = slopes(by_kappa, by_gamma, at, m)
                 grad_view[p] += view_gradient(by_c, by_theta, n[p], part.c, at)
             curves = torch.stack(
@@ -187,48 +212,70 @@ class ExactGradients(Step):
         return grad_n, grad_view, grad_m, grad_E
 
     @staticmethod
-    def backward(ctx, *direction):
+    def backward(ctx: Context, *direction: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         require_one_gradient(*direction)
         return *Second.apply(*direction, *ctx.saved_tensors), None
 
 
 class Second(Step):
-    """Derivatives of a loss by the results of ExactGradients, and what that was given → derivatives
-    by g, n, view (or None), m and E.
+    """The backward pass of `ExactGradients`.
+
+    Derivatives of a loss by its results, and its arguments → derivatives by g, n, view (or None), m
+    and E
     """
 
     @staticmethod
-    def forward(ctx, by_n, by_view, by_m, by_E, *given):
+    def forward(
+        ctx: Context,
+        by_n: torch.Tensor,
+        by_view: torch.Tensor | None,
+        by_m: torch.Tensor,
+        by_E: torch.Tensor,
+        g: torch.Tensor,
+        n: torch.Tensor,
+        view: torch.Tensor | None,
+        m: torch.Tensor,
+        E: torch.Tensor,
+        w: torch.Tensor,
+    ) -> tuple[torch.Tensor | None, ...]:
         from learn.methods.exact_second import second  # here: it is rarely needed
 
-        return second((by_n, by_view, by_m, by_E), *given, radial=True)
+        return second((by_n, by_view, by_m, by_E), g, n, view, m, E, w, radial=True)
 
     @staticmethod
-    def backward(ctx, *g):
+    def backward(ctx: Context, *g: torch.Tensor) -> None:
         raise NotImplementedError(THIRD)
 
 
-def walk(view, m, w, pixels):
-    """Each chunk's texels, pixels and Half; a distant viewer's Half is computed once for all
-    pixels.
+def walk(
+    view: torch.Tensor | None, m: torch.Tensor, w: torch.Tensor, pixels: int
+) -> Iterator[tuple[slice, slice, Half]]:
+    """Yield each chunk's texels, pixels and `Half`.
+
+    A distant viewer's is computed once for all pixels.
     """
     distant = w.new_tensor([[[0.0, 0.0, 1.0]]])
-    seen, at = None, None
+    last: tuple[slice, Half] | None = None
     for t, p in chunks(pixels, len(w)):
         if view is not None:
-            at = half(view[p][:, None], w[t], m)
-        elif seen != t:
-            seen, at = t, half(distant, w[t], m)
-        yield t, p, at
+            yield t, p, half(view[p][:, None], w[t], m)
+        else:
+            if last is None or last[0] != t:
+                last = t, half(distant, w[t], m)
+            yield t, p, last[1]
 
 
-def slopes(by_kappa, by_gamma, at, m):
+def slopes(
+    by_kappa: torch.Tensor, by_gamma: torch.Tensor, at: Half, m: torch.Tensor
+) -> torch.Tensor:
     """∂loss/∂θ_d (p, t) through κ(θ_d) and γ(θ_d)."""
     kappa_slope, gamma_slope = torch.einsum("ptb,ksjb->jptks", basis_slope(at.theta_d), m)
     return (by_kappa * kappa_slope + by_gamma * gamma_slope).sum((-1, -2))
 
 
-def view_gradient(by_c, by_theta, n, c, at):
+def view_gradient(
+    by_c: torch.Tensor, by_theta: torch.Tensor, n: torch.Tensor, c: torch.Tensor, at: Half
+) -> torch.Tensor:
     """∂loss/∂v (p, 3) of a chunk, through h and θ_d.
 
     Where w = v the direction of d is undefined and θ_d has a corner: 0 is taken. Where w = −v

@@ -1,7 +1,7 @@
-"""Second derivatives of the exact sum: the gradient of its derivative along a direction, in plain
-torch, chunk by chunk.
+"""Second derivatives of the exact sum in plain torch, chunk by chunk.
 
-Letters as in learn/methods/exact.py. A second backward pass is handed the derivatives n', view',
+They are the gradient of its derivative along a direction. Letters as in learn/methods/exact.py. A
+second backward pass receives the derivatives n', view',
 m', E' of some loss by the results of the first pass, which was given g. It differentiates what they
 pair to,
 
@@ -22,6 +22,8 @@ second derivative no bound: it is left out within CORNER.
 """
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 
@@ -29,27 +31,40 @@ from learn.methods.exact import chunks, texels
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
 from shaders.spline import basis, basis_slope
 
+# by g, n, view (None without one), m and E
+Derivatives = tuple[torch.Tensor, torch.Tensor, torch.Tensor | None, torch.Tensor, torch.Tensor]
 PAIRS = 16384  # of one chunk; autograd keeps about 40 arrays of 9 × PAIRS numbers, 50 MB
 CORNER = 1e-6  # length of w − v: radians between light and view
 
 
-def second(direction, g, n, view, m, E, w, radial):
-    """Gradients of S by g, n, view (None without one), m and E, in their shapes and dtypes; no
-    graph is kept.
+def second(
+    direction: Sequence[torch.Tensor | None],
+    g: torch.Tensor,
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    E: torch.Tensor,
+    w: torch.Tensor,
+    radial: bool,
+) -> Derivatives:
+    """Gradients of S by g, n, view (None without one), m and E, in their shapes and dtypes.
+
+    No graph is kept.
 
     direction  n' (P, 3), view' (P, 3) or None, m' (3, 3, 2, 6), E' (T, 3)
-    radial     whether the first pass took ∂c/∂n = h, or else h − n. Both are right on the sphere,
-    and their difference, along n, does not
-               pass the scaling to unit length; but that step's second derivative counts on it
+    radial     whether the first pass took ∂c/∂n = h, or else h − n. Both are right on the sphere;
+               their difference, along n, does not pass through scaling to unit length, but that
+               step's second derivative needs it
     """
-    dtypes = [None if x is None else x.dtype for x in (g, n, view, m, E)]
-    g, n, view, m, E, w, *direction = (
-        None if x is None else x.detach().double() for x in (g, n, view, m, E, w, *direction)
+    dtypes = [x.dtype for x in (g, n, m, E)]
+    view_dtype = None if view is None else view.dtype
+    g, n, m, E, w = (x.detach().double() for x in (g, n, m, E, w))
+    view = None if view is None else view.detach().double()
+    along_n, along_view, along_m, along_E = (
+        torch.zeros(()) if x is None else x.detach().double() for x in direction
     )
-    along_n, along_view, along_m, along_E = direction
-    by_g, by_n, by_view, by_m, by_E = results = [
-        None if x is None else torch.zeros_like(x) for x in (g, n, view, m, E)
-    ]
+    by_g, by_n, by_m, by_E = (torch.zeros_like(x) for x in (g, n, m, E))
+    by_view = None if view is None else torch.zeros_like(view)
     for t, p in chunks(len(n), len(w), PAIRS):
         lit = (n[p] @ w[t].T > 0).any(0).nonzero().squeeze(-1)
         if not len(lit):
@@ -71,30 +86,45 @@ def second(direction, g, n, view, m, E, w, radial):
         by_n[p] += by[1]
         by_m += by[2]
         by_E[t].index_add_(0, lit, by[3])
-        if view is not None:
+        if by_view is not None:
             by_view[p] += by[4]
-    return tuple(
-        None if x is None else x.to(dtype) for x, dtype in zip(results, dtypes, strict=True)
+    by_g, by_n, by_m, by_E = (
+        x.to(dtype) for x, dtype in zip((by_g, by_n, by_m, by_E), dtypes, strict=True)
     )
+    return by_g, by_n, None if by_view is None else by_view.to(view_dtype), by_m, by_E
 
 
-def of_groups(direction, g, n, view, m, light, rotation, counts, light_of):
-    """The same for the groups of a batch, as learn.engines.cpu has them, with radial=False: by g,
-    n, view, m (G, …) and light (B, …).
+def of_groups(
+    direction: Sequence[torch.Tensor | None],
+    g: torch.Tensor,
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    rotation: Sequence[float],
+    counts: Sequence[int],
+    light_of: Sequence[int],
+) -> tuple[torch.Tensor | None, ...]:
+    """As `second`, with radial=False, for the groups of a batch (arguments of learn.engines.cpu).
+
+    Returns  derivatives by g, n, view, m (G, …) and light (B, …)
     """
     by_n, by_view, by_m, by_light = direction
+    if by_m is None or by_light is None:
+        raise ValueError("direction: expected tensors for m and light, found None")
     parts = [
-        [None] * len(counts) if x is None else x.split(list(counts))
+        [None] * len(counts) if x is None else [*x.split(list(counts))]
         for x in (by_n, by_view, g, n, view)
     ]
-    result, over_light = [], torch.zeros_like(light, dtype=torch.float64)
+    result: list[tuple] = []
+    over_light = torch.zeros_like(light, dtype=torch.float64)
     camera_from_light = torch.tensor(rotation, dtype=torch.float64).reshape(3, 3)
     for k, (part_by_n, part_by_view, part_g, part_n, part_view) in enumerate(
         zip(*parts, strict=True)
     ):
         w, E = texels(light[light_of[k]].double(), camera_from_light)
         along_E = texels(by_light[light_of[k]].double(), camera_from_light)[1]
-        *by, by_E = second(
+        by_g, by_n, by_view, group_by_m, by_E = second(
             (part_by_n, part_by_view, by_m[k], along_E),
             part_g,
             part_n,
@@ -104,44 +134,55 @@ def of_groups(direction, g, n, view, m, light, rotation, counts, light_of):
             w,
             radial=False,
         )
-        result.append(by)
-        over_light[light_of[k]] += texels(by_E.reshape(light.shape[1:]), camera_from_light)[
-            1
-        ].reshape(light.shape[1:])
-    by_g, by_n, by_view, by_m = zip(*result, strict=True)
+        result.append((by_g, by_n, by_view, group_by_m))
+        by_radiance = texels(by_E.reshape(light.shape[1:]), camera_from_light)[1]
+        over_light[light_of[k]] += by_radiance.reshape(light.shape[1:])
+    by_gs, by_ns, by_views, by_ms = zip(*result, strict=True)
     return (
-        torch.cat(by_g),
-        torch.cat(by_n),
-        None if view is None else torch.cat(by_view),
-        torch.stack(by_m),
+        torch.cat(by_gs),
+        torch.cat(by_ns),
+        None if view is None else torch.cat(by_views),
+        torch.stack(by_ms),
         over_light.to(light.dtype),
     )
 
 
-def distant_half(w, m, along_m):
-    """h (1, t, 3) and its change h', κ and γ (2, 1, t, 3, 3) and their change, for a distant
-    viewer.
+class HalfChange(NamedTuple):
+    """Half vectors, κ and γ of a chunk, and how they change along the direction.
+
+    h, along_h (p|1, t, 3); curves, along_curves (2, p|1, t, 3, 3): κ and γ
     """
+
+    h: torch.Tensor
+    along_h: torch.Tensor
+    curves: torch.Tensor
+    along_curves: torch.Tensor
+
+
+def distant_half(w: torch.Tensor, m: torch.Tensor, along_m: torch.Tensor) -> HalfChange:
+    """The `HalfChange` for a distant viewer."""
     h, theta_d = half_angles(w[None], w.new_tensor([0.0, 0.0, 1.0]))
     B = basis(theta_d)
-    return h, torch.zeros_like(h), curves(B, m), curves(B, along_m)
+    return HalfChange(h, torch.zeros_like(h), curves(B, m), curves(B, along_m))
 
 
-def turning_half(v, along_v, w, m, along_m):
-    """The same for a view v (p, 3) that changes along v' (p, 3): h, h' (p, t, 3), and so on."""
+def turning_half(
+    v: torch.Tensor, along_v: torch.Tensor, w: torch.Tensor, m: torch.Tensor, along_m: torch.Tensor
+) -> HalfChange:
+    """The `HalfChange` for a view v (p, 3) that changes along v' (p, 3)."""
     s, d = w + v[:, None], w - v[:, None]
     length_s = s.square().sum(-1, keepdim=True).clamp(min=1e-12).sqrt()  # w = −v is never lit
     square = d.square().sum(-1, keepdim=True)
-    apart = square > CORNER**2
-    length_d = torch.where(apart, square, 1.0).sqrt()
-    h, d = s / length_s, torch.where(apart, d / length_d, 0.0)
-    length_d = torch.where(apart, length_d, 0.0)
+    away = square > CORNER**2  # from the corner
+    length_d = torch.where(away, square, 1.0).sqrt()
+    h, d = s / length_s, torch.where(away, d / length_d, 0.0)
+    length_d = torch.where(away, length_d, 0.0)
     v = along_v[:, None]
     along_h = (v - h * (h * v).sum(-1, keepdim=True)) / length_s
     along_theta = -0.25 * ((length_s * d + length_d * h) * v).sum(-1)
     theta_d = torch.atan2(length_d, length_s).squeeze(-1)
     B = basis(theta_d)
-    return (
+    return HalfChange(
         h,
         along_h,
         curves(B, m),
@@ -149,12 +190,20 @@ def turning_half(v, along_v, w, m, along_m):
     )
 
 
-def curves(B, m):
+def curves(B: torch.Tensor, m: torch.Tensor) -> torch.Tensor:
     """κ and γ (2, p, t, 3, 3) of m at the weights B (p, t, 6)."""
     return torch.einsum("ptb,ksjb->jptks", B, m)
 
 
-def derivative(n, E, w, half, along_n, along_E, radial):
+def derivative(
+    n: torch.Tensor,
+    E: torch.Tensor,
+    w: torch.Tensor,
+    half: HalfChange,
+    along_n: torch.Tensor,
+    along_E: torch.Tensor,
+    radial: bool,
+) -> torch.Tensor:
     """I' (p, 3) of a chunk."""
     h, along_h, (kappa, gamma), (along_kappa, along_gamma) = half
     cosine = n @ w.T

@@ -1,14 +1,16 @@
-"""Broad lobes from a few lights, sharp lobes from the texels near them: f is a sum over lobes, so
-each goes the way that suits it.
+"""Broad lobes under a few lights, sharp lobes under all texels near them: f is a sum over lobes.
 
 Broad lobes (sharpness ≤ BROAD, learn/methods/lobe_shapes.py) see the light cut into regions of
 equal energy (learn/methods/median_cut.py); sharp ones see every texel that can matter to them
 (learn/methods/culled.py).
 """
 
-import numpy as np
+import functools
 
-from learn.methods import Batch, Card, by_group, directional, lobe_shapes, median_cut
+import numpy as np
+import torch
+
+from learn.methods import Batch, Card, by_group, directional, light_tables, lobe_shapes, median_cut
 
 CARD = Card(
     name="hybrid",
@@ -21,31 +23,35 @@ CARD = Card(
 BROAD = 60.0
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     return with_lights(
         median_cut.held(batch, CARD.name), median_cut.count(tolerance), 0.25 * tolerance
     )
 
 
-def with_lights(batch, count, left_out):
-    """Radiance with `count` lights for broad lobes; left_out: what culling may cost, relative."""
+def with_lights(batch: Batch, count: int, left_out: float) -> torch.Tensor:
+    """Radiance with `count` lights for broad lobes; left_out: relative error by culling."""
 
-    def one_group(n, view, m, light):
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         broad = lobe_shapes.sharpness(m) <= BROAD
-        out = 0
+        parts = []
         if broad.any():
             lights, E = median_cut.cut(light, batch.camera_from_light, count)
-            out = directional.radiance(n, view, m, E, lights, lobes=numbers(broad))
+            parts.append(directional.radiance(n, view, m, E, lights, lobes=numbers(broad)))
         if not broad.all():
-            lights, E = directional.of_map(light, batch.camera_from_light)
+            lights, E = light_tables.of_map(light, batch.camera_from_light)
             # relative to all lobes, not to the sharp ones
             allowed = left_out * directional.scale(n, view, m, E, lights)
-            out = out + directional.radiance(n, view, m, E, lights, allowed, numbers(~broad))
-        return out
+            sharp = directional.radiance(n, view, m, E, lights, allowed, numbers(~broad))
+            parts.append(sharp)
+        return functools.reduce(torch.add, parts)
 
     return by_group(batch, one_group)
 
 
-def numbers(lobes):
+def numbers(lobes: np.ndarray) -> tuple[int, ...]:
     """The numbers, in a tuple, of lobes marked in an array (3,)."""
     return tuple(np.flatnonzero(lobes).tolist())

@@ -1,9 +1,8 @@
-"""A few lights instead of thousands: the map cut into regions of equal energy, each of them one
-light at its energy's centre.
+"""A few lights instead of thousands, one for each of the map's regions of equal energy.
 
-The map is halved again and again where its energy (luminance × solid angle) is halved, across the
+The map is halved repeatedly where its energy (luminance × solid angle) is halved, across the
 longer side of each region, so that after k rounds there are 2^k lights. Regions of one texel stay.
-A light has its region's whole energy, a channel at a time, so nothing of the light is lost; its
+A light has its region's whole energy, per channel, so nothing of the light is lost; its
 direction is the energy's mean direction and is held constant in the backward pass.
 
 Source: Debevec, A Median Cut Algorithm for Light Probe Sampling, 2005. Rectangles are (top, bottom,
@@ -15,8 +14,19 @@ import math
 import numpy as np
 import torch
 
-from learn.methods import COMPILED, HELD_LIGHTS, Batch, Card, by_group, directional, first_only
-from shaders.envmap import LUMINANCE, directions
+from learn.methods import (
+    COMPILED,
+    HELD_LIGHTS,
+    Batch,
+    Card,
+    by_group,
+    directional,
+    first_only,
+    light_tables,
+)
+from learn.methods.light_tables import Lights
+from shaders.envmap import directions
+from shaders.tone import LUMINANCE
 
 CARD = Card(
     name="median_cut",
@@ -29,44 +39,49 @@ CARD = Card(
 LEAST, MOST = 64, 4096
 
 
-def count(tolerance):
-    """Lights for a tolerance on materials without sharp lobes: the error falls about as 1 /
-    lights.
-    """
+def count(tolerance: float) -> int:
+    """Number of lights for a tolerance without sharp lobes: the error falls about as 1 / lights."""
     return int(np.clip(2 ** math.ceil(math.log2(4.0 / tolerance)), LEAST, MOST))
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     return with_lights(held(batch, CARD.name), count(tolerance))
 
 
-def held(batch, name):
-    """The batch for a method that cuts the light: with a second derivative only in torch's own
-    sums, while the light is a constant.
+def held(batch: Batch, name: str) -> Batch:
+    """The batch for a method that cuts the light.
+
+    Second derivatives exist in torch's own sums alone, while the light is constant.
     """
     if directional.has_kernels(batch.n):
         return first_only(batch, name, COMPILED)
     return first_only(batch, name, HELD_LIGHTS) if batch.light.requires_grad else batch
 
 
-def with_lights(batch, lights):
-    def one_group(n, view, m, light):
+def with_lights(batch: Batch, lights: int) -> torch.Tensor:
+    """Radiance (P, 3) with a cut light of at most `lights` regions."""
+
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         few, E = cut(light, batch.camera_from_light, lights)
         return directional.radiance(n, view, m, E, few)
 
     return by_group(batch, one_group)
 
 
-def cut(light, camera_from_light, count):
-    """`Lights` of at most `count` regions, and their E (T, 3), differentiable in light (height,
-    width, 3).
+def cut(
+    light: torch.Tensor, camera_from_light: torch.Tensor, count: int
+) -> tuple[Lights, torch.Tensor]:
+    """`Lights` of at most `count` regions, and their E (T, 3), differentiable in light.
 
-    A map of no more texels is not cut: halving by energy would leave dark texels together beside a
-    bright one.
+    light  (height, width, 3); a map of no more texels is not cut, since halving by energy would
+           join dark texels beside a bright one
     """
     height, width = light.shape[:2]
     if height * width <= count:
-        return directional.of_map(light, camera_from_light)
+        return light_tables.of_map(light, camera_from_light)
     w, solid_angle = directions(height, width)
     brightness = light.detach().double().cpu().numpy() @ LUMINANCE
     # dark regions have a centre too
@@ -90,12 +105,13 @@ def cut(light, camera_from_light, count):
             light * torch.as_tensor(solid_angle, dtype=light.dtype, device=light.device)[..., None]
         ).reshape(-1, 3),
     )
-    return directional.lights_at(centre @ camera_from_light.double().cpu().numpy().T), E
+    return light_tables.lights_at(centre @ camera_from_light.double().cpu().numpy().T), E
 
 
-def regions(energy, count):
-    """The region's number of each texel (height, width), 0 … R − 1 with R ≤ count; neighbours in
-    number are neighbours in the map.
+def regions(energy: np.ndarray, count: int) -> np.ndarray:
+    """The number of each texel's region (height, width), 0 … R − 1 with R ≤ count.
+
+    Neighbours in number are neighbours in the map.
     """
     height, width = energy.shape
     table = np.pad(energy.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
@@ -117,10 +133,8 @@ def regions(energy, count):
     return number.cumsum(0).cumsum(1)[:height, :width]
 
 
-def halved(boxes, table):
-    """Each box (R, 4) replaced by its two halves of equal energy, or by itself if it is one
-    texel.
-    """
+def halved(boxes: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """Each box (R, 4) replaced by two halves of equal energy, or by itself if it is one texel."""
     height = table.shape[0] - 1
     top, bottom, left, right = boxes.T
     tall, wide = bottom - top, (right - left) * np.sin(np.pi * (top + bottom) / (2 * height))
@@ -149,7 +163,9 @@ def halved(boxes, table):
     return both[np.stack([np.ones(len(boxes), bool), ~single], 1).reshape(-1)]
 
 
-def energy_up_to(boxes, table, by_rows, place):
+def energy_up_to(
+    boxes: np.ndarray, table: np.ndarray, by_rows: np.ndarray, place: np.ndarray
+) -> np.ndarray:
     """Energy (R,) of each box's part before `place`, a row where by_rows, else a column."""
     top, bottom, left, right = boxes.T
     bottom, right = np.where(by_rows, place, bottom), np.where(by_rows, right, place)

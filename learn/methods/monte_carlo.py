@@ -1,8 +1,11 @@
-"""Monte Carlo with multiple importance sampling: half the samples by the light, half by the BRDF
-(learn/methods/sampling.py).
+"""Monte Carlo with multiple importance sampling: half the samples by the light, half by the BRDF.
+
+The estimator is in learn/methods/sampling.py.
 """
 
-from learn.methods import HELD_SAMPLES, Card, first_only, sampling
+import torch
+
+from learn.methods import HELD_SAMPLES, Batch, Card, first_only, sampling
 
 CARD = Card(
     name="monte_carlo",
@@ -15,6 +18,7 @@ CARD = Card(
 )
 
 
-def radiance(batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     half = sampling.count(tolerance) // 2
     return sampling.sampled(first_only(batch, CARD.name, HELD_SAMPLES), half, half)

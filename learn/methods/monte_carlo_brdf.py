@@ -1,8 +1,11 @@
-"""Monte Carlo with samples drawn by the BRDF alone: noisy under a small sun
-(learn/methods/sampling.py).
+"""Monte Carlo with samples drawn by the BRDF alone: noisy under a small sun.
+
+The estimator is in learn/methods/sampling.py.
 """
 
-from learn.methods import HELD_SAMPLES, Card, first_only, sampling
+import torch
+
+from learn.methods import HELD_SAMPLES, Batch, Card, first_only, sampling
 
 CARD = Card(
     name="monte_carlo_brdf",
@@ -13,7 +16,8 @@ CARD = Card(
 )
 
 
-def radiance(batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     return sampling.sampled(
         first_only(batch, CARD.name, HELD_SAMPLES), 0, sampling.count(tolerance)
     )

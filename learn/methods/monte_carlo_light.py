@@ -1,8 +1,11 @@
-"""Monte Carlo with samples drawn by the light's energy alone: noisy for sharp lobes
-(learn/methods/sampling.py).
+"""Monte Carlo with samples drawn by the light's energy alone: noisy for sharp lobes.
+
+The estimator is in learn/methods/sampling.py.
 """
 
-from learn.methods import HELD_SAMPLES, Card, first_only, sampling
+import torch
+
+from learn.methods import HELD_SAMPLES, Batch, Card, first_only, sampling
 
 CARD = Card(
     name="monte_carlo_light",
@@ -13,7 +16,8 @@ CARD = Card(
 )
 
 
-def radiance(batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     if batch.light.requires_grad:  # the samples follow the light, and nothing else
         batch = first_only(batch, CARD.name, HELD_SAMPLES)
     return sampling.sampled(batch, sampling.count(tolerance), 0)

@@ -1,93 +1,108 @@
-"""Radiance for a distant viewer as `auto` plans it: groups of lobes, each by a map or at the
-pixels, under as many lights as it needs.
+"""Radiance for a distant viewer as `auto` plans it: each group of lobes by a strategy of its own.
 
-A `Strategy` says how a group of lobes goes: lobes; size of its map, 0 where it is summed at the
-pixels; level of the light's detail (learn/methods/coarse.py); culled, what a pixel's list may leave
-out, in tolerances. All maps are resampled at the nodes of the largest, so that there is one look-up
-for each pixel. Everything between the tensors handed in and the radiance is numpy and kernels, one
-step for autograd: `sums` holds what the backward pass needs.
+All maps are resampled at the nodes of the largest, so that there is one look-up
+for each pixel. Everything between the tensors and the radiance is numpy and kernels, one step for
+autograd; `Sums` stores what the backward pass needs.
 
 n (P, 3), m (3, 3, 2, 6), light (height, width, 3), all float32 on the CPU with kernels at hand.
 """
 
 import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from learn.engines.derivatives import Step, last
+from learn.engines.derivatives import Context, Step, last
+from learn.engines.lights import Rotation
 from learn.methods import coarse, reflectance_map, refusal
-from learn.methods.directional import Listing, Tables
+from learn.methods.block_lists import Listing, Tables
 
 
 @dataclass(frozen=True)
 class Strategy:
-    lobes: tuple
+    """How a group of lobes is summed.
+
+    lobes   their numbers
+    size    nodes along a side of their reflectance map, 0 where they are summed at the pixels
+    level   of the light's detail (learn/methods/coarse.py)
+    culled  radiance that a pixel's list may leave out, in tolerances
+    """
+
+    lobes: tuple[int, ...]
     size: int
     level: int
     culled: float
 
 
 class Scene:
-    """What all ways share: normals, material, light at its levels, and the tables of both."""
+    """What all strategies share: normals, material, light at its levels, and the tables of both."""
 
-    def __init__(self, n, m, light, rotation, light_gradient=True, material_gradient=False):
+    def __init__(
+        self,
+        n: np.ndarray,
+        m: np.ndarray,
+        light: np.ndarray,
+        rotation: Rotation,
+        light_gradient: bool = True,
+        material_gradient: bool = False,
+    ):
         self.n, self.m, self.light = n, m, coarse.Light(light, rotation)
         self.light_gradient, self.material_gradient = light_gradient, material_gradient
-        self.budget = 0.0  # tolerance × mean radiance: what a way's `culled` multiplies
-        self.tables, self.kept = {}, 0
+        self.budget = 0.0  # tolerance × mean radiance: the unit of a strategy's `culled`
+        self.tables: dict[tuple[tuple[int, ...], int], Tables] = {}
+        self.list_bytes = 0
 
-    def at(self, normals, lobes, level=0, left_out=0.0):
+    def at(
+        self, normals: np.ndarray, lobes: tuple[int, ...], level: int = 0, left_out: float = 0.0
+    ) -> Listing:
         """The `Listing` of some lobes at normals (N, 3)."""
         if (lobes, level) not in self.tables:
             lights, energy = self.light.at(level)
             self.tables[lobes, level] = Tables(
                 self.m, energy, lights, self.light_gradient, lobes, self.material_gradient
             )
-        listing = Listing(normals, self.tables[lobes, level], left_out, self.kept)
-        self.kept += listing.kept
+        listing = Listing(normals, self.tables[lobes, level], left_out, self.list_bytes)
+        self.list_bytes += listing.list_bytes
         return listing
 
 
 class Sum:
-    """One way's radiance: at the nodes of its map, or at the pixels."""
+    """One strategy's radiance: at the nodes of its map, or at the pixels."""
 
-    def __init__(self, scene, strategy, within):
-        """within: (N, 3) normals that the map must serve; the pixels themselves where there is
-        none.
-        """
+    def __init__(self, scene: Scene, strategy: Strategy, within: np.ndarray):
+        """within: (N, 3) normals at which the map will be read."""
         self.scene, self.strategy = scene, strategy
-        self.nodes = reflectance_map.nodes_for(within, strategy.size) if strategy.size else None
-        self.normals = (
-            reflectance_map.normals(self.nodes, strategy.size).astype(np.float32)
-            if strategy.size
-            else scene.n
-        )
+        self.nodes, self.normals = np.empty(0, int), scene.n
+        if strategy.size:
+            self.nodes = reflectance_map.nodes_for(within, strategy.size)
+            self.normals = reflectance_map.normals(self.nodes, strategy.size).astype(np.float32)
         self.listing = scene.at(
             self.normals, strategy.lobes, strategy.level, strategy.culled * scene.budget
         )
         self.values = self.listing.radiance
 
-    def table(self):
+    def table(self) -> np.ndarray:
+        """The map's table for the kernels."""
         return reflectance_map.table(self.values, self.nodes, self.strategy.size)
 
-    def at_sample(self, pick):
-        """(S, 3) at pixels pick (S,)."""
+    def at_sample(self, pick: np.ndarray) -> np.ndarray:
+        """Radiance (S, 3) at pixels pick (S,)."""
         if not self.strategy.size:
             return self.values[pick]
         return reflectance_map.read(self.scene.n[pick], self.table(), self.strategy.size)
 
-    def error(self, pick, truth):
+    def error(self, pick: np.ndarray, truth: np.ndarray) -> float:
         """Mean absolute difference from truth (S, 3) at pixels pick (S,)."""
         return float(np.abs(self.at_sample(pick) - truth).mean())
 
 
 class Sums:
-    """All ways together: one map that the pixels look up, and the sums at the pixels."""
+    """All strategies together: one map that the pixels look up, and the sums at the pixels."""
 
-    def __init__(self, scene, strategies, known):
-        """known: {way: Sum} of sums that have been made before, added to."""
+    def __init__(self, scene: Scene, strategies: Sequence[Strategy], known: dict[Strategy, Sum]):
+        """known: sums that have been made before; new ones are added."""
         self.scene = scene
         mapped = sorted(
             (strategy for strategy in strategies if strategy.size),
@@ -98,57 +113,49 @@ class Sums:
                 known[strategy] = Sum(scene, strategy, scene.n)
         self.at_pixels = [known[strategy] for strategy in strategies if not strategy.size]
         self.largest = known[mapped[0]] if mapped else None
-        self.smaller = [
-            Sum(scene, strategy, scene.n if strategy.size == self.size else self.largest.normals)
-            for strategy in mapped[1:]
-        ]
-        if mapped:
-            total = self.largest.values
-            for part in self.smaller:
-                same = part.strategy.size == self.size
+        self.smaller: list[Sum] = []
+        if self.largest:
+            self.size, total = self.largest.strategy.size, self.largest.values
+            for strategy in mapped[1:]:
+                same = strategy.size == self.size
+                part = Sum(scene, strategy, scene.n if same else self.largest.normals)
+                self.smaller.append(part)
                 total = total + (
                     part.values
                     if same
-                    else reflectance_map.read(
-                        self.largest.normals, part.table(), part.strategy.size
-                    )
+                    else reflectance_map.read(self.largest.normals, part.table(), strategy.size)
                 )
             self.table = reflectance_map.table(total, self.largest.nodes, self.size)
 
-    @property
-    def size(self):
-        return self.largest.strategy.size
-
-    def parts(self):
+    def parts(self) -> list[Sum]:
+        """The sum of each strategy."""
         return [*self.at_pixels, *([self.largest] if self.largest else []), *self.smaller]
 
-    def at_sample(self, pick):
-        """(S, 3) at pixels pick (S,)."""
+    def at_sample(self, pick: np.ndarray) -> np.ndarray:
+        """Radiance (S, 3) at pixels pick (S,)."""
         results = [part.values[pick] for part in self.at_pixels]
-        return sum(
-            results
-            + (
-                [reflectance_map.read(self.scene.n[pick], self.table, self.size)]
-                if self.largest
-                else []
-            )
-        )
+        if self.largest:
+            results.append(reflectance_map.read(self.scene.n[pick], self.table, self.size))
+        return functools.reduce(np.add, results)
 
-    def radiance(self):
-        """(P, 3)."""
+    def radiance(self) -> np.ndarray:
+        """Radiance (P, 3)."""
         result = [reflectance_map.read(self.scene.n, self.table, self.size)] if self.largest else []
         result += [part.values for part in self.at_pixels]
         return functools.reduce(np.add, result) if result else 0 * self.scene.n
 
-    def backward(self, g, with_n):
+    def backward(
+        self, g: np.ndarray, with_n: bool
+    ) -> tuple[np.ndarray | None, np.ndarray, np.ndarray]:
         """Derivatives of Σ g·radiance by n (None unless with_n), m and light."""
-        by_n, by_m, by_light = None, np.zeros((3, 3, 2, 6)), np.zeros_like(self.scene.light.E)
-        given = [(part, g, with_n) for part in self.at_pixels]
+        by_n: np.ndarray | None = None
+        by_m, by_light = np.zeros((3, 3, 2, 6)), np.zeros_like(self.scene.light.E)
+        gradients = [(part, g, with_n) for part in self.at_pixels]
         if self.largest:
             by_n, by_values = reflectance_map.read_backward(
                 self.scene.n, self.table, self.size, g, self.largest.nodes
             )
-            given.append((self.largest, by_values, False))
+            gradients.append((self.largest, by_values, False))
             for part in self.smaller:
                 below = by_values
                 if part.strategy.size != self.size:
@@ -159,8 +166,8 @@ class Sums:
                         by_values,
                         part.nodes,
                     )
-                given.append((part, below, False))
-        for part, by_values, requested in given:
+                gradients.append((part, below, False))
+        for part, by_values, requested in gradients:
             by_part_n, by_part_m, by_E = part.listing.backward(by_values, requested)
             by_n = by_n if by_part_n is None else by_part_n if by_n is None else by_n + by_part_n
             by_m += by_part_m
@@ -168,15 +175,18 @@ class Sums:
         return by_n, by_m, np.ascontiguousarray(by_light.transpose(1, 2, 0))
 
 
-class Planned(Step):
-    """n (P, 3), m (3, 3, 2, 6), light → radiance (P, 3); plan(n, m, light, gradients), of arrays,
-    gives `Sums`.
+# (n, m, light, gradients) → `Sums`, all arrays; gradients: which derivatives are requested, by n, m
+# and light
+Plan = Callable[[np.ndarray, np.ndarray, np.ndarray, Sequence[bool]], Sums]
 
-    gradients  which derivatives are wanted: by n, m and light
-    """
+
+class Planned(Step):
+    """A planned sum for autograd: n (P, 3), m (3, 3, 2, 6), light, `Plan` → radiance (P, 3)."""
 
     @staticmethod
-    def forward(ctx, n, m, light, plan):
+    def forward(
+        ctx: Context, n: torch.Tensor, m: torch.Tensor, light: torch.Tensor, plan: Plan
+    ) -> torch.Tensor:
         ctx.refusal = refusal("auto")
         ctx.save_for_backward(n, m, light)
         ctx.sums = plan(
@@ -189,7 +199,7 @@ class Planned(Step):
 
     @staticmethod
     @last
-    def backward(ctx, g):
+    def backward(ctx: Context, g: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         by_n, by_m, by_light = ctx.sums.backward(
             np.ascontiguousarray(g.numpy()), ctx.needs_input_grad[0]
         )
@@ -203,5 +213,5 @@ class Planned(Step):
         )
 
 
-def radiance(n, m, light, plan):
+def radiance(n: torch.Tensor, m: torch.Tensor, light: torch.Tensor, plan: Plan) -> torch.Tensor:
     return Planned.apply(n, m, light, plan)

@@ -1,29 +1,29 @@
-"""Half-vector quadrature: the converged integral over the piecewise-constant map, right for lobes
-narrower than a texel.
+"""Half-vector quadrature: the integral over the piecewise-constant map, for lobes of any width.
 
-The paper's sum evaluates a lobe once a texel, and is wrong by a factor where the lobe is narrower.
-Here each lobe goes its own way, by its exponent: broad ones through the exact sum over texels,
-narrow ones through samples about the pixel's normal in half-vector space,
+The paper's sum evaluates a lobe once per texel, and is wrong by a factor where the lobe is
+narrower. Here the sharpness of each lobe decides its strategy: broad ones take the exact sum over
+texels, narrow ones take samples about the pixel's normal in half-vector space,
 
     h_i = cos θ_i n + sin θ_i (cos φ_i t₁ + sin φ_i t₂),   w_i = 2 (v·h) h − v,   dω_i = 4 (v·h)
     dω_h
 
 on a spiral φ_i = i · golden angle whose radii θ_i follow the lobes' roots (equal shares of √f's
 energy: a lobe's tail then has samples too, and midpoints are right to second order), so that no
-lobe is too narrow. L is the mean over a tap's footprint, the square of its solid angle: the sum
-then does not jump where a tap crosses a texel's border, and the error falls as 1/N instead of N^−¾.
+lobe is too narrow. L is the mean over a sample's footprint, the square of its solid angle: the sum
+then does not jump where a sample crosses a texel's border, and the error falls as 1/N instead of
+N^−¾.
 
 Lobes down to half a texel's width take texels split into 2 × 2 of the same radiance: a measured
 lobe of that width is often broad at another θ_d, where samples are too far apart to see a lamp of
 one texel. Narrower ones may take texels split into 4 × 4, which have a fast backward pass. Maps of
-few texels are no sum for any lobe, because the horizon cuts through texels: there all lobes take
-split texels or taps.
+few texels are too coarse for any lobe, because the horizon cuts through texels: there all lobes
+take split texels or samples.
 
-Taps are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is
+Sample directions are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is
 differentiated with w_i and dω_i held, which estimates the true derivative ∫ ∂(f μ) L dω; moving the
 samples with n instead would lose the jumps of L between texels.
 
-N samples, p pixel, i tap, k channel, s lobe; shapes (p, i, k, s).
+N samples, p pixel, i sample, k channel, s lobe; shapes (p, i, k, s).
 """
 
 import functools
@@ -36,9 +36,10 @@ from torch.utils.checkpoint import checkpoint
 
 from learn.engines import lights, machine_code, threads
 from learn.engines.derivatives import require_reverse_mode
+from learn.engines.layout import FOOTPRINT_ROWS, LANES, SAMPLE_TILE
 from learn.methods import HELD_SAMPLES, Batch, Card, by_group, first_only, load, wants_gradient
 from learn.methods.exact import PAIRS
-from shaders.dsbrdf import MAX_EXPONENT
+from shaders.dsbrdf import MAX_EXPONENT, differentiable_half_angles
 from shaders.spline import basis
 
 CARD = Card(
@@ -63,7 +64,7 @@ SPLITS = (1, 2, 4)  # parts of a texel's side; beyond, samples
 # take longer there
 ALWAYS_SPLIT = 2
 # times as many samples for lobes of each split's band, which hold more texels
-WIDER = {4: 2, math.inf: 1}
+WIDER = {4: 2, None: 1}
 # tolerance from which samples serve the band of the finest split too; below, they would need more
 # time than split texels
 LOOSE = 5e-3
@@ -77,27 +78,28 @@ RADII = np.concatenate([[0.0], np.geomspace(1e-5, np.pi / 2, 1024)])
 THETA_D = np.linspace(0, np.pi / 2, 13)
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     exponent, rows = (
-        exponents(batch.m.detach()),
+        sharpness_bound(batch.m.detach()),
         min(batch.light.shape[1], batch.light.shape[2] / 2),
     )
     if not wants_gradient(batch.m):
-        # what reflects nothing is passed by
+        # lobes that reflect nothing are skipped
         exponent = torch.where(batch.m[..., 0, :].amax(-1) > 0, exponent, -1.0)
     out = 0 * batch.n
     low, samples = -1.0, sample_count_for(tolerance)
-    # The engine's samples have no backward pass: where derivatives are wanted, split texels are
+    # The engine's samples have no backward pass: where derivatives are requested, split texels are
     # faster as far as they reach.
     by_texels = tolerance < LOOSE or wants_gradient(batch.n, batch.view, batch.m, batch.light)
-    for split in (*SPLITS, math.inf):
-        high = BROAD * (split * rows / 64) ** 2 if split * rows >= least_rows(tolerance) else low
+    for split in (*SPLITS, None):  # None: samples
+        high = math.inf if split is None else broadest(split * rows, tolerance, low)
         lobes = (exponent > low) & (exponent <= high)
         low = high
         if not lobes.any():
             continue
         band = replace(batch, m=keep(batch.m, lobes))
-        if split <= ALWAYS_SPLIT or (by_texels and split < math.inf):
+        if split is not None and (split <= ALWAYS_SPLIT or by_texels):
             light = (
                 batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
                 if split > 1
@@ -118,43 +120,50 @@ def radiance(batch: Batch, tolerance):
     return out
 
 
-def least_rows(tolerance):
-    """Rows of a map (half its columns, if fewer) from which its sum is near enough to the integral
-    for a lobe of any width.
+def broadest(rows: float, tolerance: float, otherwise: float) -> float:
+    """Largest sharpness for which a sum over so many rows serves; `otherwise` if for none."""
+    return BROAD * (rows / 64) ** 2 if rows >= least_rows(tolerance) else otherwise
 
-    The cosine has an edge at the horizon, and however broad the lobe, the sum is wrong there by 0.5
-    / rows² of the mean under random maps of 3 to 16 rows. Beyond tolerance 1e-3 nothing is
-    promised.
+
+def least_rows(tolerance: float) -> float:
+    """Rows of a map (half its columns, if fewer) from which its sum serves broad lobes.
+
+    The cosine has an edge at the horizon: however broad the lobe, the sum is wrong there by 0.5 /
+    rows² of the mean under random maps of 3 to 16 rows. Below tolerance 1e-3 nothing is claimed.
     """
     return math.sqrt(0.55 / max(tolerance, 1e-3))
 
 
-def sample_count_for(tolerance):
-    """The error falls about as 1 / samples (2.5 is half of what the worst of the trials needed); a
-    power of two in [LEAST, MOST].
+def sample_count_for(tolerance: float) -> int:
+    """Number of samples for a tolerance, a power of two in [LEAST, MOST].
+
+    The error falls about as 1 / samples; 2.5 is half of the worst trial's need.
     """
     return int(np.clip(2 ** math.ceil(math.log2(2.5 / tolerance)), LEAST, MOST))
 
 
-def exponents(m):
-    """How narrow each lobe is at its narrowest (G, 3, 3): γ, times κ where the lobe is high, for
-    e^(κ c^γ) falls as c^(κ γ).
+def sharpness_bound(m: torch.Tensor) -> torch.Tensor:
+    """A bound on the sharpness of each lobe and channel (G, 3, 3) at any θ_d: max γ · max(κ, 1).
+
+    The largest γ and the largest κ may belong to different angles, so this is up to 7.5 times
+    `lobe_sharpness` along the curve of a measured material. It is never below 0.63 of it, since κ /
+    (1 − e^−κ) ≤ 1.58 max(κ, 1). BROAD is calibrated for this bound (docs/engines.md).
     """
     kappa, gamma = m[..., 0, :].amax(-1), m[..., 1, :].amax(-1)
     return gamma * kappa.clamp(min=1)
 
 
-def keep(m, lobes):
-    """m with no reflection (κ = 0) in all lobes but those marked (G, 3, 3); the others' γ is set
-    high, so that engines pass them by.
+def keep(m: torch.Tensor, lobes: torch.Tensor) -> torch.Tensor:
+    """m with no reflection (κ = 0) in all lobes but those marked (G, 3, 3).
+
+    The others' γ is set high, so that engines skip them.
     """
     nothing = torch.tensor([0.0, 1e5], dtype=m.dtype, device=m.device)[:, None]
     return torch.where(lobes[..., None, None], m, nothing)
 
 
-def sample_radii(m, samples):
-    """Radii of the samples about the normal, and the solid angle of half vectors that each stands
-    for.
+def sample_radii(m: torch.Tensor, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Radii of the samples about the normal, and the solid angle of half vectors of each.
 
     m        (3, 3, 2, 6) with κ = 0 in lobes that do not count
     Returns  θ (N,) radians; dω_h (N,) sr, sums to 2π
@@ -177,9 +186,10 @@ def sample_radii(m, samples):
     return edges[1::2], 2 * np.pi * np.diff(-np.cos(edges[::2]))
 
 
-def spiral(m, samples):
-    """Half vectors (N, 3) about the z axis that follow the lobes of m (3, 3, 2, 6), and the solid
-    angle (N,) that each stands for.
+def spiral(m: torch.Tensor, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Half vectors (N, 3) about the z axis that follow m's lobes, and their solid angles (N,).
+
+    m  (3, 3, 2, 6)
     """
     theta, solid_angle = sample_radii(m, samples)
     phi = GOLDEN_ANGLE * np.arange(samples)
@@ -189,7 +199,14 @@ def spiral(m, samples):
     )
 
 
-def over_samples(n, view, m, light, camera_from_light, samples):
+def over_samples(
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    camera_from_light: torch.Tensor,
+    samples: int,
+) -> torch.Tensor:
     """Radiance (p, 3) of one group."""
     used = (m.detach()[..., 0, :] > 0).any(-1).any(0)
     if not used.any():
@@ -203,8 +220,9 @@ def over_samples(n, view, m, light, camera_from_light, samples):
     if plain and machine_code.is_available() and m.detach().max() <= LARGEST_IN_KERNEL:
         return by_kernel(n, view, m, light, camera_from_light, around, solid_angle)
     m = m[:, used]
-    around, solid_angle = (
-        torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in (around, solid_angle)
+    constants = (
+        *(torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in (around, solid_angle)),
+        camera_from_light,
     )
     step = max(1, PAIRS // samples)
     views = (
@@ -213,7 +231,6 @@ def over_samples(n, view, m, light, camera_from_light, samples):
         else [n.new_tensor([[0.0, 0.0, 1.0]])] * math.ceil(len(n) / step)
     )
     parts = zip(n.split(step), views, strict=True)
-    constants = around, solid_angle, camera_from_light
     return torch.cat(
         [
             checkpoint(
@@ -224,8 +241,16 @@ def over_samples(n, view, m, light, camera_from_light, samples):
     )
 
 
-def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
-    """The same without derivatives, by the CPU engine (learn.engines.taps)."""
+def by_kernel(
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    camera_from_light: torch.Tensor,
+    around: np.ndarray,
+    solid_angle: np.ndarray,
+) -> torch.Tensor:
+    """As `over_samples`, without derivatives, by learn.engines.sample_directions."""
     require_reverse_mode(n, view, m, light)
     arrays = [
         np.ascontiguousarray(x.detach().numpy(), np.float32)
@@ -241,29 +266,41 @@ def by_kernel(n, view, m, light, camera_from_light, around, solid_angle):
         .float()
         .numpy()
     )
-    light = np.ascontiguousarray(light.detach().numpy(), np.float32)
+    texels = np.ascontiguousarray(light.detach().numpy(), np.float32)
     rotation = camera_from_light.numpy().astype(np.float32).reshape(9)
-    arrays += [lights.blocked(rows), values, np.ascontiguousarray(least), rotation, light]
+    arrays += [lights.blocked(rows), values, np.ascontiguousarray(least), rotation, texels]
     out = np.empty((len(n), 3), np.float32)
-    sizes = len(n), len(around) // lights.LANES, *light.shape[:2]
+    sizes = len(n), len(around) // LANES, *light.shape[:2]
 
     def run(first, last):
         machine_code.call(
-            "taps.forward", first, last, *sizes, *arrays, np.empty(112, np.float32), out
+            "sample_directions.forward",
+            first,
+            last,
+            *sizes,
+            *arrays,
+            np.empty(LANES * FOOTPRINT_ROWS, np.float32),
+            out,
         )
 
     workers = torch.get_num_threads()
-    threads.run(run, threads.split(-(-len(n) // 16), 8 * workers), workers)
+    threads.run(run, threads.split(-(-len(n) // SAMPLE_TILE), 8 * workers), workers)
     return torch.from_numpy(out)
 
 
-def place(n, view, around, solid_angle, camera_from_light, size):
-    """The samples of each pixel: w (p, N, 3) directions, weight (p, N) = dω_i in sr, texel (p, N)
-    flat index into the light.
+def place(
+    n: torch.Tensor,
+    view: torch.Tensor,
+    around: torch.Tensor,
+    solid_angle: torch.Tensor,
+    camera_from_light: torch.Tensor,
+    size: tuple[int, int],
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """The samples of each pixel: directions w (p, N, 3), weights dω_i (p, N) in sr, texels (p, N).
 
     n (p, 3), view (p | 1, 3), around (N, 3) samples about the z axis, solid_angle (N,) of half
-    vectors, size (Hl, Wl).
-    Below the horizon the weight is 0 and w is n: any direction that keeps c and θ_d harmless.
+    vectors, size (Hl, Wl); texels are flat indices into the light. Below the horizon the weight is
+    0 and w is n, a direction where c and θ_d are finite.
     """
     h = torch.einsum("pab,ib->pia", frame_about(n), around)
     cos_d = (h * view[:, None]).sum(-1)
@@ -277,34 +314,43 @@ def place(n, view, around, solid_angle, camera_from_light, size):
     )
 
 
-def chunk(n, view, m, light, around, solid_angle, camera_from_light):
-    """Radiance (p, 3) by the samples that `place` puts."""
+def chunk(
+    n: torch.Tensor,
+    view: torch.Tensor,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    around: torch.Tensor,
+    solid_angle: torch.Tensor,
+    camera_from_light: torch.Tensor,
+) -> torch.Tensor:
+    """Radiance (p, 3) of a chunk of pixels by the samples of `place`."""
     with torch.no_grad():
-        w, weight, _ = place(n, view, around, solid_angle, camera_from_light, light.shape[:2])
+        w, weight, _ = place(
+            n, view, around, solid_angle, camera_from_light, (light.shape[0], light.shape[1])
+        )
         texel, share = footprint(w @ camera_from_light.to(w), weight, *light.shape[:2])
     seen = torch.einsum("pic,pick->pik", share, light.reshape(-1, 3)[texel])
     mu = (w * n[:, None]).sum(-1) * weight
-    h, theta_d = half_angles(w, view[:, None])
+    return torch.einsum("pik,pi,pik->pk", reflectance(n, view, w, m), mu, seen)
+
+
+def reflectance(
+    n: torch.Tensor, view: torch.Tensor, w: torch.Tensor, m: torch.Tensor
+) -> torch.Tensor:
+    """The BRDF f (p, i, k) of each pixel in its own directions w (p, i, 3); view (p | 1, 3)."""
+    h, theta_d = differentiable_half_angles(w, view[:, None])
     log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
     kappa, gamma = torch.einsum("pib,ksjb->jpiks", basis(theta_d), m)
-    f = torch.expm1(
-        (kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)
-    ).sum(-1)
-    return torch.einsum("pik,pi,pik->pk", f, mu, seen)
+    exponent = (kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)
+    return torch.expm1(exponent).sum(-1)
 
 
-def half_angles(w, v):
-    """h and θ_d as shaders.dsbrdf.half_angles, with derivatives that stay finite where w = v: a
-    corner of θ_d, slope 0 taken.
-    """
-    s, d = w + v, w - v
-    length_s, length_d = (x.square().sum(-1).clamp(min=1e-24).sqrt() for x in (s, d))
-    return s / length_s[..., None], torch.atan2(length_d, length_s)
+def footprint(
+    w: torch.Tensor, solid_angle: torch.Tensor, height: int, width: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The texels under each sample's footprint, and the part of it in each.
 
-
-def footprint(w, solid_angle, height, width):
-    """The texels under each tap's square of solid angle, at most a texel wide each way, and the
-    part of it in each.
+    The footprint is the square of the solid angle, at most a texel wide each way.
 
     w (…, 3) light frame, solid_angle (…) sr
     Returns  texel (…, 4) flat indices; share (…, 4), sums to 1
@@ -325,18 +371,17 @@ def footprint(w, solid_angle, height, width):
     return (rows * width + columns).long(), share
 
 
-def border(x, width):
-    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it;
-    texel k begins at x = k.
+def border(x: torch.Tensor, width: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it.
+
+    Texel k begins at x = k.
     """
     k = x.round()
     return k, ((x - k) / width.clamp(1e-15, 1.0) + 0.5).clamp(0, 1)
 
 
-def frame_about(n):
-    """Rotations (p, 3, 3) that take z to n; their other axes turn smoothly with n (Duff et al.
-    2017).
-    """
+def frame_about(n: torch.Tensor) -> torch.Tensor:
+    """Rotations (p, 3, 3) that take z to n and turn smoothly with n (Duff et al. 2017)."""
     x, y, z = n.unbind(-1)
     sign = torch.where(z < 0, -1.0, 1.0).to(n.dtype)
     a = -1 / (sign + z)
@@ -346,9 +391,10 @@ def frame_about(n):
     return torch.stack([t1, t2, n], -1)
 
 
-def texel_of(w, height, width):
-    """Flat index of the texel that holds each direction w (..., 3), light frame; as
-    shaders.envmap.texel, for tensors.
+def texel_of(w: torch.Tensor, height: int, width: int) -> torch.Tensor:
+    """Flat index of the texel that holds each direction w (..., 3), light frame.
+
+    As shaders.envmap.texel, for tensors.
     """
     row = (
         (torch.atan2(torch.hypot(w[..., 0], w[..., 2]), w[..., 1]) * (height / math.pi))

@@ -1,31 +1,35 @@
-"""Under a distant viewer radiance depends on the normal alone: computed at the nodes of a map over
-normals, looked up for each pixel.
+"""Radiance at the nodes of a map over normals, interpolated for each pixel of a distant viewer.
+
+Under a distant viewer radiance depends on the normal alone.
 
 n       unit normal, camera frame; p = (n_x, n_y) / √(1 + n_z), the equal-area disk: |p| ≤ 1 where
-the viewer sees the surface
+        the viewer sees the surface
 size    nodes along a side; node (i, j) stands at p = ((j − 2) h − 1, (i − 2) h − 1), h = 2 / (size
-− 5): two rows lie outside the disk,
-        where n looks away from the viewer and radiance goes on smoothly
-values  (N, 3) radiance at the nodes that some pixel needs, whose flat indices are nodes (N,);
-others are never read
+        − 5): two rows lie outside the disk, where n looks away from the viewer and radiance goes on
+        smoothly
+values  (N, 3) radiance at the nodes that some pixel needs, with flat indices nodes (N,); others
+        are never read
 
-Between nodes Catmull–Rom weights: exact for quadratics, error h³ and, near a lobe of standard
-deviation σ, small once h < σ/2. Gradients in n pass through the weights, those in m and L through
-the nodes' sum. Pictures that are given one material and one light, each one tensor expanded over
-the batch, share a map.
+Interpolation between nodes is by Catmull–Rom weights: exact for quadratics, error h³ and, near a
+lobe of standard deviation σ, small once h < σ/2. Gradients in n pass through the weights, those in
+m and L through the nodes' sum. Pictures that share one material and one light, each one tensor
+expanded over the batch, share a map.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
 
-from learn.engines import interpolation, machine_code, threads
-from learn.engines.derivatives import Step, last
+from learn.engines import machine_code, threads
+from learn.engines.derivatives import Context, Step, last
+from learn.engines.layout import MAP_CHUNKS
 from learn.methods import (
     Batch,
     Card,
     directional,
+    light_tables,
     lobe_shapes,
     merged,
     per_group,
@@ -50,7 +54,8 @@ MARGIN = 2
 TOUCH, READ, READ_BACKWARD = 7e-9, 2.3e-8, 6e-8  # seconds of a kernel for each pixel
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     if batch.view is not None:
         raise ValueError(
             'method: "reflectance_map" needs an orthographic camera (view omitted), found a view'
@@ -58,9 +63,11 @@ def radiance(batch: Batch, tolerance):
         )
     batch = merged(batch)
 
-    def one_group(g, n, view, m, light):
+    def one_group(
+        g: int, n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         size = size_for(lobe_shapes.sharpness(m).max(), tolerance)
-        lights, E = directional.of_map(light, batch.camera_from_light)
+        lights, E = light_tables.of_map(light, batch.camera_from_light)
         if directional.is_small(len(n), len(lights.w), wants_gradient(n, m, light)):
             return directional.radiance(n, None, m, E, lights, method=CARD.name)
         return with_nodes(
@@ -72,29 +79,34 @@ def radiance(batch: Batch, tolerance):
     return per_group(batch, one_group)
 
 
-def with_size(batch, size):
+def with_size(batch: Batch, size: int) -> torch.Tensor:
     """Radiance by maps of one given size."""
     batch = merged(batch)
 
-    def one_group(g, n, view, m, light):
-        lights, E = directional.of_map(light, batch.camera_from_light)
+    def one_group(
+        g: int, n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
+        lights, E = light_tables.of_map(light, batch.camera_from_light)
         return with_nodes(n, size, lambda nodes: directional.radiance(nodes, None, m, E, lights))
 
     return per_group(batch, one_group)
 
 
-def size_for(sharpness, tolerance):
-    """Nodes along a side for lobes up to an exponent: h/σ = (tolerance / 0.1)^(1/3).
+def size_for(sharpness: float, tolerance: float) -> int:
+    """Nodes along a side for lobes up to a sharpness: h/σ = (tolerance / 0.1)^(1/3).
 
-    `python -m learn.experiments calibrate-auto` found it.
+    The rule is from `python -m learn.experiments calibrate-auto`.
     """
     spacing = (tolerance / 0.1) ** (1 / 3) / math.sqrt(max(sharpness, 2.0))
     return int(np.clip(math.ceil(2 * math.sqrt(2) / spacing) + 5, SMALLEST, LARGEST))
 
 
-def with_nodes(n, size, at_nodes):
-    """Radiance looked up in a map whose nodes have radiance at_nodes(normals (N, 3)) → (N, 3);
-    differentiable through both.
+def with_nodes(
+    n: torch.Tensor, size: int, at_nodes: Callable[[torch.Tensor], torch.Tensor]
+) -> torch.Tensor:
+    """Radiance read from a map, differentiable in n and in the nodes' radiance.
+
+    at_nodes  normals (N, 3) of the nodes → radiance (N, 3)
     """
     needed = needed_nodes(n.detach(), size)
     return look_up(
@@ -102,17 +114,18 @@ def with_nodes(n, size, at_nodes):
     )
 
 
-def has_kernel(n):
+def has_kernel(n: torch.Tensor) -> bool:
+    """Whether the kernels serve a tensor: float32 on the CPU, with numba installed."""
     return n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available()
 
 
-def places(n, size):
+def places(n: torch.Tensor, size: int) -> torch.Tensor:
     """Row and column (P, 2) of each normal, in nodes."""
     p = n[:, :2] * torch.rsqrt(1.0 + n[:, 2:])
     return ((p + 1.0) * (0.5 * (size - 1 - 2 * MARGIN)) + MARGIN).flip(-1)
 
 
-def needed_nodes(n, size):
+def needed_nodes(n: torch.Tensor, size: int) -> torch.Tensor:
     """Flat indices (N,) of the nodes that have a weight for some pixel, in the order of the map."""
     if has_kernel(n):
         return torch.from_numpy(nodes_for(np.ascontiguousarray(n.numpy()), size))
@@ -122,8 +135,8 @@ def needed_nodes(n, size):
     return torch.from_numpy(weighted(touched)).to(n.device)
 
 
-def nodes_for(n, size):
-    """The same by learn.engines.interpolation, in numpy."""
+def nodes_for(n: np.ndarray, size: int) -> np.ndarray:
+    """As `needed_nodes`, by learn.engines.interpolation, in numpy."""
     touched = np.zeros((size, size), np.float32)
     sliced(
         len(n),
@@ -133,9 +146,10 @@ def nodes_for(n, size):
     return weighted(touched > 0)
 
 
-def weighted(touched):
-    """Flat indices (N,) of the nodes that have a weight, where touched (size, size) marks the node
-    before some pixel's place.
+def weighted(touched: np.ndarray) -> np.ndarray:
+    """Flat indices (N,) of the nodes that have a weight for some pixel.
+
+    touched  (size, size): marks the node before each pixel's place
     """
     for _ in range(2):  # along columns, then along rows: one before that node, two after
         near = touched.copy()
@@ -146,9 +160,10 @@ def weighted(touched):
     return np.flatnonzero(touched)
 
 
-def normals(nodes, size):
-    """Unit normals (N, 3) of flat node indices, float64 numpy; outside the disk |p| < √2 they look
-    away from the viewer.
+def normals(nodes: np.ndarray, size: int) -> np.ndarray:
+    """Unit normals (N, 3) of flat node indices, float64 numpy.
+
+    Outside the disk |p| ≤ 1 they look away from the viewer.
     """
     line = (np.arange(size) - MARGIN) * (2.0 / (size - 1 - 2 * MARGIN)) - 1.0
     row, column = np.divmod(nodes, size)
@@ -159,9 +174,10 @@ def normals(nodes, size):
     return result
 
 
-def look_up(n, values, nodes, size):
-    """(P, 3) at normals n (P, 3) in the map that has values (N, 3) at flat indices nodes (N,),
-    which hold all that n needs.
+def look_up(n: torch.Tensor, values: torch.Tensor, nodes: torch.Tensor, size: int) -> torch.Tensor:
+    """Values (P, 3) at normals n (P, 3) in a map with values (N, 3) at flat indices nodes (N,).
+
+    nodes  all that n needs
     """
     if has_kernel(n):
         return LookUp.apply(n, values, nodes, size)
@@ -184,23 +200,24 @@ def look_up(n, values, nodes, size):
     return torch.einsum("pi,pj,pijk->pk", weights[:, 0], weights[:, 1], table[index])
 
 
-def sliced(pixels, seconds, kernel):
-    """kernel(first, last) over all pixels of so many seconds each, on as many threads as torch may
-    use.
+def sliced(pixels: int, seconds: float, kernel: Callable[[int, int], None]) -> None:
+    """Run kernel(first, last) over all pixels, on as many threads as torch may use.
+
+    seconds  per pixel
     """
     workers = threads.worth(torch.get_num_threads(), pixels * seconds)
     threads.run(kernel, threads.split(pixels, workers), workers)
 
 
-def table(values, nodes, size):
-    """(size², 4) float32 for the kernels, from values (N, 3) at nodes (N,)."""
+def table(values: np.ndarray, nodes: np.ndarray, size: int) -> np.ndarray:
+    """The kernels' table (size², 4) float32, from values (N, 3) at nodes (N,)."""
     result = np.zeros((size * size, 4), np.float32)
     result[nodes, :3] = values
     return result
 
 
-def read(n, table, size):
-    """(P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
+def read(n: np.ndarray, table: np.ndarray, size: int) -> np.ndarray:
+    """Values (P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
     out = np.empty((len(n), 3), np.float32)
     sliced(
         len(n),
@@ -212,10 +229,12 @@ def read(n, table, size):
     return out
 
 
-def read_backward(n, table, size, g, nodes):
+def read_backward(
+    n: np.ndarray, table: np.ndarray, size: int, g: np.ndarray, nodes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of Σ g·out: by n (P, 3), and by the values at nodes (N, 3)."""
     by_n = np.empty((len(n), 3), np.float32)
-    by_table = np.zeros((interpolation.CHUNKS, *table.shape), np.float32)
+    by_table = np.zeros((MAP_CHUNKS, *table.shape), np.float32)
 
     def kernel(first, last):
         machine_code.call(
@@ -223,26 +242,29 @@ def read_backward(n, table, size, g, nodes):
         )
 
     workers = threads.worth(torch.get_num_threads(), len(n) * READ_BACKWARD)
-    threads.run(kernel, threads.split(interpolation.CHUNKS, workers), workers)
+    threads.run(kernel, threads.split(MAP_CHUNKS, workers), workers)
     for chunk in by_table[1:]:
         by_table[0] += chunk
     return by_n, np.ascontiguousarray(by_table[0].take(nodes, 0)[:, :3])
 
 
 class LookUp(Step):
-    """n (P, 3), values (N, 3) at nodes (N,), size → (P, 3) by learn.engines.interpolation."""
+    """`look_up` by learn.engines.interpolation."""
 
     @staticmethod
-    def forward(ctx, n, values, nodes, size):
+    def forward(
+        ctx: Context, n: torch.Tensor, values: torch.Tensor, nodes: torch.Tensor, size: int
+    ) -> torch.Tensor:
         ctx.refusal = refusal(CARD.name)
         ctx.save_for_backward(n, values)
-        n, nodes = n.contiguous().numpy(), nodes.numpy()
-        ctx.kept = n, table(values.numpy(), nodes, size), size, nodes
-        return torch.from_numpy(read(*ctx.kept[:3]))
+        normals, places = n.contiguous().numpy(), nodes.numpy()
+        nodes_table = table(values.numpy(), places, size)
+        ctx.for_backward = normals, nodes_table, size, places
+        return torch.from_numpy(read(normals, nodes_table, size))
 
     @staticmethod
     @last
-    def backward(ctx, g):
-        n, values, size, nodes = ctx.kept
+    def backward(ctx: Context, g: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        n, values, size, nodes = ctx.for_backward
         by_n, by_values = read_backward(n, values, size, np.ascontiguousarray(g.numpy()), nodes)
         return torch.from_numpy(by_n), torch.from_numpy(by_values), None, None

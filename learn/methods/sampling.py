@@ -1,13 +1,14 @@
-"""Monte Carlo estimates of the integral over the piecewise-constant map: light sampling, BRDF
-sampling, or both (balance heuristic).
+"""Monte Carlo estimates of the integral by light sampling, BRDF sampling or both.
 
-N samples a pixel, p pixel, i sample. A light sample is a texel drawn by its energy and a point
+Both are combined by the balance heuristic.
+
+N samples per pixel, p pixel, i sample. A light sample is a texel drawn by its energy and a point
 within it; a BRDF sample is a half vector drawn about the normal by a mixture of the three lobes'
 cosine powers and a broad one, reflected.
 
     I ≈ Σ_i f(w_i) μ(w_i) L(w_i) / (N_light p_light(w_i) + N_brdf p_brdf(w_i))
 
-Samples are held in the backward pass. They are the same every time: a fixed stratified pattern
+Samples are constant in the backward pass. They are the same every time: a fixed stratified pattern
 shifted by a hash of the pixel's number.
 """
 
@@ -17,24 +18,26 @@ import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from learn.methods import by_group, lobe_shapes
-from learn.methods.quadrature import frame_about, half_angles, texel_of
-from shaders.dsbrdf import MAX_EXPONENT
-from shaders.envmap import LUMINANCE, directions
-from shaders.spline import basis
+from learn.methods import Batch, by_group, lobe_shapes
+from learn.methods.quadrature import frame_about, reflectance, texel_of
+from shaders.dsbrdf import differentiable_half_angles
+from shaders.envmap import directions
+from shaders.tone import LUMINANCE
 
 PAIRS = 32768  # samples of one chunk of pixels
 
 
-def count(tolerance):
-    """Samples a pixel by tolerance, as far as patience reaches."""
+def count(tolerance: float) -> int:
+    """Samples per pixel for a tolerance, between 16 and 1024."""
     return int(np.clip(2 ** round(math.log2(4.0 / tolerance)), 16, 1024))
 
 
-def sampled(batch, by_light, by_brdf):
-    """Radiance (P, 3) with `by_light` + `by_brdf` samples a pixel."""
+def sampled(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
+    """Radiance (P, 3) with `by_light` + `by_brdf` samples per pixel."""
 
-    def one_group(n, view, m, light):
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         lobes = Lobes(m)
         table = Texels(light, batch.camera_from_light)
         step = max(1, PAIRS // (by_light + by_brdf))
@@ -43,8 +46,7 @@ def sampled(batch, by_light, by_brdf):
             if view is None
             else view.split(step)
         )
-        starts = range(0, len(n), step)
-        parts = zip(n.split(step), views, starts, strict=True)
+        parts = zip(n.split(step), views, range(0, len(n), step), strict=True)
         return torch.cat(
             [
                 checkpoint(
@@ -58,11 +60,12 @@ def sampled(batch, by_light, by_brdf):
 
 
 class Lobes:
-    """Cosine powers (4,) of h about n, and their shares (4,): the three lobes' sharpness by
-    strength, and 1 for what they miss.
+    """Cosine powers (4,) of h about n, and their shares (4,).
+
+    They are the three lobes' sharpness, by strength, and a broad power of 1.
     """
 
-    def __init__(self, m):
+    def __init__(self, m: torch.Tensor):
         strength = lobe_shapes.strength(m)
         self.power = np.append(np.clip(lobe_shapes.sharpness(m), 0.0, 1e6), 1.0)
         self.share = (
@@ -71,8 +74,8 @@ class Lobes:
             else np.array([0.0, 0.0, 0.0, 1.0])
         )
 
-    def draw(self, u):
-        """cos θ_h and sin θ_h of u (…,) in [0, 1), numpy; which lobe is part of u."""
+    def draw(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """cos θ_h and sin θ_h for u (…,) in [0, 1), numpy; u also chooses the lobe."""
         edges = np.cumsum(self.share) / self.share.sum()
         lobe = np.minimum(np.searchsorted(edges, u, side="right"), 3)
         within = (u - np.where(lobe > 0, edges[lobe - 1], 0.0)) / np.maximum(
@@ -81,7 +84,7 @@ class Lobes:
         log_cosine = np.log1p(-np.clip(within, 0.0, 1 - 1e-9)) / (self.power[lobe] + 1)
         return np.exp(log_cosine), np.sqrt(-np.expm1(2 * log_cosine))
 
-    def density(self, cosine):
+    def density(self, cosine: torch.Tensor) -> torch.Tensor:
         """Density of h (per sr) at its cosine with n, torch."""
         log_c = torch.log(cosine.clamp(min=1e-12))[..., None]
         power = torch.as_tensor(self.power, dtype=cosine.dtype, device=cosine.device)
@@ -90,11 +93,9 @@ class Lobes:
 
 
 class Texels:
-    """The map as a distribution: cumulative energy over texels, density per sr of each, and where a
-    texel's corners are.
-    """
+    """The map as a distribution: cumulative energy over texels, and density per sr of each."""
 
-    def __init__(self, light, camera_from_light):
+    def __init__(self, light: torch.Tensor, camera_from_light: torch.Tensor):
         self.height, self.width = light.shape[:2]
         energy = (light.detach().double().cpu().numpy() @ LUMINANCE) * (
             solid_angle := directions(*light.shape[:2])[1]
@@ -108,9 +109,10 @@ class Texels:
         )
         self.camera_from_light = camera_from_light.double().cpu().numpy()
 
-    def draw(self, u, a, b):
-        """Directions (…, 3), camera frame: the texel by u, the place within by a (across) and b
-        (down, by solid angle); numpy.
+    def draw(self, u: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Directions (…, 3), camera frame, numpy.
+
+        u chooses the texel, a and b the place in it (across, and down by solid angle)
         """
         texel = np.minimum(
             np.searchsorted(self.cumulative, u, side="right"), len(self.cumulative) - 1
@@ -125,10 +127,8 @@ class Texels:
         )
 
 
-def pattern(first, pixels, samples):
-    """Numbers (pixels, samples, 3) in [0, 1): a Kronecker sequence, turned by a hash of the pixel's
-    number.
-    """
+def pattern(first: int, pixels: int, samples: int) -> np.ndarray:
+    """Numbers (pixels, samples, 3) in [0, 1): a Kronecker sequence shifted by a hash per pixel."""
     # powers of the root of x⁴ = x + 1 (Roberts 2018)
     steps = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
     i = np.arange(samples)[None, :, None]
@@ -144,7 +144,17 @@ def pattern(first, pixels, samples):
     return (turn[:, None] + i * steps) % 1.0
 
 
-def chunk(n, view, m, light, lobes, table, by_light, by_brdf, first):
+def chunk(
+    n: torch.Tensor,
+    view: torch.Tensor,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    lobes: Lobes,
+    table: Texels,
+    by_light: int,
+    by_brdf: int,
+    first: int,
+) -> torch.Tensor:
     """Radiance (p, 3) of the pixels numbered from `first`."""
     with torch.no_grad():
         w = torch.cat(
@@ -158,7 +168,7 @@ def chunk(n, view, m, light, lobes, table, by_light, by_brdf, first):
             ],
             1,
         )
-        h, _ = half_angles(w, view[:, None])
+        h, _ = differentiable_half_angles(w, view[:, None])
         cos_d, cos_h = (h * view[:, None]).sum(-1), (h * n[:, None]).sum(-1)
         seen = ((w * n[:, None]).sum(-1) > 0) & (cos_d > 1e-6) & (cos_h > 0)
         texel = texel_of(
@@ -172,16 +182,12 @@ def chunk(n, view, m, light, lobes, table, by_light, by_brdf, first):
         weight = torch.where(seen & (density > 0), 1 / density.clamp(min=1e-30), 0.0)
         w = torch.where(seen[..., None], w, n[:, None])
     mu = (w * n[:, None]).sum(-1) * weight
-    h, theta_d = half_angles(w, view[:, None])
-    log_c = torch.log1p(-(0.5 * ((h - n[:, None]) ** 2).sum(-1)).clamp(max=0.999999))
-    kappa, gamma = torch.einsum("pib,ksjb->jpiks", basis(theta_d), m)
-    f = torch.expm1(
-        (kappa * torch.exp(gamma * log_c[..., None, None])).clamp(max=MAX_EXPONENT)
-    ).sum(-1)
+    f = reflectance(n, view, w, m)
     return torch.einsum("pik,pi,pik->pk", f, mu, light.reshape(-1, 3)[texel])
 
 
-def from_light(n, table, samples, first):
+def from_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> torch.Tensor | None:
+    """Directions (p, samples, 3) drawn by the light; None for no samples."""
     if samples == 0:
         return None
     u = pattern(first, len(n), samples)
@@ -190,7 +196,10 @@ def from_light(n, table, samples, first):
     )
 
 
-def from_brdf(n, view, lobes, samples, first):
+def from_brdf(
+    n: torch.Tensor, view: torch.Tensor, lobes: Lobes, samples: int, first: int
+) -> torch.Tensor | None:
+    """Directions (p, samples, 3) drawn by the lobes; None for no samples."""
     if samples == 0:
         return None
     u = pattern(first, len(n), samples)

@@ -1,10 +1,12 @@
-"""Light and lobes as spherical Gaussians G(w) = a e^{λ (μ·w − 1)}, whose products and integrals are
-closed forms.
+"""Light and lobes as spherical Gaussians G(w) = a e^{λ (μ·w − 1)}.
+
+Their products and integrals are closed forms.
+
 
 light   the regions of a median cut, each a Gaussian with its energy about its centre, as wide as
-the region
-lobe    expm1(κ c^γ) ≈ expm1(κ) e^{g (h·n − 1)}, g the sharpness (learn/methods/lobe_shapes.py);
-over w it is a Gaussian about the mirror
+        the region
+lobe    expm1(κ c^γ) ≈ expm1(κ) e^{g (h·n − 1)}, g the sharpness (shaders.dsbrdf.lobe_sharpness,
+        written out in `chunk` for κ held above 0); over w it is a Gaussian about the mirror
         direction r with λ = g / (4 n·v), at θ_d of the mirror direction
 cosine  max(0, n·w) at the product's axis
 
@@ -36,14 +38,19 @@ CARD = Card(
 LIGHTS, CHUNK, WIDEST = 64, 2048, 0.25  # WIDEST: least λ of a lobe; a constant has none
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     return with_lights(
         first_only(batch, CARD.name, HELD_LIGHTS) if batch.light.requires_grad else batch, LIGHTS
     )
 
 
-def with_lights(batch, count):
-    def one_group(n, view, m, light):
+def with_lights(batch: Batch, count: int) -> torch.Tensor:
+    """Radiance (P, 3) with a light of `count` spherical Gaussians."""
+
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         lights, E = median_cut.cut(light, batch.camera_from_light, count)
         mu = torch.as_tensor(lights.w, dtype=n.dtype, device=n.device)
         # A region of 4π / count steradian; its Gaussian has the same solid angle 2π/λ.
@@ -57,7 +64,14 @@ def with_lights(batch, count):
     return by_group(batch, one_group)
 
 
-def chunk(n, view, m, mu, E, light_sharpness):
+def chunk(
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    mu: torch.Tensor,
+    E: torch.Tensor,
+    light_sharpness: torch.Tensor,
+) -> torch.Tensor:
     """Radiance (p, 3): mu (T, 3), E (T, 3), light_sharpness (T,). Shapes (p, t, k, s)."""
     view = n.new_tensor([[0.0, 0.0, 1.0]]) if view is None else view
     cosine = (n * view).sum(-1).clamp(min=1e-3)
@@ -72,9 +86,9 @@ def chunk(n, view, m, mu, E, light_sharpness):
     )
     both = sharp[:, None] * light_sharpness[:, None, None]
     total = sharp[:, None] + light_sharpness[:, None, None]
-    apart = ((mirror[:, None] - mu) ** 2).sum(-1)[..., None, None]
-    d = (total * total - both * apart).clamp(min=1e-12).sqrt()
-    below = both * apart / (d + total)  # λ_a + λ_b − d without its cancellation
+    squared_distance = ((mirror[:, None] - mu) ** 2).sum(-1)[..., None, None]
+    d = (total * total - both * squared_distance).clamp(min=1e-12).sqrt()
+    below = both * squared_distance / (d + total)  # λ_a + λ_b − d without its cancellation
     overlap = 2 * math.pi * torch.exp(-below) * -torch.expm1(-2 * d) / d
     at_axis = ((axes * n[:, None, None, None]).sum(-1) / d).clamp(min=0)
     light = (E * (light_sharpness / (2 * math.pi * -torch.expm1(-2 * light_sharpness)))[:, None])[

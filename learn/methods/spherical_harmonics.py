@@ -1,9 +1,8 @@
-"""Irradiance by nine spherical harmonics, the oldest way to light a matte surface: right for
-Lambert, blind to everything sharper.
+"""Irradiance by nine spherical harmonics: right for a Lambertian surface, wrong for sharper lobes.
 
     I_k(n) = Σ_l A_kl Σ_m L_klm Y_lm(n),   l ≤ 2          L_klm = Σ_t L_tk Y_lm(w_t) Ω_t
     A_kl   = 2π ∫ f_k(θ) max(0, cos θ) P_l(cos θ) sin θ dθ  the lobe seen straight on (v = n, so θ_h
-    = θ_d = θ/2), as if it were round
+           = θ_d = θ/2), as if it were round
 
 A is a differentiable Gauss–Legendre sum over f, so gradients in m exist; the view's place plays no
 part.
@@ -33,8 +32,12 @@ CARD = Card(
 )
 
 
-def radiance(batch: Batch, tolerance):
-    def one_group(n, view, m, light):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
+
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
         w, E = texels(light, batch.camera_from_light)
         of_light = harmonics(w).T @ E
         return torch.einsum(
@@ -44,15 +47,13 @@ def radiance(batch: Batch, tolerance):
     return by_group(batch, one_group)
 
 
-def unused(view):
+def unused(view: torch.Tensor | None) -> torch.Tensor | int:
     """0 that keeps the view in the graph, with a zero gradient."""
     return 0 if view is None else 0 * view
 
 
-def harmonics(d):
-    """Real orthonormal spherical harmonics (…, 9) of unit vectors d (…, 3): orders 0, 1 (y z x),
-    2.
-    """
+def harmonics(d: torch.Tensor) -> torch.Tensor:
+    """Real orthonormal spherical harmonics (…, 9) of unit vectors d (…, 3), orders 0 to 2."""
     x, y, z = d.unbind(-1)
     constant = torch.full_like(x, math.sqrt(1 / (4 * math.pi)))
     a, b = math.sqrt(3 / (4 * math.pi)), math.sqrt(15 / (4 * math.pi))
@@ -66,7 +67,7 @@ def harmonics(d):
     return torch.stack([constant, a * y, a * z, a * x, *second], -1)
 
 
-def round_lobe(m, points=96):
+def round_lobe(m: torch.Tensor, points: int = 96) -> torch.Tensor:
     """A (3, 3): channel, order; m (3, 3, 2, 6)."""
     nodes, weights = np.polynomial.legendre.leggauss(points)
     # θ = (π/2) t³ crowds the points towards the peak, where sharp lobes have their energy

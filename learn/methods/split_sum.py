@@ -1,5 +1,6 @@
-"""The game engines' split: light blurred by the lobe as if seen straight on, times the surface's
-reflectance under white light.
+"""The split-sum approximation of game engines: blurred light times reflectance under white light.
+
+The light is blurred by the lobe as if seen straight on.
 
     I(n, v) ≈ P(r) A(n·v) / A(1),   r = 2 (n·v) n − v
     P(d)    radiance for n = v = d: a map of ROWS × 2 ROWS directions, looked up bilinearly
@@ -13,7 +14,8 @@ import math
 
 import torch
 
-from learn.methods import COMPILED, Batch, Card, by_group, directional, first_only
+from learn.methods import COMPILED, Batch, Card, by_group, directional, first_only, light_tables
+from learn.methods.light_tables import Lights
 from shaders.envmap import directions
 
 CARD = Card(
@@ -23,7 +25,7 @@ CARD = Card(
         " reflectance under white light"
     ),
     error=0.5,
-    cost="2048 directions × texels, then a look-up a pixel",
+    cost="2048 directions × texels, then a look-up per pixel",
     memory="below 1 MiB beyond the pixels",
 )
 ROWS, ANGLES, LEAST_COSINE = 32, 48, 1e-3
@@ -33,12 +35,15 @@ WHITE = (16, 32)
 DARKEST = 1e-9
 
 
-def radiance(batch: Batch, tolerance):
+def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Outgoing radiance (P, 3) of a batch."""
     if directional.has_kernels(batch.n):
         batch = first_only(batch, CARD.name, COMPILED)
 
-    def one_group(n, view, m, light):
-        lights, E = directional.of_map(light, batch.camera_from_light)
+    def one_group(
+        n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
+        lights, E = light_tables.of_map(light, batch.camera_from_light)
         view = n.new_tensor([[0.0, 0.0, 1.0]]) if view is None else view
         cosine = (n * view).sum(-1)
         mirror = 2 * cosine[:, None] * n - view
@@ -46,7 +51,7 @@ def radiance(batch: Batch, tolerance):
             max(size, least) for size, least in zip(light.shape[:2], WHITE, strict=True)
         )
         albedo = seen_at_angles(
-            m, *directional.of_map(light.new_ones(height, width, 3), batch.camera_from_light)
+            m, *light_tables.of_map(light.new_ones(height, width, 3), batch.camera_from_light)
         )
         d = (
             torch.as_tensor(directions(ROWS, 2 * ROWS)[0], dtype=n.dtype, device=n.device).reshape(
@@ -64,26 +69,25 @@ def radiance(batch: Batch, tolerance):
     return by_group(batch, one_group)
 
 
-def seen_at_angles(m, lights, white):
-    """A (ANGLES, 3) at n·v from LEAST_COSINE to 1 in equal steps; the view is fixed and the normal
-    turns.
-    """
+def seen_at_angles(m: torch.Tensor, lights: Lights, white: torch.Tensor) -> torch.Tensor:
+    """A (ANGLES, 3) at n·v from LEAST_COSINE to 1 in equal steps, by turning the normal."""
     x = torch.linspace(LEAST_COSINE, 1.0, ANGLES, dtype=m.dtype, device=m.device)
     n = torch.stack([(1 - x * x).clamp(min=0).sqrt(), torch.zeros_like(x), x], -1)
     return directional.radiance(n, None, m, white, lights)
 
 
-def look_up_angle(table, cosine):
-    """(P, 3) from table (ANGLES, 3) at cosines (P,)."""
+def look_up_angle(table: torch.Tensor, cosine: torch.Tensor) -> torch.Tensor:
+    """Values (P, 3) of a table (ANGLES, 3) at cosines (P,), linearly interpolated."""
     place = ((cosine - LEAST_COSINE) / (1 - LEAST_COSINE) * (ANGLES - 1)).clamp(0, ANGLES - 1)
     i = place.detach().floor().long().clamp(max=ANGLES - 2)
     t = (place - i)[:, None]
     return table[i] * (1 - t) + table[i + 1] * t
 
 
-def look_up_map(table, d):
-    """(P, 3) from table (height, width, 3) over directions d (P, 3), light frame: bilinear, closed
-    around the vertical.
+def look_up_map(table: torch.Tensor, d: torch.Tensor) -> torch.Tensor:
+    """Values (P, 3) of a table (height, width, 3) over directions d (P, 3), light frame.
+
+    Interpolation is bilinear and wraps around the vertical.
     """
     height, width = table.shape[:2]
     # straight up and down the azimuth has no slope

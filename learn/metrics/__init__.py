@@ -1,1 +1,1 @@
-"""How far pictures and intrinsics are from the truth, with confidence intervals."""
+"""How far pictures and their parts are from the truth, with confidence intervals."""

@@ -1,25 +1,29 @@
-"""95 % intervals of means over pictures whose shapes and materials were drawn, both, from many
-more: a two-way bootstrap.
+"""95 % intervals of means over pictures, by a two-way bootstrap over their shapes and materials.
 
-Pictures of one shape, or of one material, err together. So whole shapes and whole materials are
-drawn with replacement, and a picture weighs as often as its shape times as often as its material
-came up. Intervals over single pictures would be several times too narrow.
+Pictures of one shape, or of one material, err together, and both are samples of many more. So whole
+shapes and whole materials are drawn with replacement, and a picture's weight is the number of times
+that its shape came up times the number of times that its material did. Intervals over single
+pictures would be several times too narrow.
 
-P pictures; groups: arrays (P,) of integers 0 … G − 1, one array a way of grouping
+P pictures; D draws; groups: arrays (P,) of integers 0 … G − 1, one array for each kind of grouping
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
 DRAWS = 2000
 LEVELS = (2.5, 97.5)
 
+Groups = Sequence[np.ndarray]
 
-def groups_of(*names):
-    """Groups from the names of each picture's shape, material, …: sequences of length P."""
+
+def groups_of(*names: Sequence[str]) -> list[np.ndarray]:
+    """Return groups from the names of each picture's shape, material, …: sequences of length P."""
     return [np.unique(np.asarray(each, dtype=str), return_inverse=True)[1] for each in names]
 
 
-def drawn(rng, groups):
+def _one_draw(rng: np.random.Generator, groups: Groups) -> np.ndarray:
     """Weights (P,) of the pictures in one draw; all may be 0 where pictures are few."""
     weight = np.ones(len(groups[0]))
     for group in groups:
@@ -28,36 +32,39 @@ def drawn(rng, groups):
     return weight
 
 
-def draws(groups, count=DRAWS, seed=0):
-    """Weights (D, P), D ≤ count: draws that kept no picture are left out."""
+def draws(groups: Groups, count: int = DRAWS, seed: int = 0) -> np.ndarray:
+    """Return weights (D, P) of D ≤ count draws; draws without any picture are left out."""
     rng = np.random.default_rng(seed)
-    weights = np.stack([drawn(rng, groups) for _ in range(count)])
+    weights = np.stack([_one_draw(rng, groups) for _ in range(count)])
     return weights[weights.sum(1) > 0]
 
 
-def interval(values, weights):
-    """[mean, low, high] of values (P,) by weights (D, P) of `draws`."""
+def interval(values: np.ndarray, weights: np.ndarray) -> list[float]:
+    """Return [mean, low, high] of values (P,) by weights (D, P) of `draws`."""
     values = np.asarray(values, np.float64)
     means = weights @ values / weights.sum(1)
     return [float(values.mean()), *(float(x) for x in np.percentile(means, LEVELS))]
 
 
-def relative(a, b, weights):
-    """[mean b / mean a, low, high] of values (P,) by weights (D, P) of `draws`; a > 0."""
+def relative(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> list[float]:
+    """Return [mean b / mean a, low, high] of values (P,) by weights (D, P) of `draws`; a > 0."""
     a, b = (np.asarray(values, np.float64) for values in (a, b))
     result = (weights @ b) / (weights @ a)
     return [float(b.mean() / a.mean()), *(float(x) for x in np.percentile(result, LEVELS))]
 
 
-def ratio(a, b, groups, count=DRAWS, seed=0):
-    """[mean b / mean a, low, high] of values (P,), or (R, P) of R runs, which are then drawn
-    too.
+def ratio(
+    a: np.ndarray, b: np.ndarray, groups: Groups, count: int = DRAWS, seed: int = 0
+) -> list[float]:
+    """Return [mean b / mean a, low, high] of values (P,), or (R, P) of R runs.
+
+    Runs, where there are several, are drawn with replacement too.
     """
     rng = np.random.default_rng(seed)
     A, B = np.atleast_2d(a), np.atleast_2d(b)
     results = []
     for _ in range(count):
-        weight = drawn(rng, groups)
+        weight = _one_draw(rng, groups)
         run = rng.integers(len(A), size=len(A))
         below = (A[run].mean(0) * weight).sum()
         if below > 0:

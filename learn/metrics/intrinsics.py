@@ -1,16 +1,13 @@
-"""How far predicted normals, materials and lights stand from the true ones, each in units that mean
-something by themselves.
+"""How far predicted normals, materials and lights are from the true ones, in meaningful units.
 
 normals    angles over the mask in degrees: mean, median, and the shares below 11.25°, 22.5° and
-30°; mean cosine (the paper's Table 2)
+           30°; mean cosine (the paper's Table 2)
 material   brdf_log: root mean square of log((f' + ε)/(f + ε)) over half and difference angles,
-weighted by the light's cosine;
-           log_l2: mean squared difference of the 108 logarithms; code_l2: of the codes that
-           networks predict. Regions count alike
+           weighted by the light's cosine; log_l2: mean squared difference of the 108 logarithms;
+           code_l2: of the codes that networks predict. Regions have equal weights
 light      direction_deg: between the brightest directions, seen through a lobe of 10°; irradiance:
-relative root mean square error over 96
-           directions; spheres_l2: display L2 of three spheres, matte, glossy, sharp, as this viewer
-           sees them; both maps as they come
+           relative root mean square error over 96 directions; spheres_l2: display L2 of three
+           spheres, matte, glossy and sharp, under the true light's exposure. No map is rescaled
 """
 
 from functools import cache
@@ -19,9 +16,12 @@ import numpy as np
 import torch
 
 from learn.data.devices import array
-from learn.layer import render
+from learn.figures.spheres import sphere_normals
+from learn.layer import predictions
+from learn.metrics.pictures import display_l2
 from learn.metrics.radiometry import irradiance
-from shaders import dsbrdf, envmap, frames, tone
+from learn.networks.coding import Ranges
+from shaders import dsbrdf, envmap, tone
 
 LIMITS_DEG = (11.25, 22.5, 30.0)
 FLOOR = 1e-3  # ε in 1/sr: what lies below a thousandth of a white matte surface's f looks black
@@ -33,8 +33,8 @@ SPHERE = 32  # pixels
 SPHERES = {"matte": (1e-6, 0.8), "glossy": (30.0, 0.8), "sharp": (300.0, 0.8)}
 
 
-def normals(n, true, inside):
-    """{figure: value} of unit normals (3, H, W) tensors over inside (H, W) bool."""
+def normals(n: torch.Tensor, true: torch.Tensor, inside: torch.Tensor) -> dict[str, float]:
+    """Return {figure: value} of unit normals (3, H, W) over inside (H, W) bool."""
     cosine = (n * true).sum(0)[inside].double().clamp(-1, 1)
     degrees = array(cosine.arccos().rad2deg())
     result = {
@@ -45,8 +45,8 @@ def normals(n, true, inside):
     return result | {f"below_{limit:g}": float((degrees < limit).mean()) for limit in LIMITS_DEG}
 
 
-def material(label, true, ranges):
-    """{figure: value} of labels (S, 108) tensors; ranges: learn.networks.coding.Ranges."""
+def material(label: torch.Tensor, true: torch.Tensor, ranges: Ranges) -> dict[str, float]:
+    """Return {figure: value} of the labels (S, 108) of S regions."""
     pairs = zip(array(label.double()), array(true.double()), strict=True)
     return {
         "brdf_log": float(np.mean([brdf_log_error(a, b) for a, b in pairs])),
@@ -55,8 +55,8 @@ def material(label, true, ranges):
     }
 
 
-def brdf_log_error(label, true):
-    """brdf_log of two labels (108,) of logarithms."""
+def brdf_log_error(label: np.ndarray, true: np.ndarray) -> float:
+    """Return brdf_log of two labels (108,), natural logarithms."""
     cos_h, theta_d, weight = _grid()
     f, right = (dsbrdf.evaluate(np.exp(x), cos_h, theta_d) for x in (label, true))
     error = (np.log((f + FLOOR) / (right + FLOOR)) ** 2).mean(-1)
@@ -64,10 +64,10 @@ def brdf_log_error(label, true):
 
 
 @cache
-def _grid():
-    """cos θ_h and θ_d (P,) of the grid's points, and the mean over φ_d of the light's cosine where
-    light and view are above the surface.
+def _grid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """cos θ_h and θ_d (P,) of the grid's points, and their weights.
 
+    A weight is the mean over φ_d of the light's cosine where light and view are above the surface.
     θ_h = (π/2) u²: points crowd at the highlight, as MERL's do. cos_i, cos_o = cos_h cos_d ∓ sin_h
     sin_d cos φ_d.
     """
@@ -79,12 +79,12 @@ def _grid():
     across = (np.sin(theta_h) * np.sin(theta_d))[:, None] * np.cos(turn)
     cos_i, cos_o = along - across, along + across
     weight = np.where((cos_i > 0) & (cos_o > 0), cos_i, 0.0).mean(-1)
-    kept = weight > 0
-    return np.cos(theta_h)[kept], theta_d[kept], weight[kept]
+    visible = weight > 0
+    return np.cos(theta_h)[visible], theta_d[visible], weight[visible]
 
 
-def light(L, true, elevation):
-    """{figure: value} of maps (3, 64, 128) tensors, light frame."""
+def light(L: torch.Tensor, true: torch.Tensor, elevation: float) -> dict[str, float]:
+    """Return {figure: value} of light maps (3, 64, 128), light frame."""
     a, b = irradiance(L[None]), irradiance(true[None])
     cosine = float(np.clip(brightest(L) @ brightest(true), -1, 1))
     shown = {name: _sphere_l2(L, true, name, elevation) for name in SPHERES}
@@ -96,13 +96,14 @@ def light(L, true, elevation):
     }
 
 
-def brightest(L):
-    """Unit direction (3,), light frame, from where most luminance comes through a lobe of 10°; L
-    (3, H, W).
+def brightest(L: torch.Tensor) -> np.ndarray:
+    """Return the unit direction (3,) from which most luminance comes through a lobe of 10°.
+
+    L  (3, H, W); both in the light frame
     """
     w, lobes = _lobes()
     luminance = (
-        envmap.resize(array(L.movedim(0, -1).double()), *COARSE).reshape(-1, 3) @ envmap.LUMINANCE
+        envmap.resize(array(L.movedim(0, -1).double()), *COARSE).reshape(-1, 3) @ tone.LUMINANCE
     )
     top = int((lobes @ luminance).argmax())
     centre = (lobes[top] * luminance) @ w  # between texels: where the light within the lobe lies
@@ -110,15 +111,16 @@ def brightest(L):
 
 
 @cache
-def _lobes():
+def _lobes() -> tuple[np.ndarray, np.ndarray]:
     w, solid_angle = envmap.directions(*COARSE)
     w = w.reshape(-1, 3)
     return w, np.exp(LOBE * (w @ w.T - 1)) * solid_angle.reshape(-1)
 
 
-def sphere_material(name):
-    """Label (108,) float32: one lobe of f = expm1(κ c^γ), κ such that the albedo seen from the
-    normal is as SPHERES says.
+def sphere_material(name: str) -> np.ndarray:
+    """Return the label (108,) float32 of one lobe f = expm1(κ c^γ) of SPHERES.
+
+    κ is such that the albedo, seen along the normal, is as SPHERES says.
     """
     gamma, albedo = SPHERES[name]
     theta = (np.arange(2000) + 0.5) / 2000 * np.pi / 2
@@ -136,23 +138,21 @@ def sphere_material(name):
 
 
 @cache
-def _sphere(name):
-    x, y = frames.pixel_grid(SPHERE, SPHERE)
-    z = np.sqrt(np.clip(1 - x * x - y * y, 0, 1))
-    inside = z > 0.1
-    n = np.where(inside[..., None], np.stack([x, y, z], -1), 0)
-    n /= np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-9)
-    return (
-        torch.from_numpy(n.astype(np.float32))[None],
-        inside,
-        torch.from_numpy(np.exp(sphere_material(name)))[None],
+def _sphere(name: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Normals (1, 3, H, W), where they are used (1, H, W) bool, and a label (1, 1, 108)."""
+    n = torch.from_numpy(sphere_normals(SPHERE, margin=1.0)).movedim(-1, 0)[None]
+    label = torch.from_numpy(sphere_material(name))[None, None]
+    return n, n[:, 2] > 0.1, label  # not the rim, where a pixel holds many normals
+
+
+def _sphere_l2(L: torch.Tensor, true: torch.Tensor, name: str, elevation: float) -> float:
+    n, inside, label = (tensor.to(L.device) for tensor in _sphere(name))
+    mine, right = (
+        array(
+            predictions.picture(
+                n, label, light[None], inside.long(), elevation, predictions.TEXEL_SUM
+            )[0]
+        )
+        for light in (L, true)
     )
-
-
-def _sphere_l2(L, true, name, elevation):
-    n, inside, m = _sphere(name)
-    n, m = n.to(L.device), m.to(L.device)
-    with torch.no_grad():
-        maps = (x.movedim(0, -1)[None].contiguous().float() for x in (L, true))
-        mine, right = (array(render(n, m, x, method="exact", elevation=elevation)[0]) for x in maps)
-    return float(tone.display_l2(mine, right, tone.auto_exposure(right, inside), inside))
+    return display_l2(mine, right, array(inside[0]))

@@ -2,29 +2,37 @@
 
 Weights are one .safetensors file of AlexNet's five convolutions and LPIPS' five linear layers:
 `features.K.weight`, `features.K.bias` (K = 0, 3, 6, 8, 10, as torchvision numbers them) and
-`lin0.weight` … `lin4.weight`. Its checksum is told beside the figures.
+`lin0.weight` … `lin4.weight`. Its checksum stands beside the figures in
+a report.
 """
 
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
 import torch
 from torch.nn import functional as F
 
+from learn.metrics.pictures import Perceptual
 from learn.networks import tensor_file
 from manifests.errors import InputError
 
 # of AlexNet's kernels
 SHAPES = ((64, 3, 11, 11), (192, 64, 5, 5), (384, 192, 3, 3), (256, 384, 3, 3), (256, 256, 3, 3))
-# number, stride, padding, pooled before
+# number, stride, padding, whether max pooling comes before
 LAYERS = ((0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False))
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
 
-def of_file(path):
-    """(display values, display values) (H, W, 3) in [0, 255] → float, 0 alike; or None for no file.
-    Raises InputError.
+def of_file(path: str | Path | None) -> Perceptual | None:
+    """Return LPIPS as a function of two pictures, with the weights of a file; None for no file.
+
+    The pictures are display values (H, W, 3) in [0, 255]; equal ones have a distance of 0.
+    Raises  InputError
     """
     if path is None:
         return None
-    requested = {}
+    requested: dict[str, tuple[int, ...]] = {}
     for (k, *_), shape in zip(LAYERS, SHAPES, strict=True):
         requested |= {f"features.{k}.weight": shape, f"features.{k}.bias": shape[:1]}
     requested |= {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(SHAPES)}
@@ -41,8 +49,8 @@ def of_file(path):
     return lambda shown, right: distance(tensors, shown, right)
 
 
-def distance(tensors, shown, right):
-    """LPIPS of two pictures of display values (H, W, 3)."""
+def distance(tensors: Mapping[str, torch.Tensor], shown: np.ndarray, right: np.ndarray) -> float:
+    """Return LPIPS of two pictures of display values (H, W, 3)."""
     with torch.no_grad():
         features = [stages(tensors, prepared(picture)) for picture in (shown, right)]
         total = 0.0
@@ -52,14 +60,14 @@ def distance(tensors, shown, right):
     return total
 
 
-def prepared(display):
-    """(1, 3, H, W) of display values, centred and scaled as AlexNet was trained."""
+def prepared(display: np.ndarray) -> torch.Tensor:
+    """Return display values (H, W, 3) as (1, 3, H, W), centred and scaled as for AlexNet."""
     x = torch.as_tensor(display, dtype=torch.float32).movedim(-1, 0)[None] / 127.5 - 1
     return (x - x.new_tensor(SHIFT)[:, None, None]) / x.new_tensor(SCALE)[:, None, None]
 
 
-def stages(tensors, x):
-    """Features after each of the five convolutions."""
+def stages(tensors: Mapping[str, torch.Tensor], x: torch.Tensor) -> list[torch.Tensor]:
+    """Return the features after each of the five convolutions."""
     results = []
     for number, stride, padding, pooled in LAYERS:
         x = F.max_pool2d(x, 3, 2) if pooled else x
@@ -76,6 +84,6 @@ def stages(tensors, x):
     return results
 
 
-def unit(x):
-    """Features of unit length at each place."""
+def unit(x: torch.Tensor) -> torch.Tensor:
+    """Return features scaled to unit length at each place."""
     return x / (x.norm(dim=1, keepdim=True) + 1e-10)

@@ -1,55 +1,91 @@
-"""How far a picture stands from the true one, as people see them.
+"""How far a picture is from the true one, as people see them. The one home of the paper's L2.
 
-Both are brought to display values in [0, 255]: times one exposure, that brings the 99th percentile
-of the truth's luminance over the mask to 1, clipped, and through the sRGB curve (shaders.tone). All
-figures are of display values.
+Both pictures are brought to display values in [0, 255]: times one exposure, which brings the 99th
+percentile of the truth's luminance over the mask to 1, clipped, and through the sRGB curve
+(shaders.tone). All figures are of display values.
+
+An "image L2" is `l2` of a picture by the layer against a true picture. The layer's picture is
+rendered by a policy of learn.layer.predictions: MEASURED in evaluations, VALIDATION in training and
+in the card of weights. Figures of different policies are not compared.
 
 l2          the paper's: mean over the mask's pixels of the mean over channels of the squared
-difference; l2_frame: over the full frame
+            difference; l2_frame: over the full frame
 ssim        structural similarity, windows of 7 (scikit-image), mean over the mask; ssim_frame: over
-the full frame
+            the full frame
 psnr        10 log₁₀ (255² / l2) in dB, at most 68: rounding to whole display values alone is 59
-flip        FLIP (Andersson et al. 2020; package flip-evaluator) at 67 pixels a degree, mean over
-the mask: 0 alike, 1 at most
+flip        FLIP (Andersson et al. 2020; package flip-evaluator) at 67 pixels per degree, mean over
+            the mask: 0 for equal pictures, 1 at most
 lpips       only with weights (learn.metrics.lpips)
 """
+
+from collections.abc import Callable
 
 import numpy as np
 from skimage.metrics import structural_similarity
 
 from shaders import tone
+from shaders.tone import squared_difference
 
 LEAST_L2 = 0.01  # of PSNR
 
+Perceptual = Callable[[np.ndarray, np.ndarray], float]  # of two pictures' display values
 
-def compare(picture, truth, mask, perceptual=None):
-    """{figure: value} of radiance against true radiance (H, W, 3); mask (H, W) bool, not empty.
-    ssim is None below 7 × 7 pixels.
 
-    perceptual  display values, display values → float, or None
+def compare(
+    picture: np.ndarray,
+    truth: np.ndarray,
+    mask: np.ndarray,
+    perceptual: Perceptual | None = None,
+) -> dict[str, float | None]:
+    """Return {figure: value} of a picture's radiance (H, W, 3) against the true radiance.
+
+    mask        (H, W) bool, not empty
+    perceptual  a further distance, named lpips, or None
+    ssim is None for pictures smaller than 7 × 7 pixels.
     """
-    exposure = tone.auto_exposure(truth, mask)
-    shown, right = tone.display(picture, exposure), tone.display(truth, exposure)
-    error = squared(shown, right)
-    l2, alike = float(error[mask].mean()), similarity_map(shown, right)
-    result = {
-        "l2": l2,
-        "l2_frame": float(error.mean()),
-        "ssim": None if alike is None else float(alike[mask].mean()),
-        "ssim_frame": None if alike is None else float(alike.mean()),
-        "psnr": float(10 * np.log10(255.0**2 / max(l2, LEAST_L2))),
+    shown, right = _displayed(picture, truth, mask)
+    result = _l2_and_ssim(shown, right, mask) | {
         "flip": float(flip(shown, right)[mask].mean()),
     }
     return result if perceptual is None else result | {"lpips": perceptual(shown, right)}
 
 
-def display_l2(picture, truth, mask):
-    """`l2` alone."""
-    return float(tone.display_l2(picture, truth, tone.auto_exposure(truth, mask), mask))
+def l2_and_ssim(
+    picture: np.ndarray, truth: np.ndarray, mask: np.ndarray
+) -> dict[str, float | None]:
+    """Return `compare`'s figures l2, l2_frame, ssim, ssim_frame and psnr alone."""
+    return _l2_and_ssim(*_displayed(picture, truth, mask), mask)
 
 
-def flip(shown, right):
-    """FLIP's error map (H, W) in [0, 1] of display values."""
+def display_l2(
+    picture: np.ndarray, truth: np.ndarray, mask: np.ndarray, frame: bool = False
+) -> float:
+    """Return `l2`, or with frame `l2_frame`, of radiance (H, W, 3) against the true radiance."""
+    exposure = tone.auto_exposure(truth, mask)
+    return float(tone.display_l2(picture, truth, exposure, None if frame else mask))
+
+
+def _displayed(
+    picture: np.ndarray, truth: np.ndarray, mask: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    exposure = tone.auto_exposure(truth, mask)
+    return tone.display(picture, exposure), tone.display(truth, exposure)
+
+
+def _l2_and_ssim(shown: np.ndarray, right: np.ndarray, mask: np.ndarray) -> dict[str, float | None]:
+    error, alike = squared_difference(shown, right), similarity_map(shown, right)
+    l2 = float(error[mask].mean())
+    return {
+        "l2": l2,
+        "l2_frame": float(error.mean()),
+        "ssim": None if alike is None else float(alike[mask].mean()),
+        "ssim_frame": None if alike is None else float(alike.mean()),
+        "psnr": float(10 * np.log10(255.0**2 / max(l2, LEAST_L2))),
+    }
+
+
+def flip(shown: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return FLIP's error map (H, W) in [0, 1] of display values."""
     from flip_evaluator import evaluate
 
     test, reference = (np.ascontiguousarray(x / 255.0, np.float32) for x in (shown, right))
@@ -57,32 +93,27 @@ def flip(shown, right):
     return errors[..., 0]
 
 
-def squared(a, b):
-    """Mean over channels of the squared difference, (H, W)."""
-    return ((a - b) ** 2).mean(-1)
+def squared_net_of_noise(errors: np.ndarray) -> np.ndarray:
+    """Return the squared error (…) without the noise of the pictures, from those of several seeds.
 
+    It is the mean over channels and over pairs of seeds of the product of their errors: noises of
+    two seeds are independent, so that only what both share remains. It may be negative.
 
-def shared(errors):
-    """Mean over channels and over pairs of seeds of the product of two seeds' errors (seeds, …, 3):
-    what is not noise.
+    errors  (seeds, …, 3) differences of display values, two seeds or more
     """
     total, own = errors.sum(0), (errors**2).sum(0)
     count = len(errors)
     return ((total**2 - own) / (count * (count - 1))).mean(-1)
 
 
-def similarity(a, b, mask):
-    """SSIM of display values, mean over the mask; None where the picture is smaller than the
-    window.
-    """
+def similarity(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float | None:
+    """Return the mean SSIM of display values over the mask; None below 7 × 7 pixels."""
     values = similarity_map(a, b)
     return None if values is None else float(values[mask].mean())
 
 
-def similarity_map(a, b):
-    """SSIM (H, W) of display values at each pixel, window 7; None where the picture is smaller than
-    the window.
-    """
+def similarity_map(a: np.ndarray, b: np.ndarray) -> np.ndarray | None:
+    """Return the SSIM (H, W) of display values at each pixel; None below 7 × 7 pixels."""
     if min(a.shape[:2]) < 7:
         return None
     return structural_similarity(a, b, data_range=255.0, channel_axis=-1, full=True)[1].mean(-1)

@@ -1,5 +1,6 @@
-"""What a light and a material amount to: radiance under a few broad lobes, and albedo along the
-normal. Tensors in, tensors out.
+"""Summaries of a light and of a material: radiance under broad lobes, and albedo along the normal.
+
+B lights; all arguments and results are tensors.
 """
 
 import numpy as np
@@ -10,20 +11,19 @@ from shaders.dsbrdf import SHAPE
 from shaders.spline import basis
 
 GLOSS = (1.0, 12.0, 120.0)  # exponents of cos: irradiance, and two spheres of growing gloss
-
-
 DIRECTIONS = 96
-
-
 KAPPA_CEILING = 12.0  # of κ c^γ, so that expm1 of a wild prediction stays finite
+_NODES = 48
+
+_LOBES: dict[tuple[int, int, torch.device], torch.Tensor] = {}
 
 
-_LOBES = {}
+def log_rendered(light: torch.Tensor) -> torch.Tensor:
+    """Return log(0.05 + mean of L under lobes cos^g), (B, 3, 3 · DIRECTIONS).
 
+    The lobes are normalised, and their directions spread evenly over the sphere.
 
-def log_rendered(light):
-    """(B, 3, 3 · DIRECTIONS) log(0.05 + mean of L under normalised lobes cos^g) around directions
-    spread over the sphere.
+    light  (B, 3, Hl, Wl)
     """
     H, W = light.shape[-2:]
     if (key := (H, W, light.device)) not in _LOBES:
@@ -39,12 +39,12 @@ def log_rendered(light):
     return torch.log(0.05 + light.reshape(-1, H * W) @ _LOBES[key]).reshape(len(light), 3, -1)
 
 
-_NODES = 48
+def log_albedo(label: torch.Tensor) -> torch.Tensor:
+    """Return log ∫ f cos dw (…, 3) of a surface that is seen along its normal.
 
+    Half and difference angle are then both half of the light's angle: θ_h = θ_d = θ_i/2.
 
-def log_albedo(label):
-    """(…, 3) log of ∫ f cos dw, lit and seen along the normal: then θ_h = θ_d = θ_i/2. label (…,
-    108).
+    label  (…, 108) natural logarithms
     """
     kappa_gamma = label.reshape(*label.shape[:-1], *SHAPE).exp()
     t = (np.arange(_NODES) + 0.5) / _NODES
@@ -60,7 +60,7 @@ def log_albedo(label):
     return torch.log((lobes * weight).sum(-1) + 1e-3)
 
 
-def irradiance(light):
-    """(B, 3, D) radiance leaving white matte surfaces that face D directions."""
+def irradiance(light: torch.Tensor) -> torch.Tensor:
+    """Return radiance (B, 3, DIRECTIONS) leaving white matte surfaces that face each direction."""
     values = log_rendered(light).exp() - 0.05
     return values[..., : values.shape[-1] // 3]

@@ -1,28 +1,30 @@
 """The compact network: one encoder, three heads, 5 M parameters; trainable on two processor cores.
 
-Under a distant viewer radiance depends on the normal alone. So the picture, laid out over its own
-predicted normals, is a sample of the reflectance map, and material and light are read from that map
-as much as from the picture: a deconvolution needs no shape any more.
+Under a distant viewer radiance depends on the normal alone. The picture's pixels, binned by their
+predicted normals, are therefore a sample of the reflectance map. Material and light are read from
+this map as well as from the picture, since separating them by deconvolution needs no shape.
 
 B pictures, H, W multiples of 16, S segments. Widths WIDTHS at H/2, H/4, H/8, H/16; features at H/16
 are averaged over each segment.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import torch
 from torch import nn
 from torch.nn import functional as F
 
-from learn.networks.coding import compressed, light_of, picture_code, unit_mean
-from learn.networks.prediction import Coded, Prediction, region_masks
+from learn.networks.coding import Ranges, compressed, light_of, picture_code, unit_mean
+from learn.networks.prediction import Coded, Prediction, region_masks, required
 
 WIDTHS = (32, 64, 128, 256)
 CELLS = 32  # of the reflectance map, along a side
 LIGHT_WIDTHS = (96, 64, 48, 32)  # at 4×8, 8×16, 16×32, 32×64; its 12 outputs are 64×128 texels of 3
 
 
-def convolution(before, after, stride=1):
+def convolution(before: int, after: int, stride: int = 1) -> nn.Sequential:
+    """Return a 3 × 3 convolution from `before` to `after` channels with normalisation and ReLU."""
     return nn.Sequential(
         nn.Conv2d(before, after, 3, stride, 1, bias=False),
         nn.BatchNorm2d(after),
@@ -33,26 +35,27 @@ def convolution(before, after, stride=1):
 class Residual(nn.Module):
     """Two convolutions beside the identity."""
 
-    def __init__(self, width):
+    def __init__(self, width: int):
         super().__init__()
         self.first = convolution(width, width)
         self.second = nn.Sequential(
             nn.Conv2d(width, width, 3, 1, 1, bias=False), nn.BatchNorm2d(width)
         )
 
-    def forward(self, x):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return features of the same shape (B, width, h, w)."""
         return F.relu(x + self.second(self.first(x)))
 
 
 class Compact(Coded):
     """Normals, material and light of masked pictures; see Prediction.
 
-    ranges  learn.networks.coding.Ranges of the training materials; kept with the weights
+    ranges  of the training materials' labels; they are stored with the weights
     """
 
     name = "compact"
 
-    def __init__(self, ranges):
+    def __init__(self, ranges: Ranges):
         super().__init__(ranges)
         self.down = nn.ModuleList(
             convolution(a, b, 1 if i == 0 else 2)
@@ -89,34 +92,35 @@ class Compact(Coded):
 
     def forward(
         self,
-        image,
-        mask,
-        segments=None,
-        parts=("normals", "material", "light"),
-        n=None,
-        regions=None,
-    ):
-        """A Prediction of the parts asked for.
+        image: torch.Tensor,
+        mask: torch.Tensor,
+        segments: torch.Tensor | None = None,
+        parts: Sequence[str] = ("normals", "material", "light"),
+        n: torch.Tensor | None = None,
+        regions: int | None = None,
+    ) -> Prediction:
+        """Return a Prediction of the requested parts.
 
         image     (B, 3, H, W) linear radiance
         mask      (B, 1, H, W) float, 1 on the object
         segments  (B, H, W) 1 … S; None: the mask is one segment
-        n         (B, 3, H, W) normals to lay the picture out by; None: the predicted ones
-        regions   S; None: the highest of segments. One that no pixel shows is read from the rest of
-        the picture
+        n         (B, 3, H, W) normals by which pixels are binned; None: the predicted ones
+        regions   S; None: the highest of segments. A region that no pixel shows is read from the
+                  rest of the picture
         """
         features, deep = self._encoded(picture_code(image, mask))
-        predicted = self._normals(features) if n is None or "normals" in parts else None
-        code = light_code = None
-        laid_out = predicted.detach() if n is None else n
+        predicted = code = light_code = None
+        if n is None or "normals" in parts:
+            predicted = self._normals(features)
+        binned_by = required(predicted).detach() if n is None else n
         if "material" in parts:
             each = region_masks(mask, segments, regions).split(1, 1)
             code = torch.stack(
-                [self._code(image, region, mask, laid_out, deep) for region in each], 1
+                [self._code(image, region, mask, binned_by, deep) for region in each], 1
             )
         if "light" in parts:
             light_code = self._light(
-                torch.cat([self._seen(image, mask, laid_out), _mean_over(mask, deep)], 1)
+                torch.cat([self._reflectance(image, mask, binned_by), _mean_over(mask, deep)], 1)
             )
         label = None if code is None else self.ranges.label(code)
         light = (
@@ -138,11 +142,18 @@ class Compact(Coded):
         x = F.pixel_shuffle(self.normals(x), 2).float()
         return F.normalize(torch.cat([x[:, :2], F.softplus(x[:, 2:]) + 1e-3], 1), dim=1)
 
-    def _seen(self, image, mask, n):
+    def _reflectance(
+        self, image: torch.Tensor, mask: torch.Tensor, n: torch.Tensor
+    ) -> torch.Tensor:
+        """Return features (B, C) of the reflectance map."""
         return self.reflectance(reflectance_map(image, mask, n)).flatten(1)
 
     def _code(self, image, region, mask, n, deep):
-        parts = (self._seen(image, region, n), _mean_over(region, deep), _mean_over(mask, deep))
+        parts = (
+            self._reflectance(image, region, n),
+            _mean_over(region, deep),
+            _mean_over(mask, deep),
+        )
         return torch.tanh(self.material(torch.cat(parts, 1)).float())
 
     def _light(self, x):
@@ -152,17 +163,17 @@ class Compact(Coded):
         return F.softplus(F.pixel_shuffle(self.light(x), 2).float())
 
 
-def _mean_over(mask, features):
-    """(B, C) means of features (B, C, h, w) over what a mask (B, 1, H, W) covers; 0 where it is
-    empty.
-    """
+def _mean_over(mask: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
+    """Return means (B, C) of features (B, C, h, w) over a mask (B, 1, H, W); 0 if it is empty."""
     weight = F.interpolate(mask, features.shape[-2:], mode="area").to(features)
     return (features * weight).sum((2, 3)) / weight.sum((2, 3)).clamp(min=1e-3)
 
 
-def reflectance_map(image, mask, n):
-    """(B, 4, CELLS, CELLS): compressed radiance averaged over the pixels whose normals fall into a
-    cell, and how much of a cell is seen.
+def reflectance_map(image: torch.Tensor, mask: torch.Tensor, n: torch.Tensor) -> torch.Tensor:
+    """Return a picture's pixels binned by their normals, (B, 4, CELLS, CELLS).
+
+    Channels are the compressed radiance, averaged over the pixels whose normals fall into a cell,
+    and the confidence of a cell, count/(count + 4).
 
     Cells divide the equal-area disk p = (n_x, −n_y)/√(1 + n_z); row 0 is up, as in the picture.
     Empty cells hold 0.

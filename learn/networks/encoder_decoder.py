@@ -1,13 +1,14 @@
-"""Baseline 1 of Section 4.5: picture in, edited picture out, with nothing in between that means
-anything but the material.
+"""Baseline 1 of Section 4.5: an encoder and decoder from a picture to the edited picture.
+
+Nothing between them has a meaning but the material.
 
     f = (f_m, f_o)   features of the picture: a vector for the material, a map for the rest
-    m' = R(f_m)      the input's material, so that f_m is about the material and nothing else
-    O' = D(e(m_t), f_o, I)   f_m replaced by the wanted material's features, the picture itself
-    beside them by skip connections
+    m' = R(f_m)      the input's material, so that f_m describes the material and nothing else
+    O' = D(e(m_t), f_o, I)   f_m replaced by the target material's features, with skip connections
+                             from the picture itself
 
-The paper gives no sizes and does not say where the wanted material's features come from. Ours: e is
-two layers on the label's code, and R(e(m_t)) must give m_t back, so that e and f_m share one space;
+The paper gives no sizes and does not say where the target material's features come from. Ours: e is
+two layers on the label's code, and R(e(m_t)) must return m_t, so that e and f_m share one space;
 features enter every layer of the decoder as scale and shift.
 
 B pictures, H, W multiples of 16; widths as learn.networks.separate.WIDTHS
@@ -20,7 +21,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from learn.networks.coding import BRIGHTNESS, picture_code
+from learn.networks.coding import BRIGHTNESS, Ranges, picture_code
 from learn.networks.compact import convolution
 from learn.networks.prediction import Coded
 from learn.networks.separate import WIDTHS, Encoder, read_off
@@ -30,13 +31,13 @@ HIDDEN = 128
 
 
 class Edited(NamedTuple):
-    """What is read and what is drawn; None where another network's Prediction has what this one
-    does not know.
+    """The material that the network reads, and the picture that it draws.
 
     code, label  (B, 1, 108) of the input's material, as in learn.networks.prediction.Prediction
-    embedded     (B, 1, 108) R(e(m_t)): the wanted material's code, read back from its own features
-    picture      (B, 3, H, W) O', compressed (learn.networks.coding.compressed), ≥ 0; meaningless
-    outside the mask
+    embedded     (B, 1, 108) R(e(m_t)): the target material's code, read from its own features
+    picture      (B, 3, H, W) O', compressed (learn.networks.coding.compressed), ≥ 0; undefined
+                 outside the mask
+    n, light_code, light   None: parts of a Prediction that this network does not know
     """
 
     code: torch.Tensor
@@ -49,11 +50,11 @@ class Edited(NamedTuple):
 
 
 class EncoderDecoder(Coded):
-    """Edited pictures of masked pictures and wanted labels."""
+    """Edited pictures of masked pictures and target labels."""
 
     name = "encoder-decoder"
 
-    def __init__(self, ranges):
+    def __init__(self, ranges: Ranges):
         super().__init__(ranges)
         self.encode = Encoder()
         self.read = read_off(FEATURES)
@@ -65,15 +66,15 @@ class EncoderDecoder(Coded):
         self.swap = nn.ModuleList(nn.Linear(FEATURES, 2 * width) for width in WIDTHS)
         self.last = nn.Conv2d(WIDTHS[0] + 16, 12, 3, 1, 1)
 
-    def forward(self, image, mask, requested):
-        """An Edited.
+    def forward(self, image: torch.Tensor, mask: torch.Tensor, target: torch.Tensor) -> Edited:
+        """Return the picture in the target material.
 
         image   (B, 3, H, W) linear radiance; mask (B, 1, H, W) float, 1 on the object
-        wanted  (B, 1, 108) label, natural logarithms
+        target  (B, 1, 108) label, natural logarithms
         """
         x = picture_code(image, mask)
         features = self.encode(x)
-        f_m, f_t = self.read(features[-1]), self.embed(self.ranges.code(requested)[:, 0])
+        f_m, f_t = self.read(features[-1]), self.embed(self.ranges.code(target)[:, 0])
         code, embedded = (torch.tanh(self.regress(f).float())[:, None] for f in (f_m, f_t))
         picture = F.softplus(self._decoded(f_t, features, F.pixel_unshuffle(x, 2)))
         return Edited(code, self.ranges.label(code), embedded, picture)
@@ -86,13 +87,11 @@ class EncoderDecoder(Coded):
         return F.pixel_shuffle(self.last(torch.cat([x, picture.to(x)], 1)), 2).float()
 
     def _swapped(self, level, x, f_t):
-        """Features (B, C, h, w) scaled and shifted, channel by channel, by what the wanted material
-        asks.
-        """
+        """Return features (B, C, h, w) scaled and shifted per channel by the target material's."""
         scale, shift = self.swap[level](f_t)[..., None, None].chunk(2, 1)
         return x * (1 + scale) + shift
 
 
-def radiance(picture):
-    """Linear radiance of a compressed picture: the inverse of learn.networks.coding.compressed."""
+def radiance(picture: torch.Tensor) -> torch.Tensor:
+    """Return linear radiance of a compressed picture, the inverse of coding.compressed."""
     return torch.expm1(picture * torch.log(torch.tensor(1 + BRIGHTNESS))) / BRIGHTNESS

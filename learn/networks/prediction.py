@@ -1,7 +1,9 @@
-"""What every network of this package predicts, whichever its layers are."""
+"""The prediction of a network, and what all networks of this package have in common."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch.nn import functional as F
 
@@ -10,7 +12,7 @@ from shaders.envmap import row_solid_angles
 
 
 class Prediction(NamedTuple):
-    """B pictures, S segments; None for what was not asked for.
+    """Normals, material and light of B pictures with S segments; None for parts not requested.
 
     n           (B, 3, H, W) unit normals, camera frame, n_z > 0; meaningless outside the mask
     code        (B, S, 108) material codes in (−1, 1); learn.networks.coding.Ranges reads them
@@ -26,12 +28,21 @@ class Prediction(NamedTuple):
     light: torch.Tensor | None
 
 
-def region_masks(mask, segments=None, regions=None):
-    """(B, S, H, W) float, 1 on each region: mask (B, 1, H, W) alone, or its part in each of
-    segments (B, H, W) 1 … S.
+def required(part: torch.Tensor | None) -> torch.Tensor:
+    """Return a part of a prediction, or of a batch, that must be there. Raises ValueError."""
+    if part is None:
+        raise ValueError("prediction: expected normals, material and light, found a part missing")
+    return part
 
-    regions  S, where a picture at the network's size may no longer show the last ones; None: the
-    highest of segments
+
+def region_masks(
+    mask: torch.Tensor, segments: torch.Tensor | None = None, regions: int | None = None
+) -> torch.Tensor:
+    """Return a mask for each region, (B, S, H, W) float.
+
+    mask      (B, 1, H, W); segments (B, H, W) 1 … S, None: the mask is one region
+    regions   S, where a picture at the network's size may no longer show the last ones; None: the
+              highest of segments
     """
     if segments is None:
         return mask
@@ -40,9 +51,18 @@ def region_masks(mask, segments=None, regions=None):
 
 
 class Coded(torch.nn.Module):
-    """A network that knows the ranges of its material codes (learn.networks.coding.Ranges), which
-    are kept with its weights.
+    """A network with the ranges of its material codes, which are stored with its weights.
+
+    name             under which learn.networks.weights.NETWORKS lists it
+    training_labels  (M, 108) of the data set's materials that it was trained on, if its weights
+                     hold them; None: the built-in materials
     """
+
+    name: str
+    label_centre: torch.Tensor
+    label_half: torch.Tensor
+    row_solid_angle: torch.Tensor
+    training_labels: np.ndarray | None = None
 
     def __init__(self, ranges: Ranges):
         super().__init__()
@@ -55,16 +75,17 @@ class Coded(torch.nn.Module):
         )
 
     @property
-    def ranges(self):
+    def ranges(self) -> Ranges:
+        """Ranges of the labels of the training materials."""
         return Ranges(self.label_centre, self.label_half)
 
 
 class ThreeNetworks(Coded):
-    """Normals, material and light by networks that share nothing: each of `_normals`, `_code` and
-    `_light` reads a picture code of its own.
+    """Normals, material and light by networks that share nothing.
 
-    Arguments and result of the forward pass as learn.networks.compact.Compact; `n` is not read, for
-    nothing is laid out over normals.
+    Each of `_normals`, `_code` and `_light` reads a picture code of its own. Arguments and result
+    of the forward pass are those of learn.networks.compact.Compact; `n` is not read, for nothing is
+    binned by normals.
 
     _normals  picture code (B, 4, H, W) → (B, 3, H, W), of any length, before n_z is made positive
     _code     picture code of one region → (B, 108) before tanh
@@ -73,13 +94,14 @@ class ThreeNetworks(Coded):
 
     def forward(
         self,
-        image,
-        mask,
-        segments=None,
-        parts=("normals", "material", "light"),
-        n=None,
-        regions=None,
-    ):
+        image: torch.Tensor,
+        mask: torch.Tensor,
+        segments: torch.Tensor | None = None,
+        parts: Sequence[str] = ("normals", "material", "light"),
+        n: torch.Tensor | None = None,
+        regions: int | None = None,
+    ) -> Prediction:
+        """Return a Prediction of the requested parts."""
         x = picture_code(image, mask)
         normals = code = light_code = label = light = None
         if "normals" in parts:
@@ -95,3 +117,12 @@ class ThreeNetworks(Coded):
             light_code = F.softplus(self._light(x).float())
             light = unit_mean(light_of(light_code), self.row_solid_angle)
         return Prediction(normals, code, label, light_code, light)
+
+    def _normals(self, x: torch.Tensor) -> torch.Tensor:
+        raise NotImplementedError
+
+    def _code(self, x: torch.Tensor) -> torch.Tensor:
+        raise NotImplementedError
+
+    def _light(self, x: torch.Tensor) -> torch.Tensor:
+        raise NotImplementedError

@@ -1,35 +1,34 @@
-"""Baseline 2 of Section 4.5: three networks that share nothing and never see the layer, each
-trained by its own L2 loss.
+"""Baseline 2 of Section 4.5: three networks, each trained by its own L2 loss, without the layer.
 
-Each has its own encoder, of the compact network's family, and reads the masked picture alone: no
-reflectance map, which would hand the normals' answer to the other two. They stand in one module
-because they see the same batches; no weight and no gradient passes between them.
+Each has its own encoder, of the compact network's family, and reads the masked picture alone. There
+is no reflectance map, which would give the normals' result to the other two. They are in one module
+because they see the same batches; they share no weights, and no gradient passes between them.
 
 B pictures, S segments; features of widths WIDTHS at H/2, H/4, H/8, H/16. Material and light begin
-at H/4, their pixels laid into channels, for they need no edge to the pixel: that takes two thirds
-off their cost.
+at H/4, with pixels rearranged into channels, for they need no sharp edges; that saves two thirds of
+their cost.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import torch
 from torch import nn
 from torch.nn import functional as F
 
+from learn.networks.coding import Ranges
 from learn.networks.compact import LIGHT_WIDTHS, Residual, convolution
 from learn.networks.prediction import ThreeNetworks
 
 WIDTHS = (32, 64, 128, 192)
-CELLS = 4  # a side of the features that the two heads read: where in the picture something was seen
+CELLS = 4  # along a side of the features that the two heads read, which keep the place roughly
 HIDDEN = 256
 
 
 class Encoder(nn.Module):
-    """Features of a picture code (B, 4, H, W) at H/first, H/(2 first), …, one size for each
-    width.
-    """
+    """Features of a picture code (B, 4, H, W), one size for each width: H/first, H/(2 first), …"""
 
-    def __init__(self, widths=WIDTHS, first=2):
+    def __init__(self, widths: Sequence[int] = WIDTHS, first: int = 2):
         super().__init__()
         self.first = first
         before = (4 * first**2, *widths)
@@ -38,7 +37,8 @@ class Encoder(nn.Module):
         )
         self.deepen = nn.ModuleList(Residual(width) for width in widths)
 
-    def forward(self, x):
+    def forward(self, x: torch.Tensor) -> list[torch.Tensor]:
+        """Return features (B, width, h, w), the finest first."""
         features, x = [], F.pixel_unshuffle(x, self.first)
         for down, deepen in zip(self.down, self.deepen, strict=True):
             x = deepen(down(x))
@@ -49,21 +49,23 @@ class Encoder(nn.Module):
 class Decoder(nn.Module):
     """Three channels at the picture's size, from features at all four sizes."""
 
-    def __init__(self, widths=WIDTHS):
+    def __init__(self, widths: Sequence[int] = WIDTHS):
         super().__init__()
         self.up = nn.ModuleList(convolution(a + b, a) for a, b in pairwise(widths))
         self.last = nn.Conv2d(widths[0], 12, 3, 1, 1)
 
-    def forward(self, features):
+    def forward(self, features: Sequence[torch.Tensor]) -> torch.Tensor:
+        """Return (B, 3, H, W) of an Encoder's features."""
         x = features[-1]
         for up, beside in zip(reversed(self.up), reversed(features[:-1]), strict=True):
             x = up(torch.cat([beside, F.interpolate(x, scale_factor=2.0)], 1))
         return F.pixel_shuffle(self.last(x), 2).float()
 
 
-def read_off(outputs):
-    """Layers from the deepest features to `outputs` numbers: one more halving, CELLS² cells, two
-    fully connected layers with dropout.
+def read_off(outputs: int) -> nn.Sequential:
+    """Return layers from the deepest features to `outputs` numbers.
+
+    One more halving, CELLS² cells, two fully connected layers with dropout.
     """
     return nn.Sequential(
         convolution(WIDTHS[-1], 128, 2),
@@ -81,7 +83,7 @@ class Separate(ThreeNetworks):
 
     name = "separate"
 
-    def __init__(self, ranges):
+    def __init__(self, ranges: Ranges):
         super().__init__(ranges)
         self.normals = nn.ModuleList([Encoder(), Decoder()])
         self.material = nn.ModuleList([Encoder(WIDTHS[1:], 4), read_off(108)])

@@ -1,17 +1,14 @@
-"""A .safetensors file: written whole or not at all, and judged by its header before memory is taken
-to read it.
+"""A .safetensors file, written whole or not at all, whose header is checked before memory is taken.
 
-The format: eight bytes that say how long the header is, little-endian; the header, JSON padded with
-spaces to a multiple of eight, which names each tensor's type, shape and place; the tensors' bytes.
-Nothing is ever unpickled.
+The format: eight bytes that give the length of the header, little-endian; the header, JSON padded
+with spaces to a multiple of eight, which names each tensor's type, shape and place; the tensors'
+bytes. Nothing is ever unpickled.
 
-Reading   What a reader expects is compared with the header first, then the tensors that are wanted
-are read, and numbers
-          that are not finite are refused.
+Reading   The reader's expectations are compared with the header first; then the tensors are read,
+          and numbers that are not finite are refused.
 Writing   Tensor by tensor: the library either writes to a path, where the error of a full disk may
-come too late, or
-          first makes all bytes in memory. Names and order are those of the library, and so are the
-          bytes.
+          come too late, or makes all bytes in memory first. Names, order and bytes are those of the
+          library.
 """
 
 import json
@@ -20,6 +17,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -45,7 +43,7 @@ class Stored:
     kinds     {name: type as the format names it, "F32"}
     """
 
-    def __init__(self, path: Path, file):
+    def __init__(self, path: Path, file: Any):
         self.path, self._file = path, file
         self.metadata: dict[str, str] = file.metadata() or {}
         slices = {name: file.get_slice(name) for name in file.keys()}  # noqa: SIM118 -- not a dict
@@ -53,10 +51,10 @@ class Stored:
         self.kinds = {name: each.get_dtype() for name, each in slices.items()}
 
     def require(self, shapes: Mapping[str, tuple], whose: str, alone: bool = True) -> None:
-        """Raises InputError unless the file holds tensors of these names and shapes.
+        """Raise InputError unless the file holds tensors of these names and shapes.
 
         shapes  {name: shape}
-        whose   what has such tensors, with its article: "this compact network"
+        whose   the owner of such tensors, with its article: "this compact network"
         alone   whether tensors of other names are refused
         """
         remedy = f"these tensors are not of {whose}"
@@ -82,7 +80,7 @@ class Stored:
             )
 
     def tensor(self, name: str) -> torch.Tensor:
-        """The tensor of that name. Raises InputError if it holds NaN or infinity."""
+        """Return the tensor of that name. Raises InputError if it holds NaN or infinity."""
         try:
             values = self._file.get_tensor(name)
         except SafetensorError as error:
@@ -99,10 +97,10 @@ def opened(
     remedy: str = REMEDY,
     maximum_bytes: int = LARGEST_FILE,
 ) -> Iterator[Stored]:
-    """The Stored of a file, as long as the block lasts.
+    """Open a file as Stored, for as long as the block lasts.
 
-    expected  what the file should be, with its article, for messages
-    remedy    what to do where nothing of this kind lies there
+    expected  the kind of file, with its article, for messages
+    remedy    of a file that is missing or of another kind
     Raises    InputError: no ordinary file, too large, damaged, of another format
     """
     require_file(path, expected, remedy, maximum_bytes)
@@ -152,7 +150,10 @@ def write(
             )
     order = list(_TYPES)
     names = sorted(tensors, key=lambda name: (order.index(tensors[name].dtype), name))
-    header, end = {"__metadata__": dict(sorted(metadata.items()))} if metadata else {}, 0
+    header: dict[str, dict[str, Any]] = {}
+    if metadata:
+        header["__metadata__"] = dict(sorted(metadata.items()))
+    end = 0
     for name in names:
         tensor = tensors[name]
         begin, end = end, end + tensor.numel() * tensor.element_size()
@@ -172,5 +173,5 @@ def write(
 
 
 def _bytes(tensor):
-    """The numbers of a tensor, row by row, as a flat array of bytes."""
+    """Return the numbers of a tensor, row by row, as a flat array of bytes."""
     return tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy()

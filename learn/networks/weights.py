@@ -1,34 +1,41 @@
-"""Weights on disk: safetensors only, nothing is ever unpickled; written by
-learn.networks.tensor_file.
+"""Weights on disk: safetensors only, for nothing is ever unpickled.
 
-checkpoint.safetensors  all a run needs to go on: network, moving average, optimiser; metadata:
-step, skipped steps, the run
 weights.safetensors     what a user needs: the moving average in half precision; metadata: network,
-size, step, and the run as JSON
+                        size, step, and the run as JSON. With a data set's own materials also the
+                        labels of the training materials
+checkpoint.safetensors  what a run needs to continue (learn.training.checkpoints)
 """
 
 import contextlib
 import hashlib
-from typing import Annotated, Literal
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import msgspec
+import numpy as np
 import torch
 
-from learn.data.settings import Part, Size, converted
+from learn.data.settings import converted
 from learn.networks import tensor_file
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL, Ranges
 from learn.networks.compact import Compact
 from learn.networks.encoder_decoder import EncoderDecoder
 from learn.networks.paper import Paper
-from learn.networks.prediction import ThreeNetworks
+from learn.networks.prediction import Coded, ThreeNetworks
 from learn.networks.separate import Separate
 from manifests.errors import InputError
 from manifests.reading import decode
-from shaders.dsbrdf import SHAPE
+from manifests.training_runs import Part, Size
+from shaders.dsbrdf import SHAPE, SIZE
 
-NETWORKS = {network.name: network for network in (Compact, Paper, Separate, EncoderDecoder)}
-PARTS = ("normals", "material", "light")
+NETWORKS: dict[str, type[Coded]] = {
+    network.name: network for network in (Compact, Paper, Separate, EncoderDecoder)
+}
+PARTS: tuple[Part, ...] = ("normals", "material", "light")
 FORMAT = "brdfactory weights 1"
+TRAINING_LABELS = "training_labels"  # a tensor beside the network's
+MOST_MATERIALS = 100_000
 LARGEST_IN_RANGE = 17.0  # LARGEST_LABEL of manifests.materials and the margin that Ranges.of adds
 DAMAGED = (
     "put a copy of it back, or move it away to begin again; weights.safetensors has the last"
@@ -38,9 +45,7 @@ Natural = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
 
 
 class About(msgspec.Struct, frozen=True):
-    """Metadata of weights, read from its texts. size: of pictures; step: how many the run had
-    made.
-    """
+    """Metadata of weights. size: of pictures; step: the number of steps that the run had made."""
 
     network: Literal["compact", "paper", "separate", "encoder-decoder"]
     size: Size
@@ -48,16 +53,14 @@ class About(msgspec.Struct, frozen=True):
 
 
 class RunInWeights(msgspec.Struct, frozen=True):
-    """What is read of the run that weights are of; older runs had other settings besides."""
+    """The part of a run's settings that is read from weights; older runs had others besides."""
 
     name: str = ""
     parts: Annotated[tuple[Part, ...], msgspec.Meta(min_length=1)] = PARTS
 
 
 class Progress(msgspec.Struct, frozen=True):
-    """Metadata of a checkpoint, read from its texts. used: seconds of processor time; digest:
-    `digest_of` its tensors.
-    """
+    """Metadata of a checkpoint. used: processor time in s; digest: `digest_of` its tensors."""
 
     step: Natural
     skipped: Natural
@@ -66,34 +69,47 @@ class Progress(msgspec.Struct, frozen=True):
     digest: str | None = None
 
 
-def save(path, tensors, metadata):
+def save(
+    path: str | Path, tensors: Mapping[str, torch.Tensor], metadata: Mapping[str, str]
+) -> None:
     """Write tensors and text, whole or not at all. Raises as manifests.files.replacing."""
     tensor_file.write(path, tensors, metadata)
 
 
-def save_weights(path, network, state, run_json, size, step=None):
-    """The weights a user needs. state: the moving average's tensors by name; step: how many the run
-    had made.
+def save_weights(
+    path: str | Path,
+    network: Coded,
+    state: Mapping[str, torch.Tensor],
+    run_json: str,
+    size: int,
+    step: int | None = None,
+    labels: np.ndarray | None = None,
+) -> None:
+    """Write the weights that a user needs.
+
+    state   {name: tensor} of the moving average
+    size    height and width of pictures; step: the number of steps that the run had made
+    labels  (M, 108) of the training materials, where these were a data set's own
     """
     half = {
         name: t.half() if t.is_floating_point() and t.ndim > 1 else t for name, t in state.items()
     }
-    report = {} if step is None else {"step": str(step)}
-    save(
-        path,
-        half,
-        {"format": FORMAT, "network": network.name, "size": str(size), "run": run_json} | report,
-    )
+    if labels is not None:
+        half[TRAINING_LABELS] = torch.from_numpy(np.asarray(labels, np.float32))
+    metadata = {"format": FORMAT, "network": network.name, "size": str(size), "run": run_json}
+    save(path, half, metadata if step is None else metadata | {"step": str(step)})
 
 
-def load_network(path, device="cpu"):
-    """(network ready to predict, metadata) of a weights file.
+def load_network(
+    path: str | Path, device: torch.device | str = "cpu"
+) -> tuple[Coded, dict[str, Any]]:
+    """Return (network ready to predict, metadata) of a weights file.
 
     device    where the network is to compute
     metadata  size: of pictures, a whole number; run: a dict, at least {}; ranges: of the network,
-    on the CPU; and the file's own texts
+              on the CPU; and the file's own texts
     Raises    InputError: no weights, other metadata or tensors than `learn train` writes, numbers
-    that are not finite
+              that are not finite
     """
     with tensor_file.opened(path) as stored:
         metadata = stored.metadata
@@ -109,16 +125,20 @@ def load_network(path, device="cpu"):
         about = converted(metadata, About, f"{path}: metadata", strict=False)
         run = run_of(metadata, path)
         network = NETWORKS[about.network](Ranges(torch.zeros(108), torch.ones(108)))
-        stored.require(shapes(network), f"this {network.name} network")
+        require_network(stored, network)
         fill(network, stored)
+        network.training_labels = _training_labels(stored)
     ranges = network.ranges
     _require_ranges(ranges, path)
     return network.to(device).eval(), metadata | {"size": about.size, "run": run, "ranges": ranges}
 
 
-def load_parts(path, device="cpu"):
-    """As `load_network`, of one that tells normals, material and light apart. Raises InputError for
-    another.
+def load_parts(
+    path: str | Path, device: torch.device | str = "cpu"
+) -> tuple[Coded, dict[str, Any]]:
+    """Return as `load_network`, for a network that predicts normals, material and light.
+
+    Raises InputError for any other network.
     """
     network, metadata = load_network(path, device)
     missing = set(PARTS) - set(metadata["run"].get("parts", PARTS))
@@ -137,9 +157,10 @@ def load_parts(path, device="cpu"):
     return network, metadata
 
 
-def run_of(metadata, path):
-    """The run's settings as a dict, whose name and parts are checked; {} where the metadata have
-    none. Raises InputError.
+def run_of(metadata: Mapping[str, str], path: str | Path) -> dict[str, Any]:
+    """Return the run's settings as a dict; {} where the metadata have none.
+
+    Only its name and parts are checked. Raises InputError.
     """
     text = metadata.get("run", "{}").encode()
     where = f"{path}: run in the metadata"
@@ -147,16 +168,43 @@ def run_of(metadata, path):
     return decode(text, dict, where)
 
 
-def shapes(network, prefix=""):
-    """{prefix + name: shape} of a network's tensors."""
+def shapes(network: torch.nn.Module, prefix: str = "") -> dict[str, tuple[int, ...]]:
+    """Return {prefix + name: shape} of a network's tensors."""
     return {prefix + name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
 
 
-def fill(network, stored, prefix=""):
-    """Give a network the tensors of a learn.networks.tensor_file.Stored that are named as its own
-    after a prefix.
+def require_network(stored: tensor_file.Stored, network: Coded) -> None:
+    """Raise InputError unless a weights file holds this network's tensors, and no others.
 
-    They must have been required before. Raises InputError for numbers that are not finite
+    The labels of training materials may lie beside them.
+    """
+    expected = shapes(network)
+    if TRAINING_LABELS in stored.shapes:
+        count = next(iter(stored.shapes[TRAINING_LABELS]), 0)
+        expected[TRAINING_LABELS] = (min(max(count, 1), MOST_MATERIALS), SIZE)
+    stored.require(expected, f"this {network.name} network")
+
+
+def _training_labels(stored: tensor_file.Stored) -> np.ndarray | None:
+    """Return the labels (M, 108) of a weights file; None where it has none. Raises InputError."""
+    if TRAINING_LABELS not in stored.shapes:
+        return None
+    labels = stored.tensor(TRAINING_LABELS).float()
+    low, high = labels.min().item(), labels.max().item()
+    if low < SMALLEST_LABEL or high > LARGEST_IN_RANGE:
+        raise InputError(
+            f"{stored.path}: {TRAINING_LABELS}",
+            f"labels within {SMALLEST_LABEL:g} … {LARGEST_IN_RANGE:g}",
+            f"{low:g} … {high:g}",
+            "use weights that `learn train` wrote",
+        )
+    return labels.numpy()
+
+
+def fill(network: torch.nn.Module, stored: tensor_file.Stored, prefix: str = "") -> None:
+    """Give a network the tensors of a file that have its own tensors' names after a prefix.
+
+    They must have been required before. Raises InputError for numbers that are not finite.
     """
     state = network.state_dict()
     network.load_state_dict(
@@ -165,33 +213,31 @@ def fill(network, stored, prefix=""):
 
 
 @contextlib.contextmanager
-def remedy(text):
-    """Every InputError of the block ends with this remedy: a file's reader does not know what the
-    file is for.
-    """
+def remedy(text: str) -> Iterator[None]:
+    """Give every InputError of the block this remedy, for a reader cannot know a file's purpose."""
     try:
         yield
     except InputError as problem:
         raise InputError(problem.where, problem.expected, problem.found, text) from None
 
 
-def progress_of(stored):
-    """The Progress in the metadata of a checkpoint. Raises InputError."""
+def progress_of(stored: tensor_file.Stored) -> Progress:
+    """Return the Progress in the metadata of a checkpoint. Raises InputError."""
     return converted(stored.metadata, Progress, f"{stored.path}: metadata", strict=False)
 
 
-def digest_of(named):
-    """sha256 (hex) of {name: tensor}: names, types, shapes and bytes."""
+def digest_of(named: Mapping[str, torch.Tensor]) -> str:
+    """Return the sha256 (hex) of {name: tensor}: names, types, shapes and bytes."""
     result = hashlib.sha256()
     for name, tensor in sorted(named.items()):
         flat = tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8)
         result.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
-        result.update(memoryview(flat.numpy()))
+        result.update(flat.numpy().data)
     return result.hexdigest()
 
 
-def _require_ranges(ranges, path):
-    """Raises InputError for ranges of labels that a material cannot have."""
+def _require_ranges(ranges: Ranges, path: str | Path) -> None:
+    """Raise InputError for ranges of labels that a material cannot have."""
     ends = torch.stack([ranges.label(torch.full((108,), code)) for code in (-1.0, 1.0)])
     largest = torch.full(SHAPE, LARGEST_IN_RANGE)
     largest[..., 0, :] = LARGEST_KAPPA

@@ -1,6 +1,6 @@
 """Refinement of a prediction on its own picture (Eq. 6)."""
 
-from learn.refinement.descent import Refined, refine
-from learn.refinement.settings import NAMED, PAPER, Settings
+from learn.refinement.descent import RefinementResult, refine
+from learn.refinement.settings import NAMED, PAPER, RefinementSettings
 
-__all__ = ["NAMED", "PAPER", "Refined", "Settings", "refine"]
+__all__ = ["NAMED", "PAPER", "RefinementResult", "RefinementSettings", "refine"]

@@ -1,15 +1,14 @@
-"""What L-BFGS moves in Eq. 6: for each property a vector z, 0 at the prediction, in units in which
-one step means the same everywhere.
+"""The coordinates of refinement: for each property of Eq. 6 a vector z that L-BFGS moves.
+
+z is 0 at the prediction, and its units are such that one step means about the same everywhere.
 
 material  label* = label' + Σ z_k σ_k u_k: principal directions u of the training materials' labels,
-σ their spread; float64
-light     log L* = log L' + Σ z_j Y_j / (1 + l): real spherical harmonics, by degree l less, then
-scaled to unit mean luminance; so L* > 0,
-          and light's scale stays where it was agreed to be: brightness as a whole belongs to the
-          material
-normals   p* = p' + Σ of grids, coarse to fine, interpolated; p = n_xy/(1 + n_z) is the disk of the
-stereographic projection, where the
-          hemisphere facing the viewer is |p| < 1: normals stay on it, of unit length
+          σ their spread; float64. Whose materials: see `principal_directions`
+light     log L* = log L' + Σ z_j Y_j / (1 + l), real spherical harmonics of degree l, then scaled
+          to unit mean luminance. So L* > 0, and the overall brightness stays with the material
+normals   p* = p' + Σ of grids, coarse to fine, interpolated; p = n_xy/(1 + n_z) lies in the disk of
+          the stereographic projection, in which the hemisphere that faces the viewer is |p| < 1:
+          normals stay on it, of unit length
 """
 
 import functools
@@ -22,48 +21,75 @@ import torch.nn.functional as F
 from learn.networks.coding import unit_mean
 from manifests.materials import load_catalogue
 from shaders import envmap
+from shaders.dsbrdf import SIZE
 
-LEAST_SPREAD = 1e-3  # of a principal direction that is kept, in units of a label
+LEAST_SPREAD = 1e-3  # of a principal direction that is used, in units of a label
 # of the mean: under it a texel is treated as this bright, so that it can become brighter
 LEAST_LIGHT = 1e-3
 LARGEST_CHANGE = 6.0  # of log L: four hundred times brighter or darker
 RIM = 0.97  # of |p|: 88.3° from the viewer
 GRIDS = (4, 8, 16, 32, 64)
+CHANNEL_ORDERS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 
 
-class Material:
-    """z (S, K) → label (1, S, 108) float64."""
+class MaterialCoordinates:
+    """z (S, K) → label (1, S, 108) float64.
 
-    def __init__(self, label):
+    label       (1, S, 108), at z = 0
+    directions  (K, 108) as of `principal_directions`; None: those of the built-in materials
+    """
+
+    def __init__(self, label: torch.Tensor, directions: np.ndarray | None = None):
+        directions = principal_directions() if directions is None else directions
         self.start = label.detach().double()
-        self.directions = torch.from_numpy(principal_directions()).to(label.device)
+        self.directions = torch.from_numpy(directions).to(label.device)
         self.shape = (label.shape[1], len(self.directions))
         self.predicted = torch.zeros(self.shape, dtype=torch.float64, device=label.device)
 
-    def __call__(self, z):
+    def __call__(self, z: torch.Tensor) -> torch.Tensor:
         return self.start + (z @ self.directions)[None]
 
 
-@functools.cache
-def principal_directions():
-    """σ_k u_k, (K, 108), the largest first, of the training materials' labels under every exchange
-    of colour channels.
+def principal_directions(labels: np.ndarray | None = None) -> np.ndarray:
+    """Return the directions σ_k u_k (K, 108) in which materials vary, the largest first.
 
-    The materials are the built-in ones: they belong to the method, as its weights do, for a
-    photograph has no data set.
+    They belong to the method as its weights do, so they are those of the materials that the weights
+    were trained on, under every exchange of colour channels. Weights of a run on a data set's own
+    materials hold these labels (`training_labels` of a network). All others, and labels that do not
+    vary at all, stand for the training split of the built-in materials.
+
+    labels  (M, 108) of training materials; None: the built-in ones
     """
-    labels = [m.label.reshape(3, 36) for m in load_catalogue().values() if m.split == "train"]
-    orders = [(0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)]
-    all_labels = np.stack([label[list(order)].reshape(108) for label in labels for order in orders])
+    if labels is not None:
+        directions = _directions(np.asarray(labels, np.float64))
+        if len(directions):
+            return directions
+    return _built_in_directions()
+
+
+@functools.cache
+def _built_in_directions() -> np.ndarray:
+    training = [m.label for m in load_catalogue().values() if m.split == "train"]
+    return _directions(np.stack([label.reshape(SIZE) for label in training]))
+
+
+def _directions(labels: np.ndarray) -> np.ndarray:
+    """Return σ_k u_k (K, 108) of labels (M, 108) under every exchange of colour channels."""
+    orders = [list(order) for order in CHANNEL_ORDERS]
+    by_channel = labels.reshape(-1, 3, SIZE // 3)
+    all_labels = np.stack([label[order].reshape(SIZE) for label in by_channel for order in orders])
     _, spread, directions = np.linalg.svd(all_labels - all_labels.mean(0), full_matrices=False)
     spread = spread / math.sqrt(len(all_labels))
     return (spread[:, None] * directions)[spread > LEAST_SPREAD]
 
 
-class Light:
-    """z (J, 3) → light (1, 3, Hl, Wl) > 0 of unit mean luminance."""
+class LightCoordinates:
+    """z (J, 3) → light (1, 3, Hl, Wl) > 0 of unit mean luminance.
 
-    def __init__(self, light, degree):
+    light   (1, 3, Hl, Wl), at z = 0; degree: the highest of the spherical harmonics
+    """
+
+    def __init__(self, light: torch.Tensor, degree: int):
         H, W = light.shape[-2:]
         self.start = light.detach().clamp(min=LEAST_LIGHT).log()
         self.waves = torch.from_numpy(spherical_harmonics(H, W, degree)).to(light.device)
@@ -73,7 +99,7 @@ class Light:
         self.shape = (len(self.waves), 3)
         self.predicted = torch.zeros(self.shape, dtype=torch.float64, device=light.device)
 
-    def __call__(self, z):
+    def __call__(self, z: torch.Tensor) -> torch.Tensor:
         change = torch.einsum("jc,jhw->chw", z.to(self.waves), self.waves).clamp(
             -LARGEST_CHANGE, LARGEST_CHANGE
         )
@@ -81,15 +107,16 @@ class Light:
 
 
 @functools.cache
-def spherical_harmonics(H, W, degree):
-    """(J, H, W) float32 real harmonics Y_lm / (1 + l), of unit mean square over the sphere before
-    the division.
+def spherical_harmonics(H: int, W: int, degree: int) -> np.ndarray:
+    """Return the real harmonics Y_lm / (1 + l) up to a degree, (J, H, W) float32.
+
+    Before the division each has a mean square of 1 over the sphere.
     """
     w, _ = envmap.directions(H, W)
     phi, cosine = np.arctan2(w[..., 2], w[..., 0]), w[..., 1]
     sine = np.sqrt(np.clip(1 - cosine**2, 0, 1))
     results = []
-    legendre = {}
+    legendre: dict[tuple[int, int], np.ndarray] = {}
     for m in range(degree + 1):
         legendre[m, m] = (
             np.ones_like(sine)
@@ -111,48 +138,51 @@ def spherical_harmonics(H, W, degree):
     return np.stack(results).astype(np.float32)
 
 
-class Normals:
-    """z (Z,) → n (1, 3, H, W) unit, facing the viewer."""
+class NormalCoordinates:
+    """z (Z,) → n (1, 3, H, W) of unit length, facing the viewer.
 
-    def __init__(self, n, mask, reach):
-        self.size = n.shape[-2:]
-        self.reach = reach
+    n             (1, 3, H, W), at z = 0; mask (1, H, W) bool
+    trust_region  the most that p may move along either axis
+    """
+
+    def __init__(self, n: torch.Tensor, mask: torch.Tensor, trust_region: float):
+        height, width = n.shape[-2:]
+        self.size = (height, width)
+        self.trust_region = trust_region
         self.p = disk(n, mask)
-        self.grids = [(g, g) for g in GRIDS if g < min(self.size)] + [tuple(self.size)]
+        self.grids = [(g, g) for g in GRIDS if g < min(self.size)] + [self.size]
         self.shape = (sum(2 * h * w for h, w in self.grids),)
         self.predicted = torch.zeros(self.shape, dtype=torch.float64, device=n.device)
 
-    def __call__(self, z):
-        change, first = 0, 0
+    def __call__(self, z: torch.Tensor) -> torch.Tensor:
+        change, first = torch.zeros((), dtype=self.p.dtype, device=self.p.device), 0
         for h, w in self.grids:
             grid = z[first : first + 2 * h * w].reshape(1, 2, h, w).to(self.p)
             change = change + (
-                grid
-                if (h, w) == tuple(self.size)
-                else F.interpolate(grid, self.size, mode="bilinear")
+                grid if (h, w) == self.size else F.interpolate(grid, self.size, mode="bilinear")
             )
             first += 2 * h * w
-        return hemisphere(self.p + self.reach * torch.tanh(change / self.reach))
+        return hemisphere(self.p + self.trust_region * torch.tanh(change / self.trust_region))
 
 
-def disk(n, mask):
-    """(1, 2, H, W): normals (1, 3, H, W) in the disk, held off its rim; outside the mask (1, H, W)
-    they face the viewer.
+def disk(n: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
+    """Return normals (1, 3, H, W) as p (1, 2, H, W) in the disk, kept off its rim.
+
+    Outside the mask (1, H, W) normals are taken to face the viewer.
     """
     n = torch.where(mask[:, None], n.detach(), n.new_tensor([0.0, 0.0, 1.0])[:, None, None])
     n = F.normalize(n, dim=1)
-    return held(n[:, :2] / (1 + n[:, 2:].clamp(min=0)))
+    return clamped_to_rim(n[:, :2] / (1 + n[:, 2:].clamp(min=0)))
 
 
-def held(p):
-    """p (1, 2, H, W) brought to |p| ≤ RIM; the root of a sum, for torch's norm takes ten times as
-    long along this axis.
-    """
+def clamped_to_rim(p: torch.Tensor) -> torch.Tensor:
+    """Return p (1, 2, H, W) shortened to |p| ≤ RIM where it is longer."""
+    # the root of a sum, for torch's norm takes ten times as long along this axis
     return p * (RIM / (p * p).sum(1, keepdim=True).clamp(min=1e-24).sqrt()).clamp(max=1)
 
 
-def hemisphere(p):
-    """(1, 3, H, W) unit normals of p in the disk."""
-    p = held(p)
+def hemisphere(p: torch.Tensor) -> torch.Tensor:
+    """Return the unit normals (1, 3, H, W) of p (1, 2, H, W) in the disk."""
+    p = clamped_to_rim(p)
     squared = (p * p).sum(1, keepdim=True)
     return torch.cat([2 * p, 1 - squared], 1) / (1 + squared)

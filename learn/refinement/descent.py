@@ -1,180 +1,231 @@
-"""The way down: coarse to fine, and only what lowers the whole energy is kept.
+"""The descent of Eq. 6: from coarse to fine, keeping only steps that lower the whole energy.
 
 Each round moves the material, then the light, then the normals by L-BFGS (scipy's, whose line
-search keeps the strong Wolfe conditions). Material first: normals that were freed first moved from
-9° to 50° off. Once each fits the others a level may go on in all three at once. A step that does
-not lower the energy is taken back.
+search keeps the strong Wolfe conditions). The material is first: when normals were free first, they
+moved from 9° to 50° off. After the rounds a level may go on in all three properties at once. A step
+that does not lower the energy is undone.
 
-A further pass is held to what the one before it reached (a proximal step): the prediction holds the
-first, the picture wins in the end. It counts only if the energy about the prediction itself is
-still below the start's.
+A further outer iteration is held to the result of the one before it (a proximal step). The
+prediction holds the first one; in the end the picture decides. An outer iteration counts only if
+the energy about the prediction itself stays below the start's.
 """
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 from scipy.optimize import minimize
 
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.networks.prediction import Prediction
-from learn.refinement.coordinates import Light, Material, Normals
+from learn.refinement.coordinates import (
+    LightCoordinates,
+    MaterialCoordinates,
+    NormalCoordinates,
+    principal_directions,
+)
 from learn.refinement.energy import Energy, State
-from learn.refinement.settings import Settings
+from learn.refinement.settings import Level, RefinementSettings
 
 FIELDS = {"material": "label", "light": "light", "normals": "n"}
-MOST_EVALUATIONS = 2  # for each iteration: a line search that needs more is stopped
-NOWHERE = 1e30  # energy of what is not finite or cannot be drawn: a line search turns back
+MOST_EVALUATIONS = 2  # per iteration: a line search that needs more is stopped
+NOWHERE = 1e30  # energy of what is not finite or cannot be rendered: a line search turns back
+
+Coordinates = dict[str, MaterialCoordinates | LightCoordinates | NormalCoordinates]
+Vectors = dict[str, np.ndarray]  # {property: (Z,) float64}
 
 
 @dataclass(frozen=True)
-class Refined:
-    """prediction  Prediction, refined; before, after: {term: float} of learn.refinement.energy with
-    "total", at the finest level
-    history        [{"pass", "level", "round", "property", "total", "accepted"}, …]; total: about
-    the start of its pass
+class RefinementResult:
+    """A refined prediction and how its energy fell.
+
+    prediction  refined
+    before, after   {term: float} of learn.refinement.energy with "total", at the finest level
+    history     [{"pass", "level", "round", "property", "total", "accepted"}, …] of the steps that
+                count; "pass" is the number of the outer iteration, total is about its start
     """
 
     prediction: Prediction
-    before: dict
-    after: dict
-    history: list
+    before: dict[str, float]
+    after: dict[str, float]
+    history: list[dict[str, Any]]
     seconds: float
 
 
-def refine(batch, prediction, settings=Settings()):  # noqa: B008 -- frozen
-    """The prediction moved to where it explains its picture better. Its energy never ends above the
-    start's.
+def refine(
+    batch: ExampleBatch,
+    prediction: Prediction,
+    settings: RefinementSettings = RefinementSettings(),  # noqa: B008 -- frozen
+    labels: np.ndarray | None = None,
+) -> RefinementResult:
+    """Return the prediction moved to where it explains its picture better.
 
-    batch       learn.data.batch.Batch of one: image, mask, segments and elevation are used, the
-    truth is not
-    prediction  Prediction of one: n, label and light
-    Raises      ValueError for a batch of more than one, or a prediction that lacks a property or is
-    not finite
+    Its energy never ends above the start's.
+
+    batch       of one picture: image, mask, segments and elevation are used, the truth is not
+    prediction  of one picture, with n, label and light
+    labels      (M, 108) of the materials that the prediction's weights were trained on; None: the
+                built-in ones (learn.refinement.coordinates.principal_directions)
+    Raises      ValueError for more than one picture, or a prediction that lacks a property or is
+                not finite
     """
     began = time.perf_counter()
-    if len(batch.image) != 1 or any(
-        part is None for part in (prediction.n, prediction.label, prediction.light)
+    if len(batch.image) != 1 or (
+        prediction.n is None or prediction.label is None or prediction.light is None
     ):
         raise ValueError(
             "refine: expected one picture with normals, material and light, found others (predict"
             " all three, and refine one by one)"
         )
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
-    reached = at_rest(coordinates(prediction, inside, settings))
-    if not reached.drawable:
+    directions = principal_directions(labels)
+    predicted = State(prediction.label, prediction.light, prediction.n, {})
+    current = starting_state(coordinates(predicted, inside, settings, directions))
+    if not current.is_renderable:
         raise ValueError(
             "refine: expected finite normals and light, and a label whose exp is finite and above"
             " 0, found others (check the network's weights)"
         )
-    energy = Energy(batch, reached, settings)
-    before = after = energy.finest(reached)
-    history = []
-    for number in range(settings.passes):
-        state, report = passed(batch, reached if number else prediction, inside, settings)
-        state = replace(state, z={"material": reached.z["material"] + state.z["material"]})
+    energy = Energy(batch, current, settings)
+    before = after = energy.finest(current)
+    history: list[dict[str, Any]] = []
+    for number in range(settings.outer_iterations):
+        start = current if number else predicted
+        state, steps = outer_iteration(batch, start, inside, settings, directions)
+        state = replace(state, z={"material": current.z["material"] + state.z["material"]})
         terms = energy.finest(state)
         if not terms["total"] < before["total"]:
             break
-        reached, after = state, terms
-        history += [{"pass": number} | line for line in report]
-    n = torch.where(inside[:, None], reached.n, prediction.n)
-    refined = Prediction(
-        n, None, reached.label.to(prediction.label.dtype), torch.log1p(reached.light), reached.light
-    )
-    return Refined(refined, before, after, history, time.perf_counter() - began)
+        current, after = state, terms
+        history += [{"pass": number} | step for step in steps]
+    n = torch.where(inside[:, None], current.n, prediction.n)
+    label = current.label.to(prediction.label.dtype)
+    refined = Prediction(n, None, label, torch.log1p(current.light), current.light)
+    return RefinementResult(refined, before, after, history, time.perf_counter() - began)
 
 
-def passed(batch, start, inside, settings):
-    """(State, history) after all levels, held to `start`, a Prediction or a State: whatever lowers
-    the energy about it.
+def outer_iteration(
+    batch: ExampleBatch,
+    start: State,
+    inside: torch.Tensor,
+    settings: RefinementSettings,
+    directions: np.ndarray | None = None,
+) -> tuple[State, list[dict[str, Any]]]:
+    """Return the State after all levels, and a line for each step; the energy is about `start`.
+
+    inside      (1, H, W) bool
+    directions  of materials, as of learn.refinement.coordinates.principal_directions
     """
-    maps = coordinates(start, inside, settings)
+    maps = coordinates(start, inside, settings, directions)
     z = {name: array(m.predicted).flatten() for name, m in maps.items()}
-    energy = Energy(batch, at_rest(maps), settings)
-    best, history = energy.finest(at_rest(maps)), []
+    energy = Energy(batch, starting_state(maps), settings)
+    best, history = energy.finest(starting_state(maps)), []
     for number, level in enumerate(settings.levels):
         where = energy.pixels(level.pixels)
-        for turn, names, iterations in steps(level, settings.order):
-            tried = z | descended(energy, maps, z, names, level, where, iterations)
-            result = energy.finest(state_of(maps, tried))
-            accepted = math.isfinite(result["total"]) and result["total"] < best["total"]
+        for turn, names, iterations in steps_of(level, settings.order):
+            moved = z | minimised(energy, maps, z, names, level, where, iterations)
+            terms = energy.finest(state_of(maps, moved))
+            accepted = math.isfinite(terms["total"]) and terms["total"] < best["total"]
             if accepted:
-                z, best = tried, result
-            report = {
+                z, best = moved, terms
+            step = {
                 "level": number,
                 "round": turn,
                 "property": "+".join(names),
                 "accepted": accepted,
+                "total": terms["total"],
             }
-            history.append(report | {"total": result["total"]})
+            history.append(step)
     return state_of(maps, z), history
 
 
-def coordinates(prediction, inside, settings):
-    """{property: map from z} of a Prediction or a State."""
+def coordinates(
+    start: State,
+    inside: torch.Tensor,
+    settings: RefinementSettings,
+    directions: np.ndarray | None = None,
+) -> Coordinates:
+    """Return {property: map from z} about a State, of which z is not read."""
     return {
-        "material": Material(prediction.label),
-        "light": Light(prediction.light, settings.degree),
-        "normals": Normals(prediction.n, inside, settings.reach),
+        "material": MaterialCoordinates(start.label, directions),
+        "light": LightCoordinates(start.light, settings.degree),
+        "normals": NormalCoordinates(start.n, inside, settings.trust_region),
     }
 
 
-def steps(level, order):
-    """(round, properties, iterations) of a level, in turn."""
-    results = [(turn, (name,), level.iterations) for turn in range(level.rounds) for name in order]
-    return results + (
-        [(level.rounds, tuple(order), level.together)] if level.together and order else []
-    )
+def steps_of(level: Level, order: Sequence[str]) -> list[tuple[int, tuple[str, ...], int]]:
+    """Return (round, properties, iterations) of each step of a level, in turn."""
+    steps = [(turn, (name,), level.iterations) for turn in range(level.rounds) for name in order]
+    joint = (level.rounds, tuple(order), level.joint_iterations)
+    return [*steps, joint] if level.joint_iterations and order else [*steps]
 
 
-def at_rest(maps):
-    """State of the coordinates' start."""
+def starting_state(maps: Coordinates) -> State:
+    """Return the State of the coordinates' start."""
     return state_of(maps, {name: m.predicted for name, m in maps.items()})
 
 
-def state_of(maps, z, known=None):
-    """State of vectors {name: (Z,) numpy or tensor}; what `z` does not name is taken from the State
-    `known`.
+def state_of(
+    maps: Coordinates,
+    z: dict[str, np.ndarray] | dict[str, torch.Tensor],
+    known: State | None = None,
+) -> State:
+    """Return the State of vectors {property: (Z,)}.
+
+    known  a State from which properties that `z` does not name are taken
     """
     moved = {
         name: torch.as_tensor(z[name]).to(m.predicted.device).reshape(m.shape)
         for name, m in maps.items()
         if name in z
     }
-    fields = {FIELDS[name]: maps[name](value) for name, value in moved.items()}
+    fields: dict[str, Any] = {FIELDS[name]: maps[name](value) for name, value in moved.items()}
     fields["z"] = ({} if known is None else known.z) | moved
     return State(**fields) if known is None else replace(known, **fields)
 
 
-def descended(energy, maps, z, names, level, where, iterations):
-    """{name: vector} of the named properties after L-BFGS at one level; where it meets no finite
-    energy it stays.
+def minimised(
+    energy: Energy,
+    maps: Coordinates,
+    z: Vectors,
+    names: Sequence[str],
+    level: Level,
+    where: torch.Tensor,
+    iterations: int,
+) -> Vectors:
+    """Return {property: vector} of the named properties after L-BFGS at one level.
+
+    Where it meets no finite energy the vectors stay as they are.
+
+    where  indices of pixels, as of Energy.pixels
     """
     sizes = [len(z[name]) for name in names]
-    still = state_of(maps, z)
-    device = still.n.device
+    unmoved = state_of(maps, z)
+    device = unmoved.n.device
 
-    def parts(x):
+    def parts(x: np.ndarray) -> Vectors:
         return dict(zip(names, np.split(x, np.cumsum(sizes)[:-1]), strict=True))
 
-    def value_and_slope(x):
+    def value_and_gradient(x: np.ndarray) -> tuple[float, np.ndarray]:
         moved = {
             name: torch.from_numpy(v.copy()).to(device).requires_grad_()
             for name, v in parts(x).items()
         }
-        state = state_of(maps, moved, still)
-        if not state.drawable:
+        state = state_of(maps, moved, unmoved)
+        if not state.is_renderable:
             return NOWHERE, np.zeros_like(x)
         value = energy.total(energy.terms(state, where, level.light, level.method, level.tolerance))
-        slopes = torch.autograd.grad(value, list(moved.values()))
-        slope = np.concatenate([array(s) for s in slopes])
-        if not (math.isfinite(value.item()) and np.isfinite(slope).all()):
+        gradients = torch.autograd.grad(value, list(moved.values()))
+        gradient = np.concatenate([array(part) for part in gradients])
+        if not (math.isfinite(value.item()) and np.isfinite(gradient).all()):
             return NOWHERE, np.zeros_like(x)
-        return value.item(), slope.astype(np.float64)
+        return value.item(), gradient.astype(np.float64)
 
     x = np.concatenate([z[name] for name in names])
     options = {"maxiter": iterations, "maxfun": MOST_EVALUATIONS * iterations, "maxcor": 10}
-    return parts(minimize(value_and_slope, x, jac=True, method="L-BFGS-B", options=options).x)
+    return parts(minimize(value_and_gradient, x, jac=True, method="L-BFGS-B", options=options).x)

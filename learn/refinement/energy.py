@@ -1,18 +1,18 @@
-"""What refinement lowers: the picture's difference from what was seen, and how far each property is
-from the prediction.
+"""The energy that refinement lowers (Eq. 6): misfit of the picture and distance moved.
 
     E = image + a · normals + b · light + c · material
 
-Eq. 6, each term a mean, so that a weight means the same at any size of picture and map
+Each term is a mean, so that a weight means the same at any size of picture and light map.
 image     mean over pixels and channels of (C(I*) − C(I))²
 normals   mean over pixels of |n* − n'|²
 light     mean over the sphere (solid angle) and channels of (log(1 + L*) − log(1 + L'))²
-material  mean over regions of |z|²/K: distance from the prediction in units of the training
-materials' spread; not in Eq. 6, c = 0 there
+material  mean over regions of |z|²/K, the distance from the prediction in units of the training
+          materials' spread; not in Eq. 6, c = 0 there
 
-C(I) = log(1 + 8 e I)/log 9 with the exposure e that brings the object's 99th percentile to 1: as
-the display's curve, but a highlight beyond white still counts Deviates  Eq. 6 names neither curve
-nor normalisation; sums over pixels and texels would weigh the terms by the picture's size
+C(I) = log(1 + 8 e I)/log 9, with the exposure e that brings the object's 99th percentile to 1. The
+curve is close to the display's, but a highlight beyond white still counts.
+Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the
+          terms by the picture's size
 """
 
 import math
@@ -21,28 +21,33 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
-from learn.layer import render
+from learn.layer.predictions import Policy, radiance
 from learn.networks.coding import compressed
+from learn.refinement.settings import RefinementSettings
 from learn.training.losses import reduced, solid_angles
 from shaders import tone
 
 
 @dataclass(frozen=True)
 class State:
-    """label (1, S, 108) float64, light (1, 3, 64, 128), n (1, 3, H, W), and z {name: vector} of
-    learn.refinement.coordinates.
+    """One point of the descent.
+
+    label (1, S, 108) float64, light (1, 3, 64, 128), n (1, 3, H, W)
+    z     {property: vector} of learn.refinement.coordinates
     """
 
     label: torch.Tensor
     light: torch.Tensor
     n: torch.Tensor
-    z: dict
+    z: dict[str, torch.Tensor]
 
     @property
-    def drawable(self):
-        """Whether the layer takes it: the first stride of a line search may end at a material of
-        e^100, or at none.
+    def is_renderable(self) -> bool:
+        """Whether the layer accepts this state.
+
+        The first step of a line search may end at a material of e^100, or at one of zeros.
         """
         material = self.label.detach().exp().to(self.n.dtype)
         return bool(
@@ -55,11 +60,10 @@ class State:
 class Energy:
     """The energy of one picture.
 
-    batch   learn.data.batch.Batch of one
-    start   State: the prediction
+    batch   of one picture; start: the prediction
     """
 
-    def __init__(self, batch, start, settings):
+    def __init__(self, batch: ExampleBatch, start: State, settings: RefinementSettings):
         self.settings, self.start, self.elevation = settings, start, batch.elevation
         inside = (batch.segments[0] > 0) & (batch.mask[0, 0] > 0)
         self.inside = inside.flatten().nonzero()[:, 0]
@@ -71,17 +75,25 @@ class Energy:
         self.log_light = torch.log1p(start.light)
         self.share = solid_angles(start.light)
 
-    def pixels(self, count):
-        """Indices of `count` pixels of the object, evenly spread over it; all of them for 0."""
+    def pixels(self, count: int) -> torch.Tensor:
+        """Return indices of `count` pixels, evenly spread over the object; 0: of all its pixels."""
         if not count or count >= len(self.inside):
             return self.inside
-        # golden section: any count is even, and no row is preferred
+        # golden section: even for any count, without preferring a row
         at = (torch.arange(count) * 0.6180339887498949) % 1
         return self.inside[(at * len(self.inside)).long().unique().to(self.inside.device)]
 
-    def image(self, state, where, light, method, tolerance):
-        """Mean square over pixels `where` and channels; all pixels go to the layer as a frame,
-        whose neighbours' normals are alike.
+    def image(
+        self,
+        state: State,
+        where: torch.Tensor,
+        light: tuple[int, int],
+        method: str,
+        tolerance: float,
+    ) -> torch.Tensor:
+        """Return the mean square misfit over channels and the pixels `where`.
+
+        All pixels together go to the layer as a frame, in which neighbours have similar normals.
         """
         n = state.n.movedim(1, -1)
         whole = len(where) == len(self.inside)
@@ -90,22 +102,27 @@ class Energy:
             if whole
             else (None, self.segments.flatten()[where][None, None])
         )
-        material = state.label.exp().to(n.dtype)
-        picture = render(
+        picture = radiance(
             n.contiguous() if whole else n.flatten(1, 2)[:, where][:, None],
-            material if self.regions > 1 else material[:, 0],
-            reduced(state.light, light).movedim(1, -1),
-            segments=segments if self.regions > 1 else None,
-            mask=mask,
-            method=method,
-            tolerance=tolerance,
-            elevation=self.elevation,
+            state.label,
+            reduced(state.light, light),
+            segments,
+            mask,
+            self.elevation,
+            Policy(method, tolerance),
         )
         shown = picture.flatten(0, 2)[where] if whole else picture.flatten(0, 2)
         return ((compressed(shown * self.exposure) - self.seen[where]) ** 2).mean()
 
-    def terms(self, state, where, light=(64, 128), method="auto", tolerance=None):
-        """{name: scalar}, not yet weighed; tolerance None: the settings'."""
+    def terms(
+        self,
+        state: State,
+        where: torch.Tensor,
+        light: tuple[int, int] = (64, 128),
+        method: str = "auto",
+        tolerance: float | None = None,
+    ) -> dict[str, torch.Tensor]:
+        """Return {term: scalar}, without weights; tolerance None: the settings'."""
         image = self.image(
             state, where, light, method, self.settings.tolerance if tolerance is None else tolerance
         )
@@ -118,18 +135,19 @@ class Energy:
             "material": (state.z["material"] ** 2).mean(),
         }
 
-    def total(self, terms):
-        """The weighted sum."""
+    def total(self, terms: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return the weighted sum of the terms."""
         s = self.settings
         return (
             terms["image"] + s.a * terms["normals"] + s.b * terms["light"] + s.c * terms["material"]
         )
 
-    def finest(self, state):
-        """{name: float} of all pixels under the whole map, and "total": what accepts or rejects a
-        step; inf for what cannot be drawn.
+    def finest(self, state: State) -> dict[str, float]:
+        """Return {term: float} and "total" over all pixels under the full light map.
+
+        This total accepts or rejects a step; it is inf for a state that cannot be rendered.
         """
-        if not state.drawable:
+        if not state.is_renderable:
             return dict.fromkeys(("image", "normals", "light", "material", "total"), math.inf)
         with torch.no_grad():
             terms = self.terms(state, self.inside)

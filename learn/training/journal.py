@@ -1,12 +1,15 @@
-"""What a run writes about itself: log.jsonl step by step, TensorBoard's events when asked, and
-made.json in the end.
+"""The log of a run: log.jsonl step by step, TensorBoard's events on request, and made.json.
 
-A run that was killed may have logged steps beyond its last checkpoint; it makes them again, so
+A run that was killed may have logged steps beyond its last checkpoint. It makes them again, so
 those lines are dropped first.
 """
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from manifests.errors import InputError
 from manifests.files import write_json, write_lines
@@ -15,19 +18,23 @@ from manifests.store import Lines
 
 
 class Journal:
-    """Figures of one run. step: where it goes on; tensorboard: write events as well. Raises
-    InputError if TensorBoard is not installed.
+    """The figures of one run.
+
+    out          folder of the run; step: at which it continues
+    tensorboard  whether events are written as well
+    Raises       InputError if TensorBoard is not installed
     """
 
-    def __init__(self, out, step, tensorboard=False):
-        self.path, self.events = Path(out) / "log.jsonl", None
+    def __init__(self, out: str | Path, step: int, tensorboard: bool = False):
+        self.path = Path(out) / "log.jsonl"
+        self.events: Any = None
         if tensorboard:
             self.events = _writer()(str(Path(out) / "tensorboard"), purge_step=step or None)
-        _forget(self.path, step)
-        self._lines = None
+        _drop_lines(self.path, step)
+        self._lines: Lines | None = None
 
-    def write(self, record):
-        """One step's figures: {"step": k, name: number, "validation": {name: number}}."""
+    def write(self, record: Mapping[str, Any]) -> None:
+        """Log one step's figures: {"step": k, name: number, "validation": {name: number}}."""
         self._lines = self._lines or Lines(self.path)
         self._lines.append_line((json.dumps(record) + "\n").encode())
         if self.events:
@@ -37,14 +44,25 @@ class Journal:
             for name, value in record.get("validation", {}).items():
                 self.events.add_scalar(f"validation/{name}", value, record["step"])
 
-    def show(self, step, picture):
-        """A sheet of pictures (H, W, 3) uint8."""
+    def show(self, step: int, picture: np.ndarray) -> None:
+        """Log a contact sheet (H, W, 3) uint8."""
         if self.events:
             self.events.add_image("sheet", picture, step, dataformats="HWC")
 
-    def made(self, by, sizes, left_out, step, figures):
-        """made.json: the command that ran last, its commit and machine, what it learned from, and
-        the last validation's figures.
+    def made(
+        self,
+        by: Mapping[str, Any],
+        sizes: Mapping[str, Mapping[str, int]],
+        left_out: int,
+        step: int,
+        figures: Mapping[str, float],
+    ) -> None:
+        """Write made.json.
+
+        by        manifests.provenance.provenance of the command that ran last
+        sizes     {split: {kind: number}} of what the run learned from
+        left_out  number of records, geometry files and materials that were left out
+        figures   of the last validation
         """
         report = {
             "made_by": by,
@@ -55,15 +73,16 @@ class Journal:
         }
         write_json(self.path.with_name("made.json"), report)
 
-    def close(self):
-        """All events on disk."""
+    def close(self) -> None:
+        """Write all events to disk."""
         if self._lines:
             self._lines.close()
         if self.events:
             self.events.close()
 
 
-def _writer():
+def _writer() -> Any:
+    """Return TensorBoard's class of writers. Raises InputError if it is not installed."""
     try:
         import tensorboard  # noqa: F401 -- torch's own message takes a page
         from torch.utils.tensorboard import SummaryWriter
@@ -77,8 +96,8 @@ def _writer():
     return SummaryWriter
 
 
-def _forget(path, step):
-    """Drop lines of steps from `step` on, and a torn last one."""
+def _drop_lines(path: Path, step: int) -> None:
+    """Drop the lines of steps from `step` on, and an incomplete last one."""
     if not path.exists():
         return
     require_file(path, "a log of lines", "give another --out")

@@ -1,53 +1,64 @@
-"""The objective: what stands between a prediction and the truth, term by term.
+"""The objective of training, term by term.
 
 B pictures, S regions, P pixels. Sums are normalised so that weights mean the same at any size:
 normals by the mask's pixels, materials by coefficients, light by solid angle, pictures by sampled
 pixels and channels.
 
-normals         mean |n' − n|²
-Eq. 3
-material        mean (code' − code)²
-Eq. 4
+normals         mean |n' − n|²                                                               Eq. 3
+material        mean (code' − code)²                                                         Eq. 4
 albedo          mean (log a' − log a)², a the albedo seen and lit along the normal, by channel
 light_log       mean over solid angle of (log(1 + L') − log(1 + L))², both at unit mean over the
-sphere and the channels
-light_rendered  the same of radiance leaving a matte and two glossy mirrors: what light does, not
-where it stands
-image           mean (c(I') − c(I))², I' from all three predictions, c =
-learn.networks.coding.compressed   Eq. 5
-target          the same of O' in the target material, from predicted normals and light
-Eq. 5
+                sphere and the channels
+light_rendered  the same of radiance that leaves a matte and two glossy mirrors: the effect of the
+                light, not the place of its sources
+image           mean (c(I') − c(I))², I' from all three predictions,
+                c = learn.networks.coding.compressed                                         Eq. 5
+target          the same of O' in the target material, from predicted normals and light      Eq. 5
 image_features, target_features   squared difference of features of c(I') and c(I), relative to
-c(I)'s; likewise O' and O
+                c(I)'s; likewise O' and O
+
 I and O are what the layer makes of the truth at the same pixels under the same light resolution, so
-that truth has no loss; where a batch has rendered pictures (learn.data.rendered), I and O are
-those.
+that a perfect prediction has no loss. Where a batch has rendered pictures (learn.data.rendered), I
+and O are those.
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
 
-from learn.layer import render
+from learn.data.batch import ExampleBatch
+from learn.data.settings import Losses
+from learn.layer import predictions
 from learn.metrics.radiometry import log_albedo, log_rendered
-from learn.networks.coding import compressed
-from learn.networks.features import difference
+from learn.networks.coding import Ranges, compressed
+from learn.networks.features import Features, difference
+from learn.networks.prediction import Prediction, required
 from shaders import envmap
 
-# texels of half the sharpest lobe's width: four times as many made this the dearest term of a step
+# texels of half the sharpest lobe's width; with four times as many this is the costliest term
 RENDERED_LIGHT = (32, 64)
-# for single pixels it is exact; all of them at 2e-2 would take a quarter longer
-WHOLE_TOLERANCE = 5e-2
-BRIGHTEST_SEEN = 1.2  # of a compressed picture, for features, which never saw anything above 1
+BRIGHTEST_SEEN = 1.2  # of a compressed picture, for features, which were trained on values up to 1
 
 
-def terms(prediction, batch, losses, rng, ranges, features=None):
-    """{name: scalar} of the terms whose weight is not 0.
+Terms = dict[str, torch.Tensor]
 
-    rng       a torch Generator on the CPU, for the sampled pixels: the same on every device
+
+def terms(
+    prediction: Prediction,
+    batch: ExampleBatch,
+    losses: Losses,
+    rng: torch.Generator,
+    ranges: Ranges,
+    features: Features | None = None,
+) -> Terms:
+    """Return {name: scalar} of the terms whose weight is not 0.
+
+    rng       of the CPU, for the sampled pixels: the same on every device
     ranges    of the label codes
-    features  learn.networks.features.Features, if a term compares by them
+    features  needed where a term compares by them
     """
     result = {}
     if losses.normals and prediction.n is not None:
@@ -62,60 +73,72 @@ def terms(prediction, batch, losses, rng, ranges, features=None):
     return result
 
 
-def through_layer(losses):
-    """Whether any term is of a picture that the layer renders."""
+def through_layer(losses: Losses) -> bool:
+    """Return whether any term is of a picture that the layer renders."""
     return bool(losses.image or losses.target or by_features(losses))
 
 
-def by_features(losses):
-    """Whether any term compares by features."""
+def by_features(losses: Losses) -> bool:
+    """Return whether any term compares by features."""
     return bool(losses.image_features or losses.target_features)
 
 
-def total(found, losses):
-    """The weighted sum."""
-    return sum(getattr(losses, name) * value for name, value in found.items())
+def total(values: Terms, losses: Losses) -> Any:
+    """Return the weighted sum of terms, a scalar tensor; 0 where there are none."""
+    return sum(getattr(losses, name) * value for name, value in values.items())
 
 
-def material_terms(prediction, batch, losses, ranges):
+def material_terms(
+    prediction: Prediction, batch: ExampleBatch, losses: Losses, ranges: Ranges
+) -> Terms:
+    """Return the terms of a predicted material."""
     result = {}
-    label = batch.label[:, : prediction.label.shape[1]]
+    code, label = required(prediction.code), required(prediction.label)
+    truth = batch.label[:, : label.shape[1]]
     if losses.material:
-        result["material"] = ((prediction.code - ranges.code(label)) ** 2).mean()
+        result["material"] = ((code - ranges.code(truth)) ** 2).mean()
     if losses.albedo:
-        result["albedo"] = ((log_albedo(prediction.label) - log_albedo(label)) ** 2).mean()
+        result["albedo"] = ((log_albedo(label) - log_albedo(truth)) ** 2).mean()
     return result
 
 
-def light_terms(prediction, batch, losses):
+def light_terms(prediction: Prediction, batch: ExampleBatch, losses: Losses) -> Terms:
+    """Return the terms of a predicted light."""
     result = {}
+    lights = required(prediction.light), batch.light
     if losses.light_log:
-        mine, its = (torch.log1p(evenly(light)) for light in (prediction.light, batch.light))
+        mine, its = (torch.log1p(with_unit_mean(light)) for light in lights)
         result["light_log"] = ((mine - its) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()
     if losses.light_rendered:
         mine, its = (
-            log_rendered(reduced(evenly(light), RENDERED_LIGHT))
-            for light in (prediction.light, batch.light)
+            log_rendered(reduced(with_unit_mean(light), RENDERED_LIGHT)) for light in lights
         )
         result["light_rendered"] = ((mine - its) ** 2).mean()
     return result
 
 
-def evenly(light):
-    """Maps (B, 3, Hl, Wl) at unit mean over the sphere and all channels alike.
+def with_unit_mean(light: torch.Tensor) -> torch.Tensor:
+    """Return maps (B, 3, Hl, Wl) scaled to unit mean over the sphere, all channels alike.
 
-    At unit luminance, which weighs green at 0.72, a blurred map is darker, and so nearer to the
-    logarithm of a true one, if what luminance it must have is green: networks trained so were (0.16
-    of log G on every picture).
+    Unit luminance weighs green at 0.72. A blurred map of that luminance is darker, and so nearer to
+    the logarithm of a true one, if it is green: networks trained so came out green by 0.16 of log G
+    on every picture.
     """
     return light / (light.mean(1, keepdim=True) * solid_angles(light)).sum(
         (2, 3), keepdim=True
     ).clamp(min=1e-6)
 
 
-def layer_terms(prediction, batch, losses, rng, features=None):
-    """What is asked of I' and O'; each at its own sampled pixels, or whole. Parts that are not
-    predicted are given true.
+def layer_terms(
+    prediction: Prediction,
+    batch: ExampleBatch,
+    losses: Losses,
+    rng: torch.Generator,
+    features: Features | None = None,
+) -> Terms:
+    """Return the terms of I' and O', each at its own sampled pixels or at all pixels.
+
+    Parts that are not predicted are replaced by the truth.
     """
     true_light = reduced(batch.light, losses.layer_light)
     light = (
@@ -162,10 +185,15 @@ def layer_terms(prediction, batch, losses, rng, features=None):
     return result
 
 
-def compared_by(features, mine, its, inside):
-    """Difference of two compressed pictures (B, 3, H, W) by features; inside (B, 1, H, W): the
-    object, all else of them is black.
+def compared_by(
+    features: Features | None, mine: torch.Tensor, its: torch.Tensor, inside: torch.Tensor
+) -> torch.Tensor:
+    """Return the difference of two compressed pictures (B, 3, H, W) by features.
+
+    inside (B, 1, H, W) bool covers the object, outside of which the pictures are black.
     """
+    if features is None:
+        raise ValueError("features: expected those that the run's losses name, found none")
     mine, its = (
         torch.stack(boxed(pictures.clamp(max=BRIGHTEST_SEEN), inside)) for pictures in (mine, its)
     )
@@ -174,9 +202,10 @@ def compared_by(features, mine, its, inside):
     return difference(features(mine), truth)
 
 
-def boxed(pictures, inside, margin=4):
-    """[(C, h, w)]: each picture cut to a box around its object, of one size for all of them: most
-    of a frame is empty.
+def boxed(pictures: torch.Tensor, inside: torch.Tensor, margin: int = 4) -> list[torch.Tensor]:
+    """Return each picture cut to a box around its object, [(C, h, w)] of one size for all.
+
+    Most of a frame is empty. The margin is in pixels.
     """
     H, W = inside.shape[-2:]
     rows, columns = inside.any(3)[:, 0], inside.any(2)[:, 0]
@@ -201,17 +230,22 @@ def boxed(pictures, inside, margin=4):
     return results
 
 
-def _inside(batch):
-    """(B, 1, H, W) float: where there is truth and the network looks."""
+def _inside(batch: ExampleBatch) -> torch.Tensor:
+    """Return (B, 1, H, W) float, 1 where the truth and the network's mask show the object."""
     return ((batch.segments > 0) & (batch.mask[:, 0] > 0))[:, None].float()
 
 
-def whole(n, label, light, batch, gradient_bound=0.0):
-    """(B, 3, H, W) radiance of all of the mask, 0 outside; by whichever method keeps
-    WHOLE_TOLERANCE at the least cost.
+def whole(
+    n: torch.Tensor,
+    label: torch.Tensor,
+    light: torch.Tensor,
+    batch: ExampleBatch,
+    gradient_bound: float = 0.0,
+) -> torch.Tensor:
+    """Return radiance (B, 3, H, W) at all pixels of the mask by FRAME_LOSS, 0 outside.
 
-    n (B, 3, H, W), label (B, S, 108), light (B, 3, h, w); gradient_bound: see `bounded`, over all
-    the pixels
+    n (B, 3, H, W), label (B, S, 108), light (B, 3, h, w)
+    gradient_bound  as of `bounded`, for all pixels together
     """
     inside = _inside(batch) > 0
     normals = (
@@ -221,23 +255,22 @@ def whole(n, label, light, batch, gradient_bound=0.0):
     )
     if normals.requires_grad:
         normals.register_hook(bounded(gradient_bound / inside.sum().clamp(min=1)))
-    several = label.shape[1] > 1
-    picture = render(
+    picture = predictions.radiance(
         normals,
-        label.exp() if several else label[:, 0].exp(),
-        light.movedim(1, -1),
-        segments=batch.segments.clamp(min=1) if several else None,
-        mask=inside[:, 0],
-        method="auto",
-        tolerance=WHOLE_TOLERANCE,
-        elevation=batch.elevation,
+        label,
+        light,
+        batch.segments.clamp(min=1),
+        inside[:, 0],
+        batch.elevation,
+        predictions.FRAME_LOSS,
     )
     return picture.movedim(-1, 1)
 
 
-def sampled(batch, pixels, rng):
-    """Flat indices (B, P) of pixels drawn from each object, −1 where an object has fewer; and how
-    many there are.
+def sampled(batch: ExampleBatch, pixels: int, rng: torch.Generator) -> tuple[torch.Tensor, int]:
+    """Return flat indices (B, P) of pixels drawn from each object, and their number.
+
+    An index is −1 where an object has fewer pixels.
     """
     inside = ((batch.segments > 0) & (batch.mask[:, 0] > 0)).flatten(1)
     draw = torch.rand(inside.shape, generator=rng).to(inside.device).masked_fill(~inside, -1.0)
@@ -245,52 +278,59 @@ def sampled(batch, pixels, rng):
     return index.masked_fill(value < 0, -1), int((value >= 0).sum())
 
 
-def at_pixels(n, segments, label, light, where, elevation, gradient_bound=0.0):
-    """(B, P, 3) radiance at flat indices (B, P); 0 where they are −1. n (B, 3, H, W).
+def at_pixels(
+    n: torch.Tensor,
+    segments: torch.Tensor,
+    label: torch.Tensor,
+    light: torch.Tensor,
+    where: torch.Tensor,
+    elevation: float,
+    gradient_bound: float = 0.0,
+) -> torch.Tensor:
+    """Return radiance (B, P, 3) at flat indices `where` (B, P), 0 where they are −1.
 
-    gradient_bound  see `bounded`, over all the pixels
+    n (B, 3, H, W), segments (B, H, W), label (B, S, 108), light (B, 3, h, w)
+    gradient_bound  as of `bounded`, for all pixels together
     """
     region = segments.flatten(1).gather(1, where.clamp(min=0))
     mask = where >= 0
     normals = torch.where(mask[..., None], picked(n, where), n.new_tensor([0.0, 0.0, 1.0]))
     if normals.requires_grad:
         normals.register_hook(bounded(gradient_bound / mask.sum().clamp(min=1)))
-    shown = {"segments": region.clamp(min=1)[:, None]} if label.shape[1] > 1 else {}
-    material = label.exp() if label.shape[1] > 1 else label[:, 0].exp()
-    picture = render(
+    picture = predictions.radiance(
         normals[:, None],
-        material,
-        light.movedim(1, -1),
-        mask=mask[:, None],
-        method="exact",
-        elevation=elevation,
-        **shown,
+        label,
+        light,
+        region.clamp(min=1)[:, None],
+        mask[:, None],
+        elevation,
+        predictions.PIXEL_LOSS,
     )
     return picture[:, 0]
 
 
-def picked(values, where):
-    """(B, P, 3) of values (B, 3, H, W) at flat indices (B, P); anything where they are −1."""
+def picked(values: torch.Tensor, where: torch.Tensor) -> torch.Tensor:
+    """Return (B, P, 3) of values (B, 3, H, W) at flat indices (B, P); undefined at −1."""
     return values.flatten(2).gather(2, where.clamp(min=0)[:, None].expand(-1, 3, -1)).movedim(1, -1)
 
 
-def bounded(most):
-    """A hook that shortens each pixel's gradient to at most `most`.
+def bounded(gradient_bound: float | torch.Tensor) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Return a hook that shortens each pixel's gradient to at most `gradient_bound`.
 
-    A glossy material's picture changes by leaps once a normal is off by more than a lobe's width,
-    and its gradient then points anywhere: unbounded it drives normals from the truth (18.0° → 21.6°
-    in a first trial on 64² pictures).
+    A glossy material's picture changes abruptly once a normal is off by more than a lobe's width,
+    and its gradient is then of no use: without a bound it drives normals away from the truth (18.0°
+    → 21.6° in a first trial on 64² pictures).
     """
 
-    def hook(gradient):
+    def hook(gradient: torch.Tensor) -> torch.Tensor:
         length = gradient.norm(dim=-1, keepdim=True)
-        return gradient * (most / length.clamp(min=1e-30)).clamp(max=1)
+        return gradient * (gradient_bound / length.clamp(min=1e-30)).clamp(max=1)
 
     return hook
 
 
-def reduced(light, size):
-    """(B, 3, h, w): the map averaged over solid angle to a coarser one, energy kept."""
+def reduced(light: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+    """Return maps (B, 3, Hl, Wl) averaged over solid angle to `size` (h, w), energy preserved."""
     H, W = light.shape[-2:]
     if tuple(size) == (H, W):
         return light
@@ -299,8 +339,8 @@ def reduced(light, size):
     return torch.einsum("rh,bchw->bcrw", rows, columns)
 
 
-def row_means(before, after):
-    """(after, before) weights that average rows by solid angle."""
+def row_means(before: int, after: int) -> np.ndarray:
+    """Return weights (after, before) that average rows of a map by solid angle."""
     weight = np.asarray(envmap.row_solid_angles(before, 1)).reshape(after, -1)
     out = np.zeros((after, before))
     for r, w in enumerate(weight):
@@ -308,8 +348,8 @@ def row_means(before, after):
     return out
 
 
-def solid_angles(light):
-    """(Hl, Wl) shares of the sphere, summing to 1."""
+def solid_angles(light: torch.Tensor) -> torch.Tensor:
+    """Return each texel's share of the sphere, (Hl, Wl), which sum to 1."""
     H, W = light.shape[-2:]
     share = torch.as_tensor(
         np.asarray(envmap.row_solid_angles(H, W)).reshape(-1), dtype=light.dtype

@@ -1,16 +1,19 @@
-"""What a run trains, and how fast, at each step: stage after stage, then the run's own parts and
-losses.
+"""What a run trains, and at which learning rate, at each step.
 
-The rate starts anew with each stage. compact: AdamW, warm-up, cosine to 0; paper: Adam at rate,
-1e-2 rate, 1e-4 rate over thirds.
+A run goes through its stages, then through its own parts and losses; each of these phases has the
+whole course of the learning rate. compact: AdamW, warm-up, cosine down to 0; paper: Adam at
+learning_rate, 1e-2 and 1e-4 of it over thirds.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 
-THIRDS = ((1.0, 0.9), (1e-2, 0.5), (1e-4, 0.5))  # paper: share of the rate and β₁
+from learn.data.settings import Losses, Run, Schedule
+
+THIRDS = ((1.0, 0.9), (1e-2, 0.5), (1e-4, 0.5))  # paper: share of the learning rate and β₁
 
 
 @dataclass(frozen=True)
@@ -19,12 +22,12 @@ class Phase:
 
     first: int
     steps: int
-    parts: tuple
-    losses: object
+    parts: tuple[str, ...]
+    losses: Losses
 
 
-def phases(run):
-    """All of a run's, in order; the last is its own."""
+def phases(run: Run) -> list[Phase]:
+    """Return all phases of a run in order; the last one is its own after the stages."""
     result, first = [], 0
     for stage in run.stages:
         result.append(Phase(first, stage.steps, stage.parts, stage.losses))
@@ -32,18 +35,18 @@ def phases(run):
     return [*result, Phase(first, run.schedule.steps, run.parts, run.losses)]
 
 
-def steps(run):
-    """Of all stages together."""
+def steps(run: Run) -> int:
+    """Return the number of steps of all phases together."""
     return sum(phase.steps for phase in phases(run))
 
 
-def phase_at(run, step):
-    """The Phase that a step belongs to."""
+def phase_at(run: Run, step: int) -> Phase:
+    """Return the Phase that a step belongs to."""
     return next(phase for phase in reversed(phases(run)) if step >= phase.first)
 
 
-def learning_rate(run, phase, step, done):
-    """(step size, β₁) at a step of a phase of which a share `done` is over."""
+def learning_rate(run: Run, phase: Phase, step: int, done: float) -> tuple[float, float]:
+    """Return (learning rate, β₁) at a step of a phase of which the share `done` is over."""
     if run.schedule.style == "paper":
         share, beta = THIRDS[min(int(3 * done), 2)]
     else:
@@ -52,8 +55,8 @@ def learning_rate(run, phase, step, done):
     return share * run.schedule.learning_rate, beta
 
 
-def optimiser(network, schedule):
-    """Adam or AdamW, at a rate that is set anew before each step."""
+def optimiser(network: torch.nn.Module, schedule: Schedule) -> torch.optim.Optimizer:
+    """Return Adam or AdamW, whose learning rate is set before each step."""
     if schedule.style == "paper":
         return torch.optim.Adam(network.parameters(), schedule.learning_rate)
     return torch.optim.AdamW(
@@ -61,11 +64,14 @@ def optimiser(network, schedule):
     )
 
 
-def follow(average, network, step, memory):
-    """The moving average {name: tensor} takes a step towards the weights; it hurries at first, so
-    that the start is soon forgotten.
+def update_average(
+    average: Mapping[str, torch.Tensor], network: torch.nn.Module, step: int, ema_decay: float
+) -> None:
+    """Move the exponential moving average {name: tensor} towards the network's weights.
+
+    It moves faster in the first steps, so that the initial weights soon no longer count.
     """
-    share = 1 - min(memory, (1 + step) / (10 + step))
+    share = 1 - min(ema_decay, (1 + step) / (10 + step))
     with torch.no_grad():
         for name, tensor in network.state_dict().items():
             if tensor.is_floating_point():

@@ -1,36 +1,47 @@
 """How good a prediction is, in figures that mean something outside the loss.
 
-angle_deg, cosine     between predicted and true normals, means over mask pixels
+angle_deg, cosine     between predicted and true normals, means over the mask's pixels
 irradiance            relative root mean square error over directions, mean over pictures;
-constant_irradiance: of a constant light
+                      constant_irradiance: of a constant light
 image_l2, target_l2   the paper's display L2 over the mask, of I' against I and of O' against O;
-exposure from the truth's 99th percentile;
-                      truth is a rendered picture where the batch has one, else what the layer makes
-                      of the true parts
+                      exposure from the truth's 99th percentile. The truth is a rendered picture
+                      where the batch has one, else what the layer makes of the true parts
 control_l2            of O' from predicted normals under a constant light
 albedo                root mean square over channels of the log albedo's difference
-(learn.training.losses.log_albedo); of several regions
-                      albedo_1, albedo_2 …, over pictures that show them; constant_albedo: of the
-                      mean log albedo of a pool's materials
+                      (learn.training.losses.log_albedo). With several regions albedo_1, albedo_2 …,
+                      over pictures that show them; constant_albedo: of the mean log albedo of a
+                      split's materials
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
 
+from learn.data.batch import ExampleBatch
 from learn.data.devices import array
+from learn.data.relit import DataSplit
+from learn.data.settings import Run
 from learn.data.sources import source_of
-from learn.layer import render
+from learn.layer import predictions
+from learn.metrics.pictures import display_l2
 from learn.metrics.radiometry import irradiance, log_albedo
-from shaders import tone
+from learn.networks.prediction import Prediction
 
-TOLERANCE = 2e-2
 LEAST_PIXELS = 16  # of a region, to count as shown
 
 
-def over(predict, data_split, run, batches, seed=20, device="cpu"):
-    """Means over the first batches of a pool. predict: Batch → Prediction, both on the device."""
+def over(
+    predict: Callable[[ExampleBatch], Prediction],
+    data_split: DataSplit,
+    run: Run,
+    batches: int,
+    seed: int = 20,
+    device: torch.device | str = "cpu",
+) -> dict[str, float]:
+    """Return means over the first batches of a split. predict works on the device."""
     source, constant = source_of(data_split, run, run.schedule.batch, seed), mean_albedo(data_split)
     results = [
         of(predict(batch), batch, constant)
@@ -39,22 +50,27 @@ def over(predict, data_split, run, batches, seed=20, device="cpu"):
     return {name: _mean(np.concatenate([f[name] for f in results])) for name in results[0]}
 
 
-def _mean(values):
-    """Of the values that are there."""
-    there = np.isfinite(values)
-    return float(values[there].mean()) if there.any() else math.nan
+def _mean(values: np.ndarray) -> float:
+    """Return the mean of the finite values; NaN if there are none."""
+    finite = np.isfinite(values)
+    return float(values[finite].mean()) if finite.any() else math.nan
 
 
-def mean_albedo(data_split):
-    """(3,) mean log albedo of a pool's materials: the best guess without looking."""
+def mean_albedo(data_split: DataSplit) -> torch.Tensor:
+    """Return the mean log albedo (3,) of a split's materials: the best guess without a picture."""
     return log_albedo(torch.from_numpy(np.stack(list(data_split.labels.values())))).mean(0)
 
 
-def of(prediction, batch, constant_albedo=None):
-    """{name: (B,) float64} of one batch; NaN where a picture does not show what is measured.
-    constant_albedo (3,): the control's.
+def of(
+    prediction: Prediction, batch: ExampleBatch, constant_albedo: torch.Tensor | None = None
+) -> dict[str, np.ndarray]:
+    """Return {name: (B,) float64} of one batch.
+
+    A value is NaN where a picture does not show what is measured.
+
+    constant_albedo  (3,) of the control; None: no control
     """
-    result = {}
+    result: dict[str, np.ndarray] = {}
     n = batch.n if prediction.n is None else prediction.n
     light = batch.light if prediction.light is None else prediction.light
     if prediction.n is not None:
@@ -83,11 +99,16 @@ def of(prediction, batch, constant_albedo=None):
     return result
 
 
-def albedos(label, batch, constant=None):
-    """{name: (B,)} of albedo's errors, and of the control's where there is one; label (B, S,
-    108).
+def albedos(
+    label: torch.Tensor, batch: ExampleBatch, constant: torch.Tensor | None = None
+) -> dict[str, np.ndarray]:
+    """Return {name: (B,)} of the errors of albedo, and of the control where there is one.
+
+    label     (B, S, 108) as predicted
+    constant  (3,) log albedo of the control
     """
-    result, regions = {}, label.shape[1]
+    result: dict[str, np.ndarray] = {}
+    regions = label.shape[1]
     true = log_albedo(batch.label[:, :regions])
     guesses = {"albedo": log_albedo(label)} | (
         {} if constant is None else {"constant_albedo": constant.to(true.device).expand_as(true)}
@@ -103,75 +124,75 @@ def albedos(label, batch, constant=None):
 
 
 class DeadUnits:
-    """While entered, watches which channels of a network's activations are ever above 0; one that
-    never is learns no more.
+    """Records, while entered, which channels of a network's activations are ever above 0.
+
+    A channel that never is does not learn any more.
     """
 
-    def __init__(self, network):
-        self.alive, self.hooks = {}, []
+    def __init__(self, network: torch.nn.Module):
+        self.alive: dict[str, torch.Tensor] = {}
+        self.hooks: list[Any] = []
         self.layers = [
             (name, layer)
             for name, layer in network.named_modules()
             if isinstance(layer, torch.nn.ReLU)
         ]
 
-    def __enter__(self):
+    def __enter__(self) -> "DeadUnits":
         self.hooks = [layer.register_forward_hook(self._watch(name)) for name, layer in self.layers]
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         for hook in self.hooks:
             hook.remove()
 
-    def _watch(self, name):
-        def hook(_, __, output):
+    def _watch(self, name: str) -> Callable[..., None]:
+        def hook(_: Any, __: Any, output: torch.Tensor) -> None:
             channels = output.detach().movedim(1, 0).flatten(1).amax(1) > 0
-            self.alive[name] = self.alive.get(name, False) | channels
+            self.alive[name] = channels | self.alive.get(name, torch.zeros_like(channels))
 
         return hook
 
-    def figures(self):
-        """{"dead_units": share of all channels}; {} before anything was predicted."""
+    def figures(self) -> dict[str, float]:
+        """Return {"dead_units": share of all channels}; {} before anything was predicted."""
         channels = torch.cat(list(self.alive.values())) if self.alive else torch.zeros(0)
         return {"dead_units": 1 - channels.float().mean().item()} if len(channels) else {}
 
 
-def compared(n, label, light, true_label, batch, rendered=None):
-    """(B,) display L2 over the mask between the layer's picture of what was predicted and the
-    truth.
+def compared(
+    n: torch.Tensor,
+    label: torch.Tensor,
+    light: torch.Tensor,
+    true_label: torch.Tensor,
+    batch: ExampleBatch,
+    rendered: torch.Tensor | None = None,
+) -> np.ndarray:
+    """Return the display L2 (B,) over the mask between the layer's picture and the truth.
 
-    rendered  (B, 3, H, W) the true pictures; None: what the layer makes of the true parts
+    n, label, light  predicted, or true where they were not
+    rendered         (B, 3, H, W) the true pictures; None: what the layer makes of the true parts
     """
     inside = batch.segments > 0
-    mine = picture(n, label, light, batch)
+    predicted = picture(n, label, light, batch)
     truth = (
         picture(batch.n, true_label, batch.light, batch)
         if rendered is None
         else array(rendered.movedim(1, -1))
     )
     out = []
-    for a, b, mask in zip(mine, truth, array(inside), strict=True):
-        out.append(tone.display_l2(a, b, tone.auto_exposure(b, mask), mask))
+    for a, b, mask in zip(predicted, truth, array(inside), strict=True):
+        out.append(display_l2(a, b, mask))
     return np.array(out)
 
 
-def picture(n, label, light, batch):
-    """(B, H, W, 3) numpy radiance by the layer."""
-    several = label.shape[1] > 1
-    with torch.no_grad():
-        material = label.exp() if several else label[:, 0].exp()
-        radiance = render(
-            n.movedim(1, -1).contiguous(),
-            material,
-            light.movedim(1, -1).contiguous(),
-            segments=batch.segments if several else None,
-            mask=batch.segments > 0,
-            method="hybrid",
-            tolerance=TOLERANCE,
-            elevation=batch.elevation,
-        )
-    return array(radiance)
+def picture(
+    n: torch.Tensor, label: torch.Tensor, light: torch.Tensor, batch: ExampleBatch
+) -> np.ndarray:
+    """Return radiance (B, H, W, 3) of a batch by VALIDATION, channels last, on the CPU."""
+    policy = predictions.VALIDATION
+    return array(predictions.picture(n, label, light, batch.segments, batch.elevation, policy))
 
 
-def means(values, inside):
+def means(values: torch.Tensor, inside: torch.Tensor) -> np.ndarray:
+    """Return means (B,) of values (B, H, W) over the pixels inside (B, H, W)."""
     return array(((values * inside).sum((1, 2)) / inside.sum((1, 2))).double())

@@ -1,19 +1,18 @@
-"""Is a data set's folder whole, and is it what its own ids say? Faults come as lines; a good folder
-gives none.
+"""Verification of a data set: whether its folder is complete, and is what its ids say.
 
-Two readings: of the lines alone (`in_records`: seconds for 720,000), then of every file
-(`in_files`: a few milliseconds a picture). Nothing that is found ends a reading: what cannot be
-read becomes a fault, and the reading goes on behind it.
+Faults are single lines of text; a good folder has none. There are two passes: over the records
+alone (`in_records`: seconds for 720,000), then over every file (`in_files`: a few milliseconds per
+picture). No fault ends a pass: what cannot be read is a fault, and the pass goes on.
 
 entries   dataset.json and materials.json against each other and the rules of the split
 lines     records and views against their ids and the entries
 orders    records and views against the jobs that ask for them
 files     pictures, geometry and light maps against their hashes, and their contents against physics
 strays    what lies in the folder and does not belong there
-repair    what is broken goes, so that the same `render` makes it again
+repair    removes what is broken, so that the same `render` makes it again
 
-What a forger who recomputes every hash and id can put into a folder, no reading of that folder can
-tell from another data set; docs/rendering.md says what that leaves.
+A forger who recomputes every hash and id makes a folder that no reading of it can tell from another
+data set; docs/rendering.md says what this leaves open.
 """
 
 from collections.abc import Callable, Iterator
@@ -36,28 +35,26 @@ __all__ = ["Fault", "Verification", "faults_of", "repair", "shared_between", "su
 
 
 class Verification:
-    """One look at a data set. Take all of `in_records` first; then, if the files are to be read,
-    all of `in_files`.
+    """The verification of one data set.
+
+    Consume all of `in_records` first; then, if the files are to be read, all of `in_files`.
 
     store      its Store
-    render     fingerprint of the render settings that the program has in force now, None: unknown
-    reference  (name, hash) → (L, scale) of a light as the program makes it itself, None where it
-    cannot
+    render     fingerprint of the program's own render settings, None: unknown
+    reference  (name, hash) → (L, scale) of a light that the program makes itself, None for others
     count      records and views seen; 0 before `in_records`
-    Raises     InputError if there is no dataset.json, or none that can be read
+    Raises     InputError if dataset.json is missing or cannot be read
     """
 
     def __init__(self, store: Store, render: str | None = None, reference: Reference | None = None):
         self.store, self.dataset, self.count = store, store.dataset(), 0
         self._render, self._reference = render, reference
-        self._labels: dict[str, Entry] | None = {}
+        self._labels: dict[str, Entry] | None = None
         self._condemned: set[Line] = set()
         self._damaged: set[tuple[str, str]] = set()
 
     def in_records(self) -> Iterator[Fault]:
-        """Faults that dataset.json, materials.json and the lines of records and views show by
-        themselves.
-        """
+        """Yield the faults of dataset.json, materials.json and the lines of records and views."""
         for fault in self._in_records():
             if fault.line:
                 self._condemned.add(fault.line)
@@ -95,18 +92,19 @@ class Verification:
         try:
             catalogue = read_catalogue(path).materials
         except (InputError, OSError) as problem:
-            self._labels = None
             yield Fault(str(problem))
             return
+        labels = self._labels = {}
         for entry in catalogue:
-            if entry.name in self._labels:
+            if entry.name in labels:
                 text = f"materials.json: expected '{entry.name}' once, found again"
                 yield Fault(text, entry=("labels", entry.name))
-            self._labels[entry.name] = entry
+            labels[entry.name] = entry
 
     def in_files(self, watch: Callable[[], Any] | None = None) -> Iterator[Fault]:
-        """Faults that the files show: missing, altered, not what a picture can be, named by nobody;
-        and lines nobody asked for.
+        """Yield the faults of files, and lines that no order asks for.
+
+        A file may be missing, altered, impossible as what it is, or named by no line.
 
         watch  called once for each record and view
         """
@@ -139,21 +137,19 @@ class Verification:
 def faults_of(
     store: Store, render: str | None = None, reference: Reference | None = None
 ) -> list[Fault]:
-    """All faults of a data set, of its lines and of its files; arguments as Verification takes
-    them.
-    """
+    """Return all faults of a data set; arguments as Verification takes them."""
     verification = Verification(store, render, reference)
     return [*verification.in_records(), *verification.in_files()]
 
 
 def shared_between(datasets: dict[str, Dataset]) -> list[tuple[str, str, str, str, str]]:
-    """Shapes, materials and lights that are for training in one data set and for testing in
-    another.
+    """Return the assets that are for training in one data set and for testing in another.
 
     datasets  {folder: Dataset}
     Returns   [(kind, name, folder, name, folder)]
     """
-    result, sides = [], {}
+    result: list[tuple[str, str, str, str, str]] = []
+    sides: dict[tuple[str, str], tuple[str, str, str]] = {}
     for folder, dataset in datasets.items():
         for kind, entries in (
             ("shape", dataset.shapes),

@@ -1,45 +1,41 @@
-"""What the arrays of a data set must show: properties that every true picture, geometry file and
-light map has.
+"""Properties that every true picture, geometry file and light map has.
 
-They are properties of the physics and of the format, not of one program's output: whatever a writer
-of hashes puts into a file, these can be asked of the numbers. Each function returns lines that say
-what was expected and what was found.
+They follow from the physics and the format, not from one program's output, so they hold for the
+numbers whatever hashes a file has. Each function returns lines that say what was expected and what
+was found.
 
 radiance (height, width, 3), mask (height, width) bool, normals (height, width, 3) in the camera
 frame
 """
-
-from collections.abc import Iterable
 
 import numpy as np
 
 from manifests.arrays import LARGEST_HALF, STEPS_PER_UNIT, Geometry
 from manifests.schema import Camera, Statistics
 from shaders import frames
-from shaders.envmap import LUMINANCE, row_solid_angles
+from shaders.envmap import row_solid_angles
+from shaders.tone import LUMINANCE
 
 LENGTH = 1e-3  # of |n|; rounding to 2^-15 moves it by 3e-5
 RADIUS = 1.001  # objects lie in the unit sphere; the largest of 250 views of 36 shapes is 1.00007
-# of figures that records keep to six places: half a place, and float64's own rounding
+# of figures that records round to six places: half a place, and float64's own rounding
 ROUNDED = 1e-6
 HALF = 2.0**-11  # relative rounding of half precision
 SUBNORMAL = 2.0**-25  # absolute, of values that half precision rounds to 0 or near it
 SMOOTH = np.cos(np.radians(20.0))  # neighbouring normals that bend less lie on one piece of surface
 # least correlation of normals and slopes: 0.75 or more in 340 views of 36 shapes, 0.17 of a slab
-# shaded as a ball
-AGAINST = -0.1
-# root mean square of the part of normals that is correlated, below which there is nothing to see
+# shaded as a sphere
+LEAST_CORRELATION = -0.1
+# root mean square of the normals' correlated part, below which the correlation means nothing
 LEAN = 0.1
-JUDGED = 60  # pixels on smooth pieces below which slopes of depth say nothing
-# lit pixels beside the object, in units of a frame's edge: see `beside`
+LEAST_PIXELS = 60  # on smooth pieces, below which slopes of depth mean nothing
+# lit pixels beside the object, in units of a frame's edge: see `support_faults`
 LIT = {"centre": 0.5, "square": 4.0}
 LEAST_LIT_SHARE = {"centre": 0.0, "square": 0.25}
 
 
 def statistics_faults(radiance: np.ndarray, mask: np.ndarray, said: Statistics) -> list[str]:
-    """Whether a picture has the coverage, mean and maximum that its record says, within the
-    rounding of both.
-    """
+    """Check a picture's coverage, mean and maximum against its record, within rounding."""
     results = []
     coverage = float(mask.mean())
     if abs(coverage - said.coverage) > ROUNDED:
@@ -51,7 +47,7 @@ def statistics_faults(radiance: np.ndarray, mask: np.ndarray, said: Statistics) 
     if not abs(min(said.max, LARGEST_HALF) - largest) <= HALF * largest + SUBNORMAL + ROUNDED:
         results.append(f"expected a largest value of {said.max:g}, found {largest:g}")
     mean = float(inside.mean(axis=0, dtype=np.float64) @ LUMINANCE)
-    # half precision holds no more
+    # the part of the mean above the largest value of half precision
     cut = float((inside >= LARGEST_HALF).mean()) * max(said.max - LARGEST_HALF, 0.0)
     if (
         not -HALF * mean - SUBNORMAL - ROUNDED
@@ -63,10 +59,12 @@ def statistics_faults(radiance: np.ndarray, mask: np.ndarray, said: Statistics) 
 
 
 def support_faults(radiance: np.ndarray, mask: np.ndarray, pixel: str) -> list[str]:
-    """Whether light lies where the object is: behind it pictures are black.
+    """Check that a picture is black where the object is not.
 
     A pixel's square may hold a part of the object that its centre misses: a silhouette, or a wire
-    thinner than a pixel. pixel  "centre" or "square", as manifests.schema.Camera has it
+    that is thinner than a pixel.
+
+    pixel  "centre" or "square", as manifests.schema.Camera has it
     """
     near = mask.copy()
     padded = np.pad(mask, 1)
@@ -84,8 +82,9 @@ def support_faults(radiance: np.ndarray, mask: np.ndarray, pixel: str) -> list[s
 
 
 def black_faults(radiance: np.ndarray, mask: np.ndarray, lit: bool) -> list[str]:
-    """Whether a picture shows something; lit: its light shines from most directions, and its
-    materials reflect.
+    """Check that a picture is not black.
+
+    lit  whether light comes from most directions, and the materials reflect
     """
     if lit and mask.any() and not radiance[mask].any():
         return ["expected some light on the object, found a black picture"]
@@ -93,16 +92,19 @@ def black_faults(radiance: np.ndarray, mask: np.ndarray, lit: bool) -> list[str]
 
 
 def shines_around(L: np.ndarray) -> bool:
-    """Whether a map (height, width, 3) is brighter than 0 over three quarters of the sphere: then
-    it lights any surface.
+    """Return whether a map (height, width, 3) is above 0 over three quarters of the sphere.
+
+    Such a light reaches any surface.
     """
     weight = np.broadcast_to(row_solid_angles(*L.shape[:2])[:, None], L.shape[:2])
     return float(weight[L.max(-1) > 0].sum() / weight.sum()) > 0.75
 
 
 def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
-    """Whether normals are unit, face the viewer and fit the depth, the object lies in the unit
-    sphere, and nothing is behind it.
+    """Check the normals and depth of a geometry file.
+
+    Normals must be unit vectors that face the viewer and fit the depth. The object must lie in the
+    unit sphere, and the background must be 0.
     """
     normals, mask = geometry.normals.astype(np.float64), geometry.mask
     if not mask.any():
@@ -130,25 +132,25 @@ def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
         results.append(
             f"expected an object inside the unit sphere, found depths that put it at {radius:.4f}"
         )
-    if (likeness := likeness_of_slopes(places, normals, mask)) < AGAINST:
+    if (correlation := correlation_of_slopes(places, normals, mask)) < LEAST_CORRELATION:
         results.append(
-            f"expected normals that lean as the depth slopes, found a correlation of {likeness:.2f}"
+            "expected normals that lean as the depth slopes, found a correlation of"
+            f" {correlation:.2f}"
         )
     return results
 
 
 def turned_away(geometry: Geometry, camera: Camera) -> int:
-    """How many pixels of the object have normals that do not face the viewer: n·v ≤ 0."""
+    """Return the number of the object's pixels whose normals face away: n·v ≤ 0."""
     if camera.fov_deg is None:
         return int((geometry.normals[geometry.mask][:, 2] <= 0).sum())
-    view = frames.view_vectors(*geometry.mask.shape, fov=np.radians(camera.fov_deg))
+    height, width = geometry.mask.shape
+    view = frames.view_vectors(height, width, fov=np.radians(camera.fov_deg))
     return int((_dots(geometry.normals.astype(np.float64), view)[geometry.mask] <= 0).sum())
 
 
 def positions(depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """Where each pixel's surface lies: (height, width, 3), camera frame, the object's centre at
-    0.
-    """
+    """Return each pixel's surface point (height, width, 3), camera frame, object's centre at 0."""
     x, y = frames.pixel_grid(*depth.shape)
     depth = depth.astype(np.float64)
     spread = np.full_like(depth, camera.half_extent)
@@ -158,14 +160,14 @@ def positions(depth: np.ndarray, camera: Camera) -> np.ndarray:
     return np.stack([x * spread, y * spread, -depth], axis=-1)
 
 
-def likeness_of_slopes(places: np.ndarray, normals: np.ndarray, mask: np.ndarray) -> float:
-    """How far normals lean the way in which the depth slopes, sideways or upwards, whichever is
-    less: from -1 to 1.
+def correlation_of_slopes(places: np.ndarray, normals: np.ndarray, mask: np.ndarray) -> float:
+    """Return the correlation of normals with the slope of the depth, from -1 to 1.
 
-    places  (height, width, 3), of `positions`
-    Returns 1 where the object shows few pixels on smooth pieces, or none that lean
+    It is the smaller one of the horizontal and the vertical correlation. Shading makes normals of
+    flat faces lean as their neighbours do, but never in the opposite direction.
 
-    Shading makes normals of flat faces lean as their neighbours do, but never the other way.
+    places   (height, width, 3), of `positions`
+    Returns  1 where the object has few pixels on smooth pieces, or none that lean
     """
     centre = np.s_[1:-1, 1:-1]
     sides = np.s_[1:-1, 2:], np.s_[1:-1, :-2], np.s_[:-2, 1:-1], np.s_[2:, 1:-1]
@@ -176,7 +178,7 @@ def likeness_of_slopes(places: np.ndarray, normals: np.ndarray, mask: np.ndarray
     slope, shown = np.cross(right - left, up - down), normals[centre][smooth]
     length = np.sqrt(_dots(slope, slope))
     known = length > 0
-    if known.sum() < JUDGED:
+    if known.sum() < LEAST_PIXELS:
         return 1.0
     slope, shown = slope[known] / length[known, None], shown[known]
     energy = (slope**2).mean(0), (shown**2).mean(0)
@@ -191,17 +193,17 @@ def likeness_of_slopes(places: np.ndarray, normals: np.ndarray, mask: np.ndarray
 def light_faults(
     L: np.ndarray, scale: float, reference: tuple[np.ndarray, float] | None, said_scale: float
 ) -> list[str]:
-    """Whether a stored light is the one that its name and hash mean, where the program knows that
-    one.
+    """Check a stored light against the program's own map of this name and hash.
 
     reference  (L, scale) as the program makes them itself, None: it does not know the light
+    said_scale the scale in dataset.json
     """
     results = []
     if scale != said_scale:
         results.append(f"expected scale {said_scale:.9g}, as in dataset.json, found {scale:.9g}")
     if reference is not None:
         true, true_scale = reference
-        # the same sums on another machine end in other last digits
+        # sums on another machine differ in the last digits
         if not np.allclose(L, true, rtol=1e-4, atol=1e-6) or not np.isclose(
             scale, true_scale, rtol=1e-4
         ):
@@ -209,11 +211,6 @@ def light_faults(
     return results
 
 
-def joined(where: str, faults: Iterable[str]) -> list[str]:
-    """The lines with the file that they are about in front."""
-    return [f"{where}: {fault}" for fault in faults]
-
-
 def _dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Scalar products over the last axis."""
+    """Return scalar products over the last axis."""
     return np.einsum("...c,...c->...", a, b)

@@ -1,9 +1,8 @@
-"""What dataset.json and materials.json say, checked against each other and against the rules that
-they follow from.
+"""dataset.json and materials.json, checked against each other and against the rules of the split.
 
 label  an entry of materials.json; its hash is recomputed from its numbers
 side   of a shape by its role, of a light by its hash, of a material by its label's split
-(manifests.splits)
+       (manifests.splits)
 """
 
 import re
@@ -25,8 +24,9 @@ SETS = {"merl": BUILT_IN[0], "rgl": BUILT_IN[1]}
 
 
 def entry_faults(dataset: Dataset, labels: dict[str, Entry] | None) -> Iterator[Fault]:
-    """Faults of dataset.json and materials.json by themselves; labels: None where materials.json
-    cannot be read.
+    """Yield the faults of dataset.json and materials.json.
+
+    labels  None if materials.json cannot be read
     """
     if not dataset.orders:
         yield Fault("dataset.json: expected an order, the job that was rendered, found none")
@@ -57,7 +57,7 @@ def entry_faults(dataset: Dataset, labels: dict[str, Entry] | None) -> Iterator[
 
 
 def _fault_of(kind, name):
-    """A function (expected, found) that gives the Fault of an entry of dataset.json."""
+    """Return a function (expected, found) that makes the Fault of an entry of dataset.json."""
 
     def fault(expected, found):
         return Fault(
@@ -112,7 +112,7 @@ def _material_faults(name, dataset, labels):
 
 @cache
 def built_in_splits() -> dict[tuple[str, str], str]:
-    """{(name, hash): split} of the materials that come with the program."""
+    """Return {(name, hash): split} of the materials that come with the program."""
     return {
         (entry.name, entry.hash): entry.split
         for path in BUILT_IN
@@ -127,8 +127,9 @@ def _built_in_names(path):
 
 
 def _may_name_material(term, name):
-    """Whether a job's term may mean a material: what a set of the user's own holds is not known
-    here.
+    """Return whether a job's term may mean a material.
+
+    The contents of the user's own sets are not known here.
     """
     first, slash, rest = term.partition("/")
     if first in SETS:
@@ -145,7 +146,7 @@ def _may_name_material(term, name):
 
 
 def _names_light(term, name):
-    """Whether a job's term means a light: its name, or a file of that name."""
+    """Return whether a job's term means a light: its name, or a file of that name."""
     return term == name or PurePath(term.replace("\\", "/")).stem == name
 
 
@@ -159,11 +160,12 @@ def _shape_faults(name, dataset):
         yield fault(f"category {number[1]}", entry.category)
         return
     rules = {order.job.split for order in dataset.orders}
-    roles = {splits.role_of(name, entry.category, entry.hash, rule) for rule in rules}
-    if not roles or None in roles:
+    by_rule = [splits.role_of(name, entry.category, entry.hash, rule) for rule in rules]
+    roles = {role for role in by_rule if role is not None}
+    if not roles or None in by_rule:
         return
-    # a twin that was left out may have lifted it: twins take the first role in this order that one
-    # of them has
+    # a duplicate that was left out may have changed the role: duplicates get the first role in this
+    # order that one of them has
     if files:
         first = max(splits.PRECEDENCE.index(role) for role in roles)
         roles = set(splits.PRECEDENCE[: first + 1])
@@ -172,13 +174,14 @@ def _shape_faults(name, dataset):
 
 
 def is_mesh_file(term: str) -> bool:
-    """Whether a job's term for shapes is a path rather than a name such as "chair:0-39"."""
+    """Return whether a job's term for shapes is a path and not a name such as "chair:0-39"."""
     return any(mark in term for mark in "/\\.")
 
 
 def most_shots(job: Job, dataset: Dataset) -> int | None:
-    """How many shots a job can mean; None where it names files or sets of the user's, whose numbers
-    are not known here.
+    """Return the largest number of shots that a job can mean.
+
+    None if it names the user's own files or sets, whose sizes are not known here.
     """
     if any(is_mesh_file(term) for term in job.shapes):
         return None
@@ -206,13 +209,13 @@ def most_shots(job: Job, dataset: Dataset) -> int | None:
 
 
 def _count(term):
-    """How many shapes a term such as "chair:0-39" means."""
+    """Return how many shapes a term such as "chair:0-39" means."""
     span = RANGE.match(term)
     return max(int(span[2]) - int(span[1]) + 1, 0) if span else 1
 
 
 def _set_size(term, dataset):
-    """How many materials a term means at most, None if that is not known."""
+    """Return how many materials a term means at most, None if that is not known."""
     first, _, rest = term.partition("/")
     if first in SETS:
         return (

@@ -1,6 +1,4 @@
-"""A fault of a data set: what is wrong, and what has to go so that the same `render` makes it
-again.
-"""
+"""Faults of a data set: what is wrong, and what `repair` removes for it."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -14,16 +12,16 @@ Line = tuple[Path, int]  # file and number, from 1, of a line
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong, in one line, and what `repair` removes for it; nothing where only a person can
-    mend it.
+    """What is wrong, in one line, and what `repair` removes for it.
 
-    record  id of the record or view that is condemned, None: the fault is of the folder
-    line    (file, number from 1) of the line that goes
-    file    a damaged or stray file, link or pipe that goes
+    A fault for which nothing is removed can be mended by a person alone.
+
+    record  id of the record or view that is at fault, None: the fault is of the folder
+    line    (file, number from 1) of the line to remove
+    file    a damaged or stray file, link or pipe to remove
     stray   whether that file is one that nothing names
-    entry   (kind, name) of an entry of dataset.json that goes, kind "shapes", "materials" or
-    "lights";
-            or of materials.json, kind "labels"
+    entry   (kind, name) of an entry of dataset.json to remove, kind "shapes", "materials" or
+            "lights"; or of materials.json, kind "labels"
     """
 
     text: str
@@ -43,8 +41,6 @@ class Fault:
 
 
 def summary(faults: Iterable[Fault]) -> tuple[int, int, int]:
-    """How many faults are of records and views, how many of stray files, how many of anything
-    else.
-    """
+    """Return the numbers of faults of records and views, of stray files, and of anything else."""
     counts = Counter("stray" if f.stray else "record" if f.record else "other" for f in faults)
     return counts["record"], counts["stray"], counts["other"]

@@ -1,6 +1,4 @@
-"""Pictures, geometry and light maps of a data set: whole, the ones that the manifest means, and
-possible as what they are.
-"""
+"""Pictures, geometry and light maps of a data set, checked by their hashes and contents."""
 
 import json
 from collections import OrderedDict
@@ -20,7 +18,7 @@ from manifests.verification import contents
 from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of
 
-# of masks that are kept, a bit a pixel: records of one shape follow each other
+# of masks in memory, one bit per pixel; the records of one shape are neighbours
 MASK_BYTES = 64 << 20
 PACKED = (*arrays.PACKED_TYPES, "views.json", "skipped.json")
 
@@ -41,7 +39,7 @@ class Files:
     labels     {name: Entry} of materials.json
     reference  see Verification; None: no light is known
     named      {"images": paths, "geometry": paths, "lights": paths} that lines and dataset.json
-    have named so far
+               have named so far
     """
 
     def __init__(
@@ -58,7 +56,7 @@ class Files:
         self._packed = _Packed(folder / "packed")
 
     def light_faults(self) -> Iterator[Fault]:
-        """Faults of the light maps."""
+        """Yield the faults of the light maps."""
         for name, entry in self.dataset.lights.items():
             # entry_faults says so; it may be anybody's file
             if entry.file != light_path(name, entry.hash):
@@ -78,13 +76,13 @@ class Files:
             self._shines[name] = contents.shines_around(L)
 
     def name(self, line: Record | View) -> None:
-        """Remembers the files that a line names, whether or not they will be read."""
+        """Remember the files that a line names, whether or not they are read."""
         self.named["geometry"].add(line.geometry)
         if isinstance(line, Record):
             self.named["images"].add(image_path(line.id))
 
     def of(self, line: Record | View) -> Iterator[tuple[str, Path | None]]:
-        """(what is wrong, the file that has to go, None: neither) of the files of one line."""
+        """Yield (what is wrong, the file to remove or None) for the files of one line."""
         seen = self._geometry_of(line)
         where = self.folder / line.geometry
         for text in seen.texts:
@@ -109,7 +107,7 @@ class Files:
                 yield text, self.folder / line.image
 
     def _picture_faults(self, record: Record) -> list[str]:
-        """What is wrong with a record's picture."""
+        """Return what is wrong with a record's picture."""
         try:
             self._require_own(record.image)
             radiance = arrays.read_picture(
@@ -129,7 +127,7 @@ class Files:
         return [f"{record.image}: {text}" for text in texts]
 
     def _geometry_of(self, line: Record | View) -> _Seen:
-        """What a line's geometry file shows: read once."""
+        """Return what a line's geometry file shows; each file is read once."""
         key = (line.geometry, line.geometry_hash)
         if key not in self._geometry:
             self._geometry[key] = self._read_geometry(line)
@@ -152,15 +150,15 @@ class Files:
         return _Seen(texts, float(mask.mean()), int(geometry.segments.max(initial=0)))
 
     def _keep(self, path: str, mask: np.ndarray) -> None:
-        """Keeps a mask, and lets those go that were not asked for for longest."""
-        bits = np.packbits(mask)
-        self._masks[path] = bits, mask.shape
+        """Remember a mask, and forget the least recently used ones."""
+        bits, (height, width) = np.packbits(mask), mask.shape
+        self._masks[path] = bits, (height, width)
         self._mask_bytes += bits.nbytes
         while self._mask_bytes > MASK_BYTES and len(self._masks) > 1:
             self._mask_bytes -= self._masks.popitem(last=False)[1][0].nbytes
 
     def _mask(self, record: Record) -> np.ndarray:
-        """The mask (height, width) bool of a record whose geometry was found good."""
+        """Return the mask (height, width) bool of a record whose geometry is good."""
         if record.geometry not in self._masks:
             self._keep(
                 record.geometry,
@@ -171,9 +169,7 @@ class Files:
         return np.unpackbits(bits, count=height * width).reshape(height, width).astype(bool)
 
     def _require_own(self, relative: str) -> None:
-        """Raises InputError unless an ordinary file lies there, by way of folders that are no
-        links.
-        """
+        """Raise InputError unless an ordinary file lies there, in folders that are no links."""
         *parents, _ = relative.split("/")
         for depth in range(1, len(parents) + 1):
             part = "/".join(parents[:depth])
@@ -189,25 +185,26 @@ class Files:
             )
 
     def packed_faults(self) -> Iterator[Fault]:
-        """Faults of the cache that training keeps beside the data set."""
+        """Yield the faults of the cache that training keeps beside the data set."""
         return self._packed.faults()
 
 
 def _said(relative: str, error: InputError | OSError) -> str:
-    """An error about a file, without the folder's own path in front."""
+    """Return an error about a file, without the folder's own path."""
     if isinstance(error, InputError):
         return f"{relative}: expected {error.expected}, found {error.found}"
     return f"{relative}: expected a file that can be read, found {error.strerror or error}"
 
 
 def _reflects(entry: Entry) -> bool:
-    """Whether the mixture of a material reflects any light."""
+    """Return whether the mixture of a material reflects any light."""
     return any(value > 0 for closure in entry.mixture.weights for stop in closure for value in stop)
 
 
 class _Packed:
-    """The cache of packed geometry (learn.data.geometry): each row is compared with the file that
-    it was made from.
+    """The cache of packed geometry (learn.data.geometry).
+
+    Each row is compared with the file from which it was made.
     """
 
     def __init__(self, folder: Path):
@@ -241,7 +238,7 @@ class _Packed:
             )
 
     def compare(self, hash_: str, geometry: arrays.Geometry) -> None:
-        """Looks whether a good geometry file's row, if it has one, is what the file holds."""
+        """Compare a good geometry file with its row, if it has one."""
         if hash_ in self._left_out:
             self._texts.append(
                 f"expected good geometry, as that with hash {hash_[:12]}, found it left out"
@@ -257,6 +254,6 @@ class _Packed:
             )
 
     def faults(self) -> Iterator[Fault]:
-        """What is wrong; all of the cache goes then, since training makes it again."""
+        """Yield what is wrong; the whole cache is removed then, since training makes it again."""
         for text in self._texts:
             yield Fault(f"packed: {text}", file=self.folder)

@@ -1,9 +1,9 @@
-"""Records and views against their ids and the entries of dataset.json.
+"""Records and views, checked against their ids and the entries of dataset.json.
 
-An id is a hash of everything that determines a picture. So a line vouches for itself; and where a
-line and an entry of dataset.json differ, the other lines tell which of the two was altered: a line
-whose id fits, and which does not differ from an entry, confirms it. An entry that no line confirms
-is the one that goes.
+An id is a hash of everything that determines a picture, so a line can be checked by itself. Where a
+line and an entry of dataset.json differ, the other lines show which of the two was altered: a line
+whose id fits, and which does not differ from an entry, confirms the entry. An entry that no line
+confirms is the one to remove.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,19 +16,20 @@ import msgspec
 from manifests import ids
 from manifests.errors import InputError
 from manifests.materials import Entry, material_hash
-from manifests.schema import Dataset, Failure, Record, View
+from manifests.schema import Dataset, Failure, MaterialEntry, Record, View
 from manifests.splits import split_of
 from manifests.store import LINES, Store, geometry_path, image_path, lines_of
 from manifests.verification.faults import Fault, Line
 from manifests.verification.strays import kind_of
 from manifests.viewpoints import azimuths_deg
 
-GROUPS = 20_000  # combinations whose hashes are kept; the records of one follow each other
+MOST_GROUPS = 20_000  # combinations whose hashes are remembered; one's records are neighbours
 
 
 def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | View | Fault]]:
-    """(file, number, line) of each Record or View, and a Fault in place of a line, a file or a
-    folder that is none.
+    """Yield (file, number, line) of each Record or View.
+
+    A Fault takes the place of a line, file or folder that cannot be read.
     """
     folder = store.folder / kind
     if kind_of(folder) != "a folder":  # there is none, or folder_faults says what there is instead
@@ -69,7 +70,7 @@ def _decoded(decoder, where, what, text, line):
 
 
 def failure_faults(store: Store) -> Iterator[Fault]:
-    """Lines of failures*.jsonl that are none: `status` cannot read them."""
+    """Yield the faults of lines of failures*.jsonl, which `status` cannot read."""
     decoder = msgspec.json.Decoder(Failure)
     for path in sorted(store.folder.glob("failures*.jsonl")):
         if kind_of(path) != "a file":  # folder_faults says so
@@ -84,8 +85,10 @@ def failure_faults(store: Store) -> Iterator[Fault]:
 
 
 class _Difference(NamedTuple):
-    """Where a line and an entry differ. entry: (kind, name); what: None where there is no such
-    entry.
+    """Where a line and an entry differ.
+
+    entry  (kind, name)
+    what   None if there is no such entry
     """
 
     entry: tuple[str, str]
@@ -96,11 +99,11 @@ class _Difference(NamedTuple):
 
 @dataclass(slots=True)
 class _Group:
-    """What the records of one combination share.
+    """What the records of one combination have in common.
 
     materials  their hashes by dataset.json, None where it lacks one
-    hashings   (render, materials' hashes, digest to go on from) of each way in which their ids may
-    be hashed
+    hashings   (render, materials' hashes, digest to continue) for each way in which their ids may
+               have been computed
     """
 
     camera: str
@@ -111,12 +114,12 @@ class _Group:
 
 
 class Judge:
-    """Faults of records and views, one by one, and the verdicts that need all of them.
+    """Finds the faults of records and views, one by one, and those that need all of them.
 
-    dataset  Dataset; labels: {name: Entry} of materials.json
+    labels   {name: Entry} of materials.json
     damaged  (kind, name) of entries that are known to be wrong
-    render   fingerprint of the program's render settings, which ids may be hashed with besides
-    those in dataset.json
+    render   fingerprint of the program's render settings, with which ids may have been computed
+             besides those in dataset.json
     """
 
     def __init__(
@@ -133,13 +136,14 @@ class Judge:
         self._fit = 0
 
     def of_kind(self, kind: str) -> Callable[[Any, Line], list[Fault]]:
-        """The method that judges lines of a kind: (line, place) → what is wrong with it; some is
-        said by `verdicts` only.
+        """Return the method that checks lines of a kind: (line, place) → its faults.
+
+        Some faults are returned by `verdicts` alone.
         """
-        return {"records": self.record, "views": self.view}[kind]
+        return self.record if kind == "records" else self.view
 
     def record(self, record: Record, line: Line) -> list[Fault]:
-        """Faults of one record. Written for the good one: 720,000 of them must take seconds."""
+        """Return the faults of one record; fast for good ones, since there may be 720,000."""
         key = (
             record.shape,
             record.shape_hash,
@@ -147,8 +151,10 @@ class Judge:
             record.materials,
             record.light,
             record.light_hash,
+            record.camera,
+            record.samples,
+            record.split,
         )
-        key = (*key, record.camera, record.samples, record.split)
         group = self._groups.get(key) or self._new_group(key, record)
         place = (
             record.viewpoint,
@@ -192,7 +198,7 @@ class Judge:
         return faults
 
     def view(self, view: View, line: Line) -> list[Fault]:
-        """Faults of one view."""
+        """Return the faults of one view."""
         camera = ids.camera_words(view.camera)
         fitting = [
             ids.geometry_id(view.shape_hash, camera, view.viewpoint, render)
@@ -210,10 +216,10 @@ class Judge:
         return faults
 
     def _new_group(self, key, record):
-        """The _Group of a record's combination."""
+        """Return the _Group of a record's combination."""
         camera = ids.camera_words(record.camera)
-        entries = [self.dataset.materials.get(name) for name in record.materials]
-        materials = tuple(entry.hash for entry in entries) if all(entries) else None
+        entries = self._material_entries(record)
+        materials = tuple(entry.hash for entry in entries) if entries is not None else None
         hashings = [
             (
                 render,
@@ -236,13 +242,13 @@ class Judge:
                     ("lights", record.light), "hash", light.hash[:12], record.light_hash[:12]
                 )
             )
-        if len(self._groups) >= GROUPS:
+        if len(self._groups) >= MOST_GROUPS:
             self._groups.clear()
         self._groups[key] = group = _Group(camera, materials, hashings, differences)
         return group
 
     def _shape_differs(self, line, segments):
-        """Differences between a record or a view and the entry of its shape."""
+        """Return the differences between a record or a view and the entry of its shape."""
         here, shape = ("shapes", line.shape), self.dataset.shapes.get(line.shape)
         if shape is None:
             return [self._no_entry("shapes", line.shape, line.shape_hash)]
@@ -254,9 +260,9 @@ class Judge:
         if isinstance(line, View):
             pairs.append(("side", shape.side, line.side))
         else:
-            materials = [self.dataset.materials.get(name) for name in line.materials]
+            materials = self._material_entries(line)
             damaged = self._damaged & {here, *(("materials", name) for name in line.materials)}
-            if all(materials) and not damaged:
+            if materials is not None and not damaged:
                 pairs.append(
                     ("split", split_of(shape.side, [entry.side for entry in materials]), line.split)
                 )
@@ -266,9 +272,16 @@ class Judge:
             if ours != theirs
         ]
 
+    def _material_entries(self, record: Record) -> list[MaterialEntry] | None:
+        """Return the entries of a record's materials; None where dataset.json lacks one."""
+        entries = [self.dataset.materials.get(name) for name in record.materials]
+        known = [entry for entry in entries if entry is not None]
+        return known if len(known) == len(entries) else None
+
     def _no_entry(self, kind, name, hash_):
-        """The difference of a line that names what dataset.json does not: its own, if that knows
-        the thing by another name.
+        """Return the difference of a line that names what dataset.json lacks.
+
+        If dataset.json has the same hash under another name, the name is the difference.
         """
         for other, entry in getattr(self.dataset, kind).items():
             if entry.hash == hash_:
@@ -278,8 +291,9 @@ class Judge:
     def _label_hashes(
         self, names: Sequence[str], known: tuple[str, ...] | None
     ) -> tuple[str, ...] | None:
-        """Hashes of materials by their labels; None where one has none, or where these are the
-        known ones.
+        """Return the hashes of materials by their labels.
+
+        None where a label is missing, or where the hashes are the known ones.
         """
         labels = [self._labels.get(name) for name in names]
         if not all(labels):
@@ -294,7 +308,7 @@ class Judge:
         return self._own_hashes[name]
 
     def _hashes_differ(self, record, hashes):
-        """Differences between dataset.json and the materials' hashes that a record's id fits."""
+        """Yield the differences of dataset.json and the hashes with which a record's id fits."""
         for name, own in zip(record.materials, hashes, strict=True):
             entry = self.dataset.materials.get(name)
             if entry is None:
@@ -303,7 +317,7 @@ class Judge:
                 yield _Difference(("materials", name), "hash", entry.hash, own)
 
     def _differs(self, kind, line, place, differences):
-        """Remembers differences until it is known which side was altered."""
+        """Remember differences until it is known which side was altered."""
         for difference in differences:
             (of, name), what, by_entry, by_line = difference
             text = f"{kind} {line.id}: expected {of[:-1]} '{name}' in dataset.json, found none"
@@ -317,7 +331,7 @@ class Judge:
             )
 
     def _confirm(self, group, record, hashes):
-        """A record whose id fits confirms the entries from which it does not differ."""
+        """Confirm the entries from which a record whose id fits does not differ."""
         named = {
             ("shapes", record.shape),
             ("lights", record.light),
@@ -331,7 +345,7 @@ class Judge:
         group.confirms = True
 
     def _unfitting(self, kind, line, place, fitting, needed):
-        """Remembers a line whose id is not that of what it says."""
+        """Remember a line whose id is not the hash of its content."""
         text = f"{kind} {line.id}: expected {needed}, found none"
         if fitting:
             text = (
@@ -341,16 +355,13 @@ class Judge:
         self._unfit.append((Fault(text, line.id, place), line))
 
     def verdicts(self) -> Iterator[Fault]:
-        """Faults for which it has to be known whether a line or an entry was altered."""
-        doubted = {}
+        """Yield the faults that depend on whether a line or an entry was altered."""
+        doubted: dict[tuple[str, str], int] = {}
         if self._unfit and not self._fit and self._render not in self.dataset.settings:
-            result = (
-                f"none that gives the ids of its {len(self._unfit)} lines,"
-                f" {self._unfit[0][0].record} first"
-            )
             yield Fault(
                 "dataset.json: expected settings of the render version that made its pictures,"
-                f" found {result}"
+                f" found none that gives the ids of its {len(self._unfit)} lines,"
+                f" {self._unfit[0][0].record} first"
             )
         else:
             for fault, line in self._unfit:
@@ -372,7 +383,7 @@ class Judge:
                 yield Fault(text, entry=(kind, name))
 
     def _entries_of(self, line):
-        """The entries that a line names, as far as they are there."""
+        """Return the entries that a line names, as far as they exist."""
         named = [("shapes", line.shape)]
         if isinstance(line, Record):
             named += [
@@ -382,7 +393,7 @@ class Judge:
         return [(kind, name) for kind, name in named if name in getattr(self.dataset, kind)]
 
     def _altered(self, entry, found):
-        """The Fault of an entry that no line confirms."""
+        """Return the Fault of an entry that no line confirms."""
         (kind, name), (_, what, by_entry, by_line) = entry, found[0][1]
         lines = (
             "a line whose id fits says"
@@ -399,7 +410,7 @@ class Judge:
 
 
 def _misplaced(kind, line, place, geometry):
-    """Faults of where a line's geometry lies and of the azimuth that it states."""
+    """Return the faults of where a line's geometry lies and of the azimuth that it states."""
     results = []
     if line.geometry != geometry:
         results.append(

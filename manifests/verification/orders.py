@@ -1,10 +1,8 @@
-"""Which records and views the jobs in dataset.json ask for: their seeds, views and rotations follow
-from the job.
+"""Records and views, checked against the jobs in dataset.json that ask for them.
 
-combination  one shape, its materials and a light; what a job leaves to chance is drawn once for
-each
-             (manifests.ids.draws), and each record's seed is a hash of its combination's word and
-             its place
+combination  one shape, its materials and a light. What a job leaves to chance is drawn once for
+             each (manifests.ids.draws), and each record's seed is a hash of its combination's word
+             and its place.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,13 +13,11 @@ from manifests.verification.faults import Fault, Line
 
 # draws of materials whose seeds are tried; of more, seeds are not looked at (each try takes 20 µs)
 MOST_CHOICES = 16
-COMBINATIONS = 20_000  # that are kept; the records of one follow each other
+MOST_COMBINATIONS = 20_000  # that are remembered; the records of one are neighbours
 
 
 class Orders:
-    """The orders of a data set, against which its lines are held one by one; what none asks for is
-    said at the end.
-    """
+    """The orders of a data set; lines are compared one by one, and the faults come at the end."""
 
     def __init__(self, dataset: Dataset):
         self._dataset = dataset
@@ -31,7 +27,10 @@ class Orders:
         self._unasked: list[Fault] = []
 
     def look(self, line: Record | View, place: Line) -> None:
-        """Notes whether an order asks for a record or a view; place: its file and number."""
+        """Note whether an order asks for a record or a view.
+
+        place  its file and line number
+        """
         if self._asked(line):
             return
         kind = "record" if isinstance(line, Record) else "view"
@@ -53,7 +52,7 @@ class Orders:
         return False
 
     def _combinations_of(self, record):
-        """The jobs that may have asked for records like this one, drawn for its combination."""
+        """Return the jobs that may have asked for a record, drawn for its combination."""
         key = (
             record.shape_hash,
             record.materials,
@@ -62,7 +61,7 @@ class Orders:
             record.samples,
         )
         if key not in self._combinations:
-            if len(self._combinations) >= COMBINATIONS:
+            if len(self._combinations) >= MOST_COMBINATIONS:
                 self._combinations.clear()
             entries = [self._dataset.materials.get(name) for name in record.materials]
             hashes = [entry.hash for entry in entries if entry]
@@ -74,8 +73,10 @@ class Orders:
         return self._combinations[key]
 
     def faults(self) -> Iterator[Fault]:
-        """Lines that no order asks for are at fault, unless an order is without lines: then its job
-        may have been altered.
+        """Yield the lines that no order asks for.
+
+        If there is an order without lines, its job may have been altered, and the order is the
+        fault.
         """
         if self._unasked and self._jobs and len(self._met) == len(self._jobs):
             yield from self._unasked
@@ -89,9 +90,7 @@ class Orders:
 
 
 class Combination:
-    """What a job draws for one combination: words of its seeds with their views, drawn when they
-    are first needed.
-    """
+    """What a job draws for one combination: words of seeds with their views, drawn on demand."""
 
     def __init__(
         self, index: int, job: Job, shape_hash: str, materials: Sequence[str], light_hash: str
@@ -103,7 +102,7 @@ class Combination:
         self._too_many = (job.segment_materials or 0) > MOST_CHOICES
 
     def holds(self, record: Record) -> bool:
-        """Whether the job asks for a record of this combination."""
+        """Return whether the job asks for a record of this combination."""
         job, view, turn = self.job, record.viewpoint, record.rotation_texels
         if record.tier not in self._tiers or record.light_resolution not in self._resolutions:
             return False
@@ -121,16 +120,14 @@ class Combination:
         )
 
     def _every(self) -> Iterator[tuple[int, dict[int, frozenset[int]]]]:
-        """The draws made so far, then the others."""
+        """Yield the draws made so far, then the others."""
         yield from list(self._drawn)
         for drawn in self._rest:
             self._drawn.append(drawn)
             yield drawn
 
     def _draws(self, shape_hash, materials, light_hash):
-        """(word, {view: rotations}) of each time that the job names the light, and of each draw of
-        materials.
-        """
+        """Yield (word, {view: rotations}) of each occurrence of the light and draw of materials."""
         choices = (
             (None,)
             if self.job.segment_materials is None

@@ -1,5 +1,6 @@
-"""What is broken goes, so that the same `render` makes it again. Nothing outside the folder is
-touched, no link followed.
+"""Repair: what is broken is removed, so that the same `render` makes it again.
+
+Nothing outside the folder is touched, and no link is followed.
 """
 
 import os
@@ -18,10 +19,9 @@ from manifests.verification.strays import kind_of
 
 
 def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
-    """Takes condemned lines, damaged and stray files and wrong entries away; returns how many
-    (lines, files) went.
+    """Remove lines, files and entries at fault; return how many (lines, files) were removed.
 
-    A picture or geometry file goes with the last line that names it. Call it with the folder
+    A picture or geometry file is removed with the last line that names it. The folder must be
     locked.
     """
     faults = list(faults)
@@ -36,35 +36,33 @@ def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
         count, named = _drop_lines(store.folder / "partial", path, numbers)
         lines += count
         unnamed |= {store.folder / relative for relative in named}
-    if unnamed:  # a file that another line names, and that line finds good, stays
+    if unnamed:  # a file that a remaining line names stays
         unnamed -= {store.folder / relative for relative in _named(store)}
     unnamed |= _drop_entries(store, {fault.entry for fault in faults if fault.entry})
     return lines, files + sum(_remove(store.folder, path) for path in sorted(unnamed))
 
 
 def _drop_lines(partial, path, numbers):
-    """Writes a file without some of its lines; returns how many went, and the files that these have
-    named.
-    """
-    kept, count, named, type_ = [], 0, set(), LINES.get(path.parent.name)
+    """Write a file without some of its lines; return their number, and the files they named."""
+    remaining, count, named, type_ = [], 0, set(), LINES.get(path.parent.name)
     try:
         for number, line in lines_of(path):
             if number not in numbers:
-                kept.append(line)
+                remaining.append(line)
                 continue
             count += 1
             if type_:
                 named |= _files_of(line, type_)
-    except InputError:  # a line beyond all measure: nothing behind it is known to be one
+    except InputError:  # a line that is too long: what follows it may be no line
         count += 1
     partial.mkdir(exist_ok=True)
     # where a killed run's drafts are swept
-    write_lines(path, kept, draft=partial / f"repair-{path.parent.name}-{path.name}")
+    write_lines(path, remaining, draft=partial / f"repair-{path.parent.name}-{path.name}")
     return count, named
 
 
 def _files_of(line, type_):
-    """The files that a line's own ids name: never those that it says, which may be anybody's."""
+    """Return the files that follow from a line's ids; the paths in it may lead anywhere."""
     try:
         record = msgspec.json.decode(line, type=type_)
     except (msgspec.DecodeError, UnicodeDecodeError):
@@ -75,7 +73,7 @@ def _files_of(line, type_):
 
 
 def _named(store):
-    """Every file that the lines which stay name."""
+    """Return every file that the remaining lines name."""
     named = set()
     for kind in LINES:
         for line in store.records() if kind == "records" else store.views():
@@ -85,9 +83,7 @@ def _named(store):
 
 
 def _drop_entries(store, entries):
-    """Takes entries out of dataset.json and materials.json; returns the maps of lights that go with
-    theirs.
-    """
+    """Remove entries of dataset.json and materials.json; return the removed lights' maps."""
     if not entries:
         return set()
     dataset = store.dataset()
@@ -111,21 +107,19 @@ def _drop_entries(store, entries):
         path = store.folder / "materials.json"
         try:
             catalogue = materials.read_catalogue(path)
-        except InputError:  # not there, or it goes itself
+        except InputError:  # missing, or removed as damaged
             return maps
-        kept = tuple(entry for entry in catalogue.materials if entry.name not in gone)
+        remaining = tuple(entry for entry in catalogue.materials if entry.name not in gone)
         store.place(
             "materials.json",
-            materials.encode(msgspec.structs.replace(catalogue, materials=kept)),
+            materials.encode(msgspec.structs.replace(catalogue, materials=remaining)),
             "main",
         )
     return maps
 
 
 def _remove(folder, path):
-    """Removes a file, a link itself, or a folder that lies where a file should; True if something
-    went.
-    """
+    """Remove a file, a link or a folder in place of a file; return whether there was one."""
     kind = kind_of(path)
     if kind is None or not Path(os.path.realpath(path.parent)).is_relative_to(
         os.path.realpath(folder)

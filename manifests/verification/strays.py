@@ -1,9 +1,8 @@
-"""What lies in a data set's folder and does not belong there: files that nothing names, drafts,
-links, pipes, devices.
+"""What lies in a data set's folder and does not belong there: files that nothing names, and links.
 
-Links are not followed and none belongs: a file that lies elsewhere may change or go, and what is
-removed here must not be there. Folders that cannot be read are faults, too; the listing goes on
-behind them.
+Drafts, pipes and devices do not belong there either. Links are not followed: a file that lies
+elsewhere may change or vanish, and what is removed here must not be there. Folders that cannot be
+read are faults, too, and the search goes on.
 """
 
 import os
@@ -27,9 +26,7 @@ _KINDS = {
 
 
 def kind_of(path: str | os.PathLike) -> str | None:
-    """What lies at a path, links not followed: "a file", "a folder", "a link", …; None for
-    nothing.
-    """
+    """Return what lies at a path, links not followed: "a file", "a folder", …; or None."""
     try:
         return _KINDS.get(stat.S_IFMT(os.lstat(path).st_mode), "something else")
     except OSError:
@@ -37,9 +34,7 @@ def kind_of(path: str | os.PathLike) -> str | None:
 
 
 def folder_faults(folder: Path) -> Iterator[Fault]:
-    """Faults of the top of a data set's folder: its own folders that are none, and links, pipes and
-    devices beside them.
-    """
+    """Yield the faults at the top of the folder: links, pipes, devices, no subfolders."""
     for path in _listed(folder):
         kind = kind_of(path)
         if path.name in KNOWN:
@@ -53,7 +48,7 @@ def folder_faults(folder: Path) -> Iterator[Fault]:
 
 
 def stray_faults(folder: Path, named: Mapping[str, Collection[str]]) -> Iterator[Fault]:
-    """Files that nothing names, and what is no file.
+    """Yield files that nothing names, and what is no file.
 
     named  {"images": paths relative to the folder, …}: what may lie in each of these folders
     """
@@ -76,8 +71,8 @@ def stray_faults(folder: Path, named: Mapping[str, Collection[str]]) -> Iterator
 
 
 def _strays(folder, top, known):
-    """Strays in a folder of files; their folders may lie in folders."""
-    if kind_of(top) != "a folder":  # nothing, or told by folder_faults
+    """Yield the strays in a folder of files, and in the folders in it."""
+    if kind_of(top) != "a folder":  # nothing, or reported by folder_faults
         return
     try:
         entries = sorted(os.scandir(top), key=lambda entry: entry.name)
@@ -104,7 +99,7 @@ def _strays(folder, top, known):
 
 
 def _listed(folder):
-    """What lies in a folder, in order of name; nothing where it is none, or cannot be read."""
+    """Return what lies in a folder, in order of name; [] if it is none or cannot be read."""
     if kind_of(folder) != "a folder":
         return []
     try:

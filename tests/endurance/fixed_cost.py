@@ -69,7 +69,8 @@ def ours(options, folder):
     picture to warm up.
     """
     from factory.execution.pipeline import Pipeline
-    from factory.execution.run import assign, planned, register
+    from factory.execution.registration import register
+    from factory.execution.run import assign, planned
     from factory.planning.assets import resolve
     from factory.render.studio import Studio
     from manifests.materials import load_catalogue
@@ -129,18 +130,18 @@ def main():
         return 0
     rounds = []
     for _ in range(options.rounds):
-        found = {}
+        result = {}
         for part in ("bare", "ours"):
             done = subprocess.run(
                 [sys.executable, *sys.argv, "--part", part], capture_output=True, text=True
             )
-            found[part] = json.loads(
+            result[part] = json.loads(
                 next(line for line in done.stdout.splitlines() if line.startswith('{"seconds"'))
             )["seconds"]
         rates = {
-            "bare": 24 / found["bare"][0],
-            "with geometry": 24 / found["ours"][0],
-            "relit": 24 / found["ours"][1],
+            "bare": 24 / result["bare"][0],
+            "with geometry": 24 / result["ours"][0],
+            "relit": 24 / result["ours"][1],
         }
         rounds.append(rates)
         print({name: round(rate, 2) for name, rate in rates.items()}, flush=True)

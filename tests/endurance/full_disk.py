@@ -36,12 +36,9 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from full_disk_commands import COMMANDS, STEPS, prepared
-from kill_and_resume import compared
-
 from manifests.store import Store, readable_hash
+from tests.endurance.full_disk_commands import COMMANDS, STEPS, prepared
+from tests.endurance.kill_and_resume import compared
 
 JOB = {
     "name": "small",
@@ -341,14 +338,14 @@ def commands(options):
                 disk.empty()
                 mine = results[-1]
                 end = "; ".join(mine.faults) or "none"
-                told = (
+                report = (
                     f"| {mine.name} | {kind} | {mine.written} | {mine.full} | {mine.tolerated} |"
                     f" {end} |"
                 )
-                print(told, flush=True)
-    told = [{**vars(result), "said": sorted(result.said)} for result in results]
+                print(report, flush=True)
+    report = [{**vars(result), "said": sorted(result.said)} for result in results]
     (options.out / f"commands-{'-'.join(options.disks)}.json").write_text(
-        json.dumps(told, indent=1) + "\n"
+        json.dumps(report, indent=1) + "\n"
     )
     return 1 if any(result.faults for result in results) else 0
 
@@ -532,16 +529,16 @@ def pace(options):
             command = ["factory", "render", job, "--out", folder, "--device", "cpu"]
             if (ended := run(command, {"PYTHONPATH": paths})).status:
                 sys.exit(f"full_disk.py: {ended.stderr[-300:]}")
-            found = [record.seconds for record in Store(folder).records()]
-            seconds[name].append(sum(found) / len(found))
+            result = [record.seconds for record in Store(folder).records()]
+            seconds[name].append(sum(result) / len(result))
             print(
                 f"round {number}, {name}: {1e3 * seconds[name][-1]:.2f} ms a record of"
-                f" {len(found)}",
+                f" {len(result)}",
                 flush=True,
             )
     ratios = sorted(a / b for a, b in zip(seconds["synced"], seconds["not synced"], strict=True))
     report = {
-        "ms": {name: [round(1e3 * s, 3) for s in found] for name, found in seconds.items()},
+        "ms": {name: [round(1e3 * s, 3) for s in result] for name, result in seconds.items()},
         "ratio": round(ratios[len(ratios) // 2], 4),
     }
     (options.out / "pace.json").write_text(json.dumps(report, indent=1) + "\n")

@@ -151,11 +151,11 @@ def grown(folder):
 def timed(name, work):
     """Run it and print wall and processor seconds, and the largest memory so far."""
     wall, processor = time.perf_counter(), time.process_time()
-    found = work()
+    result = work()
     megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     wall, processor = time.perf_counter() - wall, time.process_time() - processor
     print(
-        f"{name}: {wall:.1f} s, {processor:.1f} s CPU, peak {megabytes:.0f} MB ({found})",
+        f"{name}: {wall:.1f} s, {processor:.1f} s CPU, peak {megabytes:.0f} MB ({result})",
         flush=True,
     )
 

@@ -4,12 +4,12 @@ import hashlib
 
 import numpy as np
 import pytest
-from small_catalogue import write_catalogue
-from tetrahedron import FAKE, HERE
 
 from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning.assets import resolve
 from manifests.schema import Camera, Job
+from tests.support.small_catalogue import write_catalogue
+from tests.support.tetrahedron import FAKE, ROOT
 
 
 @pytest.fixture(scope="session")
@@ -54,7 +54,7 @@ def plan_of(catalogue):
 @pytest.fixture
 def render(plan_of, monkeypatch):
     """A function (job, folder, **manner): render with the fake studio; returns the Outcome."""
-    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
 
     def run(job, folder, watch=None, **run_options):
         return carry_out(plan_of(job), folder, RunOptions(studio=FAKE, **run_options), watch)

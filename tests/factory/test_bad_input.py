@@ -93,7 +93,7 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(
     ("words", "says", "status"),
     [
         (["render"], "--out", 2),
-        (["render", "--out", "X"], "no --mesh, --material, --light", 1),
+        (["render", "--out", "X"], "no --mesh and no --material and no --light", 1),
         (["render", "job.json", "--mesh", "cube", "--out", "X"], "both", 1),
         (["render", "dmeo", "--out", "X"], "did you mean demo", 1),
         (["render", "demo", "--out", "X", "--workers", "0"], "--workers", 2),
@@ -175,16 +175,16 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(
             "nowhere.json: expected a JSON file, found no such file (check the path",
             1,
         ),
-        (["status", "nowhere"], "a dataset", 1),
-        (["verify", "nowhere"], "a dataset", 1),
-        (["preview", "nowhere"], "a dataset", 1),
+        (["status", "nowhere"], "a data set", 1),
+        (["verify", "nowhere"], "a data set", 1),
+        (["preview", "nowhere"], "a data set", 1),
         (["paint"], "invalid choice", 2),
     ],
 )
 def test_wrong_usage_is_told_with_the_remedy(command, tmp_path, monkeypatch, words, says, status):
     monkeypatch.chdir(tmp_path)
-    found, said = command(*words)
-    assert found == status and says in said
+    result, said = command(*words)
+    assert result == status and says in said
     assert status == 2 or one_line(said)
     assert not (tmp_path / "X").exists() and not (tmp_path / "nowhere").exists()
 
@@ -374,11 +374,10 @@ def test_a_light_file_that_is_gone_is_named(command, a_job, catalogue, tmp_path,
 def test_a_mesh_that_changed_since_the_plan_is_a_failure_with_its_reason(
     plan_of, small_job, tmp_path, monkeypatch
 ):
-    from tetrahedron import FAKE, HERE, TETRAHEDRON
-
     from factory.execution.run import RunOptions, carry_out
+    from tests.support.tetrahedron import FAKE, ROOT, TETRAHEDRON
 
-    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
     mesh = tmp_path / "mesh.ply"
     mesh.write_bytes(TETRAHEDRON)
     plan = plan_of(
@@ -388,7 +387,10 @@ def test_a_mesh_that_changed_since_the_plan_is_a_failure_with_its_reason(
     )
     mesh.write_bytes(TETRAHEDRON.replace(b"0 0 2", b"0 0 3"))
     assert carry_out(plan, tmp_path / "data", RunOptions(studio=FAKE)).failed == 1
-    assert "it changed meanwhile" in next(iter(Store(tmp_path / "data").failures())).reason
+    assert (
+        "the file has changed since the plan"
+        in next(iter(Store(tmp_path / "data").failures())).reason
+    )
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from tetrahedron import FAKE, HERE
 
 from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning.assets import resolve
@@ -20,6 +19,7 @@ from manifests.materials import read_catalogue
 from manifests.schema import Camera, Job
 from manifests.store import Store, file_hash
 from manifests.verification import Verification, faults_of, repair
+from tests.support.tetrahedron import FAKE, ROOT
 
 
 def faults(folder):
@@ -50,7 +50,7 @@ def template(catalogue, light_file, tmp_path_factory):
     )
     folder = tmp_path_factory.mktemp("template")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", str(HERE))
+        patch.setenv("PYTHONPATH", str(ROOT))
         first = msgspec.structs.replace(job, materials=("small/matte", "small/metal"))
         carry_out(
             planned(first, resolve(first, catalogues=[catalogue])), folder, RunOptions(studio=FAKE)
@@ -176,9 +176,9 @@ def test_damaged_geometry_whose_records_are_all_there_is_found_and_healed_by_ver
     folder, job = begun
     render(job, folder)
     emptied(folder / sorted(bytes_of(folder, "geometry"))[1])
-    found = faults(folder)
-    assert len(found) == 3 and all("geometry" in fault.text for fault in found)
-    assert repair(Store(folder), found) == (3, 4)  # with their pictures and the geometry
+    result = faults(folder)
+    assert len(result) == 3 and all("geometry" in fault.text for fault in result)
+    assert repair(Store(folder), result) == (3, 4)  # with their pictures and the geometry
     assert render(job, folder).made == 3
     assert faults(folder) == []
 
@@ -200,10 +200,10 @@ def test_records_that_name_geometry_which_no_render_gives_again_are_told_and_hea
     notes = []
     render(job, folder, lambda event, value: notes.append(value) if event == "note" else None)
     assert len(notes) == 2 and "verify --repair" in notes[1]
-    found = faults(folder)
-    assert {fault.record for fault in found} == {r.id for r in changed if r.geometry == altered}
-    repair(Store(folder), found)
-    assert render(job, folder).made == len(found)
+    result = faults(folder)
+    assert {fault.record for fault in result} == {r.id for r in changed if r.geometry == altered}
+    repair(Store(folder), result)
+    assert render(job, folder).made == len(result)
     assert faults(folder) == []
 
 

@@ -12,7 +12,14 @@ import sys
 
 import msgspec
 import pytest
-from full_disk_case import (
+from PIL import Image
+
+from factory.execution.run import RunOptions, carry_out, planned
+from factory.planning.assets import resolve
+from manifests.errors import InputError
+from manifests.schema import Camera, Job
+from manifests.store import Store
+from tests.support.full_disk_case import (
     bad_records,
     check,
     check_read_only,
@@ -22,14 +29,7 @@ from full_disk_case import (
     mesh,
     pictures,
 )
-from PIL import Image
-from tetrahedron import FAKE, HERE
-
-from factory.execution.run import RunOptions, carry_out, planned
-from factory.planning.assets import resolve
-from manifests.errors import InputError
-from manifests.schema import Camera, Job
-from manifests.store import Store
+from tests.support.tetrahedron import FAKE, ROOT
 
 QUICK = (
     "preview",
@@ -60,7 +60,7 @@ def room(tmp_path_factory, catalogue, light_file):
         camera=Camera(size=(16, 16)),
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", str(HERE))
+        patch.setenv("PYTHONPATH", str(ROOT))
         carry_out(
             planned(job, resolve(job, catalogues=[catalogue])),
             room / "data",
@@ -180,13 +180,12 @@ def test_a_kill_in_the_midst_of_writing_loses_nothing_and_leaves_no_draft(
     (tmp_path / "site" / "sitecustomize.py").write_text(
         DYING.format(call=call, number=number, mark=tmp_path / "mark")
     )
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join(map(str, (tmp_path / "site", HERE, HERE.parent.parent)))
-    }
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (tmp_path / "site", ROOT)))}
     folder = tmp_path / "data"
     command = [
         sys.executable,
-        str(HERE / "fake_render.py"),
+        "-m",
+        "tests.support.fake_render",
         str(tmp_path / "job.json"),
         str(folder),
         str(catalogue),

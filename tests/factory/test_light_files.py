@@ -357,7 +357,8 @@ import sys
 from factory.lights import load
 import OpenEXR, scipy.sparse
 def bytes_of(key):
-    return next(int(line.split()[1]) << 10 for line in open("/proc/self/status") if line.startswith(key))
+    lines = open("/proc/self/status")
+    return next(int(line.split()[1]) << 10 for line in lines if line.startswith(key))
 load(sys.argv[1])
 for path in sys.argv[2:]:
     open("/proc/self/clear_refs", "w").write("5")

@@ -211,10 +211,10 @@ def test_the_wheels_eight_maps_are_found_without_importing_bpy():
         "import sys; from factory.lights import names, load; print(*names()[:8],"
         " load('city').licence, 'bpy' in sys.modules)"
     )
-    found = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
-    assert found == [
+    assert result == [
         "city",
         "courtyard",
         "forest",
@@ -411,8 +411,8 @@ def test_add_takes_every_map_of_an_npz_but_those_that_are_there_under_another_na
     np.savez(tmp_path / "maps.npz", Lagoon=fresh, copy=turned, again=fresh * 2)
     home = tmp_path / "library"
     assert run("add", tmp_path / "maps.npz", "--library", home, "--licence", "CC0") == 0
-    told = capsys.readouterr().out
-    assert "copy: city again, left out" in told and "again: lagoon again, left out" in told
+    report = capsys.readouterr().out
+    assert "copy: city again, left out" in report and "again: lagoon again, left out" in report
     assert sorted(p.name for p in home.iterdir()) == ["lagoon.npz", "lights.json"]
     light = load("lagoon", library=home)
     assert light.licence == "CC0"

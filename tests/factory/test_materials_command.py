@@ -8,7 +8,6 @@ import struct
 
 import numpy as np
 import pytest
-from merl_file import smooth, write_binary
 from PIL import Image
 
 from factory.__main__ import COMMANDS
@@ -16,6 +15,7 @@ from factory.planning.material_names import chosen_entries
 from manifests import materials
 from manifests.cli import main
 from manifests.errors import InputError
+from tests.support.merl_file import smooth, write_binary
 
 
 def run(*arguments):
@@ -261,21 +261,21 @@ def test_written_errors_are_those_of_the_written_numbers(merl):
     s = samples.held_out()
     for name in ("brass", "blue-rubber", "white-fabric", "specular-black-phenolic"):
         m = merl[name]
-        found = errors.relative_l1(
+        result = errors.relative_l1(
             m.mixture.evaluate(*s.cosines), errors.label_values(m.label, s), s
         )
-        np.testing.assert_allclose(found, m.errors.nodes_vs_label.l1, rtol=2e-3)
+        np.testing.assert_allclose(result, m.errors.nodes_vs_label.l1, rtol=2e-3)
 
 
 def test_the_catalogue_keeps_its_limits(merl):
     from factory.materials import report
 
-    found = report.figures(list(merl.values()))
-    assert {key for _, key, _, _ in report.LIMITS} <= set(found)
+    result = report.figures(list(merl.values()))
+    assert {key for _, key, _, _ in report.LIMITS} <= set(result)
     assert [
-        (text, found[key], limit)
+        (text, result[key], limit)
         for text, key, limit, _ in report.LIMITS
-        if not found[key] <= limit
+        if not result[key] <= limit
     ] == []
 
 

@@ -54,8 +54,8 @@ def test_no_reported_or_checked_view_is_a_stop():
 def test_the_label_model_is_the_dsbrdf(rng):
     label = label_model.bounded(rng.normal(size=(3, 3, 2, 6)) + np.array([[-1.0], [2.0]]))
     cos_h, theta_d = rng.uniform(0.1, 1, 50), rng.uniform(0, np.pi / 2, 50)
-    found = label_model.values(label, spline.basis(theta_d), np.log(cos_h))
-    np.testing.assert_allclose(found, dsbrdf.evaluate(np.exp(label), cos_h, theta_d), rtol=1e-10)
+    result = label_model.values(label, spline.basis(theta_d), np.log(cos_h))
+    np.testing.assert_allclose(result, dsbrdf.evaluate(np.exp(label), cos_h, theta_d), rtol=1e-10)
 
 
 def test_the_labels_slopes_are_its_differences(rng):

@@ -8,10 +8,10 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from merl_file import smooth, write_binary
 
 from factory.materials import abc, families, merl_binary, nbrdf, samples, sources
 from manifests.errors import InputError
+from tests.support.merl_file import smooth, write_binary
 
 
 def test_a_merl_file_is_read_at_its_cell_centres(tmp_path):
@@ -27,14 +27,14 @@ def test_a_merl_file_is_read_at_its_cell_centres(tmp_path):
 
 def test_directions_that_were_not_measured_are_left_out_of_the_mean(tmp_path):
     theta_h, theta_d = write_binary(tmp_path / "own.binary", smooth, hole=(4, 2, slice(0, 3)))
-    found = merl_binary.read(tmp_path / "own.binary")(np.cos(theta_h[4]), np.cos(theta_d[2]))
-    np.testing.assert_allclose(found, smooth(theta_h[4], theta_d[2]), rtol=1e-6)
+    result = merl_binary.read(tmp_path / "own.binary")(np.cos(theta_h[4]), np.cos(theta_d[2]))
+    np.testing.assert_allclose(result, smooth(theta_h[4], theta_d[2]), rtol=1e-6)
 
 
 def test_a_cell_without_any_measurement_takes_the_nearest_one(tmp_path):
     theta_h, theta_d = write_binary(tmp_path / "own.binary", smooth, hole=(11, 2, slice(None)))
-    found = merl_binary.read(tmp_path / "own.binary")(np.cos(theta_h[11]), np.cos(theta_d[2]))
-    np.testing.assert_allclose(found, smooth(theta_h[10], theta_d[2]), rtol=1e-6)
+    result = merl_binary.read(tmp_path / "own.binary")(np.cos(theta_h[11]), np.cos(theta_d[2]))
+    np.testing.assert_allclose(result, smooth(theta_h[10], theta_d[2]), rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -99,8 +99,8 @@ def test_a_neural_brdf_is_its_three_layers_averaged_over_the_azimuth(rng):
         )
         x = np.maximum(np.maximum(x @ w1 + b1, 0) @ w2 + b2, 0) @ w3 + b3
         values.append(np.maximum(np.expm1(x), 0))
-    found = nbrdf.NeuralBRDF(weights)(np.cos(theta_h), np.cos(theta_d))
-    np.testing.assert_allclose(found, np.mean(values, 0), rtol=1e-6)
+    result = nbrdf.NeuralBRDF(weights)(np.cos(theta_h), np.cos(theta_d))
+    np.testing.assert_allclose(result, np.mean(values, 0), rtol=1e-6)
 
 
 def test_neural_weights_are_found_by_name_and_unknown_names_listed(tmp_path, rng):
@@ -109,9 +109,9 @@ def test_neural_weights_are_found_by_name_and_unknown_names_listed(tmp_path, rng
         names=np.array(["felt", "steel", "satin_blue_rgb"]),
         weights=np.stack([network(rng)] * 3),
     )
-    found = sources.load(tmp_path / "own.npz")
-    assert list(found) == ["felt", "satin_blue", "steel"]
-    assert (found["satin_blue"].family, found["steel"].family) == ("fabric", "metal")
+    result = sources.load(tmp_path / "own.npz")
+    assert list(result) == ["felt", "satin_blue", "steel"]
+    assert (result["satin_blue"].family, result["steel"].family) == ("fabric", "metal")
     with pytest.raises(
         InputError,
         match=r"expected a material named 'stel', found none of that name \(did you mean steel",

@@ -10,12 +10,12 @@ import warnings
 import numpy as np
 import pytest
 import trimesh
-from mesh_files import Glb, glb, obj_text, off_text, ply, stl_text
 
 from factory.shapes.files import from_bytes
 from factory.shapes.mesh_import import open_mesh
 from factory.shapes.surfaces import ellipsoid, rounded_box
 from manifests.errors import InputError
+from tests.support.mesh_files import Glb, glb, obj_text, off_text, ply, stl_text
 
 # area 12; its fan covers 16
 L_SHAPE = np.array([(0, 2, 0), (0, 0, 0), (4, 0, 0), (4, 4, 0), (2, 4, 0), (2, 2, 0)], float)

@@ -77,9 +77,9 @@ def test_up_and_front_name_any_two_axes_and_never_mirror(tmp_path, up, front, tu
 @pytest.mark.parametrize("kind", ["ply", "stl", "off", "glb"])
 def test_every_format_gives_the_same_shape(tmp_path, kind):
     vertices, faces = arrow()
-    told = in_y_up(vertices) if kind == "glb" else vertices
+    report = in_y_up(vertices) if kind == "glb" else vertices
     path = tmp_path / f"a.{kind}"
-    trimesh.Trimesh(told, faces, process=False).export(path)
+    trimesh.Trimesh(report, faces, process=False).export(path)
     mesh, ours = open_mesh(path), reference(tmp_path)
     assert (
         mesh.report.watertight

@@ -165,10 +165,10 @@ def test_ten_million_triangles_are_refused_before_memory_is_taken(tmp_path):
         written(tmp_path / "huge.glb", glb(scene)): "10,000,000",
     }
     remedy = "reduce the mesh", "`factory shapes`: --max-triangles"  # `render` has no such option
-    for path, found in files.items():
+    for path, result in files.items():
         peak = memory_while(
-            lambda path=path, found=found: refused(
-                path, "at most 2,000,000 triangles", found, *remedy
+            lambda path=path, result=result: refused(
+                path, "at most 2,000,000 triangles", result, *remedy
             )
         )
         # a header and a chunk of reading; 10 M triangles would be 360 MB

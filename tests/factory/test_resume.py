@@ -11,7 +11,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tetrahedron import FAKE
 
 from factory.execution.forecast import probed
 from factory.execution.run import RunOptions
@@ -19,9 +18,9 @@ from manifests import lock
 from manifests.errors import InputError
 from manifests.store import Store
 from manifests.verification import faults_of
+from tests.support.tetrahedron import FAKE, ROOT
 
-HERE = Path(__file__).resolve().parent
-SLOW = {"FAKE_STUDIO": "slow", "PYTHONPATH": f"{HERE}{os.pathsep}{HERE.parent.parent}"}
+SLOW = {"FAKE_STUDIO": "slow", "PYTHONPATH": str(ROOT)}
 
 
 def faults(folder):
@@ -158,8 +157,7 @@ def test_kills_at_random_moments_lose_nothing_and_repeat_nothing(
     """Four kills here, each of a run that has written records; tests/endurance/kill_and_resume.py
     does twenty with Cycles.
     """
-    sys.path.insert(0, str(HERE.parent / "endurance"))
-    from kill_and_resume import compared, disturbed
+    from tests.endurance.kill_and_resume import compared, disturbed
 
     job = msgspec.structs.replace(
         small_job, views=tuple(range(24)), shapes=("cube", "disc", "torus")
@@ -170,7 +168,8 @@ def test_kills_at_random_moments_lose_nothing_and_repeat_nothing(
     (tmp_path / "lamp.exr").write_bytes(Path(job.lights[0]).read_bytes())
     command = [
         sys.executable,
-        str(HERE / "fake_render.py"),
+        "-m",
+        "tests.support.fake_render",
         str(tmp_path / "job.json"),
         str(tmp_path / "killed"),
         str(catalogue),
@@ -202,7 +201,8 @@ def test_a_worker_whose_run_was_killed_ends_and_nobody_starts_before_it_has(
     (tmp_path / "lamp.exr").write_bytes(light_file.read_bytes())
     command = [
         sys.executable,
-        str(HERE / "fake_render.py"),
+        "-m",
+        "tests.support.fake_render",
         str(tmp_path / "job.json"),
         str(tmp_path / "data"),
         str(catalogue),
@@ -225,7 +225,7 @@ def test_a_worker_whose_run_was_killed_ends_and_nobody_starts_before_it_has(
 
 
 def test_a_forecast_whose_trial_shot_fails_says_so_in_a_line(plan_of, small_job, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("FAKE_STUDIO", "nan:cube")
     with pytest.raises(
         InputError,

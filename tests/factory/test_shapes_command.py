@@ -40,7 +40,7 @@ def test_list_reports_each_mesh_of_a_folder_its_twins_and_what_is_refused(kettle
     assert (
         "broken: " in said
         and "finite coordinates" in said
-        and "3 meshes, 1 refused, 1 twins" in said
+        and "3 meshes, 1 refused, 1 duplicates" in said
     )
 
 

@@ -41,8 +41,8 @@ def test_interpolated_sphere_normals_stay_within_a_tenth_of_a_degree_inside_the_
     mesh, camera = load("sphere"), camera_from_world(0.4)
     face, weight = look(mesh.vertices, mesh.faces, camera, 128)
     hit = face >= 0
-    found = np.einsum("pc,pci->pi", weight[hit], mesh.corner_normals[face[hit]]) @ camera.T
-    found /= np.linalg.norm(found, axis=1, keepdims=True)
+    result = np.einsum("pc,pci->pi", weight[hit], mesh.corner_normals[face[hit]]) @ camera.T
+    result /= np.linalg.norm(result, axis=1, keepdims=True)
     centre = (np.arange(128) + 0.5) / 64 - 1
     x, y = (
         np.broadcast_to(centre * 1.02, (128, 128))[hit],
@@ -50,7 +50,7 @@ def test_interpolated_sphere_normals_stay_within_a_tenth_of_a_degree_inside_the_
     )
     inside = x**2 + y**2 < np.sin(np.radians(80)) ** 2
     truth = np.stack([x, y, np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))], 1)
-    angle = np.degrees(2 * np.arcsin(np.linalg.norm(found - truth, axis=1) / 2))
+    angle = np.degrees(2 * np.arcsin(np.linalg.norm(result - truth, axis=1) / 2))
     assert angle[inside].max() < 0.1
 
 
@@ -113,8 +113,8 @@ def test_the_smallest_sphere_is_exact():
         ),
         (icosphere(3)[0] * 2 + 5, (5, 5, 5), 2.0),
     ):
-        found = smallest_sphere(points)
-        assert np.allclose(found[0], centre, atol=1e-7) and abs(found[1] - radius) < 1e-9
+        result = smallest_sphere(points)
+        assert np.allclose(result[0], centre, atol=1e-7) and abs(result[1] - radius) < 1e-9
     points = rng.normal(size=(500, 3))
     centre, radius = smallest_sphere(points)
     assert np.linalg.norm(points - centre, axis=1).max() <= radius * (1 + 1e-12)

@@ -129,9 +129,9 @@ def test_a_view_that_does_not_fit_is_found_and_repair_lets_it_be_made_again(
     ):
         path.write_bytes(good)
         rewrite(store, **changes)
-        found = faults_of(store)
-        assert any(message in f.text for f in found), (changes, [f.text for f in found])
-    assert repair(store, found) == (1, 1)
+        result = faults_of(store)
+        assert any(message in f.text for f in result), (changes, [f.text for f in result])
+    assert repair(store, result) == (1, 1)
     assert render(views_job, tmp_path).made == 1
     assert faults(tmp_path) == []
 

@@ -25,9 +25,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Fuzz, and say what was found; 0 without a fault, 1 with one."""
     options = parsed(arguments)
     limits = driver.Limits(options.seconds, options.memory_mb)
-    found = driver.generators(options.generators)
+    result = driver.generators(options.generators)
     driver.warm_up()
-    with driver.Driver(found, options.seed, options.out, limits, options.jobs) as fuzzing:
+    with driver.Driver(result, options.seed, options.out, limits, options.jobs) as fuzzing:
         fuzzing.prepare()
         if options.case is not None:
             return _again(fuzzing, options)
@@ -101,21 +101,21 @@ def parsed(arguments: list[str] | None) -> argparse.Namespace:
     return options
 
 
-def order(found: dict, options: argparse.Namespace, spent: Counter) -> Iterator[tuple[str, int]]:
+def order(result: dict, options: argparse.Namespace, spent: Counter) -> Iterator[tuple[str, int]]:
     """(generator, index): shared out by count with --cases, by the time they take with
     --minutes.
     """
-    following = dict.fromkeys(found, options.first)
+    following = dict.fromkeys(result, options.first)
     end = time.monotonic() + 60 * options.minutes
     for number in itertools.count():
         if options.cases is not None:
             if number >= options.cases:
                 return
-            name = list(found)[number % len(found)]
+            name = list(result)[number % len(result)]
         else:
             if time.monotonic() >= end:
                 return
-            name = min(found, key=lambda each: (spent[each], following[each]))
+            name = min(result, key=lambda each: (spent[each], following[each]))
             spent[name] += 0.01  # so that several begun at once are not of one generator
         yield name, following[name]
         following[name] += 1
@@ -139,7 +139,7 @@ def _many(fuzzing: driver.Driver, options: argparse.Namespace) -> int:
                 kind = (outcome.module, kind_of(outcome.fault))
                 kinds.setdefault(kind, []).append(outcome)
                 if len(kinds[kind]) == 1:
-                    bar.write(told(outcome, options.seed), file=sys.stdout)
+                    bar.write(message(outcome, options.seed), file=sys.stdout)
                 elif len(kinds[kind]) > KEPT:
                     driver._remove(
                         fuzzing.kept / f"{outcome.module}-{options.seed}-{outcome.index}"
@@ -175,7 +175,7 @@ def kind_of(fault: str) -> str:
     return re.sub(r"'[^']*'|\"[^\"]*\"|(/[\w.-]+)+|[-+]?\d[\d.e+-]*", "…", line)[:120]
 
 
-def told(outcome: Outcome, seed: int) -> str:
+def message(outcome: Outcome, seed: int) -> str:
     """A fault for people, with the command that shows it again."""
     again = f"python -m tests.fuzz {outcome.module} --seed {seed} --case {outcome.index}"
     return f"{outcome.module} {outcome.index}: {outcome.label}\n    {outcome.fault}\n    {again}"

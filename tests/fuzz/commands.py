@@ -146,13 +146,9 @@ def draw_small() -> None:
     """Let `learn edit` in this process render 32 pixels across instead of 256: what it reads and
     writes stays the same.
     """
-    from learn.editing import decomposition, edit
+    from learn.editing import compositor, drawing
 
-    decomposition.COARSEST, edit.BALL, edit.material_sphere.__defaults__ = (
-        min(decomposition.COARSEST, 32),
-        min(edit.BALL, 16),
-        (16,),
-    )
+    compositor.COARSEST, drawing.SPHERE = min(compositor.COARSEST, 32), min(drawing.SPHERE, 16)
 
 
 def line(

@@ -102,7 +102,10 @@ def furniture(mesh: bytes) -> bytes:
     import io
     import zipfile
 
-    text = "id=tests\nname=Tests\nlicense=CC0\nid#1=box\nname#1=Box\nmodel#1=/models/box.obj\ncreator#1=tests\n"
+    text = (
+        "id=tests\nname=Tests\nlicense=CC0\n"
+        "id#1=box\nname#1=Box\nmodel#1=/models/box.obj\ncreator#1=tests\n"
+    )
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as archive:
         archive.writestr("PluginFurnitureCatalog.properties", text)

@@ -39,9 +39,8 @@ READERS = {  # command line: what it may write
     "learn train {seeds}/run.json --data {data} --steps 1 --workers 0 --skip-bad --out {out}": (
         TRAINING
     ),
-    "learn train {seeds}/pictures.json --data {views} --pictures {data} --steps 1 --workers 0 --out {out}": (
-        TRAINING
-    ),
+    "learn train {seeds}/pictures.json --data {views} --pictures {data}"
+    " --steps 1 --workers 0 --out {out}": TRAINING,
     "learn.experiments exposure --data {data} --out {out}": WITHIN,
 }
 RARE = ("learn edit", "factory render", "learn agree")
@@ -78,7 +77,7 @@ def replacing(template: str):
     return commands.draw_small if template.startswith("learn edit") else None
 
 
-# --------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # damage
 
 
@@ -136,10 +135,10 @@ def _lines(data, rng):
 def some_file(data: Path, rng: np.random.Generator) -> Path:
     """A picture, a geometry file, or a light's map."""
     kind = mutation.pick(rng, ("images", "geometry", "geometry", "lights"))
-    found = sorted(path for path in (data / kind).rglob("*") if path.is_file())
+    result = sorted(path for path in (data / kind).rglob("*") if path.is_file())
     return (
-        mutation.pick(rng, found)
-        if found
+        mutation.pick(rng, result)
+        if result
         else mutation.pick(rng, sorted((data / "geometry").rglob("*.exr")))
     )
 
@@ -267,7 +266,7 @@ def _failures(data, rng):
     return f"failures.jsonl: {label}"
 
 
-# ----------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # properties
 
 

@@ -53,11 +53,12 @@ WARNING = re.compile(r"\b\w*Warning: ")
 @dataclass(frozen=True)
 class Limits:
     """Seconds and MiB beyond which a case is a fault. Memory counts above that of the warm
-    process.
+    process; `making` is for the generator, before the case begins.
     """
 
     seconds: float = 60.0
     memory_mb: int = 1024
+    making: float = 60.0
 
 
 # ----------------------------------------------------------------------------------------------
@@ -78,14 +79,14 @@ def generators(names: list[str] | None = None) -> dict[str, ModuleType]:
     name.
     """
     known = generator_names()
-    found = {
+    result = {
         name: importlib.import_module(f".{name}", __package__)
         for name in known
         if not names or name in names
     }
-    if unknown := set(names or ()) - set(found):
+    if unknown := set(names or ()) - set(result):
         raise ValueError(f"unknown generators: {', '.join(sorted(unknown))}")
-    return found
+    return result
 
 
 def warm_up() -> None:
@@ -127,7 +128,7 @@ def generator_of_numbers(module: str, seed: int, index: int) -> np.random.Genera
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
-# ------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # in the child
 
 
@@ -180,11 +181,11 @@ def _verdict(place: Path, make, limits: Limits) -> dict:
     shown = case.command and [
         part if isinstance(part, str) else repr(part) for part in case.command
     ]
-    told = {"label": case.label, "command": shown, "bound_mb": bound}
+    report = {"label": case.label, "command": shown, "bound_mb": bound}
     before = _listing(place / "room")
     gc.collect()
     baseline = _reset_peak()
-    _write(place / "started.json", {**told, "baseline": baseline + (FRESH_MB << 20) * case.fresh})
+    _write(place / "started.json", {**report, "baseline": baseline + (FRESH_MB << 20) * case.fresh})
     started = time.monotonic()
     result, fault = _fresh(case) if case.fresh else _called(case)
     result.seconds = time.monotonic() - started
@@ -199,7 +200,7 @@ def _verdict(place: Path, make, limits: Limits) -> dict:
         wrong = case.check(result)
         fault = None if wrong is None else f"wrong result: {wrong}"
     return {
-        **told,
+        **report,
         "fault": fault,
         "status": result.status,
         "seconds": result.seconds,
@@ -389,7 +390,7 @@ def _write(path: Path, value: dict) -> None:
     os.replace(draft, path)
 
 
-# -----------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # in the parent
 
 
@@ -408,11 +409,11 @@ class Running:
 
     def watch(self) -> None:
         """End the child if it has passed a limit."""
-        if self.started is None and (told := _read(self.place / "started.json")):
-            self.started, self.told = time.monotonic(), told
+        if self.started is None and (report := _read(self.place / "started.json")):
+            self.started, self.told = time.monotonic(), report
         if self.started is None:
-            if time.monotonic() - self.begun > self.limits.seconds:
-                self._end("the generator took more than the time of a case")
+            if time.monotonic() - self.begun > self.limits.making:
+                self._end(f"the generator took more than {self.limits.making:g} s")
             return
         if time.monotonic() - self.started > self.limits.seconds + 1:
             self._end(f"time: more than {self.limits.seconds:g} s")
@@ -440,13 +441,13 @@ class Running:
         self._stop()  # what it may have started
         verdict = _read(self.place / "verdict.json")
         if verdict is None or self.fault:
-            told = _read(self.place / "started.json") or {"label": "(before the case was made)"}
+            report = _read(self.place / "started.json") or {"label": "(before the case was made)"}
             how = (
                 f"ended by signal {os.WTERMSIG(status)}"
                 if os.WIFSIGNALED(status)
                 else "ended without a verdict"
             )
-            verdict = {**told, "fault": self.fault or how}
+            verdict = {**report, "fault": self.fault or how}
         seconds = verdict.get("seconds") or time.monotonic() - (self.started or self.begun)
         label, fault = verdict.get("label", "?"), verdict["fault"]
         return Outcome(
@@ -488,12 +489,12 @@ class Driver:
     """
 
     def __init__(
-        self, found: dict[str, ModuleType], seed: int, kept: Path, limits: Limits, jobs: int = 2
+        self, result: dict[str, ModuleType], seed: int, kept: Path, limits: Limits, jobs: int = 2
     ):
-        self.found, self.seed, self.kept, self.jobs = found, seed, kept, jobs
+        self.found, self.seed, self.kept, self.jobs = result, seed, kept, jobs
         self.limits = {
             name: replace(limits, memory_mb=max(limits.memory_mb, getattr(module, "MEMORY_MB", 0)))
-            for name, module in found.items()
+            for name, module in result.items()
         }
         self.work = kept / f"work-{os.getpid()}"
         self.selector = selectors.DefaultSelector()

@@ -72,7 +72,7 @@ class Call:
         )
 
 
-# -------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # valid calls
 
 
@@ -117,7 +117,7 @@ def valid(rng):
     return arguments
 
 
-# ------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # changes A change takes a value and the generator of numbers, and gives (new value, what was done,
 # what the layer must do).
 
@@ -490,7 +490,7 @@ def fresh(name, arguments):
     return torch.ones(n.shape[:3], dtype=torch.bool if name == "mask" else torch.int64)
 
 
-# --------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # calls
 
 
@@ -598,7 +598,7 @@ def transformed(call):
     return Answer(seen)
 
 
-# ------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # verdict
 
 
@@ -609,10 +609,10 @@ def refusal_fault(call, error):
         return f"message of {len(message)} characters: {message[:200]!r}"
     named = {name for names, _ in call.changed for name in names}
     if isinstance(error, NotImplementedError):
-        told = message.startswith("derivatives:") and call.way in ("jvp", "batched gradients")
+        report = message.startswith("derivatives:") and call.way in ("jvp", "batched gradients")
         return (
             None
-            if told or (call.way == "traced" and "torch.jit.trace" in message)
+            if report or (call.way == "traced" and "torch.jit.trace" in message)
             else f"NotImplementedError: {message[:200]}"
         )
     # where two arguments must be alike, the message names the one that is not as n is
@@ -764,7 +764,7 @@ def judged(call) -> str | None:
     )
 
 
-# -------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # running
 
 

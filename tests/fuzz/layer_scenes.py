@@ -64,7 +64,7 @@ class Scene:
     tolerance: float
 
 
-# ------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # scenes
 
 
@@ -90,8 +90,8 @@ def scene(seed, number, sides=SIDES):
         given["segments"] = torch.as_tensor(
             rng.integers(rng.integers(2), materials + 1, n.shape[:3])
         )
-    wanted = (("n", "material", "light", "view"), ("n", "material", "view"), ())[rng.integers(3)]
-    return Scene(given, wanted, float(rng.choice(TOLERANCES)))
+    expected = (("n", "material", "light", "view"), ("n", "material", "view"), ())[rng.integers(3)]
+    return Scene(given, expected, float(rng.choice(TOLERANCES)))
 
 
 def normals(rng, images, side):
@@ -164,7 +164,7 @@ def without_kinks(n, view, size, elevation):
     return facing & (np.abs(n @ w.T) > KINK).all(-1) & (view @ w.T < math.cos(KINK * 100)).all(-1)
 
 
-# ---------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # reference
 
 
@@ -244,7 +244,7 @@ def peak(given, image, segment):
     return energy * torch.expm1(kappa.clamp(max=MAX_EXPONENT)).sum(-1).max().item()
 
 
-# -------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # measurement
 
 
@@ -300,7 +300,7 @@ def measured(scene, method, truth):
     """The `Finding`s of one method on a scene whose reference is `truth`."""
     picture, by = rendered(scene, method)
     right, right_by = truth
-    found, given = [], scene.given
+    result, given = [], scene.given
     for image, segment, pixels in groups(given):
         seen, true = (x[image].reshape(-1, 3)[pixels].double() for x in (picture, right))
         mean, error = true.mean().item(), (seen - true).abs().mean().item()
@@ -310,14 +310,14 @@ def measured(scene, method, truth):
             if bound < math.inf
             else math.inf
         )
-        found.append(Finding("value", error / max(mean, 1e-300), part_of(error, allowed)))
+        result.append(Finding("value", error / max(mean, 1e-300), part_of(error, allowed)))
     outside = (
         picture[~given["mask"]]
         if given["segments"] is None
         else picture[~given["mask"] | (given["segments"] == 0)]
     )
     if outside.abs().sum() != 0:
-        found.append(Finding("value outside of the mask", math.inf, math.inf))
+        result.append(Finding("value outside of the mask", math.inf, math.inf))
     claim = 1e-4 if method == "exact" else methods.load(method).CARD.gradient
     for name, slope in by.items():
         true = right_by[name]
@@ -325,8 +325,8 @@ def measured(scene, method, truth):
         allowed = (
             claim * mean + slope_of_black(given, name) if scene.tolerance <= 1e-2 else math.inf
         )
-        found.append(Finding(name, error / max(mean, 1e-300), part_of(error, allowed)))
-    return found
+        result.append(Finding(name, error / max(mean, 1e-300), part_of(error, allowed)))
+    return result
 
 
 def part_of(error, allowed):

@@ -32,7 +32,7 @@ def radiance(rng: np.random.Generator) -> np.ndarray:
     return L.astype(np.float32)
 
 
-# -------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # legal ways
 
 
@@ -187,7 +187,7 @@ def as_npz(L: np.ndarray, rng: np.random.Generator) -> tuple[bytes, np.ndarray, 
 WAYS = {".hdr": as_hdr, ".exr": as_exr, ".npz": as_npz}
 
 
-# ------------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # cases
 
 
@@ -220,10 +220,12 @@ def wrong(pixels: np.ndarray, result: Result) -> str | None:
     """How what was read differs from what was written."""
     if result.error is not None:
         return f"refused: {result.error}"
-    found = result.value[0]
-    if found.shape != pixels.shape or found.dtype != np.float32:
-        return f"expected pixels {pixels.shape}, found {found.shape} of {found.dtype}"
-    apart = np.abs(found - pixels) > 1e-6 * np.abs(pixels)  # of exposures, which float32 divides by
+    results = result.value[0]
+    if results.shape != pixels.shape or results.dtype != np.float32:
+        return f"expected pixels {pixels.shape}, found {results.shape} of {results.dtype}"
+    apart = np.abs(results - pixels) > 1e-6 * np.abs(
+        pixels
+    )  # of exposures, which float32 divides by
     if apart.any():
         return f"{int(apart.sum())} values differ, the first at {tuple(np.argwhere(apart)[0])}"
     return sound(result)
@@ -300,7 +302,7 @@ def listed(rng, room, path, data, label) -> Case:
     )
 
 
-# -------------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # lies
 
 
@@ -370,14 +372,14 @@ def exr_lie(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
 
 def _attributes(data):
     """{name: (where its value starts, its size)} of the first header."""
-    found, place = {}, 8
+    result, place = {}, 8
     while place < len(data) and data[place]:
         name_end = data.index(b"\0", place)
         type_end = data.index(b"\0", name_end + 1)
         size = struct.unpack_from("<i", data, type_end + 1)[0]
-        found[data[place:name_end]] = type_end + 5, size
+        result[data[place:name_end]] = type_end + 5, size
         place = type_end + 5 + size
-    return found
+    return result
 
 
 def npz_lie(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:

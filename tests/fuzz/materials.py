@@ -190,13 +190,13 @@ def shown(asked):
     predicted.
     """
     from learn.editing import edit
-    from learn.figures import montage
+    from learn.figures import spheres
 
-    labels = edit.choices(
+    labels = edit.labels_of(
         asked, 2, lambda path: np.zeros((1, 108), np.float32), {"own": np.zeros(108, np.float32)}
     )
     return [
-        montage.material_sphere(label, montage.preview_lighting(), 16, 0.35, 1.0)
+        spheres.material_sphere(label, spheres.preview_lighting(), 16, 0.35, 1.0)
         for label in labels
         if label is not None
     ]

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..factory.mesh_files import Glb, ply, stl_text
+from tests.support.mesh_files import Glb, ply, stl_text
+
 from . import Case, Result, Room, mutation
 
 TEXT_LIES = (
@@ -308,7 +309,7 @@ def _matrix(step):
 WAYS = {".obj": as_obj, ".off": as_off, ".ply": as_ply, ".stl": as_stl, ".glb": as_glb}
 
 
-# ------------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # cases
 
 
@@ -380,7 +381,7 @@ def sound(result: Result) -> str | None:
     return None
 
 
-# -------------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # lies
 
 

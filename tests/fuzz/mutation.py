@@ -81,7 +81,7 @@ def pick(rng: np.random.Generator, choices) -> Any:
     return choices[int(rng.integers(len(choices)))]
 
 
-# ----------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # bytes
 
 
@@ -184,7 +184,7 @@ def _blank(data, rng):
     return fill * len(data), f"all bytes {fill!r}"
 
 
-# -----------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # text
 
 
@@ -272,7 +272,7 @@ def _encoding(data, rng):
     return data.replace(b" ", b"\0", 3), "NUL for spaces"
 
 
-# -----------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # JSON
 
 
@@ -304,7 +304,7 @@ def places(tree: Any, prefix: tuple = ()) -> list[tuple]:
     """Where values stand, as tuples of keys and indices; of long lists only the first few, so that
     numbers do not drown keys.
     """
-    found = [prefix]
+    result = [prefix]
     items = (
         list(tree.items())
         if isinstance(tree, dict)
@@ -313,8 +313,8 @@ def places(tree: Any, prefix: tuple = ()) -> list[tuple]:
         else []
     )
     for key, value in items:
-        found += places(value, (*prefix, key))
-    return found
+        result += places(value, (*prefix, key))
+    return result
 
 
 def changed(tree: Any, place: tuple, rng: np.random.Generator) -> tuple[Any, str]:
@@ -426,8 +426,8 @@ def duplicate_key(text: str, rng: np.random.Generator) -> bytes:
     keys = list(re.finditer(r'("[^"\n]*": [^{}\[\],\n]+),?\n', text))
     if not keys:
         return text.encode()
-    found = pick(rng, keys)
-    return (text[: found.start()] + found[1] + ",\n" + text[found.start() :]).encode()
+    result = pick(rng, keys)
+    return (text[: result.start()] + result[1] + ",\n" + text[result.start() :]).encode()
 
 
 def _short(value):
@@ -435,7 +435,7 @@ def _short(value):
     return text if len(text) < 40 else text[:37] + "…"
 
 
-# ---------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # arrays
 
 
@@ -488,7 +488,7 @@ def _recast(array, dtype):
             return np.zeros(array.shape, dtype), f"zeros as {dtype}"
 
 
-# ------------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # npz
 
 
@@ -597,7 +597,7 @@ def directory_lies(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     return bytes(out), f"directory: {name} {value}"
 
 
-# ----------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # safetensors
 
 
@@ -660,7 +660,7 @@ def _safetensors(header, body):
     return struct.pack("<Q", len(text)) + text + body
 
 
-# ------------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # EXR
 
 
@@ -764,7 +764,7 @@ def exr_channels(data: bytes) -> dict[str, np.ndarray]:
         os.unlink(path)
 
 
-# ------------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # PNG
 
 
@@ -852,7 +852,7 @@ def png(chunks: list[tuple[bytes, bytes]]) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
 
 
-# ------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # file system
 
 

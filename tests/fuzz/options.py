@@ -204,7 +204,11 @@ def parser_of(name: str) -> argparse.ArgumentParser:
     """The parser of a command, "factory lights add"."""
     program, command, *action = name.split()
     subparsers = argparse.ArgumentParser().add_subparsers()
-    importlib.import_module(f"{program}.commands.{command.replace('-', '_')}").register(subparsers)
+    if program == "learn.experiments":
+        importlib.import_module(f"{program}.__main__").COMMANDS[command](subparsers)
+    else:
+        module = importlib.import_module(f"{program}.commands.{command.replace('-', '_')}")
+        module.register(subparsers)
     parser = subparsers.choices[command]
     for each in action:
         parser = next(

@@ -105,8 +105,8 @@ def opened(role, path, room, exposure, balance):
     there = seeds.of(room)
     masks = [there / "mask.png"] if role == "photograph" else [path] if role == "mask" else []
     what = path if role in ("photograph", "material") else there / "photograph.png"
-    found = photograph.opened(what, masks, path if role == "regions" else None, balance, exposure)
-    return photographs.framed(found.balanced, found.mask, 32, found.exposure)
+    result = photograph.opened(what, masks, path if role == "regions" else None, balance, exposure)
+    return photographs.framed(result.balanced, result.mask, 32, result.exposure)
 
 
 def not_finite(result: Result) -> str | None:
@@ -139,7 +139,7 @@ def unsound(room, result: Result, path: Path, role: str) -> str | None:
     return None
 
 
-# ----------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # files
 
 
@@ -296,7 +296,7 @@ REFUSED = (
 )
 
 
-# ---------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # trials
 
 
@@ -492,55 +492,139 @@ def _loop(path):
 
 
 TRIALS: list[tuple[str, Callable[[Path], Path]]] = [
-    *((f"EXR times {factor:g}", _times(factor)) for factor in (1e37, 1e38, 1e20, 1e10, 1e6, 1e3, 1, 1e-3, 1e-6, 1e-30, 1e-44, 0, -1)),
-    *((f"one value {value:g}", _one(value)) for value in (1e37, 3e38, 1e10, 1e9, np.nan, np.inf, -np.inf, -1, -3e38, 1e-45)),
-    *((f"one value {value:g} beside the object", _one(value, (0, 0))) for value in (1e37, 1e10, np.nan, -1e9)),
-    *((f"alpha {value:g}", _alpha(value)) for value in (0, 1, 0.5, 2, -1, np.nan, np.inf, 1e-3, 1e30)),
-    *((f"EXR of {h}×{w}", _shaped(h, w)) for h, w in ((1, 1), (1, 64), (64, 1), (1, 1000), (2, 2), (4, 4), (5, 300), (300, 5))),
-    ("EXR of whole numbers", _exr(lambda c: {name: (1000 * values).astype(np.uint32) for name, values in c.items()})),
-    ("EXR of half floats beyond them", _exr(lambda c: {name: (1e6 * values).astype(np.float16) for name, values in c.items()})),
+    *(
+        (f"EXR times {factor:g}", _times(factor))
+        for factor in (1e37, 1e38, 1e20, 1e10, 1e6, 1e3, 1, 1e-3, 1e-6, 1e-30, 1e-44, 0, -1)
+    ),
+    *(
+        (f"one value {value:g}", _one(value))
+        for value in (1e37, 3e38, 1e10, 1e9, np.nan, np.inf, -np.inf, -1, -3e38, 1e-45)
+    ),
+    *(
+        (f"one value {value:g} beside the object", _one(value, (0, 0)))
+        for value in (1e37, 1e10, np.nan, -1e9)
+    ),
+    *(
+        (f"alpha {value:g}", _alpha(value))
+        for value in (0, 1, 0.5, 2, -1, np.nan, np.inf, 1e-3, 1e30)
+    ),
+    *(
+        (f"EXR of {h}×{w}", _shaped(h, w))
+        for h, w in ((1, 1), (1, 64), (64, 1), (1, 1000), (2, 2), (4, 4), (5, 300), (300, 5))
+    ),
+    (
+        "EXR of whole numbers",
+        _exr(lambda c: {name: (1000 * values).astype(np.uint32) for name, values in c.items()}),
+    ),
+    (
+        "EXR of half floats beyond them",
+        _exr(lambda c: {name: (1e6 * values).astype(np.float16) for name, values in c.items()}),
+    ),
     ("EXR of grey", _exr(lambda c: {"Y": c["R"]})),
-    ("EXR with a hundred channels", _exr(lambda c: c | {f"layer{k}.R": c["R"] for k in range(100)})),
+    (
+        "EXR with a hundred channels",
+        _exr(lambda c: c | {f"layer{k}.R": c["R"] for k in range(100)}),
+    ),
     ("regions in an EXR", _exr(lambda c: c, "regions.exr")),
     ("mask in an EXR", _exr(lambda c: c, "mask.exr")),
-    ("mask in an EXR with NaN", _exr(lambda c: {name: values * np.float32(np.nan) for name, values in c.items()}, "mask.exr")),
-    ("mask in an EXR of 1e37", _exr(lambda c: {name: values * np.float32(1e37) for name, values in c.items()}, "mask.exr")),
+    (
+        "mask in an EXR with NaN",
+        _exr(
+            lambda c: {name: values * np.float32(np.nan) for name, values in c.items()}, "mask.exr"
+        ),
+    ),
+    (
+        "mask in an EXR of 1e37",
+        _exr(lambda c: {name: values * np.float32(1e37) for name, values in c.items()}, "mask.exr"),
+    ),
     *((f"constant {level}", _constant(level)) for level in (0, 1, 2, 3, 10, 128, 254, 255)),
     ("tiny exposure", _constant(128)),
     ("huge exposure", _constant(128)),
     ("NaN exposure", _constant(128)),
-    ("grey balance before black", _file("picture.png", lambda: _png(shade() * (shade()[..., :1] > 51)))),
+    (
+        "grey balance before black",
+        _file("picture.png", lambda: _png(shade() * (shade()[..., :1] > 51))),
+    ),
     *((f"mask of {count} pixels", _mask(_pixels(count))) for count in (0, 1, 15, 16, 17, 64)),
     ("mask that is all", _mask(lambda mask: np.full_like(mask, 255))),
     ("mask of grey below half", _mask(lambda mask: mask // 3)),
-    ("mask of noise", _mask(lambda mask: np.random.default_rng(0).integers(0, 256, mask.shape).astype(np.uint8))),
+    (
+        "mask of noise",
+        _mask(lambda mask: np.random.default_rng(0).integers(0, 256, mask.shape).astype(np.uint8)),
+    ),
     ("mask of another size", _mask(lambda mask: mask[:20])),
-    ("mask of wires", _mask(lambda mask: mask * (np.indices(mask.shape).sum(0) % 7 == 0).astype(np.uint8))),
+    (
+        "mask of wires",
+        _mask(lambda mask: mask * (np.indices(mask.shape).sum(0) % 7 == 0).astype(np.uint8)),
+    ),
     ("regions of nine", _mask(lambda mask: (np.indices(mask.shape)[1] // 7 * 20).astype(np.uint8))),
-    *((f"{name}, whole", _file(f"picture.{name[:4].lower()}", data)) for name, data in WRITERS.items()),
+    *(
+        (f"{name}, whole", _file(f"picture.{name[:4].lower()}", data))
+        for name, data in WRITERS.items()
+    ),
     *((f"{name} under the name of a PNG", _refused(name)) for name in REFUSED),
-    *((f"animated {name}", _file("picture.png", animated(name))) for name in ("PNG", "GIF", "WEBP", "TIFF", "MPO", "AVIF")),
-    *((f"orientation {k}", _file("picture.jpg", _turned(k))) for k in (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 65535)),
+    *(
+        (f"animated {name}", _file("picture.png", animated(name)))
+        for name in ("PNG", "GIF", "WEBP", "TIFF", "MPO", "AVIF")
+    ),
+    *(
+        (f"orientation {k}", _file("picture.jpg", _turned(k)))
+        for k in (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 65535)
+    ),
     *((f"orientation {k} of a TIFF", _file("picture.tiff", _turned(k, "TIFF"))) for k in (3, 6, 9)),
-    *((f"Exif {name}", _file("picture.jpg", _exif(data))) for name, data in (
-        ("of noise", bytes(range(200))),
-        ("that ends early", b"II*\0\x08\0\0\0\x01\0\x12\x01"),
-        ("that leads back to itself", b"II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x08\0\0\0\x08\0\0\0"),
-        ("with an orientation of text", b"II*\0\x08\0\0\0\x01\0\x12\x01\x02\0\x04\0\0\0abc\0\0\0\0\0"),
-        ("with an orientation of many", b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\xff\xff\xff\x7f\0\0\0\0\0\0\0\0"),
-    )),
-    ("PNG with a text of 100 MB", _file("picture.png", _with_chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(100 << 20))))),
-    ("PNG with a profile of 100 MB", _file("picture.png", _with_chunk(b"iCCP", b"k\0\0" + zlib.compress(bytes(100 << 20))))),
-    ("PNG with 100 texts of 1 MB", _file("picture.png", _with_chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(1_000_000)), 100))),
+    *(
+        (f"Exif {name}", _file("picture.jpg", _exif(data)))
+        for name, data in (
+            ("of noise", bytes(range(200))),
+            ("that ends early", b"II*\0\x08\0\0\0\x01\0\x12\x01"),
+            (
+                "that leads back to itself",
+                b"II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x08\0\0\0\x08\0\0\0",
+            ),
+            (
+                "with an orientation of text",
+                b"II*\0\x08\0\0\0\x01\0\x12\x01\x02\0\x04\0\0\0abc\0\0\0\0\0",
+            ),
+            (
+                "with an orientation of many",
+                b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\xff\xff\xff\x7f\0\0\0\0\0\0\0\0",
+            ),
+        )
+    ),
+    (
+        "PNG with a text of 100 MB",
+        _file("picture.png", _with_chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(100 << 20)))),
+    ),
+    (
+        "PNG with a profile of 100 MB",
+        _file("picture.png", _with_chunk(b"iCCP", b"k\0\0" + zlib.compress(bytes(100 << 20)))),
+    ),
+    (
+        "PNG with 100 texts of 1 MB",
+        _file("picture.png", _with_chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(1_000_000)), 100)),
+    ),
     ("PNG with 50,000 texts", _file("picture.png", _with_chunk(b"tEXt", b"k\0v", 50_000))),
-    *((f"PNG that promises {w} × {h}", _file("picture.png", _header(w, h))) for w, h in (
-        (0, 0), (0, 48), (8000, 8000), (8001, 8000), (30_000, 30_000), (2**31 - 1, 2**31 - 1), (2**32 - 1, 1), (64, 2**31 - 1),
-        (1, 60_000_000),
-    )),
+    *(
+        (f"PNG that promises {w} × {h}", _file("picture.png", _header(w, h)))
+        for w, h in (
+            (0, 0),
+            (0, 48),
+            (8000, 8000),
+            (8001, 8000),
+            (30_000, 30_000),
+            (2**31 - 1, 2**31 - 1),
+            (2**32 - 1, 1),
+            (64, 2**31 - 1),
+            (1, 60_000_000),
+        )
+    ),
     ("PNG of 1 bit that promises 8000 × 8000", _file("picture.png", _header(8000, 8000, 1, 0))),
     ("TIFF with 3,000 directories", _file("picture.tiff", _directories(False))),
     ("TIFF with a circle of directories", _file("picture.tiff", _directories(True))),
-    *((f"TIFF with a tile of {side}²", _file("picture.tiff", _tiled(side))) for side in (64, 1024, 20_000, 46_000, 65_520, 2**31 - 1, 0)),
+    *(
+        (f"TIFF with a tile of {side}²", _file("picture.tiff", _tiled(side)))
+        for side in (64, 1024, 20_000, 46_000, 65_520, 2**31 - 1, 0)
+    ),
     ("JPEG of many scans", _file("picture.jpg", _scans(200))),
     ("JPEG cut off", _file("picture.jpg", lambda: written("JPEG")()[:700])),
     ("nothing", _file("picture.png", b"")),
@@ -554,4 +638,4 @@ TRIALS: list[tuple[str, Callable[[Path], Path]]] = [
     ("a link to nothing", _place(lambda path: path.symlink_to("nowhere.png"))),
     ("a file of 3 GB of nothing", _place(lambda path: (path.touch(), os.truncate(path, 3 << 30)))),
     ("missing", _place(lambda path: None)),
-]  # fmt: skip
+]

@@ -77,7 +77,7 @@ KEYS = (
             "photograph",
         )
     ),
-    *(f"data.{key}" for key in ("matte_first", "validation_lights", "test_lights")),
+    *(f"data.{key}" for key in ("gloss_curriculum", "validation_lights", "test_lights")),
     *(
         f"losses.{key}"
         for key in (
@@ -89,7 +89,7 @@ KEYS = (
             "image",
             "target",
             "pixels",
-            "pull",
+            "gradient_bound",
         )
     ),
     *(
@@ -108,12 +108,12 @@ KEYS = (
         for key in (
             "steps",
             "batch",
-            "rate",
+            "learning_rate",
             "style",
             "warm_up",
-            "decay",
+            "weight_decay",
             "clip",
-            "average",
+            "ema_decay",
             "seconds",
         )
     ),

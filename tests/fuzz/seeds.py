@@ -103,7 +103,7 @@ def fake_studio() -> None:
 
 def with_tests_on_path() -> None:
     """Let worker processes import the fake studio."""
-    folders = [str(TESTS.parent), str(TESTS / "factory"), os.environ.get("PYTHONPATH", "")]
+    folders = [str(TESTS.parent), os.environ.get("PYTHONPATH", "")]
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, folders))
 
 
@@ -126,7 +126,7 @@ def datasets(folder: Path) -> None:
         carry_out(planned(chosen, resolve(chosen, folder)), folder / name, RunOptions(studio=FAKE))
 
 
-# -------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # one function a format
 
 

@@ -6,9 +6,9 @@ import zlib
 from types import SimpleNamespace
 
 import numpy as np
-from fake_studio import Studio as FakeStudio
 
 from shaders import frames
+from tests.support.fake_studio import Studio as FakeStudio
 
 
 class Studio(FakeStudio):

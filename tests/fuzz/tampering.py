@@ -42,7 +42,8 @@ from manifests import arrays, exr, ids
 from manifests.files import npz_bytes
 from manifests.schema import Camera, Job
 from manifests.store import Store, geometry_path, image_path, light_path
-from shaders.envmap import LUMINANCE, unit_mean
+from shaders.envmap import unit_mean
+from shaders.tone import LUMINANCE
 
 from . import Case, Result, Room
 
@@ -264,7 +265,7 @@ def _learned(folder):
         there = Folder(folder)
         dataset, labels = there.json("dataset.json"), there.json("materials.json")["materials"]
         labels = {e["name"]: (e["label"], e["mixture"]) for e in labels}
-        found = []
+        result = []
         for line in there.lines():
             shape = dataset["shapes"][line["shape"]]
             own = [line[key] for key in ("shape", "category", "viewpoint", "camera")]
@@ -296,13 +297,13 @@ def _learned(folder):
                     there.picture_of(line).tobytes(),
                     _map(folder, dataset["lights"][line["light"]]["file"]),
                 ]
-            found.append((json.dumps(own), *(hashlib.sha256(each).hexdigest() for each in pixels)))
+            result.append((json.dumps(own), *(hashlib.sha256(each).hexdigest() for each in pixels)))
         lights = {
             name: (entry["side"], _map(folder, entry["file"]))
             for name, entry in dataset["lights"].items()
         }
         return (
-            sorted(found),
+            sorted(result),
             lights,
             labels if there.kind == "views" else None,
             _packed_geometry(folder),
@@ -501,15 +502,25 @@ def entries(base: Path) -> Iterator[Tampering]:
     side = {"train": "test", "test": "train"}
     changes = {
         "shapes": {
-            "hash": "5" * 64, "category": "sofa", "side": side.get, "role": lambda v: "pretrain" if v != "test" else "train",
-            "segments": lambda v: v + 1, "licence": "mine", "report": "fine",
+            "hash": "5" * 64,
+            "category": "sofa",
+            "side": side.get,
+            "role": lambda v: "pretrain" if v != "test" else "train",
+            "segments": lambda v: v + 1,
+            "licence": "mine",
+            "report": "fine",
         },
         "materials": {"hash": "5" * 16, "side": side.get, "licence": "mine", "source": "mine"},
         "lights": {
-            "hash": "7" * 64, "file": "lights/x.npz", "file_hash": "0" * 64, "scale": lambda v: 2 * v, "licence": "mine",
-            "source": "mine", "side": side.get,
+            "hash": "7" * 64,
+            "file": "lights/x.npz",
+            "file_hash": "0" * 64,
+            "scale": lambda v: 2 * v,
+            "licence": "mine",
+            "source": "mine",
+            "side": side.get,
         },
-    }  # fmt: skip
+    }
     for kind, keys in changes.items():
         for name in (
             (next(iter(dataset[kind])), list(dataset[kind])[-1])
@@ -550,10 +561,25 @@ def entries(base: Path) -> Iterator[Tampering]:
                     f"dataset.json: {kind} '{name}': once more under another name", double
                 )
     for path, new in {
-        "samples": 999, "seed": 999, "repeats": 7, "tiers": ["shadow"], "light_resolutions": ["full"], "views": [5], "rotations": [99],
-        "camera": {"size": [4, 4]}, "shapes": ["cube"], "materials": ["gold-paint"], "lights": ["night"], "split": "paper",
-        "mixed": False, "roles": ["test"], "segment_materials": 3, "name": "mine", "about": "mine", "pictures": None,
-    }.items():  # fmt: skip
+        "samples": 999,
+        "seed": 999,
+        "repeats": 7,
+        "tiers": ["shadow"],
+        "light_resolutions": ["full"],
+        "views": [5],
+        "rotations": [99],
+        "camera": {"size": [4, 4]},
+        "shapes": ["cube"],
+        "materials": ["gold-paint"],
+        "lights": ["night"],
+        "split": "paper",
+        "mixed": False,
+        "roles": ["test"],
+        "segment_materials": 3,
+        "name": "mine",
+        "about": "mine",
+        "pictures": None,
+    }.items():
 
         def order(folder, rng, path=path, new=new):
             value = folder.json("dataset.json")
@@ -1314,7 +1340,7 @@ def tamperings(base: Path) -> list[Tampering]:
     ]
 
 
-# ----------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # the judging
 
 
@@ -1341,13 +1367,13 @@ def faults_in(data: Path) -> list[str]:
     from manifests.verification import faults_of
 
     try:
-        found = [
+        result = [
             fault.text for fault in faults_of(Store(data), render_fingerprint(), reference_light)
         ]
     except InputError as problem:  # no dataset.json that can be read
-        found = [str(problem)]
-    assert all(line.isprintable() for line in found), found
-    return found
+        result = [str(problem)]
+    assert all(line.isprintable() for line in result), result
+    return result
 
 
 def refuses(data: Path) -> bool:
@@ -1396,7 +1422,7 @@ def missed(verdict: Verdict) -> bool:
     return verdict.harmful and not verdict.found and verdict.tampering.principle is None
 
 
-# -------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # what starts it
 
 
@@ -1404,7 +1430,7 @@ def synthetic(folder: Path) -> list[Path]:
     """Data sets that are computed here: pictures, segments in perspective, geometry alone with its
     cache.
     """
-    from tests.manifests.whole_dataset import JOB, write_dataset
+    from tests.support.whole_dataset import JOB, write_dataset
 
     perspective = Camera(size=(12, 16), fov_deg=45.0)
     jobs = {
@@ -1437,18 +1463,34 @@ def rendered(folder: Path) -> list[Path]:
         exr.write(folder / "lamp.exr", {name: sky[..., k] for k, name in enumerate("RGB")})
     jobs = {
         "pictures": Job(
-            shapes=("chair:0", "sphere"), materials=("nickel", "white-diffuse-bball"), lights=("city",), views=(0, 6), tiers=("direct",),
-            samples=4, camera=Camera(size=(24, 24)),
-        ),
-        "segments": Job(
-            shapes=("chair:1", "sofa:2"), materials=("merl/train",), lights=(str(folder / "lamp.exr"),), views=(2, 9), rotations=(0, 40),
-            tiers=("direct", "full"), samples=4, segment_materials=1, camera=Camera(size=(20, 24), fov_deg=40.0, pixel="centre"),
-        ),
-        "views": Job(
-            shapes=("chair:0", "monitor:1"), materials=("nickel", "brass"), lights=("night",), views=(0, 5), pictures=False,
+            shapes=("chair:0", "sphere"),
+            materials=("nickel", "white-diffuse-bball"),
+            lights=("city",),
+            views=(0, 6),
+            tiers=("direct",),
+            samples=4,
             camera=Camera(size=(24, 24)),
         ),
-    }  # fmt: skip
+        "segments": Job(
+            shapes=("chair:1", "sofa:2"),
+            materials=("merl/train",),
+            lights=(str(folder / "lamp.exr"),),
+            views=(2, 9),
+            rotations=(0, 40),
+            tiers=("direct", "full"),
+            samples=4,
+            segment_materials=1,
+            camera=Camera(size=(20, 24), fov_deg=40.0, pixel="centre"),
+        ),
+        "views": Job(
+            shapes=("chair:0", "monitor:1"),
+            materials=("nickel", "brass"),
+            lights=("night",),
+            views=(0, 5),
+            pictures=False,
+            camera=Camera(size=(24, 24)),
+        ),
+    }
     for name, job in jobs.items():
         if not (folder / name / "dataset.json").exists():
             carry_out(planned(job, resolve(job)), folder / name, RunOptions())
@@ -1563,8 +1605,8 @@ def main() -> int:
         else rendered((options.out / "bases").absolute())
     )
     for base in bases:
-        if found := faults_in(base):
-            print(f"{base}: not clean before anything was done to it: {found[0]}", file=sys.stderr)
+        if result := faults_in(base):
+            print(f"{base}: not clean before anything was done to it: {result[0]}", file=sys.stderr)
             return 2
     start, verdicts = time.perf_counter(), []
     room = options.out / "room"

@@ -16,7 +16,8 @@ import pytest
 
 from . import STATUSES, Case, Room, driver, files, mutation
 
-LIMITS = driver.Limits(seconds=1.0, memory_mb=64)  # small, so that what breaks them is over soon
+LIMITS = driver.Limits(seconds=30.0, memory_mb=64)
+SHORT = driver.Limits(seconds=1.0, memory_mb=64)  # for cases that never end
 
 
 def run(case, tmp_path, limits=LIMITS):
@@ -84,7 +85,7 @@ def test_the_driver_sees(tmp_path, name):
         (room.folder / "input").write_text("input")
         return Case(label=name, run=lambda: function(room))
 
-    outcome = run(case, tmp_path)
+    outcome = run(case, tmp_path, SHORT if fault.startswith("time") else LIMITS)
     assert outcome.fault is not None
     assert outcome.fault.startswith(fault)
     assert (tmp_path / "toy-0-0" / "fault.json").exists()
@@ -187,6 +188,7 @@ def test_a_mutation_repeats_for_a_seed_and_says_what_it_did(name):
     assert changed > 50  # now and then a value is replaced by itself
 
 
+@pytest.mark.long
 def test_a_small_seeded_part_of_the_fuzzing_finds_nothing(root, tmp_path):
     """What `make fuzz` does for ten minutes: two cases of every generator, past the plans that some
     begin with.

@@ -178,10 +178,10 @@ def case(index: int, rng: np.random.Generator, room: Room) -> Case:
         key, value = KEYS[index // len(VALUES)], VALUES[index % len(VALUES)]
         name = "priors" if key == "fitted" else FILES[index % 3]
         header, body = parted(room.seeds / f"{name}.safetensors")
-        told = header.setdefault("__metadata__", {})
-        told.pop(key, None)
+        report = header.setdefault("__metadata__", {})
+        report.pop(key, None)
         if value is not None:
-            told[key] = value
+            report[key] = value
         path.write_bytes(joined(header, body))
         label = f"{name}: metadata {key}: {'removed' if value is None else value[:40]!r}"
     elif index < planned + len(FILES) * len(SURGERY):
@@ -264,7 +264,7 @@ def photograph(path: Path) -> None:
     Image.fromarray(values).save(path)
 
 
-# --------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # surgery
 
 

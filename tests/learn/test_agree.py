@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import msgspec
 import numpy as np
 import pytest
-import synthetic
 import torch
 
 from learn.__main__ import COMMANDS
@@ -16,6 +15,7 @@ from manifests.cli import main
 from shaders.envmap import directions
 from shaders.frames import camera_from_light
 from shaders.mixture import Mixture
+from tests.support import synthetic
 
 
 @pytest.fixture
@@ -89,18 +89,18 @@ def test_taps_are_added_until_small_lamps_are_seen_alike(rng, monkeypatch):
     )
 
     def by(count):
-        return causes.at_places(*causes.lobe_samples(sample, m, count), m, brass.mixture, n, view)
+        return causes.summed(*causes.lobe_samples(sample, m, count), m, brass.mixture, n, view)
 
     true = by(65536)
 
-    def off(found):
-        return np.square(found - true).sum() / np.square(true).sum()
+    def off(result):
+        return np.square(result - true).sum() / np.square(true).sum()
 
     # 0.0005 where a tap sees the mean of what it stands for, 0.22 where it sees one texel
     assert off(by(1024)) < 0.01
-    assert causes.narrow(m) and off(by(64)) > 10 * causes.MOVED**2
+    assert causes.narrow(m) and off(by(64)) > 10 * causes.LARGEST_CHANGE**2
     # the last step's error is below what moved in it
-    assert off(causes.converged(sample, m, brass.mixture, n, view)) < causes.MOVED**2
+    assert off(causes.converged(sample, m, brass.mixture, n, view)) < causes.LARGEST_CHANGE**2
 
 
 def test_nodes_that_are_not_the_label_show_as_node_fit(tmp_path, rng):
@@ -166,7 +166,7 @@ def test_a_folder_without_a_dataset_is_one_line(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     status, _ = agree(tmp_path / "empty")
     assert (
-        status == 1 and "expected a dataset (dataset.json), found none" in capsys.readouterr().err
+        status == 1 and "expected a data set (dataset.json), found none" in capsys.readouterr().err
     )
 
 

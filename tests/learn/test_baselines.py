@@ -25,7 +25,7 @@ from learn.networks.separate import Separate
 from learn.training.loop import Training
 from manifests.errors import InputError
 from shaders import envmap
-from tests.learn import synthetic
+from tests.support import synthetic
 
 SIZE = 32
 
@@ -115,9 +115,9 @@ def test_all_three_are_found_in_a_folder_and_keep_the_protocol(folder, batch):
         assert np.isfinite(picture).all()
         assert not picture[~mask].any()
         assert picture[mask].max() > 0
-        found = method.parts(batch)
-        assert found.label.shape == batch.label.shape
-        assert (found.n is None) == (method.name == "Baseline 1")
+        result = method.parts(batch)
+        assert result.label.shape == batch.label.shape
+        assert (result.n is None) == (method.name == "Baseline 1")
 
 
 def test_what_is_missing_is_named_with_its_remedy(tmp_path):
@@ -154,7 +154,7 @@ def test_the_three_networks_share_nothing():
 
 
 def test_the_true_target_is_the_layers_picture_in_the_target_material(data_splits):
-    pair = material_swap.Paired(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
+    pair = material_swap.PairedDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     for i in range(4):
         expected = rendered(
             pair.n[i : i + 1],
@@ -167,7 +167,7 @@ def test_the_true_target_is_the_layers_picture_in_the_target_material(data_split
 
 
 def test_a_true_edit_has_no_loss(data_splits):
-    pair = material_swap.Paired(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
+    pair = material_swap.PairedDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     network = EncoderDecoder(Ranges(torch.zeros(108), torch.ones(108)))
     edited = network(pair.image, pair.mask, pair.target_label)
     code, embedded = network.ranges.code(pair.label), network.ranges.code(pair.target_label)
@@ -211,9 +211,9 @@ def test_an_estimate_ends_below_its_start_and_nearer_to_the_pictures_brightness(
     }
     picture = render(**shone, elevation=batch.elevation).movedim(-1, 1)
     dark = replace(batch, image=picture, label=label)
-    found = posterior.estimate(dark, known)
-    assert found.after < 0.2 * found.before
-    again = rendered(dark.n, found.label[0], found.light, dark)
+    result = posterior.estimate(dark, known)
+    assert result.after < 0.2 * result.before
+    again = rendered(dark.n, result.label[0], result.light, dark)
     start = posterior.Posterior(dark, known).start()
     first = rendered(
         dark.n, known.label(start[0]).float(), known.light(start[1], 64, 128).float(), dark
@@ -227,8 +227,8 @@ def test_an_estimate_ends_below_its_start_and_nearer_to_the_pictures_brightness(
 def test_an_estimate_that_went_astray_is_not_taken(batch, known, monkeypatch):
     far = lambda posterior, point, *_: tuple(part + 30 for part in point)  # noqa: E731
     monkeypatch.setattr(posterior, "lowered", far)
-    found = posterior.estimate(batch, known)
-    assert found.after == found.before
+    result = posterior.estimate(batch, known)
+    assert result.after == result.before
 
 
 def test_priors_hold_the_training_materials_and_maps(data_splits, known, tmp_path):
@@ -259,10 +259,10 @@ def test_a_picture_of_another_size_is_seen_at_the_networks_own(folder, data_spli
         name: getattr(batch, name).repeat_interleave(2, -1).repeat_interleave(2, -2)
         for name in ("image", "mask", "n", "segments")
     }
-    found = methods.predicting(net, SIZE)(replace(batch, **double))
-    torch.testing.assert_close(found.light, method.parts(batch).light)
-    assert found.n.shape == (1, 3, 2 * SIZE, 2 * SIZE)
-    torch.testing.assert_close(found.n.norm(dim=1), torch.ones(1, 2 * SIZE, 2 * SIZE))
+    result = methods.predicting(net, SIZE)(replace(batch, **double))
+    torch.testing.assert_close(result.light, method.parts(batch).light)
+    assert result.n.shape == (1, 3, 2 * SIZE, 2 * SIZE)
+    torch.testing.assert_close(result.n.norm(dim=1), torch.ones(1, 2 * SIZE, 2 * SIZE))
 
 
 def test_presets_of_the_baselines_name_their_networks(root):

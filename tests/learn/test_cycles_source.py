@@ -21,9 +21,8 @@ from manifests import materials
 from manifests.errors import InputError
 from manifests.store import Store
 from shaders import envmap
-from tests.learn import synthetic
-
-SIZE = 32
+from tests.support import synthetic
+from tests.support.two_materials import SIZE, album_of, damage, first, written
 
 
 @pytest.fixture
@@ -35,18 +34,6 @@ def store(tmp_path):
 @pytest.fixture(scope="module")
 def rendered_split(tmp_path_factory):
     return album_of(written(tmp_path_factory.mktemp("pictures")).folder)
-
-
-def written(folder):
-    both = [synthetic.matte("dark", 0.2), synthetic.matte("light", 0.8)]
-    return synthetic.write_dataset(
-        folder, both, np.random.default_rng(3), size=SIZE, seeds=1, noise=0.0, category="sphere"
-    )
-
-
-def album_of(folder):
-    records = Records(folder)
-    return RenderedSplit(records, Geometry(folder, progress=False), records.records)
 
 
 def data_split(rendered_split, side="train"):
@@ -121,15 +108,15 @@ def test_the_loss_compares_with_the_rendered_picture(rendered_split):
     batch = RenderedDataset(data_split(rendered_split, "test"), Data(), 2, SIZE, 5)[0]
     from learn.networks.prediction import Prediction
 
-    wanted = Losses(normals=0, material=0, image=1, target=1, pixels=64, layer_light=(64, 128))
+    expected = Losses(normals=0, material=0, image=1, target=1, pixels=64, layer_light=(64, 128))
     nothing = Prediction(None, None, None, None, None)
-    found = losses.terms(nothing, batch, wanted, torch.Generator().manual_seed(0), None)
+    result = losses.terms(nothing, batch, expected, torch.Generator().manual_seed(0), None)
     # the parts are true, and the pictures are the layer's own in half precision
-    assert max(found.values()) < 1e-6
+    assert max(result.values()) < 1e-6
     brighter = losses.terms(
         nothing,
         replace(batch, picture=batch.picture * 2),
-        wanted,
+        expected,
         torch.Generator().manual_seed(0),
         None,
     )
@@ -160,9 +147,10 @@ def test_records_of_more_materials_than_regions_do_not_fit(rendered_split):
 
 
 def test_the_source_is_what_the_run_says(rendered_split):
-    of = lambda **data: sources.source_of(
-        data_split(rendered_split), Run(name="t", size=SIZE, data=Data(sharing=2, **data)), 4, 1
-    )  # noqa: E731
+    def of(**data):
+        run = Run(name="t", size=SIZE, data=Data(sharing=2, **data))
+        return sources.source_of(data_split(rendered_split), run, 4, 1)
+
     assert isinstance(of(), RelitDataset)
     assert isinstance(of(source="pictures"), RenderedDataset)
     assert isinstance(of(source="mix"), MixedDataset)
@@ -204,34 +192,13 @@ def rewrite(store, records):
     path.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
 
 
-def first(store):
-    return min(store.records(), key=lambda record: record.id)
-
-
-def damage(store, kind):
-    """Make one record's picture bad; returns the file."""
-    record = first(store)
-    path = store.folder / record.image
-    if kind == "missing":
-        path.unlink()
-    elif kind == "truncated":
-        path.write_bytes(path.read_bytes()[:-700])
-    elif kind == "not finite":
-        image = Records(store.folder).image(record)
-        image[SIZE // 2, SIZE // 2] = np.nan
-        synthetic.write_exr(
-            path, {name: image[..., k].astype(np.float16) for k, name in enumerate("RGB")}
-        )
-    return path
-
-
 @pytest.mark.parametrize("kind", ["missing", "truncated", "not finite"])
 def test_a_bad_picture_stops_before_training_or_is_left_out_and_counted(store, kind):
     path = damage(store, kind)
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
-    with pytest.raises(InputError, match=path.name) as told:
+    with pytest.raises(InputError, match=path.name) as error:
         preflight.checked(records, records.records, geometry, progress=False)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
     good, skipped = preflight.checked(
         records, records.records, geometry, skip_bad=True, progress=False
     )
@@ -249,7 +216,7 @@ def test_a_light_or_a_label_out_of_range_stops_before_training_or_its_pictures_a
             L, scale = arrays["L"], arrays["scale"]
         L[3, 3, 1] = np.nan
         np.savez(path, L=L, scale=scale)
-        told, bad = (
+        report, bad = (
             rf"{path.name}: expected finite radiance ≥ 0, found 1 values",
             {r.id for r in store.records()},
         )
@@ -258,12 +225,12 @@ def test_a_light_or_a_label_out_of_range_stops_before_training_or_its_pictures_a
         label = (*dark.label[:5], 1e30, *dark.label[6:])
         hash_ = materials.material_hash(label, dark.mixture)
         synthetic.exchange(store, msgspec.structs.replace(dark, label=label, hash=hash_))
-        told, bad = (
+        report, bad = (
             "'dark': expected natural logarithms up to 14",
             {r.id for r in store.records() if r.materials == ("dark",)},
         )
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=report):
         preflight.checked(records, records.records, geometry, progress=False)
     good, skipped = preflight.checked(
         records, records.records, geometry, skip_bad=True, progress=False
@@ -295,9 +262,9 @@ def test_bad_geometry_is_told_or_left_out_and_counted(store, kind):
         synthetic.write_exr(
             path, channels | {"depth.Z": normals[..., 2], "segment": segments.astype(np.uint32)}
         )
-    with pytest.raises(InputError, match=path.name) as told:
+    with pytest.raises(InputError, match=path.name) as error:
         Geometry(store.folder, progress=False)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
     with pytest.raises(InputError, match="geometry that can be used"):  # nothing else is there
         Geometry(store.folder, progress=False, skip_bad=True)
 
@@ -307,16 +274,16 @@ def test_views_that_are_left_out_leave_the_others_as_they_are(store):
     other = synthetic.add_shape(store, "ball", "train")[0]
     gone = store.folder / other.geometry
     gone.unlink()
-    found = Geometry(store.folder, progress=False, skip_bad=True)
-    assert set(found.skipped) == {other.geometry_hash}
-    assert [view.hash for view in found.views] == [known.geometry_hash]
+    result = Geometry(store.folder, progress=False, skip_bad=True)
+    assert set(result.skipped) == {other.geometry_hash}
+    assert [view.hash for view in result.views] == [known.geometry_hash]
     again = Geometry(store.folder, progress=False, skip_bad=True)  # from what is packed
-    assert np.array_equal(again.normals(0), found.normals(0))
-    assert again.skipped == found.skipped
+    assert np.array_equal(again.normals(0), result.normals(0))
+    assert again.skipped == result.skipped
     with pytest.raises(InputError, match=gone.name):
         Geometry(store.folder, progress=False)
     good, skipped = preflight.checked(
-        Records(store.folder), [other], found, skip_bad=True, progress=False
+        Records(store.folder), [other], result, skip_bad=True, progress=False
     )
     assert not good
     assert len(skipped) == 1
@@ -325,6 +292,6 @@ def test_views_that_are_left_out_leave_the_others_as_they_are(store):
 def test_a_dataset_of_another_schema_version_is_refused_in_one_line(store):
     path = store.folder / "dataset.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 99}))
-    with pytest.raises(InputError, match=r"expected schema version 1, found 99") as told:
+    with pytest.raises(InputError, match=r"expected schema version 1, found 99") as error:
         sources.data_splits(Data(), Store(store.folder).folder, progress=False)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)

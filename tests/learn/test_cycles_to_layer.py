@@ -28,10 +28,9 @@ def dataset(request, tmp_path_factory):
     function, and a fitted glossy one.
     """
     pytest.importorskip("bpy", reason="needs Blender as a module (pip install .[factory])")
-    import synthetic
-
     from factory.execution.run import RunOptions, carry_out, planned
     from factory.planning.assets import resolve
+    from tests.support import synthetic
 
     folder = tmp_path_factory.mktemp("cycles")
     own = folder / "own.json"

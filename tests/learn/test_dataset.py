@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-import synthetic
 import torch
 
 from learn.data.records import Records
 from learn.layer import render
 from manifests.errors import InputError
+from tests.support import synthetic
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def damage(folder, what):
         ("missing geometry", "expected an OpenEXR file, found no such file"),
         ("truncated light", "expected a stored light map"),
         ("no materials", "expected an entry for 'matte', which a record names, found none"),
-        ("no dataset", r"expected a dataset \(dataset.json\), found none"),
+        ("no dataset", r"expected a data set \(dataset.json\), found none"),
     ],
 )
 def test_a_damaged_dataset_is_named_in_one_line(folder, what, message):

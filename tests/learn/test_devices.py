@@ -1,8 +1,8 @@
 """One option, one device: training, prediction, refinement, editing and the layer keep all their
 tensors where the user wants them.
 
-Most of this runs on the CPU, on a device that is simulated (tests/learn/fake_device.py): it refuses
-numpy and mixed devices as CUDA does. Tests marked gpu run where torch sees a CUDA device.
+Most of this runs on the CPU, on a device that is simulated (tests/support/fake_device.py): it
+refuses numpy and mixed devices as CUDA does. Tests marked gpu run where torch sees a CUDA device.
 """
 
 import math
@@ -14,26 +14,26 @@ import torch.nn.functional as F
 
 from learn.__main__ import COMMANDS
 from learn.data import devices, lights
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.geometry import Geometry
 from learn.data.photographs import Framed
 from learn.data.relit import DataSplit
 from learn.data.settings import Data, Losses, Run, Schedule
-from learn.editing import decomposition, photograph, predict
-from learn.figures import montage
-from learn.layer import render
+from learn.editing import compositor, decomposition, photograph
+from learn.figures import spheres
+from learn.layer import predictions, render
 from learn.metrics import intrinsics
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, refine
+from learn.refinement import RefinementSettings, refine
 from learn.refinement.settings import Level
 from learn.training.loop import Training
 from manifests.cli import main
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
-from tests.learn import fake_device, synthetic
+from tests.support import fake_device, synthetic
 
 SIZE = 32
 CUDA = torch.cuda.is_available()
@@ -323,8 +323,8 @@ def opened(size):
 def test_a_prediction_is_made_on_the_networks_device(weights, device):
     picture, _, _, _, inside = ball(SIZE)
     framed = Framed(picture[0].numpy(), inside[0].numpy(), (0, 0, SIZE), 1.0)
-    batch, there = predict.of(framed, checkpoint.load_parts(weights, device)[0])
-    _, here = predict.of(framed, checkpoint.load_parts(weights)[0])
+    batch, there = decomposition.predict_framed(framed, checkpoint.load_parts(weights, device)[0])
+    _, here = decomposition.predict_framed(framed, checkpoint.load_parts(weights)[0])
     assert {batch.image.device, there.n.device, there.label.device, there.light.device} == {device}
     for name in ("n", "label", "light"):  # the same operators on the same numbers
         torch.testing.assert_close(
@@ -335,36 +335,40 @@ def test_a_prediction_is_made_on_the_networks_device(weights, device):
 def test_an_edit_is_refined_and_rendered_on_the_networks_device(weights, device, monkeypatch):
     rendered_on = []
     monkeypatch.setattr(
-        decomposition,
+        predictions,
         "render",
         lambda n, *given, **named: rendered_on.append(n.device) or render(n, *given, **named),
     )
     level = Level(pixels=40, light=(8, 16), method="exact", rounds=1, iterations=1)
-    settings = Settings(levels=(level,), passes=1)
-    found = decomposition.decompose(
+    settings = RefinementSettings(levels=(level,), outer_iterations=1)
+    result = decomposition.decompose(
         opened(SIZE), checkpoint.load_parts(weights, device)[0], SIZE, settings
     )
-    assert {tensor.device for tensor in (found.parts.n, found.parts.label, found.parts.light)} == {
-        device
-    }
+    assert {
+        tensor.device for tensor in (result.parts.n, result.parts.label, result.parts.light)
+    } == {device}
     # the grid that is rendered, for the reference sum is slow
-    monkeypatch.setattr(decomposition, "COARSEST", SIZE)
-    edited = decomposition.Painter(found, detail=0.25).edited([label_of("gold-paint")[0].numpy()])
+    monkeypatch.setattr(compositor, "COARSEST", SIZE)
+    edited = compositor.Compositor(result, detail=0.25).edited([label_of("gold-paint")[0].numpy()])
     assert rendered_on and set(rendered_on) == {device}
     assert edited.shape == (SIZE, SIZE, 3) and np.isfinite(edited).all()
-    shown = montage.material_sphere(
-        found.parts.label[0, 0], found.parts.light[0].movedim(0, -1), 16, found.batch.elevation, 1.0
+    shown = spheres.material_sphere(
+        result.parts.label[0, 0],
+        result.parts.light[0].movedim(0, -1),
+        16,
+        result.batch.elevation,
+        1.0,
     )
     assert shown.shape == (16, 16, 3)
 
 
 def scene_to_refine(size=12):
-    """A Batch of a ball, and a start that is 10 % off in its light and another rubber in its
-    material.
+    """An ExampleBatch of a ball, and a start whose light is 10 % off and whose material is another
+    rubber.
     """
     picture, n, label, L, inside = ball(size)
     image, n, light = (tensor.movedim(-1, 1).contiguous() for tensor in (picture, n, L))
-    batch = Batch(
+    batch = ExampleBatch(
         image,
         inside[:, None].float(),
         n,
@@ -382,7 +386,7 @@ def refined_on(device):
     batch, start = scene_to_refine()
     moved = Prediction(*(None if part is None else part.to(device) for part in start))
     level = Level(pixels=0, light=(8, 16), method="exact", rounds=1, iterations=3)
-    return refine(batch.to(device), moved, Settings(levels=(level,), passes=1))
+    return refine(batch.to(device), moved, RefinementSettings(levels=(level,), outer_iterations=1))
 
 
 def test_refinement_goes_down_on_its_device_as_far_as_on_the_cpu(device):
@@ -465,7 +469,8 @@ def test_a_prediction_on_cuda_is_that_of_the_cpu(what, weights):
     picture, _, _, _, inside = ball(SIZE)
     framed = Framed(picture[0].numpy(), inside[0].numpy(), (0, 0, SIZE), 1.0)
     (_, there), (_, here) = (
-        predict.of(framed, checkpoint.load_parts(weights, name)[0]) for name in ("cuda", "cpu")
+        decomposition.predict_framed(framed, checkpoint.load_parts(weights, name)[0])
+        for name in ("cuda", "cpu")
     )
     assert there.n.is_cuda
     torch.testing.assert_close(there.label.cpu(), here.label, rtol=5e-2, atol=5e-2)  # TF32

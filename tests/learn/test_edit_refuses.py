@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from synthetic import matte, write_dataset
 
 from learn.__main__ import COMMANDS
 from learn.data import photographs
@@ -25,6 +24,7 @@ from manifests.errors import InputError
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
 from shaders import tone
+from tests.support.synthetic import matte, write_dataset
 
 SIZE = (48, 64)
 
@@ -44,7 +44,7 @@ def files(tmp_path, disc):
     return tmp_path
 
 
-def told(capsys, *arguments):
+def message(capsys, *arguments):
     """(exit status, the line on stderr) of a command."""
     status = main("learn", "test", COMMANDS, [str(a) for a in arguments])
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("learn:")]
@@ -68,16 +68,16 @@ def edit(files, *more, photo="photo.png", mask="mask.png", material="brass"):
 
 
 def test_no_mask_is_refused_with_the_option_to_give(files, capsys):
-    status, line = told(capsys, *edit(files, mask=None))
+    status, line = message(capsys, *edit(files, mask=None))
     assert status == 1 and "--mask FILE" in line
 
 
 def test_a_mask_that_is_empty_or_of_another_size_is_refused(files, capsys):
     Image.new("L", SIZE[::-1]).save(files / "empty.png")
     Image.new("L", (10, 10), 255).save(files / "other.png")
-    status, line = told(capsys, *edit(files, mask="empty.png"))
+    status, line = message(capsys, *edit(files, mask="empty.png"))
     assert status == 1 and "pixels or more in the mask" in line
-    status, line = told(capsys, *edit(files, mask="other.png"))
+    status, line = message(capsys, *edit(files, mask="other.png"))
     assert status == 1 and "64 × 48" in line and "10 × 10" in line
 
 
@@ -86,19 +86,19 @@ def test_what_is_no_picture_is_refused(files, capsys):
     (files / "cut.png").write_bytes(whole[: len(whole) // 2])
     (files / "text.png").write_text("a picture, honestly")
     for name in ("cut.png", "text.png", "none.png"):
-        status, line = told(capsys, *edit(files, photo=name))
+        status, line = message(capsys, *edit(files, photo=name))
         assert status == 1 and name in line and "expected" in line
 
 
 def test_an_unknown_material_lists_the_closest_names(files, capsys):
-    status, line = told(capsys, *edit(files, material="brasss"))
+    status, line = message(capsys, *edit(files, material="brasss"))
     assert status == 1 and "did you mean brass" in line
     assert not (files / "out").exists()
 
 
 @pytest.mark.parametrize("word", ["leather", "lether", "Leather"])
 def test_an_everyday_word_is_answered_with_what_looks_like_it(files, capsys, word):
-    status, line = told(capsys, *edit(files, material=word))
+    status, line = message(capsys, *edit(files, material=word))
     assert (
         status == 1
         and "look like leather: natural-209, special-walnut-224" in line
@@ -107,7 +107,7 @@ def test_an_everyday_word_is_answered_with_what_looks_like_it(files, capsys, wor
 
 
 def test_a_part_of_a_name_lists_names_that_have_it(files, capsys):
-    status, line = told(capsys, *edit(files, material="phenolic"))
+    status, line = message(capsys, *edit(files, material="phenolic"))
     assert status == 1 and "did you mean black-phenolic" in line and "red-phenolic" in line
 
 
@@ -119,7 +119,7 @@ def test_nothing_is_overwritten_unless_asked(files, capsys):
     (files / "out").mkdir()
     for name in ("edit.json", "edited.png", "normals.png"):
         (files / "out" / name).write_text("mine")
-        status, line = told(capsys, *edit(files))
+        status, line = message(capsys, *edit(files))
         assert (
             status == 1 and "--overwrite" in line and (files / "out" / name).read_text() == "mine"
         )
@@ -134,13 +134,13 @@ def test_numbers_outside_their_range_are_refused(files, capsys):
         ("--exposure", "-1"),
         ("--white-balance", "1,2"),
     ):
-        status, line = told(capsys, *edit(files, option, value))
+        status, line = message(capsys, *edit(files, option, value))
         assert status == 1 and option in line
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "nan", "inf"])
 def test_predict_refuses_an_exposure_that_is_none(files, capsys, value):
-    status, line = told(
+    status, line = message(
         capsys,
         "predict",
         files / "photo.png",
@@ -170,7 +170,7 @@ def test_no_command_writes_over_what_it_reads(files, capsys, command):
         files,
         "--overwrite",
     ]
-    status, line = told(capsys, *words)
+    status, line = message(capsys, *words)
     assert (
         status == 1
         and "normals.png" in line
@@ -181,21 +181,21 @@ def test_no_command_writes_over_what_it_reads(files, capsys, command):
 
 def test_a_file_where_a_folder_is_to_be_is_told_before_any_work(files, capsys):
     (files / "out").write_text("mine")
-    status, line = told(capsys, *edit(files))
+    status, line = message(capsys, *edit(files))
     assert status == 1 and "a file" in line and "--out" in line
 
 
 def test_a_white_balance_without_bounds_is_refused(files, capsys):
-    status, line = told(capsys, *edit(files, "--white-balance", "1e-30,1,1e30"))
+    status, line = message(capsys, *edit(files, "--white-balance", "1e-30,1,1e30"))
     assert status == 1 and "from 0.01 to 100" in line
 
 
 def test_a_material_that_reflects_more_than_numbers_hold_is_refused(files, capsys):
     (files / "m.json").write_text(json.dumps({"label": [13.9] * 108}))
-    status, line = told(capsys, *edit(files, material=files / "m.json"))
+    status, line = message(capsys, *edit(files, material=files / "m.json"))
     assert status == 1 and "logarithms of κ up to 4.4" in line
     (files / "m.json").write_text("[" * 100_000)
-    status, line = told(capsys, *edit(files, material=files / "m.json"))
+    status, line = message(capsys, *edit(files, material=files / "m.json"))
     assert status == 1 and "m.json" in line
 
 
@@ -203,12 +203,12 @@ def test_coloured_regions_are_told_apart_and_turned_as_the_file_says(files):
     values = np.zeros((*SIZE, 3), np.uint8)
     values[:, 20:30], values[:, 30:40] = (255, 0, 0), (0, 130, 0)  # of one grey
     Image.fromarray(values).save(files / "colours.png")
-    found = photographs.read_labels(files / "colours.png", SIZE)
-    assert found[0, 25] == 2 and found[0, 35] == 1 and found[0, 5] == 0
+    result = photographs.read_labels(files / "colours.png", SIZE)
+    assert result[0, 25] == 2 and result[0, 35] == 1 and result[0, 5] == 0
     turned, exif = Image.fromarray(values).transpose(Image.Transpose.ROTATE_90), Image.Exif()
     exif[0x0112] = 6  # turn it right for showing
     turned.save(files / "turned.png", exif=exif)
-    np.testing.assert_array_equal(photographs.read_labels(files / "turned.png", SIZE), found)
+    np.testing.assert_array_equal(photographs.read_labels(files / "turned.png", SIZE), result)
 
 
 @pytest.mark.parametrize(
@@ -230,7 +230,7 @@ def test_a_command_that_is_stopped_says_how_to_go_on(capsys, monkeypatch, comman
 
 
 def test_a_detail_out_of_range_is_told_the_ends_that_are_allowed(files, capsys):
-    status, line = told(capsys, *edit(files, "--detail", "2"))
+    status, line = message(capsys, *edit(files, "--detail", "2"))
     assert status == 1 and "from 0 to 1" in line
 
 
@@ -243,7 +243,7 @@ def test_a_material_file_out_of_range_or_shape_is_refused(files, capsys, text, t
     (files / "m.json").write_text(
         json.dumps({key: value * times if isinstance(value, list) else value})
     )
-    status, line = told(capsys, *edit(files, material=files / "m.json"))
+    status, line = message(capsys, *edit(files, material=files / "m.json"))
     assert status == 1 and "m.json" in line
     if times == 108 and isinstance(value, list):
         assert "natural logarithms from -80 to 14" in line and "found" in line
@@ -257,7 +257,7 @@ def test_weights_of_a_network_that_takes_nothing_apart_are_refused(files, capsys
         files / "part.safetensors", normals, normals.state_dict(), '{"parts": ["normals"]}', 128
     )
     for name in ("one", "part"):
-        status, line = told(capsys, *edit(files, "--weights", files / f"{name}.safetensors"))
+        status, line = message(capsys, *edit(files, "--weights", files / f"{name}.safetensors"))
         assert status == 1 and "predicts normals, material and light" in line
 
 
@@ -270,11 +270,11 @@ def test_what_a_dataset_does_not_need_and_a_photograph_has_not_is_refused(files,
         ("--regions", files / "mask.png"),
         ("--white-balance", "grey"),
     ):
-        status, line = told(
+        status, line = message(
             capsys, *edit(files, option, value, photo="data", mask=None, material="a")
         )
         assert status == 1 and option in line and "dataset" in line
-    status, line = told(capsys, *edit(files, "--record", "1"))
+    status, line = message(capsys, *edit(files, "--record", "1"))
     assert status == 1 and "--record" in line and "dataset" in line
 
 
@@ -282,13 +282,13 @@ def test_an_exr_edit_of_somebodys_own_is_not_overwritten(files, capsys, disc):
     photographs.write_exr(files / "photo.exr", np.full((*SIZE, 3), 0.3, np.float32))
     (files / "out").mkdir()
     (files / "out" / "edited.exr").write_text("mine")
-    status, line = told(capsys, *edit(files, photo="photo.exr"))
+    status, line = message(capsys, *edit(files, photo="photo.exr"))
     assert (
         status == 1
         and "--overwrite" in line
         and (files / "out" / "edited.exr").read_text() == "mine"
     )
-    status, line = told(capsys, *edit(files, "--overwrite", photo="photo.exr"))
+    status, line = message(capsys, *edit(files, "--overwrite", photo="photo.exr"))
     assert (status, line) == (0, "")
     edited, _ = photographs._exr_pixels(files / "out" / "edited.exr")
     assert edited.shape == (*SIZE, 3) and edited[disc].std() > 0
@@ -296,7 +296,7 @@ def test_an_exr_edit_of_somebodys_own_is_not_overwritten(files, capsys, disc):
 
 def test_transfer_without_masks_names_its_own_options(files, capsys):
     Image.new("RGB", (40, 30)).save(files / "other.png")
-    status, line = told(
+    status, line = message(
         capsys, "transfer", files / "photo.png", files / "other.png", "--out", files / "swap"
     )
     assert status == 1 and "--mask-dir" in line and "NAME.mask.png" in line
@@ -388,13 +388,13 @@ def test_a_material_file_without_a_material_is_refused(tmp_path, text, words):
 
 
 def test_transfer_needs_two_pictures_of_different_names(files, capsys):
-    status, line = told(capsys, "transfer", files / "photo.png", "--out", files / "out")
+    status, line = message(capsys, "transfer", files / "photo.png", "--out", files / "out")
     assert status == 1 and "two or more" in line
-    status, line = told(
+    status, line = message(
         capsys, "transfer", files / "photo.png", files / "photo.png", "--out", files / "out"
     )
     assert status == 1 and "twice" in line
-    status, line = told(
+    status, line = message(
         capsys,
         "transfer",
         files / "photo.png",
@@ -416,11 +416,11 @@ def deep_png(path, values):
         (b"IDAT", zlib.compress(lines)),
         (b"IEND", b""),
     ]
-    told = [
+    report = [
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
         for kind, data in chunks
     ]
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(told))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(report))
 
 
 def test_sixteen_bit_colour_keeps_its_upper_eight_bits(files):

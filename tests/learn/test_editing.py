@@ -11,16 +11,14 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 from PIL import Image
-from synthetic import entry, matte, write_dataset
 
 from learn.__main__ import COMMANDS
 from learn.data.records import Records
-from learn.editing import decomposition, edit, photograph, targets, transfer
-from learn.editing.decomposition import Painter
-from learn.figures import montage
-from learn.layer import render
+from learn.editing import compositor, decomposition, drawing, edit, photograph, targets, transfer
+from learn.editing.compositor import Compositor
+from learn.figures import spheres
+from learn.layer import predictions
 from learn.layer.display_method import method_for
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -30,73 +28,8 @@ from learn.networks.separate import Separate
 from manifests.cli import main
 from manifests.materials import load_catalogue
 from shaders import tone
-
-SIZE, NETWORK = 96, 64
-
-
-def label_of(name):
-    return load_catalogue()[name].label.reshape(1, 108).astype(np.float32)
-
-
-def ball(side, radius):
-    """Normals (side, side, 3) of a ball in the middle of a picture, and its mask."""
-    at = (np.arange(side) + 0.5 - side / 2) / radius
-    x, y = np.meshgrid(at, -at)
-    inside = x * x + y * y < 1
-    z = np.sqrt(np.clip(1 - x * x - y * y, 1e-3, 1))
-    n = np.stack([x, y, z], -1)
-    return (n / np.linalg.norm(n, axis=-1, keepdims=True) * inside[..., None]).astype(
-        np.float32
-    ), inside
-
-
-class Knowing(torch.nn.Module):
-    """A network that says of every picture: a ball in its mask's square, of the given material, in
-    even light.
-    """
-
-    def __init__(self, label):
-        super().__init__()
-        self.label = torch.from_numpy(label)
-
-    def forward(self, image, mask, segments=None, regions=None):
-        _, rows, _ = torch.nonzero(mask[:, 0], as_tuple=True)
-        radius = (rows.max() - rows.min() + 1).item() / 2
-        n, _ = ball(len(image[0, 0]), radius)
-        x = torch.from_numpy(n).movedim(-1, 0)[None]
-        x = torch.where(mask > 0, x, torch.tensor([0.0, 0.0, 1.0])[:, None, None])
-        count = 1 if segments is None else regions
-        light = torch.ones(1, 3, 64, 128)
-        return Prediction(
-            F.normalize(x + torch.tensor([0, 0, 1e-6])[:, None, None], dim=1),
-            None,
-            self.label.repeat(1, count, 1),
-            None,
-            light,
-        )
-
-
-def lit(label, scale):
-    """A ball's picture (SIZE, SIZE, 3) in even light before a gradient, and its mask."""
-    n, inside = ball(SIZE, 30)
-    light = torch.ones(1, 64, 128, 3)
-    radiance = (
-        render(torch.from_numpy(n)[None], torch.from_numpy(label).exp(), light, method="exact")[
-            0
-        ].numpy()
-        * scale
-    )
-    ground = np.linspace(0.1, 0.4, SIZE, dtype=np.float32)[:, None, None] * np.array(
-        [1.0, 0.8, 0.6], np.float32
-    )
-    return np.where(inside[..., None], radiance, ground).astype(np.float32), inside
-
-
-def opened(radiance, regions, exposure=None, balance=(1, 1, 1), cut_out=False):
-    coverage = (regions > 0).astype(np.float32)
-    return photograph.Photograph(
-        "ball", radiance, coverage, regions, np.array(balance, np.float32), exposure, cut_out
-    )
+from tests.support.known_ball import NETWORK, SIZE, Knowing, ball, label_of, lit, opened
+from tests.support.synthetic import entry, matte, write_dataset
 
 
 @pytest.mark.parametrize("balance", [(1, 1, 1), (1.4, 1.0, 0.7)])
@@ -104,10 +37,10 @@ def test_with_true_parts_an_edit_into_its_own_material_is_the_photograph(balance
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     seen = radiance / np.array(balance, np.float32)  # as a camera out of balance would have it
-    found = decomposition.decompose(
+    result = decomposition.decompose(
         opened(seen, inside.astype(np.int64), 2.0, balance), Knowing(label), NETWORK
     )
-    again = Painter(found).edited([label[0]])
+    again = Compositor(result).edited([label[0]])
     core = ball(SIZE, 30)[0][..., 2] > 0.4  # at the rim 64² normals, enlarged, are a pixel off
     level = tone.auto_exposure(seen, inside)
     # of 65,025; the picture itself has a variance of a thousand
@@ -120,7 +53,7 @@ def test_an_edit_keeps_size_and_background():
     radiance, inside = lit(label, 0.5)
     tall = np.pad(radiance, ((7, 20), (0, 31), (0, 0)), constant_values=0.3)
     regions = np.pad(inside.astype(np.int64), ((7, 20), (0, 31)))
-    edited = Painter(
+    edited = Compositor(
         decomposition.decompose(opened(tall, regions), Knowing(label), NETWORK)
     ).edited([label_of("gold-paint")[0]])
     assert edited.shape == tall.shape
@@ -132,9 +65,9 @@ def test_an_object_that_touches_the_border_is_edited_up_to_it():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     cut, regions = radiance[30:, 40:], inside[30:, 40:].astype(np.int64)
-    edited = Painter(decomposition.decompose(opened(cut, regions), Knowing(label), NETWORK)).edited(
-        [label_of("gold-paint")[0]]
-    )
+    edited = Compositor(
+        decomposition.decompose(opened(cut, regions), Knowing(label), NETWORK)
+    ).edited([label_of("gold-paint")[0]])
     assert edited.shape == cut.shape and np.isfinite(edited).all()
     assert (abs(edited - cut).max(-1) > 0)[regions > 0].mean() > 0.9
 
@@ -146,10 +79,10 @@ def test_a_soft_edge_mixes_edit_and_background_and_not_the_old_colour():
     coverage[20:70, 20:70], coverage[20:70, 70] = 1, 0.5
     # red through and through, edge included
     red = np.where(coverage[..., None] > 0, np.array([5.0, 0, 0], np.float32), ground)
-    found = photograph.Photograph(
+    result = photograph.Photograph(
         "square", red, coverage, (coverage >= 0.5).astype(np.int64), np.ones(3, np.float32), 1.0
     )
-    edited = Painter(decomposition.decompose(found, Knowing(label), NETWORK)).edited([label[0]])
+    edited = Compositor(decomposition.decompose(result, Knowing(label), NETWORK)).edited([label[0]])
     edge, within = edited[45, 70], edited[45, 69]
     # the layer's picture changes a little from pixel to pixel
     np.testing.assert_allclose(edge, 0.5 * within + 0.5 * 0.25, atol=0.05)
@@ -160,7 +93,7 @@ def test_a_region_that_is_kept_stays_and_the_other_changes():
     radiance, inside = lit(label, 0.5)
     regions = inside.astype(np.int64)
     regions[:, SIZE // 2 :] *= 2
-    edited = Painter(
+    edited = Compositor(
         decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK)
     ).edited([None, label_of("gold-paint")[0]])
     np.testing.assert_array_equal(edited[regions == 1], radiance[regions == 1])
@@ -171,12 +104,12 @@ def test_fine_shading_is_carried_over_when_asked():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
-    found = decomposition.decompose(
+    result = decomposition.decompose(
         opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
     )
     middle = (slice(40, 56), slice(40, 56))
     for detail, low, high in ((0.0, 0.0, 0.02), (1.0, 0.2, 0.35)):
-        edited = Painter(found, detail=detail).edited([label_of("delrin")[0]])[middle]
+        edited = Compositor(result, detail=detail).edited([label_of("delrin")[0]])[middle]
         # 2 log 1.15 = 0.28 in the photograph
         contrast = abs(np.diff(np.log(edited[..., 1]), axis=0)).mean()
         assert low <= contrast <= high
@@ -189,7 +122,9 @@ def test_objects_are_rendered_at_their_own_size_between_two_limits(times, grid):
     radiance, regions = (
         x.repeat(times, 0).repeat(times, 1) for x in (radiance, inside.astype(np.uint8))
     )
-    painter = Painter(decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK))
+    painter = Compositor(
+        decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK)
+    )
     assert painter.grid == grid  # 567: 1.18 times the object's 480 pixels
     assert painter.n.shape == (grid, grid, 3)
 
@@ -198,16 +133,16 @@ def test_no_detail_is_stronger_than_its_limit():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 4.0, 0.25).astype(np.float32)
-    painter = Painter(
+    painter = Compositor(
         decomposition.decompose(
             opened(radiance * stripes, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
         ),
         detail=1.0,
     )
-    ratio = painter.ratio()
-    assert ratio.max() == pytest.approx(
-        decomposition.LARGEST_DETAIL
-    ) and ratio.min() == pytest.approx(1 / decomposition.LARGEST_DETAIL)
+    ratio = painter.fine_shading()
+    assert ratio.max() == pytest.approx(compositor.LARGEST_DETAIL) and ratio.min() == pytest.approx(
+        1 / compositor.LARGEST_DETAIL
+    )
 
 
 def test_grey_balance_makes_the_background_grey_and_keeps_its_luminance(tmp_path):
@@ -217,12 +152,12 @@ def test_grey_balance_makes_the_background_grey_and_keeps_its_luminance(tmp_path
     values[mask > 0] = (0, 0, 255)
     Image.fromarray(values).save(tmp_path / "p.png")
     Image.fromarray(mask).save(tmp_path / "m.png")
-    found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance="grey")
-    mean = found.balanced[:5].mean((0, 1))
+    result = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance="grey")
+    mean = result.balanced[:5].mean((0, 1))
     np.testing.assert_allclose(mean, mean[0], rtol=1e-3)
     np.testing.assert_allclose(
         mean @ [0.2126, 0.7152, 0.0722],
-        found.radiance[:5].mean((0, 1)) @ [0.2126, 0.7152, 0.0722],
+        result.radiance[:5].mean((0, 1)) @ [0.2126, 0.7152, 0.0722],
         rtol=1e-3,
     )
 
@@ -231,11 +166,11 @@ def test_a_white_balance_that_is_given_keeps_luminance(tmp_path):
     Image.new("RGB", (40, 30), (90, 90, 90)).save(tmp_path / "p.png")
     Image.new("L", (40, 30), 255).save(tmp_path / "m.png")
     for wanted_factors in ((2.0, 2.0, 2.0), (1.4, 1.0, 0.7)):
-        found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance=wanted_factors)
+        result = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance=wanted_factors)
         # float32
-        np.testing.assert_allclose(found.balance @ [0.2126, 0.7152, 0.0722], 1, rtol=1e-5)
+        np.testing.assert_allclose(result.balance @ [0.2126, 0.7152, 0.0722], 1, rtol=1e-5)
         np.testing.assert_allclose(
-            found.balance / found.balance[1],
+            result.balance / result.balance[1],
             np.array(wanted_factors) / wanted_factors[1],
             rtol=1e-5,
         )
@@ -264,24 +199,24 @@ def test_several_masks_are_several_regions_and_where_they_overlap_the_later_one_
         mask = Image.new("L", (40, 30))
         mask.paste(255, box)
         mask.save(tmp_path / f"{name}.png")
-    found = photograph.opened(tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"])
-    assert (found.regions[:, :20] == 1).all() and (found.regions[:, 20:] == 2).all()
+    result = photograph.opened(tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"])
+    assert (result.regions[:, :20] == 1).all() and (result.regions[:, 20:] == 2).all()
 
 
 def test_a_record_is_seen_by_its_own_camera_at_its_own_exposure(tmp_path, rng):
     write_dataset(
         tmp_path, [matte("a", 0.2)], rng, size=32, seeds=1, rotations=(0,), method="quadrature"
     )
-    found = photograph.opened(tmp_path)
-    assert found.exposure == 1 and found.record is not None
+    result = photograph.opened(tmp_path)
+    assert result.exposure == 1 and result.record is not None
     assert photograph.opened(tmp_path, exposure=3.0).exposure == 3
-    camera = msgspec.structs.replace(found.record.camera, elevation_deg=50.0)
+    camera = msgspec.structs.replace(result.record.camera, elevation_deg=50.0)
     label = label_of("blue-rubber")
     for record, degrees in (
         (None, 20.0),
-        (msgspec.structs.replace(found.record, camera=camera), 50.0),
+        (msgspec.structs.replace(result.record, camera=camera), 50.0),
     ):
-        taken = decomposition.decompose(replace(found, record=record), Knowing(label), NETWORK)
+        taken = decomposition.decompose(replace(result, record=record), Knowing(label), NETWORK)
         assert np.degrees(taken.batch.elevation) == pytest.approx(degrees)
 
 
@@ -298,9 +233,9 @@ def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
     records = Records(tmp_path)
     by = {(r.materials, r.rotation_texels): r for r in records.records}
     for turn in (0, 5):
-        found = photograph.opened(tmp_path, record=by[("a",), turn].id)
-        np.testing.assert_array_equal(edit.truth(found, "b"), records.image(by[("b",), turn]))
-        assert edit.truth(found, "c") is None
+        result = photograph.opened(tmp_path, record=by[("a",), turn].id)
+        np.testing.assert_array_equal(edit.truth_of(result, "b"), records.image(by[("b",), turn]))
+        assert edit.truth_of(result, "c") is None
 
 
 def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was(tmp_path, rng):
@@ -313,20 +248,20 @@ def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was
         rotations=(0,),
         method="quadrature",
     )
-    found = photograph.opened(tmp_path)
+    result = photograph.opened(tmp_path)
     of = {
-        key: msgspec.structs.replace(found.record, id=" ".join(key), materials=key)
+        key: msgspec.structs.replace(result.record, id=" ".join(key), materials=key)
         for key in (("a", "b"), ("b", "a"), ("b", "b"))
     }
 
     known = SimpleNamespace(records=list(of.values()), image=lambda record: record.materials)
-    two = replace(found, records=known, record=of["b", "a"])
-    assert edit.truth(two, "a+b") == ("a", "b")
-    assert edit.truth(two, "b+a") == ("b", "a")
-    assert edit.truth(two, "keep+b") == edit.truth(two, "b") == ("b", "b")
-    assert edit.truth(two, "a+a") is None
+    two = replace(result, records=known, record=of["b", "a"])
+    assert edit.truth_of(two, "a+b") == ("a", "b")
+    assert edit.truth_of(two, "b+a") == ("b", "a")
+    assert edit.truth_of(two, "keep+b") == edit.truth_of(two, "b") == ("b", "b")
+    assert edit.truth_of(two, "a+a") is None
     assert (
-        edit.truth(
+        edit.truth_of(
             replace(two, record=msgspec.structs.replace(of["b", "a"], rotation_texels=7)), "a+b"
         )
         is None
@@ -344,9 +279,9 @@ def test_a_datasets_own_materials_are_known(tmp_path, rng):
         method="quadrature",
     )
     label = Records(tmp_path).label("b")
-    np.testing.assert_array_equal(edit.choices("b", 1, None, {"b": label})[0], label)
+    np.testing.assert_array_equal(edit.labels_of("b", 1, None, {"b": label})[0], label)
     with pytest.raises(ValueError, match="none of that name"):
-        edit.choices("a-name-of-none", 1, None, {"b": label})
+        edit.labels_of("a-name-of-none", 1, None, {"b": label})
 
 
 def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
@@ -356,15 +291,17 @@ def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
         np.repeat(np.repeat(x, 4, 0), 4, 1) for x in (radiance, inside.astype(np.uint8))
     )
     regions[200:204, 201:205] = 2  # half a pixel of the network's, beside a pixel's middle
-    found = decomposition.decompose(opened(radiance, regions), Knowing(label), 32)
-    assert found.batch.segments.max() == 1 and found.parts.label.shape[1] == 2
-    edited = Painter(found).edited([label_of("gold-paint")[0], None])
+    result = decomposition.decompose(opened(radiance, regions), Knowing(label), 32)
+    assert result.batch.segments.max() == 1 and result.parts.label.shape[1] == 2
+    edited = Compositor(result).edited([label_of("gold-paint")[0], None])
     np.testing.assert_array_equal(edited[regions == 2], radiance[regions == 2])
     assert abs(edited - radiance)[regions == 1].mean() > 0.02
     swapped = opened(radiance, np.where(regions > 0, 3 - regions, 0).astype(np.uint8))
     assert [
         caption
-        for caption, _ in edit.reflectance(decomposition.decompose(swapped, Knowing(label), 32))
+        for caption, _ in drawing.reflectance_maps(
+            decomposition.decompose(swapped, Knowing(label), 32)
+        )
     ] == ["reflectance map 1, observed", "reflectance map 1, predicted"]
 
 
@@ -374,8 +311,8 @@ def test_a_region_that_no_pixel_shows_has_a_label_in_every_network():
     for kind in (Compact, Paper, Separate):
         network = kind(Ranges(torch.zeros(108), torch.ones(108))).eval()
         with torch.no_grad():
-            found = network(image, mask, segments, ("normals", "material"), regions=3)
-        assert found.label.shape == (1, 3, 108) and found.label.isfinite().all()
+            result = network(image, mask, segments, ("normals", "material"), regions=3)
+        assert result.label.shape == (1, 3, 108) and result.label.isfinite().all()
 
 
 def test_what_lies_in_no_region_stays_as_it_is_but_for_a_rim(tmp_path):
@@ -384,19 +321,19 @@ def test_what_lies_in_no_region_stays_as_it_is_but_for_a_rim(tmp_path):
     regions = Image.new("L", (60, 40))
     regions.paste(1, (0, 0, 30, 40))
     regions.save(tmp_path / "r.png")
-    found = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], tmp_path / "r.png")
-    assert (found.coverage[:, :30] > 0.99).all() and (found.coverage[:, 36:] == 0).all()
-    painter = Painter(decomposition.decompose(found, Knowing(label_of("blue-rubber")), NETWORK))
+    result = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], tmp_path / "r.png")
+    assert (result.coverage[:, :30] > 0.99).all() and (result.coverage[:, 36:] == 0).all()
+    painter = Compositor(decomposition.decompose(result, Knowing(label_of("blue-rubber")), NETWORK))
     edited = painter.edited([label_of("gold-paint")[0]])
-    np.testing.assert_array_equal(edited[:, 36:], found.radiance[:, 36:])
-    assert abs(edited - found.radiance)[:, :30].mean() > 0.02
+    np.testing.assert_array_equal(edited[:, 36:], result.radiance[:, 36:])
+    assert abs(edited - result.radiance)[:, :30].mean() > 0.02
 
 
 def test_the_picture_rendered_again_has_none_of_the_photographs_own_detail():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
-    painter = Painter(
+    painter = Compositor(
         decomposition.decompose(
             opened(radiance * stripes, inside.astype(np.uint8), 2.0), Knowing(label), NETWORK
         ),
@@ -409,11 +346,9 @@ def test_the_picture_rendered_again_has_none_of_the_photographs_own_detail():
 def test_the_objects_own_material_is_rendered_once(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    drawn, render_ = [], decomposition.render
-    monkeypatch.setattr(
-        decomposition, "render", lambda *a, **k: drawn.append(1) or render_(*a, **k)
-    )
-    painter = Painter(
+    drawn, render_ = [], predictions.render
+    monkeypatch.setattr(predictions, "render", lambda *a, **k: drawn.append(1) or render_(*a, **k))
+    painter = Compositor(
         decomposition.decompose(opened(radiance, inside.astype(np.uint8)), Knowing(label), NETWORK),
         detail=0.25,
     )
@@ -433,7 +368,8 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
     )
 
     def start():
-        return Prediction(None, None, torch.zeros(1, 1, 108), None, None)
+        nothing = torch.zeros(1, 3, 1, 1)
+        return Prediction(nothing, None, torch.zeros(1, 1, 108), None, nothing)
 
     Image.new("RGB", (40, 30), (90, 60, 90)).save(tmp_path / "p.png")
     Image.new("L", (40, 30), 255).save(tmp_path / "p.mask.png")
@@ -448,9 +384,9 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
 def test_a_folder_of_masks_gives_each_picture_its_mask_and_never_itself(tmp_path):
     for name in ("a.png", "a.mask.png", "b.png", "c.jpg", "c.png"):
         (tmp_path / name).write_bytes(b"")
-    assert edit.mask_beside(tmp_path / "a.png", tmp_path) == tmp_path / "a.mask.png"
-    assert edit.mask_beside(tmp_path / "b.png", tmp_path) is None
-    assert edit.mask_beside(tmp_path / "c.jpg", tmp_path) == tmp_path / "c.png"
+    assert photograph.mask_beside(tmp_path / "a.png", tmp_path) == tmp_path / "a.mask.png"
+    assert photograph.mask_beside(tmp_path / "b.png", tmp_path) is None
+    assert photograph.mask_beside(tmp_path / "c.jpg", tmp_path) == tmp_path / "c.png"
 
 
 def test_a_material_file_comes_back_as_it_was_written(tmp_path):
@@ -462,28 +398,28 @@ def test_a_material_file_comes_back_as_it_was_written(tmp_path):
 
 
 def test_materials_are_given_to_regions_in_their_order():
-    found = edit.choices("brass+keep", 2, None)
-    np.testing.assert_array_equal(found[0], label_of("brass")[0])
-    assert found[1] is None
-    assert len(edit.choices("brass", 3, None)) == 3
+    result = edit.labels_of("brass+keep", 2, None)
+    np.testing.assert_array_equal(result[0], label_of("brass")[0])
+    assert result[1] is None
+    assert len(edit.labels_of("brass", 3, None)) == 3
     with pytest.raises(ValueError, match="one a region"):
-        edit.choices("brass+keep+keep", 2, None)
+        edit.labels_of("brass+keep+keep", 2, None)
 
 
 def test_mirrors_are_shown_by_the_integral_and_fabrics_by_the_sum():
-    found = {
+    result = {
         name: method_for(torch.from_numpy(label_of(name)))
         for name in ("chrome", "red-fabric", "blue-rubber")
     }
-    assert found == {"chrome": "quadrature", "red-fabric": "auto", "blue-rubber": "auto"}
+    assert result == {"chrome": "quadrature", "red-fabric": "auto", "blue-rubber": "auto"}
 
 
 def test_the_observed_reflectance_map_of_a_ball_is_its_picture():
     n, inside = ball(128, 62)
     colour = np.where(inside[..., None], n * 0.5 + 0.5, 0)
-    seen = montage.observed(colour, n, inside, 64, 1.0)
-    expected = tone.display(montage.sphere(64) * 0.5 + 0.5, 1.0)
-    core = montage.sphere(64)[..., 2] > 0.3
+    seen = spheres.observed_reflectance(colour, n, inside, 64, 1.0)
+    expected = tone.display(spheres.sphere_normals(64) * 0.5 + 0.5, 1.0)
+    core = spheres.sphere_normals(64)[..., 2] > 0.3
     assert abs(seen - expected)[core].mean() < 4  # of 255: half a cell
 
 
@@ -513,8 +449,8 @@ def test_edit_and_transfer_write_what_they_say(tmp_path, capsys):
         )
         == 0
     )
-    told = json.loads((out / "edit.json").read_text())
-    assert told["refined"] is None and told["materials"] == ["red-fabric", str(b)]
+    report = json.loads((out / "edit.json").read_text())
+    assert report["refined"] is None and report["materials"] == ["red-fabric", str(b)]
     with Image.open(out / "edited-red-fabric.png") as picture:
         assert (picture.size, picture.mode) == ((SIZE, SIZE), "RGBA")
     assert {
@@ -572,6 +508,6 @@ def test_one_material_is_written_as_edited_and_compared_where_its_truth_is_known
     ]
     assert main("learn", "t", COMMANDS, words) == 0
     assert (tmp_path / "out" / "edited.png").exists()
-    told = json.loads((tmp_path / "out" / "edit.json").read_text())
-    assert set(told["display_l2"]) == {"delrin"} and told["display_l2"]["delrin"]["mask"] > 0
+    report = json.loads((tmp_path / "out" / "edit.json").read_text())
+    assert set(report["display_l2"]) == {"delrin"} and report["display_l2"]["delrin"]["mask"] > 0
     capsys.readouterr()

@@ -8,17 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from synthetic import entry, write_dataset
 
 from learn.__main__ import COMMANDS
 from learn.data.records import Records
 from learn.editing import decomposition
 from learn.figures import montage
+from learn.layer import predictions
 from learn.refinement import refine
 from manifests import exr
 from manifests.cli import main
 from manifests.materials import load_catalogue
 from shaders import tone
+from tests.support.synthetic import entry, write_dataset
 
 
 @pytest.fixture(autouse=True)
@@ -26,12 +27,12 @@ def quick(monkeypatch):
     """The sum for mirrors too, and the first steps of refinement alone: nothing here looks at how
     well they are done.
     """
-    monkeypatch.setattr(decomposition, "method_for", lambda label: "auto")
+    monkeypatch.setattr(predictions, "method_for", lambda label: "auto")
     monkeypatch.setattr(
         decomposition,
         "refine",
-        lambda batch, start, settings: refine(
-            batch, start, replace(settings, passes=1, levels=settings.levels[:1])
+        lambda batch, start, settings, labels: refine(
+            batch, start, replace(settings, outer_iterations=1, levels=settings.levels[:1]), labels
         ),
     )
 
@@ -68,30 +69,30 @@ def edited(photo, name, *more, masks=("mask",), material="red-fabric"):
 @pytest.fixture
 def drawn(monkeypatch):
     """{caption: [display pictures]} of every sheet's tiles since."""
-    found, rows = {}, montage.rows
+    result, contact_sheet = {}, montage.contact_sheet
 
     def kept(lines, size):
         for caption, picture in (pair for line in lines for pair in line):
-            found.setdefault(caption, []).append(picture)
-        return rows(lines, size)
+            result.setdefault(caption, []).append(picture)
+        return contact_sheet(lines, size)
 
-    monkeypatch.setattr(montage, "rows", kept)
-    return found
+    monkeypatch.setattr(montage, "contact_sheet", kept)
+    return result
 
 
 def test_an_edit_is_refined_unless_it_is_not_to_be(photo):
-    refined, told = edited(photo, "refined")
+    refined, report = edited(photo, "refined")
     plain, not_refined = edited(photo, "plain", "--no-refine")
-    assert told["refined"]["after"]["total"] < 0.9 * told["refined"]["before"]["total"]
-    assert told["refinement"]["a"] == 0.05
+    assert report["refined"]["after"]["total"] < 0.9 * report["refined"]["before"]["total"]
+    assert report["refinement"]["a"] == 0.05
     assert not_refined["refined"] is None and not_refined["refinement"] is None
     assert abs(refined - plain).mean() > 0.5
 
 
 def test_exposure_and_white_balance_reach_the_network(photo):
-    plain, told = edited(photo, "plain", "--no-refine")
-    for name, words, key, wanted in (
-        ("bright", ("--exposure", 3 * told["exposure"]), "exposure", 3 * told["exposure"]),
+    plain, report = edited(photo, "plain", "--no-refine")
+    for name, words, key, expected in (
+        ("bright", ("--exposure", 3 * report["exposure"]), "exposure", 3 * report["exposure"]),
         (
             "balanced",
             ("--white-balance", "1,1,2"),
@@ -100,15 +101,15 @@ def test_exposure_and_white_balance_reach_the_network(photo):
         ),
     ):
         other, also = edited(photo, name, "--no-refine", *words)
-        np.testing.assert_allclose(also[key], wanted, rtol=1e-5)
+        np.testing.assert_allclose(also[key], expected, rtol=1e-5)
         assert abs(other - plain).mean() > 0.5
 
 
 def test_every_mask_is_a_region_with_its_own_material(photo):
-    both, told = edited(
+    both, report = edited(
         photo, "both", "--no-refine", masks=("left", "right"), material="gold-paint+keep"
     )
-    assert told["regions"] == 2
+    assert report["regions"] == 2
     before = np.asarray(Image.open(photo / "photo.png"), float)
     right = np.asarray(Image.open(photo / "right.png")) > 0
     left = np.asarray(Image.open(photo / "left.png")) > 0
@@ -138,17 +139,17 @@ def test_an_edit_of_a_record_is_compared_with_its_truth_over_the_object_and_show
         "--out",
         out,
     )
-    told = json.loads((out / "edit.json").read_text())["display_l2"]["delrin"]
+    report = json.loads((out / "edit.json").read_text())["display_l2"]["delrin"]
     channels, true = exr.read(out / "edited.exr"), records.image(by["delrin",])
     picture, mask = (
         np.stack([channels[c] for c in "RGB"], -1),
         records.geometry(by["delrin",])[2] > 0,
     )
     level = tone.auto_exposure(true, mask)
-    assert told["mask"] == pytest.approx(tone.display_l2(picture, true, level, mask), rel=1e-4)
-    assert told["frame"] == pytest.approx(tone.display_l2(picture, true, level), rel=1e-4)
+    assert report["mask"] == pytest.approx(tone.display_l2(picture, true, level, mask), rel=1e-4)
+    assert report["frame"] == pytest.approx(tone.display_l2(picture, true, level), rel=1e-4)
     # the background, the same in both, is part of the frame
-    assert told["frame"] < 0.95 * told["mask"]
+    assert report["frame"] < 0.95 * report["mask"]
     np.testing.assert_allclose(drawn["truth"][0][mask], tone.display(true, level)[mask])
     np.testing.assert_allclose(
         drawn["|difference|"][0],

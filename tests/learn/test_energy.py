@@ -12,11 +12,11 @@ import torch
 import torch.nn.functional as F
 from scipy.optimize import OptimizeResult, minimize
 
-from learn.data.batch import Batch
-from learn.layer import render
+from learn.data.batch import ExampleBatch
+from learn.layer import predictions, render
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, coordinates, descent, energy, refine
-from learn.refinement.coordinates import Light, Normals, principal_directions
+from learn.refinement import RefinementSettings, coordinates, descent, refine
+from learn.refinement.coordinates import LightCoordinates, NormalCoordinates
 from learn.refinement.energy import Energy, State
 from learn.refinement.settings import NAMED, Level
 from manifests.materials import load_catalogue
@@ -24,7 +24,7 @@ from shaders import envmap
 
 SIZE = 8
 LEVEL = Level(pixels=0, light=(16, 32), method="exact", rounds=1, iterations=4)
-QUICK = replace(Settings(), levels=(LEVEL,), passes=1)
+QUICK = replace(RefinementSettings(), levels=(LEVEL,), outer_iterations=1)
 # standard deviation of z at which many changes of log light, and most of normals, are at their
 # bounds
 WILD = 3.0
@@ -48,7 +48,7 @@ def flat():
     n, light = torch.zeros(1, 3, SIZE, SIZE), torch.full((1, 3, 64, 128), math.e - 1)
     n[:, 2] = 1
     label = torch.zeros(1, 1, 108)
-    batch = Batch(
+    batch = ExampleBatch(
         torch.ones(1, 3, SIZE, SIZE),
         inside[:, None].float(),
         n,
@@ -83,7 +83,7 @@ def dome():
         method="exact",
     )
     image = picture.movedim(-1, 1).contiguous()
-    batch = Batch(
+    batch = ExampleBatch(
         image, inside[:, None].float(), n, inside.long(), label, light, label, ("dome",), 0.349
     )
     return batch, Prediction(n, None, label, None, light)
@@ -97,7 +97,7 @@ def test_the_energy_of_a_displaced_state_is_what_it_is_by_hand(monkeypatch):
     moved = replace(start, n=n, light=light, z={"material": torch.tensor([[1.0, 2.0, 2.0]])})
     # 2 where n moved, else 1
     monkeypatch.setattr(
-        energy, "render", lambda n, *_, **__: (1 + n[..., :1] / 0.6).expand(n.shape)
+        predictions, "render", lambda n, *_, **__: (1 + n[..., :1] / 0.6).expand(n.shape)
     )
     pixels = SIZE * (SIZE - 1)
     expected = {
@@ -112,8 +112,8 @@ def test_the_energy_of_a_displaced_state_is_what_it_is_by_hand(monkeypatch):
         + 3 * expected["light"]
         + 5 * expected["material"]
     )
-    found = Energy(batch, start, replace(Settings(), a=2.0, b=3.0, c=5.0)).finest(moved)
-    assert found == pytest.approx(expected, rel=1e-5)  # float32
+    result = Energy(batch, start, replace(RefinementSettings(), a=2.0, b=3.0, c=5.0)).finest(moved)
+    assert result == pytest.approx(expected, rel=1e-5)  # float32
 
 
 @pytest.mark.parametrize("row", [0, 31, 63])
@@ -121,10 +121,10 @@ def test_a_row_of_light_counts_by_its_share_of_the_sphere(row):
     batch, start = flat()
     light = start.light.clone()
     light[:, :, row] = math.e**2 - 1
-    told = Energy(batch, start, Settings())
-    found = told.terms(replace(start, light=light), told.pixels(1), (2, 4), "exact")["light"]
+    report = Energy(batch, start, RefinementSettings())
+    result = report.terms(replace(start, light=light), report.pixels(1), (2, 4), "exact")["light"]
     share = (math.cos(math.pi * row / 64) - math.cos(math.pi * (row + 1) / 64)) / 2
-    assert float(found) == pytest.approx(share, rel=1e-4)  # float32
+    assert float(result) == pytest.approx(share, rel=1e-4)  # float32
 
 
 def test_a_step_that_raises_the_energy_is_taken_back_and_the_one_before_it_stays(dome, monkeypatch):
@@ -141,18 +141,18 @@ def test_a_step_that_raises_the_energy_is_taken_back_and_the_one_before_it_stays
 
     monkeypatch.setattr(descent, "minimize", good_then_bad)
     start = truth._replace(label=truth.label + 0.3)
-    found = refine(batch, start, replace(QUICK, order=("material", "light"), b=0.02, c=0.0))
-    good, bad = found.history
+    result = refine(batch, start, replace(QUICK, order=("material", "light"), b=0.02, c=0.0))
+    good, bad = result.history
     assert [good["accepted"], bad["accepted"]] == [True, False]
-    assert good["total"] == found.after["total"] < found.before["total"]
+    assert good["total"] == result.after["total"] < result.before["total"]
     # so the start alone would not have turned it back
-    assert good["total"] < bad["total"] < found.before["total"]
-    assert found.after["light"] == found.before["light"]
+    assert good["total"] < bad["total"] < result.before["total"]
+    assert result.after["light"] == result.before["light"]
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_light_has_unit_mean_luminance_wherever_its_coordinates_lie(dome, seed):
-    light = Light(dome[1].light, 8)
+    light = LightCoordinates(dome[1].light, 8)
     z = WILD * torch.randn(
         light.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
     )
@@ -163,19 +163,19 @@ def test_light_has_unit_mean_luminance_wherever_its_coordinates_lie(dome, seed):
 
 def test_refined_light_has_unit_mean_luminance(dome):
     batch, truth = dome
-    found = refine(
+    result = refine(
         batch,
         truth._replace(label=truth.label - 0.3, light=truth.light.flip(-1)),
         replace(QUICK, order=("light",), b=0.0),
     )
-    assert found.history[0]["accepted"]
-    assert luminance(found.prediction.light) == pytest.approx(1, abs=1e-5)
+    assert result.history[0]["accepted"]
+    assert luminance(result.prediction.light) == pytest.approx(1, abs=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_normals_stay_within_reach_wherever_their_coordinates_lie(dome, seed):
     batch, truth = dome
-    normals = Normals(truth.n, batch.segments > 0, 0.1)
+    normals = NormalCoordinates(truth.n, batch.segments > 0, 0.1)
     z = WILD * torch.randn(
         normals.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
     )
@@ -186,11 +186,11 @@ def test_normals_stay_within_reach_wherever_their_coordinates_lie(dome, seed):
 def test_refined_normals_stay_within_reach(dome):
     batch, truth = dome
     start = F.normalize(truth.n + torch.tensor([0.3, 0.0, 0.0])[:, None, None], dim=1)
-    found = refine(
-        batch, truth._replace(n=start), replace(QUICK, order=("normals",), reach=0.01, a=0.0)
+    result = refine(
+        batch, truth._replace(n=start), replace(QUICK, order=("normals",), trust_region=0.01, a=0.0)
     )
-    assert found.history[0]["accepted"]
-    assert (disk(found.prediction.n) - disk(start)).abs().max() < 0.01 + 1e-6  # float32
+    assert result.history[0]["accepted"]
+    assert (disk(result.prediction.n) - disk(start)).abs().max() < 0.01 + 1e-6  # float32
 
 
 def test_directions_of_the_materials_know_the_training_ones_alone(monkeypatch, rng):
@@ -205,7 +205,7 @@ def test_directions_of_the_materials_know_the_training_ones_alone(monkeypatch, r
 
     def directions(materials):
         monkeypatch.setattr(coordinates, "load_catalogue", lambda: materials)
-        return principal_directions.__wrapped__()  # what is kept are the catalogue's own
+        return coordinates._built_in_directions.__wrapped__()  # past the cache
 
     assert np.array_equal(directions(known | {"x": outlying["test"]}), directions(known))
     assert np.linalg.norm(directions(known | {"x": outlying["train"]})) > 5 * np.linalg.norm(
@@ -214,32 +214,32 @@ def test_directions_of_the_materials_know_the_training_ones_alone(monkeypatch, r
 
 
 def test_defaults_are_those_that_the_documentation_tells(root):
-    told, s, paper = (
+    report, s, paper = (
         " ".join((root / "docs" / "editing.md").read_text(encoding="utf-8").split()),
-        Settings(),
+        RefinementSettings(),
         NAMED["paper"],
     )
-    assert f"a = {s.a:g}, b = {s.b:g}, c = {s.c:g} and the passes were chosen" in told
-    assert f"The paper's a = {paper.a:g}, b = {paper.b:g} hold the light still" in told
-    assert f"paper: a = {paper.a:g}, b = {paper.b:g}, c = {paper.c:g}" in told
-    assert f"spherical harmonics up to degree {s.degree}," in told
-    assert f"each held within {s.reach:g} of where its pass began" in told
-    assert f"L-BFGS moves {', '.join(s.order)}, one after the other, then all at once" in told
-    assert f"under the whole map, at {100 * s.tolerance:g} %" in told
-    assert s.passes == 3 and "gone through three times" in told
+    assert f"a = {s.a:g}, b = {s.b:g}, c = {s.c:g} and the passes were chosen" in report
+    assert f"The paper's a = {paper.a:g}, b = {paper.b:g} hold the light still" in report
+    assert f"paper: a = {paper.a:g}, b = {paper.b:g}, c = {paper.c:g}" in report
+    assert f"spherical harmonics up to degree {s.degree}," in report
+    assert f"each held within {s.trust_region:g} of where its pass began" in report
+    assert f"L-BFGS moves {', '.join(s.order)}, one after the other, then all at once" in report
+    assert f"under the whole map, at {100 * s.tolerance:g} %" in report
+    assert s.outer_iterations == 3 and "gone through three times" in report
 
 
 def test_the_way_down_begins_under_few_lights_and_ends_under_all(root):
-    told = " ".join((root / "docs" / "editing.md").read_text(encoding="utf-8").split())
-    first, last = Settings().levels
+    report = " ".join((root / "docs" / "editing.md").read_text(encoding="utf-8").split())
+    first, last = RefinementSettings().levels
     assert (first.pixels, last.pixels) == (
         0,
         0,
-    ) and "at all pixels under 32 × 64 lights, then all at once under all of them" in told
+    ) and "at all pixels under 32 × 64 lights, then all at once under all of them" in report
     assert (first.light, last.light) == ((32, 64), (64, 128))
-    assert first.rounds == 1 and first.iterations and first.together
-    assert last.rounds == 0 and last.together
+    assert first.rounds == 1 and first.iterations and first.joint_iterations
+    assert last.rounds == 0 and last.joint_iterations
     assert all(
-        level.method == "auto" and f"keeps {100 * level.tolerance:g} %" in told
+        level.method == "auto" and f"keeps {100 * level.tolerance:g} %" in report
         for level in (first, last)
     )

@@ -2,14 +2,13 @@
 table that compares them.
 """
 
-import json
-
 import numpy as np
 import pytest
 
 from learn.editing import decomposition
-from learn.experiments import upsampling, upsampling_study
-from tests.learn.test_editing import NETWORK, SIZE, Knowing, label_of, lit, opened
+from learn.experiments import upsampling_comparison, upsampling_strategies
+from learn.layer import predictions
+from tests.support.known_ball import NETWORK, SIZE, Knowing, label_of, lit, opened
 
 
 @pytest.fixture
@@ -24,42 +23,42 @@ def edge():
 
 def test_a_joint_bilateral_enlargement_steps_where_the_photograph_does(edge):
     guide, low = edge
-    found = upsampling.joint_bilateral(low, guide.reshape(8, 4, 8, 4).mean((1, 3)).round(), guide)[
-        ..., 0
-    ]
-    assert found[:, :14].max() < 0.05
-    assert found[:, 14:].min() > 0.95
-    flat = upsampling.joint_bilateral(low, np.zeros((8, 8)), np.zeros((32, 32)))[..., 0]
+    result = upsampling_strategies.joint_bilateral(
+        low, guide.reshape(8, 4, 8, 4).mean((1, 3)).round(), guide
+    )[..., 0]
+    assert result[:, :14].max() < 0.05
+    assert result[:, 14:].min() > 0.95
+    flat = upsampling_strategies.joint_bilateral(low, np.zeros((8, 8)), np.zeros((32, 32)))[..., 0]
     assert 0.2 < flat[16, 15] < 0.8  # without a guide the step is smeared
 
 
 def test_a_joint_bilateral_enlargement_keeps_a_constant(rng):
-    found = upsampling.joint_bilateral(
+    result = upsampling_strategies.joint_bilateral(
         np.full((8, 8, 3), 0.7), rng.random((8, 8)), rng.random((24, 24))
     )
-    np.testing.assert_allclose(found, 0.7, rtol=1e-5)
+    np.testing.assert_allclose(result, 0.7, rtol=1e-5)
 
 
 def test_a_guided_enlargement_of_what_is_linear_in_the_guide_is_linear_in_the_photograph(rng):
     guide_low = rng.random((16, 16)).astype(np.float32)
     guide = np.repeat(np.repeat(guide_low, 4, 0), 4, 1)
-    found = upsampling.guided(2.0 * guide_low[..., None] + 0.5, guide_low, guide)
+    result = upsampling_strategies.guided(2.0 * guide_low[..., None] + 0.5, guide_low, guide)
     # FLAT against a variance of 1/12
-    assert np.abs(found[..., 0] - (2.0 * guide + 0.5)).max() < 0.06
-    still = upsampling.guided(np.full((16, 16, 1), 0.3, np.float32), guide_low, guide)
+    assert np.abs(result[..., 0] - (2.0 * guide + 0.5)).max() < 0.06
+    still = upsampling_strategies.guided(np.full((16, 16, 1), 0.3, np.float32), guide_low, guide)
     np.testing.assert_allclose(still, 0.3, atol=1e-5)
 
 
 def test_every_way_paints_a_smooth_object_alike_and_one_render_serves_all_details(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    found = decomposition.decompose(
+    result = decomposition.decompose(
         opened(radiance, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
     )
-    ways = upsampling.painters(found)
-    rendered, render = [], decomposition.render
+    ways = upsampling_strategies.painters(result)
+    rendered, render = [], predictions.render
     monkeypatch.setattr(
-        decomposition, "render", lambda *a, **k: rendered.append(a) or render(*a, **k)
+        predictions, "render", lambda *a, **k: rendered.append(a) or render(*a, **k)
     )
     edits = {name: painter.edited([label[0]]) for name, painter in ways.items()}
     # in use and its details together once, three at the network's size, normals once
@@ -71,7 +70,7 @@ def test_every_way_paints_a_smooth_object_alike_and_one_render_serves_all_detail
         np.testing.assert_allclose(picture[core], radiance[core], rtol=0.06, err_msg=name)
 
 
-def test_the_table_compares_with_the_way_in_use_on_the_same_edits(tmp_path):
+def test_the_table_compares_with_the_way_in_use_on_the_same_edits():
     def ways(l2):
         return {"normals enlarged": {"l2": 100.0, "ssim": 0.8}, "detail 1": {"l2": l2, "ssim": 0.7}}
 
@@ -79,8 +78,7 @@ def test_the_table_compares_with_the_way_in_use_on_the_same_edits(tmp_path):
         {"edit": "e", "shape": shape, "material": "m", "ours": ways(110.0), "true": ways(50.0)}
         for shape in "abc"
     ]
-    upsampling_study.written(tmp_path, rows, {"edits": 3})
-    told = json.loads((tmp_path / "enlarging.json").read_text())["parts"]
+    told = upsampling_comparison.summary(rows)
     assert told["ours"]["detail 1"]["l2_ratio"] == pytest.approx([1.1] * 3)
     assert told["true"]["detail 1"]["l2_ratio"] == pytest.approx([0.5] * 3)
     assert told["true"]["detail 1"]["ssim_gain"] == pytest.approx([-0.1] * 3)
@@ -88,5 +86,8 @@ def test_the_table_compares_with_the_way_in_use_on_the_same_edits(tmp_path):
 
 def test_the_truth_itself_has_no_error(rng):
     picture, mask = rng.random((20, 20, 3)), np.ones((20, 20), bool)
-    assert upsampling_study.compared(picture, picture, mask) == {"l2": 0, "ssim": pytest.approx(1)}
-    assert upsampling_study.compared(picture * 0.5, picture, mask)["l2"] > 100
+    assert upsampling_comparison.compared(picture, picture, mask) == {
+        "l2": 0,
+        "ssim": pytest.approx(1),
+    }
+    assert upsampling_comparison.compared(picture * 0.5, picture, mask)["l2"] > 100

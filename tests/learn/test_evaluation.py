@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-from synthetic import add_shape, matte, named, with_picture, write_dataset
 
 from learn.data import pairs
 from learn.data.records import Records
@@ -21,12 +20,13 @@ from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.prediction import Prediction
 from learn.networks.weights import save_weights
-from learn.refinement import Settings
+from learn.refinement import RefinementSettings
 from manifests import exr, files
 from manifests.errors import InputError
 from manifests.store import Lines
 from shaders import tone
 from shaders.mixture import Mixture
+from tests.support.synthetic import add_shape, matte, named, with_picture, write_dataset
 
 SIZE = 32
 ALBEDOS = {"dark": 0.1, "middle": 0.4, "bright": 0.8}
@@ -197,11 +197,11 @@ def test_a_false_light_is_told_from_false_normals(data, weights):
     )
     truth, mask = work.records.image(edit.truth), (batch.segments[0] > 0).numpy()
     l2 = bench.metrics.display_l2(wrong.edit(batch, label), truth, mask)
-    found = bench.with_truth(wrong, batch, label, truth, mask, l2)
+    result = bench.with_truth(wrong, batch, label, truth, mask, l2)
     assert (
         l2 > 20
-        and found["l2_true_light"] < HALF_FLOATS
-        and found["l2_true_normals"] == pytest.approx(l2, rel=1e-4)
+        and result["l2_true_light"] < HALF_FLOATS
+        and result["l2_true_normals"] == pytest.approx(l2, rel=1e-4)
     )
 
 
@@ -219,12 +219,12 @@ def test_false_normals_are_told_from_a_false_light(data, weights):
     )
     truth, mask = work.records.image(edit.truth), (batch.segments[0] > 0).numpy()
     l2 = bench.metrics.display_l2(wrong.edit(batch, label), truth, mask)
-    found = bench.with_truth(wrong, batch, label, truth, mask, l2)
+    result = bench.with_truth(wrong, batch, label, truth, mask, l2)
     # light is even
     assert (
         l2 > 2
-        and found["l2_true_normals"] < HALF_FLOATS
-        and found["l2_true_light"] == pytest.approx(l2, rel=1e-4)
+        and result["l2_true_normals"] < HALF_FLOATS
+        and result["l2_true_light"] == pytest.approx(l2, rel=1e-4)
     )
 
 
@@ -248,9 +248,9 @@ def test_the_layer_inside_is_not_blamed_for_what_is_wrong_at_silhouettes(data, w
     batch, truth = pairs.shown(work.records, edit), work.records.image(edit.truth)
     mask = (batch.segments[0] > 0).numpy()
     rim = mask & (batch.n[0, 2] < 0.5).numpy()
-    found = work._layer(edit, np.where(rim[..., None], 0, truth), mask)
-    assert found["l2"] > 100
-    assert found["l2_inner"] < HALF_FLOATS
+    result = work._layer(edit, np.where(rim[..., None], 0, truth), mask)
+    assert result["l2"] > 100
+    assert result["l2_inner"] < HALF_FLOATS
 
 
 def test_what_the_nodes_explain_is_not_put_down_to_the_loop(data, weights, monkeypatch):
@@ -263,20 +263,20 @@ def test_what_the_nodes_explain_is_not_put_down_to_the_loop(data, weights, monke
     sample, rng = work.records.load(record), np.random.default_rng(2)
     inner, mixtures = sample.n.numpy()[..., 2] > 0.4, [Mixture.lambert([0.36] * 3)]
     exposure = tone.auto_exposure(sample.image.numpy(), inner) / 2  # nothing is clipped
-    found = []
+    result = []
     for brighter in (1, 1.05):
         nodes = sample.image.numpy() * 0.9 * brighter
         pictures = np.stack(
             [nodes * (1 + 0.05 * rng.standard_normal(nodes.shape)) for _ in range(2)]
         )
-        found.append(
+        result.append(
             bench.against_nodes(sample, pictures, sample.image.numpy(), inner, mixtures, exposure)
         )
-    true, other = found
+    true, other = result
     plain = [
-        bench.squared(tone.display(sample.image.numpy(), exposure), tone.display(x, exposure))[
-            inner
-        ].mean()
+        bench.squared_difference(
+            tone.display(sample.image.numpy(), exposure), tone.display(x, exposure)
+        )[inner].mean()
         for x in pictures
     ]
     # noise: 5 % of 130 display values over 2.2, squared, is 9; its products over 600 pixels × 3
@@ -306,8 +306,8 @@ def test_a_truth_of_two_edits_is_taken_apart_once(data, weights, monkeypatch):
 
 def test_a_smaller_evaluation_in_the_same_folder_reports_its_own_edits_alone(options):
     run.make(options)
-    told = run.make(replace(options, edits=1))
-    assert told["tables"]["layer"]["rows"][-1]["cells"]["truths"] == 1
+    report = run.make(replace(options, edits=1))
+    assert report["tables"]["layer"]["rows"][-1]["cells"]["truths"] == 1
 
 
 @pytest.fixture
@@ -385,7 +385,7 @@ def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, 
 
 def test_pictures_asked_for_later_are_drawn_and_nothing_else_is_made_again(options, monkeypatch):
     calls, work = [], bench.Bench.work
-    told = run.make(replace(options, gallery=0))
+    report = run.make(replace(options, gallery=0))
     assert not (options.out / "gallery").exists()
     monkeypatch.setattr(
         bench.Bench,
@@ -395,7 +395,7 @@ def test_pictures_asked_for_later_are_drawn_and_nothing_else_is_made_again(optio
     again = run.make(replace(options, gallery=1))
     drawn = [path.stem for path in (options.out / "gallery").iterdir()]
     assert [edit.id for edits in calls for edit in edits] == drawn and len(drawn) == 1
-    assert again["tables"]["edits"] == told["tables"]["edits"]
+    assert again["tables"]["edits"] == report["tables"]["edits"]
 
 
 def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path):
@@ -438,8 +438,8 @@ def test_a_folder_of_baselines_that_is_not_there_is_refused(options, tmp_path):
 
 
 def test_one_shape_and_material_decide_nothing(options):
-    told = run.make(replace(options, edits=1))
-    assert {row["cells"]["verdict"] for row in told["tables"]["differences"]["rows"]} == {
+    report = run.make(replace(options, edits=1))
+    assert {row["cells"]["verdict"] for row in report["tables"]["differences"]["rows"]} == {
         "undecided: two shapes and two materials are needed"
     }
 
@@ -461,7 +461,7 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(options, monkeypatc
     run.make(replace(options, edits=1))
     with pytest.raises(InputError, match="other seed"):
         run.make(replace(options, edits=1, seed=1))
-    monkeypatch.setattr(run, "TOLERANCE", 0.5)
+    monkeypatch.setattr(run, "MEASURED", run.MEASURED._replace(tolerance=0.5))
     with pytest.raises(InputError, match="other tolerance"):
         run.make(options)
 
@@ -471,7 +471,7 @@ def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, t
     files.pin_settings(tmp_path / "settings.json", refined)
     # what a file gives back is the same
     files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
-    monkeypatch.setattr(run, "Settings", lambda: replace(Settings(), a=0.5))
+    monkeypatch.setattr(run, "RefinementSettings", lambda: replace(RefinementSettings(), a=0.5))
     with pytest.raises(InputError, match="other refine"):
         files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
     assert run.settings(options)["refine"] is False
@@ -479,13 +479,13 @@ def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, t
 
 def test_what_is_missing_is_left_out_by_name(options, tmp_path):
     (tmp_path / "none").mkdir()
-    told = run.make(replace(options, baselines=tmp_path / "none"))
-    assert {"Baseline 1", "Baseline 2", "LPIPS", "refined rows"} <= set(told["about"]["missing"])
+    report = run.make(replace(options, baselines=tmp_path / "none"))
+    assert {"Baseline 1", "Baseline 2", "LPIPS", "refined rows"} <= set(report["about"]["missing"])
     assert not any(
         "Baseline" in row["name"] or "refined" in row["name"]
-        for row in told["tables"]["edits"]["rows"]
+        for row in report["tables"]["edits"]["rows"]
     )
-    assert "lpips" not in [column["key"] for column in told["tables"]["edits"]["columns"]]
+    assert "lpips" not in [column["key"] for column in report["tables"]["edits"]["columns"]]
     text = (options.out / "report.md").read_text()
     assert "Left out: Baseline 2: no baseline-2.safetensors" in text and "Left out: LPIPS" in text
 

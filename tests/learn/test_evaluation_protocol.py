@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
-from synthetic import matte, write_dataset
 
 import learn.refinement
 from learn.commands import evaluate
@@ -26,16 +25,17 @@ from learn.networks.encoder_decoder import EncoderDecoder
 from learn.networks.prediction import Prediction
 from learn.networks.separate import Separate
 from learn.networks.weights import save_weights
-from learn.refinement import Refined, Settings
+from learn.refinement import RefinementResult, RefinementSettings
 from learn.refinement.settings import Level
 from manifests import files
 from manifests.errors import InputError
 from shaders import tone
+from tests.support.synthetic import matte, write_dataset
 
 SIZE = 32
 QUICK = replace(
-    Settings(),
-    passes=1,
+    RefinementSettings(),
+    outer_iterations=1,
     levels=(Level(pixels=60, light=(16, 32), method="exact", rounds=1, iterations=2),),
 )
 
@@ -97,8 +97,8 @@ def batch(data):
 
 
 class Finished(NamedTuple):
-    """options, the row of the picture, the row of its edit, and (batch, start, Refined) of each
-    refinement in turn.
+    """Options, the row of the picture, the row of its edit, and (batch, start, RefinementResult) of
+    each refinement in turn.
     """
 
     options: run.Options
@@ -118,8 +118,8 @@ def finished(data, weights, others, tmp_path_factory):
     )
     refine, threads = learn.refinement.refine, torch.get_num_threads()
 
-    def noted(batch, prediction):
-        calls.append((batch, prediction, refine(batch, prediction, QUICK)))
+    def noted(batch, prediction, labels):
+        calls.append((batch, prediction, refine(batch, prediction, QUICK, labels)))
         return calls[-1][-1]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -174,9 +174,9 @@ def test_a_refined_row_is_what_refinement_makes_of_that_methods_prediction(finis
     mask = batch.segments[0].numpy() > 0
     picture = methods.rendered(p.n, pairs.target_label(records, edit), p.light, batch)
     expected = metrics.compare(picture, records.image(edit.truth) * mask[..., None], mask)
-    told = finished.edit["methods"]
-    assert {key: told[f"{name}, refined"][key] for key in expected} == expected
-    assert told[f"{name}, refined"]["l2"] != told[name]["l2"]
+    message = finished.edit["methods"]
+    assert {key: message[f"{name}, refined"][key] for key in expected} == expected
+    assert message[f"{name}, refined"]["l2"] != message[name]["l2"]
 
 
 @pytest.mark.parametrize(("at", "name"), [(0, "Baseline 2"), (1, OURS)])
@@ -199,21 +199,21 @@ def test_a_refinement_with_one_value_that_is_not_finite_is_told_as_such(part, va
         torch.ones(1, 3, 2, 2), None, torch.ones(1, 1, 108), None, torch.ones(1, 3, 64, 128)
     )
     getattr(p, part).flatten()[-1] = value
-    told = bench.refinement(Refined(p, {"total": 2.0}, {"total": 1.0}, [], 3.0))
-    assert told == {"before": 2.0, "after": 1.0, "seconds": 3.0, "finite": False}
+    message = bench.refinement(RefinementResult(p, {"total": 2.0}, {"total": 1.0}, [], 3.0))
+    assert message == {"before": 2.0, "after": 1.0, "seconds": 3.0, "finite": False}
 
 
 def test_each_part_is_rendered_again_with_all_else_true(finished):
     batch, p, _ = finished.refined[1]
-    told = finished.picture["methods"][OURS]
-    assert told["rendered_normals"] == figures(p.n, batch.label, batch.light, batch)
-    assert told["rendered_material"] == figures(batch.n, p.label, batch.light, batch)
-    assert told["rendered_light"] == figures(batch.n, batch.label, p.light, batch)
-    assert told["rendered_all_true_light"] == figures(p.n, p.label, batch.light, batch)
+    message = finished.picture["methods"][OURS]
+    assert message["rendered_normals"] == figures(p.n, batch.label, batch.light, batch)
+    assert message["rendered_material"] == figures(batch.n, p.label, batch.light, batch)
+    assert message["rendered_light"] == figures(batch.n, batch.label, p.light, batch)
+    assert message["rendered_all_true_light"] == figures(p.n, p.label, batch.light, batch)
     assert (
         len(
             {
-                told[f"rendered_{name}"]["l2"]
+                message[f"rendered_{name}"]["l2"]
                 for name in ("normals", "material", "light", "all", "all_true_light")
             }
         )
@@ -291,9 +291,11 @@ def test_the_mean_material_is_of_the_data_sets_own_unless_the_built_in_ones_are_
 
 
 def test_without_materials_for_training_the_mean_material_is_left_out_and_the_reason_told():
-    found = methods.entrants(None, None, [])
-    assert not any(isinstance(each, methods.MeanMaterial) for each in (*found.edits, *found.parts))
-    assert "--materials built-in" in found.left_out["mean material"]
+    result = methods.entrants(None, None, [])
+    assert not any(
+        isinstance(each, methods.MeanMaterial) for each in (*result.edits, *result.parts)
+    )
+    assert "--materials built-in" in result.left_out["mean material"]
 
 
 def test_constant_light_takes_normals_as_its_name_says(batch):
@@ -346,7 +348,7 @@ def test_the_headline_says_what_the_tables_say():
         "With true normals instead of predicted it would be 80.",
         (
             "By 95 % intervals of the difference on the same edits, “ours, refined” is better than"
-            " “input unchanged”, “Baseline 1”; worse than “Baseline 2”; not to be told from “ours”."
+            " “input unchanged”, “Baseline 1”; worse than “Baseline 2”; not separable from “ours”."
         ),
     ]
 

@@ -1,4 +1,4 @@
-"""Every command of the three programs is run by a test, or stands here with the reason why not.
+"""Every command of the programs is run by a test.
 
 The commands in RUN are run here on tiny real input; what other tests run is named by file, and
 looked up there.
@@ -12,30 +12,21 @@ import json
 import numpy as np
 import pytest
 import torch
-from full_disk_case import RUN as SETTINGS
-from full_disk_case import SIZE, done, pictures
-from synthetic import add_shape, matte, write_dataset
 
 from learn.data.sources import VALIDATION_SHAPES, by_hash
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
+from tests.support.full_disk_case import RUN as SETTINGS
+from tests.support.full_disk_case import SIZE, done, pictures
+from tests.support.synthetic import add_shape, matte, write_dataset
 
-PROGRAMS = ("factory", "learn", "learn.experiments")
+PROGRAMS = ("factory", "learn")
 RUN = {  # command: its words, and a file that it must leave; None: it writes nothing
     "factory status": ("{room}/data --json", None),
     "learn evaluate-network": (
         "{room}/weights.safetensors --data {room}/data --batches 1 --out {out}",
         "*",
-    ),
-    "learn.experiments step-profile": (
-        "{room}/run.json --data {room}/data --steps 1 --images 2 --out {out}",
-        "*.json",
-    ),
-    "learn.experiments tolerance-check": ("--cases 1 --size 8 --out {out}", "*.json"),
-    "learn.experiments latency": (
-        "--every 100 --tolerance 0.1 --threads 1 --out {out}",
-        "pace.json",
     ),
 }
 ELSEWHERE = {  # command: (file, what stands there)
@@ -57,30 +48,7 @@ ELSEWHERE = {  # command: (file, what stands there)
     "learn agree": ("tests/learn/test_agree.py", '["agree", str(folder)'),
     "learn evaluate": ("tests/learn/test_full_disk_learn.py", '"evaluate"'),
     "learn train-baselines": ("tests/learn/test_full_disk_learn.py", '"baselines"'),
-    "learn.experiments exposure": ("tests/learn/test_exposure.py", '("exposure",), words'),
-}
-NOT_RUN = {  # command: why not
-    "learn.experiments work-precision": "its smallest form, --quick, takes two minutes",
-    "learn.experiments quadrature-accuracy": "nine lobes at 256² with 16,384 taps each: minutes",
-    "learn.experiments cold-start": "starts fresh interpreters and compiles in each: a minute",
-    "learn.experiments engine-speed": (
-        "times whole pictures of fixed size on two thread counts: minutes"
-    ),
-    "learn.experiments calibrate-auto": (
-        "fits the plan's constants to hundreds of timings: ten minutes"
-    ),
-    "learn.experiments layer-ablation": (
-        "trains thirteen networks; tests/learn/test_experiments.py runs its parts"
-    ),
-    "learn.experiments normals-ablation": (
-        "trains several networks; tests/learn/test_experiments.py runs its parts"
-    ),
-    "learn.experiments refinement-ablation": (
-        "refines for seconds per picture; tests/learn/test_refinement.py runs the refinement"
-    ),
-    "learn.experiments upsampling": (
-        "needs the edits of an evaluation; tests/learn/test_enlarging.py runs its parts"
-    ),
+    "learn.experiments": ("tests/learn/test_every_experiment.py", "sorted(SMALLEST)"),
 }
 
 
@@ -89,11 +57,11 @@ def names():
         f"{program} {name}"
         for program in PROGRAMS
         for name in importlib.import_module(f"{program}.__main__").COMMANDS
-    }
+    } | {"learn.experiments"}
 
 
-def test_every_command_is_run_by_a_test_or_has_a_reason(root):
-    listed = [*RUN, *ELSEWHERE, *NOT_RUN]
+def test_every_command_is_run_by_a_test(root):
+    listed = [*RUN, *ELSEWHERE]
     assert sorted(listed) == sorted(names())
     gone = [
         command
@@ -165,10 +133,3 @@ def test_the_schemas_are_published_as_they_lie_in_the_repository(tmp_path, monke
     assert {
         path.name: path.read_text(encoding="utf-8") for path in publish.FOLDER.glob("*.json")
     } == committed
-
-
-def test_an_unknown_light_of_latency_is_a_line_with_the_known_ones(tmp_path):
-    status, (line,), error = done(
-        ["learn.experiments", "latency", "--light", "lampz", "--out", str(tmp_path)]
-    )
-    assert status == 1 and "did you mean lamps" in line and "Traceback" not in error

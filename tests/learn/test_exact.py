@@ -172,7 +172,8 @@ from learn.layer import render
 torch.manual_seed(0)
 torch.set_num_threads(1)
 def run(side):
-    n = torch.nn.functional.normalize(torch.randn(1, side, side, 3).abs() + 0.1, dim=-1).requires_grad_()
+    n = torch.nn.functional.normalize(torch.randn(1, side, side, 3).abs() + 0.1, dim=-1)
+    n.requires_grad_()
     m, L = (torch.rand(1, 108) + 0.1).requires_grad_(), torch.rand(1, 64, 128, 3).requires_grad_()
     for view in (None, n.detach().clone()):
         render(n, m, L, view, method="exact").sum().backward()

@@ -1,6 +1,4 @@
-"""The commands that publish figures: proof, study, card and step times, each run small, and their
-statistics on figures that are known.
-"""
+"""Ablations, step times and the network's card, run small; their statistics on known figures."""
 
 import json
 
@@ -12,12 +10,13 @@ import torch
 from learn.data import lights
 from learn.data.relit import DataSplit, RelitDataset, gloss
 from learn.data.settings import Data, Losses, Run, Schedule
-from learn.experiments import layer_ablation, model_card, normals_ablation, step_profile, variants
+from learn.evaluation import model_card
+from learn.experiments import layer_ablation, normals_ablation, step_profile, step_timing, variants
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from manifests.errors import InputError
-from tests.learn.test_cycles_source import album_of, written
+from tests.support.two_materials import album_of, written
 
 SIZE = 32
 
@@ -54,7 +53,7 @@ def result(l2, seed=0):
     return {"rows": rows, "steps": 1}
 
 
-def test_a_variant_twice_as_good_has_a_ratio_of_one_half_and_one_like_it_has_an_interval_about_one():
+def test_the_ratio_of_a_variant_twice_as_good_is_a_half_and_of_an_equal_one_about_one():
     a = [result(100.0, seed) for seed in (1, 2)]
     half = [{"rows": [row | {"l2": row["l2"] / 2} for row in each["rows"]]} for each in a]
     assert variants.ratio(a, half) == pytest.approx([0.5, 0.5, 0.5])
@@ -71,36 +70,31 @@ def test_pictures_like_the_truth_have_no_l2_and_the_frame_dilutes_the_rest():
     assert variants._compared(truth, truth, mask) == pytest.approx(
         {"l2": 0, "l2_frame": 0, "ssim": 1}
     )
-    found = variants._compared(truth * 0.9, truth, mask)
-    assert found["l2"] > 0
-    assert found["l2_frame"] == pytest.approx(found["l2"] / 4)
+    results = variants._compared(truth * 0.9, truth, mask)
+    assert results["l2"] > 0
+    assert results["l2_frame"] == pytest.approx(results["l2"] / 4)
 
 
 def test_a_variant_ends_by_its_clock_and_is_not_trained_again(data_splits, tmp_path):
     run = layer_ablation.settings("normals", "combined", Data(sharing=2), SIZE, 0.4, seed=1)
     tests = variants.held_out(data_splits, run.data, SIZE, 1)
-    found = variants.trained(run, data_splits, tests, tmp_path, workers=0)
-    assert found["seconds"] >= 0.4
-    assert 1 <= found["steps"] < 100  # of a million that it may make
-    assert {"l2", "l2_frame", "ssim", "angle_deg", "cosine"} <= set(found["rows"][0])
-    assert len(found["rows"]) == variants.BATCH
+    results = variants.trained(run, data_splits, tests, tmp_path, workers=0)
+    assert results["seconds"] >= 0.4
+    assert 1 <= results["steps"] < 100  # of a million that it may make
+    assert {"l2", "l2_frame", "ssim", "angle_deg", "cosine"} <= set(results["rows"][0])
+    assert len(results["rows"]) == variants.BATCH
     assert not (tmp_path / "checkpoint.safetensors").exists()
-    assert variants.trained(run, None, None, tmp_path) == found
+    assert variants.trained(run, None, None, tmp_path) == results
 
 
-def test_a_report_has_every_variant_with_its_interval(tmp_path):
+def test_a_report_has_every_variant_with_its_interval():
     results = {
         part: {
             v: [result(100.0 * (i + 1), seed) for seed in (1, 2, 3)] for i, v in enumerate(of_part)
         }
         for part, of_part in layer_ablation.VARIANTS.items()
     }
-    summary = layer_ablation.report(tmp_path, results, {"seconds": 1.0, "size": SIZE, "seeds": 3})
-    told = (tmp_path / "report.md").read_text()
-    assert (
-        json.loads((tmp_path / "report.json").read_text())["material"]["ratios"].keys()
-        == summary["material"]["ratios"].keys()
-    )
+    report = layer_ablation.summary(results, {"seconds": 1.0, "size": SIZE, "seeds": 3})
     pairs = {
         "combined / standalone",
         "control / standalone",
@@ -108,19 +102,18 @@ def test_a_report_has_every_variant_with_its_interval(tmp_path):
         "combined / control",
         "both / control",
     }
-    assert set(summary["material"]["ratios"]) == pairs
+    assert set(report["material"]["ratios"]) == pairs
+    page = layer_ablation.tables(report)
     for part, of_part in layer_ablation.VARIANTS.items():
-        assert all(f"| {part} | {variant} |" in told for variant in of_part)
+        assert all(f"| {part} | {variant} |" in page for variant in of_part)
 
 
-def test_a_study_writes_its_table_and_chart(tmp_path):
+def test_normals_have_a_table_and_a_chart():
     about = {"pretraining": 1.0, "seconds": 1.0, "size": SIZE, "seeds": 1, "shapes": 250}
-    summary = normals_ablation.report(
-        tmp_path, {"L2": [result(100.0)], "pixels": [result(90.0)]}, about
-    )
-    assert summary["rows"]["pixels"]["ratio"] == pytest.approx([0.9] * 3)
-    assert "| 0.900 [0.900, 0.900] | 20.00" in (tmp_path / "table.md").read_text()
-    assert (tmp_path / "chart.png").stat().st_size > 1000
+    report = normals_ablation.summary({"L2": [result(100.0)], "pixels": [result(90.0)]}, about)
+    assert report["rows"]["pixels"]["ratio"] == pytest.approx([0.9] * 3)
+    assert "| 0.900 [0.900, 0.900] | 20.00" in normals_ablation.tables(report)
+    assert len(normals_ablation.figure(report).axes) == 2
 
 
 def test_fewer_shapes_than_a_variant_asks_for_are_told(data_splits):
@@ -130,7 +123,8 @@ def test_fewer_shapes_than_a_variant_asks_for_are_told(data_splits):
 
 def test_every_variant_is_a_run_that_can_be_read_back():
     for name, weights in normals_ablation.VARIANTS.items():
-        run = normals_ablation.settings(name, Data(), 64, 1.0, 0, 1e-3, None, weights, 5)
+        own = normals_ablation.Pretrained("weights.safetensors", weights, 5)
+        run = normals_ablation.settings(name, Data(), 64, 1.0, 0, 1e-3, own)
         assert msgspec.json.decode(msgspec.json.encode(run), type=Run) == run
 
 
@@ -164,15 +158,15 @@ def test_a_card_measures_relit_and_rendered_pictures_apart(data_splits, tmp_path
         SIZE,
         7,
     )
-    found = model_card.make(
+    results = model_card.make(
         tmp_path / "w.safetensors", data_splits, tmp_path, batches=1, note="a note to readers"
     )
     assert {"angle_deg", "irradiance", "image_l2", "target_l2", "control_l2"} <= set(
-        found["figures"]
+        results["figures"]
     )
-    assert set(found["cycles"]) == set(found["figures"])
-    told = json.loads((tmp_path / "card.json").read_text())
-    assert (told["pictures"], told["cycles_pictures"]) == (16, 4)
+    assert set(results["cycles"]) == set(results["figures"])
+    report = json.loads((tmp_path / "card.json").read_text())
+    assert (report["pictures"], report["cycles_pictures"]) == (16, 4)
     text = (tmp_path / "card.md").read_text()
     assert "a note to readers" in text
     assert f"7 of {run.schedule.steps} steps" in text
@@ -190,20 +184,20 @@ def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(data_split
         checkpoint.save_weights(
             path, network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7
         )
-    found = model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[1:2])
-    told = json.loads((tmp_path / "card.json").read_text())
-    assert told["seeds"] == [[1, "7"], [2, "7"]]
-    for name, of in told["figures_seeds"].items():
+    results = model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[1:2])
+    report = json.loads((tmp_path / "card.json").read_text())
+    assert report["seeds"] == [[1, "7"], [2, "7"]]
+    for name, of in report["figures_seeds"].items():
         assert len(of["each"]) == 2
-        assert of["each"][0] == pytest.approx(found["figures"][name][0])
+        assert of["each"][0] == pytest.approx(results["figures"][name][0])
         assert of["mean"][0] == pytest.approx(np.mean(of["each"]))
     assert (
-        told["figures_seeds"]["angle_deg"]["each"][0]
-        != told["figures_seeds"]["angle_deg"]["each"][1]
+        report["figures_seeds"]["angle_deg"]["each"][0]
+        != report["figures_seeds"]["angle_deg"]["each"][1]
     )
     assert (
-        told["figures_seeds"]["constant_irradiance"]["each"][0]
-        == told["figures_seeds"]["constant_irradiance"]["each"][1]
+        report["figures_seeds"]["constant_irradiance"]["each"][0]
+        == report["figures_seeds"]["constant_irradiance"]["each"][1]
     )
     assert "seed 2, 7 steps" in (tmp_path / "card.md").read_text()
     with pytest.raises(InputError, match="seed 2 twice"):
@@ -233,9 +227,9 @@ def test_step_times_cover_every_part_and_add_up(data_splits, tmp_path):
         losses=terms,
         schedule=Schedule(steps=4, batch=2),
     )
-    found = step_profile.measure(run, data_splits, tmp_path, tmp_path / "scratch", 1, 4)
+    result = step_timing.profile(run, data_splits, tmp_path / "scratch", 1, 4)
     parts = {"data", "network", "normals and material terms", "light terms", "layer", "optimiser"}
-    assert set(found["step"]) == parts | {"total"}
-    assert found["step"]["total"] == pytest.approx(sum(found["step"][part] for part in parts))
-    assert found["relit"]["images"] == 4
-    assert "| layer |" in (tmp_path / "step-time.md").read_text()
+    assert set(result["step"]) == parts | {"total"}
+    assert result["step"]["total"] == pytest.approx(sum(result["step"][part] for part in parts))
+    assert result["relit"]["images"] == 4
+    assert "| layer |" in step_profile.tables(result)

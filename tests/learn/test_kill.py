@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from tests.learn.test_cycles_source import written
+from tests.support.two_materials import written
 
 PROGRAM = """
 import hashlib, json, os, signal, sys
@@ -25,9 +25,13 @@ from learn.data.settings import Data, Losses, Run, Schedule
 folder = Path(sys.argv[1])
 geometry = Geometry(folder / "data", progress=False)
 labels = {name: np.log(np.full(108, value, np.float32)) for name, value in (("a", 0.3), ("b", 0.5))}
-data_splits = {side: DataSplit(geometry, np.arange(1), labels, [], side) for side in ("train", "validation", "test")}
+data_splits = {
+    side: DataSplit(geometry, np.arange(1), labels, [], side)
+    for side in ("train", "validation", "test")
+}
 terms = Losses(normals=1, material=1, image=1, pixels=8, layer_light=(8, 16))
-run = Run(name="kill", size=32, data=Data(sharing=1), losses=terms, schedule=Schedule(steps=4, batch=2, warm_up=1), seed=3)
+schedule = Schedule(steps=4, batch=2, warm_up=1)
+run = Run(name="kill", size=32, data=Data(sharing=1), losses=terms, schedule=schedule, seed=3)
 
 
 def trained(out, kill=None):
@@ -37,7 +41,7 @@ def trained(out, kill=None):
         def die(*_, **__):
             if training.step >= step:
                 os.kill(os.getpid(), signal.SIGKILL)
-        if place == "step":  # in the middle of a step, its gradients there and the weights half changed
+        if place == "step":  # in the middle of a step: gradients are there, weights half changed
             half = training.optimiser.step
             training.optimiser.step = lambda: (half(), die())
         elif place == "write":  # the checkpoint is written, and not yet renamed
@@ -59,9 +63,11 @@ for kill in (("step", 1), ("write", 2), ("log", 3)):
     _, status = os.waitpid(child, 0)
     assert os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL, (kill, status)
 resumed = trained(folder / "killed")
-different = [n for n, t in whole.network.state_dict().items() if not torch.equal(t, resumed.network.state_dict()[n])]
+ends = resumed.network.state_dict()
+different = [n for n, t in whole.network.state_dict().items() if not torch.equal(t, ends[n])]
 different += [n for n, t in whole.average.items() if not torch.equal(t, resumed.average[n])]
-logs = [[json.loads(line) for line in (folder / name / "log.jsonl").read_text().splitlines()] for name in ("whole", "killed")]
+texts = [(folder / name / "log.jsonl").read_text() for name in ("whole", "killed")]
+logs = [[json.loads(line) for line in text.splitlines()] for text in texts]
 steps, losses = ([[r[key] for r in log] for log in logs] for key in ("step", "loss"))
 print(json.dumps({"different": different, "steps": steps, "losses": losses}))
 """
@@ -78,7 +84,7 @@ def test_sigkill_in_a_step_in_a_save_and_after_a_log_line_changes_no_bit(tmp_pat
         timeout=900,
     )
     assert ran.returncode == 0, ran.stderr[-2000:]
-    found = json.loads(ran.stdout.splitlines()[-1])
-    assert found["different"] == []
-    assert found["steps"] == [[0, 1, 2, 3]] * 2  # each step is logged once
-    assert found["losses"][0] == found["losses"][1]
+    result = json.loads(ran.stdout.splitlines()[-1])
+    assert result["different"] == []
+    assert result["steps"] == [[0, 1, 2, 3]] * 2  # each step is logged once
+    assert result["losses"][0] == result["losses"][1]

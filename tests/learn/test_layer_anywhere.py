@@ -50,11 +50,11 @@ def test_a_compiled_network_with_the_layer_gives_the_same_picture_and_gradients(
 def test_a_network_learns_through_the_layer():
     torch.manual_seed(0)
     model, picture, light = Painter(), torch.rand(1, 3, 6, 5), torch.rand(1, 8, 16, 3)
-    wanted = 1.5 * model(picture, light).detach()
+    expected = 1.5 * model(picture, light).detach()
     optimiser = torch.optim.Adam(model.parameters(), lr=1e-2)
     losses = []
     for _ in range(30):
-        loss = ((model(picture, light) - wanted) ** 2).mean()
+        loss = ((model(picture, light) - expected) ** 2).mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

@@ -21,7 +21,7 @@ from manifests.cli import main
 from manifests.errors import InputError
 from manifests.schema import Dataset, MaterialEntry
 from manifests.store import Store
-from tests.learn import synthetic
+from tests.support import synthetic
 
 SIZE = 32
 METALS = ("chrome", "nickel", "steel")  # of the training side
@@ -84,8 +84,8 @@ def with_materials(folder, entries):
     return Records(folder)
 
 
-def named(found):
-    return {side: [m.name for m in of_side] for side, of_side in found.items()}
+def named(result):
+    return {side: [m.name for m in of_side] for side, of_side in result.items()}
 
 
 def test_a_data_set_of_three_metals_trains_on_exactly_these_three_metals(
@@ -138,10 +138,11 @@ def test_the_run_of_the_shipped_weights_and_every_run_of_version_1_take_the_buil
     root,
 ):
     assert settings.read_run("joint-compact").data.materials == "built-in"
-    runs = sorted((root / "docs" / "results" / "learning" / "presets").glob("*/run.json"))
-    assert runs
-    for path in runs:
-        run = settings.read_run(path)
+    path = root / "docs" / "results" / "presets" / "report.json"
+    trained = json.loads(path.read_text(encoding="utf-8"))
+    assert trained
+    for each in trained.values():
+        run = settings.decode_run(json.dumps(each["run"]).encode(), path)
         assert (run.version, run.data.materials) == (settings.VERSION, "built-in")
         assert settings.decode_run(msgspec.json.encode(run), path) == run
 
@@ -171,8 +172,8 @@ def test_one_training_material_in_ten_is_for_validation_and_eight_at_most(
     tmp_path, entries, count, held_out
 ):
     training = [e for e in entries.values() if e.split == "train"][:count]
-    found, _ = sources.materials_of(Data(), with_materials(tmp_path, training))
-    assert [len(found[side]) for side in ("train", "validation", "test")] == [
+    result, _ = sources.materials_of(Data(), with_materials(tmp_path, training))
+    assert [len(result[side]) for side in ("train", "validation", "test")] == [
         count - held_out,
         held_out,
         0,
@@ -193,8 +194,8 @@ def test_a_damaged_material_stops_a_run_or_is_left_out_and_told(tmp_path, entrie
     records = with_materials(tmp_path, [msgspec.structs.replace(steel, hash="0" * 16), chrome])
     with pytest.raises(InputError, match=r"steel.*--skip-bad"):
         sources.materials_of(Data(), records)
-    found, bad = sources.materials_of(Data(), records, skip_bad=True)
-    assert [m.name for m in found["train"]] == ["chrome"]
+    result, bad = sources.materials_of(Data(), records, skip_bad=True)
+    assert [m.name for m in result["train"]] == ["chrome"]
     assert set(bad) == {"steel"}
 
 

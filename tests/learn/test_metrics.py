@@ -37,38 +37,38 @@ def test_l2_of_flat_pictures_is_the_square_of_the_curves_difference():
     """Truth 1 under its own exposure is display 255; half of it 255 × srgb(½)."""
     truth, mask = np.ones((8, 8, 3)), np.ones((8, 8), bool)
     by_hand = (255 * (1 - (1.055 * 0.5 ** (1 / 2.4) - 0.055))) ** 2
-    found = metrics.compare(0.5 * truth, truth, mask)
-    assert found["l2"] == pytest.approx(by_hand, rel=1e-9) and found["l2_frame"] == found["l2"]
+    result = metrics.compare(0.5 * truth, truth, mask)
+    assert result["l2"] == pytest.approx(by_hand, rel=1e-9) and result["l2_frame"] == result["l2"]
 
 
 def test_nothing_differs_from_itself(pictures):
     _, truth, mask = pictures
-    found = metrics.compare(truth, truth, mask)
-    assert found["l2"] == found["flip"] == 0.0 and found["ssim"] == pytest.approx(1.0, abs=1e-12)
-    assert found["psnr"] == pytest.approx(68.1, abs=0.1)
+    result = metrics.compare(truth, truth, mask)
+    assert result["l2"] == result["flip"] == 0.0 and result["ssim"] == pytest.approx(1.0, abs=1e-12)
+    assert result["psnr"] == pytest.approx(68.1, abs=0.1)
 
 
 def test_the_frame_counts_what_the_mask_leaves_out(pictures):
     picture, truth, mask = pictures
     picture, truth = (p * mask[..., None] for p in (picture, truth))
-    found = metrics.compare(picture, truth, mask)
-    assert found["l2_frame"] == pytest.approx(found["l2"] * mask.mean(), rel=1e-9)
+    result = metrics.compare(picture, truth, mask)
+    assert result["l2_frame"] == pytest.approx(result["l2"] * mask.mean(), rel=1e-9)
 
 
 def test_ssim_and_psnr_are_scikit_images(pictures):
     picture, truth, inside = pictures
     mask = np.ones(truth.shape[:2], bool)
     a, b = shown(picture, truth, mask)
-    found = metrics.compare(picture, truth, mask)
+    result = metrics.compare(picture, truth, mask)
     _, values = structural_similarity(a, b, data_range=255.0, channel_axis=-1, full=True)
-    assert found["ssim"] == found["ssim_frame"] == pytest.approx(values.mean(), rel=1e-12)
+    assert result["ssim"] == result["ssim_frame"] == pytest.approx(values.mean(), rel=1e-12)
     _, values = structural_similarity(
         *shown(picture, truth, inside), data_range=255.0, channel_axis=-1, full=True
     )
     assert metrics.compare(picture, truth, inside)["ssim"] == pytest.approx(
         values.mean(-1)[inside].mean(), rel=1e-12
     )
-    assert found["psnr"] == pytest.approx(peak_signal_noise_ratio(b, a, data_range=255), rel=1e-12)
+    assert result["psnr"] == pytest.approx(peak_signal_noise_ratio(b, a, data_range=255), rel=1e-12)
 
 
 def test_flip_is_the_packages_of_display_values(pictures):
@@ -98,11 +98,11 @@ def test_angles_of_turned_normals_are_the_turn():
     true = torch.zeros(3, 4, 4)
     true[2] = 1
     n = torch.from_numpy(np.stack([np.sin(angles), 0 * angles, np.cos(angles)])).float()
-    found = intrinsics.normals(n, true, torch.ones(4, 4, dtype=torch.bool))
-    assert found["mean_deg"] == pytest.approx(35, abs=1e-3) and found[
+    result = intrinsics.normals(n, true, torch.ones(4, 4, dtype=torch.bool))
+    assert result["mean_deg"] == pytest.approx(35, abs=1e-3) and result[
         "median_deg"
     ] == pytest.approx(35, abs=1e-3)
-    assert [found[f"below_{limit:g}"] for limit in intrinsics.LIMITS_DEG] == [0.25, 0.5, 0.5]
+    assert [result[f"below_{limit:g}"] for limit in intrinsics.LIMITS_DEG] == [0.25, 0.5, 0.5]
     # outside does not count
     assert intrinsics.normals(n, true, torch.tensor(angles < 0.2))["mean_deg"] == pytest.approx(
         10, abs=1e-3
@@ -114,8 +114,8 @@ def test_shares_count_angles_below_their_limits_and_no_others():
     n = torch.from_numpy(np.stack([np.sin(angles), 0 * angles, np.cos(angles)]))
     true = torch.zeros(3, 1, 6, dtype=torch.float64)
     true[2] = 1
-    found = intrinsics.normals(n, true, torch.ones(1, 6, dtype=torch.bool))
-    assert [found[f"below_{limit:g}"] for limit in intrinsics.LIMITS_DEG] == pytest.approx(
+    result = intrinsics.normals(n, true, torch.ones(1, 6, dtype=torch.bool))
+    assert [result[f"below_{limit:g}"] for limit in intrinsics.LIMITS_DEG] == pytest.approx(
         [1 / 6, 3 / 6, 5 / 6]
     )
 
@@ -161,12 +161,12 @@ def test_material_errors_are_means_over_regions():
         torch.from_numpy(np.stack([lambert(x) for x in pair])) for pair in ((0.6, 0.3), (0.2, 0.3))
     )
     ranges = Ranges(torch.zeros(108, dtype=torch.float64), torch.ones(108, dtype=torch.float64))
-    found = intrinsics.material(a, b, ranges)
-    assert found["brdf_log"] == pytest.approx(
+    result = intrinsics.material(a, b, ranges)
+    assert result["brdf_log"] == pytest.approx(
         0.5 * intrinsics.brdf_log_error(lambert(0.6), lambert(0.2)), rel=1e-9
     )
     # a code is 0.95 at the end of the range
-    assert found["code_l2"] == pytest.approx(0.95**2 * found["log_l2"], rel=1e-9)
+    assert result["code_l2"] == pytest.approx(0.95**2 * result["log_l2"], rel=1e-9)
 
 
 def lamp(row, column, height=64, width=128):
@@ -177,8 +177,10 @@ def lamp(row, column, height=64, width=128):
 
 def test_the_brightest_direction_is_where_the_lamp_is():
     w, _ = envmap.directions(64, 128)
-    found = intrinsics.brightest(lamp(20, 37))
-    assert np.degrees(np.arccos(found @ w[20, 37])) < 2.5  # the smoothed map's texels are 5.6° wide
+    result = intrinsics.brightest(lamp(20, 37))
+    assert (
+        np.degrees(np.arccos(result @ w[20, 37])) < 2.5
+    )  # the smoothed map's texels are 5.6° wide
 
 
 def test_a_lamp_between_two_texels_of_the_smoothed_map_is_found_between_them():
@@ -186,9 +188,11 @@ def test_a_lamp_between_two_texels_of_the_smoothed_map_is_found_between_them():
     # 18.5 and 19 of the smoothed columns: the two are halves of different ones
     L = lamp(21, 37) + lamp(21, 38)
     middle = w[21, 37] + w[21, 38]
-    found = intrinsics.brightest(L)
+    result = intrinsics.brightest(L)
     # the wider texels' own: 2.8 off
-    assert abs(np.degrees(np.arctan2(found[0], found[2]) - np.arctan2(middle[0], middle[2]))) < 0.3
+    assert (
+        abs(np.degrees(np.arctan2(result[0], result[2]) - np.arctan2(middle[0], middle[2]))) < 0.3
+    )
 
 
 def test_spheres_are_seen_from_the_cameras_elevation():
@@ -242,23 +246,23 @@ def alex(rng):
         8: (256, 384, 3, 3),
         10: (256, 256, 3, 3),
     }
-    found = {}
+    result = {}
     for i, (k, shape) in enumerate(shapes.items()):
-        found[f"features.{k}.weight"] = torch.from_numpy(
+        result[f"features.{k}.weight"] = torch.from_numpy(
             rng.standard_normal(shape) / np.sqrt(np.prod(shape[1:]))
         ).float()
-        found[f"features.{k}.bias"] = torch.from_numpy(0.1 * rng.standard_normal(shape[0])).float()
-        found[f"lin{i}.weight"] = torch.from_numpy(
+        result[f"features.{k}.bias"] = torch.from_numpy(0.1 * rng.standard_normal(shape[0])).float()
+        result[f"lin{i}.weight"] = torch.from_numpy(
             rng.random((1, shape[0], 1, 1)) / shape[0]
         ).float()
-    return found
+    return result
 
 
 def test_lpips_is_nothing_for_one_picture_and_grows_with_noise(rng):
     tensors, picture = alex(rng), 255 * rng.random((64, 64, 3))
     noise = rng.standard_normal(picture.shape)
-    found = [perceptual.distance(tensors, picture + s * noise, picture) for s in (0, 5, 20)]
-    assert found[0] == 0 < found[1] < found[2]
+    result = [perceptual.distance(tensors, picture + s * noise, picture) for s in (0, 5, 20)]
+    assert result[0] == 0 < result[1] < result[2]
 
 
 def test_pictures_are_scaled_for_lpips_as_its_package_scales_them():

@@ -13,7 +13,7 @@ from PIL import Image
 
 from learn.__main__ import COMMANDS
 from learn.data import photographs
-from learn.editing import edit, photograph
+from learn.editing import edit_files, photograph
 from manifests import cli, exr
 from manifests.errors import InputError
 
@@ -67,7 +67,7 @@ def bytes_of(ball):
     return np.uint8(255 * ball)
 
 
-# -------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # radiance
 
 
@@ -112,8 +112,8 @@ def test_a_constant_picture_is_accepted_unless_it_is_nearly_black(
         with pytest.raises(InputError, match="an object of mean luminance"):
             photograph.opened(tmp_path / "photo.png", [mask_file])
         return
-    found = photograph.opened(tmp_path / "photo.png", [mask_file])
-    framed = photographs.framed(found.balanced, found.mask, 32, found.exposure, "photo")
+    result = photograph.opened(tmp_path / "photo.png", [mask_file])
+    framed = photographs.framed(result.balanced, result.mask, 32, result.exposure, "photo")
     assert np.isfinite(framed.radiance).all()
 
 
@@ -126,9 +126,9 @@ def test_an_exposure_has_to_bring_the_object_to_what_networks_know(
 ):
     path = exr_file(factor)
     if accepted:
-        found = photograph.opened(path, [mask_file], exposure=exposure)
+        result = photograph.opened(path, [mask_file], exposure=exposure)
         assert photographs.framed(
-            found.balanced, found.mask, 32, exposure
+            result.balanced, result.mask, 32, exposure
         ).radiance.max() == pytest.approx(0.8, rel=0.1)
     else:
         with pytest.raises(InputError, match="mean luminance times the exposure"):
@@ -170,8 +170,8 @@ def test_transparency_that_is_not_finite_is_refused(exr_file, mask_file, value):
 def test_transparency_beyond_its_range_is_held_in_it(exr_file):
     # as filters that sharpen leave it
     alpha = np.where(np.arange(SIZE[1]) < 30, -0.5, 1.5).astype(np.float32)
-    found = photograph.opened(exr_file(A=np.broadcast_to(alpha, SIZE)))
-    assert found.coverage.min() >= 0 and found.coverage.max() <= 1
+    result = photograph.opened(exr_file(A=np.broadcast_to(alpha, SIZE)))
+    assert result.coverage.min() >= 0 and result.coverage.max() <= 1
 
 
 def test_a_grey_balance_asks_for_a_background_that_is_not_black(tmp_path, ball, mask_file):
@@ -186,7 +186,7 @@ def test_a_grey_balance_asks_for_a_background_that_is_not_black(tmp_path, ball, 
 def test_no_picture_is_written_that_is_not_finite(tmp_path):
     bad = np.ones((4, 4, 3), np.float32)
     bad[1, 2, 0] = np.nan
-    for write, name in ((photographs.write_exr, "a.exr"), (edit.save, "a.png")):
+    for write, name in ((photographs.write_exr, "a.exr"), (edit_files.save, "a.png")):
         with pytest.raises(InputError, match="a finite picture"):
             write(tmp_path / name, bad)
         assert not (tmp_path / name).exists()
@@ -195,7 +195,7 @@ def test_no_picture_is_written_that_is_not_finite(tmp_path):
         photographs.write_exr(tmp_path / "a.exr", np.full((4, 4, 3), 1e39))
 
 
-# --------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # formats
 
 
@@ -248,9 +248,9 @@ def test_formats_on_the_list_are_read(tmp_path, ball, mask_file, format_):
     if format_ == "AVIF" and format_ not in photographs._formats():
         pytest.skip("this Pillow has no AVIF")
     (tmp_path / "photo.bin").write_bytes(encoded(bytes_of(ball), format_))
-    found = photograph.opened(tmp_path / "photo.bin", [mask_file])
+    result = photograph.opened(tmp_path / "photo.bin", [mask_file])
     # colours are averaged by some formats, and palettes coarse
-    assert np.median(abs(found.radiance - photographs._linear(ball))) < 0.03
+    assert np.median(abs(result.radiance - photographs._linear(ball))) < 0.03
 
 
 @pytest.mark.parametrize("dtype", [np.int32, np.float32])
@@ -268,7 +268,7 @@ def test_damaged_exif_leaves_a_sound_picture_as_it_is(tmp_path, ball, mask_file)
     assert photograph.opened(tmp_path / "photo.jpg", [mask_file]).radiance.shape == (*SIZE, 3)
 
 
-# ----------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # sizes
 
 
@@ -321,15 +321,15 @@ def test_pictures_of_a_few_rows_are_framed_or_refused(tmp_path, size):
     rgba[0, 0, 3] = 0
     (tmp_path / "photo.png").write_bytes(encoded(rgba))
     try:
-        found = photograph.opened(tmp_path / "photo.png")
-        framed = photographs.framed(found.balanced, found.mask, 32)
+        result = photograph.opened(tmp_path / "photo.png")
+        framed = photographs.framed(result.balanced, result.mask, 32)
     except InputError as problem:
         assert "16 pixels or more" in str(problem)
     else:
         assert framed.mask.any() and np.isfinite(framed.radiance).all()
 
 
-# -------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # what is no file
 
 

@@ -51,12 +51,12 @@ def test_transparency_is_a_mask(tmp_path, disc):
 
 def test_a_dark_picture_is_taken_to_be_of_a_darker_scene_but_not_in_proportion():
     mask = np.ones((20, 20), bool)
-    found = [
+    result = [
         photographs.framed(np.full((20, 20, 3), Y, np.float32), mask, 16).exposure
         for Y in (0.05, 0.5)
     ]
     # docs/editing.md
-    np.testing.assert_allclose(found, [0.23 * 0.05**-0.19, 0.23 * 0.5**-0.19], rtol=1e-5)
+    np.testing.assert_allclose(result, [0.23 * 0.05**-0.19, 0.23 * 0.5**-0.19], rtol=1e-5)
     assert (
         photographs.framed(np.full((20, 20, 3), 0.5, np.float32), mask, 16, exposure=2.0).exposure
         == 2.0
@@ -66,10 +66,10 @@ def test_a_dark_picture_is_taken_to_be_of_a_darker_scene_but_not_in_proportion()
 def test_a_thin_object_keeps_about_its_area_at_the_networks_size():
     y, x = np.mgrid[0:1200, 0:1200]
     ring = abs(np.hypot(x - 600, y - 600) - 590) < 1.5
-    found = photographs.framed(np.full((1200, 1200, 3), 0.5, np.float32), ring, 128)
-    share = ring.sum() * (128 / found.box[2]) ** 2  # its area in the network's pixels
-    assert 0.8 * share < found.mask.sum() < 1.5 * share
-    np.testing.assert_allclose(found.radiance[found.mask], 0.5 * found.exposure, rtol=1e-3)
+    result = photographs.framed(np.full((1200, 1200, 3), 0.5, np.float32), ring, 128)
+    share = ring.sum() * (128 / result.box[2]) ** 2  # its area in the network's pixels
+    assert 0.8 * share < result.mask.sum() < 1.5 * share
+    np.testing.assert_allclose(result.radiance[result.mask], 0.5 * result.exposure, rtol=1e-3)
 
 
 def test_an_object_that_is_nearly_all_air_is_refused():

@@ -12,10 +12,11 @@ import torch
 from learn.baselines import posterior, priors
 from learn.baselines import training as making
 from learn.data import lights
-from learn.data.batch import Batch
+from learn.data.batch import ExampleBatch
 from learn.data.settings import Data, Run
 from learn.editing.predict import WEIGHTS
 from learn.evaluation import baseline_methods as methods
+from learn.layer import predictions
 from learn.networks import weights
 from learn.networks.coding import compressed
 from learn.networks.encoder_decoder import Edited
@@ -32,7 +33,7 @@ def batch():
     n = torch.tensor([0.0, 0.0, 1.0])[None, :, None, None].expand(1, 3, SIZE, SIZE)
     label, light = torch.zeros(1, 2, 108), torch.ones(1, 3, 64, 128)
     mask = (segments > 0)[:, None].float()
-    return Batch(
+    return ExampleBatch(
         torch.zeros(1, 3, SIZE, SIZE), mask, n, segments, label, light, label, ("plane",), 0.349
     )
 
@@ -47,7 +48,7 @@ def test_a_posterior_adds_the_pictures_misfit_and_both_priors(batch, monkeypatch
     )
     off = (9**priors.NOISE - 1) / 8  # radiance that is one standard deviation from black
     drawn = []
-    monkeypatch.setattr(posterior, "render", lambda n, *_, **__: torch.full(n.shape, drawn[-1]))
+    monkeypatch.setattr(predictions, "render", lambda n, *_, **__: torch.full(n.shape, drawn[-1]))
     z_m, z_L = torch.zeros(2, 2).double(), torch.zeros(HARMONICS, 3).double()
     of_picture = posterior.Posterior(batch, known)
     for radiance, material, light, expected in (
@@ -64,8 +65,8 @@ def test_a_posterior_adds_the_pictures_misfit_and_both_priors(batch, monkeypatch
 
 
 def test_baseline_1_draws_each_region_in_its_own_material(batch):
-    def flatly(image, mask, wanted):
-        return Edited(None, None, None, compressed(wanted[0, 0, 0]).expand(image.shape))
+    def flatly(image, mask, target):
+        return Edited(None, None, None, compressed(target[0, 0, 0]).expand(image.shape))
 
     label = torch.tensor([0.2, 0.7])[:, None].expand(2, 108)
     picture = methods.Swapped("Baseline 1", flatly, SIZE).edit(batch, label)

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from learn.data.settings import Run
-from learn.editing import predict
+from learn.editing import material_file, predict
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -19,7 +19,7 @@ from manifests import exr
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from shaders import envmap
-from tests.learn.test_cycles_source import written
+from tests.support.two_materials import written
 
 SIZE = 32
 
@@ -43,7 +43,7 @@ def weights(tmp_path_factory):
 def predicted(weights, tmp_path_factory):
     """The folder of a prediction of a record, and the dataset it is of."""
     store, out = written(tmp_path_factory.mktemp("data")), tmp_path_factory.mktemp("out")
-    predict.write(store.folder, None, weights, out)
+    predict.run(store.folder, None, weights, out)
     return out, store
 
 
@@ -71,13 +71,13 @@ def test_the_light_is_a_whole_map_of_unit_mean(predicted):
 
 
 def test_the_material_is_a_label_with_the_catalogues_nearest(predicted):
-    told = json.loads((predicted[0] / "material.json").read_text())
-    assert len(told["label"]) == 108
-    assert np.isfinite(told["label"]).all()
+    report = json.loads((predicted[0] / "material.json").read_text())
+    assert len(report["label"]) == 108
+    assert np.isfinite(report["label"]).all()
     catalogue = load_catalogue()
-    assert len(told["nearest"]) == predict.NEAREST
-    assert set(told["nearest"]) <= set(catalogue)
-    assert told["run"] == "tiny"
+    assert len(report["nearest"]) == material_file.NEAREST
+    assert set(report["nearest"]) <= set(catalogue)
+    assert report["run"] == "tiny"
 
 
 def test_every_part_has_its_picture_and_the_sheet_all_of_them(predicted):
@@ -91,9 +91,9 @@ def test_every_part_has_its_picture_and_the_sheet_all_of_them(predicted):
 def test_an_earlier_prediction_stays_unless_it_may_go(predicted, weights):
     out, store = predicted
     with pytest.raises(InputError, match="--overwrite"):
-        predict.write(store.folder, None, weights, out)
+        predict.run(store.folder, None, weights, out)
     before = json.loads((out / "material.json").read_text())
-    predict.write(store.folder, None, weights, out, overwrite=True)
+    predict.run(store.folder, None, weights, out, overwrite=True)
     after = json.loads((out / "material.json").read_text())
     # the same picture; float32 sums in another order
     np.testing.assert_allclose(after["label"], before["label"], atol=1e-4)
@@ -104,7 +104,7 @@ def test_an_earlier_prediction_stays_unless_it_may_go(predicted, weights):
 def test_no_file_that_is_there_is_replaced_unless_asked(predicted, weights, tmp_path, name):
     (tmp_path / name).write_text("mine")
     with pytest.raises(InputError, match="--overwrite"):
-        predict.write(predicted[1].folder, None, weights, tmp_path)
+        predict.run(predicted[1].folder, None, weights, tmp_path)
     assert (tmp_path / name).read_text() == "mine"
 
 
@@ -117,7 +117,7 @@ def test_a_material_of_the_catalogue_is_its_own_nearest(weights):
     catalogue = load_catalogue()
     for name in ("brass", "red-fabric", "blue-rubber"):
         assert (
-            predict.nearest(
+            material_file.nearest(
                 catalogue[name].label.reshape(108).astype(np.float32), metadata["ranges"]
             )[0]
             == name
@@ -130,10 +130,10 @@ def test_the_material_file_tells_where_the_object_was_and_at_what_exposure(weigh
     mask[10:50, 30:60] = 255
     Image.fromarray(values).save(tmp_path / "p.png")
     Image.fromarray(mask).save(tmp_path / "m.png")
-    predict.write(tmp_path / "p.png", tmp_path / "m.png", weights, tmp_path / "out", exposure=0.7)
-    told = json.loads((tmp_path / "out" / "material.json").read_text())
-    top, left, side = told["box"]
-    assert told["exposure"] == 0.7
+    predict.run(tmp_path / "p.png", tmp_path / "m.png", weights, tmp_path / "out", exposure=0.7)
+    report = json.loads((tmp_path / "out" / "material.json").read_text())
+    top, left, side = report["box"]
+    assert report["exposure"] == 0.7
     # about the object's middle
     assert side >= 40 and (2 * top + side, 2 * left + side) == pytest.approx((60, 90), abs=1)
 
@@ -143,4 +143,4 @@ def test_a_dataset_without_records_is_told(weights, tmp_path):
     for path in store.record_files():
         path.write_bytes(b"")
     with pytest.raises(InputError, match="expected records, found none"):
-        predict.write(store.folder, None, weights, tmp_path / "out")
+        predict.run(store.folder, None, weights, tmp_path / "out")

@@ -117,17 +117,17 @@ def test_a_sun_in_one_texel_seen_in_a_mirror_like_lobe():
 def test_gradients_are_those_of_the_integral(name, gamma):
     one = scene(gamma, rows=16)
     weight = torch.linspace(0.5, 1.5, 15).reshape(1, 1, 5, 3)
-    found = {}
+    result = {}
     for method, parts in (("quadrature", 1), ("exact", 20)):
         leaf = one[name].clone().requires_grad_()
         full = one | {name: leaf}
         full["light"] = split(full["light"], parts)
         picture = render(**full, method=method, tolerance=1e-4)
-        (found[method],) = torch.autograd.grad((weight * picture).sum(), leaf)
-    scale = found["exact"].abs().mean()
+        (result[method],) = torch.autograd.grad((weight * picture).sum(), leaf)
+    scale = result["exact"].abs().mean()
     # taps see each texel's edge at random: N^−¾ of the contrast, and a derivative in n weighs the
     # lobe's flanks
-    assert (found["quadrature"] - found["exact"]).abs().mean() < (
+    assert (result["quadrature"] - result["exact"]).abs().mean() < (
         0.05 if name != "n" else 0.1
     ) * scale
 

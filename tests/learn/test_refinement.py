@@ -11,19 +11,23 @@ import pytest
 import torch
 import torch.nn.functional as F
 from scipy.optimize import OptimizeResult, minimize
-from synthetic import entry, write_dataset
 
-from learn.data.batch import Batch
-from learn.experiments import refinement_ablation, refinement_chart, refinement_initialisations
+from learn.data.batch import ExampleBatch
+from learn.experiments import (
+    refinement_ablation,
+    refinement_chart,
+    refinement_initialisations,
+    refinement_sweep,
+)
 from learn.experiments.__main__ import COMMANDS
 from learn.layer import render
 from learn.metrics.radiometry import log_albedo
 from learn.networks.prediction import Prediction
-from learn.refinement import Settings, descent, refine
+from learn.refinement import RefinementSettings, descent, refine
 from learn.refinement.coordinates import (
-    Light,
-    Material,
-    Normals,
+    LightCoordinates,
+    MaterialCoordinates,
+    NormalCoordinates,
     principal_directions,
     spherical_harmonics,
 )
@@ -33,10 +37,11 @@ from manifests.cli import main
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from shaders import envmap, tone
+from tests.support.synthetic import entry, write_dataset
 
 SIZE, ELEVATION = 24, 0.349
 LEVELS = (Level(pixels=120, light=(16, 32), method="exact", rounds=1, iterations=4),)
-QUICK = replace(Settings(), levels=LEVELS)
+QUICK = replace(RefinementSettings(), levels=LEVELS)
 
 
 def sky(seed=0):
@@ -73,7 +78,9 @@ def scene():
         method="exact",
     )
     image, mask = picture.movedim(-1, 1).contiguous(), inside[None, None].float()
-    batch = Batch(image, mask, n, inside[None].long(), label, light, label, ("ball",), ELEVATION)
+    batch = ExampleBatch(
+        image, mask, n, inside[None].long(), label, light, label, ("ball",), ELEVATION
+    )
     return batch, Prediction(n, None, label, None, light)
 
 
@@ -98,14 +105,14 @@ def perturbed(prediction, seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_no_start_however_bad_ends_above_itself_or_leaves_the_domain(scene, seed):
     batch, truth = scene
-    found = refine(batch, perturbed(truth, seed), QUICK)
-    assert found.after["total"] <= found.before["total"]
-    n, inside = found.prediction.n[0], batch.segments[0] > 0
+    result = refine(batch, perturbed(truth, seed), QUICK)
+    assert result.after["total"] <= result.before["total"]
+    n, inside = result.prediction.n[0], batch.segments[0] > 0
     assert all(
         torch.isfinite(part).all()
-        for part in (found.prediction.label, found.prediction.light, n[:, inside])
+        for part in (result.prediction.label, result.prediction.light, n[:, inside])
     )
-    assert (found.prediction.light > 0).all()
+    assert (result.prediction.light > 0).all()
     np.testing.assert_allclose(n[:, inside].norm(dim=0), 1, atol=1e-5)  # float32
     assert (n[2, inside] > 0).all()
 
@@ -122,8 +129,10 @@ def test_a_stride_to_where_the_layer_cannot_follow_is_turned_back(scene, monkeyp
         return minimize(value_and_slope, x, **options)
 
     monkeypatch.setattr(descent, "minimize", far_first)
-    found = refine(batch, perturbed(truth, 1), replace(QUICK, order=("material",), passes=1))
-    assert strides and found.after["total"] < found.before["total"]
+    result = refine(
+        batch, perturbed(truth, 1), replace(QUICK, order=("material",), outer_iterations=1)
+    )
+    assert strides and result.after["total"] < result.before["total"]
 
 
 def test_a_step_that_ends_there_is_taken_back(scene, monkeypatch):
@@ -131,8 +140,8 @@ def test_a_step_that_ends_there_is_taken_back(scene, monkeypatch):
     monkeypatch.setattr(
         descent, "minimize", lambda value_and_slope, x, **options: OptimizeResult(x=x + 1e4)
     )
-    found = refine(batch, truth, replace(QUICK, order=("material",), passes=1))
-    assert not found.history and found.after == found.before
+    result = refine(batch, truth, replace(QUICK, order=("material",), outer_iterations=1))
+    assert not result.history and result.after == result.before
 
 
 def test_a_prediction_that_is_not_finite_is_refused(scene):
@@ -144,17 +153,19 @@ def test_a_prediction_that_is_not_finite_is_refused(scene):
 
 def test_what_is_accepted_lowers_the_energy_each_time(scene):
     batch, truth = scene
-    found = refine(batch, perturbed(truth, 1), replace(QUICK, a=0.05, b=0.05, passes=1))
-    totals = [found.before["total"]] + [step["total"] for step in found.history if step["accepted"]]
+    result = refine(batch, perturbed(truth, 1), replace(QUICK, a=0.05, b=0.05, outer_iterations=1))
+    totals = [result.before["total"]] + [
+        step["total"] for step in result.history if step["accepted"]
+    ]
     assert len(totals) > 2
     assert all(b < a for a, b in pairwise(totals))
-    assert totals[-1] == found.after["total"]
+    assert totals[-1] == result.after["total"]
 
 
 def test_a_second_pass_comes_nearer_to_the_picture_and_stays_below_the_start(scene):
     batch, truth = scene
     start = perturbed(truth, 1)
-    once, twice = (refine(batch, start, replace(QUICK, passes=passes)) for passes in (1, 2))
+    once, twice = (refine(batch, start, replace(QUICK, outer_iterations=count)) for count in (1, 2))
     assert {line["pass"] for line in twice.history} == {0, 1}
     assert twice.after["image"] < 0.9 * once.after["image"]
     assert twice.after["total"] < twice.before["total"] == once.before["total"]
@@ -163,22 +174,24 @@ def test_a_second_pass_comes_nearer_to_the_picture_and_stays_below_the_start(sce
 def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monkeypatch):
     batch, truth = scene
     start = perturbed(truth, 1)
-    once = refine(batch, start, replace(QUICK, passes=1))
-    plain, calls = descent.passed, []
+    once = refine(batch, start, replace(QUICK, outer_iterations=1))
+    plain, calls = descent.outer_iteration, []
 
     def lost(batch, state, *rest):
         calls.append(state)
-        found, told = plain(batch, state, *rest)
+        result, report = plain(batch, state, *rest)
         return (
-            (replace(found, light=found.light.roll(64, -1) ** 4), told)
+            (replace(result, light=result.light.roll(64, -1) ** 4), report)
             if len(calls) == 2
-            else (found, told)
+            else (result, report)
         )
 
-    monkeypatch.setattr(descent, "passed", lost)
-    found = refine(batch, start, replace(QUICK, passes=2))
+    monkeypatch.setattr(descent, "outer_iteration", lost)
+    result = refine(batch, start, replace(QUICK, outer_iterations=2))
     assert len(calls) == 2
-    assert torch.equal(found.prediction.light, once.prediction.light) and found.after == once.after
+    assert (
+        torch.equal(result.prediction.light, once.prediction.light) and result.after == once.after
+    )
 
 
 def test_all_pixels_are_rendered_as_a_frame_and_some_as_a_list_to_the_same_picture(scene):
@@ -193,7 +206,7 @@ def test_all_pixels_are_rendered_as_a_frame_and_some_as_a_list_to_the_same_pictu
         (batch, replace(two, label=two.label[:, :1])),
         (replace(batch, segments=half), two),
     ):
-        energy = Energy(scene_of, state, Settings())
+        energy = Energy(scene_of, state, RefinementSettings())
         frame = energy.image(state, energy.inside, (64, 128), "exact", 1e-3)
         parts = [
             energy.image(state, where, (64, 128), "exact", 1e-3) * len(where)
@@ -204,9 +217,9 @@ def test_all_pixels_are_rendered_as_a_frame_and_some_as_a_list_to_the_same_pictu
 
 def test_the_truth_is_left_where_it_is(scene):
     batch, truth = scene
-    found = refine(batch, truth, QUICK)
-    assert found.before["image"] < 1e-4  # auto at 5e-3 against the exact picture
-    assert (found.prediction.label - truth.label).abs().max() < 0.1
+    result = refine(batch, truth, QUICK)
+    assert result.before["image"] < 1e-4  # auto at 5e-3 against the exact picture
+    assert (result.prediction.label - truth.label).abs().max() < 0.1
 
 
 def test_a_wrong_albedo_is_found_again_when_only_the_material_may_move(scene):
@@ -215,13 +228,19 @@ def test_a_wrong_albedo_is_found_again_when_only_the_material_may_move(scene):
         label=truth.label - torch.tensor([0.5, 0.0]).repeat_interleave(6).repeat(9)
     )
     level = Level(pixels=0, light=(64, 128), method="exact", rounds=1, iterations=15)
-    found = refine(
-        batch, dark, replace(Settings(), order=("material",), c=0.0, passes=1, levels=(level,))
+    result = refine(
+        batch,
+        dark,
+        replace(
+            RefinementSettings(), order=("material",), c=0.0, outer_iterations=1, levels=(level,)
+        ),
     )
-    assert found.after["image"] < 0.02 * found.before["image"]
+    assert result.after["image"] < 0.02 * result.before["image"]
     assert torch.equal(
-        found.prediction.light,
-        refine(batch, dark, replace(Settings(), order=(), passes=1)).prediction.light,
+        result.prediction.light,
+        refine(
+            batch, dark, replace(RefinementSettings(), order=(), outer_iterations=1)
+        ).prediction.light,
     )
 
 
@@ -230,7 +249,7 @@ def test_the_energy_does_not_grow_with_the_picture_or_the_map(scene):
     start = State(truth.label.double(), truth.light, truth.n, {"material": torch.zeros(1, 3)})
     n = F.normalize(truth.n + 0.1, dim=1)
     moved = State(truth.label.double() + 0.3, truth.light * 1.5, n, {"material": torch.ones(1, 3)})
-    energy = Energy(batch, start, Settings())
+    energy = Energy(batch, start, RefinementSettings())
     whole, part = (
         energy.terms(moved, energy.inside),
         energy.terms(moved, energy.pixels(100), (32, 64), "exact"),
@@ -247,12 +266,12 @@ def test_regions_move_apart(scene):
     two = truth.label.repeat(1, 2, 1)
     brighter = two.clone()
     brighter[:, 1] += torch.tensor([0.6, 0.0]).repeat_interleave(6).repeat(9)
-    found = refine(
+    result = refine(
         replace(batch, segments=half),
         truth._replace(label=brighter),
         replace(QUICK, order=("material",), c=0.0),
     )
-    change = (log_albedo(found.prediction.label) - log_albedo(brighter)).abs().amax(-1)[0]
+    change = (log_albedo(result.prediction.label) - log_albedo(brighter)).abs().amax(-1)[0]
     # by albedo: no picture tells what moves a label and not its BRDF
     assert change[1] > 5 * change[0]
 
@@ -273,11 +292,11 @@ def test_coordinates_at_zero_are_the_prediction(scene):
     inside = batch.segments > 0
     zero = [
         torch.zeros(part.shape, dtype=torch.float64)
-        for part in (Material(truth.label), Light(truth.light, 3))
+        for part in (MaterialCoordinates(truth.label), LightCoordinates(truth.light, 3))
     ]
-    assert torch.equal(Material(truth.label)(zero[0]).float(), truth.label)
-    np.testing.assert_allclose(Light(truth.light, 3)(zero[1]), truth.light, rtol=1e-4)
-    normals = Normals(truth.n, inside, 0.3)
+    assert torch.equal(MaterialCoordinates(truth.label)(zero[0]).float(), truth.label)
+    np.testing.assert_allclose(LightCoordinates(truth.light, 3)(zero[1]), truth.light, rtol=1e-4)
+    normals = NormalCoordinates(truth.n, inside, 0.3)
     again = normals(torch.zeros(normals.shape, dtype=torch.float64))
     seen = inside & (truth.n[:, 2] > 0.2)  # nearer the rim they are drawn in
     np.testing.assert_allclose(again.movedim(1, -1)[seen], truth.n.movedim(1, -1)[seen], atol=1e-6)
@@ -298,20 +317,18 @@ def test_more_than_one_picture_is_refused(scene):
 
 
 def test_a_studys_settings_are_read_from_their_names():
-    assert refinement_ablation.settings_of("default") == Settings()
-    assert refinement_ablation.settings_of("passes=1").passes == 1
-    assert {level.pixels for level in refinement_ablation.settings_of("pixels=600").levels} == {600}
-    assert refinement_ablation.settings_of("c=0.1").c == 0.1
-    for moved, values in refinement_ablation.SWEEPS.items():
-        assert refinement_ablation.value_of(moved) in values, moved  # the chart shades it
+    assert refinement_sweep.settings_of("default") == RefinementSettings()
+    assert refinement_sweep.settings_of("passes=1").outer_iterations == 1
+    assert {level.pixels for level in refinement_sweep.settings_of("pixels=600").levels} == {600}
+    assert refinement_sweep.settings_of("c=0.1").c == 0.1
+    for moved, values in refinement_sweep.SWEEPS.items():
+        assert refinement_sweep.value_of(moved) in values, moved  # the chart shades it
         assert [
-            refinement_ablation.value_of(
-                moved, refinement_ablation.settings_of(f"{moved}={value:g}")
-            )
+            refinement_sweep.value_of(moved, refinement_sweep.settings_of(f"{moved}={value:g}"))
             for value in values
         ] == list(values)
     with pytest.raises(InputError, match="a setting"):
-        refinement_ablation.settings_of("d=1")
+        refinement_sweep.settings_of("d=1")
 
 
 def known_cases(scene, count):
@@ -319,7 +336,7 @@ def known_cases(scene, count):
     batch, truth = scene
     picture = batch.image[0].movedim(0, -1).numpy()
     return [
-        refinement_ablation.Case(f"record-{i}", batch, [(truth.label[0], picture)])
+        refinement_sweep.Case(f"record-{i}", batch, [(truth.label[0], picture)])
         for i in range(count)
     ]
 
@@ -327,70 +344,68 @@ def known_cases(scene, count):
 def test_a_study_has_a_row_a_picture_goes_on_where_it_was_and_refuses_other_weights(
     scene, tmp_path, monkeypatch
 ):
-    made, refine_ = [], refinement_ablation.refine
+    made, refine_ = [], refinement_sweep.refine
     monkeypatch.setattr(
-        refinement_ablation,
+        refinement_sweep,
         "refine",
         lambda batch, start, settings: made.append(settings.a) or refine_(batch, start, QUICK),
     )
     start = perturbed(scene[1], 3)
-    told = refinement_ablation.weights(
+    report = refinement_sweep.sweep(
         lambda _: start, known_cases(scene, 3), tmp_path, ["default", "a=1"]
     )
-    assert told["default"]["pictures"] == told["a=1"]["pictures"] == 3
+    assert report["default"]["pictures"] == report["a=1"]["pictures"] == 3
     assert made == [0.05] * 3 + [1.0] * 3
     made.clear()
-    fewer = refinement_ablation.weights(
-        lambda _: start, known_cases(scene, 2), tmp_path, ["default"]
-    )
+    fewer = refinement_sweep.sweep(lambda _: start, known_cases(scene, 2), tmp_path, ["default"])
     assert not made and set(fewer) == {"default"} and fewer["default"]["pictures"] == 2
-    assert json.loads((tmp_path / "study.json").read_text()).keys() == {"made_by", "default"}
-    refinement_ablation.pin_settings(tmp_path, {"weights": "one"})
-    refinement_ablation.pin_settings(tmp_path, {"weights": "one"})
+    refinement_sweep.pin_settings(tmp_path, {"weights": "one"})
+    refinement_sweep.pin_settings(tmp_path, {"weights": "one"})
     with pytest.raises(InputError, match="other weights"):
-        refinement_ablation.pin_settings(tmp_path, {"weights": "two"})
+        refinement_sweep.pin_settings(tmp_path, {"weights": "two"})
 
 
-def test_a_weight_moved_beside_the_default_alone_is_charted(tmp_path):
+def test_a_weight_moved_beside_the_default_alone_is_charted():
     row = {figure: [2.0, 1.0, 2.0, 1.0] for figure in refinement_ablation.FIGURES}
-    refinement_chart.chart({"a=0.1": row}, tmp_path / "study.png")
-    assert (tmp_path / "study.png").stat().st_size > 1000
+    assert len(refinement_chart.draw({"a=0.1": row}).axes) == 4
+    assert refinement_chart.draw({"default": row}) is None
 
 
 def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
     start = perturbed(scene[1], 3)
-    told = refinement_initialisations.measured(
+    report = refinement_initialisations.measured(
         lambda _: start, known_cases(scene, 4), 6, tmp_path, LABELS, QUICK
     )
-    assert [row["kind"] for row in told["rows"]] == [
-        *refinement_initialisations.STARTS,
-        refinement_initialisations.STARTS[0],
+    rows = [json.loads(line) for line in (tmp_path / "starts.jsonl").read_text().splitlines()]
+    assert [row["kind"] for row in rows] == [
+        *refinement_initialisations.KINDS,
+        refinement_initialisations.KINDS[0],
     ]
-    assert list(told["by_kind"]) == list(refinement_initialisations.STARTS)
-    assert told["above_their_start"] == told["not_finite"] == 0
+    assert list(report["by_kind"]) == list(refinement_initialisations.KINDS)
+    assert report["above_their_start"] == report["not_finite"] == 0
 
 
 def test_a_studys_figures_are_of_the_parts_it_is_given(scene):
     (case,), start = known_cases(scene, 1), perturbed(scene[1], 3)
-    found, own = (
-        refinement_ablation.figures(start, case.batch, case.truths),
-        refinement_ablation.figures(scene[1], case.batch, case.truths),
+    result, own = (
+        refinement_sweep.figures(start, case.batch, case.truths),
+        refinement_sweep.figures(scene[1], case.batch, case.truths),
     )
     label, truth = case.truths[0]
     mask = (case.batch.segments[0] > 0).numpy()
     level = tone.auto_exposure(truth, mask)
-    assert found["edit"] == pytest.approx(
-        tone.display_l2(refinement_ablation.picture(start, label, case.batch), truth, level, mask)
+    assert result["edit"] == pytest.approx(
+        tone.display_l2(refinement_sweep.picture(start, label, case.batch), truth, level, mask)
     )
-    assert found["image"] == pytest.approx(
+    assert result["image"] == pytest.approx(
         tone.display_l2(
-            refinement_ablation.picture(start, start.label[0], case.batch), truth, level, mask
+            refinement_sweep.picture(start, start.label[0], case.batch), truth, level, mask
         )
     )
-    assert own["edit"] < 1 < 20 < found["edit"] and own["image"] < 1 < 20 < found["image"]
+    assert own["edit"] < 1 < 20 < result["edit"] and own["image"] < 1 < 20 < result["image"]
     assert (
-        own["angle_deg"] < 0.1 < 10 < found["angle_deg"]
-        and own["light"] == 0 < 0.1 < found["light"]
+        own["angle_deg"] < 0.1 < 10 < result["angle_deg"]
+        and own["light"] == 0 < 0.1 < result["light"]
     )
 
 
@@ -401,7 +416,7 @@ def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, m
 
     def refined(batch, start, settings):
         prediction, after = next(ends)
-        return descent.Refined(prediction, {"total": 1.0}, {"total": after}, [], 0.0)
+        return descent.RefinementResult(prediction, {"total": 1.0}, {"total": after}, [], 0.0)
 
     monkeypatch.setattr(refinement_initialisations, "refine", refined)
     monkeypatch.setattr(
@@ -409,20 +424,19 @@ def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, m
         "picture",
         lambda parts, *_: np.zeros((SIZE, SIZE, 3), np.float32),
     )
-    told = refinement_initialisations.measured(
+    report = refinement_initialisations.measured(
         lambda _: start, known_cases(scene, 1), 4, tmp_path, LABELS
     )
-    assert (told["starts"], told["above_their_start"], told["not_finite"]) == (4, 2, 1)
-    assert json.loads((tmp_path / "starts.json").read_text())["made_by"]["commit"]
+    assert (report["starts"], report["above_their_start"], report["not_finite"]) == (4, 2, 1)
 
 
 def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
-    for module in (refinement_ablation, refinement_initialisations):
+    for module in (refinement_sweep, refinement_initialisations):
         monkeypatch.setattr(
             module,
             "refine",
             lambda batch, start, settings: refine(
-                batch, start, replace(settings, levels=LEVELS, passes=1)
+                batch, start, replace(settings, levels=LEVELS, outer_iterations=1)
             ),
         )
     catalogue = load_catalogue()
@@ -444,18 +458,14 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
         "a=0.2",
     ]
     assert main("learn.experiments", "t", COMMANDS, [*words, "--starts", "5"]) == 0
-    told = {
-        name: json.loads((tmp_path / "out" / f"{name}.json").read_text())
-        for name in ("study", "times", "starts")
-    }
-    assert set(told["study"]) == {"made_by", "default", "a=0.2"} and set(told["times"]) == {
-        "made_by",
-        "32",
-        "64",
-    }
-    assert told["starts"]["starts"] == 5 and len(told["starts"]["by_kind"]) == 5
-    assert told["study"]["default"]["image"][1] < told["study"]["default"]["image"][0]
-    assert (tmp_path / "out" / "study.png").exists()
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert set(report["settings"]) == {"default", "a=0.2"} and set(report["times"]) == {"32", "64"}
+    ends = report["initialisations"]
+    assert ends["starts"] == 5 and len(ends["by_kind"]) == 5 and report["made_by"]["commit"]
+    before, after = report["settings"]["default"]["image"][:2]
+    assert after < before
+    assert (tmp_path / "out" / "chart.png").exists()
+    assert "| noisy normals |" in (tmp_path / "out" / "report.md").read_text()
     before = [(tmp_path / "out" / name).read_bytes() for name in ("rows.jsonl", "starts.jsonl")]
     assert main("learn.experiments", "t", COMMANDS, [*words, "--starts", "5"]) == 0
     assert [

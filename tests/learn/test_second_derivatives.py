@@ -53,10 +53,10 @@ def gradients(scene, create_graph=False, **options):
     """({name: leaf}, {name: first derivative of a weighted sum of the picture})."""
     leaves = {name: x.detach().clone().requires_grad_() for name, x in scene.items()}
     seen = render(**leaves, method="exact", **options)
-    found = torch.autograd.grad(
+    result = torch.autograd.grad(
         (seen * random_like(seen, 1)).sum(), list(leaves.values()), create_graph=create_graph
     )
-    return leaves, dict(zip(leaves, found, strict=True))
+    return leaves, dict(zip(leaves, result, strict=True))
 
 
 def second(scene, **options):
@@ -64,24 +64,24 @@ def second(scene, **options):
     weighting, by another gives}.
     """
     leaves, first = gradients(scene, create_graph=True, **options)
-    found = {}
+    result = {}
     for by, slope in first.items():
         products = torch.autograd.grad(
             (slope * random_like(slope, 2)).sum(), list(leaves.values()), retain_graph=True
         )
-        found |= {(by, then): x for then, x in zip(leaves, products, strict=True)}
-    return found
+        result |= {(by, then): x for then, x in zip(leaves, products, strict=True)}
+    return result
 
 
 def directions(scene):
     """A direction to step in for each argument: those of n and view keep their length, those of
     material and light their sign.
     """
-    found = {name: random_like(x, 3) for name, x in scene.items()}
-    for name in {"n", "view"} & found.keys():
-        found[name] -= (found[name] * scene[name]).sum(-1, keepdim=True) * scene[name]
-    found["material"] *= scene["material"]
-    return found
+    result = {name: random_like(x, 3) for name, x in scene.items()}
+    for name in {"n", "view"} & result.keys():
+        result[name] -= (result[name] * scene[name]).sum(-1, keepdim=True) * scene[name]
+    result["material"] *= scene["material"]
+    return result
 
 
 def slopes_by_steps(scene, name, step, **options):
@@ -96,12 +96,12 @@ def slopes_by_steps(scene, name, step, **options):
 
 
 def require_slopes(scene, **options):
-    found, towards = second(scene, **options), directions(scene)
+    result, towards = second(scene, **options), directions(scene)
     for then in scene:
         # a step of 1e-6: rounding of first derivatives (1e-16 of some hundred) over it, and its
         # square times a fourth derivative
         for by, expected in slopes_by_steps(scene, then, 1e-6, **options).items():
-            product = (found[by, then] * towards[then]).sum().item()
+            product = (result[by, then] * towards[then]).sum().item()
             assert product == pytest.approx(expected, rel=1e-6, abs=1e-6), (by, then)
 
 
@@ -162,8 +162,8 @@ def test_a_texel_along_the_view_has_finite_second_derivatives(draw):
             "light": torch.rand(1, 4, 8, 3, dtype=torch.float64),
             "view": w,
         }
-        found = second({name: x.to(dtype) for name, x in scene.items()}, elevation=0.0)
-        assert all(x.isfinite().all() for x in found.values())
+        result = second({name: x.to(dtype) for name, x in scene.items()}, elevation=0.0)
+        assert all(x.isfinite().all() for x in result.values())
 
 
 def relative(a, b):
@@ -182,14 +182,14 @@ def test_float32_matches_float64(busy, perspective, kernels, monkeypatch):
         pytest.skip("numba is not installed: no kernels to test")
     scene, options = busy(15, perspective)
     scene = {name: x.float() for name, x in scene.items()}
-    found, right = (
+    result, right = (
         second(scene, **options),
         second({name: x.double() for name, x in scene.items()}, **options),
     )
-    assert {pair: x.dtype for pair, x in found.items()} == dict.fromkeys(found, torch.float32)
+    assert {pair: x.dtype for pair, x in result.items()} == dict.fromkeys(result, torch.float32)
     wrong = {
         pair: relative(x, right[pair])
-        for pair, x in found.items()
+        for pair, x in result.items()
         if relative(x, right[pair]) > 1e-5
     }
     assert not wrong
@@ -205,8 +205,8 @@ def test_the_matrix_of_second_derivatives_is_symmetric(busy, perspective, dtype)
     u, v = ({name: random_like(x, seed) for name, x in scene.items()} for seed in (4, 5))
 
     def product(a, b, left, right):
-        (found,) = torch.autograd.grad((first[a] * left[a]).sum(), leaves[b], retain_graph=True)
-        return (found * right[b]).sum().item()
+        (result,) = torch.autograd.grad((first[a] * left[a]).sum(), leaves[b], retain_graph=True)
+        return (result * right[b]).sum().item()
 
     # of sums whose terms are 10 to 1,000 times as large as they are
     rounding = 1e-4 if dtype == torch.float32 else 1e-10
@@ -229,7 +229,7 @@ def test_the_derivative_along_a_direction_by_two_reverse_passes(draw):
         def radiance(material, given=given):
             return render(**given | {"material": material}, method="exact")
 
-        _, found = torch.autograd.functional.jvp(
+        _, result = torch.autograd.functional.jvp(
             radiance, given["material"], towards["material"].to(dtype)
         )
         step = 1e-6 * towards["material"]
@@ -238,17 +238,17 @@ def test_the_derivative_along_a_direction_by_two_reverse_passes(draw):
             for s in (1, -1)
         )
         expected = (after - before) / 2e-6
-        assert relative(found, expected) <= tolerance
+        assert relative(result, expected) <= tolerance
 
 
 def test_a_hessian_by_torch_is_symmetric_and_not_empty(draw):
     scene = scene_of(draw, 21, False, size=(2, 2))
-    found = torch.autograd.functional.hessian(
+    result = torch.autograd.functional.hessian(
         lambda m: render(scene["n"], m, scene["light"], method="exact").sum(), scene["material"]
     )
-    found = found.reshape(108, 108)
-    assert found.abs().max() > 1e-3
-    torch.testing.assert_close(found, found.T, rtol=1e-9, atol=1e-12)
+    result = result.reshape(108, 108)
+    assert result.abs().max() > 1e-3
+    torch.testing.assert_close(result, result.T, rtol=1e-9, atol=1e-12)
 
 
 @CAMERAS
@@ -293,17 +293,17 @@ def test_a_loss_of_picture_and_slope_together(draw):
 def test_half_precisions_are_differentiated_twice_in_float32(draw, dtype):
     scene = {name: x.to(dtype) for name, x in scene_of(draw, 27, False).items()}
     leaves, first = gradients(scene, create_graph=True)
-    (found,) = torch.autograd.grad(first["n"].float().square().sum(), leaves["material"])
-    assert found.dtype == dtype and found.isfinite().all() and found.abs().max() > 0
+    (result,) = torch.autograd.grad(first["n"].float().square().sum(), leaves["material"])
+    assert result.dtype == dtype and result.isfinite().all() and result.abs().max() > 0
 
 
 def test_an_empty_mask_has_second_derivatives_of_zero(draw):
     scene = scene_of(draw, 29, True)
     leaves, first = gradients(scene, create_graph=True, mask=torch.zeros(1, 3, 3, dtype=torch.bool))
-    found = torch.autograd.grad(
+    result = torch.autograd.grad(
         sum(x.square().sum() for x in first.values()), list(leaves.values()), allow_unused=True
     )
-    assert all(x is None or not x.any() for x in found)
+    assert all(x is None or not x.any() for x in result)
 
 
 @CAMERAS

@@ -9,19 +9,8 @@ import sys
 
 import pytest
 
-from learn.data.sources import VALIDATION_SHAPES, by_hash
-from manifests.cli import main
-from tests.learn import synthetic
-from tests.learn.test_cycles_source import SIZE, damage, first, written
-
-RUN = {
-    "name": "tiny",
-    "size": SIZE,
-    "parts": ["normals"],
-    "data": {"sharing": 1, "source": "pictures"},
-    "losses": {"normals": 1, "material": 0},
-    "schedule": {"steps": 2, "batch": 4, "warm_up": 1},
-}
+from tests.support.tiny_run import RUN, train, two_sided
+from tests.support.two_materials import damage, first
 
 # Each step's samples and the weights after it, by process: PROGRAM FOLDER train …
 PROGRAM = """
@@ -36,7 +25,8 @@ step = loop.Training._one_step
 def watched(self, batch):
     record = step(self, batch)
     samples = [hashlib.sha256(image.numpy().tobytes()).hexdigest() for image in batch.image]
-    weights = hashlib.sha256(b"".join(p.detach().numpy().tobytes() for p in self.network.parameters())).hexdigest()
+    parameters = b"".join(p.detach().numpy().tobytes() for p in self.network.parameters())
+    weights = hashlib.sha256(parameters).hexdigest()
     with open(Path(sys.argv[1]) / f"{self.world}-{self.rank}.jsonl", "a") as file:
         file.write(json.dumps({"samples": samples, "weights": weights}) + "\\n")
     return record
@@ -49,28 +39,7 @@ sys.exit(main("learn", "", ("train",), sys.argv[2:]))
 @pytest.fixture
 def store(tmp_path):
     """A dataset with a shape for each side, four pictures of each."""
-    store = written(tmp_path / "data")
-    chosen = next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
-    for shape, side in ((chosen, "train"), ("cube:1", "test")):
-        synthetic.add_shape(store, shape, side)
-    return store
-
-
-def train(store, out, *options, run=RUN):
-    path = store.folder / "run.json"
-    path.write_text(json.dumps(run))
-    words = [
-        "train",
-        str(path),
-        "--data",
-        str(store.folder),
-        "--out",
-        str(out),
-        "--workers",
-        "0",
-        *options,
-    ]
-    return main("learn", "", ("train",), words)
+    return two_sided(tmp_path / "data")
 
 
 @pytest.mark.filterwarnings("ignore")  # of TensorBoard's own imports
@@ -93,15 +62,17 @@ def test_tensorboard_when_asked_has_each_steps_loss_the_validation_and_the_sheet
 def test_a_run_says_what_made_it_and_from_what_and_writes_no_events_unasked(store, tmp_path):
     assert train(store, tmp_path / "out") == 0
     assert not (tmp_path / "out" / "tensorboard").exists()
-    told = json.loads((tmp_path / "out" / "made.json").read_text())
-    assert {"command", "commit", "date", "machine", "versions"} <= set(told["made_by"])
-    assert {side: (of["shapes"], of.get("pictures", 0)) for side, of in told["sides"].items()} == {
+    report = json.loads((tmp_path / "out" / "made.json").read_text())
+    assert {"command", "commit", "date", "machine", "versions"} <= set(report["made_by"])
+    assert {
+        side: (of["shapes"], of.get("pictures", 0)) for side, of in report["sides"].items()
+    } == {
         "train": (1, 4),
         "validation": (1, 4),
         "test": (1, 0),  # in training materials
     }
     last = json.loads((tmp_path / "out" / "log.jsonl").read_text().splitlines()[-1])
-    assert (told["step"], told["validation"]) == (2, last["validation"])
+    assert (report["step"], report["validation"]) == (2, last["validation"])
 
 
 def test_a_bad_record_stops_the_command_before_training_or_is_left_out_and_counted_when_asked(
@@ -109,13 +80,13 @@ def test_a_bad_record_stops_the_command_before_training_or_is_left_out_and_count
 ):
     path = damage(store, "not finite")
     assert train(store, tmp_path / "out") == 1
-    told = [
+    report = [
         line
         for line in capsys.readouterr().err.replace("\r", "\n").splitlines()
         if line.startswith("learn:")
     ]
-    assert len(told) == 1
-    assert path.name in told[0] and "--skip-bad" in told[0]
+    assert len(report) == 1
+    assert path.name in report[0] and "--skip-bad" in report[0]
     assert not (tmp_path / "out" / "weights.safetensors").exists()
     assert train(store, tmp_path / "out", "--skip-bad") == 0
     error = capsys.readouterr().err

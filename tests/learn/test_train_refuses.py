@@ -16,14 +16,20 @@ from learn.data import lights, settings
 from learn.data.geometry import Geometry
 from learn.data.relit import DataSplit
 from learn.data.settings import Data, Losses, Run, Schedule, Stage
-from learn.training import loop
+from learn.training import loop, processes
 from learn.training.loop import Training
 from manifests.cli import main
 from manifests.errors import InputError
-from tests.learn import synthetic
-from tests.learn.test_train_command import RUN, store, train  # noqa: F401 -- a fixture
+from tests.support import synthetic
+from tests.support.tiny_run import RUN, train, two_sided
 
 SIZE = 32
+
+
+@pytest.fixture
+def store(tmp_path):
+    """A dataset with a shape for each side, four pictures of each."""
+    return two_sided(tmp_path / "data")
 
 
 @pytest.fixture(scope="module")
@@ -57,16 +63,16 @@ def run(**changes):
 
 def line(capsys):
     """The one line on stderr that is a message."""
-    found = [
+    result = [
         each
         for each in capsys.readouterr().err.replace("\r", "\n").splitlines()
         if each.startswith("learn:")
     ]
-    assert len(found) == 1
-    return found[0]
+    assert len(result) == 1
+    return result[0]
 
 
-# -------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # settings
 
 
@@ -91,10 +97,10 @@ def line(capsys):
             {"stages": [{"parts": ["light"], "steps": 1}]},
             r"stages\[0\]\.losses: expected a weight above 0",
         ),
-        ({"schedule": {"rate": 1e30}}, "rate"),
-        ({"schedule": {"rate": 0}}, "rate"),
-        ({"schedule": {"rate": -1}}, "rate"),
-        ({"schedule": {"decay": 1e30}}, "decay"),
+        ({"schedule": {"learning_rate": 1e30}}, "learning_rate"),
+        ({"schedule": {"learning_rate": 0}}, "learning_rate"),
+        ({"schedule": {"rate": -1}}, "learning_rate"),
+        ({"schedule": {"weight_decay": 1e30}}, "weight_decay"),
         ({"schedule": {"batch": 100_000_000}}, "batch"),
         ({"schedule": {"batch": 65_536}, "size": 1024}, "Mi pixels"),
         ({"losses": {"normals": 1e30}}, "normals"),
@@ -170,15 +176,15 @@ def test_a_run_made_in_python_is_judged_as_one_from_a_file(data_splits, tmp_path
     Training(staged, data_splits, tmp_path, workers=0)
 
 
-# -----------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # lock
 
 
 def test_a_second_run_into_a_folder_is_refused_and_writes_nothing(
     store, tmp_path, capsys, monkeypatch
-):  # noqa: F811
-    monkeypatch.setattr(loop, "PATIENCE", 0.0)
-    with loop.only_writer(tmp_path / "out"):
+):
+    monkeypatch.setattr(processes, "PATIENCE", 0.0)
+    with processes.only_writer(tmp_path / "out"):
         before = sorted(os.listdir(tmp_path / "out"))
         assert train(store, tmp_path / "out") == 1
         assert "a folder that no other run writes to" in line(capsys)
@@ -188,24 +194,24 @@ def test_a_second_run_into_a_folder_is_refused_and_writes_nothing(
 
 def test_the_processes_that_relight_let_the_folder_go(tmp_path):
     """A run that was killed leaves them behind for a moment: nobody need wait for that."""
-    with loop.only_writer(tmp_path):
+    with processes.only_writer(tmp_path):
         child = os.fork()
         if not child:
             try:
-                loop.begin_worker(0)
-                os.fstat(loop._LOCKS[0])
+                processes.begin_worker(0)
+                os.fstat(processes._LOCKS[0])
             except OSError:  # closed
                 os._exit(7)
             os._exit(1)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
         with (
             pytest.raises(InputError, match="no other run"),
-            loop.lock.writing(tmp_path, patience=0),
+            processes.lock.writing(tmp_path, patience=0),
         ):
             pass  # the run itself still holds it
 
 
-# -----------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # checkpoint
 
 
@@ -310,7 +316,7 @@ def test_a_run_holds_one_checkpoint_and_no_draft_of_it(half_way):
     assert sum("checkpoint" in name for name in os.listdir(half_way)) == 1
 
 
-# ---------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # not finite
 
 
@@ -374,9 +380,9 @@ class Failing:
 )
 def test_an_error_of_a_process_that_relights_is_raised_as_it_was(error):
     loader = torch.utils.data.DataLoader(
-        loop.ErrorsAsValues(Failing(error)), batch_size=None, sampler=range(2), num_workers=1
+        processes.ErrorsAsValues(Failing(error)), batch_size=None, sampler=range(2), num_workers=1
     )
-    batches = loop.received(loader)
+    batches = processes.received(loader)
     assert torch.equal(next(batches), torch.zeros(2))
     with pytest.raises(type(error)) as raised:
         next(batches)
@@ -392,10 +398,10 @@ class Dying:
 
 def test_a_process_that_relights_and_is_killed_is_told_in_one_line():
     loader = torch.utils.data.DataLoader(
-        loop.ErrorsAsValues(Dying()), batch_size=None, sampler=range(2), num_workers=1
+        processes.ErrorsAsValues(Dying()), batch_size=None, sampler=range(2), num_workers=1
     )
     with pytest.raises(InputError, match="--workers: expected processes that live"):
-        next(loop.received(loader))
+        next(processes.received(loader))
 
 
 @pytest.mark.parametrize("name", ["views.json", "skipped.json", "sums.json"])

@@ -25,7 +25,7 @@ from learn.training import losses, validation
 from learn.training.loop import Training
 from manifests.errors import InputError
 from shaders import envmap
-from tests.learn import synthetic
+from tests.support import synthetic
 
 SIZE = 32
 
@@ -126,14 +126,14 @@ def test_networks_predict_unit_normals_codes_in_reach_and_lights_of_unit_mean(ne
     image, mask = torch.rand(2, 3, 64, 64), (torch.rand(2, 1, 64, 64) > 0.5).float()
     segments = torch.randint(1, 3, (2, 64, 64)) * mask[:, 0].long()
     with torch.no_grad():
-        found = net(image, mask, segments)
-    torch.testing.assert_close(found.n.norm(dim=1), torch.ones(2, 64, 64), rtol=0, atol=1e-5)
-    assert (found.n[:, 2] > 0).all()
-    assert found.code.shape == (2, 2, 108)
-    assert found.code.abs().max() <= 1
-    assert found.light.shape == (2, 3, 64, 128)
-    assert found.light.min() >= 0
-    for light in found.light.movedim(1, -1).numpy():
+        result = net(image, mask, segments)
+    torch.testing.assert_close(result.n.norm(dim=1), torch.ones(2, 64, 64), rtol=0, atol=1e-5)
+    assert (result.n[:, 2] > 0).all()
+    assert result.code.shape == (2, 2, 108)
+    assert result.code.abs().max() <= 1
+    assert result.light.shape == (2, 3, 64, 128)
+    assert result.light.min() >= 0
+    for light in result.light.movedim(1, -1).numpy():
         assert envmap.mean_radiance(light) @ envmap.LUMINANCE == pytest.approx(1, abs=1e-4)
 
 
@@ -143,11 +143,11 @@ def test_the_reflectance_map_holds_a_pictures_radiance_where_its_normals_point()
     ]
     mask = (n[:, 2:] > 0).float()
     image = (n[:, :1] > 0).float().expand(-1, 3, -1, -1)  # white where the surface faces right
-    found = reflectance_map(image, mask, n)[0]
-    right, left = found[0, CELLS // 2, 3 * CELLS // 4], found[0, CELLS // 2, CELLS // 4]
+    result = reflectance_map(image, mask, n)[0]
+    right, left = result[0, CELLS // 2, 3 * CELLS // 4], result[0, CELLS // 2, CELLS // 4]
     # c(1) − ½ and c(0) − ½
     assert (right.item(), left.item()) == (pytest.approx(0.5), pytest.approx(-0.5))
-    assert found[3, 0, 0] == 0  # outside the disk no normal points
+    assert result[3, 0, 0] == 0  # outside the disk no normal points
 
 
 def test_a_batch_depends_on_seed_and_number_alone_and_parts_make_the_whole(data_splits):
@@ -176,8 +176,8 @@ def test_the_true_prediction_has_no_loss(data_splits):
     truth = Prediction(
         batch.n, ranges.code(batch.label), batch.label, torch.log1p(batch.light), batch.light
     )
-    found = losses.terms(truth, batch, run().losses, torch.Generator().manual_seed(0), ranges)
-    assert set(found) == {
+    result = losses.terms(truth, batch, run().losses, torch.Generator().manual_seed(0), ranges)
+    assert set(result) == {
         "normals",
         "material",
         "albedo",
@@ -186,7 +186,7 @@ def test_the_true_prediction_has_no_loss(data_splits):
         "image",
         "target",
     }
-    assert max(value.item() for value in found.values()) < 1e-8
+    assert max(value.item() for value in result.values()) < 1e-8
     wrong = truth._replace(light=batch.light.flip(-1))
     assert (
         losses.terms(wrong, batch, run().losses, torch.Generator().manual_seed(0), ranges)[
@@ -231,15 +231,15 @@ def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_s
     segments[1:, : SIZE // 2][segments[1:, : SIZE // 2] > 0] = 2
     known = replace(batch, segments=segments, label=torch.from_numpy(label).expand(4, 2, 108))
     mine = torch.from_numpy(label[::-1].copy()).expand(4, 2, 108)
-    found = validation.albedos(mine, known, torch.full((3,), math.log(0.2)))
+    result = validation.albedos(mine, known, torch.full((3,), math.log(0.2)))
     double = pytest.approx(math.log(2), abs=0.01)  # of albedo + 1e-3
-    assert math.isnan(found["albedo_1"][0])
-    assert list(found["albedo_1"][1:]) == [double] * 3
-    assert list(found["albedo_2"]) == [double] * 4
-    assert list(found["constant_albedo_1"][1:]) == [pytest.approx(0, abs=0.01)] * 3
-    assert list(found["constant_albedo_2"]) == [double] * 4
+    assert math.isnan(result["albedo_1"][0])
+    assert list(result["albedo_1"][1:]) == [double] * 3
+    assert list(result["albedo_2"]) == [double] * 4
+    assert list(result["constant_albedo_1"][1:]) == [pytest.approx(0, abs=0.01)] * 3
+    assert list(result["constant_albedo_2"]) == [double] * 4
     assert set(validation.albedos(mine[:, :1], known)) == {"albedo"}
-    assert validation._mean(found["albedo_1"]) == double
+    assert validation._mean(result["albedo_1"]) == double
 
 
 def test_a_light_reduced_keeps_its_energy(rng):
@@ -296,7 +296,7 @@ def test_training_lowers_its_loss(data_splits, tmp_path):
 def test_a_step_that_is_not_finite_changes_nothing_and_too_many_end_the_run(
     data_splits, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(losses, "total", lambda found, weights: found["normals"] * math.nan)
+    monkeypatch.setattr(losses, "total", lambda result, weights: result["normals"] * math.nan)
     training = Training(run(skipped_steps=1), data_splits, tmp_path, workers=0)
     before = {name: t.clone() for name, t in training.network.named_parameters()}
     with pytest.raises(InputError, match="finite loss"):
@@ -365,13 +365,13 @@ def test_a_photographed_picture_keeps_its_radiance_but_for_exposure_and_noise(rn
     assert abs(np.mean(ratios)) < 4 * sigma
 
 
-def test_a_nibbled_mask_loses_its_rim_at_most(rng):
+def test_an_eroded_mask_loses_its_rim_at_most(rng):
     mask = np.zeros((16, 16), bool)
     mask[4:12, 4:12] = True
     for _ in range(8):
-        nibbled = augmentation.nibbled(rng, mask)
-        assert (nibbled <= mask).all()
-        assert nibbled[5:11, 5:11].all()
+        eroded = augmentation.eroded_mask(rng, mask)
+        assert (eroded <= mask).all()
+        assert eroded[5:11, 5:11].all()
 
 
 def test_what_stays_in_register_moves_with_the_picture():

@@ -13,7 +13,7 @@ from safetensors.torch import save
 
 from learn.baselines import priors
 from learn.data.photographs import Framed
-from learn.editing.predict import of
+from learn.editing.decomposition import predict_framed
 from learn.metrics import lpips as perceptual
 from learn.networks import features, tensor_file, weights
 from learn.networks.coding import Ranges
@@ -208,7 +208,7 @@ def test_weights_whose_prediction_overflows_are_told_by_it(sound, value):
         network.normals.weight.fill_(value)
     framed = Framed(np.full((32, 32, 3), 0.5, np.float32), np.ones((32, 32), bool), (0, 0, 32), 1.0)
     with pytest.raises(InputError, match="--weights: expected weights that predict finite"):
-        of(framed, network)
+        predict_framed(framed, network)
 
 
 @pytest.mark.parametrize(
@@ -227,7 +227,7 @@ def test_what_is_no_file_is_refused_at_once_by_every_reader(tmp_path, make):
             read(tmp_path / "w.safetensors")
 
 
-# ------------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # the others
 
 

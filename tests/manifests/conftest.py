@@ -13,7 +13,7 @@ from manifests.schema import (
     Statistics,
 )
 from manifests.store import Lines, Store, file_hash, geometry_path, image_path
-from tests.manifests.whole_dataset import JOB, entry, write_dataset
+from tests.support.whole_dataset import JOB, entry, write_dataset
 
 
 @pytest.fixture

@@ -97,12 +97,12 @@ def test_what_is_missing_or_damaged_is_told_in_one_line_and_no_page_is_left(
     assert run(out, agreement) == 1
     (agreement / "report.json").unlink()
     assert run(out, agreement) == 1
-    told = capsys.readouterr().err.splitlines()
+    report = capsys.readouterr().err.splitlines()
     assert (
-        len(told) == 3
-        and "none.png" in told[0]
-        and "expected JSON" in told[1]
-        and "learn agree" in told[2]
+        len(report) == 3
+        and "none.png" in report[0]
+        and "expected JSON" in report[1]
+        and "learn agree" in report[2]
     )
     assert not out.exists()
 
@@ -113,10 +113,12 @@ def test_predictions_stand_on_the_page_with_what_they_are_and_without_any_nothin
     sheet = tmp_path / "parts" / "sheet.png"
     sheet.parent.mkdir()
     sheet.write_bytes(b"")
-    shown = demo_page.page(tmp_path / "index.html", [], agreement, "t", [sheet])
+    shown = demo_page.demo_page(tmp_path / "index.html", [], agreement, "t", [sheet])
     assert "What a network reads" in shown
     assert "href='parts/sheet.png'" in shown
-    assert "What a network reads" not in demo_page.page(tmp_path / "index.html", [], agreement, "t")
+    assert "What a network reads" not in demo_page.demo_page(
+        tmp_path / "index.html", [], agreement, "t"
+    )
 
 
 def test_a_prediction_that_is_not_there_is_told(tmp_path, agreement, capsys):

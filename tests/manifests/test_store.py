@@ -3,7 +3,6 @@ stay inside.
 """
 
 import os
-import resource
 import subprocess
 import sys
 
@@ -14,6 +13,7 @@ from manifests.errors import InputError
 from manifests.schema import Record
 from manifests.store import Lines, Store, file_hash, geometry_path, image_path, inside, light_path
 from manifests.verification import Fault, repair
+from tests.support.work_count import calls
 
 
 def test_files_are_sharded_by_the_first_two_digits_of_their_id():
@@ -39,7 +39,7 @@ def test_a_path_that_leaves_the_folder_is_refused(tmp_path, path):
     folder = tmp_path / "data"
     folder.mkdir()
     (folder / "link").symlink_to(tmp_path)
-    with pytest.raises(InputError, match="inside the dataset's folder"):
+    with pytest.raises(InputError, match="inside the data set's folder"):
         inside(folder, path)
 
 
@@ -106,7 +106,7 @@ def test_another_schema_version_and_a_missing_dataset_are_refused(a_dataset, tmp
     path.write_text(path.read_text().replace('"version": 1', '"version": 2'))
     with pytest.raises(InputError, match=r"expected schema version 1, found 2"):
         a_dataset.dataset()
-    with pytest.raises(InputError, match=r"expected a dataset .*, found none"):
+    with pytest.raises(InputError, match=r"expected a data set .*, found none"):
         Store(tmp_path / "nowhere").dataset()
 
 
@@ -291,17 +291,14 @@ def test_on_a_full_disk_what_was_written_stays_and_the_error_names_the_cause(tin
 
 
 def test_ids_of_many_records_come_in_a_flash(tmp_path, a_record):
-    """720,000 must take seconds (docs/results/manifest-scale.md has the figure); here 20,000, with
-    room for a slow machine.
+    """720,000 must take seconds: no record is checked field by field (tests/endurance/timings.py
+    measures the time).
     """
-    import time
-
+    count = 2000
     lines = Lines(tmp_path / "records" / "worker-00.jsonl")
-    for k in range(20_000):
+    for k in range(count):
         lines.append(a_record(f"{k:024x}"))
     lines.close()
-    start = resource.getrusage(resource.RUSAGE_SELF).ru_utime, time.perf_counter()
-    assert len(Store(tmp_path).ids()) == 20_000
-    # measured 0.03 s; 720,000 in proportion 1 s
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - start[0] < 0.6
+    assert calls(lambda: Store(tmp_path).ids()) < 5 * count  # 3 for each line
+    assert len(Store(tmp_path).ids()) == count
     assert all(isinstance(record, Record) for record in Store(tmp_path).records())

@@ -20,7 +20,7 @@ from manifests.arrays import (
     read_picture,
 )
 from manifests.errors import InputError
-from manifests.files import write_bytes, write_npz
+from manifests.files import npz_bytes, write_bytes
 from shaders.envmap import unit_mean
 
 
@@ -104,7 +104,7 @@ def test_a_small_file_that_the_disk_has_no_room_for_is_an_error_and_no_empty_fil
     ],
 )
 def test_a_stored_light_that_is_no_light_is_refused(tmp_path, arrays, found):
-    write_npz(tmp_path / "light.npz", arrays)
+    write_bytes(tmp_path / "light.npz", npz_bytes(arrays))
     with pytest.raises(InputError, match=found):
         read_light(tmp_path / "light.npz")
 

@@ -15,7 +15,7 @@ from manifests.materials import encode, read_catalogue
 from manifests.schema import Camera, Draw, Record
 from manifests.store import Store, file_hash, geometry_path, image_path
 from manifests.verification import Fault, Verification, faults_of, repair, shared_between, summary
-from tests.manifests.whole_dataset import JOB, RENDER, hash_of
+from tests.support.whole_dataset import JOB, RENDER, hash_of
 
 
 @pytest.fixture
@@ -153,12 +153,12 @@ def test_ids_are_those_of_the_first_data_sets():
 )
 def test_whatever_determines_a_picture_is_held_against_its_id(store, changes):
     record = alter(store, **changes)
-    found = list(Verification(store).in_records())
+    result = list(Verification(store).in_records())
     assert (
-        f"record {record.id}: expected id" in found[0].text
-        and "the hash of what it says" in found[0].text
+        f"record {record.id}: expected id" in result[0].text
+        and "the hash of what it says" in result[0].text
     )
-    assert found[0].record == record.id and found[0].line == (store.record_files()[0], 1)
+    assert result[0].record == record.id and result[0].line == (store.record_files()[0], 1)
 
 
 @pytest.mark.parametrize(
@@ -179,9 +179,9 @@ def test_whatever_determines_a_picture_is_held_against_its_id(store, changes):
 )
 def test_a_record_that_does_not_fit_is_condemned_and_no_other(store, changes, message):
     record = alter(store, **changes)
-    found = faults_of(store)
-    assert any(message in fault.text for fault in found), [fault.text for fault in found]
-    assert {fault.record for fault in found} == {record.id}
+    result = faults_of(store)
+    assert any(message in fault.text for fault in result), [fault.text for fault in result]
+    assert {fault.record for fault in result} == {record.id}
 
 
 def test_figures_of_every_record_are_held_against_its_picture_and_its_geometry(store):
@@ -199,10 +199,10 @@ def test_figures_of_every_record_are_held_against_its_picture_and_its_geometry(s
         )
 
     rewrite(store, change)
-    found = [fault for fault in faults_of(store) if fault.record]
-    assert [fault.line[1] for fault in found] == [2, 2, 3, 5]
-    assert "expected coverage 0.500000" in found[0].text
-    assert "a mean of" in found[2].text and "a largest value of" in found[3].text
+    result = [fault for fault in faults_of(store) if fault.record]
+    assert [fault.line[1] for fault in result] == [2, 2, 3, 5]
+    assert "expected coverage 0.500000" in result[0].text
+    assert "a mean of" in result[2].text and "a largest value of" in result[3].text
 
 
 @pytest.mark.parametrize(
@@ -304,9 +304,9 @@ def test_a_bad_geometry_file_condemns_every_record_that_uses_it_and_is_read_once
     monkeypatch.setattr(
         arrays, "read_geometry", lambda *a, **k: calls.append(a[0]) or read(*a, **k)
     )
-    found = faults_of(store)
+    result = faults_of(store)
     using = {record.id for record in lines(store) if record.geometry == lines(store)[0].geometry}
-    assert {fault.record for fault in found} == using and len(using) == 2
+    assert {fault.record for fault in result} == using and len(using) == 2
     assert len(calls) == len(set(calls)) == 4
 
 
@@ -366,9 +366,9 @@ def test_a_changed_label_or_mixture_is_found(store, what, own_hash):
     path.write_bytes(
         encode(msgspec.structs.replace(catalogue, materials=(altered, *catalogue.materials[1:])))
     )
-    found = faults_of(store)
-    assert "materials.json: 'matte'" in found[0].text and found[0].entry == ("labels", "matte")
-    assert not any(fault.record for fault in found)
+    result = faults_of(store)
+    assert "materials.json: 'matte'" in result[0].text and result[0].entry == ("labels", "matte")
+    assert not any(fault.record for fault in result)
 
 
 def test_an_altered_entry_is_told_from_altered_records_by_the_ids(store):
@@ -382,11 +382,11 @@ def test_an_altered_entry_is_told_from_altered_records_by_the_ids(store):
     ):
         before = store.dataset()
         alter_entry(store, kind, name, **changes)
-        found = faults_of(store)
-        assert any(message in fault.text and fault.entry == (kind, name) for fault in found), texts(
-            store
+        result = faults_of(store)
+        assert any(message in fault.text and fault.entry == (kind, name) for fault in result), (
+            texts(store)
         )
-        assert not any(fault.record for fault in found)
+        assert not any(fault.record for fault in result)
         store.write_json("dataset.json", before)
 
 
@@ -403,12 +403,12 @@ def test_a_label_that_fits_its_hash_but_no_id_leaves_nothing_that_confirms_it(st
         encode(msgspec.structs.replace(catalogue, materials=(matte, catalogue.materials[1])))
     )
     alter_entry(store, "materials", "matte", hash=matte.hash)
-    found = faults_of(store)
-    assert {fault.record for fault in found if fault.record} == {
+    result = faults_of(store)
+    assert {fault.record for fault in result if fault.record} == {
         r.id for r in lines(store) if "matte" in r.materials
     }
-    assert ("materials", "matte") in {fault.entry for fault in found}
-    repair(store, found)
+    assert ("materials", "matte") in {fault.entry for fault in result}
+    repair(store, result)
     assert texts(store) == []
 
 
@@ -446,9 +446,9 @@ def test_what_nothing_names_is_found(store):
     path.write_bytes(
         encode(msgspec.structs.replace(catalogue, materials=(*catalogue.materials, more)))
     )
-    found = "\n".join(texts(store))
-    assert "light 'sun': expected a light that an order names" in found
-    assert "materials.json: expected a material that dataset.json names, found 'felt'" in found
+    result = "\n".join(texts(store))
+    assert "light 'sun': expected a light that an order names" in result
+    assert "materials.json: expected a material that dataset.json names, found 'felt'" in result
 
 
 def test_records_that_no_order_asks_for_are_found(store):
@@ -505,13 +505,13 @@ def test_missing_altered_and_stray_files_are_found(store):
     (store.folder / store.dataset().lights["lamp"].file).write_bytes(b"")
     (store.folder / "partial" / "worker-00-x.exr").write_bytes(b"")
     (store.folder / "records" / "notes.txt").write_bytes(b"")
-    found = "\n".join(texts(store))
-    assert f"{first.image}: expected an OpenEXR file, found no such file" in found
-    assert f"{second.image}: expected a whole OpenEXR file" in found
-    assert "stray.exr: expected a record that names it" in found
-    assert ".npz: expected a stored light map" in found
-    assert "half-written" in found
-    assert "records/notes.txt: expected files *.jsonl" in found
+    result = "\n".join(texts(store))
+    assert f"{first.image}: expected an OpenEXR file, found no such file" in result
+    assert f"{second.image}: expected a whole OpenEXR file" in result
+    assert "stray.exr: expected a record that names it" in result
+    assert ".npz: expected a stored light map" in result
+    assert "half-written" in result
+    assert "records/notes.txt: expected files *.jsonl" in result
     assert summary(faults_of(store)) == (2, 3, 1)
 
 
@@ -519,10 +519,10 @@ def test_duplicates_torn_and_foreign_lines_are_found(store):
     (path,) = store.record_files()
     whole = path.read_bytes()
     path.write_bytes(whole + whole.splitlines(keepends=True)[0] + b'{"id": 3}\n' + b'{"id": "abc')
-    found = "\n".join(fault.text for fault in Verification(store).in_records())
-    assert "expected once, found again" in found
-    assert "worker-00.jsonl:10: expected a record" in found
-    assert "worker-00.jsonl:11: expected a whole line" in found
+    result = "\n".join(fault.text for fault in Verification(store).in_records())
+    assert "expected once, found again" in result
+    assert "worker-00.jsonl:10: expected a record" in result
+    assert "worker-00.jsonl:11: expected a whole line" in result
     assert repair(store, faults_of(store)) == (3, 0)
     assert path.read_bytes() == whole
 
@@ -578,11 +578,35 @@ def spoiled_places(store):
 
 
 SPOILED = (
-    "picture loop", "picture link", "picture pipe", "picture folder", "picture folder's folder", "geometry pipe", "geometry loop",
-    "picture folder's folder outside", "light pipe", "light loop", "images loop", "images file", "images outside", "geometry outside",
-    "lights pipe", "records loop", "records outside", "lines pipe", "lines loop", "lines folder", "views file", "failures pipe",
-    "stray loop", "stray pipe", "loop at the top", "pipe at the top", "lock loop", "draft pipe",
-)  # fmt: skip
+    "picture loop",
+    "picture link",
+    "picture pipe",
+    "picture folder",
+    "picture folder's folder",
+    "geometry pipe",
+    "geometry loop",
+    "picture folder's folder outside",
+    "light pipe",
+    "light loop",
+    "images loop",
+    "images file",
+    "images outside",
+    "geometry outside",
+    "lights pipe",
+    "records loop",
+    "records outside",
+    "lines pipe",
+    "lines loop",
+    "lines folder",
+    "views file",
+    "failures pipe",
+    "stray loop",
+    "stray pipe",
+    "loop at the top",
+    "pipe at the top",
+    "lock loop",
+    "draft pipe",
+)
 
 
 @pytest.mark.parametrize("name", SPOILED)
@@ -596,9 +620,9 @@ def test_links_pipes_and_folders_in_the_place_of_files_are_lines_and_repair_touc
     for each in names:
         (outside / each).write_bytes(b"mine")
     spoiled_places(store)[name]()
-    found = faults_of(store)
-    assert found and all("\n" not in fault.text for fault in found)
-    repair(store, found)
+    result = faults_of(store)
+    assert result and all("\n" not in fault.text for fault in result)
+    repair(store, result)
     assert {path.name: path.read_bytes() for path in outside.iterdir()} == dict.fromkeys(
         names, b"mine"
     )

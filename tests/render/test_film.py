@@ -57,7 +57,7 @@ def test_a_window_shows_the_pixels_of_the_whole_frame_noise_and_all(chair, fov_d
     mask = chair.geometry().mask
     top, bottom, left, right = window.around(chair._vertices, 1.0, chair._lens)
     assert (bottom - top) * (right - left) < 40 * 56  # a window indeed
-    for way, wanted in (
+    for way, expected in (
         ("picture", np.concatenate([radiance, alpha[..., None]], axis=-1)),
         ("geometry", mask),
     ):
@@ -66,7 +66,7 @@ def test_a_window_shows_the_pixels_of_the_whole_frame_noise_and_all(chair, fov_d
         chair._scene.cycles.seed = 3
         chair._scene.render.use_border = False
         whole = render_result.render_passes(chair._scene)["Combined"]
-        np.testing.assert_array_equal(whole if way == "picture" else whole[..., 3] > 0.5, wanted)
+        np.testing.assert_array_equal(whole if way == "picture" else whole[..., 3] > 0.5, expected)
 
 
 def test_an_object_beyond_the_frame_is_cut_off_not_refused(chair):

@@ -39,9 +39,9 @@ def test_given_corner_normals_come_back_to_float_precision(studio):
     studio.set_shape(given)
     studio.set_view(0.0)
     shot = studio.geometry()
-    wanted = camera_from_fixed_world(Camera()) @ leaning
+    expected = camera_from_fixed_world(Camera()) @ leaning
     # Blender's split normals would be 5e-5 off
-    assert np.abs(shot.normals[shot.mask] - wanted).max() < 1e-6
+    assert np.abs(shot.normals[shot.mask] - expected).max() < 1e-6
 
 
 def test_a_sharp_edge_keeps_both_its_normals(studio):

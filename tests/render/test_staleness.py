@@ -166,7 +166,7 @@ def test_memory_stays_flat_over_meshes(tmp_path, root):
         "--threads",
         "1",
     ]
-    found = json.loads(
+    result = json.loads(
         subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
     )["figures"]
-    assert found["growth"] <= 0.03  # with persistent data never dropped it is over .1
+    assert result["growth"] <= 0.03  # with persistent data never dropped it is over .1

@@ -72,10 +72,10 @@ def test_tilted_cosines_are_those_of_the_tilted_vector(tilt, rng):
     across = w_o - (w_o @ n)[:, None] * n
     n_tilted = n + tilt * across
     n_tilted /= np.linalg.norm(n_tilted, axis=-1, keepdims=True)
-    *found, seen = closures.tilted(tilt, *cosines(n, w_i, w_o))
+    *result, seen = closures.tilted(tilt, *cosines(n, w_i, w_o))
     expected = cosines(n_tilted, w_i, w_o)[:3]
     assert np.array_equal(seen, (expected[0] > 1e-4) & (expected[1] > 1e-4) & (expected[2] > 1e-4))
-    for a, b in zip(found, expected, strict=True):
+    for a, b in zip(result, expected, strict=True):
         np.testing.assert_allclose(a[seen], b[seen], atol=1e-12)
 
 
@@ -110,10 +110,10 @@ def test_torch_gives_the_same_numbers(kind, rng):
     torch = pytest.importorskip("torch")
     c = cosines(*directions(rng))
     expected = closures.evaluate(kind, 0.2, 0.3, *c)
-    found = closures.evaluate(
+    result = closures.evaluate(
         kind,
         torch.tensor(0.2, dtype=torch.float64),
         torch.tensor(0.3, dtype=torch.float64),
         *map(torch.tensor, c),
     )
-    np.testing.assert_allclose(found.numpy(), expected, rtol=1e-12)
+    np.testing.assert_allclose(result.numpy(), expected, rtol=1e-12)

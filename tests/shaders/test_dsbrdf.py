@@ -79,6 +79,19 @@ def test_theta_d_is_exact_for_nearly_equal_directions_where_acos_is_blind():
     assert np.arccos(min(1.0, w_i @ dsbrdf.half_angles(w_i, w_o)[0])) == 0.0
 
 
+def test_differentiable_half_angles_agree_and_have_finite_slopes_where_directions_meet(rng):
+    w_i, w_o = unit(rng, 200), unit(rng, 200)
+    for ours, theirs in zip(
+        dsbrdf.differentiable_half_angles(w_i, w_o), dsbrdf.half_angles(w_i, w_o), strict=True
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-13)
+    torch = pytest.importorskip("torch")
+    w = torch.tensor([[0.0, 0.6, 0.8]], dtype=torch.float64, requires_grad=True)
+    h, theta_d = dsbrdf.differentiable_half_angles(w, w.detach())
+    (h.sum() + theta_d.sum()).backward()
+    assert w.grad.isfinite().all()
+
+
 def test_opposite_directions_have_no_half_vector_and_a_right_angle():
     h, theta_d = dsbrdf.half_angles(np.array([0.0, 0.6, 0.8]), np.array([0.0, -0.6, -0.8]))
     np.testing.assert_array_equal(h, [0, 0, 0])

@@ -40,9 +40,9 @@ def test_the_first_row_is_the_zenith_and_columns_run_from_right_to_the_viewer():
 def test_texel_finds_the_place_that_directions_came_from(size):
     w, _ = envmap.directions(*size)
     rows, columns = np.indices(size)
-    found = envmap.texel(w, *size)
-    np.testing.assert_array_equal(found[0], rows)
-    np.testing.assert_array_equal(found[1], columns)
+    result = envmap.texel(w, *size)
+    np.testing.assert_array_equal(result[0], rows)
+    np.testing.assert_array_equal(result[1], columns)
 
 
 def test_texel_holds_at_poles_and_on_both_sides_of_the_seam():

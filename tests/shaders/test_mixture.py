@@ -28,12 +28,12 @@ def test_a_lambert_mixture_is_albedo_over_pi():
 
 def test_stops_on_the_ramps_table_are_kept_exactly(rng):
     mixture = some_mixture(rng)
-    for values, found in zip(
+    for values, result in zip(
         (mixture.log_alpha, mixture.tilt, mixture.weights),
         mixture.at(1 - mixture.stops),
         strict=True,
     ):
-        np.testing.assert_allclose(found, values, atol=1e-12)  # rounding of 1 − (1 − x) times 255
+        np.testing.assert_allclose(result, values, atol=1e-12)  # rounding of 1 − (1 − x) times 255
 
 
 def test_between_stops_on_the_table_values_are_linear(rng):

@@ -148,7 +148,8 @@ from shaders.mixture import Mixture
 stops, one = np.array([0, 0.5, 1]), np.ones((3, 5))
 kinds = ("diffuse", "ggx", "beckmann", "ashikhmin_shirley", "sheen")
 curve = np.array([[0.1], [0.2], [0.3]])
-graph = nodes.graph(Mixture(kinds, stops, -one - curve, one * curve, np.repeat((one * curve)[..., None], 3, -1)))
+colours = np.repeat((one * curve)[..., None], 3, -1)
+graph = nodes.graph(Mixture(kinds, stops, -one - curve, one * curve, colours))
 material = bpy.data.materials.new("m")
 material.use_nodes = True
 made = {n.name: material.node_tree.nodes.new(n.type) for n in graph.nodes}

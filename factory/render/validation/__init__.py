@@ -1,1 +1,1 @@
-"""Cycles, as the studio uses it, measured against closed forms."""
+"""Measurements of Cycles, as the studio uses it, against closed forms."""

@@ -1,54 +1,64 @@
-"""What rendering costs and how true it is: `python -m factory.render.validation.benchmark NAME …`
-prints figures, `--out` writes them down.
+"""Cost and accuracy of rendering: `python -m factory.render.validation.benchmark NAME`.
 
-cost      24 views, 1 sample, 256²: bare bpy loops that write files, and the studio with checks,
-hashes and files, turn about
+cost      24 views, 1 sample, 256²: plain bpy loops that write files, and the studio with checks,
+          hashes and files, in turn
 memory    resident memory over 200 different meshes, each with its own light and material
 geometry, texel, lambert, closures, perspective, materials   see
 factory.render.validation.closed_forms
 """
 
+from __future__ import annotations
+
 import argparse
 import contextlib
 import hashlib
+import io
 import json
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from manifests.provenance import provenance
 
+if TYPE_CHECKING:
+    from factory.render.studio import Geometry, Studio
+    from factory.shapes.mesh import Mesh
+
 VIEWS = 24
 SIZE = 256
 
 
-def cost(options):
-    """Images a second, by the clock and by the processor, of four loops run in turn; medians over
-    rounds, ratios round by round.
+def cost(options: argparse.Namespace) -> dict[str, Any]:
+    """Return images per second and per CPU second of four loops, and ratios of them.
 
-    bare           pictures alone;  bare_with_passes: and what a record holds besides: normals,
-    depth, segments, antialiased as they come
-    studio         geometry and picture of each view;  studio_again: another picture of views whose
-    geometry is there already
+    The loops are run in turn; figures are medians over rounds, and ratios are taken within a round.
+
+    bare              pictures alone
+    bare_with_passes  pictures with the render passes of normals, depth and segments, antialiased
+    studio            geometry and picture of each view
+    studio_again      another picture of views whose geometry exists already
     """
     from factory.shapes.catalogue import load
 
     mesh = load(options.shape)
     with tempfile.TemporaryDirectory(dir=options.scratch) as folder:
         studio = _studio(options)
-        shown = _StudioLoop(studio, mesh, folder)
+        in_studio = _StudioLoop(studio, mesh, folder)
         loops = {
             "bare": _BareLoop(mesh, folder, options.threads).run,
             "bare_with_passes": _BareLoop(mesh, folder, options.threads, passes=True).run,
-            "studio": lambda: shown.run(geometry=True),
-            "studio_again": lambda: shown.run(geometry=False),
+            "studio": lambda: in_studio.run(geometry=True),
+            "studio_again": lambda: in_studio.run(geometry=False),
         }
         for loop in loops.values():  # once to warm up
             loop()
-        clock, processor = ({name: [] for name in loops} for _ in range(2))
+        clock: dict[str, list[float]] = {name: [] for name in loops}
+        processor: dict[str, list[float]] = {name: [] for name in loops}
         for _ in range(options.rounds):
             for name, loop in loops.items():
                 start = time.perf_counter(), time.process_time()
@@ -56,7 +66,7 @@ def cost(options):
                 clock[name].append(VIEWS / (time.perf_counter() - start[0]))
                 processor[name].append(VIEWS / (time.process_time() - start[1]))
 
-    def ratio(rates, ours, theirs):
+    def ratio(rates: dict[str, list[float]], ours: str, theirs: str) -> float:
         return round(float(np.median(np.array(rates[ours]) / rates[theirs])), 3)
 
     pairs = (("studio", "bare_with_passes"), ("studio", "bare"), ("studio_again", "bare"))
@@ -74,11 +84,9 @@ def cost(options):
 
 
 class _BareLoop:
-    """What one writes first: persistent data, the camera led around and a file written by Blender,
-    view after view.
-    """
+    """A plain loop: persistent data, a moving camera, and a file per view that Blender writes."""
 
-    def __init__(self, mesh, folder, threads, passes=False):
+    def __init__(self, mesh: Mesh, folder: str, threads: int, passes: bool = False):
         import bpy
 
         from factory.render import body, camera, light, materials
@@ -108,7 +116,8 @@ class _BareLoop:
         layer.use_pass_normal = layer.use_pass_z = layer.use_pass_material_index = passes
         self.folder = folder
 
-    def run(self):
+    def run(self) -> None:
+        """Render all views."""
         import bpy
         import mathutils
 
@@ -119,28 +128,28 @@ class _BareLoop:
             angle = 2 * np.pi * view / VIEWS
             self.scene.camera.matrix_world = mathutils.Matrix.Rotation(angle, 4, "Z") @ self.pose
             self.scene.render.filepath = f"{self.folder}/bare{view:02}.exr"
-            with silenced(1), render_result.untapped():
+            with silenced(1), render_result.without_copies():
                 bpy.ops.render.render(scene=self.scene.name, write_still=True)
 
 
 class _StudioLoop:
-    """The same views by the studio: geometry, picture, checks, files, hashes and a line for
-    each.
-    """
+    """The same views by the studio: geometry, picture, checks, files, hashes and a record each."""
 
-    def __init__(self, studio, mesh, folder):
+    def __init__(self, studio: Studio, mesh: Mesh, folder: str):
         from factory.render.validation import reference
         from manifests.schema import Camera
         from shaders.mixture import Mixture
 
-        self.studio, self.folder, self.shots = studio, folder, {}
+        self.studio, self.folder = studio, folder
+        self.shots: dict[int, Geometry] = {}
         studio.set_camera(Camera(size=(SIZE, SIZE)))
         studio.set_shape(mesh)
         studio.set_light(reference.soft_light())
         studio.set_materials([Mixture.lambert([0.5] * 3)] * mesh.segments)
         self.segments = mesh.segments
 
-    def run(self, geometry):
+    def run(self, geometry: bool) -> None:
+        """Render all views; geometry: whether to render their geometry, too."""
         from manifests.store import Lines
 
         with contextlib.closing(Lines(f"{self.folder}/records.jsonl")) as records:
@@ -148,12 +157,13 @@ class _StudioLoop:
                 self.studio.set_view(2 * np.pi * view / VIEWS)
                 records.append({"view": view} | self._record(view, geometry))
 
-    def _record(self, view, geometry):
+    def _record(self, view: int, geometry: bool) -> dict[str, Any]:
         from factory.render import checks
         from manifests.arrays import encode_geometry, encode_picture
         from manifests.files import write_bytes
 
-        faults, paths = [], [f"{self.folder}/picture{view:02}.exr"]
+        faults: list[str] = []
+        paths = [f"{self.folder}/picture{view:02}.exr"]
         if geometry:
             self.shots[view] = shot = self.studio.geometry()
             faults += checks.geometry(shot, self.segments)
@@ -168,8 +178,8 @@ class _StudioLoop:
         }
 
 
-def memory(options):
-    """Resident memory (MiB) of this process after each mesh, and its growth after the tenth."""
+def memory(options: argparse.Namespace) -> dict[str, Any]:
+    """Return resident memory (MiB) after each mesh, and its growth after the tenth."""
     import psutil
 
     from factory.render.validation import reference
@@ -199,14 +209,16 @@ def memory(options):
     }
 
 
-def _studio(options):
+def _studio(options: argparse.Namespace) -> Studio:
     from factory.render.studio import Studio
 
     return Studio(options.device, options.threads)
 
 
-def _proof(name):
-    def run(options):
+def _accuracy(name: str) -> Callable[[argparse.Namespace], dict[str, Any]]:
+    """Return a function that measures one of factory.render.validation.closed_forms."""
+
+    def run(options: argparse.Namespace) -> dict[str, Any]:
         from factory.render.validation import closed_forms, reference
 
         studio = _studio(options)
@@ -236,12 +248,13 @@ def _proof(name):
 
 
 MEASURES = {"cost": cost, "memory": memory} | {
-    name: _proof(name)
+    name: _accuracy(name)
     for name in ("geometry", "texel", "lambert", "closures", "perspective", "materials")
 }
 
 
-def main(arguments):
+def main(arguments: Sequence[str]) -> int:
+    """Measure what the arguments name, print the figures, and return 0."""
     parser = argparse.ArgumentParser(
         prog="python -m factory.render.validation.benchmark",
         description=__doc__,
@@ -251,27 +264,37 @@ def main(arguments):
     parser.add_argument(
         "--device",
         default="cpu",
-        help="cpu, cuda, optix, hip, metal, oneapi or auto (default: cpu)",
+        help="where Cycles renders: cpu, cuda, optix, hip, metal, oneapi or auto (default: cpu)",
     )
-    parser.add_argument("--threads", type=int, default=2, help="CPU threads (default: 2)")
+    parser.add_argument("--threads", type=int, default=2, help="number of CPU threads (default: 2)")
     parser.add_argument(
-        "--rounds", type=int, default=5, help="cost: how often each loop runs, in turn (default: 5)"
+        "--rounds",
+        type=int,
+        default=5,
+        help="cost: number of times that each loop runs (default: 5)",
     )
-    parser.add_argument("--shape", default="car:1", help="cost: which shape (default: car:1)")
+    parser.add_argument("--shape", default="car:1", help="cost: the shape (default: car:1)")
     parser.add_argument(
-        "--meshes", type=int, default=200, help="memory: how many meshes (default: 200)"
+        "--meshes", type=int, default=200, help="memory: number of meshes (default: 200)"
     )
     parser.add_argument(
         "--material",
         action="append",
         default=[],
-        help="materials: a name of the catalogue; repeatable",
+        help="materials: a name in the catalogue; repeat the option for several",
     )
-    parser.add_argument("--seed", type=int, default=20170801, help="texel: of the directions")
     parser.add_argument(
-        "--scratch", default=None, help="cost: folder for the files (default: the system's)"
+        "--seed",
+        type=int,
+        default=20170801,
+        help="texel: random seed of the directions (default: %(default)s)",
     )
-    parser.add_argument("--out", help="a JSON file to write besides printing")
+    parser.add_argument(
+        "--scratch",
+        default=None,
+        help="cost: folder for the files (default: the system's temporary folder)",
+    )
+    parser.add_argument("--out", help="a JSON file to which the figures are also written")
     options = parser.parse_args(arguments)
     result = {"figures": MEASURES[options.measure](options), **provenance()}
     text = json.dumps(result, indent=2, ensure_ascii=False)
@@ -284,5 +307,6 @@ def main(arguments):
 
 
 if __name__ == "__main__":
-    sys.stdout.reconfigure(encoding="utf-8")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(encoding="utf-8")
     sys.exit(main(sys.argv[1:]))

@@ -1,18 +1,20 @@
-"""Measurements that Cycles, as the studio uses it, shows what the formulas say: figures for
-docs/results/rendering and for the tests.
+"""Measurements of Cycles against formulas: figures for docs/results/rendering and for the tests.
 
-Each function takes a Studio, sets it up, and returns a dict of figures. The unit sphere stands for
-all shapes: every normal is on it, and known. Pixels at the silhouette are left out where a figure
-is about shading: they are a share of the sphere and a share of nothing.
+Each function takes a Studio, sets it up, and returns a dictionary of figures. The unit sphere
+stands for all shapes, because it has every normal, and each is known. Where a figure is about
+shading, pixels at the silhouette are left out: the sphere covers them in part.
 """
+
+from typing import Any
 
 import numpy as np
 
 from factory.render import light
 from factory.render.camera import view_vectors
+from factory.render.studio import Studio
 from factory.render.validation import reference
 from factory.shapes.primitives import sphere
-from manifests.schema import Camera
+from manifests.schema import Camera, Tier
 from shaders import envmap, frames
 from shaders.mixture import Mixture
 
@@ -33,30 +35,34 @@ SINGLE = {
 }
 
 
-def angle_deg(a, b):
-    """Degrees between vectors (..., 3); precise near 0."""
+def angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the angles (…) in degrees between vectors (…, 3); precise near 0."""
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(-1)))
 
 
-def _sphere(studio, size, level=6, azimuth=0.7, **lens):
-    studio.set_camera(Camera(size=(size, size), **lens))
+def _sphere(
+    studio: Studio, size: int, level: int = 6, azimuth: float = 0.7, fov_deg: float | None = None
+) -> None:
+    """Show the unit sphere."""
+    studio.set_camera(Camera(size=(size, size), fov_deg=fov_deg))
     studio.set_shape(sphere(level))
     studio.set_view(azimuth)
 
 
-def _takes(studio, samples, count, tier="direct"):
-    """Mean (height, width, 3) of `count` pictures of different seeds, the variance of one of them,
-    and the pictures.
-    """
+def _takes(
+    studio: Studio, samples: int, count: int, tier: Tier = "direct"
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return mean, variance (height, width, 3) and all of `count` pictures of different seeds."""
     pictures = np.array(
         [studio.render(samples, seed, tier) for seed in range(count)], dtype=np.float64
     )
     return pictures.mean(0), pictures.var(0, ddof=1), pictures
 
 
-def _pooled(variance, inside):
-    """Variance averaged over 5 × 5 pixels inside the mask: of a few pictures alone it is too
-    uncertain for a 5 σ test.
+def _pooled(variance: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Return the variance averaged over 5 × 5 pixels inside the mask.
+
+    The variance of a few pictures alone is too uncertain for a 5 σ test.
     """
     from scipy.ndimage import uniform_filter
 
@@ -67,33 +73,34 @@ def _pooled(variance, inside):
     )
 
 
-def lit_texel(studio, rng, directions=64, samples=16):
-    """Degrees between the normal at which a matte sphere peaks in Cycles and the layer's: single
-    lit texels, random views and rotations.
+def lit_texel(
+    studio: Studio, rng: np.random.Generator, directions: int = 64, samples: int = 16
+) -> dict[str, Any]:
+    """Return the angles between the normals at which a matte sphere peaks in Cycles and by formula.
 
-    Both peaks are fitted: radiance = a · n over the pixels that are lit and clearly in front. The
-    first four texels lie in the poles' rows, where a texel's middle and its centre of area are .47°
-    apart: the layer takes the former. Returns  max_deg, median_deg, degrees (directions,)
+    One texel of the light is lit; views and rotations are random. Both peaks are fitted: radiance =
+    a · n over the pixels that are lit and clearly in front. The first four texels lie in the poles'
+    rows, where a texel's middle, which the layer uses, and its centre of area are .47° apart.
+
+    Returns  max_deg, median_deg, degrees (directions,)
     """
     _sphere(studio, 64, level=5)
     studio.set_materials([Mixture.lambert([0.5] * 3)])
     w, solid_angle = envmap.directions(64, 128)
-    degrees = []
+    degrees: list[float] = []
     while len(degrees) < directions:
         column, turn = map(int, rng.integers(128, size=2))
         row = (0, 1, 62, 63)[len(degrees)] if len(degrees) < 4 else int(rng.integers(64))
         towards = frames.camera_from_light() @ w[row, (column + turn) % 128]
         if towards[2] < 0 and len(degrees) >= 4:
-            continue  # from behind: no peak to see
+            continue  # from behind: no peak is visible
         L = np.zeros((64, 128, 3), np.float32)
         L[row, column] = 100 / solid_angle[row, column]
         studio.set_view(rng.uniform(0, 2 * np.pi))
         studio.set_light(L, turn)
         n = studio.geometry().normals.astype(np.float64)
-        result, requested = (
-            studio.render(samples, len(degrees))[..., 0].astype(np.float64),
-            np.maximum(n @ towards, 0),
-        )
+        result = studio.render(samples, len(degrees))[..., 0].astype(np.float64)
+        requested = np.maximum(n @ towards, 0)
         front = n[..., 2] > 0.4
         lit = front & (requested > 0.05)
         peaks = [
@@ -103,12 +110,20 @@ def lit_texel(studio, rng, directions=64, samples=16):
     return {"max_deg": max(degrees), "median_deg": float(np.median(degrees)), "degrees": degrees}
 
 
-def lambert(studio, L, samples=32, seeds=16, size=64, rotation=37):
-    """A matte sphere, direct tier, nearest light, against the dense sum over normals from Blender.
+def lambert(
+    studio: Studio,
+    L: np.ndarray,
+    samples: int = 32,
+    seeds: int = 16,
+    size: int = 64,
+    rotation: int = 37,
+) -> dict[str, Any]:
+    """Compare a matte sphere, direct tier and nearest light, with the dense sum over its normals.
 
-    Pixels with n·v > .3: nearer to the silhouette a pixel's mean differs from its centre's value by
-    more than this noise. Returns  relative_mean; largest_sigma and rms_sigma of the pixels; noise:
-    one picture's, relative
+    Only pixels with n·v > .3 count: nearer to the silhouette, a pixel's mean differs from the value
+    at its centre by more than the noise.
+
+    Returns  relative_mean; largest_sigma, rms_sigma of the pixels; noise: one picture's, relative
     """
     _sphere(studio, size)
     mixture = Mixture.lambert([0.5] * 3)
@@ -129,14 +144,22 @@ def lambert(studio, L, samples=32, seeds=16, size=64, rotation=37):
     }
 
 
-def closed_form(studio, mixture, samples=128, seeds=16, size=32, points=4096, rotation=11):
-    """A mixture on a sphere in Cycles against its closed form, integrated over pixel and hemisphere
-    under a soft light.
+def closed_form(
+    studio: Studio,
+    mixture: Mixture,
+    samples: int = 128,
+    seeds: int = 16,
+    size: int = 32,
+    points: int = 4096,
+    rotation: int = 11,
+) -> dict[str, Any]:
+    """Compare a mixture on a sphere under a soft light with its integral over pixel and hemisphere.
 
-    Returns  bias: relative mean difference; bias_sigma: its noise; rms_sigma: of the pixels'
-    differences over their noise, 1 if noise is
-             all there is, give or take rms_sigma_noise (a narrow lobe's noise sits in few pixels:
-             it is as if there were fewer of them)
+    bias, bias_sigma            relative mean difference, and its standard deviation
+    rms_sigma, rms_sigma_noise  root mean square of the pixels' differences over their noise, which
+                                is 1 if there is no bias, and its standard deviation (the noise of a
+                                narrow lobe is in few pixels, which raises it)
+    samples                     of all pictures together
     """
     _sphere(studio, size)
     L = reference.soft_light()
@@ -150,11 +173,10 @@ def closed_form(studio, mixture, samples=128, seeds=16, size=32, points=4096, ro
         reference.integrate(mixture, spots[inside], width, seen, points, seed) for seed in (0, 1)
     )
     requested, reference_variance = (a + b) / 2, ((a - b) ** 2).mean(0) / 4
-    # (3,): pooled over the sphere, a channel each
+    # (3,): pooled over the sphere, per channel
     total = variance[inside].mean(0) / seeds + reference_variance
     difference = mean[inside] - requested
-    # A picture's mean varies more than its pixels' variance tells: Cycles' pixels share one table
-    # of samples.
+    # a picture's mean varies more than its pixels' variance suggests: they share a table of samples
     mean_variance = pictures[:, inside].mean((1, 2)).var(
         ddof=1
     ) / seeds + reference_variance.mean() / len(requested)
@@ -169,12 +191,15 @@ def closed_form(studio, mixture, samples=128, seeds=16, size=32, points=4096, ro
     }
 
 
-def geometry(studio, size=128, level=6, azimuth=0.3):
-    """Blender's normals of a sphere against analytic ones, inside the silhouette.
+def geometry(
+    studio: Studio, size: int = 128, level: int = 6, azimuth: float = 0.3
+) -> dict[str, Any]:
+    """Compare Blender's normals of a sphere with analytic ones, inside the silhouette.
 
-    Returns  max_deg, rms_deg; length_error: largest | |n| − 1 |; mask_pixels: how many pixels of
-    the mask differ from the disc's;
-             depth_error: largest, world units
+    max_deg, rms_deg  of the angles between them
+    length_error      largest | |n| − 1 |
+    mask_pixels       number of pixels whose mask differs from that of the disc
+    depth_error       largest, world units
     """
     _sphere(studio, size, level, azimuth)
     shot = studio.geometry()
@@ -194,20 +219,21 @@ def geometry(studio, size=128, level=6, azimuth=0.3):
     }
 
 
-def perspective(studio, fov_deg=40.0, samples=64, seeds=8, size=48):
-    """A sphere of GGX α .3 over matte, seen in perspective, against the dense sum with a view
-    vector a pixel, and with one for all.
+def perspective(
+    studio: Studio, fov_deg: float = 40.0, samples: int = 64, seeds: int = 8, size: int = 48
+) -> dict[str, Any]:
+    """Compare a sphere of GGX α .3 over matte, seen in perspective, with the dense sum.
 
-    Returns  relative_mean and rms_sigma with shaders.frames.view_vectors; distant_rms_sigma if the
-    viewer were distant
+    relative_mean, rms_sigma  with the view vectors of shaders.frames.view_vectors
+    distant_rms_sigma         with one view vector for all pixels, as of a distant viewer
     """
     _sphere(studio, size, fov_deg=fov_deg)
     mixture = Mixture(
         ("diffuse", "ggx"),
-        [0.0],
-        [[0.0, np.log(0.3)]],
-        [[0.0, 0.0]],
-        [[[0.3, 0.2, 0.1], [0.4, 0.4, 0.4]]],
+        np.array([0.0]),
+        np.array([[0.0, np.log(0.3)]]),
+        np.array([[0.0, 0.0]]),
+        np.array([[[0.3, 0.2, 0.1], [0.4, 0.4, 0.4]]]),
     )
     L = reference.soft_light()
     studio.set_light(L, 5)

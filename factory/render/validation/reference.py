@@ -1,11 +1,10 @@
-"""What Cycles should show of a unit sphere, by closed form and quadrature: the other side of every
-proof.
+"""Reference radiance of a unit sphere, by closed form and quadrature, to compare Cycles with.
 
-L      (height, width, 3) the map as the camera sees it (light.as_seen), stored layout, light frame
-n, v   camera frame, v towards the viewer: (0, 0, 1), the camera is orthographic
-spots  (P, 2) places in the picture plane, the sphere's radius = 1, x right and y up
+L      (height, width, 3), the map as the camera sees it (light.as_seen), stored layout, light frame
+n, v   camera frame; v towards the viewer: (0, 0, 1), because the camera is orthographic
+spots  (P, 2), points in the picture plane; the sphere's radius is 1, x points right and y up
 
-Light is constant over a texel here, as nearest look-up makes it; `dense` takes each texel as one
+The light is constant over a texel, as with nearest look-up; `dense` takes each texel as one
 direction, as the layer does.
 """
 
@@ -13,31 +12,35 @@ import numpy as np
 from scipy.stats import qmc
 
 from shaders import closures, envmap, frames
+from shaders.mixture import Mixture
 
 
-def sphere_normals(spots):
-    """Normals (P, 3), camera frame, of the unit sphere seen at spots (P, 2) within radius 1."""
+def sphere_normals(spots: np.ndarray) -> np.ndarray:
+    """Return the normals (P, 3), camera frame, of the unit sphere at spots (P, 2)."""
     r2 = (spots**2).sum(-1)
     return np.concatenate([spots, np.sqrt(np.maximum(1 - r2, 0))[:, None]], axis=-1)
 
 
-def pixel_spots(size, half_extent):
-    """Picture-plane places (size, size, 2) of the centres of a square frame's pixels."""
+def pixel_spots(size: int, half_extent: float) -> np.ndarray:
+    """Return the points (size, size, 2) at the centres of a square frame's pixels."""
     x, y = frames.pixel_grid(size, size)
     return np.stack([x, y], axis=-1) * half_extent
 
 
-def camera_directions(height, width, elevation=frames.ELEVATION):
-    """Directions (height·width, 3), camera frame, and solid angles (height·width,) of a map's
-    texels.
-    """
+def camera_directions(
+    height: int, width: int, elevation: float = frames.ELEVATION
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return directions (height·width, 3), camera frame, and solid angles of a map's texels."""
     w, solid_angle = envmap.directions(height, width)
     return w.reshape(-1, 3) @ frames.camera_from_light(elevation).T, solid_angle.ravel()
 
 
-def dense(mixture, normals, L, view=None):
-    """The layer's sum: radiance (P, 3) of normals (P, 3), one direction a texel; view (P, 3) or
-    None: (0, 0, 1).
+def dense(
+    mixture: Mixture, normals: np.ndarray, L: np.ndarray, view: np.ndarray | None = None
+) -> np.ndarray:
+    """Return radiance (P, 3) of normals (P, 3) by the layer's sum, with one direction per texel.
+
+    view  (P, 3), None: (0, 0, 1)
     """
     w, solid_angle = camera_directions(*L.shape[:2])
     light = L.reshape(-1, 3).astype(np.float64) * solid_angle[:, None]
@@ -57,14 +60,15 @@ def dense(mixture, normals, L, view=None):
     return radiance
 
 
-def look_up(L, w, elevation=frames.ELEVATION):
-    """Radiance (..., 3) of the texel that holds each direction w (..., 3), camera frame."""
+def look_up(L: np.ndarray, w: np.ndarray, elevation: float = frames.ELEVATION) -> np.ndarray:
+    """Return the radiance (…, 3) of the texel around each direction w (…, 3), camera frame."""
     return L[envmap.texel(w @ frames.camera_from_light(elevation), *L.shape[:2])]
 
 
-def soft_light(height=64, width=128):
-    """A coloured light (height, width, 3) without sharp edges, unit mean, contrast about 1 : 20:
-    little noise for either renderer.
+def soft_light(height: int = 64, width: int = 128) -> np.ndarray:
+    """Return a coloured light (height, width, 3) of unit mean without sharp edges.
+
+    Its contrast is about 1 : 20, so that either renderer has little noise.
     """
     w, _ = envmap.directions(height, width)
     lamps = (
@@ -79,13 +83,17 @@ def soft_light(height=64, width=128):
     return envmap.unit_mean(L)[0]
 
 
-def integrate(mixture, spots, width, L, points, seed):
-    """Radiance (P, 3) over square pixels, by quasi Monte Carlo over pixel and hemisphere, each
-    closure by a density of its own.
+def integrate(
+    mixture: Mixture, spots: np.ndarray, width: float, L: np.ndarray, points: int, seed: int
+) -> np.ndarray:
+    """Return radiance (P, 3) of square pixels, by quasi Monte Carlo over pixel and hemisphere.
 
-    spots   (P, 2) pixel centres, whole pixels within the sphere;  width: a pixel's, picture plane
-    points  a power of 2, the same for each closure;  seed: of the Sobol scramble: another seed,
-    another error
+    Each closure is sampled by a density of its own.
+
+    spots   (P, 2), centres of pixels that lie within the sphere
+    width   of a pixel in the picture plane
+    points  of each closure, a power of 2
+    seed    of the Sobol sequence's scrambling; errors of different seeds are independent
     """
     radiance = np.zeros((len(spots), 3))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(mixture.kinds),)))
@@ -94,7 +102,7 @@ def integrate(mixture, spots, width, L, points, seed):
             4, seed=np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
         ).random(points)
         for p, spot in enumerate(spots):
-            # each pixel its own shift, so that errors do not add up over the picture
+            # each pixel has its own shift, so that errors do not add up over the picture
             u = (sobol + rng.random(4)) % 1.0
             n = sphere_normals(spot + (u[:, :2] - 0.5) * width)
             log_alpha, tilt, weights = mixture.at(n[:, 2])
@@ -115,16 +123,16 @@ def integrate(mixture, spots, width, L, points, seed):
     return radiance
 
 
-def _frame(n):
-    """Two unit vectors across each n (P, 3)."""
+def _frame(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return two unit vectors perpendicular to each n (P, 3)."""
     other = np.where(np.abs(n[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     a = np.cross(n, other)
     a /= np.linalg.norm(a, axis=-1, keepdims=True)
     return a, np.cross(n, a)
 
 
-def _around(axis, cosine, angle):
-    """Unit vectors at `cosine` from axis (P, 3), turned by `angle` about it."""
+def _around(axis: np.ndarray, cosine: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return unit vectors with `cosine` to the axis (P, 3), turned by `angle` about it."""
     a, b = _frame(axis)
     sine = np.sqrt(np.maximum(1 - cosine**2, 0))
     return (
@@ -133,14 +141,19 @@ def _around(axis, cosine, angle):
     )
 
 
-def _matte(n, alpha, tilt, u):
-    """Directions towards the light, uniform over the hemisphere, and their density."""
+def _matte(
+    n: np.ndarray, alpha: np.ndarray, tilt: np.ndarray, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return directions, uniform over the hemisphere, and their density."""
     return _around(n, u[:, 0], 2 * np.pi * u[:, 1]), np.full(len(n), 1 / (2 * np.pi))
 
 
-def _glossy(n, alpha, tilt, u):
-    """Directions whose half vectors follow GGX's distribution about the tilted normal, and their
-    density (0: below the view).
+def _glossy(
+    n: np.ndarray, alpha: np.ndarray, tilt: np.ndarray, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return directions whose half vectors follow GGX about the tilted normal, and their density.
+
+    The density is 0 where the half vector faces away from the viewer.
     """
     v = np.array([0.0, 0.0, 1.0])
     leaning = n + tilt[:, None] * (v - n[:, 2:] * n)

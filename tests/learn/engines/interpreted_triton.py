@@ -12,7 +12,7 @@ import torch
 
 from learn.engines import cpu, cuda
 from manifests import materials as catalogue
-from tests.learn.engines.conftest import (
+from tests.support.engine_scenes import (
     ROTATION,
     TOLERANCE,
     make_scene,
@@ -31,11 +31,11 @@ def compare(scene):
     n, view, m, light, rotation, counts, light_of = scene.arguments()
     tensors = [None if a is None else torch.as_tensor(a) for a in (n, view, m, light)]
     seen = cuda.radiance(*tensors, rotation, counts, light_of)
-    found = cuda.gradients(torch.as_tensor(scene.g), *tensors, rotation, counts, light_of)
+    result = cuda.gradients(torch.as_tensor(scene.g), *tensors, rotation, counts, light_of)
     right = cpu.gradients(scene.g, *scene.arguments(), 1)
     assert relative(seen.numpy(), cpu.radiance(*scene.arguments(), 1)) <= TOLERANCE
     for name, x, by, expected in zip(
-        ("n", "view", "m", "light"), (n, view, None, None), found, right, strict=True
+        ("n", "view", "m", "light"), (n, view, None, None), result, right, strict=True
     ):
         if expected is None:
             assert by is None
@@ -86,6 +86,6 @@ def test_groups_with_lights_of_their_own(rng, perspective):
         <= TOLERANCE
     )
     right = cpu.gradients(scene.g, *arrays, *constants, 1)
-    found = cuda.gradients(torch.as_tensor(scene.g), *tensors, *constants)
-    for by, expected in zip(found[2:], right[2:], strict=True):
+    result = cuda.gradients(torch.as_tensor(scene.g), *tensors, *constants)
+    for by, expected in zip(result[2:], right[2:], strict=True):
         assert relative(by.numpy(), expected) <= TOLERANCE

@@ -5,11 +5,10 @@ are easy and where they break.
 import numpy as np
 import pytest
 
-from learn.engines import cpu, distant, general
 from manifests import materials as catalogue
 from shaders.dsbrdf import half_angles
 from shaders.envmap import directions
-from tests.learn.engines.conftest import (
+from tests.support.engine_scenes import (
     ROTATION,
     TOLERANCE,
     errors,
@@ -25,10 +24,10 @@ CAMERAS = pytest.mark.parametrize(
 
 
 def require_accurate(scene, **tolerances):
-    found = errors(scene)
+    result = errors(scene)
     wrong = {
         name: f"{error:.1e}"
-        for name, error in found.items()
+        for name, error in result.items()
         if not error <= tolerances.get(name, TOLERANCE)
     }
     assert not wrong, wrong
@@ -154,9 +153,3 @@ def test_view_along_the_light(rng):
     scene = make_scene(rng, random_material(rng), size=(16, 32), normals=n[::4])
     scene.view = near.astype(np.float32)[::4].copy()
     require_accurate(scene)
-
-
-def test_sizes_agree_between_kernels_and_driver():
-    assert cpu.TILE == distant.TILE == general.TILE
-    assert cpu.CHUNKS == distant.CHUNKS
-    assert cpu.SCRATCH == general.SCRATCH

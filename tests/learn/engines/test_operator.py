@@ -7,7 +7,7 @@ import torch
 from learn.engines import machine_code
 from learn.layer import RenderLayer, render
 from learn.methods import exact_operator
-from tests.learn.engines.conftest import ROTATION, TOLERANCE, make_scene, random_material
+from tests.support.engine_scenes import ROTATION, TOLERANCE, make_scene, random_material
 
 CAMERAS = pytest.mark.parametrize(
     "perspective", [False, True], ids=["orthographic", "view per pixel"]
@@ -20,7 +20,7 @@ def picture(rng, images=2, perspective=False, size=(16, 32), dtype=torch.float32
     n[..., 2] = n[..., 2].abs() + 0.3
     n = torch.nn.functional.normalize(n, dim=-1)
     n[:, :, 0] = 0
-    found = {
+    result = {
         "n": n,
         "material": torch.stack(
             [torch.as_tensor(random_material(rng)).reshape(108) for _ in range(images)]
@@ -29,8 +29,8 @@ def picture(rng, images=2, perspective=False, size=(16, 32), dtype=torch.float32
     }
     if perspective:
         v = torch.as_tensor(rng.normal(size=n.shape) * 0.1) + torch.tensor([0.0, 0.0, 1.0])
-        found["view"] = torch.nn.functional.normalize(v, dim=-1)
-    return {name: value.to(dtype) for name, value in found.items()}
+        result["view"] = torch.nn.functional.normalize(v, dim=-1)
+    return {name: value.to(dtype) for name, value in result.items()}
 
 
 def with_gradients(arguments, **options):
@@ -138,16 +138,16 @@ def test_results_do_not_depend_on_threads_or_runs(rng, perspective):
     arguments = picture(rng, perspective=perspective)
     before = torch.get_num_threads()
     try:
-        found = []
+        result = []
         for threads in (1, 2, 3, 1):
             torch.set_num_threads(threads)
-            found.append(with_gradients(arguments))
+            result.append(with_gradients(arguments))
     finally:
         torch.set_num_threads(before)
-    for seen, by in found[1:]:
-        assert torch.equal(seen, found[0][0])
+    for seen, by in result[1:]:
+        assert torch.equal(seen, result[0][0])
         for name in by:
-            assert torch.equal(by[name], found[0][1][name]), name
+            assert torch.equal(by[name], result[0][1][name]), name
 
 
 def test_segments_equal_separate_renderings(rng):

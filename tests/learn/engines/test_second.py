@@ -1,22 +1,22 @@
 """The CPU engine's second derivatives against the reference's in float64, where sums of lobes are
 easy and where they break.
 
-Error as in conftest.py, for the derivative by each argument on its own. The direction n', view',
-m', light' is random, each of the size of what it belongs to, n' and view' tangential, as what comes
-through the scaling to unit length is.
+Error as in tests/support/engine_scenes.py, for the derivative by each argument on its own. The
+direction n', view', m', light' is random, each of the size of what it belongs to, n' and view'
+tangential, as what comes through the scaling to unit length is.
 """
 
 import numpy as np
 import pytest
 import torch
 
-from learn.engines import cpu, distant, distant_second, general, general_second, second
-from learn.methods import exact_second
+from learn.engines import second
+from learn.methods import HORIZON, exact_second
 from manifests import materials as catalogue
 from shaders.dsbrdf import half_angles
 from shaders.envmap import directions
-from tests.learn.engines import test_adversarial
-from tests.learn.engines.conftest import (
+from tests.support import awkward_scenes
+from tests.support.engine_scenes import (
     ROTATION,
     make_scene,
     material,
@@ -50,22 +50,22 @@ def reference(along, scene):
         [None if x is None else torch.tensor(x, dtype=torch.float64) for x in group]
         for group in (along, given)
     ]
-    found = exact_second.of_groups(
+    result = exact_second.of_groups(
         tensors[0], *tensors[1], ROTATION.flatten().tolist(), [len(n)], [0]
     )
-    return in_tangents(found, n, view)
+    return in_tangents(result, n, view)
 
 
 def engine(along, scene, workers=1):
-    found = second.gradients(along, scene.g, *scene.arguments(), workers)
+    result = second.gradients(along, scene.g, *scene.arguments(), workers)
     n, view = (None if x is None else unit(x.astype(np.float64)) for x in (scene.n, scene.view))
-    return in_tangents(found, n, view)
+    return in_tangents(result, n, view)
 
 
-def in_tangents(found, n, view):
+def in_tangents(result, n, view):
     by = {
         name: np.asarray(x, dtype=np.float64)
-        for name, x in zip(NAMES, found, strict=True)
+        for name, x in zip(NAMES, result, strict=True)
         if x is not None
     }
     by["n"] = tangential(by["n"], n)
@@ -74,9 +74,9 @@ def in_tangents(found, n, view):
 
 def errors(rng, scene):
     along = direction(rng, scene)
-    right, found = reference(along, scene), engine(along, scene)
+    right, result = reference(along, scene), engine(along, scene)
     return {
-        name: float(np.abs(found[name] - x).max() / max(np.abs(x).max(), 1e-30))
+        name: float(np.abs(result[name] - x).max() / max(np.abs(x).max(), 1e-30))
         for name, x in right.items()
     }
 
@@ -243,21 +243,21 @@ def test_groups_and_images_keep_to_themselves(rng, perspective):
         np.concatenate([along[0][3], along[2][3]]),
     )
     counts, rotation = [len(scene.n) for scene in scenes], tuple(ROTATION.flatten().tolist())
-    found = second.gradients(directions_, *given, m, lights, rotation, counts, [0, 0, 1], 1)
+    result = second.gradients(directions_, *given, m, lights, rotation, counts, [0, 0, 1], 1)
     alone = [
         second.gradients(a, scene.g, *scene.arguments(), 1)
         for a, scene in zip(along, scenes, strict=True)
     ]
     for i in range(4):
-        if found[i] is not None:
-            assert np.array_equal(found[i], join([by[i] for by in alone])), NAMES[i]
+        if result[i] is not None:
+            assert np.array_equal(result[i], join([by[i] for by in alone])), NAMES[i]
     np.testing.assert_allclose(
-        found[4][0],
+        result[4][0],
         alone[0][4][0] + alone[1][4][0],
         rtol=1e-6,
-        atol=1e-6 * np.abs(found[4][0]).max(),
+        atol=1e-6 * np.abs(result[4][0]).max(),
     )
-    assert np.array_equal(found[4][1], alone[2][4][0])
+    assert np.array_equal(result[4][1], alone[2][4][0])
     tensors = [
         [None if x is None else torch.as_tensor(x) for x in group]
         for group in (directions_, (*given, m, lights))
@@ -265,7 +265,7 @@ def test_groups_and_images_keep_to_themselves(rng, perspective):
     right = exact_second.of_groups(tensors[0], *tensors[1], rotation, counts, [0, 0, 1])
     for i in (0, 3, 4):  # those by n and view differ in their radial parts
         np.testing.assert_allclose(
-            found[i], right[i], rtol=0, atol=TOLERANCE * np.abs(found[i]).max(), err_msg=NAMES[i]
+            result[i], right[i], rtol=0, atol=TOLERANCE * np.abs(result[i]).max(), err_msg=NAMES[i]
         )
 
 
@@ -274,18 +274,18 @@ def test_adversarial_samples_stay_finite(rng, perspective, monkeypatch):
     """The first derivatives' own, a tenth of them: κ to 30, γ from 1e-3 to 1e5, lights to 1e6,
     silhouettes, horizons, peaks, corners.
     """
-    monkeypatch.setattr(test_adversarial, "GROUPS", 50)
-    w, drawn = directions(*test_adversarial.SIZE)[0].reshape(-1, 3) @ ROTATION.T, 100_000
+    monkeypatch.setattr(awkward_scenes, "GROUPS", 50)
+    w, drawn = directions(*awkward_scenes.SIZE)[0].reshape(-1, 3) @ ROTATION.T, 100_000
     v = (
-        test_adversarial.awkward_views(rng, w, drawn)
+        awkward_scenes.awkward_views(rng, w, drawn)
         if perspective
         else np.broadcast_to([0.0, 0.0, 1.0], (drawn, 3))
     )
-    n, v = (x.astype(np.float32) for x in (test_adversarial.awkward_normals(rng, w, v), v))
-    above = (n * v).sum(1) > test_adversarial.HORIZON
+    n, v = (x.astype(np.float32) for x in (awkward_scenes.awkward_normals(rng, w, v), v))
+    above = (n * v).sum(1) > HORIZON
     group = np.sort(rng.integers(50, size=drawn))[above]
     n, v = n[above].copy(), v[above].copy() if perspective else None
-    m, light = test_adversarial.awkward_materials(rng), test_adversarial.awkward_lights(rng)
+    m, light = awkward_scenes.awkward_materials(rng), awkward_scenes.awkward_lights(rng)
     along = [
         None if x is None else tangential(rng.normal(size=x.shape), x).astype(np.float32)
         for x in (n, v)
@@ -293,17 +293,8 @@ def test_adversarial_samples_stay_finite(rng, perspective, monkeypatch):
     along += [(rng.normal(size=x.shape) * x).astype(np.float32) for x in (m, light)]
     g = rng.normal(size=n.shape).astype(np.float32)
     counts = np.bincount(group, minlength=50).tolist()
-    found = second.gradients(
+    result = second.gradients(
         along, g, n, v, m, light, tuple(ROTATION.flatten().tolist()), counts, list(range(50)), 1
     )
-    for name, by in zip(NAMES, found, strict=True):
+    for name, by in zip(NAMES, result, strict=True):
         assert by is None or (np.isfinite(by).all() and by.any()), name
-
-
-def test_sizes_agree_between_kernels_and_driver():
-    assert (
-        second.TILE == distant.TILE == general.TILE
-        and second.CHUNKS == distant.CHUNKS == cpu.CHUNKS
-    )
-    assert second.DISTANT == 16 * distant_second.ROWS * distant.TILE
-    assert second.GENERAL == general_second.SCRATCH

@@ -11,7 +11,7 @@ import torch
 
 from learn.engines import cpu, threads
 from learn.layer import render
-from tests.learn.engines.conftest import make_scene, material, random_material
+from tests.support.engine_scenes import make_scene, material, random_material
 
 
 def small():

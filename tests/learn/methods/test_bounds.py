@@ -5,12 +5,12 @@ energy, maps are shared rightly.
 import numpy as np
 import pytest
 import torch
-from card_scenes import LIGHTS, MATERIALS, UNIT, light, material, sphere
 
 from learn import methods
 from learn.layer import render
-from learn.methods import directional, median_cut, reflectance_map
+from learn.methods import directional, light_tables, median_cut, reflectance_map
 from shaders.frames import camera_from_light
+from tests.support.card_scenes import LIGHTS, MATERIALS, UNIT, light, material, sphere
 
 ROTATION = torch.as_tensor(camera_from_light())
 HIGH = ((9.0, 0.3, 5.0), (40.0, 3000.0, 2000.0))
@@ -22,7 +22,7 @@ def test_culling_leaves_out_no_more_than_it_may(part, lobes):
     n = sphere(40)[(sphere(40) != 0).any(-1)]
     m = material(*lobes).reshape(3, 3, 2, 6)
     for name in LIGHTS:
-        lights, E = directional.of_map(light(name)[0], ROTATION)
+        lights, E = light_tables.of_map(light(name)[0], ROTATION)
         whole = directional.radiance(n, None, m, E, lights)
         allowed = part * whole.mean().item()
         short = whole - directional.radiance(n, None, m, E, lights, allowed)
@@ -33,7 +33,7 @@ def test_culling_leaves_out_no_more_than_it_may(part, lobes):
 def test_a_cut_light_keeps_the_energy_and_its_number():
     for name in LIGHTS:
         L = light(name)[0].double()
-        whole = directional.of_map(L, ROTATION)[1].sum(0)
+        whole = light_tables.of_map(L, ROTATION)[1].sum(0)
         for count in (64, 256, 1024):
             lights, E = median_cut.cut(L, ROTATION, count)
             assert len(lights.w) == len(E) <= count
@@ -61,8 +61,8 @@ def test_a_map_reproduces_quadratics_of_the_place():
         return torch.stack([1 + p[:, 0], p[:, 0] * p[:, 1], p[:, 1] ** 2], -1)
 
     for dtype, tolerance in ((torch.float64, 1e-12), (torch.float32, 3e-6)):
-        found = reflectance_map.with_nodes(n.to(dtype), 20, function)
-        torch.testing.assert_close(found, function(n).to(dtype), rtol=0, atol=tolerance)
+        result = reflectance_map.with_nodes(n.to(dtype), 20, function)
+        torch.testing.assert_close(result, function(n).to(dtype), rtol=0, atol=tolerance)
 
 
 def scattered(count, size, seed, dtype):
@@ -79,12 +79,12 @@ def scattered(count, size, seed, dtype):
 def test_a_maps_kernel_and_torch_agree_in_nodes_values_and_derivatives():
     n, values, nodes = scattered(200, 20, 6, torch.float32)
     assert torch.equal(nodes, reflectance_map.needed_nodes(n.double(), 20))
-    found = []
+    result = []
     for dtype in (torch.float32, torch.float64):
         leaves = [x.to(dtype).requires_grad_() for x in (n, values)]
         out = reflectance_map.look_up(*leaves, nodes, 20)
-        found.append([out, *torch.autograd.grad((out**2).sum(), leaves)])
-    for single, double in zip(*found, strict=True):
+        result.append([out, *torch.autograd.grad((out**2).sum(), leaves)])
+    for single, double in zip(*result, strict=True):
         # float32 sums of up to some hundred pixels
         torch.testing.assert_close(single.double(), double, rtol=1e-4, atol=1e-5)
 

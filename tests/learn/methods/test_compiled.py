@@ -4,10 +4,10 @@ derivatives.
 
 import pytest
 import torch
-from card_scenes import MATERIALS, light, material, sphere
 
 from learn import methods
 from learn.layer import RenderLayer
+from tests.support.card_scenes import MATERIALS, light, material, sphere
 
 
 class Model(torch.nn.Module):

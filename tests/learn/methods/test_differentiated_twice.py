@@ -11,7 +11,7 @@ import torch
 from learn import methods
 from learn.engines import machine_code
 from learn.layer import render
-from learn.methods import directional, planned, reflectance_map, split_sum
+from learn.methods import directional, light_tables, planned, reflectance_map, split_sum
 from learn.methods.exact import texels
 
 SAMPLED = {"monte_carlo", "monte_carlo_brdf"}
@@ -79,11 +79,11 @@ def first(scene, method, constant, create_graph=False):
         name: x.detach().clone().requires_grad_(name not in constant) for name, x in scene.items()
     }
     seen = render(**leaves, method=method)
-    wanted = {name: x for name, x in leaves.items() if x.requires_grad}
-    found = torch.autograd.grad(
-        (seen * random_like(seen, 1)).sum(), list(wanted.values()), create_graph=create_graph
+    expected = {name: x for name, x in leaves.items() if x.requires_grad}
+    result = torch.autograd.grad(
+        (seen * random_like(seen, 1)).sum(), list(expected.values()), create_graph=create_graph
     )
-    return wanted, dict(zip(wanted, found, strict=True))
+    return expected, dict(zip(expected, result, strict=True))
 
 
 def products(scene, method, constant):
@@ -91,15 +91,15 @@ def products(scene, method, constant):
     weighted}; None taken for 0.
     """
     leaves, slopes = first(scene, method, constant, create_graph=True)
-    found = {}
+    result = {}
     for by, slope in slopes.items():
         weighted = (slope * random_like(slope, 2)).sum()
         seconds = torch.autograd.grad(
             weighted, list(leaves.values()), retain_graph=True, allow_unused=True
         )
         for (then, leaf), x in zip(leaves.items(), seconds, strict=True):
-            found[by, then] = 0.0 if x is None else (x * towards(then, leaf.detach())).sum().item()
-    return found
+            result[by, then] = 0.0 if x is None else (x * towards(then, leaf.detach())).sum().item()
+    return result
 
 
 def towards(name, x):
@@ -115,7 +115,7 @@ def differences(scene, method, constant, step=1e-7):
     """The same by central differences; the step is small against what separates a map's cells and a
     pixel from a texel's horizon.
     """
-    found = {}
+    result = {}
     for then in scene.keys() - constant:
         sums = []
         for sign in (1, -1):
@@ -127,8 +127,8 @@ def differences(scene, method, constant, step=1e-7):
             sums.append(
                 {by: (slope * random_like(slope, 2)).sum().item() for by, slope in slopes.items()}
             )
-        found |= {(by, then): (sums[0][by] - sums[1][by]) / (2 * step) for by in sums[0]}
-    return found
+        result |= {(by, then): (sums[0][by] - sums[1][by]) / (2 * step) for by in sums[0]}
+    return result
 
 
 def require_refusal(scene, method, constant):
@@ -180,12 +180,12 @@ def test_in_float64_they_are_right_or_refused(name, perspective, lobes, constant
     scene = scene_of(torch.float64, perspective, MATERIALS[lobes])
     if not has_second(name, torch.float64, perspective, lobes, constant):
         return require_refusal(scene, name, constant)
-    found, expected = products(scene, name, constant), differences(scene, name, constant)
+    result, expected = products(scene, name, constant), differences(scene, name, constant)
     scale = max(abs(x) for x in expected.values())
     for pair, x in expected.items():
         # rounding of first derivatives, 1e-16 of the largest over a step of 1e-7, is 1e-8 of what
         # they change by in a unit step
-        assert found[pair] == pytest.approx(x, rel=1e-5, abs=1e-7 * scale), pair
+        assert result[pair] == pytest.approx(x, rel=1e-5, abs=1e-7 * scale), pair
 
 
 @pytest.mark.parametrize(("name", "perspective", "lobes", "constant"), list(cases()), ids=label)
@@ -195,12 +195,12 @@ def test_in_float32_they_are_those_of_float64_or_refused(name, perspective, lobe
     scene = scene_of(torch.float32, perspective, MATERIALS[lobes])
     if not has_second(name, torch.float32, perspective, lobes, constant):
         return require_refusal(scene, name, constant)
-    found = products(scene, name, constant)
+    result = products(scene, name, constant)
     expected = products({key: x.double() for key, x in scene.items()}, name, constant)
     scale = max(abs(x) for x in expected.values())
     for pair, x in expected.items():
         # sums of some thousand terms of two signs, γ up to 4000
-        assert found[pair] == pytest.approx(x, rel=1e-3, abs=1e-4 * scale), pair
+        assert result[pair] == pytest.approx(x, rel=1e-3, abs=1e-4 * scale), pair
 
 
 def test_pictures_of_which_one_is_approximated_refuse():
@@ -242,7 +242,7 @@ def test_the_kernels_steps_refuse_by_themselves(perspective):
         scene["light"][0],
     )
     view = scene["view"].reshape(-1, 3) if perspective else None
-    lights, E = directional.of_map(light, torch.eye(3, dtype=torch.float64))
+    lights, E = light_tables.of_map(light, torch.eye(3, dtype=torch.float64))
     seen = [directional.radiance(n, view, m, E, lights)]
     if not perspective:
         seen.append(reflectance_map.with_nodes(n, 16, lambda nodes: nodes))

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 import torch
-from card_scenes import MATERIALS, light, material, sphere
 
-from learn.engines import pixel_selection
+from learn.engines import layout, pixel_selection
 from learn.experiments import chart_cases
 from learn.layer import render
 from learn.methods import auto, coarse, directional, exact, lobe_shapes, planned
 from shaders.envmap import directions
 from shaders.frames import camera_from_light
+from tests.support.card_scenes import MATERIALS, light, material, sphere
 
 ROTATION = tuple(camera_from_light().flatten().tolist())
 RANDOM = np.random.default_rng(2)
@@ -36,9 +36,9 @@ def test_a_coarse_lights_gradient_is_the_adjoint_of_its_energy(level):
 def test_a_coarse_light_keeps_energy_and_direction(texel):
     E = np.zeros((1, 32, 64), np.float32)
     E[0][texel] = 1.0
-    found = coarse.energy(E, 1)[0]
-    np.testing.assert_allclose(found.sum(), 1.0, rtol=1e-6)
-    mean = (found[..., None] * directions(16, 32)[0]).sum((0, 1))
+    result = coarse.energy(E, 1)[0]
+    np.testing.assert_allclose(result.sum(), 1.0, rtol=1e-6)
+    mean = (result[..., None] * directions(16, 32)[0]).sum((0, 1))
     # Catmull–Rom follows sines of two texels' spacing, 0.2 rad, to its third power and better
     assert np.linalg.norm(mean - directions(32, 64)[0][texel]) < 5e-3
 
@@ -55,8 +55,8 @@ def test_detail_tells_a_lit_texel_from_a_smooth_sky():
         name: coarse.Light(L.astype(np.float32), ROTATION).detail()
         for name, L in chart_cases.computed_lights().items()
     }
-    for found in parts.values():
-        assert sum(found) == pytest.approx(1.0) and min(found) >= 0
+    for result in parts.values():
+        assert sum(result) == pytest.approx(1.0) and min(result) >= 0
     assert parts["sky"][0] < 0.01 < 0.5 < parts["sun in a texel"][0] < parts["one texel"][0] == 1.0
 
 
@@ -89,13 +89,13 @@ def leaves(name, lobes, dtype):
 
 @pytest.mark.parametrize("kind", MATERIALS)
 def test_planned_radiance_has_the_derivatives_of_the_sum(kind):
-    found = []
+    result = []
     for method, dtype in (("auto", torch.float32), ("exact", torch.float64)):
         given = leaves("lamps", MATERIALS[kind], dtype)
         seen = render(*given, method=method, tolerance=1e-2)
         weight = torch.linspace(0.5, 1.5, seen.numel(), dtype=dtype).reshape(seen.shape)
-        found.append(torch.autograd.grad((seen * weight).sum(), given))
-    for ours, truth in zip(*found, strict=True):
+        result.append(torch.autograd.grad((seen * weight).sum(), given))
+    for ours, truth in zip(*result, strict=True):
         # The picture may be off by 1e-2; a derivative by n is one of interpolation's weights, of
         # one order less
         assert (ours.double() - truth).abs().mean() <= 0.1 * truth.abs().mean()
@@ -170,14 +170,14 @@ def test_planned_ways_add_up_whatever_their_maps_and_lights():
 
 
 def test_planned_radiance_does_not_depend_on_the_number_of_threads():
-    found, before = [], torch.get_num_threads()
+    result, before = [], torch.get_num_threads()
     for workers in (1, 2):
         torch.set_num_threads(workers)
         given = leaves("lamps", MATERIALS["glossy"], torch.float32)
         seen = render(*given)
-        found.append([seen, *torch.autograd.grad(seen.sum(), given)])
+        result.append([seen, *torch.autograd.grad(seen.sum(), given)])
     torch.set_num_threads(before)
-    for one, other in zip(*found, strict=True):
+    for one, other in zip(*result, strict=True):
         assert torch.equal(one, other)
 
 
@@ -206,7 +206,7 @@ def test_planned_pictures_are_the_same_alone_and_in_a_batch():
 def test_pixels_are_scaled_and_put_back_as_torch_would():
     vectors = torch.randn(50, 3, generator=torch.Generator().manual_seed(3))
     index = torch.tensor([0, 7, 8, 30, 49])
-    found = []
+    result = []
     for step, back in (
         (pixel_selection.unit, pixel_selection.spread),
         (
@@ -216,10 +216,10 @@ def test_pixels_are_scaled_and_put_back_as_torch_would():
     ):
         given = vectors.clone().requires_grad_()
         seen = back(step(given, index) ** 2, index, 50)
-        found.append(
+        result.append(
             [seen, *torch.autograd.grad((seen * torch.arange(150).reshape(50, 3)).sum(), given)]
         )
-    for ours, torchs in zip(*found, strict=True):
+    for ours, torchs in zip(*result, strict=True):
         # what cancels are float32 numbers up to 300
         torch.testing.assert_close(ours, torchs, rtol=1e-4, atol=4e-5)
 
@@ -238,10 +238,10 @@ def test_the_state_of_a_pixel_is_that_of_its_vectors():
     )
     mask = torch.tensor([True, True, True, True, True, False, False])
     outside, away, seen, wrong = (
-        pixel_selection.OUTSIDE,
-        pixel_selection.AWAY,
-        pixel_selection.SEEN,
-        pixel_selection.WRONG,
+        layout.OUTSIDE,
+        layout.AWAY,
+        layout.SEEN,
+        layout.WRONG,
     )
     assert pixel_selection.states(n, None, None, 1e-2, 1e-4).tolist() == [
         outside,
@@ -271,12 +271,4 @@ def test_the_state_of_a_pixel_is_that_of_its_vectors():
         wrong,
         wrong,
         outside,
-    ]
-
-
-def test_states_are_those_of_the_kernel():
-    pixels = pytest.importorskip("learn.engines.pixels", reason="numba is not installed")
-    names = ("OUTSIDE", "AWAY", "SEEN", "WRONG")
-    assert [getattr(pixels, name) for name in names] == [
-        getattr(pixel_selection, name) for name in names
     ]

@@ -10,14 +10,14 @@ import functools
 import numpy as np
 import pytest
 import torch
-from card_scenes import LIGHTS, MATERIALS, light, material
-from dense_integral import VIEWER, radiance
 from scipy.stats import chi2
 
 from learn.layer import render
 from learn.methods import sampling
 from shaders import envmap
 from shaders.frames import camera_from_light
+from tests.support.card_scenes import LIGHTS, MATERIALS, light, material
+from tests.support.dense_integral import VIEWER, radiance
 
 DRAWS = 200_000
 METHODS = ("monte_carlo", "monte_carlo_light", "monte_carlo_brdf")
@@ -216,8 +216,8 @@ def test_derivatives_are_those_of_the_integral_on_average(method, m="satin", L="
     picture, given = picture_of(method, m, L, gradients=True)
     weights = torch.tensor([1.0, 0.7, 0.4])
     means = (picture.reshape(parts, -1, 3).mean(1) * weights).sum(1)
-    found = [torch.autograd.grad(mean, tuple(given.values()), retain_graph=True) for mean in means]
-    for key, name, slopes in zip(("n", "m", "L"), given, zip(*found, strict=True), strict=True):
+    result = [torch.autograd.grad(mean, tuple(given.values()), retain_graph=True) for mean in means]
+    for key, name, slopes in zip(("n", "m", "L"), given, zip(*result, strict=True), strict=True):
         value = N if key == "n" else given[name].detach()[0].double().numpy()
         along = torch.as_tensor(direction(key, value))
         slopes = np.array([(slope.double() * along).sum() for slope in slopes])

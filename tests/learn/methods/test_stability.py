@@ -4,13 +4,13 @@ black.
 
 import pytest
 import torch
-from card_scenes import UNIT, material, sphere
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn import methods
 from learn.layer import render
 from shaders.envmap import directions
+from tests.support.card_scenes import UNIT, material, sphere
 
 METHODS = pytest.mark.parametrize("name", methods.NAMES)
 SIZE = (8, 16)

@@ -1,9 +1,9 @@
-"""A few of the pictures of stress.py for every method."""
+"""A few of the pictures of tests/endurance/layer_stress.py for every method."""
 
 import pytest
-from stress import not_finite
 
 from learn import methods
+from tests.endurance.layer_stress import not_finite
 
 
 @pytest.mark.parametrize("view_per_pixel", [False, True], ids=["distant", "view per pixel"])

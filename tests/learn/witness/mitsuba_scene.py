@@ -78,14 +78,14 @@ def register(variant="llvm_ad_rgb"):
                 mi.warp.square_to_cosine_hemisphere(sample2),
                 2 * dr.dot(si.wi, h) * h - si.wi,
             )
-            found = mi.BSDFSample3f()
-            found.wo, found.pdf, found.eta = wo, self.density(si.wi, wo), 1.0
-            found.sampled_type, found.sampled_component = (
+            result = mi.BSDFSample3f()
+            result.wo, result.pdf, result.eta = wo, self.density(si.wi, wo), 1.0
+            result.sampled_type, result.sampled_component = (
                 mi.UInt32(+mi.BSDFFlags.GlossyReflection),
                 0,
             )
-            seen = active & (wo.z > 0) & (si.wi.z > 0) & (found.pdf > 0)
-            return found, dr.select(seen, self.f(si.wi, wo) * wo.z / found.pdf, 0) & seen
+            seen = active & (wo.z > 0) & (si.wi.z > 0) & (result.pdf > 0)
+            return result, dr.select(seen, self.f(si.wi, wo) * wo.z / result.pdf, 0) & seen
 
         def eval(self, context, si, wo, active):
             seen = active & (wo.z > 0) & (si.wi.z > 0)

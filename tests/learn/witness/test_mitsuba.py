@@ -14,7 +14,7 @@ import torch
 
 from learn.layer import render
 from shaders.envmap import unit_mean
-from tests.learn.witness.frames_of_witness import material, sky, sphere_normals
+from tests.support.witness_scene import material, sky, sphere_normals
 
 SIZE, SUB, SEEDS, SAMPLES, RADIUS = 24, 6, 24, 1024, 0.9  # the sphere spans RADIUS of the picture
 

@@ -1,0 +1,66 @@
+"""Options that `plan` and `render` share: how a job is carried out and its names are found."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from manifests.option_types import positive
+
+if TYPE_CHECKING:
+    from factory.planning.assets import Assets
+    from manifests.schema import Job
+
+DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "metal", "oneapi")
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options to a parser."""
+    parser.add_argument(
+        "--workers",
+        type=positive,
+        default=1,
+        metavar="N",
+        help="number of processes that render (default 1, which uses all CPU threads)",
+    )
+    parser.add_argument(
+        "--device",
+        default="auto",
+        choices=DEVICES,
+        help="where Cycles renders (default auto: a GPU if Cycles can use one, else cpu)",
+    )
+    parser.add_argument(
+        "--assets",
+        metavar="DIR",
+        help="the folder that a job's relative paths start from (default: the job file's folder)",
+    )
+    parser.add_argument(
+        "--lights",
+        metavar="DIR",
+        help="a folder of further light maps, which the job may then name",
+    )
+    parser.add_argument(
+        "--catalogue",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a catalogue of materials besides the built-in ones; repeat the option for several",
+    )
+
+
+def resolve_assets(job: Job, folder: str | Path | None, options: argparse.Namespace) -> Assets:
+    """Return the job's assets; a progress bar shows where reading them takes long.
+
+    folder  where the job's relative paths start, None: paths may lead anywhere
+    """
+    from functools import partial
+
+    from tqdm import tqdm
+
+    from factory.planning.assets import resolve
+
+    interval = 0.1 if sys.stderr.isatty() else 10.0
+    watch = partial(tqdm, leave=False, delay=1.0, mininterval=interval)
+    return resolve(job, folder, options.lights, options.catalogue, watch)

@@ -1,0 +1,199 @@
+"""What a run enters in the data set's folder besides shots: jobs, assets and settings."""
+
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from factory.execution.worker import Reply
+from factory.planning.assets import Light, Material
+from factory.planning.plan import Plan
+from manifests.arrays import encode_light, read_light
+from manifests.errors import InputError
+from manifests.materials import BUILT_IN, Catalogue, Entry, encode, read_catalogue
+from manifests.schema import Dataset, LightEntry, MaterialEntry, Order, ShapeEntry
+from manifests.splits import light_side
+from manifests.store import Store, light_path, readable_hash
+
+
+def register(store: Store, plan: Plan) -> None:
+    """Enter a plan and its assets in the folder's dataset.json, materials.json and lights/.
+
+    Raises  InputError if the folder has another asset of the same name, or has one of the assets
+            on the other side of the split
+    """
+    known = store.dataset() if (store.folder / "dataset.json").exists() else Dataset()
+    assets = plan.assets
+    shapes = {
+        s.name: ShapeEntry(
+            hash=s.hash,
+            category=s.category,
+            side=s.side,
+            role=s.role,
+            segments=s.segments,
+            licence=s.licence,
+            report=s.report,
+        )
+        for s in assets.shapes
+    }
+    materials = {
+        m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source)
+        for m in assets.materials
+    }
+    lights = {
+        light.name: _light_entry(store, light, known.lights.get(light.name))
+        for light in assets.lights.values()
+    }
+    _require_agreement(store, "shape", known.shapes, shapes)
+    _require_agreement(store, "material", known.materials, materials)
+    _require_agreement(store, "light", known.lights, lights)
+    _write_materials(store, assets.materials, known.materials)
+    orders = known.orders
+    if not any(
+        msgspec.structs.replace(order.job, name=plan.job.name, about=plan.job.about) == plan.job
+        for order in orders
+    ):
+        orders = (
+            *orders,
+            Order(
+                job=plan.job, shots=len(plan), begun=datetime.now(UTC).isoformat(timespec="seconds")
+            ),
+        )
+    store.write_json(
+        "dataset.json",
+        msgspec.structs.replace(
+            known,
+            orders=orders,
+            # ids are hashed with the fingerprint, so it is entered before the first record
+            settings={plan.render: {}, **known.settings},
+            shapes={**known.shapes, **shapes},
+            materials={**known.materials, **materials},
+            lights={**known.lights, **lights},
+        ),
+    )
+
+
+def note_settings(store: Store, render: str, reply: Reply) -> None:
+    """Enter the settings and versions of a worker's first reply in dataset.json.
+
+    render  fingerprint of the settings, under which they are entered
+    """
+    known = store.dataset()
+    settings = {**known.settings, render: reply.settings or {}}
+    store.write_json(
+        "dataset.json",
+        msgspec.structs.replace(
+            known, settings=settings, versions={**known.versions, **(reply.versions or {})}
+        ),
+    )
+
+
+def _require_agreement(
+    store: Store,
+    kind: str,
+    known: Mapping[str, ShapeEntry | MaterialEntry | LightEntry],
+    new: Mapping[str, ShapeEntry | MaterialEntry | LightEntry],
+) -> None:
+    """Raise InputError if a name has two meanings, or a shape or material stands on two sides."""
+    sides = {entry.hash: (entry.side, name) for name, entry in known.items() if kind != "light"}
+    for name, entry in new.items():
+        if name in known and known[name].hash != entry.hash:
+            remedy = "rename the new one, or render into another folder"
+            raise InputError(
+                f"{store.folder}: {kind} '{name}'",
+                f"the one already there ({known[name].hash[:12]})",
+                entry.hash[:12],
+                remedy,
+            )
+        if kind != "light" and (held := sides.get(entry.hash)) and held[0] != entry.side:
+            remedy = "use the split rule of the folder's first job, or another folder"
+            raise InputError(
+                f"{store.folder}: {kind} '{name}'",
+                f"side {held[0]}, as '{held[1]}' there",
+                str(entry.side),
+                remedy,
+            )
+
+
+def _light_entry(store: Store, light: Light, known: LightEntry | None) -> LightEntry:
+    """Return the entry of a light, after its map has been stored.
+
+    A map that is there already, undamaged and the one that dataset.json names, is left alone.
+
+    known   the light's entry in dataset.json, or None
+    """
+    file = light_path(light.name, light.hash)
+    digest = readable_hash(store.folder / file)
+    if (
+        digest is None
+        or (known and known.file_hash != digest)
+        or not _holds(store.folder / file, light.L64)
+    ):
+        digest = store.place(file, encode_light(light.L64, light.scale), "main")
+    return LightEntry(
+        hash=light.hash,
+        file=file,
+        file_hash=digest,
+        scale=light.scale,
+        licence=light.licence,
+        source=light.origin,
+        side=light_side(light.hash),
+    )
+
+
+def _holds(path: Path, L: np.ndarray) -> bool:
+    """Return whether a stored light map is L, up to the rounding of another machine."""
+    try:
+        return np.allclose(read_light(path), L, rtol=1e-4, atol=1e-6)
+    except InputError:
+        return False
+
+
+def _write_materials(
+    store: Store, materials: Iterable[Material], known: Mapping[str, MaterialEntry]
+) -> None:
+    """Write materials.json: the catalogue entries of all materials that the folder's jobs name.
+
+    known   {name: MaterialEntry} of dataset.json
+    Raises  InputError if the file is damaged, and some of its materials are neither the plan's nor
+            built in
+    """
+    path = store.folder / "materials.json"
+    ours: dict[str, Entry] = {m.name: m.entry for m in materials}
+    try:
+        held = (
+            {entry.name: entry for entry in read_catalogue(path).materials} if path.exists() else {}
+        )
+    except InputError as problem:
+        held = _built_in(known)
+        if lost := sorted(known.keys() - held.keys() - ours.keys()):
+            remedy = (
+                "restore it, or delete it and render each of the folder's jobs again: they know"
+                f" {', '.join(lost[:3])}"
+            )
+            raise InputError(problem.where, problem.expected, problem.found, remedy) from None
+        entries = held | ours
+    else:
+        entries = held | ours
+        if entries == held:
+            return
+    catalogue = Catalogue(
+        title="The materials of this dataset",
+        credit="each entry names its source and licence",
+        materials=tuple(entries.values()),
+    )
+    store.place("materials.json", encode(catalogue), "main")
+
+
+def _built_in(known: Mapping[str, MaterialEntry]) -> dict[str, Entry]:
+    """Return {name: Entry} of those materials of dataset.json that come with the program."""
+    entries = [
+        entry for path in BUILT_IN if path.exists() for entry in read_catalogue(path).materials
+    ]
+    return {
+        entry.name: entry
+        for entry in entries
+        if entry.name in known and known[entry.name].hash == entry.hash
+    }

@@ -1,0 +1,132 @@
+"""Options that several commands and experiments share, each defined once."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from manifests.option_types import MATERIALS, positive, whole
+
+DEVICES = ("auto", "cpu", "cuda")  # those of learn.data.devices, which needs torch to be imported
+DATA = "a data set that `python -m factory render` wrote"
+
+
+def add_data(parser: argparse.ArgumentParser, what: str = DATA) -> None:
+    """Add --data DIR, a data set; `what` says in the help what it must hold."""
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help=what)
+
+
+def add_out(parser: argparse.ArgumentParser, what: str = "folder for the results") -> None:
+    """Add --out DIR, the folder that the command writes into."""
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help=what)
+
+
+def add_overwrite(parser: argparse.ArgumentParser) -> None:
+    """Add --overwrite, without which earlier results in --out are refused."""
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace earlier results in the folder"
+    )
+
+
+def add_lights(
+    parser: argparse.ArgumentParser,
+    what: str = "further light maps, as arrays of shape (64, 128, 3)",
+) -> None:
+    """Add --lights FILE.npz, light maps besides those of the data set."""
+    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help=what)
+
+
+def add_weights(parser: argparse.ArgumentParser) -> None:
+    """Add --weights FILE; None stands for the weights of learn.editing.predict."""
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        metavar="FILE",
+        help=(
+            "weights.safetensors of a training run (default: the weights that come with the"
+            " program)"
+        ),
+    )
+
+
+def add_exposure(parser: argparse.ArgumentParser, picture: str) -> None:
+    """Add --exposure X; `picture` is what the help calls the picture."""
+    parser.add_argument(
+        "--exposure",
+        type=float,
+        metavar="X",
+        help=(
+            f"multiply the {picture} by X to get radiance (default: estimated from the object's"
+            " brightness)"
+        ),
+    )
+
+
+def add_materials(
+    parser: argparse.ArgumentParser, what: str, default: str | None = "dataset"
+) -> None:
+    """Add --materials dataset|built-in; `what` says which materials, and what the default is."""
+    parser.add_argument("--materials", choices=MATERIALS, default=default, help=what)
+
+
+def add_seed(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add --seed N, of which 0 is the default."""
+    parser.add_argument("--seed", type=whole, default=0, metavar="N", help=f"{what} (default 0)")
+
+
+def add_threads(
+    parser: argparse.ArgumentParser, what: str = "number of threads", default: int = 2
+) -> None:
+    """Add --threads N."""
+    parser.add_argument(
+        "--threads", type=positive, default=default, metavar="N", help=f"{what} (default {default})"
+    )
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Add --workers N, processes that relight pictures for the training process."""
+    parser.add_argument(
+        "--workers",
+        type=whole,
+        default=1,
+        metavar="N",
+        help="number of processes that relight (default 1; 0: relight in the training process)",
+    )
+
+
+def add_training_materials(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add --materials to a command that trains; `default` says in the help what None means."""
+    what = "the data set's own materials, or the built-in ones of MERL and RGL"
+    add_materials(parser, f"{what} (default: {default})", default=None)
+
+
+def add_training_processes(parser: argparse.ArgumentParser) -> None:
+    """Add --threads, --workers and --device to a command that trains."""
+    what = "threads of the network; relighting runs in a process of its own"
+    add_threads(parser, what, default=1)
+    add_workers(parser)
+    add_device(parser)
+
+
+def add_size(parser: argparse.ArgumentParser, default: int) -> None:
+    """Add --size PIXELS, the side of square pictures."""
+    parser.add_argument(
+        "--size",
+        type=positive,
+        default=default,
+        metavar="PIXELS",
+        help=f"side of the pictures in pixels (default {default})",
+    )
+
+
+def add_device(parser: argparse.ArgumentParser) -> None:
+    """Add --device; arguments.device is then one of DEVICES."""
+    parser.add_argument(
+        "--device",
+        choices=DEVICES,
+        default="auto",
+        help=(
+            "where networks and the layer compute (default auto: cuda if torch sees a CUDA device,"
+            " else cpu)"
+        ),
+    )

@@ -1,0 +1,178 @@
+"""Compositing: a photograph with its object rendered again in other materials.
+
+    edited = coverage · O / (exposure · balance) + (1 − coverage) · background
+
+where O is the layer's picture of normals, light and target material. The background behind the
+object's soft edge is taken from the nearest pixel that the object does not touch. Normals come at
+the network's size, are continued beyond the mask by their nearest neighbour, upsampled bilinearly
+and scaled to unit length; the layer renders them on a grid as fine as the photograph, between
+COARSEST and FINEST.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+from learn.data import photographs
+from learn.data.devices import array
+from learn.editing.decomposition import Decomposition
+from learn.layer import predictions
+
+# rows of the rendered grid: smaller objects are supersampled, and normals have no finer detail
+COARSEST, FINEST = 256, 1024
+CLEAR = 0.02  # coverage under which a pixel is background
+DETAIL_WIDTH = 1.5  # network pixels: normals have no detail finer than this
+LARGEST_DETAIL = 1.5  # factor
+
+
+class Compositor:
+    """Puts the object of a Decomposition into its photograph in other materials.
+
+    tolerance  of the layer
+    detail     share of the shading finer than the network's pixels that is kept: 0 none, 1 all
+    """
+
+    def __init__(
+        self,
+        decomposition: Decomposition,
+        tolerance: float = predictions.SHOWN.tolerance,
+        detail: float = 0.0,
+    ):
+        self.decomposition, self.tolerance, self.detail = decomposition, tolerance, detail
+        top, left, side = decomposition.framed.box
+        self.side, self.grid = side, int(np.clip(side, COARSEST, FINEST))
+        self.regions = photographs.placed(decomposition.photograph.regions, (top, left, side))
+        self.coverage = photographs.placed(decomposition.photograph.coverage, (top, left, side))
+        self.n = upsampled_normals(decomposition.parts.n[0], decomposition.framed.mask, self.grid)
+        self.filled = nearest(self.regions, self.regions > 0)
+        rows = ((np.arange(self.grid) + 0.5) * side / self.grid).astype(int)
+        wide = dilated(self.coverage > 0)[rows][:, rows]
+        segments = np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
+        self.segments = torch.from_numpy(segments).to(self.n.device)
+        self.own = decomposition.label
+        self._own_radiance: np.ndarray | None = None
+        self._fine_shading: np.ndarray | None = None
+        self._background: np.ndarray | None = None
+
+    def radiance(self, label: np.ndarray | torch.Tensor) -> np.ndarray:
+        """Return linear radiance (side, side, 3) of the object in the photograph's own exposure.
+
+        label  (S, 108), or (1, 108) for all regions
+        """
+        label = torch.as_tensor(label, dtype=torch.float32).to(self.n.device)
+        picture = predictions.picture(
+            self.n.movedim(-1, 0)[None],
+            label[None],
+            self.decomposition.parts.light,
+            self.segments[None],
+            self.decomposition.batch.elevation,
+            predictions.SHOWN._replace(tolerance=self.tolerance),
+        )
+        return self.upsampled(array(picture[0])) / self.decomposition.exposure.astype(np.float32)
+
+    def upsampled(self, picture: np.ndarray) -> np.ndarray:
+        """Return a picture on the rendered grid at the photograph's size (side, side, 3)."""
+        return photographs.resized(picture, self.side)
+
+    def edited(self, labels: Sequence[np.ndarray | None]) -> np.ndarray:
+        """Return the photograph (H, W, 3), linear, with its object in other materials.
+
+        labels  one (108,) for each region, or None for a region that stays as it is; a single one
+                is for all regions
+        """
+        regions = len(self.own)
+        requested = list(labels) * regions if len(labels) == 1 else list(labels)
+        label = np.stack(
+            [
+                own if target is None else np.asarray(target, np.float32)
+                for own, target in zip(self.own, requested, strict=True)
+            ]
+        )
+        object_ = self.radiance(label)
+        if self.detail:
+            object_ = object_ * self.fine_shading() ** self.detail
+        unchanged = [s + 1 for s in range(regions) if requested[s] is None]
+        return self.put_back(object_, np.isin(self.filled, unchanged))
+
+    def rendered_again(self) -> np.ndarray:
+        """Return the photograph (H, W, 3), linear, with its object rendered from its own parts."""
+        return self.put_back(self.own_radiance())
+
+    def put_back(self, object_: np.ndarray, unchanged: np.ndarray | None = None) -> np.ndarray:
+        """Return the photograph (H, W, 3), linear, with an object before its background.
+
+        object_    (side, side, 3) linear radiance
+        unchanged  (side, side) bool: pixels that stay as they are; None: no pixel
+        """
+        photograph = self.decomposition.photograph
+        inside = self.coverage if unchanged is None else self.coverage * ~unchanged
+        cut = photographs.placed(photograph.radiance, self.decomposition.framed.box)
+        if photograph.cut_out:
+            mixed = np.where((inside > 0)[..., None], object_, cut)
+        else:
+            if self._background is None:
+                self._background = nearest(cut, self.coverage < CLEAR)
+            soft = (inside > 0) & (inside < 1 - CLEAR)
+            mixed = inside[..., None] * object_ + (1 - inside)[..., None] * np.where(
+                soft[..., None], self._background, cut
+            )
+        return photographs.put_back(
+            photograph.radiance, mixed.astype(np.float32), self.decomposition.framed.box
+        )
+
+    def own_radiance(self) -> np.ndarray:
+        """Return radiance (side, side, 3) of the object in its own materials, rendered once."""
+        if self._own_radiance is None:
+            self._own_radiance = self.radiance(self.own)
+        return self._own_radiance
+
+    def fine_shading(self) -> np.ndarray:
+        """Return factors (side, side, 3): the photograph's shading that normals are too coarse for.
+
+        They are the photograph over its own re-rendering, without the coarse part of this ratio.
+        """
+        if self._fine_shading is None:
+            again = self.own_radiance()
+            seen = photographs.placed(
+                self.decomposition.photograph.radiance, self.decomposition.framed.box
+            )
+            floor = 0.02 * max(float(seen[self.regions > 0].mean()), 1e-6)
+            log = np.log(np.maximum(seen, floor)) - np.log(np.maximum(again, floor))
+            width = DETAIL_WIDTH * self.side / len(self.decomposition.framed.mask)
+            weight = (self.coverage > 1 - CLEAR).astype(np.float32)
+            share = np.maximum(gaussian_filter(weight, width), 1e-3)
+            fine = [
+                (log[..., k] - gaussian_filter(log[..., k] * weight, width) / share) * weight
+                for k in range(3)
+            ]
+            self._fine_shading = np.exp(
+                np.clip(np.stack(fine, -1), -np.log(LARGEST_DETAIL), np.log(LARGEST_DETAIL))
+            )
+        return self._fine_shading
+
+
+def upsampled_normals(n: torch.Tensor, mask: np.ndarray, size: int) -> torch.Tensor:
+    """Return unit normals (size, size, 3) of n (3, h, w), continued beyond the mask (h, w)."""
+    filled = torch.stack([torch.from_numpy(nearest(channel, mask)) for channel in array(n)]).to(
+        n.device
+    )
+    smooth = F.interpolate(
+        filled[None], (size, size), mode="bilinear", antialias=size < n.shape[-1]
+    )[0]
+    return F.normalize(smooth, dim=0).movedim(0, -1).contiguous()
+
+
+def nearest(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Return an array (H, W) or (H, W, C) with the nearest value of `where` (H, W) elsewhere."""
+    if not where.any():
+        return values
+    index = distance_transform_edt(~where, return_distances=False, return_indices=True)
+    return values[tuple(index)]
+
+
+def dilated(mask: np.ndarray) -> np.ndarray:
+    """Return the mask (H, W) bool with the pixels beside it."""
+    return distance_transform_edt(~mask) < 1.5

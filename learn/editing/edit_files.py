@@ -1,0 +1,129 @@
+"""The files of `learn edit`: their names, and how they are written."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from learn.data import photographs
+from learn.data.devices import array
+from learn.editing import drawing, material_file, targets
+from learn.figures import montage
+from learn.metrics.pictures import display_l2
+from manifests import files
+from manifests.errors import InputError
+from shaders import tone
+
+if TYPE_CHECKING:
+    from learn.editing.edit import EditOptions, EditResult
+
+PARTS = (
+    "normals.exr",
+    "normals.png",
+    "light.exr",
+    "light.png",
+    "rendering.png",
+    "material.json",
+    "ball.png",
+    "reflectance.png",
+)
+
+
+def reserve(
+    path: Path, materials: Sequence[str], inputs: Sequence[str | Path], out: Path, overwrite: bool
+) -> list[str]:
+    """Return the names, without endings, of the edited pictures, once they may be written.
+
+    Raises  InputError for a material named twice, or for files that are there already
+    """
+    if len(set(materials)) < len(materials):
+        raise InputError(
+            "--material", "materials of different names", ", ".join(materials), "name each once"
+        )
+    names = (
+        ["edited"]
+        if len(materials) == 1
+        else [f"edited-{targets.file_name(text)}" for text in materials]
+    )
+    names = [
+        name if names.count(name) == 1 else f"{name}-{number}"
+        for number, name in enumerate(names, 1)
+    ]
+    linear = Path(path).is_dir() or Path(path).suffix.lower() == ".exr"
+    endings = (".png", ".exr") if linear else (".png",)
+    edited = [name + ending for name in names for ending in endings]
+    files.reserve_outputs(out, [*PARTS, "sheet.png", "edit.json", *edited], overwrite, list(inputs))
+    return names
+
+
+def write(
+    out: Path, names: Sequence[str], result: "EditResult", edit_options: "EditOptions"
+) -> dict:
+    """Write every file into the folder `out`, all or none, and return what edit.json holds."""
+    decomposed, opened = result.decomposition, result.decomposition.photograph
+    parts, mask = decomposed.parts, decomposed.framed.mask
+    n, L = array(parts.n[0].movedim(0, -1)), array(parts.light[0].movedim(0, -1))
+    exposure = drawing.exposure_of(opened)
+    report = report_of(result, edit_options)
+    out.mkdir(parents=True, exist_ok=True)
+    with files.transaction():
+        photographs.write_exr(out / "normals.exr", n * mask[..., None], "XYZ")
+        photographs.write_exr(out / "light.exr", L)
+        save(out / "normals.png", montage.normals_picture(n, mask))
+        save(out / "light.png", montage.light_picture(L))
+        save(out / "rendering.png", tone.display(result.rendering, exposure))
+        save(out / "ball.png", drawing.material_sphere(parts.label[0, 0], decomposed))
+        save(
+            out / "reflectance.png",
+            montage.contact_sheet([drawing.reflectance_maps(decomposed)], drawing.TILE),
+        )
+        material_file.write(
+            out / "material.json",
+            array(parts.label[0]),
+            decomposed.framed,
+            result.metadata,
+            edit_options.weights,
+        )
+        for name, edit in zip(names, result.edits, strict=True):
+            picture = tone.display(edit.picture, exposure)
+            save(out / f"{name}.png", drawing.with_alpha(picture, opened))
+            if opened.linear:
+                photographs.write_exr(out / f"{name}.exr", edit.picture)
+        save(
+            out / "sheet.png",
+            montage.contact_sheet(drawing.rows(result, exposure), drawing.TILE),
+        )
+        files.write_json(out / "edit.json", report)
+    return report
+
+
+def report_of(result: "EditResult", edit_options: "EditOptions") -> dict:
+    """Return what edit.json holds."""
+    decomposed, opened = result.decomposition, result.decomposition.photograph
+    refined = decomposed.refined
+    return {
+        "photograph": opened.name,
+        "size": opened.mask.shape,
+        "materials": [edit.text for edit in result.edits],
+        "exposure": decomposed.framed.exposure,
+        "white_balance": [float(x) for x in opened.balance],
+        "regions": opened.count,
+        "refined": (
+            None if refined is None else {"before": refined.before, "after": refined.after}
+        ),
+        "display_l2": {
+            edit.text: {
+                "mask": display_l2(edit.picture, edit.truth, opened.mask),
+                "frame": display_l2(edit.picture, edit.truth, opened.mask, frame=True),
+            }
+            for edit in result.edits
+            if edit.truth is not None
+        },
+    } | edit_options.as_metadata()
+
+
+def save(path: Path, picture: np.ndarray) -> None:
+    """Write a PNG of display values (H, W, 3 or 4). Raises InputError for values not finite."""
+    photographs.require_finite(path, picture)
+    files.write_image(path, montage.eight_bit(picture), "PNG")

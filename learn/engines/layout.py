@@ -1,0 +1,99 @@
+"""The layout of the kernels' tables: rows, strides, tiles and chunks.
+
+Kernels and the code that fills their tables import the same names. numba compiles global integers
+in as constants. This module needs neither numba nor numpy.
+
+A row is LANES floats side by side, one for each light (or sample) of a block. Row numbers count
+within a block, so row R of the block that begins at float `o` begins at `o + LANES * R`. A vector
+takes three rows in the order x, y, z. Strides are in floats.
+"""
+
+LANES = 16
+
+# Lights of a distant viewer: w, h, and what rounding to float32 took off h.
+W_X, W_Y, W_Z, H_X, H_Y, H_Z, H_REST_X, H_REST_Y, H_REST_Z = range(9)
+DISTANT_ROWS = 9
+DISTANT_STRIDE = LANES * DISTANT_ROWS
+
+# Lights of a view per pixel: w in the same rows as above, and what rounding took off w.
+W_REST_X, W_REST_Y, W_REST_Z = range(3, 6)
+GENERAL_ROWS = 6
+GENERAL_STRIDE = LANES * GENERAL_ROWS
+
+# Energy: a row for each channel. Sums by n, by v, and by radiance have the same shape.
+ENERGY_STRIDE = LANES * 3
+
+# Lobes at each light: (lobe, channel, (γ, κ log2 e)).
+GAMMA, KAPPA = range(2)
+CHANNEL_STRIDE = LANES * 2
+LOBE_STRIDE = CHANNEL_STRIDE * 3
+LOBES_STRIDE = LOBE_STRIDE * 3
+
+# Control values of a material (lobe, channel, (γ, κ), 6), and the slopes of its splines (…, 5).
+CONTROL_VALUES = 6
+BASIS_STRIDE = LANES * CONTROL_VALUES  # of the spline's basis at each light's θ_d
+KAPPA_VALUES = CONTROL_VALUES  # κ's control values lie behind γ's
+CHANNEL_VALUES = 2 * CONTROL_VALUES
+LOBE_VALUES = 3 * CHANNEL_VALUES
+VALUES = 3 * LOBE_VALUES
+STEPS_OF_CURVE = CONTROL_VALUES - 1
+STEPS = 3 * 3 * 2 * STEPS_OF_CURVE
+
+# Cones about a block's lights, one lane per block: the cone about w (axis, cosine and sine of its
+# half angle), the one about h, the energy in the brightest channel, and of each of at most three
+# lobes the least γ and the largest κ log2 e.
+CONE_W_X, CONE_W_Y, CONE_W_Z, CONE_W_COS, CONE_W_SIN = range(5)
+CONE_H_X, CONE_H_Y, CONE_H_Z, CONE_H_COS, CONE_H_SIN = range(5, 10)
+CONE_ENERGY = 10
+CONE_GAMMA = 11
+CONE_KAPPA = 14
+CONE_ROWS = 17
+CONE_STRIDE = LANES * CONE_ROWS
+
+# Scratch of culled.select for sixteen blocks: of each lobe the bound, then the weight and later the
+# cut. When the cuts are known, the first lobe's bound gives way to the least cosine with the axis.
+SELECT_BOUND, SELECT_REACH, SELECT_WEIGHT = 0, 0, 3
+SELECT_ROWS = 6
+SELECT_STRIDE = LANES * SELECT_ROWS
+
+# A list entry's cuts: one per lobe, then the least cosine with the axis of the cone about h.
+CUTS = 4
+CUT_REACH = 3
+
+# Samples of the quadrature about the z axis: half vector, log2 cos θ, solid angle.
+SAMPLE_X, SAMPLE_Y, SAMPLE_Z, SAMPLE_LOG_COSINE, SAMPLE_SOLID_ANGLE = range(5)
+SAMPLE_ROWS = 5
+SAMPLE_STRIDE = LANES * SAMPLE_ROWS
+# Their scratch: f μ dω by channel, the border's row and column, and the share beyond it.
+FOOTPRINT_ROW, FOOTPRINT_COLUMN, FOOTPRINT_BELOW, FOOTPRINT_RIGHT = range(3, 7)
+FOOTPRINT_ROWS = 7
+
+# Pixels that are summed together, by kernel.
+DISTANT_TILE = 32  # they share a block of lights in the first-level cache
+GENERAL_TILE = 32
+CULLED_TILE = 64  # at most: they share a list
+SAMPLE_TILE = 16
+
+# Parts of the backward passes' work, which are also the most threads that they can use. They never
+# depend on the number of threads, so that sums come out the same.
+LIGHT_CHUNKS = 16
+CULLED_CHUNKS = 4  # of tiles
+MAP_CHUNKS = 4  # of pixels
+
+# Scratch, in floats: for the sums of one tile and, in the backward passes, of one chunk.
+DISTANT_SCRATCH = ENERGY_STRIDE * DISTANT_TILE
+GENERAL_SCRATCH = 2 * ENERGY_STRIDE * GENERAL_TILE + LANES * VALUES  # by n, by v, by m
+CULLED_SCRATCH = ENERGY_STRIDE * CULLED_TILE + 3 * CULLED_TILE  # sums, then normals (3, tile)
+# Second derivatives: rows of a pixel's sums (by n, by g; by n, by v, by g), and those by m.
+DISTANT_SECOND_ROWS = 6
+GENERAL_SECOND_ROWS = 9
+DISTANT_SECOND_SCRATCH = LANES * DISTANT_SECOND_ROWS * DISTANT_TILE
+GENERAL_SECOND_SCRATCH = LANES * (GENERAL_SECOND_ROWS * GENERAL_TILE + VALUES + STEPS)
+
+# A kernel leaves a lobe out where log2 of its height, relative to its peak, is below this.
+NEGLIGIBLE = -40.0
+
+# States of a pixel (learn.engines.pixels). AWAY: inside the mask, facing away from the viewer.
+# WRONG: inside the mask, a vector whose length is not close to 1, or NaN.
+OUTSIDE, AWAY, SEEN, WRONG = range(4)
+SHORTEST = 1e-12  # as torch.nn.functional.normalize: a vector of length 0 stays 0

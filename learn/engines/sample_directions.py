@@ -1,0 +1,225 @@
+"""Kernel of the half-vector quadrature: sample directions about each pixel's normal.
+
+P pixels, blocks of 16 samples (LANES), ordered by radius; all arrays float32, flat, C order.
+n, v      (P, 3) unit normals, and unit vectors to the viewer, camera frame
+around    (blocks, 5, 16): half vectors about the z axis as sin θ cos φ, sin θ sin φ, cos θ; log2
+          cos θ; solid angle
+m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
+least     (3 lobes,): smallest γ of a lobe that reflects, to skip blocks that it does not reach
+rotation  (9,): camera_from_light, row by row
+light     (height, width, 3): radiance
+scratch   per call: (7, 16) floats
+
+    I_k = Σ_i F_k L_k(w_i) max(0, n·w_i) 4 (v·h_i) dω_h,   w = 2 (v·h) h − v,   cos θ_d = v·h,   c =
+    n·h = cos θ
+
+c and its logarithm belong to the sample, not to the pixel: they have full precision, however sharp
+the lobe. A sample's footprint is the square of its solid angle dω = 4 (v·h) dω_h, at most a texel
+wide each way: L_k is the mean over it, so that the sum does not jump where a sample crosses a
+texel's border, and few samples resolve the border's place (learn.methods.quadrature.footprint).
+"""
+
+import numpy as np
+from numba import types
+
+from learn.engines.compilation import inlined
+from learn.engines.exponentials import angle, exp2, exp2m1
+from learn.engines.layout import (
+    CHANNEL_VALUES,
+    FOOTPRINT_BELOW,
+    FOOTPRINT_COLUMN,
+    FOOTPRINT_RIGHT,
+    FOOTPRINT_ROW,
+    KAPPA_VALUES,
+    LANES,
+    LOBE_VALUES,
+    NEGLIGIBLE,
+    SAMPLE_LOG_COSINE,
+    SAMPLE_SOLID_ANGLE,
+    SAMPLE_STRIDE,
+    SAMPLE_TILE,
+    SAMPLE_X,
+    SAMPLE_Y,
+    SAMPLE_Z,
+)
+from learn.engines.splines import Basis, basis, curve
+from learn.engines.vector import (
+    FLOAT_POINTER,
+    Lanes,
+    Vector,
+    anywhere,
+    fma,
+    lane_max,
+    lane_sum,
+    load,
+    maximum,
+    minimum,
+    select,
+    splat,
+    sqrt,
+    store,
+)
+
+TINY = 1e-30  # added to a square so that an angle is defined at the poles
+PI = 3.141592653589793
+ROUND = 12582912.0  # 1.5 · 2^23: x + ROUND − ROUND is the nearest whole number
+
+FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9)
+
+
+@inlined
+def lobe(m: np.ndarray, o: int, log_c: Lanes, b: Basis) -> Lanes:
+    """expm1(κ c^γ) of the lobe and channel at offset o."""
+    return exp2m1(curve(m, o + KAPPA_VALUES, b) * exp2(curve(m, o, b) * log_c))
+
+
+@inlined
+def polar_angles(x: Lanes, y: Lanes, z: Lanes) -> tuple[Lanes, Lanes]:
+    """θ from +y in [0, π] and φ from +x through +z in [0, 2π] of sixteen directions."""
+    theta = angle(fma(x, x, z * z) + TINY, y * y)
+    theta = select(y < 0.0, PI - theta, theta)
+    phi = angle(z * z, x * x + TINY)
+    phi = select(x < 0.0, PI - phi, phi)
+    return theta, select(z < 0.0, 2.0 * PI - phi, phi)
+
+
+@inlined
+def reflectance(m: np.ndarray, least: np.ndarray, log_c: Lanes, cos_d: Lanes) -> Vector:
+    """F (3 channels) of sixteen samples."""
+    b = basis(angle(maximum(1.0 - cos_d * cos_d, 0.0), cos_d * cos_d + TINY))
+    nearest = lane_max(log_c)
+    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+    for s in range(3):
+        if nearest * least[s] > NEGLIGIBLE:
+            f0 = f0 + lobe(m, LOBE_VALUES * s, log_c, b)
+            f1 = f1 + lobe(m, LOBE_VALUES * s + CHANNEL_VALUES, log_c, b)
+            f2 = f2 + lobe(m, LOBE_VALUES * s + 2 * CHANNEL_VALUES, log_c, b)
+    return f0, f1, f2
+
+
+@inlined
+def border(x: Lanes, width: Lanes) -> tuple[Lanes, Lanes]:
+    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it.
+
+    Texel k begins at x = k.
+    """
+    k = (x + ROUND) - ROUND
+    return k, minimum(maximum((x - k) / minimum(width, 1.0) + 0.5, 0.0), 1.0)
+
+
+@inlined
+def alone(border: Lanes, beyond: Lanes) -> bool:
+    """Whether the footprints of all lanes lie in one row (or column) of texels."""
+    place = border + beyond  # whole where no footprint is divided
+    return lane_max(place) + lane_max(0.0 - place) == 0.0 and not anywhere(
+        beyond * (1.0 - beyond) > 0.0
+    )
+
+
+@inlined
+def corner(row: float, column: float, height: int, width: int) -> int:
+    """Number of the texel at a row and column; rows end at the poles, columns wrap around."""
+    i, j = int(row), int(column)
+    i = 0 if i < 0 else height - 1 if i >= height else i
+    j = j + width if j < 0 else j - width if j >= width else j
+    return i * width + j
+
+
+def forward(
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    height: int,
+    width: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    around: np.ndarray,
+    m: np.ndarray,
+    least: np.ndarray,
+    rotation: np.ndarray,
+    light: np.ndarray,
+    scratch: np.ndarray,
+    radiance: np.ndarray,
+) -> None:
+    """Radiance (P, 3) of pixel tiles first … last − 1."""
+    for p in range(first * SAMPLE_TILE, min(last * SAMPLE_TILE, pixels)):
+        nx, ny, nz = n[3 * p], n[3 * p + 1], n[3 * p + 2]
+        vx, vy, vz = v[3 * p], v[3 * p + 1], v[3 * p + 2]
+        # axes across n that turn smoothly with it (Duff et al. 2017)
+        sign = -1.0 if nz < 0.0 else 1.0
+        a = -1.0 / (sign + nz)
+        ux, uy, uz = 1.0 + sign * nx * nx * a, sign * nx * ny * a, -sign * nx
+        tx, ty, tz = nx * ny * a, sign + ny * ny * a, -ny
+        i0, i1, i2 = 0.0, 0.0, 0.0
+        for block in range(blocks):
+            o = SAMPLE_STRIDE * block
+            q, r = load(around, o + LANES * SAMPLE_X), load(around, o + LANES * SAMPLE_Y)
+            c, log_c = (
+                load(around, o + LANES * SAMPLE_Z),
+                load(around, o + LANES * SAMPLE_LOG_COSINE),
+            )
+            solid_angle = load(around, o + LANES * SAMPLE_SOLID_ANGLE)
+            hx = fma(q, ux, fma(r, tx, c * nx))
+            hy = fma(q, uy, fma(r, ty, c * ny))
+            hz = fma(q, uz, fma(r, tz, c * nz))
+            cos_d = fma(hx, vx, fma(hy, vy, hz * vz))
+            wx, wy, wz = (
+                fma(2.0 * cos_d, hx, -vx),
+                fma(2.0 * cos_d, hy, -vy),
+                fma(2.0 * cos_d, hz, -vz),
+            )
+            n_w = fma(wx, nx, fma(wy, ny, wz * nz))
+            weight = maximum(n_w, 0.0) * maximum(cos_d, 0.0) * solid_angle * 4.0
+            if not anywhere(weight > 0.0):
+                continue
+            f0, f1, f2 = reflectance(m, least, log_c, cos_d)
+            store(scratch, 0, f0 * weight)
+            store(scratch, LANES, f1 * weight)
+            store(scratch, 2 * LANES, f2 * weight)
+            w_up = fma(wx, rotation[1], fma(wy, rotation[4], wz * rotation[7]))
+            theta, phi = polar_angles(
+                fma(wx, rotation[0], fma(wy, rotation[3], wz * rotation[6])),
+                w_up,
+                fma(wx, rotation[2], fma(wy, rotation[5], wz * rotation[8])),
+            )
+            side = sqrt(4.0 * maximum(cos_d, 0.0) * solid_angle)
+            row, by_row = border(theta * (height / PI), side * (height / PI))
+            sine = sqrt(maximum(1.0 - w_up * w_up, TINY))
+            column, by_column = border(
+                phi * (width / (2.0 * PI)), side * (width / (2.0 * PI)) / sine
+            )
+            if alone(row, by_row) and alone(column, by_column):
+                texel = 3 * corner(
+                    lane_max(row + by_row) - 1.0, lane_max(column + by_column) - 1.0, height, width
+                )
+                i0 += lane_sum(f0 * weight) * light[texel]
+                i1 += lane_sum(f1 * weight) * light[texel + 1]
+                i2 += lane_sum(f2 * weight) * light[texel + 2]
+                continue
+            store(scratch, 0, f0 * weight)
+            store(scratch, LANES, f1 * weight)
+            store(scratch, 2 * LANES, f2 * weight)
+            store(scratch, LANES * FOOTPRINT_ROW, row)
+            store(scratch, LANES * FOOTPRINT_COLUMN, column)
+            store(scratch, LANES * FOOTPRINT_BELOW, by_row)
+            store(scratch, LANES * FOOTPRINT_RIGHT, by_column)
+            for lane in range(LANES):
+                k = scratch[LANES * FOOTPRINT_ROW + lane]
+                t = scratch[LANES * FOOTPRINT_COLUMN + lane]
+                under = scratch[LANES * FOOTPRINT_BELOW + lane]
+                q = scratch[LANES * FOOTPRINT_RIGHT + lane]
+                for below in range(2):
+                    share = under if below else 1.0 - under
+                    if share > 0.0:
+                        left = 3 * corner(k + below - 1.0, t - 1.0, height, width)
+                        right = 3 * corner(k + below - 1.0, t, height, width)
+                        one, other = share * (1.0 - q), share * q
+                        i0 += scratch[lane] * (one * light[left] + other * light[right])
+                        i1 += scratch[LANES + lane] * (
+                            one * light[left + 1] + other * light[right + 1]
+                        )
+                        i2 += scratch[2 * LANES + lane] * (
+                            one * light[left + 2] + other * light[right + 2]
+                        )
+        radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = i0, i1, i2

@@ -1,0 +1,318 @@
+"""The page that comes with weights: what they learned from, and their errors on unseen pictures.
+
+It is made from the run's own files and measured again: `python -m learn evaluate-network`.
+"""
+
+import json
+from collections.abc import Iterable, Sequence, Sized
+from pathlib import Path
+from typing import Any, cast
+
+import msgspec
+import numpy as np
+import torch
+
+from learn.data import devices
+from learn.data.batch import ExampleBatch
+from learn.data.relit import DataSplit, RelitDataset
+from learn.data.rendered import RenderedDataset
+from learn.data.settings import Run, decode_run
+from learn.metrics import bootstrap
+from learn.networks import weights as checkpoint
+from learn.networks.prediction import Prediction
+from learn.training import montage as training_montage
+from learn.training import validation
+from manifests import files
+from manifests.errors import InputError
+
+BATCH, SEED = 16, 77
+WORDS = {
+    "angle_deg": "normals, mean angle (°)",
+    "cosine": "normals, mean cosine",
+    "irradiance": "irradiance, relative error",
+    "constant_irradiance": "the same of a constant light",
+    "albedo": "material, log albedo, root mean square error",
+    "constant_albedo": "the same of the training materials' mean",
+    "image_l2": "I′, display L2 over the mask",
+    "target_l2": "O′, display L2 over the mask",
+    "control_l2": "the same with predicted normals and a constant light",
+}
+
+
+def make(
+    weights: Path,
+    data_splits: dict[str, DataSplit],
+    out: Path,
+    batches: int,
+    note: str = "",
+    seeds: Sequence[Path] = (),
+    device: str | torch.device = "cpu",
+) -> dict[str, dict[str, list[float]]]:
+    """Measure weights on the test split: on relit pictures, and on all of its rendered ones.
+
+    seeds    weights of the same run with other seeds, measured on the same pictures
+    device   where networks and the layer compute
+    Writes   card.md, card.json, sheet.jpg and sheet-cycles.jpg into `out`
+    Returns  {"figures", "cycles"}, each {figure: [mean, low, high]}
+    Raises   InputError where one of the seeds is of another run, or a seed is there twice
+    """
+    network, metadata = checkpoint.load_network(weights, device)
+    run, out, test = (
+        decode_run(json.dumps(metadata["run"]).encode(), weights),
+        Path(out),
+        data_splits["test"],
+    )
+    others = [_same_run(path, weights, run, device) for path in seeds]
+    _all_different([weights, *seeds], [run, *(other for _, _, other in others)])
+    out.mkdir(parents=True, exist_ok=True)
+    constant = validation.mean_albedo(data_splits["train"])
+    report = {
+        "run": metadata["run"],
+        "step": metadata.get("step"),
+        "sizes": _sizes(network, data_splits),
+        "note": note,
+    }
+    if others:
+        report["seeds"] = [
+            [run.seed, report["step"]],
+            *([other.seed, step] for _, step, other in others),
+        ]
+    relit = RelitDataset(test, run.data, BATCH, run.size, SEED)
+    places: list[tuple[str, RelitDataset | RenderedDataset, int, str]] = [
+        ("", relit, batches, "sheet.jpg")
+    ]
+    if test.rendered_split:
+        rendered = RenderedDataset(test, run.data, 1, run.size, SEED)
+        places.append(
+            ("cycles", rendered, len(cast(Sized, test.rendered_split)), "sheet-cycles.jpg")
+        )
+        report["cycles_about"] = _of_split(test.rendered_split)
+    for where, source, count, sheet_name in places:
+        results = [
+            measured(network, run, (source[k] for k in range(count)), constant, out / sheet_name)
+        ]
+        results += [
+            measured(other, run, (source[k] for k in range(count)), constant)
+            for other, _, _ in others
+        ]
+        report |= _under(where, results)
+    with files.transaction():
+        files.write_json(out / "card.json", report)
+        files.write_text(out / "card.md", _page(report))
+    return {key: report[key] for key in ("figures", "cycles") if key in report}
+
+
+def _same_run(path, first, run, device="cpu"):
+    """(network, step, run) of weights that differ from the first in nothing but their seed."""
+    network, metadata = checkpoint.load_network(path, device)
+    other = decode_run(json.dumps(metadata["run"]).encode(), path)
+    if msgspec.structs.replace(other, seed=run.seed, name=run.name, about=run.about) != run:
+        raise InputError(
+            path,
+            f"weights of the run of {first} with another seed",
+            "other settings",
+            "measure them by a card of their own",
+        )
+    return network, metadata.get("step"), other
+
+
+def _all_different(paths, runs):
+    for path, run in zip(paths, runs, strict=True):
+        if sum(other.seed == run.seed for other in runs) > 1:
+            raise InputError(
+                path,
+                "a seed that no other of these weights has",
+                f"seed {run.seed} twice",
+                "leave one of them out",
+            )
+
+
+def _under(where, found):
+    """Return the part of card.json about one kind of pictures, of the first network and of all.
+
+    found  (values {figure: (P,)}, names (P,)) of each network, on the same pictures
+    """
+    (values, names), *_ = found
+    resampled = bootstrap.draws(
+        bootstrap.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1)))
+    )
+    report = {
+        where or "figures": {key: _interval(value, resampled) for key, value in values.items()},
+        f"{where}_pictures" if where else "pictures": len(names),
+    }
+    if len(found) > 1:
+        report[f"{where}_seeds" if where else "figures_seeds"] = {
+            key: {
+                "mean": _interval(np.mean([values[key] for values, _ in found], 0), resampled),
+                "each": [float(np.nanmean(values[key])) for values, _ in found],
+            }
+            for key in values
+        }
+    return report
+
+
+def measured(
+    network: Any,
+    run: Run,
+    batches: Iterable[ExampleBatch],
+    constant_albedo: Any,
+    sheet_path: Path | None = None,
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return ({figure: (P,)}, names (P,)) over batches.
+
+    The first pictures are drawn as a contact sheet, if there is a path for it.
+    """
+    rows: list[dict[str, np.ndarray]] = []
+    names: list[str] = []
+    shown: list[tuple[ExampleBatch, Prediction]] = []
+    device = devices.of(network)
+    for batch in batches:
+        batch = batch.to(device)
+        with torch.no_grad():
+            segments = batch.segments if run.data.regions > 1 else None
+            prediction = network(
+                batch.image, batch.mask, segments, run.parts, regions=run.data.regions
+            )
+        rows.append(validation.of(prediction, batch, constant_albedo))
+        names += batch.names
+        if sum(len(each.names) for each, _ in shown) < training_montage.ROWS:
+            shown.append((batch, prediction))
+    if sheet_path:
+        cells = np.concatenate([training_montage.contact_sheet(*each) for each in shown])[
+            : training_montage.ROWS * run.size
+        ]
+        files.write_image(sheet_path, cells, "JPEG", quality=90)
+    return {key: np.concatenate([row[key] for row in rows]) for key in rows[0]}, names
+
+
+def _interval(values, weights):
+    """[mean, low, high] over the pictures that show what is measured."""
+    there = np.isfinite(values)
+    kept = weights[:, there]
+    return bootstrap.interval(values[there], kept[kept.sum(1) > 0])
+
+
+def _of_split(rendered_split):
+    """How its pictures were made."""
+
+    def of(get):
+        return sorted({get(record) for record in rendered_split.chosen})
+
+    counts = [len(of(get)) for get in (lambda r: r.shape, lambda r: r.materials, lambda r: r.light)]
+    how = [
+        ", ".join(map(str, of(get)))
+        for get in (lambda r: r.tier, lambda r: r.samples, lambda r: r.camera.pixel)
+    ]
+    return "{} shapes, {} materials, {} lights; tier {}, {} samples, pixels: {}".format(
+        *counts, *how
+    )
+
+
+def _sizes(network: Any, data_splits: dict[str, DataSplit]) -> dict[str, Any]:
+    report = {"parameters": sum(p.numel() for p in network.parameters())}
+    report |= {side: data_splits[side].sizes() for side in ("train", "validation", "test")}
+    return report
+
+
+def _steps(report):
+    planned = f"{report['run']['schedule']['steps']} steps"
+    return f"{report['step']} of {planned}" if report["step"] else f"up to {planned}"
+
+
+def _page(report):
+    run, sizes = report["run"], report["sizes"]
+    lines = [f"# {run['name']}: {run.get('about', '')}", ""]
+    lines += [
+        (
+            f"{sizes['parameters'] / 1e6:.1f} M parameters, {run['size']} × {run['size']} pixels,"
+            f" {_steps(report)} of {run['schedule']['batch']} relit pictures."
+        ),
+        "",
+        "| side | shapes | views | materials | light maps |",
+        "|---|---|---|---|---|",
+    ]
+    for side in ("train", "validation", "test"):
+        s = sizes[side]
+        lines.append(
+            f"| {side} | {s['shapes']} | {s['views']} | {s['materials']} | {s['lights']} |"
+        )
+    lines += [
+        "",
+        (
+            f"On {report['pictures']} pictures of the test side (shapes, materials and lights never"
+            " seen; relit by the layer, so without shadows, interreflection or a camera's faults),"
+            " mean and 95 % interval over shapes and materials:"
+        ),
+        "",
+        "| | mean | 95 % |",
+        "|---|---|---|",
+    ]
+    lines += _rows(report["figures"])
+    lines += _rows_of_seeds(report, "figures_seeds")
+    if "cycles" in report:
+        lines += [
+            "",
+            (
+                f"On {report['cycles_pictures']} pictures that Cycles rendered"
+                f" ({report['cycles_about']}), where I and O are Cycles' pictures, O the same"
+                " shape, view and light in another material:"
+            ),
+            "",
+            "| | mean | 95 % |",
+            "|---|---|---|",
+            *_rows(report["cycles"]),
+            *_rows_of_seeds(report, "cycles_seeds"),
+        ]
+    lines += [
+        "",
+        report["note"],
+        "",
+        (
+            "Rows of sheet.jpg: picture, predicted and true normals, predicted and true light, true"
+            " and predicted material, I′, O′, true O."
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _words(key):
+    name, _, region = key.rpartition("_")
+    return (
+        f"{WORDS[name]}, region {region}"
+        if region.isdigit() and name in WORDS
+        else WORDS.get(key, key)
+    )
+
+
+def _rows(figures):
+    return [
+        f"| {_words(key)} | {mean:.4g} | {low:.4g} – {high:.4g} |"
+        for key, (mean, low, high) in figures.items()
+    ]
+
+
+def _rows_of_seeds(report, key):
+    """A table of several seeds on the same pictures."""
+    if key not in report:
+        return []
+    seeds = [f"seed {seed}" + (f", {step} steps" if step else "") for seed, step in report["seeds"]]
+    lines = [
+        "",
+        (
+            f"The same of {len(seeds)} seeds: the mean over them with its 95 % interval over shapes"
+            " and materials, and each."
+        ),
+        "",
+    ]
+    lines += [
+        f"| | mean of {len(seeds)} | 95 % | {' | '.join(seeds)} |",
+        "|" + "---|" * (3 + len(seeds)),
+    ]
+    for name, of in report[key].items():
+        mean, low, high = of["mean"]
+        lines.append(
+            f"| {_words(name)} | {mean:.4g} | {low:.4g} – {high:.4g} | "
+            + " | ".join(f"{each:.4g}" for each in of["each"])
+            + " |"
+        )
+    return lines

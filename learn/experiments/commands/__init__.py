@@ -1,1 +1,0 @@
-"""The experiments as commands: one module each, as manifests.cli describes them."""

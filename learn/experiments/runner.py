@@ -1,0 +1,184 @@
+"""What all experiments share: the command line, the folder of a run, and its report.
+
+An experiment is a module of this package with
+
+    add_arguments(parser) -> None   its options, besides --out and --report
+    measure(arguments) -> dict      the content of report.json; it may keep rows in arguments.out
+    tables(report) -> str           a report, as report.json holds it, in Markdown
+    figure(report) -> Figure        optional: a chart of the report
+
+whose docstring is the description in `--help`. Heavy libraries are imported inside these functions,
+so that `--help` is quick. This module runs it: it locks the folder, writes report.json with the
+provenance of the figures, report.md and chart.png, and draws the last two again from a report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
+
+from manifests import files, lock
+from manifests.provenance import provenance
+from manifests.reading import read
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+REPORT, PAGE, CHART = "report.json", "report.md", "chart.png"
+Report = dict[str, Any]  # what JSON can hold; each experiment describes its own keys
+Case = TypeVar("Case")
+
+
+class Experiment(Protocol):
+    """The functions that a module of this package has if it is an experiment."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None: ...
+
+    def measure(self, arguments: argparse.Namespace) -> Report: ...
+
+    def tables(self, report: Report) -> str: ...
+
+
+def find(name: str) -> Experiment:
+    """Return the module of the experiment that the command line calls `name`."""
+    module = importlib.import_module(f"learn.experiments.{name.replace('-', '_')}")
+    return cast(Experiment, module)
+
+
+def register(name: str) -> Callable[[argparse._SubParsersAction], None]:
+    """Return the function that adds the parser of the experiment `name` (manifests.cli)."""
+
+    def add(subparsers: argparse._SubParsersAction) -> None:
+        experiment = find(name)
+        parser = subparsers.add_parser(
+            name,
+            description=inspect.getdoc(experiment),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        experiment.add_arguments(parser)
+        parser.add_argument(
+            "--out",
+            type=Path,
+            required=True,
+            metavar="DIR",
+            help=f"folder for {REPORT} and {PAGE}",
+        )
+        parser.add_argument(
+            "--report",
+            action=_DrawAgain,
+            experiment=experiment,
+            metavar="FILE",
+            help=f"measure nothing, but write {PAGE} again beside this {REPORT}, and print it",
+        )
+        parser.set_defaults(run=lambda arguments: run(experiment, arguments))
+
+    return add
+
+
+class _DrawAgain(argparse.Action):
+    """An option that ends the program, as --help does, so that no other option is required."""
+
+    def __init__(self, experiment: Experiment, **options: Any) -> None:
+        super().__init__(**options)
+        self.experiment = experiment
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        print(draw(self.experiment, Path(values)), end="")
+        parser.exit()
+
+
+def run(experiment: Experiment, arguments: argparse.Namespace) -> None:
+    """Measure an experiment and write its report into arguments.out, which no other run may use.
+
+    The provenance is that of the start: the machine's load is not yet that of the measurement.
+    """
+    inputs = [value for value in vars(arguments).values() if isinstance(value, Path)]
+    files.reserve_outputs(arguments.out, (REPORT, PAGE, CHART), overwrite=True, inputs=inputs)
+    made_by = provenance()
+    with lock.writing(arguments.out, patience=0):
+        report = {"made_by": made_by} | experiment.measure(arguments)
+        # first, so that a fault in the tables does not cost the measurement
+        files.write_json(arguments.out / REPORT, report)
+        draw(experiment, arguments.out / REPORT)
+    print(f"See {arguments.out / PAGE}")
+
+
+def draw(experiment: Experiment, path: Path) -> str:
+    """Write the page and the chart of a kept report beside it; return the page."""
+    report = read(path, dict[str, Any])
+    page = page_of(experiment, report)
+    with files.transaction():
+        files.write_text(path.parent / PAGE, page)
+        if figure := getattr(experiment, "figure", None):
+            drawn: Figure | None = figure(report)
+            if drawn is not None:
+                files.write_figure(path.parent / CHART, drawn, dpi=100)
+    return page
+
+
+def page_of(experiment: Experiment, report: Report) -> str:
+    """Return the tables of a report, and below them what made it."""
+    return f"{experiment.tables(report).rstrip()}\n\n{stamp(report['made_by'])}\n"
+
+
+def stamp(made_by: dict[str, Any]) -> str:
+    """Return one line of Markdown with the command, commit, date, machine and versions."""
+    versions = ", ".join(f"{name} {version}" for name, version in made_by["versions"].items())
+    return (
+        f"`{made_by['command']}`, commit {made_by['commit']}, {made_by['date']};"
+        f" {made_by['machine']}; {versions}"
+    )
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table in Markdown; cells are written by str."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in lines) + "\n"
+
+
+def interval(values: Sequence[float], digits: int = 3) -> str:
+    """Return "mean [low, high]" with so many decimal places."""
+    mean, low, high = (f"{value:.{digits}f}" for value in values)
+    return f"{mean} [{low}, {high}]"
+
+
+def resume(
+    path: Path,
+    cases: Sequence[tuple[dict[str, Any], Case]],
+    measure: Callable[[Case], dict[str, Any]],
+    unit: str,
+    current: Callable[[dict[str, Any]], dict[str, Any]] = lambda row: row,
+) -> list[dict[str, Any]]:
+    """Return a row for each case; rows that the file at `path` has are read, not measured again.
+
+    cases    pairs of what identifies a row, as {key: value}, and what `measure` receives
+    measure  returns the rest of the row; the whole row is then appended to the file as one line
+    unit     what the progress bar counts
+    current  brings a row that an earlier version wrote up to date
+    """
+    import contextlib
+
+    from tqdm import tqdm
+
+    from manifests.store import Lines
+
+    keys = list(cases[0][0]) if cases else []
+    kept = [current(row) for row in files.read_lines(path)]
+    done = {tuple(row[key] for key in keys): row for row in kept}
+    missing = [(each, case) for each, case in cases if tuple(each.values()) not in done]
+    with contextlib.closing(Lines(path)) as lines:
+        for identity, case in tqdm(missing, unit=unit):
+            row = identity | measure(case)
+            lines.append(row)
+            done[tuple(identity.values())] = row
+    return [done[tuple(identity.values())] for identity, _ in cases]

@@ -1,0 +1,110 @@
+"""The processes of a run: one that writes into its folder, and workers that make its batches."""
+
+import contextlib
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Protocol
+
+import torch
+
+from learn.data.batch import ExampleBatch
+from manifests import lock
+from manifests.errors import InputError
+
+PATIENCE = 2.0  # seconds that a killed run may take to be gone
+_LOCKS: list[int] = []  # descriptors of the folders that this process holds
+
+
+class BatchSource(Protocol):
+    """Batches by their number; each is a function of the seed and the number alone."""
+
+    def __getitem__(self, k: int) -> ExampleBatch: ...
+
+
+@contextlib.contextmanager
+def only_writer(out: str | Path) -> Iterator[None]:
+    """Hold the folder of a run, for a second run would write each line of the log twice.
+
+    Of several processes of one run (torchrun) the first holds it. Raises InputError if another run
+    holds the folder.
+    """
+    if int(os.environ.get("RANK", 0)):
+        yield
+        return
+    with lock.writing(out, patience=PATIENCE) as held:
+        _LOCKS.extend(held)
+        try:
+            yield
+        finally:
+            for descriptor in held:
+                _LOCKS.remove(descriptor)
+
+
+def batches(
+    source: BatchSource, order: range, workers: int, pin_memory: bool
+) -> Iterator[ExampleBatch]:
+    """Yield the batches of a source in the given order, made by `workers` processes.
+
+    workers  0: made in this process
+    Raises   InputError: a batch that cannot be made, a worker that was killed
+    """
+    if not workers:
+        yield from (source[k] for k in order)
+        return
+    loader = torch.utils.data.DataLoader(
+        ErrorsAsValues(source),
+        batch_size=None,
+        sampler=order,
+        num_workers=workers,
+        worker_init_fn=begin_worker,
+        prefetch_factor=2,
+        pin_memory=pin_memory,
+    )
+    yield from received(loader)
+
+
+class ErrorsAsValues(torch.utils.data.Dataset):
+    """Batches of a source; in place of one that cannot be made its InputError or OSError.
+
+    A DataLoader passes on the errors of its workers only as text, with a stack trace in it.
+    """
+
+    def __init__(self, source: BatchSource):
+        self.source = source
+
+    def __getitem__(self, k: int) -> ExampleBatch | Exception:
+        """Return the k-th batch, or the error that prevented it."""
+        try:
+            return self.source[k]
+        except (InputError, OSError) as error:
+            return error
+
+
+def received(loader: Iterable[ExampleBatch | Exception]) -> Iterator[ExampleBatch]:
+    """Yield the batches of a DataLoader over ErrorsAsValues.
+
+    Raises the errors among them, and InputError where one of its workers was killed.
+    """
+    try:
+        for batch in loader:
+            if isinstance(batch, Exception):
+                raise batch
+            yield batch
+    except RuntimeError as error:
+        if "DataLoader worker" not in str(error):
+            raise
+        remedy = "run the same command again, which continues, with --workers 0"
+        raise InputError(
+            "--workers",
+            "processes that live",
+            "one that was killed, for want of memory perhaps",
+            remedy,
+        ) from None
+
+
+def begin_worker(_: int) -> None:
+    """Begin a worker: one thread, and no hold on the run's folder once the run itself has ended."""
+    torch.set_num_threads(1)
+    for descriptor in _LOCKS:
+        os.close(descriptor)

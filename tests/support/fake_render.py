@@ -1,0 +1,16 @@
+"""Carry a job out with the fake studio, as a process that can be killed.
+
+python -m tests.support.fake_render JOB OUT CATALOGUE
+"""
+
+import sys
+
+from factory.execution.run import RunOptions, carry_out, planned
+from factory.planning import jobs
+from factory.planning.assets import resolve
+from tests.support.tetrahedron import FAKE
+
+if __name__ == "__main__":
+    job, folder = jobs.load(sys.argv[1])
+    assets = resolve(job, folder, catalogues=[sys.argv[3]])
+    carry_out(planned(job, assets), sys.argv[2], RunOptions(workers=2, studio=FAKE))
