@@ -5,6 +5,7 @@ VENV   ?= .venv
 OUT    ?= out/demo
 PIP_FLAGS ?=
 WORKERS ?= 2
+EXTRAS ?= factory,learn,dev
 
 .PHONY: help demo demo-small test fuzz lint clean
 help:
@@ -20,7 +21,7 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: Blender's wheel needs Python 3.11; install it, or give its path: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)"; exit 1; }
 	@echo "Installing into $(VENV)/. The first time this downloads about 1 GB (Blender 370 MB, torch 200 MB) and takes two minutes more."
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install $(PIP_FLAGS) --constraint constraints.txt --editable ".[factory,learn,dev]"
+	$(VENV)/bin/python -m pip install $(PIP_FLAGS) --constraint constraints.txt --editable ".[$(EXTRAS)]"
 	@touch $@
 
 # AGREE_FLAGS can limit the comparison, for example AGREE_FLAGS="--limit 20", because it takes longer than the rendering.
