@@ -41,8 +41,8 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Ball:
-    """A sphere, mostly a lamp's bulb."""
+class Bulb:
+    """A sphere that may glow."""
 
     centre: Triple
     radius: float
@@ -79,7 +79,7 @@ class Scene:
 
     sky: Sky
     boxes: tuple[Box, ...] = ()
-    balls: tuple[Ball, ...] = ()
+    bulbs: tuple[Bulb, ...] = ()
     furniture: tuple[Furniture, ...] = field(default=())
 
 
@@ -131,17 +131,17 @@ def _room(rng: np.random.Generator) -> Scene:
     windows = set(rng.permutation(4)[: int(rng.choice([0, 1, 2, 3], p=[0.2, 0.4, 0.3, 0.1]))])
     for side in range(4):
         boxes += _wall(rng, low, high, side, wall, side in windows)
-    balls: list[Ball] = []
+    bulbs: list[Bulb] = []
     count = int(rng.integers(0 if windows else 1, 5))
     for _ in range(count):
-        _add_lamp(rng, low, high, boxes, balls)
+        _add_lamp(rng, low, high, boxes, bulbs)
     if rng.random() < 0.7:
         for _ in range(int(rng.integers(1, 6))):
             boxes.append(_picture(rng, low, high))
     pieces = [_piece(rng, low, high) for _ in range(int(rng.integers(2, 9)))]
     # a room is a hundred times darker than the open: what the window shows is very bright
     sky = _sky(rng, float(np.exp(rng.uniform(np.log(0.3), np.log(3)))))
-    return Scene(sky, tuple(boxes), tuple(balls), tuple(pieces))
+    return Scene(sky, tuple(boxes), tuple(bulbs), tuple(pieces))
 
 
 def _box(low, high, material: Material) -> Box:
@@ -180,7 +180,7 @@ def _wall(rng, low, high, side, material, with_window) -> list[Box]:
     return panes
 
 
-def _add_lamp(rng, low, high, boxes, balls) -> None:
+def _add_lamp(rng, low, high, boxes, bulbs) -> None:
     """Add a bulb that hangs, a panel under the ceiling, or a strip along a wall."""
     watts = float(np.exp(rng.uniform(np.log(5), np.log(120))))
     place = rng.uniform(low + 0.4, high - 0.4)
@@ -191,7 +191,7 @@ def _add_lamp(rng, low, high, boxes, balls) -> None:
         place[2] = high[2] - drop
         if np.linalg.norm(place) > radius + 0.5:
             x, y, z = (float(v) for v in place)
-            balls.append(Ball((x, y, z), radius, _lamp(rng, watts, 4 * np.pi * radius**2)))
+            bulbs.append(Bulb((x, y, z), radius, _lamp(rng, watts, 4 * np.pi * radius**2)))
     else:
         half = (
             rng.uniform(0.1, 0.6, 2) if kind == "panel" else np.array([0.05, rng.uniform(0.4, 1)])

@@ -46,9 +46,9 @@ def render(scene: Scene, seed: int = 0) -> np.ndarray:
     _world(stage, scene.sky)
     for box in scene.boxes:
         _add(stage, _box_mesh(box), box.material)
-    for ball in scene.balls:
-        ball_mesh = body.build(load("sphere:3"))
-        _add(stage, ball_mesh, ball.material, ball.centre, ball.radius)
+    for bulb in scene.bulbs:
+        mesh = body.build(load("sphere:3"))
+        _add(stage, mesh, bulb.material, bulb.centre, bulb.radius)
     for piece in scene.furniture:
         _furnish(stage, piece)
     return np.ascontiguousarray(render_result.render_passes(stage)["Combined"][..., :3])

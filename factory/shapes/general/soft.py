@@ -33,14 +33,14 @@ def cushion(a: Assembly, rng: Generator) -> None:
     swell = 1 + ears * (np.abs(u * v) ** 2)
     narrow = 1 - 0.12 * (1 - u**2) * np.abs(v) ** 4, 1 - 0.12 * (1 - v**2) * np.abs(u) ** 4
     flat = np.stack([wide * u * swell * narrow[1], tall * v * swell * narrow[0]], -1)
-    sheets = []
+    layers = []
     for side in (1, -1):
         z = height(u, v)
         points = np.concatenate([flat, side * z[..., None]], -1)
         share = np.clip(z / puff, 0, 1)
         points[..., 2] += side * wrinkle(points) * share * (1 - 0.7 * share)
-        sheets.append(points)
-    body = _joined_at_the_rim(*sheets)
+        layers.append(points)
+    body = _joined_at_the_rim(*layers)
     turn = rotation(rng) if rng.random() < 0.3 else np.eye(3)
     standing = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]) if rng.random() < 0.5 else np.eye(3)
     turn = turn @ standing
@@ -123,22 +123,22 @@ def _draped(a, rng, thickness):
     normal = np.cross(wall, across)
     normal /= np.linalg.norm(normal, axis=2, keepdims=True)
     half = thickness / 2 * np.minimum(1, (np.arange(rings)[::-1, None, None] / 3) ** 0.5)
-    sheets = [points + half * normal, points - half * normal]
+    layers = [points + half * normal, points - half * normal]
     size = rings * around
     faces = grid_faces(rings, around, wrap_columns=True)
-    vertices = np.concatenate([sheet.reshape(-1, 3) for sheet in sheets])
+    vertices = np.concatenate([layer.reshape(-1, 3) for layer in layers])
     caps = []
     for number in (0, 1):
         centre = len(vertices) + number
         ring = np.arange(around) + number * size
         triangle = np.stack([np.full(around, centre), ring, np.roll(ring, -1)], 1)
         caps.append(triangle if number == 0 else triangle[:, ::-1])
-    tops = np.stack([sheet[0].mean(0) for sheet in sheets])
+    tops = np.stack([layer[0].mean(0) for layer in layers])
     vertices = np.concatenate([vertices, tops])
     a.add("cloth", closed(vertices, np.concatenate([faces, faces[:, ::-1] + size, *caps])), 1)
     if solid == "post" and rng.random() < 0.5:
-        ball = fields.moved(fields.ellipsoid([0.12] * 3), (0, 0, 0))
-        a.add("knob", surface_of(ball, 0.3, 32).moved(z=0.1), 2)
+        knob = fields.moved(fields.ellipsoid([0.12] * 3), (0, 0, 0))
+        a.add("knob", surface_of(knob, 0.3, 32).moved(z=0.1), 2)
 
 
 def bag(a: Assembly, rng: Generator) -> None:
