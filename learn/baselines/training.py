@@ -9,6 +9,7 @@ import torch
 from learn.baselines import FILES, priors
 from learn.baselines.material_swap import SwapTraining
 from learn.data import settings, sources
+from learn.data.seen import drawn_from
 from learn.networks import tensor_file
 from learn.training import loop, processes
 from manifests.files import write_bytes
@@ -48,6 +49,7 @@ def make(
             target,
             priors.fitted(list(data_split.labels.values()), data_split.maps),
             {"materials": sorted(data_split.labels), "maps": len(data_split.maps)},
+            msgspec.structs.replace(drawn_from([data_split], "relit"), shapes=()),
         )
         return f"{target}: {len(data_split.labels)} materials, {len(data_split.maps)} light maps"
     kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
