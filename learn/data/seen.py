@@ -68,10 +68,14 @@ class _Stored(Struct, frozen=True, forbid_unknown_fields=True):
 
 def of(hashes: Mapping[str, Iterable[str]], complete: bool = True) -> Seen:
     """Return Seen of {kind: hashes of at least DIGITS digits}, in any order."""
-    lists = {kind: sorted({each[:DIGITS] for each in hashes[kind]}) for kind in KINDS}
+    shapes, materials, lights = (
+        tuple(sorted({each[:DIGITS] for each in hashes[kind]})) for kind in KINDS
+    )
     return Seen(
-        **{kind: tuple(each[:MOST]) for kind, each in lists.items()},
-        complete=complete and all(len(each) <= MOST for each in lists.values()),
+        shapes=shapes[:MOST],
+        materials=materials[:MOST],
+        lights=lights[:MOST],
+        complete=complete and max(map(len, (shapes, materials, lights))) <= MOST,
     )
 
 

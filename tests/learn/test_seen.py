@@ -1,6 +1,7 @@
 """Weights say what they saw, and an evaluation refuses pictures of it."""
 
 import json
+import shutil
 from types import SimpleNamespace
 
 import msgspec
@@ -106,11 +107,8 @@ def evaluate(store, tmp_path):
 def training_side(store, tmp_path_factory):
     """A data set of the training side's pictures alone."""
     folder = tmp_path_factory.mktemp("training") / "data"
-    copied = folder
-    import shutil
-
-    shutil.copytree(store.folder, copied)
-    path = next((copied / "records").glob("*.jsonl"))
+    shutil.copytree(store.folder, folder)
+    path = next((folder / "records").glob("*.jsonl"))
     lines = [line for line in path.read_text().splitlines() if json.loads(line)["split"] == "train"]
     path.write_text("\n".join(lines) + "\n")
     return folder
@@ -197,7 +195,9 @@ def test_network_page_refuses_a_test_side_that_was_seen(store, trained, capsys, 
         trained / "weights.safetensors",
         tmp_path / "w.safetensors",
         lambda text: seen.encoded(
-            seen.of({"shapes": [], "materials": labels, "lights": [map_hash(records.light("dusk"))]})
+            seen.of(
+                {"shapes": [], "materials": labels, "lights": [map_hash(records.light("dusk"))]}
+            )
         ),
     )
     words = ("evaluate-network", theirs, "--data", store.folder, "--batches", 1)
