@@ -4,7 +4,6 @@ An evaluation refuses such pictures unless it is told to go on. Its report then 
 sentences that `sentences` returns.
 """
 
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -85,7 +84,7 @@ def sentences(files: Sequence[Path], tested: Tested, data: Path, is_allowed: boo
         if names
     ]
     for sentence in result:
-        print(f"learn: {sentence}", file=sys.stderr)
+        print(sentence, flush=True)  # before hours of measuring; errors alone go to stderr
     return result
 
 

@@ -167,7 +167,7 @@ def test_allowed_overlap_stands_at_the_top_of_the_report(
 ):
     path = trained / "weights.safetensors"
     assert evaluate(path, "--allow-overlap", data=training_side) == 0
-    assert "learn: Overlap: weights.safetensors saw in training" in capsys.readouterr().err
+    assert "Overlap: weights.safetensors saw in training" in capsys.readouterr().out
     lines = (tmp_path / "out" / "report.md").read_text().splitlines()
     assert lines[2].startswith("**Overlap: weights.safetensors saw in training 2 of 2 shapes (")
     assert "Overlap" in (tmp_path / "out" / "index.html").read_text()
@@ -175,7 +175,7 @@ def test_allowed_overlap_stands_at_the_top_of_the_report(
 
 def test_test_side_is_accepted_without_a_word(trained, evaluate, capsys, tmp_path):
     assert evaluate(trained / "weights.safetensors") == 0
-    assert "learn:" not in capsys.readouterr().err
+    assert "saw" not in capsys.readouterr().out
     text = (tmp_path / "out" / "report.md").read_text()
     assert "Overlap" not in text and "Warning" not in text
 
@@ -183,7 +183,7 @@ def test_test_side_is_accepted_without_a_word(trained, evaluate, capsys, tmp_pat
 def test_weights_without_lists_are_measured_with_a_warning(old, evaluate, capsys, tmp_path):
     assert evaluate(old) == 0
     warning = "these weights do not say what they saw: old.safetensors"
-    assert capsys.readouterr().err.count(warning) == 1
+    assert capsys.readouterr().out.count(warning) == 1
     assert warning in (tmp_path / "out" / "report.md").read_text().splitlines()[2]
 
 
@@ -213,7 +213,7 @@ def test_network_page_refuses_a_test_side_that_was_seen(store, trained, capsys, 
 def test_network_page_of_the_runs_own_test_side_is_made(store, trained, capsys, tmp_path):
     words = ("evaluate-network", trained / "weights.safetensors", "--data", store.folder)
     assert learn(*words, "--batches", 1, "--out", tmp_path / "out") == 0
-    assert "learn:" not in capsys.readouterr().err
+    assert "saw" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
