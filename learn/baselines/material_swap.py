@@ -65,6 +65,9 @@ class SwapTraining(Training):
 
     network_name = EncoderDecoder.name
 
+    def _source_of_examples(self) -> str:
+        return "relit"
+
     def _source(self) -> PairedDataset:
         run = self.run
         return PairedDataset(

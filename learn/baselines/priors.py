@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from learn.data.seen import KEY, Seen, encoded
 from learn.networks import tensor_file, weights
 from learn.networks.coding import unit_mean
 from learn.refinement.coordinates import spherical_harmonics
@@ -142,9 +143,14 @@ def _degrees() -> np.ndarray:
     return np.array(each).T
 
 
-def save(path: Path, priors: Priors, report: Mapping[str, Any]) -> None:
-    """Write priors. report: the materials and maps they were fitted to, as metadata of the file."""
-    weights.save(path, vars(priors), {"format": FORMAT, "fitted": json.dumps(report)})
+def save(path: Path, priors: Priors, report: Mapping[str, Any], seen: Seen | None = None) -> None:
+    """Write priors.
+
+    report  the materials and maps they were fitted to, as metadata of the file
+    seen    the same as hashes; None: the file does not say
+    """
+    metadata = {"format": FORMAT, "fitted": json.dumps(report)}
+    weights.save(path, vars(priors), metadata if seen is None else metadata | {KEY: encoded(seen)})
 
 
 def load(path: str | Path) -> Priors:

@@ -8,7 +8,8 @@ import torch
 
 from learn.baselines import FILES, priors
 from learn.baselines.material_swap import SwapTraining
-from learn.data import settings, sources
+from learn.data import seen, settings, sources
+from learn.data.relit import DataSplit
 from learn.networks import tensor_file
 from learn.training import loop, processes
 from manifests.files import write_bytes
@@ -48,6 +49,7 @@ def make(
             target,
             priors.fitted(list(data_split.labels.values()), data_split.maps),
             {"materials": sorted(data_split.labels), "maps": len(data_split.maps)},
+            fitted_to(data_split),
         )
         return f"{target}: {len(data_split.labels)} materials, {len(data_split.maps)} light maps"
     kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
@@ -56,6 +58,17 @@ def make(
         figures = kind(run, data_splits, folder, workers=options.workers, device=device).train()
     write_bytes(target, (folder / "weights.safetensors").read_bytes())
     return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())
+
+
+def fitted_to(data_split: DataSplit) -> seen.Seen:
+    """Return what priors saw of a split: materials and light maps, but no shapes."""
+    return seen.of(
+        {
+            "shapes": (),
+            "materials": map(seen.label_hash, data_split.labels.values()),
+            "lights": (*map(seen.map_hash, data_split.maps), *data_split.copies),
+        }
+    )
 
 
 def resolved(run: settings.Run, options: argparse.Namespace) -> settings.Run:

@@ -78,6 +78,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         metavar="N",
         help="number of edits shown as pictures (default 12)",
     )
+    options.add_allow_overlap(parser)
     options.add_device(parser)
     parser.set_defaults(run=run)
 

@@ -48,6 +48,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--note", default="", metavar="TEXT", help="a note that is printed on the page"
     )
+    options.add_allow_overlap(parser)
     options.add_device(parser)
     parser.set_defaults(run=run)
 
@@ -58,7 +59,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     from learn.data import devices, sources
     from learn.data.settings import decode_run
-    from learn.evaluation import model_card
+    from learn.evaluation import model_card, overlap
     from learn.networks import weights as checkpoint
 
     device = devices.choose(arguments.device)
@@ -66,6 +67,12 @@ def run(arguments: argparse.Namespace) -> None:
     settings = decode_run(json.dumps(metadata["run"]).encode(), arguments.weights)
     data_splits = sources.data_splits(
         settings.data, arguments.data, arguments.lights, pictures=arguments.pictures
+    )
+    seen = overlap.sentences(
+        [arguments.weights, *arguments.seeds],
+        overlap.of_split(data_splits["test"]),
+        arguments.data,
+        arguments.allow_overlap,
     )
     figures = model_card.make(
         arguments.weights,
@@ -75,6 +82,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.note,
         arguments.seeds,
         device,
+        seen,
     )
     for kind, of_kind in figures.items():
         print(f"{kind}: " + ", ".join(f"{name} {value[0]:.4g}" for name, value in of_kind.items()))

@@ -108,6 +108,18 @@ def add_training_processes(parser: argparse.ArgumentParser) -> None:
     add_device(parser)
 
 
+def add_allow_overlap(parser: argparse.ArgumentParser) -> None:
+    """Add --allow-overlap, without which pictures of what weights saw are refused."""
+    parser.add_argument(
+        "--allow-overlap",
+        action="store_true",
+        help=(
+            "go on where the weights saw a tested shape, material or light in training; the report"
+            " says so at its top"
+        ),
+    )
+
+
 def add_size(parser: argparse.ArgumentParser, default: int) -> None:
     """Add --size PIXELS, the side of square pictures."""
     parser.add_argument(

@@ -50,13 +50,18 @@ LEAST_COVERAGE = 0.02  # a view that shows less of its shape is of no use to tra
 
 @dataclass(frozen=True)
 class PackedView:
-    """One view of one shape: names as in its records, its geometry's hash, the shape's split."""
+    """One view of one shape: names as in its records, the shape's split.
+
+    hash        of the view's geometry file
+    shape_hash  of the shape's mesh
+    """
 
     shape: str
     category: str
     viewpoint: int
     side: str
     hash: str
+    shape_hash: str
 
 
 class Geometry:
@@ -92,8 +97,8 @@ class Geometry:
             )
         self.folder, self.size = Path(folder), chosen[0].camera.size
         self.elevation = float(np.radians(chosen[0].camera.elevation_deg))
-        sides = {name: entry.side for name, entry in records.dataset.shapes.items()}
-        missing = sorted({r.shape for r in chosen} - set(sides))
+        shapes = records.dataset.shapes
+        missing = sorted({r.shape for r in chosen} - set(shapes))
         if missing:
             raise InputError(
                 self.folder / "dataset.json",
@@ -115,7 +120,14 @@ class Geometry:
                 folder, "geometry that can be used", "none", next(iter(self.skipped.values()))
             )
         self.views = [
-            PackedView(r.shape, r.category, r.viewpoint, sides[r.shape], r.geometry_hash)
+            PackedView(
+                r.shape,
+                r.category,
+                r.viewpoint,
+                shapes[r.shape].side,
+                r.geometry_hash,
+                shapes[r.shape].hash,
+            )
             for r in chosen
         ]
 

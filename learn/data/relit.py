@@ -37,6 +37,8 @@ class DataSplit:
     views     indices into geometry; labels: {name: (108,) float32}; maps: [(64, 128, 3)]
     rendered_split   this side's pictures by Cycles, or None
     skipped   {name: what is wrong} of materials that were left out
+    copies    hashes (learn.data.seen) of further copies of these maps, which were left out
+    map_names of the maps; () where they have none
     """
 
     geometry: Geometry
@@ -46,6 +48,8 @@ class DataSplit:
     side: str
     rendered_split: RenderedSplit | None = None
     skipped: dict[str, str] = field(default_factory=dict)
+    copies: tuple[str, ...] = ()
+    map_names: tuple[str, ...] = ()
 
     def sizes(self) -> dict[str, int]:
         """Return {"shapes": number, …} of what examples are drawn from."""

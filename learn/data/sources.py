@@ -17,6 +17,7 @@ from learn.data.lights import read_maps
 from learn.data.records import Records
 from learn.data.relit import SIDES, DataSplit, RelitDataset
 from learn.data.rendered import MixedDataset, RenderedDataset, RenderedSplit, fits
+from learn.data.seen import map_hash
 from learn.data.settings import Data, Run
 from manifests import splits
 from manifests.errors import InputError, closest
@@ -47,9 +48,9 @@ def data_splits(
 ) -> dict[str, DataSplit]:
     """Return {"train", "validation", "test": DataSplit}, disjoint in shapes, materials and lights.
 
-    Everything is checked before training starts. Validation or test without a light of its own is
-    lit by all maps, and without a material draws from those of training; training never sees a
-    held-out one.
+    Everything is checked before training starts. Test without a light of its own is lit by all
+    maps, and validation by all that are not for testing, where there are any. Without a material of
+    their own both draw from those of training; training never sees a held-out one.
 
     folder     a data set with geometry; its lights are used too
     maps_file  an .npz of further light maps, or None
@@ -63,13 +64,15 @@ def data_splits(
     maps = {name: records.light(name) for name in records.dataset.lights} | (
         {} if maps_file is None else read_maps(maps_file)
     )
+    all_maps = maps
     maps = without_duplicates(maps, (*data.validation_lights, *data.test_lights))
     held = _held_out(data, maps, records.dataset.lights)
     materials, bad = materials_of(data, records, skip_bad)
     sides = [_side(view) for view in geometry.views]
     rendered_splits: dict[str, RenderedSplit] = {}
+    known = {name: (held.get(name, "train"), L) for name, L in maps.items()}
+    copies = [(_light_side(L, known), L) for name, L in all_maps.items() if name not in maps]
     if pictures is not None or data.source != "relit":
-        known = {name: (held.get(name, "train"), L) for name, L in maps.items()}
         rendered_splits = _rendered_splits(
             data, pictures or folder, geometry, known, materials, skip_bad, progress
         )
@@ -85,6 +88,8 @@ def data_splits(
             )
         names = [name for name in maps if held.get(name, "train") == side]
         # without maps training draws computed light, never a held-out map
+        if not names and side == "validation":
+            names = [name for name in maps if held.get(name) != "test"]
         if not names and side != "train":
             names = list(maps)
         labels = {
@@ -99,6 +104,8 @@ def data_splits(
             side,
             rendered_splits.get(side),
             bad,
+            tuple(map_hash(L) for of_copy, L in copies if of_copy == side),
+            tuple(sorted(names)),
         )
     return result
 

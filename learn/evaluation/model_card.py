@@ -47,11 +47,13 @@ def make(
     note: str = "",
     seeds: Sequence[Path] = (),
     device: str | torch.device = "cpu",
+    seen: Sequence[str] = (),
 ) -> dict[str, dict[str, list[float]]]:
     """Measure weights on the test split: on relit pictures, and on all of its rendered ones.
 
     seeds    weights of the same run with other seeds, measured on the same pictures
     device   where networks and the layer compute
+    seen     learn.evaluation.overlap.sentences of the weights and the test split
     Writes   card.md, card.json, sheet.jpg and sheet-cycles.jpg into `out`
     Returns  {"figures", "cycles"}, each {figure: [mean, low, high]}
     Raises   InputError where one of the seeds is of another run, or a seed is there twice
@@ -71,6 +73,7 @@ def make(
         "step": metadata.get("step"),
         "sizes": _sizes(network, data_splits),
         "note": note,
+        "seen": list(seen),
     }
     if others:
         report["seeds"] = [
@@ -214,6 +217,10 @@ def _sizes(network: Any, data_splits: dict[str, DataSplit]) -> dict[str, Any]:
     return report
 
 
+def _overlaps(report):
+    return any(sentence.startswith("Overlap") for sentence in report.get("seen", ()))
+
+
 def _steps(report):
     planned = f"{report['run']['schedule']['steps']} steps"
     return f"{report['step']} of {planned}" if report["step"] else f"up to {planned}"
@@ -222,6 +229,9 @@ def _steps(report):
 def _page(report):
     run, sizes = report["run"], report["sizes"]
     lines = [f"# {run['name']}: {run.get('about', '')}", ""]
+    for sentence in report.get("seen", ()):
+        lines += [f"**{sentence}**", ""]
+    unseen = "not all of them unseen, as said above" if _overlaps(report) else "never seen"
     lines += [
         (
             f"{sizes['parameters'] / 1e6:.1f} M parameters, {run['size']} × {run['size']} pixels,"
@@ -239,9 +249,9 @@ def _page(report):
     lines += [
         "",
         (
-            f"On {report['pictures']} pictures of the test side (shapes, materials and lights never"
-            " seen; relit by the layer, so without shadows, interreflection or a camera's faults),"
-            " mean and 95 % interval over shapes and materials:"
+            f"On {report['pictures']} pictures of the test side (shapes, materials and lights"
+            f" {unseen}; relit by the layer, so without shadows, interreflection or a camera's"
+            " faults), mean and 95 % interval over shapes and materials:"
         ),
         "",
         "| | mean | 95 % |",

@@ -47,6 +47,8 @@ def text_of(cell: Cell, column: Column, interval: bool = True) -> str:
 def markdown(report: Mapping) -> str:
     """Return report.md."""
     lines = [f"# {TITLE}", ""]
+    for sentence in report["about"].get("seen", ()):
+        lines += [f"**{sentence}**", ""]
     lines += [*(f"- {sentence}" for sentence in report["headline"]), ""]
     for each in report["tables"].values():
         lines += [f"## {each['title']}", "", each["note"], ""]
@@ -99,6 +101,7 @@ def web(report: Mapping, shown: Iterable[tuple[Mapping, Path]], names: Sequence[
     """
     shown = list(shown)
     body = [
+        *(paragraph(sentence) for sentence in report["about"].get("seen", ())),
         paragraph(
             "A method is given one picture and a target material; Cycles rendered the same shape,"
             " view and light in that material.",

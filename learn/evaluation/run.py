@@ -23,7 +23,7 @@ from tqdm import tqdm
 from learn.data import pairs
 from learn.data.pairs import EditPair
 from learn.data.records import Records
-from learn.evaluation import report, rows
+from learn.evaluation import overlap, report, rows
 from learn.evaluation.bench import Bench
 from learn.layer.predictions import MEASURED
 from learn.refinement import RefinementSettings
@@ -50,6 +50,7 @@ class Options:
     materials           whose training materials the row "mean material" is the mean of: "dataset"
                         or "built-in"
     device              of networks, refinement and the layer: "cpu", or "cuda:0"
+    allow_overlap       whether pictures are measured that show what the weights saw in training
     """
 
     data: Path
@@ -64,6 +65,7 @@ class Options:
     lpips: Path | None = None
     materials: str = "dataset"
     device: str = "cpu"
+    allow_overlap: bool = False
 
 
 def make(options: Options) -> dict:
@@ -87,6 +89,12 @@ def make(options: Options) -> dict:
     with lock.writing(out, patience=0):
         # here first, so that unusable weights are reported before any process starts
         bench = Bench(**arguments(options))
+        seen = overlap.sentences(
+            [options.weights, *overlap.baseline_files(options.baselines)],
+            overlap.of_edits(records, chosen),
+            options.data,
+            options.allow_overlap,
+        )
         files.pin_settings(out / "settings.json", settings(options))
         work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
         pictures, edits = (
@@ -95,6 +103,7 @@ def make(options: Options) -> dict:
         )
         families = {entry.name: entry.family for entry in records.materials.values()}
         about = report.about(options, records, used, bench.entrants.left_out, bench.perceptual)
+        about["seen"] = seen
         return report.write(
             out,
             pictures,

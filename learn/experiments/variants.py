@@ -59,7 +59,12 @@ def trained(
         training = loop.Training(run, data_splits, folder, sheet_every=0, workers=workers)
         training.train()
     weights.save_weights(
-        folder / "weights.safetensors", training.network, training.average, "{}", run.size
+        folder / "weights.safetensors",
+        training.network,
+        training.average,
+        "{}",
+        run.size,
+        seen=training.seen,
     )
     network = training.averaged()
     rows = [row for batch in tests for row in _rows(training, network, batch)]

@@ -3,6 +3,7 @@
 weights.safetensors     what a user needs: the moving average in half precision; metadata: network,
                         size, step, and the run as JSON. With a data set's own materials also the
                         labels of the training materials
+                        seen: hashes of what training and validation drew from (learn.data.seen)
 checkpoint.safetensors  what a run needs to continue (learn.training.checkpoints)
 """
 
@@ -16,6 +17,7 @@ import msgspec
 import numpy as np
 import torch
 
+from learn.data.seen import KEY, Seen, encoded, of_metadata
 from learn.data.settings import converted
 from learn.networks import tensor_file
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL, Ranges
@@ -60,7 +62,11 @@ class RunInWeights(msgspec.Struct, frozen=True):
 
 
 class Progress(msgspec.Struct, frozen=True):
-    """Metadata of a checkpoint. used: processor time in s; digest: `digest_of` its tensors."""
+    """Metadata of a checkpoint, learn.data.seen's aside.
+
+    used    processor time in s
+    digest  `digest_of` its tensors
+    """
 
     step: Natural
     skipped: Natural
@@ -84,12 +90,14 @@ def save_weights(
     size: int,
     step: int | None = None,
     labels: np.ndarray | None = None,
+    seen: Seen | None = None,
 ) -> None:
     """Write the weights that a user needs.
 
     state   {name: tensor} of the moving average
     size    height and width of pictures; step: the number of steps that the run had made
     labels  (M, 108) of the training materials, where these were a data set's own
+    seen    what training and validation drew from; None: the file does not say
     """
     half = {
         name: t.half() if t.is_floating_point() and t.ndim > 1 else t for name, t in state.items()
@@ -97,6 +105,8 @@ def save_weights(
     if labels is not None:
         half[TRAINING_LABELS] = torch.from_numpy(np.asarray(labels, np.float32))
     metadata = {"format": FORMAT, "network": network.name, "size": str(size), "run": run_json}
+    if seen is not None:
+        metadata[KEY] = encoded(seen)
     save(path, half, metadata if step is None else metadata | {"step": str(step)})
 
 
@@ -166,6 +176,15 @@ def run_of(metadata: Mapping[str, str], path: str | Path) -> dict[str, Any]:
     where = f"{path}: run in the metadata"
     decode(text, RunInWeights, where)
     return decode(text, dict, where)
+
+
+def seen_by(path: str | Path) -> Seen | None:
+    """Return what a file of weights or priors says it saw, None where it does not say.
+
+    Raises InputError for lists other than those that were written.
+    """
+    with tensor_file.opened(path) as stored:
+        return of_metadata(stored.metadata, path)
 
 
 def shapes(network: torch.nn.Module, prefix: str = "") -> dict[str, tuple[int, ...]]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import torch
 
+from learn.data.seen import KEY, Seen, encoded, of_metadata
 from learn.data.settings import Run, decode_run
 from learn.networks import tensor_file, weights
 from learn.networks.prediction import Coded
@@ -26,8 +27,13 @@ def write(
     average: Tensors,
     optimiser: torch.optim.Optimizer,
     progress: dict[str, float],
+    seen: Seen,
 ) -> None:
-    """Write a checkpoint. progress: {"step", "skipped", "used"} as of learn.networks.weights."""
+    """Write a checkpoint.
+
+    progress  {"step", "skipped", "used"} as of learn.networks.weights
+    seen      what training and validation drew from
+    """
     tensors = {f"network.{name}": t for name, t in network.state_dict().items()}
     tensors |= {f"average.{name}": t for name, t in average.items()}
     for i, parameter in enumerate(network.parameters()):
@@ -36,6 +42,7 @@ def write(
     metadata = {name: str(value) for name, value in progress.items()} | {
         "run": msgspec.json.encode(run).decode(),
         "digest": weights.digest_of(tensors),
+        KEY: encoded(seen),
     }
     weights.save(path, tensors, metadata)
 
@@ -46,8 +53,10 @@ def restore(
     network: Coded,
     average: Tensors,
     optimiser: torch.optim.Optimizer,
-) -> weights.Progress:
-    """Fill network, average and optimiser from a checkpoint, and return how far the run was.
+) -> tuple[weights.Progress, Seen | None]:
+    """Fill network, average and optimiser from a checkpoint.
+
+    Returns how far the run was, and what it saw until then; None where the file does not say.
 
     Raises InputError for a checkpoint of other settings, and for a damaged one, which stays as it
     is.
@@ -57,6 +66,7 @@ def restore(
         tensor_file.opened(path, "a checkpoint") as stored,
     ):
         progress = weights.progress_of(stored)
+        seen = of_metadata(stored.metadata, path)
         is_ours = decode_run(progress.run.encode(), path) == run
         if is_ours:
             of_optimiser = _optimiser_shapes(network, stored)
@@ -81,7 +91,7 @@ def restore(
             of_one = {name: tensors[f"optimiser.{i}.{name}"] for name in of_optimiser[i]}
             moments = {name: of_one[name].to(parameter.device) for name in MOMENTS}
             optimiser.state[parameter] = of_one | moments
-    return progress
+    return progress, seen
 
 
 def _optimiser_shapes(network: Coded, stored: tensor_file.Stored) -> dict[int, dict[str, tuple]]:

@@ -21,6 +21,7 @@ from tqdm import tqdm
 from learn.data import devices
 from learn.data.batch import ExampleBatch
 from learn.data.relit import DataSplit
+from learn.data.seen import drawn_from, of_metadata
 from learn.data.settings import Losses, Run, require_trainable
 from learn.data.sources import source_of
 from learn.networks import features, tensor_file, weights
@@ -77,15 +78,20 @@ class Training:
         self.optimiser = schedule.optimiser(self.network, run.schedule)
         self.step, self.skipped, self.used = 0, 0, 0.0
         self.features = self._features()
+        self.seen = drawn_from(
+            [data_splits[side] for side in ("train", "validation")], self._source_of_examples()
+        )
         if (self.out / "checkpoint.safetensors").exists():
-            progress = checkpoints.restore(
+            progress, before = checkpoints.restore(
                 self.out / "checkpoint.safetensors", run, self.network, self.average, self.optimiser
             )
             self.step, self.skipped, self.used = progress.step, progress.skipped, progress.used
+            self.seen = self.seen.joined(before)
         elif run.start:
             with tensor_file.opened(run.start) as stored:
                 weights.require_network(stored, self.network)
                 weights.fill(self.network, stored)
+                self.seen = self.seen.joined(of_metadata(stored.metadata, run.start))
             self.average = _copies(self.network)
         self.journal = Journal(self.out, self.step, tensorboard) if self.rank == 0 else None
         self.model: torch.nn.Module = self.network
@@ -182,6 +188,10 @@ class Training:
         return self.step >= schedule.steps(self.run) or (
             seconds is not None and self.used >= seconds
         )
+
+    def _source_of_examples(self) -> str:
+        """Return "relit", "pictures" or "mix"."""
+        return self.run.data.source
 
     def _source(self) -> processes.BatchSource:
         """Return what the run learns from: batches by their number."""
@@ -342,12 +352,15 @@ class Training:
             self.run.size,
             self.step,
             None if labels is None else np.stack(labels),
+            self.seen,
         )
 
     def _save(self) -> None:
         progress = {"step": self.step, "skipped": self.skipped, "used": self.used}
         path = self.out / "checkpoint.safetensors"
-        checkpoints.write(path, self.run, self.network, self.average, self.optimiser, progress)
+        checkpoints.write(
+            path, self.run, self.network, self.average, self.optimiser, progress, self.seen
+        )
 
 
 def _copies(network: torch.nn.Module) -> dict[str, torch.Tensor]:

@@ -203,7 +203,7 @@ COMMANDS = (
     Command(
         "evaluate",
         "learn evaluate --data {room}/data --weights {room}/out/weights.safetensors --edits 2"
-        " --no-refine --processes 1 --gallery 1 --out {disk}/out",
+        " --allow-overlap --no-refine --processes 1 --gallery 1 --out {disk}/out",
         None,
         changes=LINES,
     ),
@@ -214,8 +214,8 @@ COMMANDS = (
     ),
     Command(
         "card",
-        "learn evaluate-network {room}/out/weights.safetensors --data {room}/data --batches 1 --out"
-        " {disk}/out",
+        "learn evaluate-network {room}/out/weights.safetensors --data {room}/data --batches 1"
+        " --allow-overlap --out {disk}/out",
     ),
     Command(
         "steps",
