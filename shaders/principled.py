@@ -22,8 +22,8 @@ their E are integrals, tabulated once for each width (`albedos`).
 
 Deviates from Blender's Principled BSDF: single scattering only, so that rough metals are darker;
 Schlick's term instead of the dielectric Fresnel equations and of Blender's metallic edge tint;
-Burley's sheen, fainter than Blender's microfibres; no tints, no diffuse roughness, subsurface scattering,
-transmission, anisotropy, thin film or emission.
+Burley's sheen, fainter than Blender's microfibres; no tints, diffuse roughness, subsurface
+scattering, transmission, anisotropy, thin film or emission.
 """
 
 from __future__ import annotations
@@ -100,9 +100,10 @@ class PrincipledMaterial:
             lobe = self.coat * dielectric(COAT_F0, cos_d) * closures.ggx(width, *cosines)
             f = lobe[..., None] + through[..., None] * f
         if self.sheen > 0:
-            reflected = self.sheen * sum(albedos("sheen", self.sheen_roughness, cos_o))
+            straight, grazing = albedos("sheen", self.sheen_roughness, cos_o)
+            through = 1 - self.sheen * (straight + grazing)
             lobe = self.sheen * burley_sheen(self.sheen_roughness, *cosines)
-            f = lobe[..., None] + (1 - reflected)[..., None] * f
+            f = lobe[..., None] + through[..., None] * f
         return f
 
     def _base(

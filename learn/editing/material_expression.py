@@ -73,9 +73,9 @@ def parsed(text: str) -> PrincipledMaterial:
     if not inner.endswith(")") or set(inner[:-1]) & set("()"):
         raise InputError(where, "one pair of parentheses, closed at the end", inner[-20:], usage)
     values = _values(inner[:-1], name, where, usage)
-    if (name == "ggx" and "roughness" not in values) or (name != "principled" and not values):
-        missing = next(key for key in KEYS[name] if key not in values)
-        raise InputError(where, f"a value of {missing}", "none", usage)
+    missing = [key for key in KEYS[name] if key not in values]
+    if name != "principled" and missing:
+        raise InputError(where, f"a value of {missing[0]}", "none", usage)
     try:
         return CONSTRUCTORS[name](**values)
     except ValueError as error:

@@ -69,7 +69,7 @@ def is_file(text: str) -> bool:
 
 
 def parts_of(text: str) -> list[str]:
-    """Return the texts of each region: "A+B" is split, but not within a file's name or parentheses."""
+    """Return the texts of each region: "A+B" is split, but not in a file's name or parentheses."""
     return [text] if is_file(text) else re.split(r"\+(?![^()]*\))", text)
 
 

@@ -74,9 +74,7 @@ def main():
         views.append(principled_fit.fit(material).views)
         seconds.append(time.process_time() - start)
     views, seconds = np.array(views), 1e3 * np.array(seconds)
-    print(
-        "materials                       count  median 90 % worst      median at .5 15 30 45 60 75°"
-    )
+    print(f"{'materials':32s} count median 90 % worst    median at .5 15 30 45 60 75°")
     for name, belongs in KINDS.items():
         if (chosen := np.array([belongs(m) for m in materials])).any():
             print(row(name, views[chosen]))
