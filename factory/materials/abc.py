@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factory.materials.errors import relative_l1
 from factory.materials.sources import Source
 from manifests.errors import InputError
 from manifests.inputs import require_file
+from shaders.errors import relative_l1
 from shaders.samples import held_out
 
 MAXIMUM_BYTES = 16 << 20  # the table of MERL's hundred has some KiB

@@ -90,9 +90,9 @@ def _values(inner: str, name: str, where: str, usage: str) -> dict[str, Value]:
         if not equals and position == 0:
             key, written = KEYS[name][0], key
         elif key not in KEYS[name]:
-            found = f"'{key}'" if equals else f"'{part.strip()}', which has no key"
+            shown = f"'{key}'" if equals else f"'{part.strip()}', which has no key"
             expected = "keys among " + ", ".join(KEYS[name])
-            raise InputError(where, expected, found, f"{closest(key, KEYS[name])}; {usage}")
+            raise InputError(where, expected, shown, f"{closest(key, KEYS[name])}; {usage}")
         if key in values:
             raise InputError(where, "every key once", f"{key} twice", usage)
         values[key] = _value(key, written, where, usage)
