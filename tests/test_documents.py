@@ -20,7 +20,7 @@ from PIL import Image
 
 DOCUMENTS = ("README.md", "docs/conventions.md")
 # pages whose blocks of Python are run here
-WITH_CODE = ("docs/conventions.md", "docs/layer-in-a-model.md")
+WITH_CODE = ("docs/conventions.md", "docs/layer-in-a-model.md", "docs/materials.md")
 SMALLER = [
     # two pictures show that the command works
     (r"^(python -m factory render .*)$", r"\1 --limit 2"),

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factory.materials.errors import relative_l1
-from factory.materials.samples import held_out
 from factory.materials.sources import Source
 from manifests.errors import InputError
 from manifests.inputs import require_file
+from shaders.errors import relative_l1
+from shaders.samples import held_out
 
 MAXIMUM_BYTES = 16 << 20  # the table of MERL's hundred has some KiB
 COLUMNS = ("kd_r", "kd_g", "kd_b", "A_r", "A_g", "A_b", "B", "C", "ior")

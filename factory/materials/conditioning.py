@@ -7,8 +7,9 @@ sample averages out: it is a sum of a few cosines over (θ_h, θ_d), of unit var
 
 import numpy as np
 
-from factory.materials import errors, recipe
-from factory.materials.samples import Measured, held_out
+from factory.materials import recipe
+from shaders import errors
+from shaders.samples import Measured, held_out
 
 WAVES = 6
 

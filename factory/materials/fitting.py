@@ -16,8 +16,7 @@ import msgspec
 import numpy as np
 from tqdm import tqdm
 
-from factory.materials import errors, recipe
-from factory.materials.samples import held_out
+from factory.materials import recipe
 from factory.materials.sources import Source
 from factory.materials.sphere import Sphere
 from manifests import materials as catalogue
@@ -26,6 +25,8 @@ from manifests.files import write_bytes
 from manifests.inputs import require_file
 from manifests.materials import Distance, Entry, Errors, MixtureData, Neighbour
 from manifests.reading import decode
+from shaders import errors
+from shaders.samples import held_out
 
 # of the fitting code: raise it with any change that alters a fit, and kept fits are made again
 VERSION = 2

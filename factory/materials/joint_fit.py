@@ -16,8 +16,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from factory.materials import label_model, nnls, node_model
-from factory.materials.samples import Samples
+from factory.materials import nnls, node_model
+from shaders import label_model
+from shaders.samples import Samples
 
 # columns, weights, active sides, normal matrices, residuals N − T, and L − M
 Projection: TypeAlias = tuple[

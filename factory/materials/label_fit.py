@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from factory.materials import label_model
-from factory.materials.samples import Samples
+from shaders import label_model
+from shaders.samples import Samples
 
 # towards the start, and against second differences; relative to the target's weighted square
 PRIOR, SMOOTH = 1e-5, 1e-5

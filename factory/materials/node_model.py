@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from factory.materials import nnls
-from factory.materials.samples import Samples
 from shaders import closures
+from shaders.samples import Samples
 
 # what Cycles renders without clamping; Ashikhmin–Shirley ends where its exponent reaches 0
 LOG_ALPHA = {

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from factory.materials import errors, joint_fit, label_fit, label_model, node_model
-from factory.materials.samples import Measured, Samples, held_out, view_stops
+from factory.materials import joint_fit, label_fit, node_model
 from factory.materials.sphere import Sphere
+from shaders import errors, label_model
 from shaders.mixture import Mixture
+from shaders.samples import Measured, Samples, held_out, view_stops
 from shaders.spline import basis
 
 # times the tolerance after the first metric: reweighting gains a sixth, so more closures are tried

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from factory.materials.samples import HELD_OUT_DEG
 from manifests.errors import InputError
 from manifests.files import transaction, write_figure, write_json, write_text
 from manifests.materials import Entry, read_catalogue
 from manifests.provenance import provenance
+from shaders.samples import HELD_OUT_DEG
 
 LIMITS = (  # name, key of the figure, limit, what the prototype reached
     ("label against nodes, L1, median", "agreement_median", 0.015, "0.017"),

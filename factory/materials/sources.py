@@ -11,9 +11,9 @@ from functools import partial
 from pathlib import Path
 
 from factory.materials import families, merl_binary, nbrdf
-from factory.materials.samples import Measured
 from manifests.errors import InputError, closest
 from manifests.inputs import require_file
+from shaders.samples import Measured
 
 MERL_CREDIT = (
     "MERL BRDF database (Matusik, Pfister, Brand, McMillan, SIGGRAPH 2003), through the neural fits"

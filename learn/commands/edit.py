@@ -52,7 +52,9 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         required=True,
         metavar="MATERIAL",
         help=(
-            "a material's name (`python -m factory materials list`), a material.json, or a picture"
+            "a material's name (`python -m factory materials list`); an expression in quotes, such"
+            " as 'principled(base_color=#a03020, roughness=.35, metallic=0)', 'lambert(#c0c0c0)' or"
+            " 'ggx(f0=.9, roughness=.2)'; a material.json; or a picture"
             " to take the material from (with transparency, or NAME.mask.png beside it). With"
             " regions, A+B gives each its own; 'keep' leaves one"
         ),

@@ -106,6 +106,7 @@ def report_of(result: "EditResult", edit_options: "EditOptions") -> dict:
         "photograph": opened.name,
         "size": opened.mask.shape,
         "materials": [edit.text for edit in result.edits],
+        "fit_relative_l1": targets.fit_errors(edit.text for edit in result.edits),
         "exposure": decomposed.framed.exposure,
         "white_balance": [float(x) for x in opened.balance],
         "regions": opened.count,

@@ -1,20 +1,21 @@
 """Target materials as a user names them.
 
-A text is a name of the catalogue, a material.json, another picture, or "keep". Labels are
-(S, 108) natural logarithms.
+A text is a name of the catalogue, an expression such as principled(roughness=.35), a material.json,
+another picture, or "keep". Labels are (S, 108) natural logarithms.
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from learn.editing import material_file
+from learn.editing import material_expression, material_file
 from manifests.materials import find
 from shaders.dsbrdf import SIZE
 
 KEEP = "keep"
+LONGEST_STEM = 60  # characters of an expression that a file's name shows
 
 
 def label_of(
@@ -34,12 +35,29 @@ def label_of(
         return None
     if known and text in known:
         return known[text][None]
+    if is_expression(text):
+        return material_expression.fitted(text).label.reshape(1, SIZE).astype(np.float32)
     path = Path(text)
     if path.suffix.lower() == ".json":
         return material_file.read(path)
     if is_file(text) or (len(path.suffix) > 1 and path.suffix[1:].isalpha()):
         return of_picture(path)
     return find(text).label.reshape(1, SIZE).astype(np.float32)
+
+
+def is_expression(text: str) -> bool:
+    """Return whether a text is an expression, and no file of that name."""
+    return material_expression.is_expression(text) and not is_file(text)
+
+
+def fit_errors(texts: Iterable[str]) -> dict[str, float]:
+    """Return {expression: relative L1 of its label} of all expressions in the users' texts."""
+    parts = (part for text in texts for part in parts_of(text))
+    return {
+        part: round(material_expression.fitted(part).error, 4)
+        for part in parts
+        if is_expression(part)
+    }
 
 
 def is_file(text: str) -> bool:
@@ -51,8 +69,8 @@ def is_file(text: str) -> bool:
 
 
 def parts_of(text: str) -> list[str]:
-    """Return the texts of each region: "A+B" is split, but not a file's name that holds a plus."""
-    return [text] if is_file(text) else text.split("+")
+    """Return the texts of each region: "A+B" is split, but not in a file's name or parentheses."""
+    return [text] if is_file(text) else re.split(r"\+(?![^()]*\))", text)
 
 
 def caption_of(text: str) -> str:
@@ -62,9 +80,7 @@ def caption_of(text: str) -> str:
 
 def file_name(text: str) -> str:
     """Return the part of a file's name that stands for a target material."""
-    return (
-        re.sub(
-            r"[^A-Za-z0-9+_-]+", "-", "+".join(Path(part).stem for part in parts_of(text))
-        ).strip("-")
-        or "material"
+    stems = "+".join(
+        part[:LONGEST_STEM] if is_expression(part) else Path(part).stem for part in parts_of(text)
     )
+    return re.sub(r"[^A-Za-z0-9+_-]+", "-", stems).strip("-") or "material"

@@ -247,7 +247,7 @@ def test_the_built_in_catalogue_holds_merls_hundred(merl):
 
 
 def test_labels_are_bounded_and_in_canonical_order(merl):
-    from factory.materials.label_model import HIGH, LOW
+    from shaders.label_model import HIGH, LOW
 
     for m in merl.values():
         assert (m.label >= LOW - 1e-4).all() and (m.label <= HIGH + 1e-4).all(), m.name
@@ -256,7 +256,7 @@ def test_labels_are_bounded_and_in_canonical_order(merl):
 
 def test_written_errors_are_those_of_the_written_numbers(merl):
     """Label against nodes needs no measurement: taken again for a few; four digits are written."""
-    from factory.materials import errors, samples
+    from shaders import errors, samples
 
     s = samples.held_out()
     for name in ("brass", "blue-rubber", "white-fabric", "specular-black-phenolic"):

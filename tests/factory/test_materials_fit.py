@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls as reference_nnls
 
-from factory.materials import errors, joint_fit, label_model, nnls, recipe, samples, sphere
-from shaders import closures, dsbrdf, envmap, frames, spline
+from factory.materials import joint_fit, nnls, recipe, sphere
+from shaders import closures, dsbrdf, envmap, errors, frames, label_model, samples, spline
 from shaders.mixture import Mixture
 
 QUICK_VIEWS = (0, 12, 24, 36, 47, 57, 66, 74, 81, 86)

@@ -9,8 +9,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from factory.materials import abc, families, merl_binary, nbrdf, samples, sources
+from factory.materials import abc, families, merl_binary, nbrdf, sources
 from manifests.errors import InputError
+from shaders import samples
 from tests.support.merl_file import smooth, write_binary
 
 

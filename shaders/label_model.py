@@ -5,8 +5,8 @@ label  (3, 3, 2, 6): channel, lobe, (log κ, log γ), spline control values over
 
 import numpy as np
 
-from factory.materials.samples import Measured
 from shaders.dsbrdf import MAX_EXPONENT
+from shaders.samples import Measured
 from shaders.spline import greville
 
 LOG_KAPPA, LOG_GAMMA = (-12.0, 2.2), (-4.0, 12.5)

@@ -31,12 +31,27 @@ class Samples:
     Points below the horizon have solid angle 0 and harmless cosines.
     """
 
-    def __init__(self, theta_o: ArrayLike, n_theta: int = 44, n_phi: int = 10) -> None:
-        """Place the samples for view angles theta_o (V,), radians from the normal."""
+    def __init__(
+        self,
+        theta_o: ArrayLike,
+        n_theta: int = 44,
+        n_phi: int = 10,
+        narrowest: float | None = None,
+    ) -> None:
+        """Place the samples for view angles theta_o (V,), radians from the normal.
+
+        narrowest  width of the narrowest lobe, radians: θ_h then follows sinh, equally dense within
+                   that width and in equal ratios beyond it
+        """
         self.theta_o = np.atleast_1d(np.asarray(theta_o, dtype=np.float64))
         u = (np.arange(n_theta) + 0.5) / n_theta
-        theta_h = np.pi / 2 * u**POWER
-        d_theta = np.pi / 2 * POWER * u ** (POWER - 1) / n_theta
+        if narrowest is None:
+            theta_h = np.pi / 2 * u**POWER
+            d_theta = np.pi / 2 * POWER * u ** (POWER - 1) / n_theta
+        else:
+            span = np.arcsinh(np.pi / 2 / narrowest)
+            theta_h = narrowest * np.sinh(span * u)
+            d_theta = narrowest * span * np.cosh(span * u) / n_theta
         phi_h = (np.arange(n_phi) + 0.5) / n_phi * np.pi
         cos_o, sin_o = np.cos(self.theta_o)[:, None, None], np.sin(self.theta_o)[:, None, None]
         ch, sh = np.cos(theta_h)[None, :, None], np.sin(theta_h)[None, :, None]

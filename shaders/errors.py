@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from factory.materials import label_model
-from factory.materials.samples import Samples
+from shaders import label_model
+from shaders.samples import Samples
 
 
 def metric(measured: np.ndarray, samples: Samples, floor: float = 0.02) -> np.ndarray:
