@@ -7,7 +7,7 @@ import pytest
 
 from shaders import closures, dsbrdf, principled, principled_fit
 from shaders.principled import PrincipledMaterial, dielectric, ggx, lambert
-from tests.shaders.test_closures import cosines, directions
+from tests.support.bsdf_directions import cosines, directions
 
 MATERIALS = {
     "matte": lambert((0.7, 0.3, 0.2)),
