@@ -43,7 +43,9 @@ def main(
         argparse.RawDescriptionHelpFormatter if "\n\n" in description else argparse.HelpFormatter
     )
     parser = argparse.ArgumentParser(
-        prog=f"python -m {program}", description=description, formatter_class=layout
+        prog=f"python -m {program}",
+        description=description[:1].upper() + description[1:],
+        formatter_class=layout,
     )
     parser.add_argument("--debug", action="store_true", help="show the whole trace of an error")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")

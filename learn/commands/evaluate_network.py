@@ -31,13 +31,14 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     )
     options.add_out(parser)
     parser.add_argument(
-        "--seeds",
+        "--other-seeds",
         type=Path,
         nargs="+",
         default=[],
         metavar="FILE",
         help="weights of the same run with other seeds",
     )
+    parser.add_argument("--seeds", dest="other_seeds", type=Path, nargs="+", help=argparse.SUPPRESS)
     parser.add_argument(
         "--batches",
         type=positive,
@@ -69,7 +70,7 @@ def run(arguments: argparse.Namespace) -> None:
         settings.data, arguments.data, arguments.lights, pictures=arguments.pictures
     )
     seen = overlap.sentences(
-        [arguments.weights, *arguments.seeds],
+        [arguments.weights, *arguments.other_seeds],
         overlap.of_split(data_splits["test"]),
         arguments.data,
         arguments.allow_overlap,
@@ -80,7 +81,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.out,
         arguments.batches,
         arguments.note,
-        arguments.seeds,
+        arguments.other_seeds,
         device,
         seen,
     )
