@@ -65,7 +65,8 @@ def _pot(outer, wall):
     low, high = outer[0, 1], outer[-1, 1]
     closed_outer = np.concatenate([[[-0.2, low]], outer, [[-0.2, high]]])
     solid = fields.revolved(fields.Outline([closed_outer]))
-    mouth = max(float(outer[-1, 0]) - wall, 0.03)
+    top = outer[outer[:, 1] > high - 2.5 * wall]  # a wider opening would cut off a narrow neck
+    mouth = max(float(top[:, 0].min()) - wall, 0.03)
     opening = fields.cylinder(mouth, 1.0, 0.01)
 
     def cavity(p: np.ndarray) -> np.ndarray:
