@@ -16,7 +16,7 @@ from factory.shapes.surfaces import (
 )
 
 BODY, TRIM = 1, 2
-FINE_CELLS, CUP_CELLS = 112, 72  # along a vessel: its wall is about four cells thick
+FINE_CELLS, CUP_CELLS = 104, 72  # along a vessel: its wall is about four cells thick
 
 
 def vessel(a: Assembly, rng: Generator) -> None:
