@@ -60,7 +60,7 @@ def changing(folder: str | os.PathLike) -> Iterator[None]:
 
 
 def _locked(path, kind, folder, patience):
-    """Return [descriptor of the lock], or [] if nobody can write and no lock file exists."""
+    """Return [descriptor of the lock], or [] if the folder is read-only and no lock file exists."""
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError:

@@ -238,7 +238,7 @@ def test_every_file_is_written_by_the_one_home_of_writing(root):
                         node.lineno
                     )
     assert {key: lines for key, lines in result.items() if key not in WRITERS} == {}
-    assert WRITERS.keys() - result.keys() == set()  # an exception that nobody needs is taken back
+    assert WRITERS.keys() - result.keys() == set()  # an exception that is not used is removed
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
-"""What pip is told: every Python that the project admits has its pins, and every package says that
-it is typed.
+"""Requirements for pip: every Python that the project admits has its pins.
+
+Every package says that it is typed.
 """
 
 import tomllib

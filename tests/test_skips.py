@@ -1,4 +1,4 @@
-"""A test that skips for a reason that nobody expects fails the run; one on the list does not."""
+"""A test that skips for an unexpected reason fails the run; one on the list does not."""
 
 import shutil
 import subprocess

@@ -139,7 +139,7 @@ def _room(rng: np.random.Generator) -> Scene:
         for _ in range(int(rng.integers(1, 6))):
             boxes.append(_picture(rng, low, high))
     pieces = [_piece(rng, low, high) for _ in range(int(rng.integers(2, 9)))]
-    # a room is a hundred times darker than the open: what the window shows is very bright
+    # dimmer or brighter than the open sky, so that lamps and windows compete
     sky = _sky(rng, float(np.exp(rng.uniform(np.log(0.3), np.log(3)))))
     return Scene(sky, tuple(boxes), tuple(bulbs), tuple(pieces))
 

@@ -22,7 +22,9 @@ from manifests.inputs import require_file
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 SUFFIX = ".binary"
 HEADER = struct.Struct("<3i")
-MAX_SIDE = 720  # the database has 90, 90, 180; nobody measures finer than a quarter of a degree
+MAX_SIDE = (
+    720  # the database has 90, 90, 180; a finer step than a quarter of a degree is a damaged header
+)
 MAX_CELLS = 4 * 90 * 90 * 180
 
 

@@ -23,7 +23,7 @@ PANORAMA = (
     Setting("render.film_transparent", False, "the sky is part of the light"),
     Setting("render.use_persistent_data", False, "each panorama has a scene of its own"),
     Setting("cycles.device", "CPU", "small pictures"),
-    Setting("cycles.samples", SAMPLES, "with the denoiser: a texel's noise below its neighbours'"),
+    Setting("cycles.samples", SAMPLES, "a number that leaves no visible noise after the denoiser"),
     Setting("cycles.use_denoising", True, "a light map is an input, not a measured picture"),
     Setting("cycles.max_bounces", 8, "rooms are lit by what their walls reflect"),
     Setting("cycles.diffuse_bounces", 6, "as above"),
@@ -71,7 +71,7 @@ def _world(stage: bpy.types.Scene, sky: Sky) -> None:
     tree = world.node_tree
     node = tree.nodes.new("ShaderNodeTexSky")
     node.sky_type = "NISHITA"
-    node.sun_elevation, node.sun_rotation = max(sky.elevation, -0.03), sky.azimuth
+    node.sun_elevation, node.sun_rotation = sky.elevation, sky.azimuth
     node.dust_density, node.sun_disc = sky.dust, sky.with_sun
     background = tree.nodes["Background"]
     background.inputs["Strength"].default_value = sky.strength

@@ -1,7 +1,7 @@
 """Whether tested pictures show what weights saw in training: a shape, a material or a light.
 
-An evaluation refuses such pictures unless it is told to go on. Its report then begins with the
-sentences that `sentences` returns.
+An evaluation refuses such pictures, or with --allow-overlap begins its report with the sentences
+that `sentences` returns.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -230,7 +230,7 @@ def test_views_of_geometry_alone_replace_a_damaged_file_too(render, small_job, t
         emptied(tmp_path / path)
     assert render(job, tmp_path).made == 3
     left = bytes_of(tmp_path, "geometry")
-    # nobody looked there
+    # not read by this check
     assert [path for path in whole if left[path] != whole[path]] == [
         Path(next(Store(tmp_path).views()).geometry)
     ]

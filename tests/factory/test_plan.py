@@ -1,4 +1,4 @@
-"""A job as shots: the paper's counts, draws that nobody else's presence alters, splits that share
+"""A job as shots: the paper's counts, draws that do not depend on other shapes, splits that share
 nothing, and no memory.
 """
 

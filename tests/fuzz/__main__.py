@@ -122,7 +122,7 @@ def order(result: dict, options: argparse.Namespace, spent: Counter) -> Iterator
 
 
 def _many(fuzzing: driver.Driver, options: argparse.Namespace) -> int:
-    """Run cases with a progress bar; each kind of fault is told once, with how to see it again."""
+    """Run cases with a progress bar; each kind of fault is reported once, with its repetition."""
     kinds, counts, spent, begun = {}, Counter(), Counter(), time.monotonic()
     total = options.cases or round(60 * options.minutes)
     unit = "case" if options.cases else "s"

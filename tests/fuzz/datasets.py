@@ -180,7 +180,7 @@ def _instead(data, rng):
 
 
 def _stray(data, rng):
-    """Something that belongs to nobody."""
+    """A file that no program of ours writes."""
     names = (
         "images/zz/stray.exr",
         "records/worker-99.jsonl",

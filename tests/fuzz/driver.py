@@ -400,7 +400,7 @@ class Running:
     def __init__(self, module: str, index: int, place: Path, make, limits: Limits):
         self.module, self.index, self.place, self.limits = module, index, place, limits
         place.mkdir(parents=True)
-        self.begun, self.started, self.told, self.fault = time.monotonic(), None, {}, None
+        self.begun, self.started, self.report, self.fault = time.monotonic(), None, {}, None
         self.pid = os.fork()
         if self.pid == 0:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -410,15 +410,15 @@ class Running:
     def watch(self) -> None:
         """End the child if it has passed a limit."""
         if self.started is None and (report := _read(self.place / "started.json")):
-            self.started, self.told = time.monotonic(), report
+            self.started, self.report = time.monotonic(), report
         if self.started is None:
             if time.monotonic() - self.begun > self.limits.making:
                 self._end(f"the generator took more than {self.limits.making:g} s")
             return
         if time.monotonic() - self.started > self.limits.seconds + 1:
             self._end(f"time: more than {self.limits.seconds:g} s")
-        bound = self.told["bound_mb"]
-        if (used := _tree_memory(self.pid) - self.told["baseline"]) > bound << 20 and not (
+        bound = self.report["bound_mb"]
+        if (used := _tree_memory(self.pid) - self.report["baseline"]) > bound << 20 and not (
             self.place / "ended.json"
         ).exists():
             self._end(f"memory: more than {used >> 20} MiB, bound {bound}")

@@ -746,7 +746,7 @@ def judged(call) -> str | None:
     try:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
-            # of torch's own parts, which nobody is shown
+            # of torch's own parts, which no user sees
             warnings.simplefilter("ignore", DeprecationWarning)
             answer = perform(call)
     except REFUSALS as error:
@@ -780,7 +780,7 @@ def run(
     each: Callable[[int, Call, str | None], None] | None = None,
 ) -> list[str]:
     """Faults of calls first … first + count − 1 of a seed, one line each; each(number, call, fault)
-    is told of all.
+    is reported for all.
     """
     faults = []
     for number in range(first, first + count):

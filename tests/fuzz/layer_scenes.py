@@ -55,12 +55,12 @@ PAIRS = 2**16  # of a pixel and a texel that the reference works on at a time
 
 @dataclass(frozen=True)
 class Scene:
-    """Arguments of `render` (`given`), names of those whose gradients are wanted, and a
+    """Arguments of `render` (`given`), names of those whose gradients are requested, and a
     tolerance.
     """
 
     given: dict
-    wanted: tuple
+    with_gradient: tuple
     tolerance: float
 
 
@@ -267,7 +267,7 @@ def rendered(scene, method):
     """The picture, and gradients {name: …} of the same sum, as the layer gives them."""
     leaves = {
         name: scene.given[name].clone().requires_grad_()
-        for name in scene.wanted
+        for name in scene.with_gradient
         if scene.given[name] is not None
     }
     picture = render(**scene.given | leaves, method=method, tolerance=scene.tolerance)

@@ -178,7 +178,7 @@ def prepare(folder: Path) -> None:
 def case(index: int, rng: np.random.Generator, room: Room) -> Case:
     """See the module."""
     there, out, more = seeds.of(room), room.folder / "out", []
-    # a copy of its own: training writes the cache anew where it is damaged
+    # a copy of its own: training writes a damaged cache again
     data = room.folder / "views"
     shutil.copytree(room.seeds / "views", data)
     run, text = json.loads(json.dumps(RUN)), None

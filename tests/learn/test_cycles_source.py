@@ -1,5 +1,6 @@
-"""Rendered pictures as a source: sides, partners, order, mixtures; and bad data told, or left out
-and counted, before training starts.
+"""Rendered pictures as a source: sides, partners, order and mixtures.
+
+Bad data are reported, or left out on request.
 """
 
 import json

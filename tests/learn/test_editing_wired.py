@@ -1,5 +1,6 @@
-"""That the commands hand on what they are asked for: options, masks, refinement, truths; each told
-apart from its being dropped.
+"""The commands pass on their options, masks, refinement and truths.
+
+Each test fails if one of them is dropped on the way.
 """
 
 import json

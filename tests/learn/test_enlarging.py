@@ -78,10 +78,10 @@ def test_the_table_compares_with_the_way_in_use_on_the_same_edits():
         {"edit": "e", "shape": shape, "material": "m", "ours": ways(110.0), "true": ways(50.0)}
         for shape in "abc"
     ]
-    told = upsampling_comparison.summary(rows)
-    assert told["ours"]["detail 1"]["l2_ratio"] == pytest.approx([1.1] * 3)
-    assert told["true"]["detail 1"]["l2_ratio"] == pytest.approx([0.5] * 3)
-    assert told["true"]["detail 1"]["ssim_gain"] == pytest.approx([-0.1] * 3)
+    report = upsampling_comparison.summary(rows)
+    assert report["ours"]["detail 1"]["l2_ratio"] == pytest.approx([1.1] * 3)
+    assert report["true"]["detail 1"]["l2_ratio"] == pytest.approx([0.5] * 3)
+    assert report["true"]["detail 1"]["ssim_gain"] == pytest.approx([-0.1] * 3)
 
 
 def test_the_truth_itself_has_no_error(rng):

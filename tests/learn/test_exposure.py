@@ -72,7 +72,7 @@ def test_the_command_fits_one_dataset_and_measures_the_rule_in_use_on_another(tm
         str(tmp_path / "out"),
     ]
     assert main("learn.experiments", "", COMMANDS, words) == 0
-    told = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert told["pictures"] == 4
-    assert set(told["missed"]) == {"fit", "check"}
-    assert told["rules"]["in use"] == [photographs.TYPICAL, photographs.DEPENDENCE]
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["pictures"] == 4
+    assert set(report["missed"]) == {"fit", "check"}
+    assert report["rules"]["in use"] == [photographs.TYPICAL, photographs.DEPENDENCE]

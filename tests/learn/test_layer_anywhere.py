@@ -1,4 +1,4 @@
-"""The layer inside other people's programs, and on inputs nobody would choose."""
+"""The layer inside other people's programs, and on unlikely inputs."""
 
 import math
 

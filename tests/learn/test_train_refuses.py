@@ -193,7 +193,7 @@ def test_a_second_run_into_a_folder_is_refused_and_writes_nothing(
 
 
 def test_the_processes_that_relight_let_the_folder_go(tmp_path):
-    """A run that was killed leaves them behind for a moment: nobody need wait for that."""
+    """A run that was killed leaves them behind for a moment; nothing waits for them."""
     with processes.only_writer(tmp_path):
         child = os.fork()
         if not child:
@@ -424,7 +424,7 @@ def test_a_damaged_cache_of_geometry_is_made_again(tmp_path, name, text):
     )
     sound = Geometry(tmp_path, progress=False).normals(0)
     (tmp_path / "packed" / name).unlink()
-    # nothing waits for it: it is passed over, or told where a file has to take its place
+    # nothing waits for it: it is skipped, or reported where a file has to take its place
     if text is None:
         os.mkfifo(tmp_path / "packed" / name)
         try:

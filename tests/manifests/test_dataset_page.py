@@ -55,7 +55,9 @@ def test_every_type_of_the_contract_has_a_section(page):
         if kind != "run"  # a training run is no part of a data set: docs/learning.md
         for name in msgspec.json.schema(type_)["$defs"]
     }
-    assert published - {"Draw"} == set(STRUCTS)  # `{"random": 5}` is told where a job may have it
+    assert published - {"Draw"} == set(
+        STRUCTS
+    )  # `{"random": 5}` is described with the keys that take it
 
 
 @pytest.mark.parametrize("name", STRUCTS)

@@ -172,7 +172,7 @@ def test_the_draft_of_a_killed_program_is_hidden_and_goes_with_the_next_file_tha
         draft.replace(f"-{number}-", f"-{os.getpid()}-"),  # a living program's
         # another machine's, whose numbers mean nothing here
         draft.replace(f"-{number}-", f"elsewhere-{number}-"),
-        ".a.png.part",  # nobody of ours named it so
+        ".a.png.part",  # no file of ours has that name
     ]
     for name in others:
         (tmp_path / name).write_bytes(b"")

@@ -1,5 +1,6 @@
-"""The demo's page: everything on it comes from files on disk, and what is missing is told in one
-line.
+"""The demo's page: everything on it comes from files on disk.
+
+What is missing is reported in one line.
 """
 
 import json

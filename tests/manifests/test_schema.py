@@ -128,7 +128,7 @@ def test_a_missing_or_huge_file_is_refused_before_it_is_read(tmp_path):
 
 @pytest.mark.parametrize("name", sorted(publish.TYPES))
 def test_the_published_json_schema_is_that_of_the_types(name):
-    """`python -m manifests.publish` writes them anew."""
+    """`python -m manifests.publish` writes them."""
     assert (publish.FOLDER / f"{name}.schema.json").read_text(
         encoding="utf-8"
     ) == publish.documents()[f"{name}.schema.json"]

@@ -119,7 +119,7 @@ def held_of(value):
 
 def require_one_device(name, args, kwargs):
     """Raises RuntimeError, as CUDA does, for an operator on tensors of both devices."""
-    # autograd makes zeros of its own, which cannot be told from ours
+    # autograd makes zeros of its own, which look like ours
     if name in ACROSS or torch._C._current_graph_task_id() != -1:
         return
     checked = (args[0], *args[2:]) if name in INDEXING and isinstance(args[0], OnDevice) else args

@@ -227,7 +227,7 @@ def with_picture(store, record, picture):
 
 
 def rename(store, change):
-    """Writes every record anew as change(record), with the ids that follow, its picture under the
+    """Rewrites every record as change(record), with the ids that follow, its picture under the
     new name.
 
     dataset.json must hold by now what the records name.

@@ -24,7 +24,7 @@ MOST_CROWDED = 0.002
 def build(family: str, seed: int) -> Mesh:
     """Return the mesh of a general family's seed, its category the family's name.
 
-    Raises InputError where no attempt gives a sound surface, which no seed tried so far does.
+    Raises InputError where none of ATTEMPTS draws gives a sound surface.
     """
     module, key = FAMILIES[family]
     draw: Callable[[Assembly, np.random.Generator], None] = getattr(

@@ -97,11 +97,11 @@ def test_the_float64_look_up_is_differentiable():
     )
 
 
-@pytest.mark.parametrize("wanted", [False, True])
-def test_pictures_of_one_material_and_light_share_their_sum(monkeypatch, wanted):
+@pytest.mark.parametrize("with_gradient", [False, True])
+def test_pictures_of_one_material_and_light_share_their_sum(monkeypatch, with_gradient):
     n = torch.cat([sphere(10), sphere(10).flip(2), sphere(10).flip(1)])
     m, L = material(*MATERIALS["satin"]), light("lamps")
-    m.requires_grad_(wanted)
+    m.requires_grad_(with_gradient)
     monkeypatch.setattr(directional, "WHOLE", 0)  # maps although the pictures are small
     calls = []
     original = reflectance_map.with_nodes
@@ -111,7 +111,7 @@ def test_pictures_of_one_material_and_light_share_their_sum(monkeypatch, wanted)
     alone = torch.cat([render(n[i : i + 1], m, L, method="reflectance_map") for i in range(3)])
     # culling tells the mean from other pixels
     torch.testing.assert_close(together, alone, rtol=2e-3, atol=1e-4)
-    if wanted:
+    if with_gradient:
         (shared,) = torch.autograd.grad(together.sum(), m, retain_graph=True)
         (apart,) = torch.autograd.grad(alone.sum(), m)
         torch.testing.assert_close(shared, apart, rtol=2e-3, atol=1e-3 * apart.abs().max().item())
