@@ -16,6 +16,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from learn.networks.coding import Ranges, compressed, light_of, picture_code, unit_mean
+from learn.networks.light_maps import MapConvolution, enlarged, map_convolution
 from learn.networks.prediction import Coded, Prediction, region_masks, required
 
 WIDTHS = (32, 64, 128, 256)
@@ -87,8 +88,8 @@ class Compact(Coded):
             nn.Linear(256, LIGHT_WIDTHS[0] * 32),
             nn.ReLU(),
         )
-        self.widen = nn.ModuleList(convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
-        self.light = nn.Conv2d(LIGHT_WIDTHS[-1], 12, 3, 1, 1)
+        self.widen = nn.ModuleList(map_convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
+        self.light = MapConvolution(LIGHT_WIDTHS[-1], 12)
 
     def forward(
         self,
@@ -159,7 +160,7 @@ class Compact(Coded):
     def _light(self, x):
         x = self.illumination(x).reshape(-1, LIGHT_WIDTHS[0], 4, 8)
         for widen in self.widen:
-            x = widen(F.interpolate(x, scale_factor=2.0, mode="bilinear"))
+            x = widen(enlarged(x))
         return F.softplus(F.pixel_shuffle(self.light(x), 2).float())
 
 
