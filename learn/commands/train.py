@@ -59,6 +59,12 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--seed", type=whole, metavar="N", help="random seed (default: as the run says)"
     )
     parser.add_argument(
+        "--start",
+        type=Path,
+        metavar="FILE",
+        help="weights.safetensors of an earlier run to begin with (default: as the run says)",
+    )
+    parser.add_argument(
         "--sheet-every",
         type=whole,
         default=500,
@@ -88,7 +94,11 @@ def run(arguments: argparse.Namespace) -> None:
 
     device = devices.choose(arguments.device)
     chosen = settings.read_run(
-        arguments.settings, arguments.steps, arguments.seed, arguments.materials
+        arguments.settings,
+        arguments.steps,
+        arguments.seed,
+        arguments.materials,
+        arguments.start,
     )
     torch.set_num_threads(arguments.threads)
     with processes.only_writer(arguments.out):

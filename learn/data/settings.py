@@ -45,10 +45,11 @@ def read_run(
     steps: int | None = None,
     seed: int | None = None,
     materials: str | None = None,
+    start: Path | None = None,
 ) -> Run:
     """Return the Run of a file, or of the preset of that name.
 
-    steps, seed, materials  replace what the run says; None leaves it
+    steps, seed, materials, start  replace what the run says; None leaves it
     Raises  InputError: missing, malformed, values out of range, nothing to train, a batch that no
             memory can hold
     """
@@ -61,6 +62,8 @@ def read_run(
         )
     if seed is not None:
         run = msgspec.structs.replace(run, seed=seed)
+    if start is not None:
+        run = msgspec.structs.replace(run, start=str(start))
     run = msgspec.structs.replace(run, data=with_materials(run.data, materials))
     require_trainable(run, where)
     return run

@@ -1,9 +1,12 @@
 """The paper's three networks (Section 3.2 and its supplement), with layer widths of our own.
 
-normals   Eigen and Fergus' multi-scale network: a coarse scale over the whole picture, two that
-          refine it, a fourth of two convolutions at full size, then unit length
-light     7 halving convolutions, 2 fully connected layers with dropout, deconvolutions to 64×128
-material  7 halving convolutions, 3 fully connected layers with dropout, tanh, 108 outputs
+normals   Eigen and Fergus' multi-scale network: a coarse scale that sees the whole picture through
+          two fully connected layers, two that refine it, a fourth of two convolutions at full size,
+          then unit length
+light     7 halving convolutions, 2 fully connected layers, each with dropout, deconvolutions to
+          64×128
+material  7 halving convolutions, 3 fully connected layers, tanh, 108 outputs; dropout follows the
+          first two, since after the last one it would set coefficients to the middle of their range
 
 Weights start uniform in ±0.08. In a deep network that alone would let activations grow or vanish,
 so batch normalisation follows each convolution: ours.
@@ -21,6 +24,9 @@ from learn.networks.prediction import ThreeNetworks
 
 HALVINGS = (32, 64, 128, 256, 256, 512, 512)
 START = 0.08
+COARSE = 8  # height and width of what the fully connected layers of the coarse scale read
+COARSE_CODE = 512  # Eigen and Fergus: 4096, which would take 75 million weights more
+COARSE_WIDTH = 64  # channels of the coarse scale's map, twice COARSE high and wide
 
 
 def _halving():
@@ -70,18 +76,26 @@ class Paper(ThreeNetworks):
 
     def __init__(self, ranges: Ranges):
         super().__init__(ranges)
+        drop = lambda: nn.Dropout(0.5)  # noqa: E731 -- one per place
         self.coarse = nn.Sequential(
             convolution(4, 48, 2),
             convolution(48, 96, 2),
             convolution(96, 192, 2),
             convolution(192, 256, 2),
             convolution(256, 256, 2),
+            nn.AdaptiveAvgPool2d(COARSE),
+            nn.Flatten(),
+            nn.Linear(256 * COARSE**2, COARSE_CODE),
+            nn.ReLU(),
+            drop(),
+            nn.Linear(COARSE_CODE, COARSE_WIDTH * 4 * COARSE**2),
+            nn.ReLU(),
+            nn.Unflatten(1, (COARSE_WIDTH, 2 * COARSE, 2 * COARSE)),
         )
-        self.second, self.third = Scale(256, 96), Scale(96, 64)
+        self.second, self.third = Scale(COARSE_WIDTH, 96), Scale(96, 64)
         self.fourth = nn.Sequential(
             nn.Conv2d(64 + 4, 32, 3, 1, 1), nn.ReLU(inplace=True), nn.Conv2d(32, 3, 3, 1, 1)
         )
-        drop = lambda: nn.Dropout(0.5)  # noqa: E731 -- one per place
         self.material = nn.Sequential(
             _halving(),
             nn.Linear(2048, 1024),
@@ -99,6 +113,7 @@ class Paper(ThreeNetworks):
             drop(),
             nn.Linear(1024, 128 * 32),
             nn.ReLU(),
+            drop(),
         )
         self.light = nn.Sequential(
             *(_deconvolution(a, b) for a, b in ((128, 96), (96, 64), (64, 32))),

@@ -164,6 +164,25 @@ def test_presets_can_be_trained(root):
     assert presets and [settings.read_run(path.stem).name for path in presets]
 
 
+def test_the_papers_presets_train_as_the_paper_says(root):
+    """The network, Eq. 5 with the perceptual loss, its weights, and the order of its runs."""
+    for name in ("joint-paper", "pretrain-paper", "multi-category-paper", "multi-material-paper"):
+        preset = settings.read_run(name)
+        losses = preset.losses
+        assert preset.network == "paper" and preset.size == 256
+        assert (losses.normals, losses.material) == (1e4, 1e3)
+        assert losses.image_features == losses.target_features == 1
+        assert losses.image == losses.target == losses.light_log == losses.light_rendered == 0
+        alone = [stage.parts for stage in preset.stages]
+        assert alone == ([("normals",), ("material",)] if name.startswith(("j", "p")) else [])
+
+
+def test_start_names_the_weights_that_a_run_begins_with(tmp_path):
+    assert settings.read_run("multi-category-paper").start is None
+    chosen = settings.read_run("multi-category-paper", start=tmp_path / "weights.safetensors")
+    assert chosen.start == str(tmp_path / "weights.safetensors")
+
+
 def test_a_run_made_in_python_is_judged_as_one_from_a_file(data_splits, tmp_path):
     for wrong in (
         run(losses=Losses(normals=0, material=0)),

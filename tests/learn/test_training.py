@@ -137,6 +137,23 @@ def test_networks_predict_unit_normals_codes_in_reach_and_lights_of_unit_mean(ne
         assert envmap.mean_radiance(light) @ envmap.LUMINANCE == pytest.approx(1, abs=1e-4)
 
 
+def test_the_papers_coarse_scale_sees_the_whole_picture():
+    """A normal in one corner depends on a pixel in the opposite one."""
+    torch.manual_seed(0)
+    net = Paper(Ranges(torch.zeros(108), torch.ones(108))).eval()
+    image, mask = torch.rand(1, 3, 256, 256, requires_grad=True), torch.ones(1, 1, 256, 256)
+    net(image, mask, parts=("normals",)).n[0, 0, 0, 0].backward()
+    assert image.grad[0, :, -8:, -8:].abs().max() > 0
+
+
+def test_all_fully_connected_layers_of_the_papers_light_have_dropout():
+    net = Paper(Ranges(torch.zeros(108), torch.ones(108)))
+    kinds = [type(layer) for layer in net.illumination]
+    linear = [i for i, kind in enumerate(kinds) if kind is torch.nn.Linear]
+    assert len(linear) == 2
+    assert all(kinds[i + 1 : i + 3] == [torch.nn.ReLU, torch.nn.Dropout] for i in linear)
+
+
 def test_the_reflectance_map_holds_a_pictures_radiance_where_its_normals_point():
     n = torch.from_numpy(synthetic.sphere(synthetic.Camera(size=(128, 128)))[0]).movedim(-1, 0)[
         None
