@@ -167,7 +167,7 @@ def _kernel() -> Callable[..., None]:
     return compiled
 
 
-def _fill(  # type: ignore[no-untyped-def]  # numba derives the types
+def _fill(  # numba derives the types
     n,
     position,
     view,

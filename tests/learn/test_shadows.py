@@ -1,8 +1,12 @@
 """Shadows of relit pictures: a convex object has none, and a wall darkens the floor beside it."""
 
 import numpy as np
+import torch
 
 from learn.data import shadows
+from learn.data.geometry import Geometry
+from learn.data.relit import DataSplit, RelitDataset
+from learn.data.settings import Data
 from manifests.schema import Camera
 from tests.support import synthetic
 
@@ -53,9 +57,24 @@ def test_a_wall_takes_the_share_of_light_that_its_form_factor_says():
 
 def test_shadows_are_the_same_each_time_and_a_bright_wall_returns_light():
     n, depth, mask = corner()
-    dark, bright = (np.full(n.shape, level, np.float32) for level in (1e-6, 0.9))
+    dark, bright = (np.full(n.shape, 0.4, np.float32) for _ in range(2))
+    dark[:, : SIZE // 2] = 0
     label = matte_label(0.4)
     first, again = (factor_of(n, depth, mask, dark, label) for _ in range(2))
     np.testing.assert_array_equal(first, again)
     at = SIZE // 2, SIZE // 2 + 4
     assert factor_of(n, depth, mask, bright, label)[at].min() > first[at].max()
+
+
+def test_shadows_change_the_pictures_of_a_batch_and_nothing_else(tmp_path):
+    rng = np.random.default_rng(1)
+    synthetic.write_dataset(tmp_path, [synthetic.matte()], rng, size=32, category="sphere")
+    geometry = Geometry(tmp_path, progress=False, depth=True)
+    # the synthetic depth is that of a bowl, whose rim shadows it: a sphere's has the other sign
+    split = DataSplit(geometry, np.arange(1), {"m": matte_label(0.4)}, [LIGHT], "train")
+    plain, shaded, again = (
+        RelitDataset(split, Data(sharing=2, photograph=False, shadows=share), 4, 32, 3)[5]
+        for share in (0.0, 1.0, 1.0)
+    )
+    assert torch.equal(shaded.image, again.image) and torch.equal(plain.light, shaded.light)
+    assert torch.equal(plain.n, shaded.n) and not torch.equal(plain.image, shaded.image)
