@@ -44,6 +44,7 @@ STEPS_PER_UNIT = np.float32(1 << 15)  # of normals and depth
 LARGEST_HALF = 65504.0  # a sun seen in a mirror may exceed it; it is far above any exposure's white
 MOST_SEGMENTS = 255
 PACKED_UNIT = 32767  # of packed normals
+PACKED_RADIUS = 16384  # of packed depth, at most 2 radii
 LIGHT_SHAPE = (64, 128, 3)
 LIGHT_BYTES = 4 << 20  # a stored map takes a tenth of it
 LIGHT_MEMBERS: dict[str, tuple[tuple[int, ...], np.dtype]] = {
@@ -51,7 +52,7 @@ LIGHT_MEMBERS: dict[str, tuple[tuple[int, ...], np.dtype]] = {
     "scale": ((), np.dtype(np.float64)),
 }
 # names in the cache of geometry that training keeps
-PACKED_NORMALS, PACKED_SEGMENTS = "normals.npy", "segments.npy"
+PACKED_NORMALS, PACKED_SEGMENTS, PACKED_DEPTH = "normals.npy", "segments.npy", "depth.npy"
 
 
 class Array(NamedTuple):
@@ -143,6 +144,14 @@ PACKED = (
         "segment id, 0 in the background",
         "picture",
         "none",
+    ),
+    Array(
+        PACKED_DEPTH,
+        np.dtype(np.int16),
+        f"views × {_FRAME}",
+        f"depth in units of 1/{PACKED_RADIUS} radius, for runs with shadows",
+        "camera, along the optical axis",
+        f"steps of 1/{PACKED_RADIUS}",
     ),
 )
 FILES = {"images/ab/ID.exr": PICTURE, "geometry/ab/ID.exr": GEOMETRY, "lights/NAME-HASH.npz": LIGHT}
@@ -373,6 +382,16 @@ def unpack_normals(packed: np.ndarray, mask: np.ndarray) -> np.ndarray:
     xy = packed.astype(np.float32) / PACKED_UNIT
     z = np.sqrt(np.clip(1.0 - (xy * xy).sum(-1, keepdims=True), 0.0, 1.0))
     return np.concatenate([xy, z], -1) * mask[..., None]
+
+
+def pack_depth(depth: np.ndarray) -> np.ndarray:
+    """Return depth (…) in radii as int16 in units of 1/16384, as caches store it; at most 2."""
+    return np.rint(np.clip(depth * PACKED_RADIUS, -PACKED_UNIT, PACKED_UNIT)).astype(np.int16)
+
+
+def unpack_depth(packed: np.ndarray) -> np.ndarray:
+    """Return depth (…) float32 in radii of packed depth."""
+    return packed.astype(np.float32) / PACKED_RADIUS
 
 
 def table() -> str:

@@ -35,6 +35,8 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
                        mixture of two maps and one half by a computed sky or room
     photograph         whether pictures are augmented as photographs need it: exposure, shift, an
                        inexact mask, noise, JPEG
+    shadows            share of relit training pictures with the object's soft shadows on itself and
+                       one bounce of light (learn.data.shadows)
     gloss_curriculum   number of batches over which relit materials are admitted in order of gloss,
                        beginning with the mattest third; 0: all from the start
     validation_lights, test_lights   names of light maps that training never sees; where a run
@@ -49,6 +51,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     regions: Annotated[int, Meta(ge=1, le=8)] = 1
     real_lights: Annotated[float, Meta(ge=0, le=1)] = 0.5
     photograph: bool = True
+    shadows: Annotated[float, Meta(ge=0, le=1)] = 0.0
     gloss_curriculum: CountOrZero = 0
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()

@@ -2,12 +2,13 @@
 
 Views may come with pictures (records) or without (views). V views, H, W picture. Beside the data
 set's lines stands a cache of two memory-mapped arrays, five bytes per pixel, made on first use and
-remade when the lines change:
+remade when the lines change; a third one, of two bytes per pixel, where a run needs depth:
 
 packed/normals.npy   (V, H, W, 2) int16, n_x and n_y in units of 1/32767; n_z = √(1 − n_x² − n_y²),
                      for normals face the viewer. Packing turns a normal by .002° where it faces the
                      viewer and by .5° at most, at the rim
 packed/segments.npy  (V, H, W) uint8, 1 … S, 0 in the background
+packed/depth.npy     (V, H, W) int16, depth in units of 1/16384 radius
 packed/skipped.json  hashes of files that were left out, and why
 packed/sums.json     CRC-32 of the two arrays' files, which reveals a damaged cache
 packed/views.json    the geometry files' hashes, which reveal a stale cache; written last, removed
@@ -31,10 +32,13 @@ from tqdm import tqdm
 
 from learn.data.records import Records
 from manifests.arrays import (
+    PACKED_DEPTH,
     PACKED_NORMALS,
     PACKED_SEGMENTS,
     PACKED_TYPES,
+    pack_depth,
     pack_normals,
+    unpack_depth,
     unpack_normals,
 )
 from manifests.errors import InputError
@@ -69,11 +73,18 @@ class Geometry:
 
     skip_bad  whether damaged geometry is left out and listed in `skipped`, {hash: what is wrong};
               otherwise the first damaged file raises
+    depth     whether `depth` is needed too
     Raises    InputError: no data set, nothing rendered, cameras of several sizes or with
               perspective; damaged geometry when it is packed
     """
 
-    def __init__(self, folder: str | Path, progress: bool = True, skip_bad: bool = False):
+    def __init__(
+        self,
+        folder: str | Path,
+        progress: bool = True,
+        skip_bad: bool = False,
+        depth: bool = False,
+    ):
         records = Records(folder)
         first: dict[str, Record | View] = {}
         for record in chain(records.views(), records.records):
@@ -109,6 +120,8 @@ class Geometry:
         self.skipped = self._known_as_bad() if skip_bad else {}
         self._n: np.ndarray | None = None
         self._segments: np.ndarray | None = None
+        self._depth: np.ndarray | None = None
+        self._names = (*ARRAYS, PACKED_DEPTH) if depth else ARRAYS
         hashes = [r.geometry_hash for r in chosen if r.geometry_hash not in self.skipped]
         if self._is_fresh(hashes):
             self._map(len(hashes))
@@ -130,22 +143,37 @@ class Geometry:
             )
             for r in chosen
         ]
+        self.cameras = [r.camera for r in chosen]
 
     def __len__(self) -> int:
         return len(self.views)
 
     def normals(self, index: int) -> np.ndarray:
         """Return unit normals (H, W, 3) float32, camera frame; 0 in the background."""
-        n, segments = self._arrays()
+        n, segments = self._arrays()[:2]
         return unpack_normals(n[index], segments[index] > 0)
 
     def segments(self, index: int) -> np.ndarray:
         """Return segments (H, W) int64: 1 … S, 0 in the background."""
         return self._arrays()[1][index].astype(np.int64)
 
-    def _arrays(self) -> tuple[np.ndarray, np.ndarray]:
+    def depth(self, index: int) -> np.ndarray:
+        """Return depth (H, W) float32 as geometry files have it; 0 in the background.
+
+        Raises  ValueError for geometry that was opened without depth
+        """
+        if self._depth is None:
+            raise ValueError("depth: expected geometry opened with depth=True, found none")
+        return unpack_depth(self._depth[index])
+
+    def _arrays(self) -> tuple[np.ndarray, ...]:
         assert self._n is not None and self._segments is not None  # packed when it was made
-        return self._n, self._segments
+        kept = (self._n, self._segments)
+        return kept if self._depth is None else (*kept, self._depth)
+
+    def _set(self, arrays: Sequence[np.ndarray]) -> None:
+        self._n, self._segments = arrays[:2]
+        self._depth = arrays[2] if len(arrays) > 2 else None
 
     def _at(self, name: str) -> Path:
         return self.folder / "packed" / name
@@ -176,16 +204,17 @@ class Geometry:
         sums, (height, width) = self._remembered("sums.json"), self.size
         try:
             if not isinstance(sums, dict) or any(
-                _sum(self._at(name)) != sums.get(name) for name in ARRAYS
+                _sum(self._at(name)) != sums.get(name) for name in self._names
             ):
                 return
-            n, segments = (
-                np.load(self._at(name), mmap_mode="r", allow_pickle=False) for name in ARRAYS
-            )
+            arrays = [
+                np.load(self._at(name), mmap_mode="r", allow_pickle=False) for name in self._names
+            ]
         except (OSError, ValueError, EOFError):
             return
-        if (n.shape, segments.shape) == ((count, height, width, 2), (count, height, width)):
-            self._n, self._segments = n, segments
+        frame = (count, height, width)
+        if [array.shape for array in arrays] == [(*frame, 2), frame, frame][: len(arrays)]:
+            self._set(arrays)
 
     def _pack(
         self,
@@ -196,23 +225,26 @@ class Geometry:
     ) -> None:
         hashes: list[str] = []
         self.skipped = {}
-        shapes = ((len(chosen), *self.size, 2), (len(chosen), *self.size))
-        n, segments = (
-            np.zeros(shape, PACKED_TYPES[name]) for shape, name in zip(shapes, ARRAYS, strict=True)
-        )
+        frame = (len(chosen), *self.size)
+        arrays = [
+            np.zeros(shape, PACKED_TYPES[name])
+            for shape, name in zip(((*frame, 2), frame, frame), self._names, strict=False)
+        ]
         for record in tqdm(
             chosen, "packing geometry", unit="view", disable=not progress, leave=False
         ):
             try:
-                normals, covered = self._checked(records, record)
+                normals, depth, covered = self._checked(records, record)
             except InputError as problem:
                 if not skip_bad:
                     raise
                 self.skipped[record.geometry_hash] = str(problem)
                 continue
-            n[len(hashes)], segments[len(hashes)] = pack_normals(normals), covered
+            packed = (pack_normals(normals), covered, pack_depth(depth))
+            for stored, values in zip(arrays, packed, strict=False):
+                stored[len(hashes)] = values
             hashes.append(record.geometry_hash)
-        self._n, self._segments = n[: len(hashes)], segments[: len(hashes)]
+        self._set([stored[: len(hashes)] for stored in arrays])
         try:
             self._keep(hashes)
         except OSError as error:
@@ -227,21 +259,23 @@ class Geometry:
         """Write the cache."""
         self.folder.joinpath("packed").mkdir(exist_ok=True)
         self._at("views.json").unlink(missing_ok=True)
-        for name, array in zip(ARRAYS, self._arrays(), strict=True):
+        for name, array in zip(self._names, self._arrays(), strict=True):
             with replacing(self._at(name)) as file:
                 np.save(file, array, allow_pickle=False)
         write_text(
-            self._at("sums.json"), json.dumps({name: _sum(self._at(name)) for name in ARRAYS})
+            self._at("sums.json"), json.dumps({name: _sum(self._at(name)) for name in self._names})
         )
         write_text(self._at("skipped.json"), json.dumps(self.skipped))
         write_text(self._at("views.json"), json.dumps(hashes))
 
-    def _checked(self, records: Records, record: Record | View) -> tuple[np.ndarray, np.ndarray]:
-        """Return normals (H, W, 3) and segments (H, W) of a record or a view.
+    def _checked(
+        self, records: Records, record: Record | View
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return normals (H, W, 3), depth (H, W) and segments (H, W) of a record or a view.
 
         Raises InputError for geometry that training cannot use.
         """
-        normals, _, segments = records.geometry(record)
+        normals, depth, segments = records.geometry(record)
         where, remedy = (
             self.folder / record.geometry,
             "python -m factory verify DIR --repair, then render again; or --skip-bad",
@@ -253,7 +287,7 @@ class Geometry:
             raise InputError(
                 where, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", remedy
             )
-        return normals, segments
+        return normals, depth, segments
 
 
 def _sum(path: Path) -> int:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from learn.data import augmentation, lights
+from learn.data import augmentation, lights, shadows
 from learn.data.batch import ExampleBatch, joined
 from learn.data.devices import array
 from learn.data.geometry import Geometry
@@ -146,6 +146,8 @@ class RelitDataset:
         label, target = labels[: self.data.regions], labels[self.data.regions :]
         n, segments = self._geometry(views)
         images = self._pictures(n, segments, label, L)
+        if training and self.data.shadows:
+            images = self._shadowed(images, views, n, segments, label, L, (k, g))
         photograph = training and self.data.photograph
         names = [
             f"{self.data_split.geometry.views[v].shape} view"
@@ -197,6 +199,42 @@ class RelitDataset:
                 elevation=self.data_split.geometry.elevation,
             )
         return array(picture.clamp(0, BRIGHTEST))
+
+    def _shadowed(
+        self,
+        images: np.ndarray,
+        views: np.ndarray,
+        n: torch.Tensor,
+        segments: torch.Tensor,
+        label: np.ndarray,
+        L: np.ndarray,
+        number: tuple[int, int],
+    ) -> np.ndarray:
+        """Return pictures (B, H, W, 3), a share of them with shadows; number: (batch, group).
+
+        Which ones is drawn from a stream of its own, so that nothing else of a batch changes.
+        """
+        key = (SIDES[self.data_split.side], *number, 1)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+        geometry, result = self.data_split.geometry, images.copy()
+        for i in np.nonzero(rng.random(len(images)) < self.data.shadows)[0]:
+            step = geometry.size[0] // self.size
+            position, view = (
+                each[step // 2 :: step, step // 2 :: step]
+                for each in shadows.positions(geometry.depth(views[i]), geometry.cameras[views[i]])
+            )
+            factor = shadows.factor(
+                n[i].numpy(),
+                position,
+                view,
+                segments[i].numpy(),
+                images[i],
+                label,
+                L,
+                geometry.elevation,
+            )
+            result[i] = np.minimum(images[i] * factor, BRIGHTEST)
+        return result
 
 
 def _augmented(

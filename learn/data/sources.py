@@ -60,7 +60,8 @@ def data_splits(
     Raises     InputError: a held-out light that is not there, a split without shapes, no material
                for training, a damaged material, damaged geometry or pictures
     """
-    geometry, records = Geometry(folder, progress, skip_bad), Records(folder)
+    geometry = Geometry(folder, progress, skip_bad, depth=data.shadows > 0)
+    records = Records(folder)
     maps = {name: records.light(name) for name in records.dataset.lights} | (
         {} if maps_file is None else read_maps(maps_file)
     )
