@@ -19,7 +19,7 @@ from manifests.errors import InputError
 from manifests.files import replacing, transaction, write_bytes
 from manifests.inputs import require_file
 from manifests.schema import Record
-from manifests.store import Store, geometry_path, image_path, inside, light_path
+from manifests.store import Store, encoded, geometry_path, image_path, inside, light_path
 
 ROWS = 50_000  # of a Parquet row group
 
@@ -144,7 +144,7 @@ def _add(tar, store, record):
     Their headers hold nothing of this machine, so that the same records give the same tar.
     """
     parts = (
-        ("json", msgspec.json.encode(record)),
+        ("json", encoded(record)),
         ("image.exr", _bytes(store, record.image, image_path(record.id))),
         (
             "geometry.exr",

@@ -14,16 +14,19 @@ key         spawn key of a combination of shape, materials and light. What a job
 """
 
 import hashlib
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from manifests.schema import Camera, Draw, Job
 from manifests.viewpoints import COUNT, azimuths_deg
 
 TEXELS = 128
+CAMERA_DRAWS = 0xCA3E4A  # first part of the spawn keys of cameras
 ID_DIGITS = 24  # 96 bits: two of a million shots meet by chance once in 1e17 data sets
 
 
@@ -33,10 +36,44 @@ def camera_words(camera: Camera) -> str:
     fov = "orthographic" if camera.fov_deg is None else f"{float(camera.fov_deg)!r}"
     # older data sets had no choice; their ids stay
     pixel = "" if camera.pixel == "square" else f" {camera.pixel}"
+    roll = f" roll {float(camera.roll_deg)!r}" if camera.roll_deg else ""
     return (
         f"{height} {width} {fov} {float(camera.elevation_deg)!r}"
-        f" {float(camera.half_extent)!r}{pixel}"
+        f" {float(camera.half_extent)!r}{pixel}{roll}"
     )
+
+
+def camera_of(job: Job, shape_hash: str, viewpoint: int) -> Camera:
+    """Return the camera that sees a shape from a viewpoint in a job.
+
+    In a job with camera_ranges, it is drawn from the job's seed, the shape's hash and the
+    viewpoint, whatever else the job names. Four numbers are drawn whichever ranges there are, so
+    that a range that is added does not change the other draws.
+    """
+    ranges = job.camera_ranges
+    if ranges is None:
+        return job.camera
+    key = (CAMERA_DRAWS, hash_word(shape_hash), viewpoint)
+    rng = np.random.default_rng(np.random.SeedSequence(job.seed, spawn_key=key))
+    elevation, roll, fov, perspective = rng.random(4).tolist()
+    drawn: dict[str, Any] = {}
+    if ranges.elevation_deg is not None:
+        drawn["elevation_deg"] = _within(ranges.elevation_deg, elevation)
+    if ranges.roll_deg is not None:
+        drawn["roll_deg"] = _within(ranges.roll_deg, roll)
+    if ranges.fov_deg is not None:
+        drawn["fov_deg"] = None
+        if perspective < ranges.perspective_share:
+            drawn["fov_deg"] = _within(ranges.fov_deg, fov)
+            # rounded, because the last digit of a cosine depends on the machine
+            half_extent = job.camera.half_extent / math.cos(math.radians(drawn["fov_deg"]) / 2)
+            drawn["half_extent"] = round(half_extent, 6)
+    return structs.replace(job.camera, **drawn)
+
+
+def _within(span: tuple[float, float], share: float) -> float:
+    """Return the number that lies at a share of a range, to a thousandth of a degree."""
+    return round(span[0] + share * (span[1] - span[0]), 3)
 
 
 @lru_cache(maxsize=4096)

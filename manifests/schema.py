@@ -34,6 +34,9 @@ Hash = Annotated[str, Meta(pattern="^[0-9a-f]{64}$", max_length=64)]  # sha256
 # of label and mixture (manifests.materials)
 MaterialHash = Annotated[str, Meta(pattern="^[0-9a-f]{16}$", max_length=16)]
 Segments = Annotated[int, Meta(ge=1, le=255)]
+FieldOfView = Annotated[float, Meta(ge=1, le=120)]
+Elevation = Annotated[float, Meta(ge=-89, le=89)]
+Roll = Annotated[float, Meta(ge=-180, le=180)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Amount = Annotated[float, Meta(ge=0)]
 
@@ -44,17 +47,43 @@ class Camera(Struct, frozen=True, forbid_unknown_fields=True):
     size           (height, width) in pixels
     fov_deg        field of view across the longer side, None: orthographic
     elevation_deg  above the horizon
-    half_extent    the frame's longer side spans 2 × half_extent at the object's centre
+    half_extent    the frame's longer side spans 2 × half_extent at the object's centre. In
+                   perspective the frame holds the whole unit sphere where half_extent is at least
+                   1 / cos(fov_deg / 2): 1.02 suffices up to 22°, and 60° take 1.155
     pixel          "square": the mean over the pixel's square, as in a camera; "centre": the one
                    point that geometry files hold, which gives jagged edges, but lets both renderers
                    look at the same points of the surface
+    roll_deg       by which the picture's contents turn counter-clockwise: the camera itself is
+                   turned clockwise about its optical axis
     """
 
     size: tuple[Pixels, Pixels] = (256, 256)
-    fov_deg: Annotated[float, Meta(ge=1, le=120)] | None = None
-    elevation_deg: Annotated[float, Meta(ge=-89, le=89)] = 20.0
+    fov_deg: FieldOfView | None = None
+    elevation_deg: Elevation = 20.0
     half_extent: Annotated[float, Meta(gt=0, le=100)] = 1.02
     pixel: Pixel = "square"
+    roll_deg: Roll = 0.0
+
+
+class CameraRanges(Struct, frozen=True, forbid_unknown_fields=True):
+    """Ranges from which each view of each shape draws its own camera (manifests.ids.camera_of).
+
+    Values are drawn uniformly in degrees. A range that is left out is not drawn: the job's camera
+    gives the value.
+
+    elevation_deg      [lowest, highest] above the horizon
+    roll_deg           [lowest, highest]
+    fov_deg            [lowest, highest] field of view of the views in perspective. half_extent then
+                       is the job's camera's divided by cos(fov / 2), so that perspective crops no
+                       more of the unit sphere than the orthographic camera does
+    perspective_share  share of views in perspective, where fov_deg is given; the others are
+                       orthographic
+    """
+
+    elevation_deg: tuple[Elevation, Elevation] | None = None
+    roll_deg: tuple[Roll, Roll] | None = None
+    fov_deg: tuple[FieldOfView, FieldOfView] | None = None
+    perspective_share: Share = 1.0
 
 
 class Draw(Struct, frozen=True, forbid_unknown_fields=True):
@@ -84,6 +113,8 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
                        (manifests/splits.json), and the roles to render, none: all
     mixed              render shots whose shape is for training and whose material is for testing,
                        or the reverse
+    camera_ranges      ranges from which each view of each shape draws its own camera; None: all have
+                       `camera`
     pictures           False: geometry alone, of every shape in every view once. The data set
                        includes the materials and lights, for relighting; rotations, tiers, samples
                        and other settings of pictures are ignored
@@ -108,6 +139,7 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     roles: tuple[Role, ...] = ()
     mixed: bool = True
     pictures: bool = True
+    camera_ranges: CameraRanges | None = None
 
 
 class Statistics(Struct, frozen=True, forbid_unknown_fields=True):

@@ -23,7 +23,7 @@ import re
 import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -41,6 +41,13 @@ REPAIR = "python -m factory verify DIR --repair takes it away"
 LONGEST_LINE = 1 << 20
 
 
+# Keys that were added later are left out where they have no effect, so that lines stay what they
+# were, and older programs, which refuse unknown keys, read them. Each pair is the text of such a
+# key and what replaces it; in a JSON string the quotes would have backslashes. roll_deg is the
+# last key of a camera, since without the bracket the text begins 0.05 as well.
+LEFT_OUT = ((b',"roll_deg":0.0}', b"}"), (b',"camera_ranges":null', b""))
+
+
 class _Id(msgspec.Struct, gc=False):
     id: str
 
@@ -53,6 +60,14 @@ class _Known(msgspec.Struct, gc=False):
 
 class _Version(msgspec.Struct):
     version: int
+
+
+def encoded(value: Any, order: Literal["deterministic"] | None = None) -> bytes:
+    """Return a value of manifests.schema as JSON, as data sets hold it."""
+    text = msgspec.json.encode(value, order=order)
+    for key, instead in LEFT_OUT:
+        text = text.replace(key, instead)
+    return text
 
 
 def image_path(id_: str) -> str:
@@ -252,7 +267,7 @@ class Store:
 
     def write_json(self, name: str, value: Any, worker: str = "main") -> None:
         """Write a small JSON file through partial/."""
-        text = msgspec.json.format(msgspec.json.encode(value, order="deterministic"), indent=1)
+        text = msgspec.json.format(encoded(value, order="deterministic"), indent=1)
         self.place(name, text + b"\n", worker)
 
     def place(self, relative: str, data: bytes, worker: str, keep_first: bool = False) -> str:
@@ -378,7 +393,7 @@ class Lines:
 
         Raises  OSError (full disk), after which nothing of the line is left
         """
-        self.append_line(msgspec.json.encode(value) + b"\n")
+        self.append_line(encoded(value) + b"\n")
 
     def append_line(self, line: bytes) -> None:
         """Write a line, given as bytes with its newline, as `append` does."""

@@ -9,8 +9,10 @@ A matrix is named by its target and its source: `n_camera = camera_from_world @ 
 
 azimuth    radians about world z, 0 in front of the object (the camera on +x), counter-clockwise
            seen from above
-elevation  radians above the horizon; fixed over a dataset, so that camera_from_light is one
-           constant
+elevation  radians above the horizon
+roll       radians by which the camera's contents turn counter-clockwise in the picture about its
+           middle: the camera itself is turned clockwise about its optical axis. The light frame
+           stays upright
 """
 
 import numpy as np
@@ -25,18 +27,32 @@ def world_from_light(azimuth: float) -> np.ndarray:
     return np.stack([right, up, towards_viewer], axis=-1)
 
 
-def camera_from_light(elevation: float = ELEVATION) -> np.ndarray:
+def camera_from_light(elevation: float = ELEVATION, roll: float = 0.0) -> np.ndarray:
     """Return the rotation (3, 3) from the light frame to the frame of a camera at `elevation`.
 
     The camera looks down by `elevation`: the light frame's (0, sin e, cos e) is the camera's +z.
     """
     s, c = np.sin(elevation), np.cos(elevation)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    upright = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    return camera_from_upright(roll) @ upright if roll else upright
 
 
-def camera_from_world(azimuth: float, elevation: float = ELEVATION) -> np.ndarray:
+def camera_from_upright(roll: float) -> np.ndarray:
+    """Return the rotation (3, 3) from the frame of the same camera without roll.
+
+    What depends on normals, views and light alone, as the layer's radiance does, is the same in
+    both frames: `v @ camera_from_upright(roll)` takes vectors (…, 3) of a rolled camera to the
+    upright one, for which elevation alone gives the light.
+    """
+    s, c = np.sin(roll), np.cos(roll)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def camera_from_world(
+    azimuth: float, elevation: float = ELEVATION, roll: float = 0.0
+) -> np.ndarray:
     """Return the rotation (3, 3) that takes world vectors to the camera frame."""
-    return camera_from_light(elevation) @ world_from_light(azimuth).T
+    return camera_from_light(elevation, roll) @ world_from_light(azimuth).T
 
 
 def pixel_grid(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:

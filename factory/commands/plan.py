@@ -12,6 +12,7 @@ from manifests.help_format import HelpFormatter
 
 if TYPE_CHECKING:
     from factory.planning.plan import Plan
+    from manifests.schema import Job
 
 EPILOG = """examples:
   python -m factory plan demo
@@ -86,13 +87,12 @@ def described(plan: Plan) -> Iterator[str]:
         for numbers in (job.views, job.rotations)
     )
     height, width = job.camera.size
-    lens = "orthographic" if job.camera.fov_deg is None else f"{job.camera.fov_deg:g}° wide"
     each = (
         f"pictures of {height}×{width}, {job.samples} samples"
         if job.pictures
         else f"views of {height}×{width}, geometry alone"
     )
-    yield f"job {job.name}: {len(plan)} {each}, {lens}"
+    yield f"job {job.name}: {len(plan)} {each}, {lens(job)}"
     yield "  shapes     " + ", ".join(
         f"{count} {category} ({role})" for (category, role), count in sorted(categories.items())
     )
@@ -114,6 +114,24 @@ def described(plan: Plan) -> Iterator[str]:
     yield "  split      " + ", ".join(
         f"{count} {split}" for split, count in split_counts(plan).items()
     )
+
+
+def lens(job: Job) -> str:
+    """Return the words for a job's camera: its lens, roll and elevation, or their ranges."""
+    camera, ranges = job.camera, job.camera_ranges
+    of_camera = "orthographic" if camera.fov_deg is None else f"{camera.fov_deg:g}° wide"
+    if ranges is None:
+        return of_camera + (f", rolled by {camera.roll_deg:g}°" if camera.roll_deg else "")
+    if ranges.fov_deg is not None:
+        low, high = ranges.fov_deg
+        share = ranges.perspective_share
+        of_camera = f"{share:.0%} of views {low:g}° to {high:g}° wide, the others orthographic"
+        if share == 1:
+            of_camera = f"{low:g}° to {high:g}° wide"
+    parts = ["a camera drawn for each view", of_camera]
+    spans = (("elevation", ranges.elevation_deg), ("roll", ranges.roll_deg))
+    parts += [f"{name} {span[0]:g}° to {span[1]:g}°" for name, span in spans if span]
+    return ": ".join((parts[0], ", ".join(parts[1:])))
 
 
 def split_counts(plan: Plan) -> dict[str, int]:

@@ -26,6 +26,7 @@ from factory.planning.shape_names import Source, load_mesh
 from factory.render import checks
 from manifests.arrays import Geometry, SeenGeometry, encode_geometry, encode_picture, read_geometry
 from manifests.errors import InputError
+from manifests.ids import camera_of
 from manifests.schema import Camera, Job, Record, Statistics, View
 from manifests.store import Store, geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg
@@ -166,7 +167,7 @@ class Pipeline:
             "shape_hash": shape.hash,
             "category": shape.category,
             "azimuth_deg": azimuths_deg()[shot.viewpoint],
-            "camera": self.assignment.job.camera,
+            "camera": self._camera(shot),
             "geometry": geometry.path,
             "geometry_hash": geometry.hash,
             "seconds": round(time.perf_counter() - start, 4),
@@ -224,9 +225,15 @@ class Pipeline:
             self._view = self._materials = None
 
     def _show_view(self, shot: Shot) -> None:
+        self.studio.set_camera(self._camera(shot))  # no work where it is the same
         if shot.viewpoint != self._view:
             self.studio.set_view(np.radians(azimuths_deg()[shot.viewpoint]))
             self._view = shot.viewpoint
+
+    def _camera(self, shot: Shot) -> Camera:
+        """Return the camera of a shot."""
+        shape = self.assignment.shapes[shot.shape]
+        return camera_of(self.assignment.job, shape.hash, shot.viewpoint)
 
     def _map(self, name: str, resolution: str) -> np.ndarray:
         """Return the map of a light; the last one is remembered."""
@@ -288,7 +295,7 @@ class Pipeline:
         if expected is not None and digest != expected:
             return None, "another content than its records name"
         try:
-            seen = read_geometry(file, self.assignment.job.camera.size)
+            seen = read_geometry(file, self.assignment.job.camera.size)  # ranges leave the size
         except InputError as problem:
             return None, problem.found
         except OSError as error:

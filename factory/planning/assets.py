@@ -20,7 +20,7 @@ from factory.planning.shape_names import Source, load_mesh, local, sources
 from manifests import splits
 from manifests.errors import InputError
 from manifests.materials import Entry
-from manifests.schema import Draw, Job, Role, Side
+from manifests.schema import CameraRanges, Draw, Job, Role, Side
 
 
 class Shape(msgspec.Struct, frozen=True, kw_only=True):
@@ -116,7 +116,8 @@ def resolve(
 
 
 def check(job: Job) -> None:
-    """Raise InputError for values that repeat, and for draws of more values than there are."""
+    """Raise InputError for values that repeat, draws of too many values, and empty ranges."""
+    _check_ranges(job.camera_ranges)
     for key, most in (("views", 24), ("rotations", 128)):
         value = getattr(job, key)
         if isinstance(value, Draw):
@@ -138,6 +139,19 @@ def check(job: Job) -> None:
         value = getattr(job, key)
         if len(set(value)) < len(value):
             raise InputError(f"job: {key}", "each name once", ", ".join(value), "name each once")
+
+
+def _check_ranges(ranges: CameraRanges | None) -> None:
+    """Raise InputError for a range whose lowest value is above its highest."""
+    for key in ("elevation_deg", "roll_deg", "fov_deg"):
+        span = getattr(ranges, key, None)
+        if span and span[0] > span[1]:
+            raise InputError(
+                f"job: camera_ranges.{key}",
+                "[lowest, highest]",
+                f"[{span[0]:g}, {span[1]:g}]",
+                "write the lower value first",
+            )
 
 
 def _unwatched(items: Iterable, **_: Any) -> Iterable:

@@ -5,6 +5,7 @@ shot   one picture to make. Its id is the hash of all inputs that determine its 
 draw   what a job leaves to chance. Draws come from SeedSequence(job.seed, spawn_key=(shape,
        materials, light, occurrence)), where each part is a word of a hash: a shape, material, light
        or view that is added to a job does not change the draws of the others.
+camera the job's, or one that each view of each shape draws (manifests.ids.camera_of).
 view   a shot without a picture, in a job of geometry alone: shape and viewpoint. Its id is that of
        the geometry file.
 order  shape, light, light resolution, tier, materials, rotation, view: what is expensive to change
@@ -127,7 +128,7 @@ class Plan:
     def views_alone(self, shape: Shape) -> Iterator[Shot]:
         """Yield the shots of one shape in a job without pictures."""
         for view in ids.views_alone(self.job, shape.hash):
-            id_ = geometry_id(shape.hash, self._camera, view, self.render)
+            id_ = geometry_id(shape.hash, self._camera(shape, view), view, self.render)
             yield Shot(
                 id=id_,
                 geometry=id_,
@@ -203,17 +204,20 @@ class Plan:
         word, views, rotations = ids.draws(job, key)
         split = split_of(shape.side, [m.side for m in materials])
         hashes = tuple(m.hash for m in materials)
-        shared = ids.shots_digest(
-            self.render, shape.hash, hashes, light.hash, self._camera, job.samples
-        )
+        shared: dict[str, Any] = {}  # by camera, which may differ between views
         for view, of_view in zip(views, rotations, strict=True):
-            geometry = geometry_id(shape.hash, self._camera, view, self.render)
+            camera = self._camera(shape, view)
+            if camera not in shared:
+                shared[camera] = ids.shots_digest(
+                    self.render, shape.hash, hashes, light.hash, camera, job.samples
+                )
+            geometry = geometry_id(shape.hash, camera, view, self.render)
             for rotation, tier, resolution, repeat in product(
                 of_view, job.tiers, job.light_resolutions, range(job.repeats)
             ):
                 seed = shot_seed(word, ids.shot_place(view, rotation, tier, resolution, repeat))
                 yield Shot(
-                    id=ids.shot_id(shared, view, rotation, tier, resolution, seed),
+                    id=ids.shot_id(shared[camera], view, rotation, tier, resolution, seed),
                     geometry=geometry,
                     shape=shape.name,
                     materials=names,
@@ -226,8 +230,14 @@ class Plan:
                     split=split,
                 )
 
+    def _camera(self, shape: Shape, view: int) -> str:
+        """Return the words of the camera that sees a shape from a viewpoint."""
+        if self.job.camera_ranges is None:
+            return self._one_camera
+        return camera_words(ids.camera_of(self.job, shape.hash, view))
+
     @cached_property
-    def _camera(self) -> str:
+    def _one_camera(self) -> str:
         return camera_words(self.job.camera)
 
 

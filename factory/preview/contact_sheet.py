@@ -17,7 +17,7 @@ from factory.preview.shading import mirror_sphere, shade
 from manifests.arrays import read_geometry, read_light, read_picture
 from manifests.errors import InputError
 from manifests.materials import Material
-from manifests.schema import Dataset, Record
+from manifests.schema import Camera, Dataset, Record
 from manifests.store import Store, inside
 from shaders import frames, tone
 from shaders.envmap import roll
@@ -53,16 +53,23 @@ def row(
     )
     normals, mask, segments = geometry.normals, geometry.mask, geometry.segments
     light = stored_light(store, dataset, record)
-    elevation = np.radians(record.camera.elevation_deg)
+    elevation, roll = np.radians([record.camera.elevation_deg, record.camera.roll_deg])
     exposure = tone.auto_exposure(picture, mask)
     step = max(1, round(max(mask.shape) / SHADED))
     seen = (slice(step // 2, None, step),) * 2
     label = labelled(
-        record, normals[seen], segments[seen], view(record)[seen], materials, light, elevation
+        record,
+        normals[seen],
+        segments[seen],
+        view(record)[seen],
+        materials,
+        light,
+        elevation,
+        roll,
     )
     ours = tone.display(label, exposure)
     theirs = tone.display(picture[seen], exposure) * mask[seen][..., None]
-    sphere = mirror_sphere(light, size, elevation)
+    sphere = mirror_sphere(light, size, elevation, roll)
     light_exposure = tone.auto_exposure(light, np.ones(light.shape[:2], bool), 98)
     return [
         tile(tone.display(picture, exposure), size),
@@ -102,19 +109,20 @@ def labelled(
     materials: Mapping[str, Material],
     light: np.ndarray,
     elevation: float,
+    roll: float = 0.0,
 ) -> np.ndarray:
     """Return the radiance (…, 3) that the labels give to pixels, 0 outside the object.
 
     normals, views  (…, 3), segments (…): of the pixels
     light           (64, 128, 3) as the camera sees it
-    elevation       of the camera, radians
+    elevation, roll of the camera, radians
     """
     out = np.zeros(normals.shape)
     for number, name in enumerate(record.materials, 1):
         here = segments == number
         if here.any():
             v = None if record.camera.fov_deg is None else views[here]
-            out[here] = shade(normals[here], materials[name].m, light, elevation, v)
+            out[here] = shade(normals[here], materials[name].m, light, elevation, v, roll)
     return out
 
 
@@ -151,10 +159,24 @@ def caption(record: Record) -> str:
     """Return one line that describes a record."""
     materials = ", ".join(dict.fromkeys(record.materials))
     where = f"{record.light} +{record.rotation_texels}, view {record.viewpoint}"
+    if posed := pose(record.camera):
+        where += f" ({posed})"
     return (
         f"{record.shape}  {materials}  {where}  {record.tier} {record.light_resolution} "
         f" {record.samples} spp  {record.split}"
     )
+
+
+def pose(camera: Camera) -> str:
+    """Return the elevation, roll and field of view that differ from the usual camera's."""
+    usual, parts = Camera(), []
+    if camera.elevation_deg != usual.elevation_deg:
+        parts.append(f"elevation {camera.elevation_deg:.0f}°")
+    if camera.roll_deg:
+        parts.append(f"roll {camera.roll_deg:.0f}°")
+    if camera.fov_deg is not None:
+        parts.append(f"{camera.fov_deg:.0f}° wide")
+    return ", ".join(parts)
 
 
 def draw(rows: Sequence[Sequence[np.ndarray]], captions: Sequence[str], size: int) -> Image.Image:

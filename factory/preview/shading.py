@@ -16,23 +16,28 @@ from shaders.frames import camera_from_light
 CHUNK = 1 << 21  # pixels × texels at a time: 16 MB per array of float64
 
 
-def lights(L: np.ndarray, elevation: float) -> tuple[np.ndarray, np.ndarray]:
+def lights(L: np.ndarray, elevation: float, roll: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Return directions (T, 3), camera frame, and radiance × solid angle (T, 3) of lit texels."""
     w, solid_angle = envmap.directions(*L.shape[:2])
     power = (L * solid_angle[..., None]).reshape(-1, 3).astype(np.float64)
     lit = power.max(-1) > 0
-    return w.reshape(-1, 3)[lit] @ camera_from_light(elevation).T, power[lit]
+    return w.reshape(-1, 3)[lit] @ camera_from_light(elevation, roll).T, power[lit]
 
 
 def shade(
-    n: np.ndarray, m: np.ndarray, L: np.ndarray, elevation: float, v: np.ndarray | None = None
+    n: np.ndarray,
+    m: np.ndarray,
+    L: np.ndarray,
+    elevation: float,
+    v: np.ndarray | None = None,
+    roll: float = 0.0,
 ) -> np.ndarray:
     """Return the radiance (P, 3) of pixels of one material, without shadow or interreflection.
 
-    m          (3, 3, 2, 6), control values of κ and γ
-    elevation  of the camera, radians
+    m                (3, 3, 2, 6), control values of κ and γ
+    elevation, roll  of the camera, radians
     """
-    w, power = lights(L, elevation)
+    w, power = lights(L, elevation, roll)
     out = np.empty((len(n), 3))
     step = max(1, CHUNK // max(len(w), 1))
     for start in range(0, len(n), step):
@@ -74,8 +79,11 @@ def _sum(
     return radiance
 
 
-def mirror_sphere(L: np.ndarray, size: int, elevation: float) -> np.ndarray:
-    """Return a picture (size, size, 3) of a mirror sphere under the light, black around it."""
+def mirror_sphere(L: np.ndarray, size: int, elevation: float, roll: float = 0.0) -> np.ndarray:
+    """Return a picture (size, size, 3) of a mirror sphere under the light, black around it.
+
+    elevation, roll  of the camera, radians
+    """
     y, x = np.mgrid[0:size, 0:size]
     x, y = (2 * x + 1 - size) / size, (size - 1 - 2 * y) / size
     r2 = x**2 + y**2
@@ -83,5 +91,5 @@ def mirror_sphere(L: np.ndarray, size: int, elevation: float) -> np.ndarray:
     z = np.sqrt(np.maximum(1 - r2, 0.0))
     n = np.stack([x, y, z], axis=-1)
     reflected = 2 * z[..., None] * n - np.array([0.0, 0.0, 1.0])
-    row, column = envmap.texel(reflected @ camera_from_light(elevation), *L.shape[:2])
+    row, column = envmap.texel(reflected @ camera_from_light(elevation, roll), *L.shape[:2])
     return np.where(inside[..., None], L[row, column], 0.0)

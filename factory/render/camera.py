@@ -1,4 +1,4 @@
-"""The camera's pose: fixed at azimuth 0 and at the elevation above the horizon; the object turns.
+"""The camera's pose: at azimuth 0, at its elevation and roll; the object turns.
 
 distance  from the camera to the object's centre, in world units. It is arbitrary for an
           orthographic camera. For a perspective one it follows from fov and half_extent: the frame
@@ -25,7 +25,9 @@ def distance(camera: Camera) -> float:
 
 def camera_from_fixed_world(camera: Camera) -> np.ndarray:
     """Return the rotation (3, 3) from the world, where the camera is at azimuth 0, to its frame."""
-    return frames.camera_from_world(0.0, np.radians(camera.elevation_deg))
+    return frames.camera_from_world(
+        0.0, np.radians(camera.elevation_deg), np.radians(camera.roll_deg)
+    )
 
 
 def view_vectors(camera: Camera) -> np.ndarray:

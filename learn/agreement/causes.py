@@ -35,7 +35,6 @@ from learn.metrics.pictures import squared_difference, squared_net_of_noise
 from manifests.schema import Record
 from shaders import closures, dsbrdf, tone
 from shaders.envmap import directions
-from shaders.frames import camera_from_light
 from shaders.mixture import Mixture
 
 PIXELS = 96
@@ -127,7 +126,7 @@ def texels(sample: Sample) -> tuple[Directions, int]:
     Texels below the horizon have a solid angle of 0; the radiance is (T, 3).
     """
     centres, solid_angle = directions(*sample.light.shape[:2])
-    w = torch.as_tensor(centres.reshape(-1, 3) @ camera_from_light(sample.elevation).T)
+    w = torch.as_tensor(centres.reshape(-1, 3) @ sample.camera_from_light.T)
     weight, L = (
         torch.as_tensor(solid_angle.reshape(1, -1)),
         sample.light.reshape(-1, 3).double().numpy(),
@@ -150,7 +149,7 @@ def lobe_samples(sample: Sample, m: torch.Tensor, count: int) -> tuple[Direction
     """
     half, solid_angle = (torch.as_tensor(x) for x in quadrature.spiral(m, count))
     rotation, light = (
-        torch.as_tensor(camera_from_light(sample.elevation)),
+        torch.as_tensor(sample.camera_from_light),
         sample.light.reshape(-1, 3).double(),
     )
 

@@ -178,7 +178,7 @@ def at_pixels(
 ) -> np.ndarray:
     """Return the layer's integral (Q, 3) at flat pixel indices (Q,).
 
-    n     (Q, 3) other normals, or None
+    n     (Q, 3) other normals, camera frame, or None
     turn  of the light about the vertical, in whole texels
     """
     one = sample.for_layer(device)
@@ -189,7 +189,8 @@ def at_pixels(
     }
     one = one | picked | {"light": one["light"].roll(turn, 2)}
     if n is not None:
-        one["n"] = torch.from_numpy(n.astype(np.float32))[None, None].to(device)
+        given = sample.upright(torch.from_numpy(n.astype(np.float32)))
+        one["n"] = given[None, None].to(device)
     with torch.no_grad():
         return array(render(**one, method=MEASURED.method, tolerance=tolerance)[0, 0].double())
 

@@ -31,7 +31,7 @@ from manifests.verification.contents import turned_away
 from manifests.verification.lines import Judge
 from shaders.dsbrdf import SIZE
 from shaders.envmap import roll
-from shaders.frames import view_vectors
+from shaders.frames import camera_from_light, camera_from_upright, view_vectors
 
 REPAIR = "python -m factory verify DIR --repair, then render again"
 
@@ -61,18 +61,39 @@ class Sample:
 
     @property
     def elevation(self) -> float:
-        """The elevation of the camera in radians, as the layer takes it."""
+        """The elevation of an upright camera in radians, as the layer takes it.
+
+        Raises  InputError for a rolled camera, which elevation alone does not describe
+        """
+        require_upright(self.record)
         return float(np.radians(self.record.camera.elevation_deg))
 
+    @property
+    def camera_from_light(self) -> np.ndarray:
+        """The rotation (3, 3) from the light frame to the camera frame, roll included."""
+        camera = self.record.camera
+        return camera_from_light(np.radians(camera.elevation_deg), np.radians(camera.roll_deg))
+
+    def upright(self, vectors: torch.Tensor) -> torch.Tensor:
+        """Return vectors (…, 3) of the camera frame in the frame of the camera without roll."""
+        roll = self.record.camera.roll_deg
+        if not roll:
+            return vectors
+        return vectors @ torch.from_numpy(camera_from_upright(np.radians(roll))).to(vectors)
+
     def for_layer(self, device: torch.device | str = "cpu") -> dict[str, Any]:
-        """Return the arguments of learn.layer.render as a batch of one, on a device."""
+        """Return the arguments of learn.layer.render as a batch of one, on a device.
+
+        Normals and view are those of the camera without roll: its radiance is the same.
+        """
+        view = None if self.view is None else self.upright(self.view)[None].to(device)
         return {
-            "n": self.n[None].to(device),
+            "n": self.upright(self.n)[None].to(device),
             "material": self.material[None].to(device),
             "light": self.light[None].to(device),
-            "view": None if self.view is None else self.view[None].to(device),
+            "view": view,
             "segments": self.segments[None].to(device),
-            "elevation": self.elevation,
+            "elevation": float(np.radians(self.record.camera.elevation_deg)),
         }
 
 
@@ -227,6 +248,17 @@ class Records(torch.utils.data.Dataset):
                 "copy the dataset again",
             )
         return arrays.read_light(inside(self.folder, entry.file), entry.file_hash)
+
+
+def require_upright(record: Record | View) -> None:
+    """Raise InputError for a rolled camera, of which elevation alone does not give the light."""
+    if record.camera.roll_deg:
+        raise InputError(
+            f"record {record.id}",
+            "an upright camera (roll_deg 0)",
+            f"a roll of {record.camera.roll_deg:g}°",
+            "render with a job without camera_ranges and roll_deg",
+        )
 
 
 def _tensor(values: np.ndarray) -> torch.Tensor:

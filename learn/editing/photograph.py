@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn.data import photographs
-from learn.data.records import Records
+from learn.data.records import Records, require_upright
 from manifests.errors import InputError, closest
 from manifests.schema import Record
 from shaders.tone import LUMINANCE
@@ -274,6 +274,7 @@ def _of_record(folder, exposure, requested):
             f"{record.camera.fov_deg:g}°",
             "render without fov_deg",
         )
+    require_upright(record)
     regions = sample.segments.numpy().astype(np.uint8)
     if len(set(record.materials)) == 1:
         regions = (regions > 0).astype(np.uint8)

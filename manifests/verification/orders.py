@@ -40,8 +40,11 @@ class Orders:
     def _asked(self, line):
         if isinstance(line, View):
             for index, job in enumerate(self._jobs):
-                here = not job.pictures and job.camera == line.camera
-                if here and line.viewpoint in ids.views_alone(job, line.shape_hash):
+                if (
+                    not job.pictures
+                    and ids.camera_of(job, line.shape_hash, line.viewpoint) == line.camera
+                    and line.viewpoint in ids.views_alone(job, line.shape_hash)
+                ):
                     self._met.add(index)
                     return True
             return False
@@ -68,7 +71,9 @@ class Orders:
             self._combinations[key] = [
                 Combination(index, job, record.shape_hash, hashes, record.light_hash)
                 for index, job in enumerate(self._jobs)
-                if job.pictures and job.camera == record.camera and job.samples == record.samples
+                if job.pictures
+                and (job.camera_ranges or job.camera == record.camera)
+                and job.samples == record.samples
             ]
         return self._combinations[key]
 
@@ -95,7 +100,7 @@ class Combination:
     def __init__(
         self, index: int, job: Job, shape_hash: str, materials: Sequence[str], light_hash: str
     ):
-        self.index, self.job = index, job
+        self.index, self.job, self._shape_hash = index, job, shape_hash
         self._tiers, self._resolutions = set(job.tiers), set(job.light_resolutions)
         self._drawn: list[tuple[int, dict[int, frozenset[int]]]] = []
         self._rest = self._draws(shape_hash, materials, light_hash)
@@ -105,6 +110,8 @@ class Combination:
         """Return whether the job asks for a record of this combination."""
         job, view, turn = self.job, record.viewpoint, record.rotation_texels
         if record.tier not in self._tiers or record.light_resolution not in self._resolutions:
+            return False
+        if ids.camera_of(job, self._shape_hash, view) != record.camera:
             return False
         if self._too_many:
             in_views = isinstance(job.views, Draw) or view in job.views

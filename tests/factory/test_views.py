@@ -5,9 +5,12 @@ pictures have.
 import msgspec
 import pytest
 
+from factory.commands.plan import described
 from factory.commands.status import counted
+from manifests import ids
 from manifests.arrays import read_geometry
-from manifests.schema import Draw, View
+from manifests.errors import InputError
+from manifests.schema import CameraRanges, Draw, View
 from manifests.splits import light_side
 from manifests.store import Store
 from manifests.verification import faults_of, repair
@@ -149,4 +152,61 @@ def test_a_light_on_the_wrong_side_is_found(render, views_job, tmp_path):
     assert (
         f"light '{name}': expected side {entry.side} by its hash, found {wrong}"
         in faults(tmp_path)[0].text
+    )
+
+
+@pytest.fixture
+def drawn_job(views_job):
+    """Two shapes, two views, and a camera for each of them."""
+    ranges = CameraRanges(
+        elevation_deg=(-10.0, 60.0),
+        roll_deg=(-15.0, 15.0),
+        fov_deg=(15.0, 60.0),
+        perspective_share=0.5,
+    )
+    return msgspec.structs.replace(views_job, camera_ranges=ranges)
+
+
+def test_each_view_of_each_shape_has_the_camera_that_it_draws(render, drawn_job, tmp_path):
+    """Whatever the shards and the processes; a run that was cut off goes on with the same ones."""
+    assert render(drawn_job, tmp_path / "a", limit=1).made == 1
+    outcome = render(drawn_job, tmp_path / "a")
+    assert (outcome.made, outcome.already_there) == (3, 1)
+    assert [render(drawn_job, tmp_path / "b", shard=(i, 3), workers=2).made for i in (3, 1, 2)]
+    lines = {
+        name: {(v.id, v.shape, v.viewpoint, v.camera) for v in Store(tmp_path / name).views()}
+        for name in "ab"
+    }
+    assert lines["a"] == lines["b"] and len({camera for *_, camera in lines["a"]}) == 4
+    for view in Store(tmp_path / "a").views():
+        assert view.camera == ids.camera_of(drawn_job, view.shape_hash, view.viewpoint)
+
+
+@pytest.mark.parametrize("pictures", [False, True])
+def test_a_camera_that_the_job_did_not_draw_is_a_fault(render, drawn_job, tmp_path, pictures):
+    """The ids are those of another seed's cameras, so the order alone shows it."""
+    job = msgspec.structs.replace(drawn_job, pictures=pictures)
+    render(job, tmp_path)
+    asked = [text for text in faults(tmp_path) if "order" in text.text]
+    assert asked == []
+    store = Store(tmp_path)
+    dataset = store.dataset()
+    other = msgspec.structs.replace(dataset.orders[0].job, seed=job.seed + 1)
+    orders = (msgspec.structs.replace(dataset.orders[0], job=other),)
+    store.write_json("dataset.json", msgspec.structs.replace(dataset, orders=orders))
+    assert any("orders that ask for all lines" in fault.text for fault in faults(tmp_path))
+
+
+def test_a_range_upside_down_is_refused(plan_of, views_job):
+    ranges = CameraRanges(elevation_deg=(60.0, -10.0))
+    job = msgspec.structs.replace(views_job, camera_ranges=ranges)
+    with pytest.raises(InputError, match=r"camera_ranges.elevation_deg.*\[60, -10\]"):
+        plan_of(job)
+
+
+def test_the_plan_says_how_cameras_are_drawn(plan_of, drawn_job):
+    first = next(described(plan_of(drawn_job)))
+    assert first.endswith(
+        "a camera drawn for each view: 50% of views 15° to 60° wide, the others orthographic,"
+        " elevation -10° to 60°, roll -15° to 15°"
     )

@@ -22,7 +22,16 @@ SEEDS, SAMPLES, SIZE = 8, 16, 40
 GLOSSY = "blue-rubber"
 
 
-@pytest.fixture(scope="module", params=[None, 40.0], ids=["orthographic", "perspective"])
+CAMERAS = {
+    "orthographic": Camera(size=(SIZE, SIZE), pixel="centre"),
+    "perspective": Camera(size=(SIZE, SIZE), pixel="centre", fov_deg=40.0),
+    "rolled": Camera(
+        size=(SIZE, SIZE), pixel="centre", fov_deg=40.0, elevation_deg=50.0, roll_deg=-35.0
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=CAMERAS.values(), ids=CAMERAS)
 def dataset(request, tmp_path_factory):
     """Records of a sphere in two materials: a matte one whose label and nodes are the same
     function, and a fitted glossy one.
@@ -46,7 +55,7 @@ def dataset(request, tmp_path_factory):
         tiers=("direct",),
         samples=SAMPLES,
         repeats=SEEDS,
-        camera=Camera(size=(SIZE, SIZE), pixel="centre", fov_deg=request.param),
+        camera=request.param,
     )
     plan = planned(job, resolve(job, catalogues=[*materials.BUILT_IN, own]))
     outcome = carry_out(plan, folder / "data", RunOptions(device="cpu", threads=2))

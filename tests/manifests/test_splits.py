@@ -49,7 +49,20 @@ def test_multi_material_chairs_are_eighty_and_twenty():
     assert Counter(roles.values()) == {"finetune": 80, "test": 20}
 
 
-@pytest.mark.parametrize("rule", ["hash", "paper", "multi-material"])
+def test_general_holds_families_out_and_takes_own_families_as_hash_does():
+    shapes = [
+        (n, n.split(":")[0], hash_of(n)) for n in (f"{f}:{k}" for f in PAPER for k in range(130))
+    ]
+    assert splits.shape_roles(shapes, "general") == splits.shape_roles(shapes, "hash")
+    general = [
+        (f"{f}:{k}", f, hash_of(f"{f}:{k}")) for f in ("knot", "tool", "toy") for k in range(9)
+    ]
+    roles = splits.shape_roles(general, "general")
+    assert {role for name, role in roles.items() if name.startswith("toy")} == {"train"}
+    assert {role for name, role in roles.items() if not name.startswith("toy")} == {"test"}
+
+
+@pytest.mark.parametrize("rule", ["hash", "paper", "multi-material", "general"])
 @given(
     names=st.lists(
         st.sampled_from([f"chair:{k}" for k in range(60)] + [f"file{k}" for k in range(40)]),

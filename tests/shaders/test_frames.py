@@ -119,3 +119,15 @@ def test_the_focus_looks_straight_ahead_when_the_axis_is_off_centre():
     x, y = frames.pixel_grid(24, 32)
     v = frames.view_vectors(24, 32, 0.6, focus=(x[7, 20], y[7, 20]))
     np.testing.assert_allclose(v[7, 20], [0, 0, 1], atol=1e-15)
+
+
+def test_roll_turns_what_is_seen_counter_clockwise_and_leaves_the_optical_axis():
+    roll, azimuth, elevation = np.radians([30.0, 200.0, 50.0])
+    upright = frames.camera_from_world(azimuth, elevation)
+    rolled = frames.camera_from_world(azimuth, elevation, roll)
+    np.testing.assert_allclose(rolled @ towards_camera(azimuth, elevation), [0, 0, 1], atol=1e-15)
+    # what was to the right is now up and to the right
+    right_in_world = upright.T @ [1, 0, 0]
+    np.testing.assert_allclose(rolled @ right_in_world, [np.cos(roll), np.sin(roll), 0], atol=1e-15)
+    np.testing.assert_allclose(frames.camera_from_upright(roll) @ upright, rolled, atol=1e-15)
+    np.testing.assert_array_equal(frames.camera_from_world(azimuth, elevation, 0.0), upright)
